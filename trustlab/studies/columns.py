@@ -29,32 +29,29 @@ def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = 
         raise ValueError(
             f"{argument}: no column {name!r}{hint} (there are {there}){'' if hint else remedy}"
         )
-    found = frame[name]
-    if isinstance(found, pd.Series):
-        return found
+    column = frame[name]
+    if isinstance(column, pd.Series):
+        return column
     if isinstance(frame.columns, pd.MultiIndex):
         inside = ", ".join(repr(label) for label in frame.columns if label[0] == name)
         raise ValueError(
             f"{argument}: {name!r} has columns below it; give one of them in full, {inside}"
         )
     raise ValueError(
-        f"{argument}: column {name!r} occurs {found.shape[1]} times; keep or rename all but one"
+        f"{argument}: column {name!r} occurs {column.shape[1]} times; keep or rename all but one"
     )
 
 
 def refuse_missing_labels(column: pd.Series, argument: str) -> None:
-    """
-    Refuse a column of labels in which one is missing or cannot be compared, and name the first such
-    row.
-    """
+    """Refuse a column with a missing or unhashable label, and name its row."""
     rows = column.index.astype(object)  # plain Python labels, for the errors
     for row, label in zip(rows, column.tolist(), strict=True):
         try:
             hash(label)
         except TypeError:  # a list, a dictionary, a signalling NaN
-            found = f"{shown(label)} in row {row!r}"
             raise ValueError(
-                f"{argument}: column {column.name!r} holds {found}, which is no label"
+                f"{argument}: column {column.name!r} holds {shown(label)} in row {row!r}, which "
+                "is no label"
             ) from None
     missing = column.isna().to_numpy()
     if missing.any():

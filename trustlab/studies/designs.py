@@ -118,9 +118,8 @@ class DesignBalance:
         """
         places = self.positions.T.melt(ignore_index=False, value_name="count").reset_index()
         follows = self.carry_over.melt(ignore_index=False, var_name="condition", value_name="count")
-        follows = (
-            follows.rename_axis("after").reset_index().dropna(subset="count")
-        )  # nothing follows itself
+        # nothing follows itself
+        follows = follows.rename_axis("after").reset_index().dropna(subset="count")
         table = pd.concat([places.assign(kind="position"), follows.assign(kind="carry_over")])
         table["balanced_count"] = places["count"].mean()
         columns = ["kind", "condition", "position", "after", "count", "balanced_count"]
@@ -178,23 +177,26 @@ def design_balance(
             f"condition: column {condition!r} must hold at least two conditions, found {k}"
         )
     wide = []
-    for who, own in orders.groupby(participant, sort=False):
-        found = own[position].tolist()
-        if any(isinstance(p, bool | str) for p in found) or sorted(found) != list(range(1, k + 1)):
+    for label, rows in orders.groupby(participant, sort=False):
+        places = rows[position].tolist()
+        words = any(isinstance(place, bool | str) for place in places)
+        if words or sorted(places) != list(range(1, k + 1)):
             raise ValueError(
-                f"participant {who!r} has positions {found}; {k} conditions need 1 to {k} once"
+                f"participant {label!r} has positions {places}; {k} conditions need 1 to {k} once"
             )
-        row = own.sort_values(position)[condition].tolist()
+        row = rows.sort_values(position)[condition].tolist()
         if len(set(row)) != k:
-            raise ValueError(f"participant {who!r} had {row}; each of {conditions} is needed once")
+            raise ValueError(
+                f"participant {label!r} had {row}; each of {conditions} is needed once"
+            )
         wide.append([conditions.index(name) for name in row])
     square = np.array(wide)
-    places, follows = np.zeros((k, k), dtype=int), np.zeros((k, k), dtype=int)
-    np.add.at(places, (square, np.broadcast_to(np.arange(k), square.shape)), 1)
+    counts, follows = np.zeros((k, k), dtype=int), np.zeros((k, k), dtype=int)
+    np.add.at(counts, (square, np.broadcast_to(np.arange(k), square.shape)), 1)
     np.add.at(follows, (square[:, :-1], square[:, 1:]), 1)
     carry = pd.DataFrame(np.where(np.eye(k, dtype=bool), np.nan, follows), conditions, conditions)
     return DesignBalance(
-        pd.DataFrame(places, conditions, range(1, k + 1)).rename_axis(
+        pd.DataFrame(counts, conditions, range(1, k + 1)).rename_axis(
             index="condition", columns="position"
         ),
         carry.rename_axis(index="before", columns="after"),
@@ -300,12 +302,13 @@ def latin_square_design(
     whole_squares = flag("whole_squares", whole_squares)
     k = len(conditions)
     n = len(participants)
-    size = _rows(len(conditions))
+    size = _rows(k)
     if n % size:
         below, above = n // size * size, participants_needed(k, n)
-        remedy = f"{above} would do" if below == 0 else f"{above} would do, or {below}"
-        multiple = f"{k} conditions need a multiple of {size}"
-        text = f"{n} participants do not fill whole squares: {multiple}; {remedy}"
+        text = (
+            f"{n} participants do not fill whole squares: {k} conditions need a multiple of "
+            f"{size}; {above} would do{f', or {below}' if below else ''}"
+        )
         if whole_squares:
             raise ValueError(text)
         warn(f"{text}; this design is not balanced")
@@ -316,10 +319,7 @@ def latin_square_design(
     names[:] = [conditions[i] for i in drawn]
     square = pd.DataFrame(names[williams_square(k)], range(1, size + 1), range(1, k + 1))
     square = square.rename_axis(index="order", columns="position")
-    rows = (
-        np.concatenate([np.random.default_rng(child).permutation(size) for child in batches])[:n]
-        + 1
-    )
-    return LatinSquareDesign(
-        conditions, participants, seed, square, tuple(int(row) for row in rows)
-    )
+    rows: list[int] = []
+    for child in batches:
+        rows += (np.random.default_rng(child).permutation(size) + 1).tolist()
+    return LatinSquareDesign(conditions, participants, seed, square, tuple(rows[:n]))

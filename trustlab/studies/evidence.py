@@ -1,7 +1,4 @@
-"""
-Evidence beyond a significant difference: equivalence, Bayes factors, simultaneous intervals,
-agreement.
-"""
+"""Beyond significance: equivalence, Bayes factors, simultaneous intervals, agreement."""
 
 from collections.abc import Hashable, Sequence
 
@@ -30,8 +27,7 @@ def equivalence(
     alpha: float = 0.05,
 ) -> pd.DataFrame:
     """
-    Test every pair of conditions for equivalence: two one-sided paired t-tests against ± the
-    smallest effect of interest.
+    Test every pair of conditions for equivalence by two one-sided paired t-tests.
 
     Parameters
     ----------
@@ -45,7 +41,7 @@ def equivalence(
         Whether `bound` is in units of the score, or in standard deviations of the differences as
         estimated from these data.
     order : sequence, optional
-        Conditions in the order wanted.
+        The order of the conditions.
     missing : {"raise", "listwise"}
         Whether a missing cell is an error, or its subject is left out; `.attrs["excluded"]` names
         them.
@@ -96,8 +92,7 @@ def equivalence(
     pairs, n = analyse_table(scores).pairwise, len(scores.subjects)
     rows = []
     for q, (i, j) in enumerate(zip(pairs.a, pairs.b, strict=True)):
-        a = scores.conditions[i]
-        b = scores.conditions[j]
+        a, b = scores.conditions[i], scores.conditions[j]
         sd = float(pairs.sd_difference[0, q])
         if sd == 0.0:
             raise ValueError(
@@ -109,37 +104,14 @@ def equivalence(
         p, (t_low, p_low, df), (t_high, p_high, _) = ttost_paired(x, y, -reach, reach)
         mean = float(pairs.mean_difference[0, q])
         half = special.stdtrit(df, 1.0 - alpha) * sd / np.sqrt(n)
-        tests = (t_low, p_low, t_high, p_high, df, p)
-        rows.append(
-            (
-                a,
-                b,
-                n,
-                mean,
-                -reach,
-                reach,
-                *map(float, tests),
-                mean - half,
-                mean + half,
-                bool(p < alpha),
-            )
-        )
-    names = [
-        "a",
-        "b",
-        "n",
-        "mean_difference",
-        "low",
-        "high",
-        "t_low",
-        "p_low",
-        "t_high",
-        "p_high",
-        "df",
-        "p",
-    ]
-    table = pd.DataFrame(rows, columns=[*names, "ci_low", "ci_high", "equivalent"])
-    table.insert(len(names), "p_holm", holm(table["p"].to_numpy()))
+        tests = t_low, p_low, t_high, p_high, df, p
+        interval = mean - half, mean + half
+        rows.append((a, b, n, mean, -reach, reach, *map(float, tests), *interval, bool(p < alpha)))
+    names = (
+        "a b n mean_difference low high t_low p_low t_high p_high df p ci_low ci_high equivalent"
+    )
+    table = pd.DataFrame(rows, columns=names.split())
+    table.insert(table.columns.get_loc("ci_low"), "p_holm", holm(table["p"].to_numpy()))
     return labelled(table, scores.origin, excluded=excluded)
 
 
@@ -203,13 +175,12 @@ def _greatest_t(covariance: np.ndarray, n: int, draws: int, seed: int) -> np.nda
     rng, k = np.random.default_rng(spawned(seed, 1)[0]), len(covariance)
     values, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T  # the covariance may be singular
-    found = []
+    greatest = []
     for start in range(0, draws, 1000):
         scores = rng.standard_normal((min(1000, draws - start), n, k)) @ root
-        studies = len(scores)
-        pairs = paired_differences(scores, scores.std(axis=1, ddof=1), np.zeros(studies))
-        found.append(np.nanmax(np.abs(pairs.t), axis=1))
-    return np.concatenate(found)
+        pairs = paired_differences(scores, scores.std(axis=1, ddof=1), np.zeros(len(scores)))
+        greatest.append(np.nanmax(np.abs(pairs.t), axis=1))
+    return np.concatenate(greatest)
 
 
 def bayes_factor(
@@ -239,7 +210,7 @@ def bayes_factor(
     scale : float
         Scale of the Cauchy prior; 1/√2 as in R's BayesFactor ("medium").
     order : sequence, optional
-        Conditions in the order wanted.
+        The order of the conditions.
     missing : {"raise", "listwise"}
         Whether a missing cell is an error, or its subject is left out.
 
@@ -280,28 +251,23 @@ def bayes_factor(
     batch = analyse_table(scores)
     n = len(scores.subjects)
     names = scores.conditions
-    method = (
-        ("jzs" if batch.k == 2 else "bic")
-        if method is None
-        else one_of("method", method, ("jzs", "bic"))
-    )
+    if method is None:
+        method = "jzs" if batch.k == 2 else "bic"
+    one_of("method", method, ("jzs", "bic"))
     if method == "bic":
         ss, total = batch.ss_error[0], batch.ss_effect[0] + batch.ss_error[0]
         size = n * (batch.k - 1)
         log_bf10 = -0.5 * (size * np.log(ss / total) + batch.df1 * np.log(size))
-        rows = [
-            (str(within), method, float(batch.F[0]), batch.df1, batch.df2, float(np.exp(log_bf10)))
-        ]
+        bf10 = float(np.exp(log_bf10))
+        rows = [(str(within), method, float(batch.F[0]), batch.df1, batch.df2, bf10)]
     else:
         pairs = batch.pairwise
         rows = []
-        for i, j, t in zip(pairs.a, pairs.b, pairs.t[0], strict=True):
-            bf = (
-                float(bayesfactor_ttest(float(t), n, paired=True, r=scale))
-                if np.isfinite(t)
-                else np.nan
-            )
-            rows.append((f"{names[i]} − {names[j]}", method, float(t), 1, n - 1, bf))
+        for i, j, t in zip(pairs.a, pairs.b, pairs.t[0].tolist(), strict=True):
+            bf10 = np.nan
+            if np.isfinite(t):
+                bf10 = float(bayesfactor_ttest(t, n, paired=True, r=scale))
+            rows.append((f"{names[i]} − {names[j]}", method, t, 1, n - 1, bf10))
     table = pd.DataFrame(rows, columns=["comparison", "method", "statistic", "df1", "df2", "bf10"])
     table = table.assign(bf01=1.0 / table["bf10"], n=n)
     return labelled(table, scores.origin, excluded=excluded)
@@ -352,11 +318,11 @@ def intraclass_correlation(
     digits = pingouin.options["round.column.CI95"]
     try:
         pingouin.options["round.column.CI95"] = 15  # two by default
-        found = pingouin.intraclass_corr(long, targets="target", raters="rater", ratings="rating")
+        result = pingouin.intraclass_corr(long, targets="target", raters="rater", ratings="rating")
     finally:
         pingouin.options["round.column.CI95"] = digits
-    low, high = np.array(found["CI95"].tolist()).T
-    table = found[["Type", "ICC", "F", "df1", "df2", "pval"]].set_axis(
+    low, high = np.array(result["CI95"].tolist()).T
+    table = result[["Type", "ICC", "F", "df1", "df2", "pval"]].set_axis(
         ["type", "icc", "F", "df1", "df2", "p"], axis=1
     )
     table = table.assign(ci_low=low, ci_high=high, n=n, raters=k).reset_index(drop=True)

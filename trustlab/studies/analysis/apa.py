@@ -119,19 +119,17 @@ def _omnibus(result) -> str:
 def _sphericity(result) -> str:
     if result.k == 2:
         return ""
-    name = {"greenhouse-geisser": "Greenhouse–Geisser", "huynh-feldt": "Huynh–Feldt"}.get(
-        result.correction
-    )
-    epsilon = result.epsilon_hf if result.correction == "huynh-feldt" else result.epsilon_gg
-    applied = (
-        "degrees of freedom are "
-        f"{f'{name} corrected, ε = {_share(epsilon)}' if name else 'not corrected'}"
-    )
+    applied = {
+        "none": "not corrected",
+        "greenhouse-geisser": f"Greenhouse–Geisser corrected, ε = {_share(result.epsilon_gg)}",
+        "huynh-feldt": f"Huynh–Feldt corrected, ε = {_share(result.epsilon_hf)}",
+    }[result.correction]
+    applied = f"degrees of freedom are {applied}"
     if result.mauchly_reason:
         return f" {result.mauchly_reason.removesuffix('.')}; {applied}."
-    found = "was violated" if result.mauchly_p < result.alpha else "was not rejected"
+    verdict = "was violated" if result.mauchly_p < result.alpha else "was not rejected"
     return (
-        f" Sphericity {found} (Mauchly's W = {_share(result.mauchly_w)}, χ²({result.mauchly_df}) "
+        f" Sphericity {verdict} (Mauchly's W = {_share(result.mauchly_w)}, χ²({result.mauchly_df}) "
         f"= {apa_number(result.mauchly_chi2)}, {apa_p(result.mauchly_p)}); {applied}."
     )
 
@@ -151,11 +149,11 @@ def _means(result) -> str:
     return f" By condition: {', '.join(_condition_means(result.descriptives()))}.{same}"
 
 
-def _left_out(result, what: str) -> str:
+def _left_out(result, missing: str) -> str:
     if not result.excluded:
         return ""
-    who = ", ".join(map(str, result.excluded))
-    return f" {len(result.excluded)} subject(s) with missing {what} were left out ({who})."
+    labels = ", ".join(map(str, result.excluded))
+    return f" {len(result.excluded)} subject(s) with missing {missing} were left out ({labels})."
 
 
 def _origin(scores: ScoreTable) -> str:
@@ -173,19 +171,20 @@ def _pairs(result, adjust: str) -> str:
     column, kind = _ADJUSTMENTS[adjust]
     p = pairs[column].to_numpy()
     tests = f"Paired t-tests ({kind})" if len(pairs) > 1 else "A paired t-test"
-    found, other = [], []
+    significant = []
+    rest = []
     for i, (a, b) in enumerate(zip(pairs["a"], pairs["b"], strict=True)):
         if p[i] < result.alpha:
             t, d_z = apa_number(pairs["t"][i]), apa_number(pairs["d_z"][i])
             order = _compared(a, b, pairs["mean_difference"][i] > 0.0)
-            found.append(f"{order}, t({result.n - 1}) = {t}, {apa_p(p[i])}, d_z = {d_z}")
+            significant.append(f"{order}, t({result.n - 1}) = {t}, {apa_p(p[i])}, d_z = {d_z}")
         else:
-            why = "no test: one difference" if np.isnan(p[i]) else apa_p(p[i])
-            other.append(f"{a} and {b} ({why})")
-    if not found:
-        return f" {tests} found no significant difference: {_listed(other)}."
-    rest = f"; no significant difference between {_listed(other)}" if other else ""
-    return f" {tests}: {'; '.join(found)}{rest}."
+            reason = "no test: one difference" if np.isnan(p[i]) else apa_p(p[i])
+            rest.append(f"{a} and {b} ({reason})")
+    if not significant:
+        return f" {tests} found no significant difference: {_listed(rest)}."
+    end = f"; no significant difference between {_listed(rest)}" if rest else ""
+    return f" {tests}: {'; '.join(significant)}{end}."
 
 
 def _listed(texts: list[str]) -> str:

@@ -65,16 +65,25 @@ def simple_effects(
         covariance = regression.covariance(contrasts)[0]
         error = float(np.trace(covariance))
         d, q = contrasts.shape[1], len(hypothesis)
-        df1, df2 = d * q, d * design.regressors.df_error
         f = ss / q / error if error > 0.0 else np.nan
         epsilon = float(greenhouse_geisser(covariance)) if d > 1 and error > 0.0 else 1.0
-        p = scipy.special.fdtrc(df1, df2, f)
-        p_gg = scipy.special.fdtrc(df1 * epsilon, df2 * epsilon, f)
-        eta2 = f * df1 / (f * df1 + df2)
-        rows.append((factor, at, level, f, df1, df2, p, epsilon, p_gg, eta2))
-    names = "factor at level F df1 df2 p epsilon_gg p_gg eta2_partial"
-    table = pd.DataFrame(rows, columns=names.split())
+        statistics = _statistics(f, d * q, d * design.regressors.df_error, epsilon)
+        rows.append({"factor": factor, "at": at, "level": level} | statistics)
+    table = pd.DataFrame(rows)
     return table.assign(p_holm=holm(table["p_gg"].to_numpy()))
+
+
+def _statistics(f: float, df1: int, df2: int, epsilon: float) -> dict[str, float]:
+    """Return a test with and without Greenhouse and Geisser's correction."""
+    return {
+        "F": f,
+        "df1": df1,
+        "df2": df2,
+        "p": scipy.special.fdtrc(df1, df2, f),
+        "epsilon_gg": epsilon,
+        "p_gg": scipy.special.fdtrc(epsilon * df1, epsilon * df2, f),
+        "eta2_partial": f * df1 / (f * df1 + df2),
+    }
 
 
 def factor_pairs(
@@ -188,12 +197,7 @@ def aligned_tests(scores: ScoreTable, design: StudyDesign, error: str) -> pd.Dat
         if error == "pooled" and within:
             variance, df2 = error_variances(ranked, design).within
             f, epsilon = float(test["ss_effect"][0]) / df1 / variance, np.nan
-        p = scipy.special.fdtrc(df1, df2, f)
-        p_gg = scipy.special.fdtrc(epsilon * df1, epsilon * df2, f)
-        rows.append((effect, f, df1, df2, p, epsilon, p_gg, f * df1 / (f * df1 + df2)))
-    names = "effect F df1 df2 p epsilon_gg p_gg eta2_partial"
-    table = pd.DataFrame(rows, columns=names.split())
+        rows.append({"effect": effect} | _statistics(f, df1, df2, epsilon))
     # Main effects come first, as in the table of effects.
-    return table.sort_values("effect", key=lambda x: x.str.count(" × "), kind="stable").reset_index(
-        drop=True
-    )
+    rows.sort(key=lambda row: row["effect"].count(" × "))
+    return pd.DataFrame(rows)

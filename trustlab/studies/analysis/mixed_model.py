@@ -1,7 +1,4 @@
-"""
-A mixed model with a random intercept per subject: a check of the ANOVA that also accepts missing
-cells.
-"""
+"""A mixed model with a random intercept per subject; cells may be missing."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -175,8 +172,10 @@ def fit_mixed_model(table: ScoreTable) -> MixedModel:
 def _check_counts(table: ScoreTable, there: np.ndarray, n: int, df2: int) -> None:
     """Refuse a table with too few scores to estimate means, both variances and the error."""
     if n < 3:
-        found = f"{n} subject(s) in column {table.subject!r} have a score"
-        raise ValueError(f"subject: {found}; at least three are needed")
+        raise ValueError(
+            f"subject: {n} subject(s) in column {table.subject!r} have a score; at least three are "
+            "needed"
+        )
     counts = there.sum(axis=0)
     if counts.min() < 2:
         least = table.conditions[int(np.argmin(counts))]
@@ -204,8 +203,10 @@ def _check_error(
     within = columns - _sums_by_subject(columns, person) / np.bincount(person)[person, None]
     fitted = within[:, 1:] @ np.linalg.lstsq(within[:, 1:], within[:, 0], rcond=None)[0]
     if np.abs(within[:, 0] - fitted).max() <= 32.0 * np.finfo(float).eps * max(size, 1.0):
-        levels = "every score is its subject's level plus its condition's"
-        raise ValueError(f"dv: column {table.dv!r} has no error variance: {levels}")
+        raise ValueError(
+            f"dv: column {table.dv!r} has no error variance: every score is its subject's level "
+            "plus its condition's"
+        )
 
 
 class _Fit(NamedTuple):
@@ -256,6 +257,6 @@ def _ratio_of_variances(score: np.ndarray, design: np.ndarray, person: np.ndarra
     grid = np.linspace(-16.0, 23.0, 40)
     best = int(np.argmin([deviance(x) for x in grid]))
     bounds = grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)]
-    found = minimize_scalar(deviance, bounds=bounds, method="bounded", options={"xatol": 1e-10})
+    optimum = minimize_scalar(deviance, bounds=bounds, method="bounded", options={"xatol": 1e-10})
     at_zero = _generalized_least_squares(score, design, person, 0.0).deviance
-    return 0.0 if at_zero <= found.fun + 1e-9 else float(np.exp(found.x))
+    return 0.0 if at_zero <= optimum.fun + 1e-9 else float(np.exp(optimum.x))

@@ -1,7 +1,4 @@
-"""
-Two conditions: the paired t-test with its interval, effect sizes, normality and Wilcoxon's test
-beside it.
-"""
+"""Two conditions: the paired t-test, its effect sizes, normality and Wilcoxon's test."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -94,8 +91,7 @@ class PairedTTest:
 
     def descriptives(self) -> pd.DataFrame:
         """
-        Return the conditions' scores in numbers, as `RepeatedMeasures.descriptives` does; intervals
-        at `confidence`.
+        Return descriptive statistics as `RepeatedMeasures.descriptives`; intervals at `confidence`.
         """
         return describe(self.scores, self.confidence)
 
@@ -180,9 +176,11 @@ def paired_t_test(
     confidence = open_unit("confidence", confidence)
     table = read_scores(frame, dv, within, subject, order=order)
     if len(table.conditions) != 2:
-        found = f"{len(table.conditions)} conditions, {list(table.conditions)}"
-        remedy = "a paired t-test compares two. Select their rows, or use repeated_measures"
-        raise ValueError(f"within: column {within!r} has {found}; {remedy}")
+        raise ValueError(
+            f"within: column {within!r} has {len(table.conditions)} conditions, "
+            f"{list(table.conditions)}; a paired t-test compares two. Select their rows, or use "
+            "repeated_measures"
+        )
     scores, excluded = complete_scores(table, missing)
     pair = analyse_table(scores).pairwise
     names = ("mean_difference", "sd_difference", "t", "p", "d_z", "d_av")

@@ -1,6 +1,4 @@
-"""
-Figures of analyses: means with intervals, rainclouds, a line per subject, differences of a pair.
-"""
+"""Figures of analyses: means with intervals, rainclouds, lines of subjects, paired differences."""
 
 import textwrap
 
@@ -48,17 +46,16 @@ def _label_conditions(scores: ScoreTable, axes) -> None:
     axes.set(xlim=(-0.6, k - 0.4), xlabel=str(scores.within), ylabel=str(scores.dv))
 
 
-def _title(origin: str, what: str, axes) -> str:
+def _title(origin: str, text: str, axes) -> str:
     """
-    Return the title in lines as wide as the axes, the origin on lines of its own where one line is
-    not enough.
+    Return the title in lines as wide as the axes; the origin has its own line if one is too short.
     """
     width = axes.bbox.width / axes.figure.dpi
     letters = max(16, int(15.0 * width))  # of size "small" per inch
-    whole = f"{origin}: {what}" if origin else what
+    whole = f"{origin}: {text}" if origin else text
     if len(whole) <= letters:
         return whole
-    parts = [f"{origin}:", what] if origin else [what]
+    parts = [f"{origin}:", text] if origin else [text]
     parts = [part.replace("N = ", "N\xa0=\xa0") for part in parts]  # which textwrap keeps together
     return "\n".join(textwrap.fill(part, letters) for part in parts).replace("\xa0", " ")
 
@@ -79,9 +76,8 @@ def _clouds(scores: ScoreTable, axes) -> None:
         axes.boxplot(values, positions=[j], **box)
         spread = np.ptp(values)
         if spread > 1e-9 * np.abs(values).max():
-            grid = np.linspace(
-                values.min(), values.max(), 200
-            )  # no density where there is no score
+            # no density beyond the scores
+            grid = np.linspace(values.min(), values.max(), 200)
             density = gaussian_kde(values)(grid)
             right = j + 0.12 + 0.3 * density / density.max()
             axes.fill_betweenx(grid, j + 0.12, right, color=_BLUE, alpha=0.3, lw=0)
@@ -102,12 +98,12 @@ def plot_conditions(result, kind: str = "means", interval: str = "between", axes
             _subjects(result.scores, axes)
         _means(result.descriptives(), axes, "" if interval == "between" else "_within")
     _label_conditions(result.scores, axes)
-    what = {
+    title = {
         "means": f"means, 95 % intervals {interval} subjects",
         "raincloud": "scores, quartiles, densities",
         "paired": f"subjects; means, 95 % intervals {interval} subjects",
     }[kind]
-    axes.set_title(_title(result.origin, f"{what} (N = {result.n})", axes), fontsize="small")
+    axes.set_title(_title(result.origin, f"{title} (N = {result.n})", axes), fontsize="small")
     return axes
 
 
@@ -116,8 +112,8 @@ def plot_cells(result, axes=None):
     Draw the cell means of several factors: the first along the axis, a line per other cell.
     """
     axes = axes_or_new(axes, figsize=(6.0, 3.8))
-    first, *others = result.within
-    lines = [*result.between, *others]
+    first = next(iter(result.within))
+    lines = [name for name in (*result.between, *result.within) if name != first]
     table = result.descriptives()
     groups = table.groupby(lines, sort=False) if lines else [((), table)]
     for i, (cell, rows) in enumerate(groups):

@@ -1,7 +1,4 @@
-"""
-Beside the ANOVA and the t-test: Friedman's and Wilcoxon's rank tests, and the normality of
-differences.
-"""
+"""Friedman's, Wilcoxon's and Conover's rank tests, and the normality of differences."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -46,8 +43,8 @@ def friedman(values: np.ndarray) -> Friedman:
     import pingouin
 
     n, k = values.shape
-    found = pingouin.friedman(pd.DataFrame(values))  # a wide table: a row per subject
-    w = float(np.clip(found["W"].iloc[0], 0.0, 1.0))  # the bounds are exact: only rounding is cut
+    test = pingouin.friedman(pd.DataFrame(values))  # a wide table: a row per subject
+    w = float(np.clip(test["W"].iloc[0], 0.0, 1.0))  # the bounds are exact: only rounding is cut
     chi2 = n * (k - 1) * w
     return Friedman(chi2, k - 1, float(scipy.special.chdtrc(k - 1, chi2)), w)
 
@@ -77,16 +74,17 @@ def wilcoxon(differences: np.ndarray, largest: float) -> Wilcoxon:
     grid = 10.0 ** (np.ceil(np.log10(largest)) - 12.0)
     rounded = np.round(differences / grid)
     merged = np.unique(np.abs(rounded)).size < np.unique(np.abs(differences)).size
-    kept = rounded[rounded != 0.0]
-    ranks = scipy.stats.rankdata(np.abs(kept))
-    exact = kept.size == differences.size < 50 and np.unique(ranks).size == kept.size
-    found = scipy.stats.wilcoxon(
-        kept, method="exact" if exact else "asymptotic", correction=not exact
+    nonzero = rounded[rounded != 0.0]
+    ranks = scipy.stats.rankdata(np.abs(nonzero))
+    exact = nonzero.size == differences.size < 50 and np.unique(ranks).size == nonzero.size
+    test = scipy.stats.wilcoxon(
+        nonzero, method="exact" if exact else "asymptotic", correction=not exact
     )
-    v, total = float(ranks[kept > 0.0].sum()), kept.size * (kept.size + 1) / 2.0
+    v = float(ranks[nonzero > 0.0].sum())
+    total = nonzero.size * (nonzero.size + 1) / 2.0
     method = "exact" if exact else "normal approximation, continuity corrected"
     method += "; ties judged to twelve digits" if merged else ""
-    return Wilcoxon(v, float(found.pvalue), method, (2.0 * v - total) / total)
+    return Wilcoxon(v, float(test.pvalue), method, (2.0 * v - total) / total)
 
 
 def rank_pairs(values: np.ndarray, a: np.ndarray, b: np.ndarray, method: str) -> pd.DataFrame:
@@ -99,14 +97,16 @@ def rank_pairs(values: np.ndarray, a: np.ndarray, b: np.ndarray, method: str) ->
     freedom (Conover, 1999, Section 5.8).
     """
     if method == "wilcoxon":
-        largest, nothing = np.abs(values).max(), Wilcoxon(np.nan, np.nan, "not defined", np.nan)
-        differences = [values[:, i] - values[:, j] for i, j in zip(a, b, strict=True)]
-        found = [
-            wilcoxon(d, largest) if np.ptp([*d, 0.0]) > 1e-12 * largest else nothing
-            for d in differences
-        ]
-        table = pd.DataFrame(found).set_axis(["V", "p", "method", "rank_biserial"], axis=1)
-        return table.assign(median_difference=[np.median(d) for d in differences])
+        largest = np.abs(values).max()
+        rows = []
+        for i, j in zip(a, b, strict=True):
+            difference = values[:, i] - values[:, j]
+            test = Wilcoxon(np.nan, np.nan, "not defined", np.nan)
+            if np.ptp([*difference, 0.0]) > 1e-12 * largest:
+                test = wilcoxon(difference, largest)
+            rows.append((*test, np.median(difference)))
+        names = ["V", "p", "method", "rank_biserial", "median_difference"]
+        return pd.DataFrame(rows, columns=names)
     n, k = values.shape
     ranks = scipy.stats.rankdata(values, axis=1)
     mean = ranks.mean(axis=0)
@@ -125,11 +125,10 @@ def rating_notes(values: np.ndarray, tests: str) -> tuple[str, ...]:
     steps = np.unique(values)
     if steps.size > _MOST_STEPS or not np.array_equal(steps, np.round(steps)):
         return ()
-    found = (
+    return (
         f"Scores are whole numbers from {steps[0]:g} to {steps[-1]:g}, as of a rating item, "
-        "whose steps need not be equal"
+        f"whose steps need not be equal: see {tests} for tests by ranks.",
     )
-    return (f"{found}: see {tests} for tests by ranks.",)
 
 
 def normality_of_differences(values: np.ndarray, a: np.ndarray, b: np.ndarray) -> pd.DataFrame:
@@ -147,8 +146,7 @@ def normality_of_differences(values: np.ndarray, a: np.ndarray, b: np.ndarray) -
         if difference.size > 5000 or np.ptp(difference) <= 2.0 * rounding:
             rows.append((np.nan, np.nan))
         else:
-            found = scipy.stats.shapiro(
-                difference / np.abs(difference).max()
-            )  # SciPy takes tiny differences for equal
-            rows.append((float(found.statistic), float(found.pvalue)))
+            # scaled, as SciPy takes tiny differences for equal
+            test = scipy.stats.shapiro(difference / np.abs(difference).max())
+            rows.append((float(test.statistic), float(test.pvalue)))
     return pd.DataFrame(rows, columns=["W", "p"])

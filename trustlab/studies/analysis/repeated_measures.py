@@ -35,10 +35,11 @@ from trustlab.studies.analysis.score_table import ScoreTable, labelled, same_for
 from trustlab.studies.analysis.sphericity import CORRECTIONS, decided
 from trustlab.studies.analysis.study_design import StudyDesign, read_design
 
+_ETA2 = ["eta2_partial", "eta2_generalized"]
 # Statistics of the effect of conditions in a table of sources of variance.
-_OF_CONDITIONS = "F p epsilon_gg p_gg epsilon_hf p_hf eta2_partial eta2_generalized".split()
+_OF_CONDITIONS = ["F", "p", "epsilon_gg", "p_gg", "epsilon_hf", "p_hf", *_ETA2]
 # Columns of effects that a notebook shows.
-_SHOWN = "effect F df1_corrected df2_corrected p_corrected eta2_partial eta2_generalized".split()
+_SHOWN = ["effect", "F", "df1_corrected", "df2_corrected", "p_corrected", *_ETA2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +130,7 @@ class RepeatedMeasures:
 
     @property
     def origin(self) -> str:
-        """What kind of data these are where they were not measured; else empty."""
+        """Synthetic or reconstructed data; empty for measured data."""
         return self.scores.origin
 
     @cached_property

@@ -211,8 +211,8 @@ def _section(result: RepeatedMeasures) -> StudyReport:
     moments = result.descriptives().astype(
         dict.fromkeys(factors, str)
     )  # levels that are numbers are not rounded
-    own = [name for name in moments if name in factors or name in _MOMENTS]
-    tables = {"Descriptive statistics": moments[own].rename(columns=_MOMENTS)}
+    columns = [name for name in moments if name in factors or name in _MOMENTS]
+    tables = {"Descriptive statistics": moments[columns].rename(columns=_MOMENTS)}
     tables |= {"Analysis of variance": result.table()[list(_TESTS)].rename(columns=_TESTS)}
     tables |= {title: table[list(_PAIRS)] for title, table in pairs.items()}
     return StudyReport(result, " ".join([result.apa(), *result.notes]), tables, result.origin)
@@ -228,62 +228,62 @@ def _printed(table: pd.DataFrame, digits: int) -> pd.DataFrame:
     return texts
 
 
-def _html(found: StudyReport, tables: dict[str, pd.DataFrame], figure: bool = True) -> str:
-    parts = [f"<p>{html.escape(found.text)}</p>"] if found.text else []
+def _html(study: StudyReport, tables: dict[str, pd.DataFrame], figure: bool = True) -> str:
+    parts = [f"<p>{html.escape(study.text)}</p>"] if study.text else []
     for number, (title, table) in enumerate(tables.items(), start=1):
-        caption = f"<p><b>Table {number}</b><br><i>{html.escape(_caption(found, title))}</i></p>"
+        caption = f"<p><b>Table {number}</b><br><i>{html.escape(_caption(study, title))}</i></p>"
         parts += [caption, table.to_html(index=False, border=0)]
-    if figure and found.drawn:
+    if figure and study.drawn:
         drawing = io.StringIO()
-        _drawn(found, drawing, "svg")
+        _drawn(study, drawing, "svg")
         parts.append(drawing.getvalue()[drawing.getvalue().index("<svg") :])
     return "\n".join(parts)
 
 
-def _latex(found: StudyReport, tables: dict[str, pd.DataFrame]) -> str:
+def _latex(study: StudyReport, tables: dict[str, pd.DataFrame]) -> str:
     with extra("reports"):
         import jinja2  # noqa: F401  what pandas writes LaTeX with
-    parts = [found.text.translate(_LATEX)]
+    parts = [study.text.translate(_LATEX)]
     for title, table in tables.items():
         cells = table.rename(columns=lambda name: str(name).translate(_LATEX)).map(
             lambda cell: cell.translate(_LATEX)
         )
         parts.append(
             cells.to_latex(
-                index=False, escape=False, caption=_caption(found, title).translate(_LATEX)
+                index=False, escape=False, caption=_caption(study, title).translate(_LATEX)
             )
         )
     return "\n\n".join(parts)
 
 
-def _write_word(path: Path, found: StudyReport, tables: dict[str, pd.DataFrame]) -> None:
+def _write_word(path: Path, study: StudyReport, tables: dict[str, pd.DataFrame]) -> None:
     with extra("reports"):
         import docx
     document = docx.Document()
-    if found.text:
-        document.add_paragraph(found.text)
+    if study.text:
+        document.add_paragraph(study.text)
     for number, (title, table) in enumerate(tables.items(), start=1):
-        document.add_paragraph(f"Table {number}. {_caption(found, title)}")
+        document.add_paragraph(f"Table {number}. {_caption(study, title)}")
         grid = document.add_table(rows=1 + len(table), cols=table.shape[1])
         for i, row in enumerate([list(map(str, table.columns)), *table.to_numpy().tolist()]):
             for j, cell in enumerate(row):
                 grid.cell(i, j).text = cell
-    if found.drawn:
+    if study.drawn:
         picture = io.BytesIO()
-        _drawn(found, picture, "png")
+        _drawn(study, picture, "png")
         document.add_picture(picture)
     document.save(str(path))
 
 
-def _caption(found: StudyReport, title: str) -> str:
-    origin = f" [{found.origin}]" if found.origin else ""
+def _caption(study: StudyReport, title: str) -> str:
+    origin = f" [{study.origin}]" if study.origin else ""
     return f"{title}{origin}"
 
 
-def _drawn(found: StudyReport, file: Any, kind: str) -> None:
+def _drawn(study: StudyReport, file: Any, kind: str) -> None:
     """Draw the figure into a file, and close it."""
     import matplotlib.pyplot as plt
 
-    axes = found.plot()
+    axes = study.plot()
     axes.figure.savefig(file, format=kind, dpi=200)
     plt.close(axes.figure)

@@ -57,35 +57,30 @@ def origin_of(attrs: dict) -> str:
 
 def labelled(frame: pd.DataFrame, origin: str, **more: object) -> pd.DataFrame:
     """
-    Return a table that says what kind of data it was made from where they were not measured, and
-    what else is given.
+    Record the origin of data that were not measured, and further facts, in a table's attrs.
     """
     frame.attrs |= more | ({"origin": origin} if origin else {})
     return frame
 
 
 def _how_to_melt(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable) -> str:
-    """
-    Return how to turn a table with a column per condition into a long one; nothing where the table
-    is long.
-    """
+    """Return how to make a table with a column per condition long; empty where it is long."""
     if any(not isinstance(name, Hashable) or name in frame.columns for name in (dv, within)):
         return ""
-    own = f"frame.rename_axis({subject!r}).reset_index()"
+    wide = f"frame.rename_axis({subject!r}).reset_index()"
     if not isinstance(subject, Hashable) or subject in frame.columns:
-        own = "frame"
+        wide = "frame"
     elif subject in frame.index.names:
-        own = "frame.reset_index()"
+        wide = "frame.reset_index()"
     return (
         "; if it has a column per condition, make it long: "
-        f"{own}.melt(id_vars={subject!r}, var_name={within!r}, value_name={dv!r})"
+        f"{wide}.melt(id_vars={subject!r}, var_name={within!r}, value_name={dv!r})"
     )
 
 
 def _labels(series: pd.Series, argument: str) -> list:
     """
-    Return each label of a column once: in the order of the categories if it is categorical, else as
-    they appear.
+    Return each label of a column once, in the order of its categories, else of appearance.
     """
     refuse_missing_labels(series, argument)
     if isinstance(series.dtype, pd.CategoricalDtype):
@@ -101,25 +96,27 @@ def _codes(series: pd.Series, labels: list) -> np.ndarray:
 
 def levels_of(series: pd.Series, argument: str, order: Sequence | None = None) -> list:
     """
-    Return each label of a column once, in the order asked for, else in that of the categories, else
+    Return each label of a column once, in the given order, else that of its categories, else
     sorted.
     """
     labels = _labels(series, argument)
     if order is not None:
-        wanted = list(order) if isinstance(order, Iterable) and not isinstance(order, str) else []
-        if len(wanted) != len(labels) or any(label not in wanted for label in labels):
-            need = f"order must list every condition in column {series.name!r} once, {labels}"
-            raise ValueError(f"{need}, got {order!r}; leave conditions out by selecting rows")
-        return sorted(labels, key=wanted.index)
+        listed = list(order) if isinstance(order, Iterable) and not isinstance(order, str) else []
+        if len(listed) != len(labels) or any(label not in listed for label in labels):
+            raise ValueError(
+                f"order must list every condition in column {series.name!r} once, {labels}, got "
+                f"{order!r}; leave conditions out by selecting rows"
+            )
+        return sorted(labels, key=listed.index)
     if isinstance(series.dtype, pd.CategoricalDtype):
         return labels
     try:
         return sorted(labels)
     except TypeError:
         kinds = " and ".join(sorted({type(label).__name__ for label in labels}))
-        remedy = "make them one type, or give order=[…]"
         raise ValueError(
-            f"within: column {series.name!r} mixes {kinds}, without a common order; {remedy}"
+            f"within: column {series.name!r} mixes {kinds}, without a common order; make them one "
+            "type, or give order=[…]"
         ) from None
 
 
@@ -176,9 +173,7 @@ def read_scores(
         raise ValueError("frame has no rows")
     conditions = levels_of(series["within"], "within", order)
     subjects = _labels(series["subject"], "subject")
-    with suppress(
-        TypeError
-    ):  # labels of several types stay in order of appearance: nothing depends on it
+    with suppress(TypeError):  # labels of several types stay in order of appearance
         subjects = sorted(subjects)
     k = len(conditions)
     cell = _codes(series["subject"], subjects) * k + _codes(series["within"], conditions)
@@ -194,13 +189,16 @@ def read_scores(
         )
     counts = np.bincount(cell, minlength=len(subjects) * k)
     if (counts > 1).any():
-        repeated, texts = np.flatnonzero(counts > 1), []
+        repeated = np.flatnonzero(counts > 1)
+        texts = []
         for c in repeated[:_SHOWN]:
             rows = ", ".join(repr(row[i]) for i in np.flatnonzero(cell == c)[:_SHOWN])
             texts.append(f"{cell_name(c)} has {counts[c]} rows ({rows})")
-        found = f"{repeated.size} cell(s) with more than one row: {'; '.join(texts)}"
-        average = f"frame.groupby([{subject!r}, {within!r}], as_index=False)[{dv!r}].mean()"
-        raise ValueError(f"{found}; average the trials of a cell first: {average}")
+        raise ValueError(
+            f"{repeated.size} cell(s) with more than one row: {'; '.join(texts)}; average the "
+            f"trials of a cell first: frame.groupby([{subject!r}, {within!r}], as_index=False)"
+            f"[{dv!r}].mean()"
+        )
     values = np.full(counts.size, np.nan)
     values[cell] = scores
     return ScoreTable(
@@ -232,10 +230,10 @@ def _alike(labels: tuple) -> str:
     """Return a hint where two conditions may be one that was written in two ways."""
     plain: dict[str, Hashable] = {}
     for label in labels:
-        other = plain.setdefault(str(label).strip().casefold(), label)
-        if other is not label:
+        first = plain.setdefault(str(label).strip().casefold(), label)
+        if first is not label:
             return (
-                f" (conditions {other!r} and {label!r} differ by spaces, case or type alone: "
+                f" (conditions {first!r} and {label!r} differ by spaces, case or type alone: "
                 "are they the same?)"
             )
     return ""
@@ -265,12 +263,14 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
             "trustlab.studies.mixed_model, which accepts missing cells"
         )
     excluded = tuple(s for s, out in zip(table.subjects, gone, strict=True) if out)
-    kept = tuple(s for s, out in zip(table.subjects, gone, strict=True) if not out)
-    if len(kept) < 3:
+    complete = tuple(s for s, out in zip(table.subjects, gone, strict=True) if not out)
+    if len(complete) < 3:
         without = (
             f" (left out: {_missing_cells(table)}){_alike(table.conditions)}" if excluded else ""
         )
-        named = f" ({', '.join(map(repr, kept))})" if kept else ""
-        found = f"{len(kept)} complete subject(s){named} in column {table.subject!r}{without}"
-        raise ValueError(f"subject: {found}; at least three are needed")
-    return replace(table, values=table.values[~gone], subjects=kept), excluded
+        named = f" ({', '.join(map(repr, complete))})" if complete else ""
+        raise ValueError(
+            f"subject: {len(complete)} complete subject(s){named} in column {table.subject!r}"
+            f"{without}; at least three are needed"
+        )
+    return replace(table, values=table.values[~gone], subjects=complete), excluded

@@ -73,12 +73,11 @@ class Winsorized:
         if self.changes.empty:
             return f"None of {of} values was winsorized (rule: {self.rule})."
         parts = []
-        for condition, own in self.changes.groupby("condition", sort=False, dropna=False):
-            who = ", ".join(map(str, own["subject"]))
-            where = "" if pd.isna(condition) else f" in {condition}"
-            parts.append(
-                f"{len(own)}{where} ({'position' if pd.isna(condition) else 'subject'} {who})"
-            )
+        for condition, rows in self.changes.groupby("condition", sort=False, dropna=False):
+            labels = ", ".join(map(str, rows["subject"]))
+            plain = pd.isna(condition)
+            where = f" (position {labels})" if plain else f" in {condition} (subject {labels})"
+            parts.append(f"{len(rows)}{where}")
         word = "values was" if len(self.changes) == 1 else "values were"
         return (
             f"{len(self.changes)} of {of} {word} winsorized: {'; '.join(parts)}. Rule: {self.rule}."
@@ -110,11 +109,10 @@ def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, f
     if outside == "sd":
         reach = (n - 1) / np.sqrt(n)  # no value of n lies more standard deviations from their mean
         if k >= reach:
-            found = (
-                f"none of {n} values can lie {k:g} standard deviations from their mean (at "
-                f"most {reach:.3g})"
+            raise ValueError(
+                f"{where}: none of {n} values can lie {k:g} standard deviations from their mean "
+                f'(at most {reach:.3g}); use a smaller k or outside="mad" or "iqr"'
             )
-            raise ValueError(f'{where}: {found}; use a smaller k or outside="mad" or "iqr"')
         low = high = x.mean()
         spread = x.std(ddof=1)
     elif outside == "mad":

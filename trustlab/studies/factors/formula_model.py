@@ -1,10 +1,8 @@
-"""
-Mixed models by formula: trials, covariates, random slopes and missing cells; by statsmodels, tested
-by likelihood ratios.
-"""
+"""Mixed models by formula, fitted by statsmodels and tested by likelihood ratios."""
 
 import warnings
 from collections.abc import Hashable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,8 +63,8 @@ class FormulaModel:
 
     def table(self) -> pd.DataFrame:
         """
-        Return the likelihood-ratio test of every term, against the model without it and without
-        what contains it.
+        Return the likelihood-ratio test of every term against the model without the term and the
+        interactions that contain it.
 
         Returns
         -------
@@ -92,12 +90,12 @@ class FormulaModel:
         return self.variances.copy()
 
     def _repr_html_(self) -> str:
-        how = "likelihood ratios, asymptotic" + (
-            f" and by {self.draws} simulated data sets" if self.draws else ""
-        )
-        found = f"{self.origin} {self.observations} rows of {self.n} groups; {how}".strip()
+        tests = "likelihood ratios, asymptotic"
+        if self.draws:
+            tests += f" and by {self.draws} simulated data sets"
+        text = f"{self.origin} {self.observations} rows of {self.n} groups; {tests}".strip()
         title = f"{self.formula}, random {self.random}, {self.family}"
-        return as_html(found, self.tests, self.coefficients, self.variances, title=title)
+        return as_html(text, self.tests, self.coefficients, self.variances, title=title)
 
 
 def formula_model(
@@ -191,8 +189,8 @@ def formula_model(
         estimates = _normal_estimates(normal, y, x, centre, scale)
     seeds = spawned(seed, len(terms))
     tests = [
-        _test(name, terms, y, x, model, bootstrap, own)
-        for name, own in zip(terms, seeds, strict=True)
+        _test(name, terms, y, x, model, bootstrap, child)
+        for name, child in zip(terms, seeds, strict=True)
     ]
     origin = origin_of(data.attrs)
     labelled(estimates["coefficients"], origin)
@@ -263,14 +261,14 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     from formulaic.errors import FormulaicError
 
     try:
-        found = model_matrix(formula, frame, na_action="ignore")
+        matrices = model_matrix(formula, frame, na_action="ignore")
         z = model_matrix(random, frame, na_action="ignore")
     except (FormulaicError, NameError, KeyError, SyntaxError, ValueError) as error:
         there = ", ".join(map(str, frame))
         raise ValueError(
             f"formula {formula!r}, random {random!r}: {error} (columns are {there})"
         ) from None
-    y, x = found.lhs, found.rhs
+    y, x = matrices.lhs, matrices.rhs
     if y.shape[1] != 1:
         raise ValueError(f"formula {formula!r}: the score must be one column of numbers")
     together = np.column_stack([np.asarray(part, dtype=float) for part in (y, x, z)])
@@ -317,20 +315,13 @@ class _Normal:
         model = MixedLM(y, x, self.codes, exog_re=self.z.to_numpy())
         beta = np.linalg.lstsq(x, y, rcond=None)[0]
         fits = []
+        second = MixedLMParams.from_components(beta, cov_re=np.eye(self.z.shape[1]))
+        methods = ["bfgs", "lbfgs", "powell"]
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # of a variance at its boundary, which the result says by itself
-            for start in (
-                None,
-                MixedLMParams.from_components(beta, cov_re=np.eye(self.z.shape[1])),
-            ):
-                try:
-                    fits.append(
-                        model.fit(start_params=start, reml=reml, method=["bfgs", "lbfgs", "powell"])
-                    )
-                except np.linalg.LinAlgError:
-                    continue
+            warnings.simplefilter("ignore")  # a variance at its boundary; reported as singular
+            for start in (None, second):
+                with suppress(np.linalg.LinAlgError):
+                    fits.append(model.fit(start_params=start, reml=reml, method=methods))
         fits = [fit for fit in fits if np.isfinite(fit.llf)]
         if not fits:
             raise ValueError(
@@ -363,8 +354,13 @@ def _test(
     Return the likelihood-ratio test of a term, asymptotic and by simulation from the model without
     it.
     """
-    own = set(name.split(":"))
-    above = [i for other, columns in terms.items() if own < set(other.split(":")) for i in columns]
+    factors = set(name.split(":"))
+    above = [
+        column
+        for term, columns in terms.items()
+        if factors < set(term.split(":"))
+        for column in columns
+    ]
     full = x.drop(columns=x.columns[above]).to_numpy()
     reduced = x.drop(columns=x.columns[[*above, *terms[name]]]).to_numpy()
 

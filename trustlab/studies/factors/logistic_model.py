@@ -1,7 +1,4 @@
-"""
-Logistic models with a random intercept per group: maximum likelihood by adaptive Gauss–Hermite
-quadrature.
-"""
+"""Logistic models with a random intercept per group, by adaptive Gauss–Hermite quadrature."""
 
 from typing import NamedTuple
 
@@ -97,10 +94,7 @@ def _loss_and_slope(parameters, rows, counts, trials, first, nodes, log_weights)
 
 
 class Logistic:
-    """
-    Counts out of trials by group: what a random-intercept model is fitted to, and how data are
-    drawn from one.
-    """
+    """Counts out of trials by group: a random-intercept model is fitted to them or draws them."""
 
     def __init__(self, codes: np.ndarray, trials: np.ndarray, points: int):
         self.codes, self.trials = codes, trials
@@ -115,28 +109,28 @@ class Logistic:
         and zero unless asked for.
         """
         order = self._order
-        own = (counts[order], self.trials[order], self._first, self._nodes, self._log_weights)
-        data = (np.ascontiguousarray(x[order]), *own)
+        rows = np.ascontiguousarray(x[order])
+        quadrature = self._first, self._nodes, self._log_weights
+        data = (rows, counts[order], self.trials[order], *quadrature)
         # Least squares of empirical logits: near enough to start from.
         logits = np.log((counts + 0.5) / (self.trials - counts + 0.5))
         start = np.linalg.lstsq(x, logits, rcond=None)[0]
-        found = minimize(
+        optimum = minimize(
             _loss_and_slope, np.append(start, 0.7), data, "BFGS", jac=True, options={"gtol": 1e-6}
         )
-        beta, sd = found.x[:-1], abs(float(found.x[-1]))
+        beta, sd = optimum.x[:-1], abs(float(optimum.x[-1]))
         information = np.zeros((beta.size, beta.size))
         if covariance:
             from statsmodels.tools.numdiff import approx_hess3
 
             hessian = approx_hess3(
-                found.x, lambda parameters: _loss_and_slope(parameters, *data)[0]
+                optimum.x, lambda parameters: _loss_and_slope(parameters, *data)[0]
             )
             # Where the intercepts do not vary the SD is at its boundary, and carries no information
             # on the logits.
-            information = np.linalg.inv(hessian if sd > _SINGULAR else hessian[:-1, :-1])[
-                : beta.size, : beta.size
-            ]
-        return LogisticFit(-float(found.fun), beta, sd, information)
+            regular = hessian if sd > _SINGULAR else hessian[:-1, :-1]
+            information = np.linalg.inv(regular)[: beta.size, : beta.size]
+        return LogisticFit(-float(optimum.fun), beta, sd, information)
 
     def log_coefficients(self, counts: np.ndarray) -> float:
         """Return the sum of the logarithms of the binomial coefficients."""
@@ -158,25 +152,15 @@ _SINGULAR = 1e-3
 
 def checked_counts(counts: np.ndarray, data: pd.DataFrame, trials: str | None) -> np.ndarray:
     """Return the number of trials of every row, which successes must be counts out of."""
-    out_of = (
-        np.ones(counts.size)
-        if trials is None
-        else finite_array("trials", column_of(data, "trials", trials))
-    )
-    bad = (
-        (out_of < 1)
-        | (out_of != np.round(out_of))
-        | (counts < 0)
-        | (counts > out_of)
-        | (counts != np.round(counts))
-    )
+    out_of = np.ones(counts.size)
+    remedy = 'trials="…" names the column with how many there were'
+    if trials is not None:
+        out_of = finite_array("trials", column_of(data, "trials", trials))
+        remedy = "check both columns"
+    fractional = (out_of != np.round(out_of)) | (counts != np.round(counts))
+    bad = (out_of < 1) | (counts < 0) | (counts > out_of) | fractional
     if bad.any():
         row = int(np.argmax(bad))
-        remedy = (
-            'trials="…" names the column with how many there were'
-            if trials is None
-            else "check both columns"
-        )
         raise ValueError(
             f"row {row}: {counts[row]:g} of {out_of[row]:g} is no number of successes; {remedy}"
         )

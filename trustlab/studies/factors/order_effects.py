@@ -1,7 +1,4 @@
-"""
-Orders of conditions: period, sequence and first-order carry-over, and the conditions' effect
-adjusted for them.
-"""
+"""Orders of conditions: period, sequence, carry-over, and effects adjusted for them."""
 
 import warnings
 from collections.abc import Hashable, Iterable, Sequence
@@ -100,7 +97,7 @@ def order_effects(
     sequence : hashable, optional
         Column with the name of the subject's order; by default it is read from the order itself.
     order : sequence, optional
-        Conditions in the order wanted.
+        The order of the conditions.
 
     Returns
     -------
@@ -143,37 +140,35 @@ def order_effects(
             f"position: column {position!r} must hold 1 to {k}, found {list(scores.conditions)}"
         )
     conditions = levels_of(column_of(frame, "condition", condition), "condition", order)
-    where = frame.set_index([subject, position])[condition].to_dict()
-    codes = np.array(
-        [
-            [conditions.index(where[who, place]) for place in scores.conditions]
-            for who in scores.subjects
-        ]
-    )
+    labels = frame.pivot_table(condition, subject, position, aggfunc="first")
+    codes = labels.map(conditions.index).loc[list(scores.subjects)].to_numpy()
     names = [tuple(row) for row in codes.tolist()]
     if sequence is not None:
         column_of(frame, "sequence", sequence)
-        given = frame.drop_duplicates([subject, sequence]).set_index(subject)[sequence]
-        if twice := given.index[given.index.duplicated()].tolist():
+        sequences = frame.drop_duplicates([subject, sequence]).set_index(subject)[sequence]
+        if twice := sequences.index[sequences.index.duplicated()].tolist():
             raise ValueError(
                 f"sequence: subject {twice[0]!r} has two sequences in column {sequence!r}"
             )
-        names = [given[who] for who in scores.subjects]
+        names = [sequences[label] for label in scores.subjects]
     tests = _within_tests(scores.values, codes, len(conditions))
     tests.insert(0, _sequence_test(scores.values.mean(axis=1) * np.sqrt(k), names))
-    columns = ["effect", "ss", "df1", "df2", "F", "p", "note"]
-    table, pairs = (
-        pd.DataFrame(tests, columns=columns),
-        _differences(scores.values, codes, conditions),
+    table = pd.DataFrame(tests, columns=["effect", "ss", "df1", "df2", "F", "p", "note"])
+    pairs = _differences(scores.values, codes, conditions)
+    return OrderEffects(
+        dv,
+        tuple(conditions),
+        n,
+        labelled(table, scores.origin),
+        labelled(pairs, scores.origin),
+        scores.origin,
     )
-    table, pairs = labelled(table, scores.origin), labelled(pairs, scores.origin)
-    return OrderEffects(dv, tuple(conditions), n, table, pairs, scores.origin)
 
 
 def _regressors(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:
     """
-    Return the columns of every effect, a row per subject and position; sums to zero, but for the
-    subjects.
+    Return the columns of every effect, a row per subject and position; all but the subjects' are
+    coded to sum to zero.
     """
     n, k = codes.shape
 
@@ -196,9 +191,7 @@ def _least_squares(y: np.ndarray, parts: Iterable[np.ndarray]):
     from statsmodels.regression.linear_model import OLS
 
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # of dependent columns, which degrees of freedom and notes say by themselves
+        warnings.simplefilter("ignore")  # rank deficiency; reported in df and notes
         return OLS(y, np.column_stack(list(parts))).fit()
 
 
@@ -206,31 +199,31 @@ def _within_tests(values: np.ndarray, codes: np.ndarray, count: int) -> list[tup
     """Return the tests of position, condition and carry-over by full and reduced regressions."""
     y = (values - values.mean()).ravel()
     parts = _regressors(codes, count)
+    rounding = 4.0 * np.finfo(float).eps * np.abs(values).max()
     rows = []
     for effect in ("position", "condition", "carry_over", "condition_without_carry_over"):
         without, _, left_out = effect.partition("_without_")
         full = {name: x for name, x in parts.items() if name != left_out}
         fit = _least_squares(y, full.values())
-        if (
-            fit.df_resid < 1
-            or fit.ssr <= fit.df_resid * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2
-        ):
-            beside = "subjects, positions, conditions and carry-over"
-            raise ValueError(f"dv: {values.size} scores leave no error variance beside {beside}")
+        if fit.df_resid < 1 or fit.ssr <= fit.df_resid * rounding**2:
+            raise ValueError(
+                f"dv: {values.size} scores leave no error variance beside subjects, positions, "
+                "conditions and carry-over"
+            )
         reduced = _least_squares(y, (x for name, x in full.items() if name != without))
         rows.append(_row(effect, fit, reduced, full[without].shape[1]))
     return rows
 
 
-def _row(effect: str, fit, reduced, wanted: int) -> tuple:
-    """Return one row of the table: a regression against that without the effect."""
+def _row(effect: str, fit, reduced, contrasts: int) -> tuple:
+    """Return one row of the table: a regression against the one without the effect."""
     df1, df2 = int(reduced.df_resid - fit.df_resid), int(fit.df_resid)
     if df1 == 0:
         why = "not estimable: these orders do not separate it from the other effects"
         return effect, np.nan, 0, df2, np.nan, np.nan, why
-    note = (
-        "" if df1 == wanted else f"only {df1} of {wanted} contrasts are estimable from these orders"
-    )
+    note = ""
+    if df1 < contrasts:
+        note = f"only {df1} of {contrasts} contrasts are estimable from these orders"
     f, p, _ = fit.compare_f_test(reduced)
     return effect, reduced.ssr - fit.ssr, df1, df2, float(f), float(p), note
 
@@ -244,9 +237,8 @@ def _sequence_test(means: np.ndarray, names: list) -> tuple:
         why = "one sequence only" if df1 < 1 else "every sequence has one subject"
         return "sequence", np.nan, df1, df2, np.nan, np.nan, f"not testable: {why}"
     y = means - means.mean()
-    return _row(
-        "sequence", _least_squares(y, [indicators]), _least_squares(y, [np.ones((y.size, 1))]), df1
-    )
+    full = _least_squares(y, [indicators])
+    return _row("sequence", full, _least_squares(y, [np.ones((y.size, 1))]), df1)
 
 
 def _differences(values: np.ndarray, codes: np.ndarray, conditions: list) -> pd.DataFrame:
@@ -256,7 +248,8 @@ def _differences(values: np.ndarray, codes: np.ndarray, conditions: list) -> pd.
     """
     y = (values - values.mean()).ravel()
     parts = _regressors(codes, len(conditions))
-    fit, k = _least_squares(y, parts.values()), len(conditions)
+    k = len(conditions)
+    fit = _least_squares(y, parts.values())
     if y.size - fit.df_resid < sum(x.shape[1] for x in parts.values()):
         fit = _least_squares(y, (x for name, x in parts.items() if name != "carry_over"))
     start = parts["subject"].shape[1] + parts["position"].shape[1]
@@ -264,15 +257,13 @@ def _differences(values: np.ndarray, codes: np.ndarray, conditions: list) -> pd.
     pairs = list(combinations(range(k), 2))
     weights = np.zeros((len(pairs), fit.model.exog.shape[1]))
     weights[:, start : start + k - 1] = [coding[i] - coding[j] for i, j in pairs]
-    # What is not estimable is no combination of rows of the regressors.
-    estimable = np.isclose(
-        weights @ np.linalg.pinv(fit.model.exog) @ fit.model.exog, weights, atol=1e-8
-    ).all(axis=1)
-    tests = fit.t_test(weights)
-    low, high = tests.conf_int().T
-    columns = {"mean_difference": tests.effect, "ci_low": low, "ci_high": high}
-    columns |= {"t": np.ravel(tests.tvalue), "p": np.ravel(tests.pvalue)}
-    table = pd.DataFrame(columns)
+    # Estimable weights are combinations of rows of the regressors.
+    projected = weights @ np.linalg.pinv(fit.model.exog) @ fit.model.exog
+    estimable = np.isclose(projected, weights, atol=1e-8).all(axis=1)
+    tests = fit.t_test(weights).summary_frame().reset_index(drop=True)
+    columns = {"coef": "mean_difference", "Conf. Int. Low": "ci_low", "Conf. Int. Upp.": "ci_high"}
+    columns |= {"t": "t", "P>|t|": "p"}
+    table = tests[[*columns]].rename(columns=columns)
     table[~estimable] = np.nan
     table.insert(4, "df", int(fit.df_resid))
     for place, name in enumerate("ab"):
