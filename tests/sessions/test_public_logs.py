@@ -8,6 +8,7 @@ that distance is the integral of speed.
 """
 
 import hashlib
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np

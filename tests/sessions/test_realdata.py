@@ -19,7 +19,8 @@ DATA = (
     / "autonomy_cl_trust"
 )
 pytestmark = pytest.mark.skipif(
-    not DATA.is_dir(), reason="needs the sessions of AutonomyCLTrust (docs/reports.md): TRUSTLAB_DATA=folder"
+    not DATA.is_dir(),
+    reason="needs the sessions of AutonomyCLTrust (docs/reports.md): TRUSTLAB_DATA=folder",
 )
 
 

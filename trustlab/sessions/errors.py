@@ -56,7 +56,7 @@ def source_named(source: str | None) -> Iterator[None]:
 
 
 @contextmanager
-def damage_named(what: str, remedy: str) -> Iterator[None]:
+def damage_named(damage: str, remedy: str) -> Iterator[None]:
     """
     Turn whatever a decoder of a binary format raises inside into a SessionError: what the file is,
     and the remedy.
@@ -73,7 +73,7 @@ def damage_named(what: str, remedy: str) -> Iterator[None]:
         raise
     except Exception as error:
         reason = (str(error) or "no reason given").splitlines()[0][:200]
-        raise SessionError(f"{what} ({type(error).__name__}: {reason}); {remedy}") from error
+        raise SessionError(f"{damage} ({type(error).__name__}: {reason}); {remedy}") from error
 
 
 def listed(names: Iterable[object]) -> str:

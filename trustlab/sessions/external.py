@@ -14,7 +14,7 @@ def external_data(name: str) -> Path | None:
         The data set's folder, for example "autonomy_cl_trust"; looked for in the folder that the
         environment variable TRUSTLAB_DATA names, or else in data/external of the repository.
     """
-    given = os.environ.get("TRUSTLAB_DATA")
-    root = Path(given) if given else Path(__file__).resolve().parents[2] / "data" / "external"
+    location = os.environ.get("TRUSTLAB_DATA")
+    root = Path(location) if location else Path(__file__).resolve().parents[2] / "data" / "external"
     folder = root / name
     return folder if folder.is_dir() else None

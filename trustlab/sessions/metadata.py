@@ -48,8 +48,8 @@ class Metadata:
     --------
     >>> import trustlab as tl
     >>> metadata = tl.Metadata(participant=3, condition="C1", more={"trial": 2})
-    >>> metadata.changed(condition="C2", site="north wing").as_dict()
-    {'participant': 3, 'condition': 'C2', 'source': None, 'synthetic': False, 'trial': 2, 'site': 'north wing'}
+    >>> metadata.changed(condition="C2", site="north wing").more
+    mappingproxy({'trial': 2, 'site': 'north wing'})
     """
 
     participant: str | int | None = None
@@ -77,8 +77,8 @@ class Metadata:
         **changes : object
             participant, condition, source, synthetic, or any other name, which goes to `more`.
         """
-        own = {name: changes.pop(name) for name in _FIELDS if name in changes}
-        return replace(self, **own, more={**self.more, **changes})
+        fields = {name: changes.pop(name) for name in _FIELDS if name in changes}
+        return replace(self, **fields, more={**self.more, **changes})
 
     def as_dict(self) -> dict[str, object]:
         """Return everything in one flat dictionary."""
@@ -107,9 +107,9 @@ def metadata_to_json(metadata: Metadata, columns: Any, **extra: object) -> str:
     content = {name: getattr(metadata, name) for name in _FIELDS if name != "source"}
     for name, value in [*content.items(), *metadata.more.items()]:
         if not _survives_json(value):
-            what = f"metadata {name!r} would not read back the same: {shown(value)}"
+            fault = f"metadata {name!r} would not read back the same: {shown(value)}"
             raise SessionError(
-                f"{what}; use plain numbers, texts, lists or dictionaries with text keys"
+                f"{fault}; use plain numbers, texts, lists or dictionaries with text keys"
             )
     text = json.dumps(content | {"more": dict(metadata.more)} | extra, default=_plain)
     digests = {name: digest(columns[name]) for name in columns}
@@ -150,7 +150,7 @@ def metadata_from_json(text: str) -> tuple[Metadata, dict]:
             "again"
         )
     content["digests"] = digests or {}
-    given: dict[str, Any] = {}
+    facts: dict[str, Any] = {}
     for name, types in _TYPES.items():
         value = content.pop(name, {"synthetic": False, "more": {}}.get(name))
         if not isinstance(value, types):
@@ -158,5 +158,5 @@ def metadata_from_json(text: str) -> tuple[Metadata, dict]:
             raise SessionError(
                 f"the trustlab metadata give {name} as {shown(value)}; it must be {allowed}"
             )
-        given[name] = value
-    return Metadata(**given), content
+        facts[name] = value
+    return Metadata(**facts), content

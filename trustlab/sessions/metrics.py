@@ -177,17 +177,17 @@ def mixed_initiative(
     return p_r, p_h
 
 
-def _norm1(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    return np.abs(_difference(one, other)).sum(axis=1)
+def _norm1(command: np.ndarray, ideal: np.ndarray) -> np.ndarray:
+    return np.abs(_difference(command, ideal)).sum(axis=1)
 
 
-def _difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    one, other = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
-    if one.ndim != 2 or one.shape != other.shape:
+def _difference(command: np.ndarray, ideal: np.ndarray) -> np.ndarray:
+    command, ideal = np.asarray(command, dtype=float), np.asarray(ideal, dtype=float)
+    if command.ndim != 2 or command.shape != ideal.shape:
         raise ValueError(
-            f"commands must both have shape (N, axes), got {one.shape} and {other.shape}"
+            f"commands must both have shape (N, axes), got {command.shape} and {ideal.shape}"
         )
-    return one - other
+    return command - ideal
 
 
 def with_performance(

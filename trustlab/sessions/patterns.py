@@ -67,8 +67,8 @@ class PathPattern:
                 f"pattern {self.text!r}: leads from a folder down, so that it has no . or .. in it"
             )
         if max(part.count("*") for part in self.text.split("/")) > _MOST_STARS:
-            what = f"has more than {_MOST_STARS} * in one name; name what they stand for"
-            raise ValueError(f"pattern {self.text!r}: {what}")
+            fault = f"has more than {_MOST_STARS} * in one name; name what they stand for"
+            raise ValueError(f"pattern {self.text!r}: {fault}")
         types: dict[str, type] = {}
         parts: list[str] = []
         # Where the last field of any length stands in `parts`, if fixed text alone has followed
@@ -112,10 +112,10 @@ class PathPattern:
         absolute.
         """
         parts = os.path.abspath(path).replace(os.sep, "/").split("/")
-        found = self._regex.fullmatch("/".join(parts[-self.depth :]))
-        if found is None:
+        match = self._regex.fullmatch("/".join(parts[-self.depth :]))
+        if match is None:
             return None
-        texts = found.groupdict()
+        texts = match.groupdict()
         fields = {name: self.fields[name](text) for name, text in texts.items()}
         return PathMatch("/".join(parts[: -self.depth]) or "/", fields, texts)
 
@@ -159,8 +159,9 @@ class FieldPath:
         path, yaw = self.text, False
         if isinstance(path, str) and path.startswith("yaw(") and path.endswith(")"):
             path, yaw = path[4:-1], True
-        found = list(_STEP.finditer(path)) if isinstance(path, str) else []
-        if not found or not found[0].group(1) or "".join(each.group() for each in found) != path:
+        matches = list(_STEP.finditer(path)) if isinstance(path, str) else []
+        written = "".join(each.group() for each in matches)
+        if not matches or not matches[0].group(1) or written != path:
             example = (
                 "'twist.twist.linear.x', 'axes[1]', 'position[name=\"left\"]' or "
                 "'yaw(pose.pose.orientation)'"
@@ -169,7 +170,7 @@ class FieldPath:
                 f"cannot read the field path {shown(self.text)}; write it like {example}"
             )
         steps: list[str | int | Selector] = []
-        for each in found:
+        for each in matches:
             name, index, key, _, value = each.groups()
             steps.append(name or (Selector(key, value) if key else int(index)))
         object.__setattr__(self, "steps", tuple(steps))

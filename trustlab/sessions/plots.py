@@ -88,12 +88,12 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
     axes = axes_or_new(columns=len(sessions), sharex=True, sharey=True, squeeze=False, figsize=size)
     titles = [session.label for session in sessions] if titles is None else titles
     for axis, session, title in zip(axes[0], sessions, titles, strict=True):
-        for who, label, style in (
+        for stem, label, style in (
             ("human", "operator", {"lw": 0.8, "color": "C1"}),
             ("robot", "robot", {"lw": 1.4, "color": "C0"}),
             ("reference", "reference", {"lw": 1.2, "color": "k", "ls": ":"}),
         ):
-            axis.plot(session[f"{who}_{across}"], session[f"{who}_{up}"], label=label, **style)
+            axis.plot(session[f"{stem}_{across}"], session[f"{stem}_{up}"], label=label, **style)
         axis.set(title=title, xlabel=f"{across} [m]")
     axes[0, 0].set_ylabel(f"{up} [m]")
     axes[0, 0].legend(fontsize="small")

@@ -7,14 +7,14 @@ name their unit, and resampling is asked for by name.
 
 ::
 
-    name = "my_lab"                 # the recipe's own name description = "..."             # one
-    line, free performance_window = 100        # where columns p_r and p_h are moving means: over
-    how many seconds kind = "table"                  # "table": CSV or Parquet; "bag": ROS 1 or ROS
-    2
+    name = "my_lab"                 # the recipe's name
+    description = "..."             # one line, free
+    performance_window = 100        # if p_r and p_h are moving means: over how many seconds
+    kind = "table"                  # "table": CSV or Parquet; "bag": ROS 1 or ROS 2
 
-    [files]                         # needed by read_sessions and by metadata that come from paths
-    pattern = "part{folder:int}/trial{trial:int}.csv"   # fields {name}, {name:int}, {name:float}; *
-    for anything
+    [files]                         # for read_sessions, and for metadata that come from paths
+    pattern = "part{folder:int}/trial{trial:int}.csv"
+                                    # fields {name}, {name:int}, {name:float}; * for anything
 
     [table]                         # kind = "table" only; these are the defaults
     header = true                   # false: no line of names, columns are numbered from 0
@@ -22,50 +22,63 @@ name their unit, and resampling is asked for by name.
     decimal = "."
     skip_lines = 0                  # lines before the table
 
-    [time]                          # kind = "table" column = "t"                    # name or index
-    unit = "s" from_zero = false               # true: count from the first sample; its time becomes
-    metadata start_time
+    [time]                          # kind = "table"
+    column = "t"                    # name or index
+    unit = "s"                      # "iso": 2026-03-01T12:00:00.5; "clock": 12:00:00.5,
+                                    # also past midnight
+    from_zero = false               # true: count from the first sample; its time becomes
+                                    # metadata start_time
+    repeated = "first"              # or "last", "mean": what to do with times that repeat
 
-    # unit "iso": 2026-03-01T12:00:00.5, "clock": 12:00:00.5, also past midnight; repeated =
-    "first", "last" or "mean" for # times that repeat
+    [time]                          # kind = "bag": t counts from the first sample;
+                                    # metadata start_time says when that was
+    stamp = "receive"               # or "header": the message's own stamp
+    topics = { "/cmd_vel" = "receive" }   # topics that use the other stamp
+    repeated = "first"              # as above
 
-    [time]                          # kind = "bag"; t counts from the first sample, metadata
-    start_time says when stamp = "receive"               # or "header": the message's own stamp
-    topics = { "/cmd_vel" = "receive" }   # topics that use the other one; also repeated
+    [splitting]
+    gap = 2.0                       # [s]: a longer gap begins a new session of read_sessions
 
-    [splitting] gap = 2.0                       # [s]: read_sessions makes a session of each part
-    between longer gaps
+    [messages]                      # kind = "bag", for bags without definitions
+    folder = "my_robot_msgs"        # package/msg/Name.msg at any depth; relative to the recipe
 
-    [messages]                      # kind = "bag", for those without definitions folder =
-    "my_robot_msgs"        # package/msg/Name.msg at any depth, from the folder of the recipe
+    [resampling]                    # needed for topics with stamps of their own;
+                                    # a caller's resample= overrides it
+    method = "previous"             # or "linear", "nearest"
+    sample_time = 0.1               # [s]
 
-    [resampling]                    # needed for topics with stamps of their own; a caller's
-    resample= overrides it method = "previous"             # or "linear", "nearest" sample_time =
-    0.1               # [s]
+    [columns]                       # name of the vocabulary = exactly one of the following
+    # a column of the table; also scale, offset, map, resample
+    path_error = { column = "err", unit = "mm", absolute = true }
+    # one number, from 0, of cells such as "(x, y, z)" or "1,5; 2,5"
+    robot_y = { column = "pos", unit = "m", item = 1 }
+    # blank cells (empty, NaN, NA or "-") repeat the value before; "linear" interpolates
+    p_r = { column = "speed", blank = "hold" }
+    # 1 above this value, else 0; also for topics
+    mode = { column = "pedal", above = 0.5 }
+    # a field of a topic's messages, with the keys of a column, and hold
+    robot_x = { topic = "/odom", field = "pose.pose.position.x", unit = "m" }
+    mode = { topic = "/mode", field = "data", map = { MANUAL = 1, AUTO = 0 }, hold = true }
+    # a constant
+    beta = { value = 0.5 }
+    # one value from the metadata for all samples
+    r = { from = "header.share", unit = "%" }
+    # the distance between two positions
+    path_error = { distance = ["robot", "reference"], axes = ["y", "z"] }
+    # the distance from the sample before; the first sample takes the second's
+    step_distance = { travelled = "robot", axes = ["x", "y"] }
 
-    [columns]                       # name of the vocabulary = exactly one of path_error = { column
-    = "err", unit = "mm", absolute = true }  # a column; also scale, offset, map, resample robot_y =
-    { column = "pos", unit = "m", item = 1 }             # of cells such as "(x, y, z)" or "1,5;
-    2,5", from 0 p_r = { column = "speed", blank = "hold" }                     # or "linear": fills
-    cells that are blank, NaN, NA or "-" mode = { column = "pedal", above = 0.5 }
-    # 1 above this value, else 0; also for topics robot_x = { topic = "/odom", field =
-    "pose.pose.position.x", unit = "m" }   # the same, and hold mode = { topic = "/mode", field =
-    "data", map = { MANUAL = 1, AUTO = 0 }, hold = true } beta = { value = 0.5 }
-    # a constant r = { from = "header.share", unit = "%" }                      # one value from the
-    metadata for all samples path_error = { distance = ["robot", "reference"], axes = ["y", "z"] }
-    step_distance = { travelled = "robot", axes = ["x", "y"] }     # since the sample before; the
-    first takes the second's
-
-    [metadata]                      # participant, condition, synthetic or any other name = from or
-    value participant = { from = "folder" }
+    [metadata]                      # participant, condition, synthetic or any other name
+    participant = { from = "folder" }
     group = { from = "participant", map = { 1 = "A", 2 = "A", 3 = "B" } }
+    # default: for values that are not in the map
     training = { from = "trial", map = { 1 = true, 2 = true }, default = false }
-                                        # default: for values that are not in the map
     site = { value = "north wing" }
 
-    [header]                        # a table beside the sessions with one row for each file =
-    "part{folder}/part{folder}_header.csv"       # from the folder that files.pattern starts in keys
-    = { trial = "trial_number" }                   # path field = the column that names it
+    [header]                        # a table beside the sessions with one row for each
+    file = "part{folder}/part{folder}_header.csv"
+                                    # from the folder that files.pattern starts in
+    keys = { trial = "trial_number" }   # path field = the column that names it
 
 A column's value is (scale · raw + offset) in its unit; `absolute` takes its absolute value before
 any resampling, so that a signed deviation becomes a distance. `map` turns texts or codes into
@@ -83,11 +96,11 @@ import dataclasses
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -113,8 +126,6 @@ from trustlab.sessions.vocabulary import UNITS, VOCABULARY, to_si
 
 Rule = TypeVar("Rule")
 
-_SHIPPED = Path(__file__).parent / "recipes"
-
 # Ways to resample, by name.
 METHODS = ("previous", "linear", "nearest")
 
@@ -127,45 +138,53 @@ NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
 # The schema: every table of the file is a dataclass whose fields are the table's keys, each with
-# the check that its value must pass. A validation library would take over `parse` only: pydantic
-# takes as long to import as a file to read, and msgspec's errors have neither the entry's name nor
-# the value found nor the values allowed.
+# the check that its value must pass. A validation library would replace `parse` only: pydantic
+# takes as long to import as a file to read, and msgspec's errors name neither the entry nor the
+# value nor the values allowed.
 
 
 def key(check: Callable, default: Any = MISSING, spelt: str = "", hint: str = "") -> Any:
     """
-    Declare a key: `check(name, value)` returns the value to keep or raises ValueError; `hint`
-    completes the error when it is missing.
+    Declare a key: `check(name, value)` returns the value to store or raises ValueError; `hint`
+    completes the error when the key is missing.
     """
     return field(default=default, metadata={"check": check, "spelt": spelt, "hint": hint})
 
 
-def parse(rule: type[Rule], table: object, where: str, **given: object) -> Rule:
+def parse(
+    rule: type[Rule],
+    table: object,
+    where: str,
+    allowed: Sequence[str] | None = None,
+    **attributes: object,
+) -> Rule:
     """
     Return the rule that one table of the recipe states; refuse by name a key that is unknown,
     missing or wrong.
     """
-    keys = _keys(rule)
-    table = _known_keys(table, keys, where)
-    for name, each in keys.items():
-        if name not in table and each.default is MISSING:
-            raise RecipeError(f"{where}: needs {name}, {each.metadata['hint']}")
+    keys = {
+        entry.metadata["spelt"] or entry.name: entry
+        for entry in dataclasses.fields(rule)  # type: ignore[arg-type]
+        if entry.metadata
+    }
+    table = _known_keys(table, allowed or keys, where)
+    values = {}
+    for name, entry in keys.items():
+        if name in table:
+            try:
+                values[entry.name] = entry.metadata["check"](name, table[name])
+            except RecipeError:  # of a table inside this one, which names itself
+                raise
+            except ValueError as error:
+                raise RecipeError(f"{where}: {error}") from None
+        elif entry.default is MISSING:
+            raise RecipeError(f"{where}: needs {name}, {entry.metadata['hint']}")
     try:
-        values = {
-            keys[name].name: keys[name].metadata["check"](name, value)
-            for name, value in table.items()
-        }
-        return rule(**values, **given)
-    except RecipeError:  # of a table inside this one, which names itself
+        return rule(**values, **attributes)
+    except RecipeError:
         raise
     except ValueError as error:
         raise RecipeError(f"{where}: {error}") from None
-
-
-def _keys(rule: type) -> dict[str, dataclasses.Field]:
-    lacking = getattr(rule, "without", ())
-    keys = [each for each in dataclasses.fields(rule) if each.metadata and each.name not in lacking]
-    return {each.metadata["spelt"] or each.name: each for each in keys}
 
 
 def _known_keys(table: object, known: Iterable[str], where: str) -> Mapping[str, object]:
@@ -213,8 +232,7 @@ def column_key(name: str, value: object) -> str | int:
 
 def plain_key(value: object) -> str:
     """
-    Return what a value is looked up by in a map: "1", 1 and 1.0 are the same, "MANUAL" stays a
-    text.
+    Return what a map is searched for: "1", 1 and 1.0 are the same, "MANUAL" stays a text.
     """
     if isinstance(value, bool | np.bool_):
         return "true" if value else "false"
@@ -227,13 +245,11 @@ def plain_key(value: object) -> str:
 
 def looked_up(entries: Mapping[str, Any], value: object) -> Any:
     """Return what a map of the recipe makes of a value."""
-    own = plain_key(value)
-    if own not in entries:
-        raise ValueError(
-            f"{str(value)[:60]!r} is not in the recipe's "
-            f"map{alternatives(str(value).strip(), entries)}"
-        )
-    return entries[own]
+    entry = plain_key(value)
+    if entry not in entries:
+        hint = alternatives(str(value).strip(), entries)
+        raise ValueError(f"{str(value)[:60]!r} is not in the recipe's map{hint}")
+    return entries[entry]
 
 
 def mapped(entries: Mapping[str, Any], value: object, where: str) -> Any:
@@ -247,10 +263,11 @@ def mapped(entries: Mapping[str, Any], value: object, where: str) -> Any:
 def value_map(name: str, value: object, check: Callable = plain) -> dict[str, object]:
     """Return a map with its keys made plain."""
     if not isinstance(value, Mapping) or not value:
-        raise ValueError(
-            f"{name} must be a table such as {{ MANUAL = 1, AUTO = 0 }}, got {shown(value)}"
-        )
-    entries = {plain_key(own): check(f"{name} entry {own!r}", each) for own, each in value.items()}
+        example = "{ MANUAL = 1, AUTO = 0 }"
+        raise ValueError(f"{name} must be a table such as {example}, got {shown(value)}")
+    entries = {
+        plain_key(word): check(f"{name} entry {word!r}", entry) for word, entry in value.items()
+    }
     if len(entries) < len(value):
         raise ValueError(f"two keys of the {name} mean the same value")
     return entries
@@ -260,7 +277,7 @@ def _list_of(check: Callable, words: str) -> Callable:
     def read(name: str, value: object) -> tuple:
         if not isinstance(value, list) or not value:
             raise ValueError(f"{name} must be a list of {words}, got {shown(value)}")
-        return tuple(check(name, each) for each in value)
+        return tuple(check(name, entry) for entry in value)
 
     return read
 
@@ -270,39 +287,37 @@ _STEMS = [
     name[:-2] for name, column in VOCABULARY.items() if name.endswith("_x") and column.unit == "m"
 ]
 position = partial(one_of, allowed=_STEMS)
+positions = _list_of(position, "two positions")
+axis_list = _list_of(partial(one_of, allowed=("x", "y", "z")), 'some of "x", "y", "z"')
 
-
-def axis_names(name: str, value: object) -> tuple[str, ...]:
-    """Return some of the axes x, y and z, each once."""
-    axes = _list_of(partial(one_of, allowed=("x", "y", "z")), 'some of "x", "y", "z"')(name, value)
-    if len(set(axes)) < len(axes):
-        raise ValueError(f"{name} names an axis twice")
-    return axes
+# Where a column can come from, and which keys may stand beside the one that says it.
+_SCALING = ("unit", "scale", "offset", "map", "above")
+COLUMN_KINDS = {
+    "column": (*_SCALING, "absolute", "resample", "blank", "item"),
+    "topic": (*_SCALING, "absolute", "resample", "field", "hold"),
+    "value": ("unit",),
+    "from": _SCALING,
+    "distance": ("axes",),
+    "travelled": ("axes",),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnRule:
     """
-    Where one column of the session, called `name`, comes from; `without` are keys of the base class
-    that it lacks.
+    Where one column of the session comes from: `kind` is one of COLUMN_KINDS.
+
+    A measured value is (scale · raw + offset) in its unit, or the absolute value of this.
     """
 
     name: str
-    without: ClassVar[tuple[str, ...]] = ()
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """The session columns that this one is computed from."""
-        return ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Measured(ColumnRule):
-    """
-    A column of raw numbers: in its unit the value is (scale · raw + offset), or the absolute value
-    of this.
-    """
-
+    kind: str
+    column: str | int = key(column_key, "")
+    topic: str = key(text, "")
+    value: float = key(finite_number, 0.0)
+    origin: str = key(text, "", spelt="from")
+    distance: tuple[str, ...] = key(positions, ())
+    travelled: str = key(position, "")
     unit: str | None = key(text, None)
     scale: float = key(finite_number, 1.0)
     offset: float = key(finite_number, 0.0)
@@ -310,12 +325,49 @@ class _Measured(ColumnRule):
     absolute: bool = key(switch, False)
     above: float | None = key(finite_number, None)
     resample: str | None = key(resampling_method, None)
+    blank: str | None = key(partial(one_of, allowed=("hold", "linear")), None)
+    item: int | None = key(partial(whole_number, least=0), None)
+    path: Any = key(field_path, None, spelt="field")
+    hold: bool = key(switch, False)
+    axes: tuple[str, ...] = key(axis_list, ())
 
     def __post_init__(self):
-        wanted = VOCABULARY[self.name].unit
-        if self.unit is None and wanted not in ("1", "measure"):
-            raise ValueError(f"needs its unit (the session holds {wanted})")
-        to_si(self.unit or "1", wanted)
+        if self.kind in ("distance", "travelled"):
+            self._check_positions()
+            return
+        if self.kind == "topic":
+            if self.path is None:
+                raise ValueError("needs field, the place in the message, such as 'axes[1]'")
+            if self.path.yaw and self.unit is None:
+                object.__setattr__(self, "unit", "rad")
+            if self.hold and self.resample not in (None, "previous"):
+                raise ValueError(
+                    f"hold keeps the previous value, but resample is {self.resample!r}"
+                )
+        if self.item is not None and self.map is not None:
+            raise ValueError('item takes a number from a cell like "(x, y, z)", which has no map')
+        if self.blank == "linear" and self.above is None and self.name in (*STATES, "yaw"):
+            raise ValueError(
+                f'{self.name} has no value between two others; fill it with blank = "hold"'
+            )
+        unit = VOCABULARY[self.name].unit
+        if self.unit is None and unit not in ("1", "measure"):
+            raise ValueError(f"needs its unit (the session holds {unit})")
+        to_si(self.unit or "1", unit)
+
+    def _check_positions(self) -> None:
+        if not self.axes:
+            raise ValueError('needs axes, the axes that count, some of ["x", "y", "z"]')
+        if len(set(self.axes)) < len(self.axes):
+            raise ValueError("axes names an axis twice")
+        if self.kind == "distance" and len(self.distance) != 2:
+            raise ValueError(f"distance is between two positions, got {len(self.distance)}")
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """The session columns that this one is computed from: the axes of each position."""
+        stems = {"distance": self.distance, "travelled": (self.travelled,)}.get(self.kind, ())
+        return tuple(f"{stem}_{axis}" for stem in stems for axis in self.axes)
 
     def convert(self, values: ArrayLike) -> np.ndarray:
         """Return raw numbers in the session's unit."""
@@ -324,121 +376,22 @@ class _Measured(ColumnRule):
         with np.errstate(over="ignore", invalid="ignore"):
             if (self.scale, self.offset) != (1.0, 0.0):
                 values = self.scale * values + self.offset
-            values = np.abs(values) if self.absolute else values
-            values = values if factor == 1.0 else values * factor
-            return (
-                values
-                if self.above is None
-                else np.where(np.isnan(values), values, values > self.above)
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Constant(_Measured):
-    """One number for all samples."""
-
-    without = ("scale", "offset", "map", "absolute", "above", "resample")
-    value: float = key(finite_number)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MetadataColumn(_Measured):
-    """One value from the path, the header or the metadata, for all samples."""
-
-    without = ("absolute", "resample")
-    origin: str = key(text, spelt="from")
-
-
-@dataclass(frozen=True, kw_only=True)
-class TableColumn(_Measured):
-    """A column of a table, by name or by number from 0."""
-
-    column: str | int = key(column_key)
-    blank: str | None = key(partial(one_of, allowed=("hold", "linear")), None)
-    item: int | None = key(partial(whole_number, least=0), None)
-
-    def __post_init__(self):
-        if self.item is not None and self.map is not None:
-            raise ValueError('item takes a number from a cell like "(x, y, z)", which has no map')
-        if self.blank == "linear" and self.above is None and self.name in (*STATES, "yaw"):
-            raise ValueError(
-                f'{self.name} has no value between two others; fill it with blank = "hold"'
-            )
-        super().__post_init__()
-
-
-@dataclass(frozen=True, kw_only=True)
-class TopicField(_Measured):
-    """
-    One number in every message of a topic; `hold` where the last message holds until the log ends.
-    """
-
-    topic: str = key(text)
-    path: FieldPath = key(
-        field_path, spelt="field", hint="the place in the message, such as 'axes[1]'"
-    )
-    hold: bool = key(switch, False)
-
-    def __post_init__(self):
-        if self.path.yaw and self.unit is None:
-            object.__setattr__(self, "unit", "rad")
-        if self.hold and self.resample not in (None, "previous"):
-            raise ValueError(f"hold keeps the previous value, but resample is {self.resample!r}")
-        super().__post_init__()
-
-
-@dataclass(frozen=True, kw_only=True)
-class _FromPositions(ColumnRule):
-    axes: tuple[str, ...] = key(axis_names, hint='the axes that count, some of ["x", "y", "z"]')
-    stems: tuple[str, ...]
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """
-        The session columns that this one is computed from: all axes of the first position, then of
-        the second.
-        """
-        return tuple(f"{stem}_{axis}" for stem in self.stems for axis in self.axes)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Distance(_FromPositions):
-    """The distance between two positions."""
-
-    stems: tuple[str, ...] = key(_list_of(position, "two positions"), spelt="distance")
-
-    def __post_init__(self):
-        if len(self.stems) != 2:
-            raise ValueError(f"distance is between two positions, got {len(self.stems)}")
+            if self.absolute:
+                values = np.abs(values)
+            if factor != 1.0:
+                values = values * factor
+            if self.above is not None:
+                values = np.where(np.isnan(values), values, values > self.above)
+        return values
 
     def compute(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the column, from those of the session."""
-        first, second = self.needs[: len(self.axes)], self.needs[len(self.axes) :]
-        apart = [columns[one] - columns[other] for one, other in zip(first, second, strict=True)]
-        return np.linalg.norm(apart, axis=0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Travelled(_FromPositions):
-    """The distance from the sample before."""
-
-    stems: tuple[str, ...] = key(lambda name, value: (position(name, value),), spelt="travelled")
-
-    def compute(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the column, from those of the session."""
-        moved = np.linalg.norm([np.diff(columns[name]) for name in self.needs], axis=0)
+        """Return a distance, from the positions of the session."""
+        places = np.array([columns[name] for name in self.needs])
+        if self.kind == "distance":
+            return np.linalg.norm(places[: len(self.axes)] - places[len(self.axes) :], axis=0)
+        steps = np.linalg.norm(np.diff(places), axis=0)
         # Nothing stands before the first sample: it gets the second one's distance.
-        return np.r_[moved[:1], moved]
-
-
-_COLUMN_RULES = {
-    "column": TableColumn,
-    "topic": TopicField,
-    "value": Constant,
-    "from": MetadataColumn,
-    "distance": Distance,
-    "travelled": Travelled,
-}
+        return np.r_[steps[:1], steps]
 
 
 def _column_rule(name: str, table: object) -> ColumnRule:
@@ -446,19 +399,18 @@ def _column_rule(name: str, table: object) -> ColumnRule:
     if name not in VOCABULARY:
         remedy = 'write ours = { column = "theirs" } (ours: trustlab.sessions.vocabulary())'
         hint = f"{did_you_mean(name, VOCABULARY)}; {remedy}"
-        if name == "t" or name in Recipe.__dataclass_fields__:
-            hint = (
-                "; time goes under [time]"
-                if name == "t"
-                else f"; {name} goes above the first [table]"
-            )
+        if name == "t":
+            hint = "; time goes under [time]"
+        elif name in Recipe.__dataclass_fields__:
+            hint = f"; {name} goes above the first [table]"
         raise RecipeError(f"{where}: not in the vocabulary{hint}")
-    found = [own for own in _COLUMN_RULES if isinstance(table, Mapping) and own in table]
-    if len(found) == 1:
-        return parse(_COLUMN_RULES[found[0]], table, where, name=name)
-    known = dict.fromkeys(own for rule in _COLUMN_RULES.values() for own in _keys(rule))
-    _known_keys(table, list(known), where)  # a misspelt key may be why none was found
-    raise RecipeError(f"{where}: needs exactly one of {', '.join(_COLUMN_RULES)}, has {len(found)}")
+    kinds = [kind for kind in COLUMN_KINDS if isinstance(table, Mapping) and kind in table]
+    if len(kinds) == 1:
+        allowed = (kinds[0], *COLUMN_KINDS[kinds[0]])
+        return parse(ColumnRule, table, where, allowed, name=name, kind=kinds[0])
+    known = dict.fromkeys(word for kind, keys in COLUMN_KINDS.items() for word in (kind, *keys))
+    _known_keys(table, known, where)  # a misspelt key may be why there is none
+    raise RecipeError(f"{where}: needs exactly one of {', '.join(COLUMN_KINDS)}, has {len(kinds)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -512,19 +464,13 @@ class TableTime:
         if self.unit in UNITS:
             to_si(self.unit, "s")
         else:
-            one_of(
-                "unit",
-                self.unit,
-                ("iso", "clock", *(name for name, (si, _) in UNITS.items() if si == "s")),
-            )
+            units = [name for name, (si, _) in UNITS.items() if si == "s"]
+            one_of("unit", self.unit, ("iso", "clock", *units))
 
 
 @dataclass(frozen=True, kw_only=True)
 class BagTime:
-    """
-    Whether messages are timed by their receipt or by the stamp in their header; `topics` may
-    differ.
-    """
+    """Whether messages are timed by receipt or by their header's stamp; `topics` may differ."""
 
     stamp: str = key(stamp_kind, "receive")
     topics: Mapping[str, str] = key(partial(value_map, check=stamp_kind), None)
@@ -581,10 +527,7 @@ class Splitting:
 
 @dataclass(frozen=True, kw_only=True)
 class Messages:
-    """
-    The folder of .msg files that define the messages of bags without definitions, from the recipe's
-    own folder.
-    """
+    """The folder of .msg files for bags without definitions, relative to the recipe."""
 
     folder: str = key(text, hint="the folder of the .msg files")
 
@@ -595,7 +538,7 @@ def _nested(rule: type) -> Callable:
 
 def _each(name: str, value: object, rule: Callable) -> dict[str, object]:
     """Return a table whose entries, of any name, are tables themselves."""
-    return {own: rule(own, each) for own, each in any_table(name, value).items()}
+    return {title: rule(title, table) for title, table in any_table(name, value).items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -700,57 +643,56 @@ class Recipe:
             return parse(cls, document, "recipe", source=source)
 
     def _check_columns(self) -> None:
-        wrong, word = (TopicField, "topic") if self.kind == "table" else (TableColumn, "column")
+        foreign = "topic" if self.kind == "table" else "column"
         for name, rule in self.columns.items():
-            if isinstance(rule, wrong):
-                raise RecipeError(f'[columns] {name}: {word} does not go with kind = "{self.kind}"')
+            where = f"[columns] {name}"
+            if rule.kind == foreign:
+                raise RecipeError(f'{where}: {foreign} does not go with kind = "{self.kind}"')
             for need in rule.needs:
-                if need not in self.columns or self.columns[need].needs:
-                    fault = "is itself computed" if need in self.columns else "has no rule"
-                    raise RecipeError(f"[columns] {name}: needs column {need!r}, which {fault}")
-        if not any(isinstance(rule, TableColumn | TopicField) for rule in self.columns.values()):
+                if need not in self.columns:
+                    raise RecipeError(f"{where}: needs column {need!r}, which has no rule")
+                if self.columns[need].needs:
+                    raise RecipeError(f"{where}: needs column {need!r}, which is itself computed")
+        if not any(rule.kind in ("column", "topic") for rule in self.columns.values()):
             raise RecipeError("[columns]: at least one column must come from the log")
-        by_key = {
-            name: rule.column
-            for name, rule in self.columns.items()
-            if isinstance(rule, TableColumn)
-        }
         if self.kind == "table":
-            by_key = {"time": self.time.column, **by_key}
-        for name, own in by_key.items():
-            if isinstance(own, int) == self.table.header:
-                how = "name (without a line of names: header = false under [table])"
-                how = (
-                    how
-                    if self.table.header
-                    else "index (a number), as the table has no header line"
+            self._check_numbering()
+
+    def _check_numbering(self) -> None:
+        """Raise where a column of a table is named but has no name, or is numbered but has one."""
+        keys = {name: rule.column for name, rule in self.columns.items() if rule.kind == "column"}
+        for name, column in {"time": self.time.column, **keys}.items():
+            if isinstance(column, int) == self.table.header:
+                way = "index (a number), as the table has no header line"
+                if self.table.header:
+                    way = "name (without a line of names: header = false under [table])"
+                raise RecipeError(
+                    f"{name}: columns of this table are given by {way}, got {column!r}"
                 )
-                raise RecipeError(f"{name}: columns of this table are given by {how}, got {own!r}")
 
     def _check_origins(self) -> None:
+        """Raise where an entry of the metadata or a column comes from an unknown origin."""
         known = list(self.pattern.fields) if self.pattern else []
         # Metadata may refer to metadata above them; columns to all of them.
-        origins = [
-            (f"[metadata] {name}", rule.origin, [name]) for name, rule in self.metadata.items()
-        ]
-        given = {
-            name: rule for name, rule in self.columns.items() if isinstance(rule, MetadataColumn)
-        }
-        origins += [(f"[columns] {name}", rule.origin, []) for name, rule in given.items()]
-        for where, origin, defines in origins:
-            in_header = str(origin).startswith("header.")
-            if origin is not None and origin not in known and not (in_header and self.header):
-                hint = "; add a [header] table" if in_header else did_you_mean(origin, known)
-                there = ", ".join(known) or "nothing; fields of the path come from [files] pattern"
-                raise RecipeError(
-                    f"{where}: nothing is called {origin!r}{hint} (there is: {there})"
-                )
-            known += defines
+        for name, rule in self.metadata.items():
+            if rule.origin is not None:
+                self._check_origin(f"[metadata] {name}", rule.origin, known)
+            known.append(name)
+        for name, column in self.columns.items():
+            if column.kind == "from":
+                self._check_origin(f"[columns] {name}", column.origin, known)
+
+    def _check_origin(self, where: str, origin: str, known: Sequence[str]) -> None:
+        in_header = origin.startswith("header.")
+        if origin not in known and not (in_header and self.header):
+            hint = "; add a [header] table" if in_header else did_you_mean(origin, known)
+            names = ", ".join(known) or "nothing; fields of the path come from [files] pattern"
+            raise RecipeError(f"{where}: nothing is called {origin!r}{hint} (there is: {names})")
 
     def _check_path_fields(self) -> None:
-        known = list(self.pattern.fields) if self.pattern else []
         if self.header is None:
             return
+        known = list(self.pattern.fields) if self.pattern else []
         used = [("[header] keys", name) for name in self.header.keys]
         used += [("[header] file", name) for name in self.header.file.fields]
         for where, name in used:
@@ -760,7 +702,8 @@ class Recipe:
 
 
 def _shipped() -> dict[str, Path]:
-    return {path.stem: path for path in sorted(_SHIPPED.glob("*.toml"))}
+    folder = Path(__file__).parent / "recipes"
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
 def list_recipes() -> dict[str, str]:
@@ -797,8 +740,8 @@ def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
     path = shipped.get(str(recipe), Path(recipe)) if isinstance(recipe, str) else Path(recipe)
     if not os.path.isfile(path):
         hint = did_you_mean(path.stem, shipped) or nearest_file(path, ".toml")
-        what = f"there is no recipe {str(recipe)!r}, neither as a file nor by name"
-        raise RecipeError(f"{what}{hint} (known: {', '.join(shipped)})")
+        fault = f"there is no recipe {str(recipe)!r}, neither as a file nor by name"
+        raise RecipeError(f"{fault}{hint} (known: {', '.join(shipped)})")
     try:
         text = path.read_bytes().decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:

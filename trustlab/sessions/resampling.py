@@ -59,12 +59,12 @@ def require_common_times(log: RawLog) -> None:
     first = log.streams[0]
     for stream in log.streams[1:]:
         if not np.array_equal(stream.t, first.t):
-            what = f"topics {first.topic!r} and {stream.topic!r} have stamps of their own"
+            fault = f"topics {first.topic!r} and {stream.topic!r} have stamps of their own"
             how = (
                 '[resampling] in the recipe, or read_session(..., resample="previous", '
                 "sample_time=0.1)"
             )
-            raise RecipeError(f"{what}; name how to bring them together: {how}")
+            raise RecipeError(f"{fault}; name how to bring them together: {how}")
 
 
 def resample(
@@ -85,9 +85,9 @@ def resample(
     if len(log.streams) > 1 and stop <= start:
         last = max(log.streams, key=lambda stream: stream.t[0])
         early = min(bounding or log.streams, key=lambda stream: stream.t[-1])
-        what = f"{early.topic!r} ends {start - stop:.6g} s before {last.topic!r} starts"
+        fault = f"{early.topic!r} ends {start - stop:.6g} s before {last.topic!r} starts"
         hint = "set hold = true for a topic whose last message holds to the end"
-        raise SessionError(f"topics do not overlap: {what} ({hint})")
+        raise SessionError(f"topics do not overlap: {fault} ({hint})")
     grid = _time_grid(start, stop, sample_time)
     # A grid time that rounding put just before a sample belongs to that sample; dates in seconds
     # are rounded to 0.24 µs.
@@ -115,11 +115,11 @@ def _time_grid(start: float, stop: float, sample_time: float) -> np.ndarray:
     start, stop = float(start), float(stop)
     steps = (stop - start) / float(sample_time)
     if not steps < MAX_SAMPLES:
-        what = (
+        fault = (
             f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps:.3g} samples"
         )
         raise SessionError(
-            f"{what}; at most {MAX_SAMPLES} are made; check the times and their unit"
+            f"{fault}; at most {MAX_SAMPLES} are made; check the times and their unit"
         )
     count = int(steps + 1e-9) + 1  # rounding must not cost the last sample
     if count < 2:
@@ -131,10 +131,9 @@ def _time_grid(start: float, stop: float, sample_time: float) -> np.ndarray:
 
 def _method(name: str, method: str, rule: ColumnRule | None) -> str:
     """Return the method for one column; the recipe's rule comes before what was asked for."""
-    if getattr(rule, "hold", False):
-        return "previous"
-    own = getattr(rule, "resample", None)
-    return own or ("previous" if name in STATES and method == "linear" else method)
+    if rule is not None and (rule.hold or rule.resample):
+        return rule.resample or "previous"
+    return "previous" if name in STATES and method == "linear" else method
 
 
 def _interpolate(
@@ -165,6 +164,6 @@ def _warn_of_gap(t: np.ndarray, sample_time: float, source: str) -> None:
     steps = np.diff(t)
     k = int(np.argmax(steps))
     if steps[k] > 10.0 * max(float(np.median(steps)), sample_time):
-        what = f"{source}: resampling bridges a gap of {steps[k]:.6g} s at t = {t[k]:.6g} s"
+        fault = f"{source}: resampling bridges a gap of {steps[k]:.6g} s at t = {t[k]:.6g} s"
         remedy = "if the log was interrupted, cut the session there (session.between)"
-        warn(f"{what}; {remedy}")
+        warn(f"{fault}; {remedy}")

@@ -66,8 +66,8 @@ class Session:
     def __post_init__(self):
         if not isinstance(self.metadata, Metadata):
             example = "trustlab.Metadata(participant=3, condition='C1', more={'trial': 2})"
-            found = type(self.metadata).__name__
-            raise SessionError(f"metadata must be a Metadata, for example {example}, got {found}")
+            kind = type(self.metadata).__name__
+            raise SessionError(f"metadata must be a Metadata, for example {example}, got {kind}")
         with source_named(self.metadata.source):
             t, columns = _checked(self.data)
         object.__setattr__(
@@ -77,9 +77,11 @@ class Session:
     def __eq__(self, other):
         if not isinstance(other, Session):
             return NotImplemented
-        mine, theirs = self.metadata.as_dict(), other.metadata.as_dict()
-        mine.pop("source"), theirs.pop("source")
-        return mine == theirs and self.data.sort_index(axis=1).equals(other.data.sort_index(axis=1))
+        first, second = self.metadata.as_dict(), other.metadata.as_dict()
+        first.pop("source")
+        second.pop("source")
+        columns = self.data.sort_index(axis=1)
+        return first == second and columns.equals(other.data.sort_index(axis=1))
 
     __hash__ = None
 
@@ -136,8 +138,8 @@ class Session:
         Participant, or operator where the data are synthetic, condition and trial, for captions.
         """
         meta = self.metadata
-        who = "operator" if meta.synthetic else "participant"
-        parts = [f"{who} {meta.participant}" if meta.participant is not None else ""]
+        person = "operator" if meta.synthetic else "participant"
+        parts = [f"{person} {meta.participant}" if meta.participant is not None else ""]
         named = "" if isinstance(meta.condition, str) else "condition "
         parts.append(f"{named}{meta.condition}" if meta.condition is not None else "")
         parts.append(f"trial {meta.more['trial']}" if "trial" in meta.more else "")
@@ -160,13 +162,13 @@ class Session:
         """
         missing = [name for name in names if name != "t" and name not in self.data]
         if missing:
-            own = self.label if self.label != self.metadata.source else "the session"
+            name = self.label if self.label != self.metadata.source else "the session"
             hint = alternatives(missing[0], self.columns, f"needed: {', '.join(names)}; it has")
             remedy = next(
                 (words for start, words in REMEDIES.items() if missing[0].startswith(start)), ""
             )
             raise SessionError(
-                f"{own} has no column {missing[0]!r}{hint}{remedy}", self.metadata.source
+                f"{name} has no column {missing[0]!r}{hint}{remedy}", self.metadata.source
             )
 
     def with_columns(self, **columns: np.ndarray) -> Session:
@@ -185,8 +187,8 @@ class Session:
         """
         for name, values in columns.items():
             if np.ndim(values) > 1 or (np.ndim(values) == 1 and len(values) != len(self)):
-                what = f"is of shape {np.shape(values)}, but the session has {len(self)} samples"
-                raise SessionError(f"column {name!r} {what}", self.metadata.source)
+                fault = f"is of shape {np.shape(values)}, but the session has {len(self)} samples"
+                raise SessionError(f"column {name!r} {fault}", self.metadata.source)
         return Session(self.data.assign(**columns), self.metadata)
 
     def with_metadata(self, **changes: Any) -> Session:
@@ -219,9 +221,9 @@ class Session:
             raise SessionError(f"start must be before stop, got {start} and {stop}")
         part = self.data.loc[start:stop]
         if len(part) < 2:
-            what = f"no two samples lie between {start} s and {stop} s"
+            fault = f"no two samples lie between {start} s and {stop} s"
             extent = f"the session runs from {self.t[0]:g} s to {self.t[-1]:g} s"
-            raise SessionError(f"{what}; {extent}", self.metadata.source)
+            raise SessionError(f"{fault}; {extent}", self.metadata.source)
         cut = Session(part, self.metadata)
         # A window mean needs what lies before it: fits must know that these do not begin where the
         # averaging did.
@@ -340,9 +342,9 @@ def check_rising(
         steps = np.diff(t)
     if not (steps > 0.0).all():
         k = int(np.argmax(steps <= 0.0)) + 1
-        what = "repeats" if steps[k - 1] == 0.0 else "runs backwards"
-        found = f"{place(k)}, column t: time {what} ({t[k - 1]} s, then {t[k]} s)"
-        raise SessionError(f"{found}; {remedy}sort or split the log where this happens", row=k)
+        fault = "repeats" if steps[k - 1] == 0.0 else "runs backwards"
+        fault = f"{place(k)}, column t: time {fault} ({t[k - 1]} s, then {t[k]} s)"
+        raise SessionError(f"{fault}; {remedy}sort or split the log where this happens", row=k)
     return steps
 
 
@@ -364,9 +366,11 @@ def check_time(
     if not np.isfinite(step) or off.any():
         k = int(np.argmax(off)) + 1
         raise SessionError(
-            f"{place(k)}, column t: sampling is irregular (a step of {steps[k - 1]:.6g} s at t = {t[k]:.6g} s, "
-            f"the median step is {step:.6g} s; {int(off.sum())} of {steps.size} steps are off by more than "
-            f"{STEP_TOLERANCE:.0%}); ask for resampling by name, for example "
+            f"{place(k)}, column t: sampling is irregular "
+            f"(a step of {steps[k - 1]:.6g} s at t = {t[k]:.6g} s, "
+            f"the median step is {step:.6g} s; "
+            f"{int(off.sum())} of {steps.size} steps are off by more than {STEP_TOLERANCE:.0%}); "
+            "ask for resampling by name, for example "
             f'read_session(..., resample="linear", sample_time={step:.3g})',
             row=k,
         )

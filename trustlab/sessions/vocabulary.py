@@ -40,8 +40,8 @@ def _columns() -> Iterator[Column]:
     for name, unit, low, high, meaning in _rows("vocabulary.csv"):
         limits = (float(low) if low else None, float(high) if high else None)
         for axis in "xyz" if name.endswith("*") else ("",):
-            own = f"{meaning}, {axis} axis" if axis else meaning
-            yield Column(name.replace("*", axis), unit, own, *limits)
+            words = f"{meaning}, {axis} axis" if axis else meaning
+            yield Column(name.replace("*", axis), unit, words, *limits)
 
 
 VOCABULARY: dict[str, Column] = {column.name: column for column in _columns()}
@@ -66,12 +66,12 @@ def vocabulary():
 UNITS = {unit: (si, float(size)) for unit, si, size in _rows("units.csv")}
 
 
-def to_si(unit: str, wanted: str) -> float:
+def to_si(unit: str, target: str) -> float:
     """Return the factor that converts a unit to the SI unit wanted; "measure" takes any unit."""
     if not isinstance(unit, str) or unit not in UNITS:
         raise ValueError(f"unknown unit {shown(unit)}{alternatives(unit, UNITS)}")
     base, factor = UNITS[unit]
-    if wanted not in (base, "measure"):
-        remedy = "; leave the unit out" if wanted == "1" else ""
-        raise ValueError(f"{unit!r} measures {base}, but {wanted} is needed{remedy}")
+    if target not in (base, "measure"):
+        remedy = "; leave the unit out" if target == "1" else ""
+        raise ValueError(f"{unit!r} measures {base}, but {target} is needed{remedy}")
     return factor

@@ -16,8 +16,7 @@ from trustlab.sessions.metadata import Metadata, digest
 from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.recipe import (
     STATES,
-    Constant,
-    MetadataColumn,
+    ColumnRule,
     MetadataRule,
     Recipe,
     Resampling,
@@ -131,7 +130,7 @@ def recipe_values(
     """
     match = recipe.pattern.match(path) if recipe.pattern and path else None
     origins = [rule.origin for rule in recipe.metadata.values()]
-    origins += [rule.origin for rule in recipe.columns.values() if isinstance(rule, MetadataColumn)]
+    origins += [rule.origin for rule in recipe.columns.values() if rule.kind == "from"]
     if recipe.pattern and match is None and any(origins):
         remedy = (
             "rename the file or its folder, or take nothing from the path in [metadata] and "
@@ -186,7 +185,7 @@ def assemble_session(
     log: RawLog,
     recipe: Recipe | None,
     values: Mapping[str, object],
-    wanted: Sequence[str] | None,
+    selection: Sequence[str] | None,
     resampling: Resampling | None,
 ) -> Session:
     """
@@ -208,35 +207,35 @@ def assemble_session(
             _check(log, uniform=False)
             t, columns = resample(log, resampling, rules)
         for name, rule in rules.items():
-            if isinstance(rule, Constant):
+            if rule.kind == "value":
                 columns[name] = np.full(t.size, rule.convert(rule.value))
-            elif isinstance(rule, MetadataColumn):
+            elif rule.kind == "from":
                 columns[name] = np.full(t.size, _constant(rule, values))
         for name, rule in rules.items():
-            if getattr(rule, "above", None) is not None and name in columns:
+            if rule.above is not None and name in columns:
                 count = int(columns[name].sum())
                 log.notes[f"{name} above {rule.above:g}"] = f"{count} of {t.size} samples"
                 if count in (0, t.size):
                     same = f"column {name} is {count and 1} throughout"
                     warn(f"{log.source}: {same}: {rule.above:g} divides no sample from the others")
-            if rule.needs and (wanted is None or name in wanted):
+            if rule.needs and (selection is None or name in selection):
                 with np.errstate(over="ignore"):  # the session refuses what is not finite
                     columns[name] = rule.compute(columns)
-        names = wanted or list(rules or columns)
+        names = selection or list(rules or columns)
         # Arrays that belong to others (a frame, a mapped file, another session) are read-only, and
         # those alone are copied.
-        own = {name: _own(columns[name]) for name in names}
-        frame = pd.DataFrame(own, index=pd.Index(_own(t), name="t"), copy=False)
+        table = {name: _writable(columns[name]) for name in names}
+        frame = pd.DataFrame(table, index=pd.Index(_writable(t), name="t"), copy=False)
         if t[-1] - t[0] >= 10.0 * (t.size - 1):  # nobody logs control that slowly
             remedy = 'if these are milliseconds, a recipe says so: [time] unit = "ms"'
             warn(f"{log.source}: samples are {t[1] - t[0]:g} s apart; {remedy}")
         return keep_table(frame, _metadata(log, recipe, values))
 
 
-_own = partial(np.require, dtype=float, requirements="CW")
+_writable = partial(np.require, dtype=float, requirements="CW")
 
 
-def _constant(rule: MetadataColumn, values: Mapping[str, object]) -> float:
+def _constant(rule: ColumnRule, values: Mapping[str, object]) -> float:
     where = f"column {rule.name!r} (from {rule.origin})"
     value = _known(rule.origin, values, where)
     if rule.map is not None:
@@ -247,10 +246,10 @@ def _constant(rule: MetadataColumn, values: Mapping[str, object]) -> float:
 
 
 def _metadata(log: RawLog, recipe: Recipe | None, values: Mapping[str, Any]) -> Metadata:
-    own = {name: values[name] for name in (recipe.metadata if recipe else ())}
-    if not isinstance(own.get("synthetic", False), bool):
-        raise RecipeError(f"metadata 'synthetic' must be true or false, got {own['synthetic']!r}")
-    return (log.metadata or Metadata()).changed(**log.notes | own, source=log.source)
+    table = {name: values[name] for name in (recipe.metadata if recipe else ())}
+    if not isinstance(table.get("synthetic", False), bool):
+        raise RecipeError(f"metadata 'synthetic' must be true or false, got {table['synthetic']!r}")
+    return (log.metadata or Metadata()).changed(**log.notes | table, source=log.source)
 
 
 def _check_digests(log: RawLog) -> None:
@@ -258,12 +257,12 @@ def _check_digests(log: RawLog) -> None:
     for stream in log.streams:
         for name, values in {"t": stream.t, **stream.columns}.items():
             if name in log.digests and log.digests[name] != digest(values):
-                what = (
+                fault = (
                     f"column {name!r} is not as trustlab wrote it, so the file is damaged or "
                     "was edited"
                 )
                 remedy = "copy or write it again; of an edited .csv file, remove the first line"
-                raise SessionError(f"{what}; {remedy}")
+                raise SessionError(f"{fault}; {remedy}")
 
 
 def _check(log: RawLog, uniform: bool) -> None:

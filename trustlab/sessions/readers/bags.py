@@ -22,7 +22,7 @@ from trustlab.sessions.errors import RecipeError, SessionError, alternatives, da
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.patterns import Selector
 from trustlab.sessions.readers.limits import Budget
-from trustlab.sessions.recipe import Recipe, TopicField, mapped
+from trustlab.sessions.recipe import ColumnRule, Recipe, mapped
 from trustlab.sessions.resampling import MAX_SAMPLES, RawLog, Stream
 
 # Of a ULog or XDF file: name of a topic to its times [ns], and its fields by name.
@@ -38,7 +38,7 @@ _guard = partial(
 
 
 def read_bag(
-    path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget
+    path: Path, recipe: Recipe | None, selection: Sequence[str] | None, budget: Budget
 ) -> RawLog:
     """
     Return the log in a bag: a stream per topic of the recipe; without a recipe, what
@@ -48,8 +48,10 @@ def read_bag(
         if recipe is not None and recipe.messages is not None:
             _define(reader, Path(recipe.source).parent / recipe.messages.folder)
         if recipe is None:
-            return _read_own(reader, wanted, str(path))
-        rules = [rule for rule in map(recipe.columns.get, wanted) if isinstance(rule, TopicField)]
+            return _read_own(reader, selection, str(path))
+        rules = [
+            rule for rule in map(recipe.columns.__getitem__, selection) if rule.kind == "topic"
+        ]
         return _read_topics(reader, rules, recipe, str(path))
 
 
@@ -78,8 +80,8 @@ def check_sqlite_path(path: Path) -> None:
     """Raise where a path has one of ? # %: sqlite3 would read it as a URI with a query."""
     for mark in "?#%":
         if mark in str(path.absolute()):
-            what = f"a sqlite3 recording cannot be stored under a path that contains {mark!r}"
-            raise SessionError(f"{what}; rename the folder, or use .mcap", str(path))
+            fault = f"a sqlite3 recording cannot be stored under a path that contains {mark!r}"
+            raise SessionError(f"{fault}; rename the folder, or use .mcap", str(path))
 
 
 def _types(reader) -> dict[str, str]:
@@ -119,10 +121,10 @@ def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]
         if found[topic] == 0:
             raise SessionError(f"topic {topic!r} has no messages; was it being published?")
         if expected[topic] and found[topic] != expected[topic]:
-            what = (
+            fault = (
                 f"the bag's index counts {expected[topic]} messages, but {found[topic]} are there"
             )
-            raise SessionError(f"topic {topic!r}: {what}; the bag is damaged or truncated")
+            raise SessionError(f"topic {topic!r}: {fault}; the bag is damaged or truncated")
 
 
 def _decoded(reader, connections) -> Iterator[tuple[str, int, Any]]:
@@ -213,11 +215,11 @@ def _check_sqlite_size(database: Path) -> None:
     page = int.from_bytes(head[16:18], "big")  # the format writes a page of 65536 bytes as 1
     said = int.from_bytes(head[28:32], "big") * (65536 if page == 1 else page)
     if len(head) < 100 or not head.startswith(b"SQLite format 3\0") or size < said:
-        what = f"has {size} bytes of {said}" if size else "is empty"
-        raise SessionError(f"{_DAMAGED} ({database.name} {what}); record it again")
+        fault = f"has {size} bytes of {said}" if size else "is empty"
+        raise SessionError(f"{_DAMAGED} ({database.name} {fault}); record it again")
 
 
-def _read_own(reader, wanted: Sequence[str] | None, source: str) -> RawLog:
+def _read_own(reader, selection: Sequence[str] | None, source: str) -> RawLog:
     """Return the log in a bag that `write_session` wrote."""
     types = _types(reader)
     names = [topic.removeprefix(PREFIX) for topic in types if topic.startswith(PREFIX)]
@@ -226,12 +228,14 @@ def _read_own(reader, wanted: Sequence[str] | None, source: str) -> RawLog:
             f"not written by trustlab, so it needs a recipe (topics: {listed(types)})"
         )
     names = [name for name in names if name not in ("t", "metadata")]
-    for name in wanted or ():
+    for name in selection or ():
         if name not in names:
             raise SessionError(
                 f"column {name!r} is missing{alternatives(name, names, 'the bag has')}"
             )
-    topics: dict[str, list] = {PREFIX + name: [] for name in ["metadata", "t", *(wanted or names)]}
+    topics: dict[str, list] = {
+        PREFIX + name: [] for name in ["metadata", "t", *(selection or names)]
+    }
     for topic, _, message in _messages(reader, topics):
         value = getattr(message, "data", None)
         if not isinstance(value, str if topic == f"{PREFIX}metadata" else float):
@@ -240,22 +244,22 @@ def _read_own(reader, wanted: Sequence[str] | None, source: str) -> RawLog:
     metadata, extra = metadata_from_json(topics.pop(f"{PREFIX}metadata")[0])
     for topic, values in topics.items():
         if len(values) != extra.get("samples"):
-            what = (
+            fault = (
                 f"topic {topic!r} has {len(values)} messages where the metadata say "
                 f"{extra.get('samples')}"
             )
-            raise SessionError(f"{what}; the bag is damaged or truncated")
+            raise SessionError(f"{fault}; the bag is damaged or truncated")
     columns = {topic.removeprefix(PREFIX): np.array(values) for topic, values in topics.items()}
     stream = Stream(columns.pop("t"), columns, "message {} (from 0)".format)
     return RawLog(source, [stream], metadata, digests=extra["digests"])
 
 
-def _read_topics(reader, rules: Sequence[TopicField], recipe: Recipe, source: str) -> RawLog:
+def _read_topics(reader, rules: Sequence[ColumnRule], recipe: Recipe, source: str) -> RawLog:
     """Return a stream per topic, timed from the last of the topics' first stamps."""
     types = _types(reader)
     # A message that lacks the entry a rule selects is no sample of it, so that each selection is a
     # stream of its own.
-    groups: dict[tuple[str, str], list[TopicField]] = {}
+    groups: dict[tuple[str, str], list[ColumnRule]] = {}
     for rule in rules:
         topic = rule.topic
         if topic not in types:
@@ -308,7 +312,7 @@ class Series(NamedTuple):
     """
 
     group: tuple[str, str]
-    rules: Sequence[TopicField]
+    rules: Sequence[ColumnRule]
     stamps: Sequence[int] | np.ndarray
     rows: Sequence[int] | np.ndarray
     values: Mapping[str, Any]
@@ -360,7 +364,7 @@ def _header_stamp(message, kind: str, where: str) -> int:
 
 
 def _value(
-    message, rule: TopicField, kind: str, where: str, frames: dict[str, object]
+    message, rule: ColumnRule, kind: str, where: str, frames: dict[str, object]
 ) -> float | None:
     """
     Return the number that a rule takes from a message of type `kind`; None where the entry it
@@ -380,7 +384,7 @@ def _value(
     return float(value)
 
 
-def _walk(value, rule: TopicField, kind: str, here: str, frames: dict[str, object]):
+def _walk(value, rule: ColumnRule, kind: str, here: str, frames: dict[str, object]):
     """
     Follow a rule's field path into a message; `frames` are the coordinate frames that its lists
     began with.
@@ -401,11 +405,11 @@ def _walk(value, rule: TopicField, kind: str, here: str, frames: dict[str, objec
             value = value[step]
             frame = getattr(value, "child_frame_id", None)
             if frames.setdefault(rule.name, frame) != frame:
-                what = (
+                fault = (
                     f"the entry [{step}] is of frame {frame!r} here, and of "
                     f"{frames[rule.name]!r} before"
                 )
-                raise SessionError(f'{here}: {what}; select one: [child_frame_id="{frame}"]')
+                raise SessionError(f'{here}: {fault}; select one: [child_frame_id="{frame}"]')
         else:
             parent, value = value, _field(value, step, kind, here)
     return value
@@ -433,8 +437,8 @@ def _selected(entries, parent, selector: Selector, here: str):
         try:
             names = [attrgetter(selector.key)(entry) for entry in entries]
         except AttributeError:
-            what = f"neither the list's entries nor a list beside it are called {selector.key!r}"
-            raise RecipeError(f"{here}: {what}") from None
+            fault = f"neither the list's entries nor a list beside it are called {selector.key!r}"
+            raise RecipeError(f"{here}: {fault}") from None
     chosen = [
         entry for name, entry in zip(names, entries, strict=False) if str(name) == selector.value
     ]
@@ -460,7 +464,7 @@ def _yaw(value, kind: str, here: str) -> float:
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-def read_topics(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) -> RawLog:
+def read_topics(path: Path, recipe: Recipe | None, selection: Sequence[str] | None) -> RawLog:
     """
     Return a stream per topic of a ULog or XDF file; a field is named as there, or channel[0] and so
     on in XDF.
@@ -479,9 +483,9 @@ def read_topics(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None)
             topics = _xdf_topics(pyxdf.load_xdf(str(path), dejitter_timestamps=False)[0])
     if recipe is None:
         raise SessionError(f"a {path.suffix} file needs a recipe (topics: {listed(topics)})")
-    groups: dict[str, list[TopicField]] = {}
-    for rule in (recipe.columns[name] for name in wanted):
-        if isinstance(rule, TopicField):
+    groups: dict[str, list[ColumnRule]] = {}
+    for rule in (recipe.columns[name] for name in selection):
+        if rule.kind == "topic":
             if rule.topic not in topics:
                 hint = alternatives(rule.topic, topics, "it has")
                 raise SessionError(
@@ -492,8 +496,8 @@ def read_topics(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None)
     for topic, rules in groups.items():
         stamps, fields = topics[topic]
         if recipe.time.of(topic) == "header" or not len(stamps):
-            what = "has one time only, that of receipt" if len(stamps) else "has no messages"
-            raise RecipeError(f"topic {topic!r} {what}")
+            fault = "has one time only, that of receipt" if len(stamps) else "has no messages"
+            raise RecipeError(f"topic {topic!r} {fault}")
         values = {rule.name: _column_of(topic, rule, fields) for rule in rules}
         series.append(Series((topic, ""), rules, stamps, np.arange(len(stamps)), values))
     return series_log(
@@ -501,7 +505,7 @@ def read_topics(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None)
     )
 
 
-def _column_of(topic: str, rule: TopicField, fields: dict[str, Any]) -> np.ndarray:
+def _column_of(topic: str, rule: ColumnRule, fields: dict[str, Any]) -> np.ndarray:
     where = f"topic {topic!r}, field {rule.path.text!r} ({rule.name})"
     if rule.path.text not in fields:
         raise RecipeError(

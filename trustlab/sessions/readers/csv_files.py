@@ -42,7 +42,7 @@ _FILL = 'fill it, cut it out, or let a rule of a recipe fill it (blank = "hold" 
 def read_csv(
     path: Path,
     recipe: Recipe | None,
-    wanted: Sequence[str] | None,
+    selection: Sequence[str] | None,
     layout: TableRule,
     budget: Budget,
 ) -> RawLog:
@@ -93,9 +93,9 @@ def read_csv(
         raise SessionError(f"{where}: is empty; the column names or the first row should be here")
     width, basis = len(names), f"the first row has {len(names)}"
     if layout.header:
-        _check_header(names, layout, recipe, wanted, where)
+        _check_header(names, layout, recipe, selection, where)
         before, basis = before + reader.line_num, f"the header names {width}"
-    selected = select_columns(names if layout.header else [""] * width, recipe, wanted, where)
+    selected = select_columns(names if layout.header else [""] * width, recipe, selection, where)
     raw, fault = _fast(opened, before, selected, layout, width), None
     place: Callable[[int], str] = lambda k: f"line {before + 1 + k}"  # noqa: E731
     if raw is None:
@@ -127,8 +127,8 @@ def _lines(opened: Callable[[], BinaryIO]) -> Iterator[str]:
             # The decoder hands on a byte that is not UTF-8 as a surrogate, which no text holds.
             foreign = None if line.isascii() else re.search("[\udc80-\udcff]", line)
             if foreign:
-                what = f"byte 0x{ord(foreign.group()) - 0xDC00:02x} is not UTF-8 text"
-                raise SessionError(f"line {number}: {what}; save the file as UTF-8")
+                fault = f"byte 0x{ord(foreign.group()) - 0xDC00:02x} is not UTF-8 text"
+                raise SessionError(f"line {number}: {fault}; save the file as UTF-8")
             yield line
 
 
@@ -136,7 +136,7 @@ def _check_header(
     names: Sequence[str],
     layout: TableRule,
     recipe: Recipe | None,
-    wanted: Sequence[str] | None,
+    selection: Sequence[str] | None,
     where: str,
 ) -> None:
     """Raise where the line of names shows that the table is written in another way."""
@@ -144,10 +144,10 @@ def _check_header(
         raise SessionError(
             f"{where}: found a comment instead of the names; skip it with [table] skip_lines"
         )
-    other = next((mark for mark in ";\t|, " if mark != layout.delimiter and mark in names[0]), None)
-    if len(names) > 1 or other is None or (not recipe and (wanted is not None or other in "|,")):
+    mark = next((mark for mark in ";\t|, " if mark != layout.delimiter and mark in names[0]), None)
+    if len(names) > 1 or mark is None or (not recipe and (selection is not None or mark in "|,")):
         return
-    written = "\\t" if other == "\t" else other
+    written = "\\t" if mark == "\t" else mark
     comma = "if numbers have a decimal comma"
     how = (
         f'read it with delimiter="{written}" (and decimal="," {comma}), or set them in a '
@@ -155,8 +155,8 @@ def _check_header(
     )
     if recipe:
         how = f'set [table] delimiter = "{written}" (and decimal = "," {comma}) in the recipe'
-    what = f"one column only, {names[0][:60]!r}; if its names are separated by {other!r}, {how}"
-    raise SessionError(f"{where}: {what}")
+    fault = f"one column only, {names[0][:60]!r}; if its names are separated by {mark!r}, {how}"
+    raise SessionError(f"{where}: {fault}")
 
 
 def _fast(

@@ -161,8 +161,8 @@ def read_frame(
 def _only(sessions: list[Session], source: str) -> Session:
     """Return the only session of a log."""
     if len(sessions) != 1:
-        what = f"the recipe splits the log at gaps into {len(sessions)} sessions"
-        raise SessionError(f"{what}; read_sessions returns all of a folder's", source)
+        fault = f"the recipe splits the log at gaps into {len(sessions)} sessions"
+        raise SessionError(f"{fault}; read_sessions returns all of a folder's", source)
     return sessions[0]
 
 
@@ -239,11 +239,11 @@ class FileReader:
 
     def _needed(self) -> list[str] | None:
         """Return the columns wanted, and those that they are computed from."""
-        wanted = self._wanted()
+        selection = self._wanted()
         if self.recipe is None:
-            return wanted
-        needs = [need for name in wanted for need in self.recipe.columns[name].needs]
-        return list(dict.fromkeys([*wanted, *needs]))
+            return selection
+        needs = [need for name in selection for need in self.recipe.columns[name].needs]
+        return list(dict.fromkeys([*selection, *needs]))
 
     def _raw_log(self, path: Path, needed: Sequence[str] | None) -> RawLog:
         suffix = suffix_of(path)
@@ -436,9 +436,9 @@ def _logs_in(folder: str) -> list[str]:
         if is_log or os.path.isfile(os.path.join(path, "metadata.yaml")):
             logs.append(path)
     if not logs:
-        what = f"there are no logs in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders)"
+        fault = f"there are no logs in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders)"
         raise SessionError(
-            f"{what}; for logs further down, give a recipe with a [files] pattern", folder
+            f"{fault}; for logs further down, give a recipe with a [files] pattern", folder
         )
     return sorted(logs, key=natural_key)
 
@@ -457,11 +457,11 @@ def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[s
     same: dict[tuple, str] = {}
     for path, match in sessions.items():
         key = tuple(match.fields.items())
-        other = same.setdefault(key, path)
-        if key and other != path:
+        twin = same.setdefault(key, path)
+        if key and twin != path:
             fields = ", ".join(f"{name} {value}" for name, value in key)
             raise SessionError(
-                f"this file and {other} are both {fields}; read one of the folders", path
+                f"this file and {twin} are both {fields}; read one of the folders", path
             )
     if index:
         index.check(headers, sessions)
@@ -470,7 +470,7 @@ def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[s
 
 def _find(folder: str, pattern: PathPattern) -> dict[str, PathMatch]:
     """Return the files and rosbag2 folders at any depth of a folder whose paths fit a pattern."""
-    found: dict[str, PathMatch] = {}
+    matches: dict[str, PathMatch] = {}
     for here, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith(TEMPORARY))
         bags = [
@@ -485,8 +485,8 @@ def _find(folder: str, pattern: PathPattern) -> dict[str, PathMatch]:
             path = os.path.join(here, name)
             match = pattern.match(path)
             if match is not None:
-                found[path] = match
-    return found
+                matches[path] = match
+    return matches
 
 
 def join_sessions(
@@ -531,12 +531,12 @@ def join_sessions(
     counts = Counter(name for session in sessions for name in session.columns)
     twice = [name for name, count in counts.items() if count > 1]
     if twice or not sessions:
-        what = (
+        fault = (
             f"column {twice[0]!r} is in two of the sessions"
             if twice
             else "there are no sessions to join"
         )
-        raise SessionError(what)
+        raise SessionError(fault)
     known: dict[str, object] = {}
     for session in sessions:
         for name, value in session.metadata.as_dict().items():
@@ -546,11 +546,11 @@ def join_sessions(
                 and value is not None
                 and known.setdefault(name, value) != value
             ):
-                what = (
+                fault = (
                     f"metadata {name!r} are {known[name]!r} in one session and {value!r} in another"
                 )
                 raise SessionError(
-                    f"{what}; these are not of one run, or say so with session.with_metadata"
+                    f"{fault}; these are not of one run, or say so with session.with_metadata"
                 )
     streams = [
         Stream(

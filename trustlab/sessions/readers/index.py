@@ -38,8 +38,8 @@ class SessionIndex:
             named = ", ".join(
                 f"{column} {match.fields[name]}" for name, column in self.keys.items()
             )
-            what = f"the header {path} has no row for {named}"
-            raise SessionError(f"{what}; add it, or move the file out of the folder", source)
+            fault = f"the header {path} has no row for {named}"
+            raise SessionError(f"{fault}; add it, or move the file out of the folder", source)
         return rows[self._key(match)][1]
 
     def check(self, headers: Mapping[str, PathMatch], matches: Mapping[str, PathMatch]) -> None:
@@ -57,11 +57,11 @@ class SessionIndex:
             for key, (line, _) in self._table(header, header).items():
                 if key not in keys:
                     named = ", ".join(map(" ".join, zip(self.keys.values(), key, strict=True)))
-                    what = (
+                    fault = (
                         f"line {line}: names {named}, which has no file; add the file or "
                         "remove the row"
                     )
-                    raise SessionError(what, header)
+                    raise SessionError(fault, header)
 
     def _path(self, match: PathMatch) -> str:
         return os.path.join(match.base, *self.pattern.fill(match.texts).split("/"))
@@ -96,12 +96,12 @@ class SessionIndex:
         names = [name.strip() for name in lines.pop(0)[1]] if lines else []
         for column in self.keys.values():
             if names.count(column) != 1:
-                what = (
+                fault = (
                     "occurs twice"
                     if column in names
                     else f"is missing{did_you_mean(column, names)}"
                 )
-                raise SessionError(f"line 1: column {column!r} {what}")
+                raise SessionError(f"line 1: column {column!r} {fault}")
         rows: dict[tuple, tuple[int, dict]] = {}
         for line, cells in lines:
             if len(cells) != len(names):

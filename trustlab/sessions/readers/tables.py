@@ -21,7 +21,7 @@ from trustlab.sessions.errors import SessionError, damage_named, listed
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.readers.assembly import fill_blanks
 from trustlab.sessions.readers.limits import Budget
-from trustlab.sessions.recipe import NUMBER, Recipe, TableColumn, TableTime, looked_up
+from trustlab.sessions.recipe import NUMBER, ColumnRule, Recipe, TableTime, looked_up
 from trustlab.sessions.resampling import RawLog, Stream
 from trustlab.sessions.vocabulary import VOCABULARY, to_si
 
@@ -42,28 +42,28 @@ class SourceColumn:
     name: str
     position: int
     label: str
-    rule: TableColumn | None = None
+    rule: ColumnRule | None = None
     text: Callable[[object], float] | None = None
     blank: str | None = None
 
 
 def select_columns(
-    names: Sequence[str], recipe: Recipe | None, wanted: Sequence[str] | None, where: str
+    names: Sequence[str], recipe: Recipe | None, selection: Sequence[str] | None, where: str
 ) -> list[SourceColumn]:
     """
     Return the columns to read from a file whose columns have these names, empty ones if it has no
     header.
     """
-    rules: dict[str, TableColumn] = {}
+    rules: dict[str, ColumnRule] = {}
     if recipe is not None:
-        chosen = {name: recipe.columns[name] for name in wanted}
-        rules = {name: rule for name, rule in chosen.items() if isinstance(rule, TableColumn)}
+        chosen = {name: recipe.columns[name] for name in selection}
+        rules = {name: rule for name, rule in chosen.items() if rule.kind == "column"}
         keys = {"t": recipe.time.column} | {name: rule.column for name, rule in rules.items()}
     else:
-        if wanted is None:
+        if selection is None:
             _check_names(names, where)
-            wanted = [name for name in names if name != "t"]
-        keys = {name: name for name in ["t", *wanted]}
+            selection = [name for name in names if name != "t"]
+        keys = {name: name for name in ["t", *selection]}
     time = recipe.time if recipe else TableTime(unit="s")
     stamps: dict[str, Callable[[object], float]] = {
         "iso": _IsoTimes(time.from_zero),
@@ -78,9 +78,13 @@ def select_columns(
     blanks = {name: rule.blank for name, rule in rules.items()}
     return [
         SourceColumn(
-            own, *_find(own, key, names, where), rules.get(own), texts.get(own), blanks.get(own)
+            column,
+            *_find(column, key, names, where),
+            rules.get(column),
+            texts.get(column),
+            blanks.get(column),
         )
-        for own, key in keys.items()
+        for column, key in keys.items()
     ]
 
 
@@ -138,14 +142,14 @@ def _find(name: str, key: str | int, names: Sequence[str], where: str) -> tuple[
     """Return where a column stands, and its label in errors."""
     if isinstance(key, int):
         if key >= len(names):
-            what = f"the recipe takes {name} from column {key} (from 0)"
-            raise SessionError(f"{where}: has {len(names)} columns; {what}")
+            fault = f"the recipe takes {name} from column {key} (from 0)"
+            raise SessionError(f"{where}: has {len(names)} columns; {fault}")
         return key, f"{key} ({name})"
     if names.count(key) != 1:
-        what = "occurs twice; rename or remove one"
+        fault = "occurs twice; rename or remove one"
         if key not in names:
-            what = f"is missing{did_you_mean(key, names) or _time_hint(key, names)}"
-        raise SessionError(f"{where}: column {key!r} {what} (the file has: {listed(names)})")
+            fault = f"is missing{did_you_mean(key, names) or _time_hint(key, names)}"
+        raise SessionError(f"{where}: column {key!r} {fault} (the file has: {listed(names)})")
     return names.index(key), repr(key) if key == name else f"{key!r} ({name})"
 
 
@@ -179,8 +183,8 @@ def _check_names(names: Sequence[str], where: str) -> None:
         if name not in VOCABULARY and name != "t":
             hint = did_you_mean(name, VOCABULARY) or _time_hint("t", [name])
             remedy = "map it with a recipe, leave it out with columns=[...], or rename it"
-            what = f"column {name[:100]!r} is not in the vocabulary{hint}"
-            raise SessionError(f"{where}: {what} ({remedy}; see trustlab.sessions.vocabulary())")
+            fault = f"column {name[:100]!r} is not in the vocabulary{hint}"
+            raise SessionError(f"{where}: {fault} ({remedy}; see trustlab.sessions.vocabulary())")
 
 
 def table_stream(
@@ -194,10 +198,11 @@ def table_stream(
     file's units.
     """
     notes: dict[str, object] = {}
-    if blanks := [(own.name, own.blank) for own in selected if own.blank]:
+    if blanks := [(column.name, column.blank) for column in selected if column.blank]:
         raw, place, notes = fill_blanks(blanks, dict(raw), place)
     columns = {
-        own.name: own.rule.convert(raw[own.name]) if own.rule else raw[own.name] for own in selected
+        column.name: column.rule.convert(raw[column.name]) if column.rule else raw[column.name]
+        for column in selected
     }
     t = columns.pop("t")
     time = recipe.time if recipe else TableTime(unit="s")
@@ -210,7 +215,7 @@ def table_stream(
             notes["midnights"] = f"{midnights[-1]} passed; times count on"
             t = t + 86400.0 * midnights
         if time.from_zero and t.size and np.isfinite(t[0]):
-            stamps = next(own.text for own in selected if own.name == "t")
+            stamps = next(column.text for column in selected if column.name == "t")
             start = (stamps.start or 0) / 10**9 if isinstance(stamps, _IsoTimes) else 0.0
             notes["start_time"] = start + float(t[0]) * factor
             t = t - t[0]  # before the conversion to float, which would round large integer stamps
@@ -220,7 +225,7 @@ def table_stream(
 
 
 def read_parquet(
-    path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget
+    path: Path, recipe: Recipe | None, selection: Sequence[str] | None, budget: Budget
 ) -> RawLog:
     """Return the log in a Parquet file."""
     import pyarrow as pa
@@ -241,11 +246,11 @@ def read_parquet(
             budget.check(8 * max(rows, 0) * len(names))  # what it states, before what it holds
             return _joined(file.iter_batches(columns=names, use_threads=False), budget)
 
-        return arrow_log(str(path), schema, rows, load, recipe, wanted)
+        return arrow_log(str(path), schema, rows, load, recipe, selection)
 
 
 def read_feather(
-    path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget
+    path: Path, recipe: Recipe | None, selection: Sequence[str] | None, budget: Budget
 ) -> RawLog:
     """Return the log in a Feather (Arrow IPC) file."""
     import pyarrow as pa
@@ -263,10 +268,10 @@ def read_feather(
             part = pa.ipc.open_file(source, options=fields)
             return _joined(map(part.get_batch, range(part.num_record_batches)), budget)
 
-        return arrow_log(str(path), file.schema, rows, load, recipe, wanted)
+        return arrow_log(str(path), file.schema, rows, load, recipe, selection)
 
 
-def frame_log(frame, recipe: Recipe | None, wanted: Sequence[str] | None) -> RawLog:
+def frame_log(frame, recipe: Recipe | None, selection: Sequence[str] | None) -> RawLog:
     """Return the log in a data frame."""
     import pyarrow as pa
 
@@ -277,15 +282,15 @@ def frame_log(frame, recipe: Recipe | None, wanted: Sequence[str] | None) -> Raw
         names = [str(name) for name in frame.columns]
         empty = pa.schema([(name, pa.null()) for name in names])
 
-        def load(wanted: list[str]) -> Any:
+        def load(selection: list[str]) -> Any:
             return pa.table(
                 {
                     name: pa.array(frame.iloc[:, names.index(name)], from_pandas=True)
-                    for name in wanted
+                    for name in selection
                 }
             )
 
-        return arrow_log("data frame", empty, len(frame), load, recipe, wanted)
+        return arrow_log("data frame", empty, len(frame), load, recipe, selection)
 
 
 def _guard(format: str):
@@ -298,11 +303,11 @@ def _joined(batches, budget: Budget):
     """Return a table from its batches, counted one by one."""
     import pyarrow as pa
 
-    kept = []
+    counted = []
     for batch in batches:
         budget.take(batch.nbytes)
-        kept.append(batch)
-    table = pa.Table.from_batches(kept)
+        counted.append(batch)
+    table = pa.Table.from_batches(counted)
     table.validate(full=True)
     return table
 
@@ -313,21 +318,23 @@ def arrow_log(
     rows: int,
     load: Callable[[list[str]], Any],
     recipe: Recipe | None,
-    wanted: Sequence[str] | None,
+    selection: Sequence[str] | None,
 ) -> RawLog:
     """Return the log in a table of this schema; `load` gives the columns of these names."""
     names = [str(name) for name in schema.names]
     with_header = recipe is None or recipe.table.header
-    selected = select_columns(names if with_header else [""] * len(names), recipe, wanted, "schema")
+    selected = select_columns(
+        names if with_header else [""] * len(names), recipe, selection, "schema"
+    )
     if rows <= 0:
         raise SessionError("the file has columns but no rows")
     comment = (schema.metadata or {}).get(b"trustlab")
     metadata, extra = (
         (None, {}) if comment is None else metadata_from_json(comment.decode("utf-8", "replace"))
     )
-    own = {each.name: names[each.position] for each in selected}
-    table = load(list(dict.fromkeys(own.values())))
-    raw = {each.name: numbers(table.column(own[each.name]), each) for each in selected}
+    column = {each.name: names[each.position] for each in selected}
+    table = load(list(dict.fromkeys(column.values())))
+    raw = {each.name: numbers(table.column(column[each.name]), each) for each in selected}
     stream, notes = table_stream(selected, raw, recipe, "row {} (from 0)".format)
     return RawLog(source, [stream], metadata, notes=notes, digests=extra.get("digests", {}))
 
@@ -379,7 +386,7 @@ def numbers(values, column: SourceColumn) -> np.ndarray:
 
 
 def read_arrays(
-    path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget
+    path: Path, recipe: Recipe | None, selection: Sequence[str] | None, budget: Budget
 ) -> RawLog:
     """
     Return the table that arrays of a MATLAB or HDF5 file make: "name", "group/name", or "name[1]"
@@ -403,7 +410,7 @@ def read_arrays(
             return pa.table(columns)
 
         return arrow_log(
-            str(path), pa.schema([(name, pa.null()) for name in arrays]), 1, load, recipe, wanted
+            str(path), pa.schema([(name, pa.null()) for name in arrays]), 1, load, recipe, selection
         )
 
 
@@ -432,13 +439,13 @@ def _matlab_arrays(path: Path, budget: Budget) -> Arrays:
     budget.take(sum(8 * math.prod(shape) for _, shape, _ in found))
     for name, value in io.loadmat(path, simplify_cells=True).items():
         parts = (
-            {f"{name}.{own}": each for own, each in value.items()}
+            {f"{name}.{column}": each for column, each in value.items()}
             if isinstance(value, dict)
             else {name: value}
         )
-        for own, each in parts.items():
+        for column, each in parts.items():
             if isinstance(each, np.ndarray) and each.dtype.kind in "biuf":
-                yield from _columns(own, each.shape, partial(np.asarray, each))
+                yield from _columns(column, each.shape, partial(np.asarray, each))
 
 
 def _hdf5_arrays(path: Path, budget: Budget, transposed: bool = False) -> Arrays:
