@@ -20,7 +20,8 @@ SETS = json.loads((Path(__file__).parents[1] / "reference" / "aligned_ranks.json
 ]
 ARTOOL = tl.sessions.external_data("artool")
 printed_by_artool = pytest.mark.skipif(
-    ARTOOL is None, reason="needs the data sets of R's ARTool (GPL, not shipped) in data/external/artool"
+    ARTOOL is None,
+    reason="needs the data sets of R's ARTool (GPL, not shipped) in data/external/artool",
 )
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from itertools import combinations, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -183,7 +183,7 @@ def aligned_tests(scores: ScoreTable, design: StudyDesign, error: str) -> pd.Dat
     `RepeatedMeasures.aligned_ranks`.
     """
     one_of("error", error, ERRORS)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for within, between in product(subsets([*design.within]), subsets([*design.between])):
         if not within and not between:
             continue

@@ -140,8 +140,9 @@ def order_effects(
             f"position: column {position!r} must hold 1 to {k}, found {list(scores.conditions)}"
         )
     conditions = levels_of(column_of(frame, "condition", condition), "condition", order)
-    labels = frame.pivot_table(condition, subject, position, aggfunc="first")
-    codes = labels.map(conditions.index).loc[list(scores.subjects)].to_numpy()
+    labels = frame.set_index([subject, position])[condition].to_dict()
+    places = [[labels[row, place] for place in scores.conditions] for row in scores.subjects]
+    codes = np.array([[conditions.index(label) for label in row] for row in places])
     names = [tuple(row) for row in codes.tolist()]
     if sequence is not None:
         column_of(frame, "sequence", sequence)
