@@ -5,6 +5,10 @@ One test walks through all arguments of a call: as thousands of tests, pytest's 
 times as long as the calls.
 """
 
+import dataclasses
+
+from trustlab.studies import Simulation, StudyColumns
+
 
 def faults(call, good, values, *, never=False, free=()):
     """
@@ -29,3 +33,11 @@ def faults(call, good, values, *, never=False, free=()):
             if fault:
                 found.append(f"{argument} = {value!r:.60} {fault}")
     return found
+
+
+def settled(function, *population, **arguments):
+    """Call a function of power with its settings by name."""
+    for name, kind in (("simulation", Simulation), ("columns", StudyColumns)):
+        fields = {field.name for field in dataclasses.fields(kind)} & set(arguments)
+        arguments |= {name: kind(**{field: arguments.pop(field) for field in fields})}
+    return function(*population, **arguments)

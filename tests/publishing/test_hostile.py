@@ -240,7 +240,8 @@ def built():
     design = tl.latin_square_design(
         [f"{NAME} {i}" for i in range(4)], [f"{NAME} {i}" for i in range(4)]
     )
-    labels = {"labels": [f"{NAME} {i}" for i in range(2)], "replicates": 100}
+    labels = [f"{NAME} {i}" for i in range(2)]
+    quick = {"simulation": tl.studies.Simulation(replicates=100)}
     choice = dataclasses.replace(tl.choose_thresholds(MODEL, points=4), message=NAME)
     two = scores()[lambda frame: ~frame.iloc[:, 1].str.endswith("2")]
     run = tl.run_condition("C2", participant=2, laps=3)
@@ -287,8 +288,8 @@ def built():
         design,
         design.balance(),
         virtual_study(),
-        tl.power_analysis([0, 1], ones, n=5, **labels),
-        tl.smallest_n(0.5, [0, 3], ones, **labels),
+        tl.power_analysis(dict(zip(labels, (0, 1), strict=True)), ones, n=5, **quick),
+        tl.smallest_n(0.5, dict(zip(labels, (0, 3), strict=True)), ones, **quick),
         session(),
         dataclasses.replace(run, session=Session(run.session.data, session().metadata)),
         ArxResult((NAME, "c"), ones[0], ones, np.ones(9), 1, (1,), (1,), True),

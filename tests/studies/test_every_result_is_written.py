@@ -29,6 +29,7 @@ ANSWERS = pd.DataFrame(RNG.integers(1, 8, (12, 12)), columns=studies.TRUST_CHECK
     who=range(12)
 )
 DESIGN = tl.latin_square_design(["A", "B", "C"], 12)
+QUICK = studies.Simulation(replicates=100)
 COVARIANCE = studies.graded_covariance(3)
 ORDERED = DESIGN.orders().assign(error=RNG.standard_normal(36))
 
@@ -52,17 +53,16 @@ RESULTS = {
     "DesignBalance": lambda: DESIGN.balance(),
     "LatinSquareDesign": lambda: DESIGN,
     "PowerAnalysis": lambda: tl.power_analysis(
-        [0.0, 0.4, 0.8], COVARIANCE, n=[8, 10], replicates=100
+        [0.0, 0.4, 0.8], COVARIANCE, n=[8, 10], simulation=QUICK
     ),
     "PowerAnalysis of several factors": lambda: tl.power_analysis(
         {("g", c): 0.0 for c in "abc"} | {("h", c): 1.0 for c in "abc"},
         COVARIANCE,
-        within="c",
-        between="g",
+        columns=studies.StudyColumns(within="c", between="g"),
         n=6,
-        replicates=100,
+        simulation=QUICK,
     ),
-    "SmallestN": lambda: studies.smallest_n(0.5, [0.0, 0.8, 1.2], COVARIANCE, replicates=100),
+    "SmallestN": lambda: studies.smallest_n(0.5, [0.0, 0.8, 1.2], COVARIANCE, simulation=QUICK),
     "VirtualStudy": lambda: tl.virtual_study(n=4, conditions=["C1", "C5"], laps=1),
     "GroundRobotPopulation": lambda: studies.GroundRobotPopulation.published(),
     "TeleoperatorPopulation": lambda: studies.TeleoperatorPopulation(),

@@ -11,7 +11,8 @@ import pytest
 from scipy import special, stats
 
 import trustlab as tl
-from trustlab.studies import graded_covariance
+from tests.arguments import settled
+from trustlab.studies import Proportions, graded_covariance
 
 mpl.use("Agg")
 CELLS = pd.MultiIndex.from_product(
@@ -33,8 +34,9 @@ def within_simulation_error(found, exact, replicates, sds=4.0):
 @pytest.mark.parametrize(
     "power",
     [
-        lambda: tl.power_analysis(MEANS, n=[12, 24], **TWO_WAY),
-        lambda: tl.power_analysis(
+        lambda: settled(tl.power_analysis, MEANS, n=[12, 24], **TWO_WAY),
+        lambda: settled(
+            tl.power_analysis,
             MIXED,
             graded_covariance(2, 0.4),
             within="test",
@@ -57,7 +59,7 @@ def test_closed_form_is_the_noncentral_f_written_out():
     Autonomy has one contrast: d_z of the mean difference; difficulty by sums of squares of the
     marginal means.
     """
-    table = tl.power_analysis(MEANS, n=24, **TWO_WAY | {"replicates": 100}).table()
+    table = settled(tl.power_analysis, MEANS, n=24, **TWO_WAY | {"replicates": 100}).table()
     closed = table[table["test"] == "none"].set_index("effect")["closed_form"]
     wide = MEANS.to_numpy().reshape(2, 3)
     difference = np.diff(wide.mean(axis=1)).item() ** 2
@@ -74,8 +76,8 @@ def test_a_plain_loop_finds_the_same_share(studies):
     """A mixed design without sphericity: studies drawn and analysed one by one."""
     covariance = graded_covariance(3, 0.3, 0.7)
     means = pd.Series({(g, c): 0.45 * (c == "c") * (g == "h") for g in "gh" for c in "abc"})
-    table = tl.power_analysis(
-        means, covariance, within="c", between="g", n=12, replicates=4000
+    table = settled(
+        tl.power_analysis, means, covariance, within="c", between="g", n=12, replicates=4000
     ).table()
     power = table.set_index(["effect", "test"]).loc[("g × c", "greenhouse-geisser"), "power"]
     rng, found = np.random.default_rng(5), 0
@@ -95,7 +97,7 @@ def test_a_plain_loop_finds_the_same_share(studies):
 def test_without_effects_the_level_is_held():
     flat = MEANS * 0.0
     options = TWO_WAY | {"covariance": graded_covariance(6, 0.2, 0.5)}
-    table = tl.power_analysis(flat, n=10, **options).table()
+    table = settled(tl.power_analysis, flat, n=10, **options).table()
     corrected = table[table["test"] == "greenhouse-geisser"]
     assert (corrected["power"] < 0.065).all()
     assert (table["eta2_partial"] < 1e-12).all()
@@ -115,13 +117,14 @@ def test_a_pilot_study_is_the_population():
         "subject": "who",
         "order": order,
     }
-    found = tl.power_analysis(data=frame, n=8, replicates=200, **columns)
+    found = settled(tl.power_analysis, data=frame, n=8, replicates=200, **columns)
     wide = frame.pivot_table(
         index=["group", "who"], columns=["autonomy", "difficulty"], values="error"
     )[list(CELLS)]
     residual = wide - wide.groupby("group").transform("mean")
     index = pd.MultiIndex.from_tuples([(g, *cell) for g in "gh" for cell in CELLS])
-    given = tl.power_analysis(
+    given = settled(
+        tl.power_analysis,
         pd.Series(wide.groupby("group").mean().to_numpy().ravel(), index),
         residual.T @ residual / 18,
         within=["autonomy", "difficulty"],
@@ -135,10 +138,8 @@ def test_a_pilot_study_is_the_population():
 
 
 def test_shares_by_a_plain_loop():
-    options = {"family": "binomial", "trials": 10, "sd": 0.8, "replicates": 150}
-    power = (
-        tl.power_analysis({"C2": 0.64, "C4": 0.5}, n=14, seed=2, **options).table()["power"].item()
-    )
+    shares = Proportions({"C2": 0.64, "C4": 0.5}, trials=10, sd=0.8)
+    power = settled(tl.power_analysis, shares, n=14, seed=2, replicates=150).table()["power"].item()
     rng, found = np.random.default_rng(1), 0
     for _ in range(60):
         eta = special.logit([0.64, 0.5]) + 0.8 * rng.standard_normal((14, 1))
@@ -153,12 +154,13 @@ def test_same_seed_same_table_wherever_it_runs():
     from concurrent.futures import ThreadPoolExecutor
 
     options = TWO_WAY | {"replicates": 300}
-    one = tl.power_analysis(MEANS, n=[8, 12], seed=3, **options).table()
+    one = settled(tl.power_analysis, MEANS, n=[8, 12], seed=3, **options).table()
     with ThreadPoolExecutor(2) as pool:
         pd.testing.assert_frame_equal(
-            one, tl.power_analysis(MEANS, n=[8, 12], seed=3, executor=pool, **options).table()
+            one,
+            settled(tl.power_analysis, MEANS, n=[8, 12], seed=3, executor=pool, **options).table(),
         )
-    alone = tl.power_analysis(MEANS, n=12, seed=3, **options).table()
+    alone = settled(tl.power_analysis, MEANS, n=12, seed=3, **options).table()
     pd.testing.assert_frame_equal(one[one["n"] == 12].reset_index(drop=True), alone)
 
 
@@ -172,35 +174,34 @@ def test_same_seed_same_table_wherever_it_runs():
         ({"mean": [1.0, 2.0]}, "indexed by autonomy, difficulty, got 1 level"),
         ({"n": 2}, "at least 3 subjects"),
         ({"effect_size": 0.2}, "effect_size has no effect here"),
-        ({"trials": 4}, "trials has no effect here"),
+        ({"claims": [(1, 2)]}, "claims has no effect here"),
         ({"covariance": np.eye(4)}, "must be 6 × 6"),
         ({"covariance": np.ones((6, 6))}, "not positive definite"),
-        ({"family": "poisson"}, "family must be one of"),
     ],
 )
 def test_faults_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
-        tl.power_analysis(**{"mean": MEANS, "n": 12} | TWO_WAY | {"replicates": 100} | arguments)
+        settled(
+            tl.power_analysis,
+            **{"mean": MEANS, "n": 12} | TWO_WAY | {"replicates": 100} | arguments,
+        )
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"sd": None}, "needs trials= .* and sd="),
-        ({"mean": {"C2": 1.0, "C4": 0.4}}, "probabilities"),
-        ({"mean": {"C2": 0.5}}, "at least two conditions"),
-        ({"covariance": np.eye(2)}, "covariance has no effect here"),
+        ({"sd": None}, "sd must be a number"),
+        ({"probabilities": {"C2": 1.0, "C4": 0.4}}, "probabilities"),
+        ({"probabilities": {"C2": 0.5}}, "at least two conditions"),
         ({"trials": 2.5}, "trials must be a whole number"),
     ],
 )
-def test_faults_of_shares_are_named(arguments, message):
-    usual = {
-        "mean": {"C2": 0.6, "C4": 0.4},
-        "family": "binomial",
-        "trials": 10,
-        "sd": 1.0,
-        "n": 6,
-        "replicates": 100,
-    }
+def test_faults_of_proportions_are_named(arguments, message):
+    usual = {"probabilities": {"C2": 0.6, "C4": 0.4}, "trials": 10, "sd": 1.0}
     with pytest.raises(ValueError, match=message):
-        tl.power_analysis(**usual | arguments)
+        Proportions(**usual | arguments)
+
+
+def test_proportions_need_no_covariance():
+    with pytest.raises(ValueError, match="covariance has no effect here"):
+        tl.power_analysis(Proportions([0.6, 0.4], 10, 1.0), np.eye(2), n=6)

@@ -12,6 +12,7 @@ from hypothesis import given, settings, strategies as st
 from scipy import stats
 
 import trustlab as tl
+from tests.arguments import settled
 from trustlab.studies import clopper_pearson, graded_covariance, noncentral_f_power, noncentrality
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
 from trustlab.studies.planning import power as simulation
@@ -105,7 +106,7 @@ def test_an_effect_is_reached_and_its_pattern_kept(eta2, seed):
 def test_data_give_their_sample_moments_and_their_label():
     study = tl.published_studies()["uav.utilization"]
     data = tl.reconstruct(study, seed=0)
-    found = tl.power_analysis(data=data, n=36, replicates=200)
+    found = settled(tl.power_analysis, data=data, n=36, replicates=200)
     wide = data.pivot_table("value", "subject", "condition")
     np.testing.assert_allclose(found.conditions.mean, wide.mean(), rtol=1e-12)
     np.testing.assert_allclose(found.conditions.covariance, np.cov(wide.to_numpy().T), rtol=1e-10)
@@ -117,7 +118,7 @@ def test_data_give_their_sample_moments_and_their_label():
 def test_names_come_from_mappings_and_frames():
     names = ["a", "b", "c"]
     frame = pd.DataFrame(graded_covariance(3), index=names, columns=names)
-    found = tl.power_analysis({"a": 0.0, "b": 1.0, "c": 2.0}, frame, n=8, replicates=100)
+    found = settled(tl.power_analysis, {"a": 0.0, "b": 1.0, "c": 2.0}, frame, n=8, replicates=100)
     assert found.conditions.labels == ("a", "b", "c")
     assert set(found.pairs()["b"]) == {"b", "c"}
 
@@ -128,7 +129,8 @@ def test_names_come_from_mappings_and_frames():
 @pytest.fixture(scope="module")
 def grid():
     """36 × 5, twenty cases with sphericity, 10,000 studies each."""
-    return tl.power_analysis(
+    return settled(
+        tl.power_analysis,
         MEANS,
         graded_covariance(5),
         n=36,
@@ -186,8 +188,15 @@ def weighted_chi_squares(population, n, draws, seed):
 
 @pytest.mark.parametrize("eta2", [0.0, 0.06])
 def test_without_sphericity_f_is_a_ratio_of_weighted_chi_squares(eta2):
-    found = tl.power_analysis(
-        MEANS, graded_covariance(5), n=15, effect_size=eta2, epsilon=0.4, replicates=10_000, seed=1
+    found = settled(
+        tl.power_analysis,
+        MEANS,
+        graded_covariance(5),
+        n=15,
+        effect_size=eta2,
+        epsilon=0.4,
+        replicates=10_000,
+        seed=1,
     )
     population = conditions_from(MEANS, graded_covariance(5, 0.5, 0.4)).with_effect(eta2)
     f = weighted_chi_squares(population, 15, 400_000, 2)
@@ -202,8 +211,8 @@ def test_without_sphericity_f_is_a_ratio_of_weighted_chi_squares(eta2):
 
 def test_a_cell_does_not_depend_on_its_place_in_the_grid():
     arguments = {"mean": MEANS, "covariance": graded_covariance(5), "replicates": 200, "seed": 4}
-    alone = tl.power_analysis(**arguments, n=12, effect_size=0.1).table()
-    grid = tl.power_analysis(**arguments, n=[8, 12], effect_size=[0.05, 0.1]).table()
+    alone = settled(tl.power_analysis, **arguments, n=12, effect_size=0.1).table()
+    grid = settled(tl.power_analysis, **arguments, n=[8, 12], effect_size=[0.05, 0.1]).table()
     same = grid[(grid["n"] == 12) & np.isclose(grid["effect_size"], 0.1)].reset_index(drop=True)
     pd.testing.assert_frame_equal(same, alone)
     assert (
@@ -217,7 +226,9 @@ def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
     seed = 3
     claims = [(k, 1), (2, k)]
     matrix, mean = graded_covariance(k, 0.4, 0.5, 1.0), np.linspace(0.0, 1.5, k)
-    found = tl.power_analysis(mean, matrix, n=n, replicates=replicates, seed=seed, claims=claims)
+    found = settled(
+        tl.power_analysis, mean, matrix, n=n, replicates=replicates, seed=seed, claims=claims
+    )
     cell = (
         np.concatenate([mean, conditions_from(mean, matrix).covariance.ravel()])
         .view(np.uint32)
@@ -250,17 +261,20 @@ def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
 
 def test_draws_do_not_depend_on_how_many_are_in_memory(monkeypatch):
     arguments = {"n": 10, "replicates": 300, "seed": 5, "claims": [(1, 3)]}
-    whole = tl.power_analysis([0, 0, 1], graded_covariance(3), **arguments)
+    whole = settled(tl.power_analysis, [0, 0, 1], graded_covariance(3), **arguments)
     monkeypatch.setattr("trustlab.studies.analysis.anova._CHUNK", 500)
     for name in ("table", "pairs", "claims"):
         pd.testing.assert_frame_equal(
-            getattr(tl.power_analysis([0, 0, 1], graded_covariance(3), **arguments), name)(),
+            getattr(
+                settled(tl.power_analysis, [0, 0, 1], graded_covariance(3), **arguments), name
+            )(),
             getattr(whole, name)(),
         )
 
 
 def test_a_grid_has_a_row_per_cell_and_test_and_draws_itself():
-    found = tl.power_analysis(
+    found = settled(
+        tl.power_analysis,
         [0, 1],
         graded_covariance(2),
         n=[5, 9],
@@ -290,8 +304,15 @@ def test_epsilon_of_two_conditions_is_one():
 
 
 def test_the_smallest_n_is_that_of_the_noncentral_f():
-    found = tl.smallest_n(
-        0.8, MEANS, graded_covariance(5), effect_size=0.1, test="none", replicates=4000, seed=2
+    found = settled(
+        tl.smallest_n,
+        0.8,
+        MEANS,
+        graded_covariance(5),
+        effect_size=0.1,
+        test="none",
+        replicates=4000,
+        seed=2,
     )
     exact = next(
         n for n in range(3, 200) if noncentral_f_power(n, 5, noncentrality(0.1, n, 5)) >= 0.8
@@ -311,11 +332,17 @@ def test_the_smallest_n_is_that_of_the_noncentral_f():
 def test_the_smallest_n_is_the_same_at_every_call_and_what_power_analysis_finds():
     arguments = {"effect_size": 0.2, "replicates": 2000, "seed": 9}
     first, again = (
-        tl.smallest_n(0.9, MEANS, graded_covariance(5, 0.5, 0.6), **arguments) for _ in range(2)
+        settled(tl.smallest_n, 0.9, MEANS, graded_covariance(5, 0.5, 0.6), **arguments)
+        for _ in range(2)
     )
     pd.testing.assert_frame_equal(first.evaluations, again.evaluations)
-    rows = tl.power_analysis(
-        MEANS, graded_covariance(5, 0.5, 0.6), n=first.n, effect_size=0.2, replicates=10_000
+    rows = settled(
+        tl.power_analysis,
+        MEANS,
+        graded_covariance(5, 0.5, 0.6),
+        n=first.n,
+        effect_size=0.2,
+        replicates=10_000,
     ).table()
     usual = rows.set_index("test").loc["greenhouse-geisser"]
     assert first.ci_low <= usual["ci_high"]
@@ -323,8 +350,15 @@ def test_the_smallest_n_is_the_same_at_every_call_and_what_power_analysis_finds(
 
 
 def test_the_smallest_n_of_a_pair():
-    found = tl.smallest_n(
-        0.8, MEANS, graded_covariance(5), pair=(5, 1), adjust="bonferroni", replicates=2000, seed=2
+    found = settled(
+        tl.smallest_n,
+        0.8,
+        MEANS,
+        graded_covariance(5),
+        pair=(5, 1),
+        test="bonferroni",
+        replicates=2000,
+        seed=2,
     )
     exact = next(n for n in range(3, 400) if noncentral_f_power(n, 2, n * 0.5**2, 0.005) >= 0.8)
     assert abs(found.n - exact) <= 0.05 * exact
@@ -333,7 +367,9 @@ def test_the_smallest_n_of_a_pair():
 
 
 def test_a_huge_effect_needs_three_subjects():
-    assert tl.smallest_n(0.8, [0, 50.0, 100.0], graded_covariance(3), replicates=100).n == 3
+    assert (
+        settled(tl.smallest_n, 0.8, [0, 50.0, 100.0], graded_covariance(3), replicates=100).n == 3
+    )
 
 
 # --- where studies are simulated ------------------------------------------------------------------
@@ -351,12 +387,12 @@ def test_results_do_not_depend_on_where_studies_are_simulated():
     search = {"effect_size": 0.2, "replicates": 300, "seed": 9}
     matrix = graded_covariance(5, 0.5, 0.4)
     here, n_here = (
-        tl.power_analysis(MEANS, matrix, **grid),
-        tl.smallest_n(0.9, MEANS, matrix, **search),
+        settled(tl.power_analysis, MEANS, matrix, **grid),
+        settled(tl.smallest_n, 0.9, MEANS, matrix, **search),
     )
     with ThreadPoolExecutor(2) as executor:
-        there = tl.power_analysis(MEANS, matrix, **grid, executor=executor)
-        n_there = tl.smallest_n(0.9, MEANS, matrix, **search, executor=executor)
+        there = settled(tl.power_analysis, MEANS, matrix, **grid, executor=executor)
+        n_there = settled(tl.smallest_n, 0.9, MEANS, matrix, **search, executor=executor)
     for name in ("table", "pairs", "claims"):
         pd.testing.assert_frame_equal(
             getattr(here, name)(), getattr(there, name)(), check_exact=True
@@ -410,17 +446,13 @@ GOOD = graded_covariance(3)
         ({"covariance": np.ones(3)}, "square matrix of numbers, got shape"),
         ({"covariance": "large"}, "square matrix of numbers, got str"),
         ({"covariance": [["1", 0], [0, 1]]}, "square matrix of numbers"),
-        ({"labels": ["a", "b"]}, "labels must have at least 3"),
-        ({"labels": ["a", "b", "a"]}, "labels must differ"),
         ({"claims": [(1, 9)]}, "unknown condition 9"),
         ({"claims": [(1, 2), (2, 1)]}, "claimed twice"),
         ({"claims": ["12"]}, "a comparison is a pair of two conditions"),
         ({"claims": 5}, "claims must be a list of pairs"),
-        ({"labels": "abc"}, "labels must be a list"),
-        ({"labels": 5}, "labels must be a list"),
         ({"claims": []}, "claims is empty"),
         (
-            {"claims": [("M", "TMIGG")], "labels": ["M", "OMI", "TMIG"]},
+            {"claims": [("M", "TMIGG")], "mean": {"M": 0.0, "OMI": 0.5, "TMIG": 1.0}},
             "unknown condition 'TMIGG'; did you mean 'TMIG'",
         ),
         ({"data": pd.DataFrame()}, "give either data=, or mean= and covariance="),
@@ -429,7 +461,28 @@ GOOD = graded_covariance(3)
 def test_power_analysis_refuses(arguments, message):
     given_ = {"mean": [0.0, 0.5, 1.0], "covariance": GOOD, "replicates": 100} | arguments
     with pytest.raises(ValueError, match=message):
-        tl.power_analysis(**given_)
+        settled(tl.power_analysis, **given_)
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        (["a", "b"], "labels must have at least 3"),
+        (["a", "b", "a"], "labels must differ"),
+        ("abc", "labels must be a list"),
+        (5, "labels must be a list"),
+    ],
+)
+def test_labels_of_conditions_are_checked(labels, message):
+    with pytest.raises(ValueError, match=message):
+        Conditions(labels, [0.0, 0.5, 1.0], GOOD)
+
+
+def test_settings_are_of_their_class():
+    with pytest.raises(ValueError, match="simulation must be of class Simulation"):
+        tl.power_analysis([0, 1], np.eye(2), simulation=200)
+    with pytest.raises(ValueError, match="columns must be of class StudyColumns"):
+        tl.smallest_n(0.8, [0, 1], np.eye(2), columns="subject")
 
 
 def test_data_too_few_for_a_covariance_are_refused():
@@ -439,7 +492,7 @@ def test_data_too_few_for_a_covariance_are_refused():
         columns=["subject", "condition", "value"],
     )
     with pytest.raises(ValueError, match=r"4 subjects in 4 conditions: .* at least 5"):
-        tl.power_analysis(data=data)
+        settled(tl.power_analysis, data=data)
 
 
 @pytest.mark.parametrize(
@@ -448,7 +501,7 @@ def test_data_too_few_for_a_covariance_are_refused():
         ({"power": 1.0}, "power must lie strictly"),
         ({"power": 0.04}, "power = 0.04 must exceed alpha"),
         ({"test": "greenhouse-geiser"}, "did you mean 'greenhouse-geisser'"),
-        ({"adjust": "holmes"}, "did you mean 'holm'"),
+        ({"pair": (1, 2), "test": "holmes"}, "did you mean 'holm'"),
         ({"pair": (1, 7)}, "unknown condition 7"),
         ({"pair": 5}, "a comparison is a pair of two conditions"),
         ({"most": 2}, "most must be a whole number, from 3"),
@@ -459,7 +512,10 @@ def test_data_too_few_for_a_covariance_are_refused():
 )
 def test_smallest_n_refuses(arguments, message):
     with pytest.raises(ValueError, match=message):
-        tl.smallest_n(**({"mean": [0, 0.5, 1], "covariance": GOOD, "replicates": 100} | arguments))
+        settled(
+            tl.smallest_n,
+            **({"mean": [0, 0.5, 1], "covariance": GOOD, "replicates": 100} | arguments),
+        )
 
 
 @pytest.mark.parametrize(

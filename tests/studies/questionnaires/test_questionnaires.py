@@ -237,13 +237,6 @@ def test_rescaling_by_name(tlx, scale, answer, score):
     assert scores.answers.to_numpy() == pytest.approx(score, abs=1e-12)
 
 
-def test_the_former_name_of_scale_still_works(tlx):
-    frame = tlx.assign(**dict.fromkeys(TLX_SCALES, 18))
-    with pytest.warns(DeprecationWarning, match="scale="):
-        scores = score_nasa_tlx(frame, subject="pid", condition="scheme", rescale="0-20").scores
-    assert (scores["tlx_raw"] == 90.0).all()
-
-
 @pytest.mark.parametrize(
     ("change", "arguments", "words"),
     [

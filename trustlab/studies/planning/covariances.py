@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from trustlab.models.checks import finite_array, finite_number, positive, whole_number
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
 from trustlab.studies.columns import labels_of
+from trustlab.studies.planning.settings import StudyColumns
 
 # Least eigenvalue, as a share of the greatest, that counts as positive.
 _LEAST = 1e-12
@@ -249,39 +250,12 @@ def graded_covariance(
     return basis @ np.diag(np.r_[together, variances]) @ basis.T
 
 
-def conditions_from(
-    mean: Any,
-    covariance: Any,
-    data: Any,
-    dv: Hashable,
-    within: Hashable,
-    subject: Hashable,
-    order: Any,
-    labels: Any,
-) -> Conditions:
+def conditions_from(mean: Any, covariance: Any, data: Any, columns: StudyColumns) -> Conditions:
     """
     Return the population that means and a covariance, or those of data, make.
 
-    Parameters
-    ----------
-    mean : array_like, shape (k,), or None
-        Means of the conditions; a mapping or Series names them.
-    covariance : array_like, shape (k, k), or None
-        Covariance of the conditions; a DataFrame names them too.
-    data : pandas.DataFrame, optional
-        A long table instead of the two: its sample means and covariance are taken for the
-        population's.
-    dv, within, subject : hashable
-        Its columns.
-    order : sequence, optional
-        Order of its conditions.
-    labels : sequence, optional
-        Names of the conditions, if means do not name them.
-
-    Raises
-    ------
-    ValueError
-        If neither or both are given, sizes differ, or the covariance is not positive definite.
+    Means are an array, or a mapping or Series that names the conditions; a DataFrame as covariance
+    names them too. Of data, the sample means and covariance are taken for the population's.
     """
     import pandas as pd
 
@@ -290,7 +264,9 @@ def conditions_from(
             raise ValueError("give either data=, or mean= and covariance=, not both")
         from trustlab.studies.analysis.score_table import complete_scores, read_scores
 
-        scores, _ = complete_scores(read_scores(data, dv, within, subject, order=order))
+        factor = columns.factors[0]
+        frame = read_scores(data, columns.dv, factor, columns.subject, order=columns.order)
+        scores, _ = complete_scores(frame)
         n, k = scores.values.shape
         if n <= k:
             raise ValueError(
@@ -316,5 +292,5 @@ def conditions_from(
             )
         names, covariance = list(covariance.columns), covariance.to_numpy()
     means = finite_array("mean", mean)
-    given: Any = labels if labels is not None else names or range(1, means.size + 1)
-    return Conditions(given, means, covariance)
+    labels: Any = names or range(1, means.size + 1)
+    return Conditions(labels, means, covariance)

@@ -4,10 +4,10 @@ real ones are.
 """
 
 from collections import Counter
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -29,6 +29,7 @@ from trustlab.studies.analysis.sphericity import CORRECTIONS, greenhouse_geisser
 from trustlab.studies.factors.logistic_model import Logistic
 from trustlab.studies.planning.closed_form_power import clopper_pearson
 from trustlab.studies.planning.covariances import checked_covariance
+from trustlab.studies.planning.settings import Simulation, StudyColumns
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,16 +100,48 @@ class NormalCells:
 
 
 @dataclass(frozen=True, eq=False)
-class Shares:
+class Proportions:
     """
-    Counts out of trials by condition: logits of the participant in the middle, SD of the
-    participants' intercepts.
+    Population of counts of successes: conditions are compared by the logistic mixed model.
+
+    Parameters
+    ----------
+    probabilities : mapping, Series or sequence of float
+        Probability of a success by condition, for a median participant.
+    trials : int
+        Trials of each participant and condition.
+    sd : float
+        Standard deviation of participants' intercepts, in logits.
+
+    Raises
+    ------
+    ValueError
+        If fewer than two probabilities are given, or a number is out of range.
+
+    Notes
+    -----
+    Simulating and analysing one study, by the likelihood ratio, takes some milliseconds.
     """
 
-    logits: np.ndarray
+    probabilities: Any
     trials: int
     sd: float
-    simulated_origin: str = "simulated studies"
+    simulated_origin: ClassVar[str] = "simulated studies"
+
+    def __post_init__(self):
+        values = list(pd.Series(self.probabilities))
+        chances = array_between("probabilities", values, 1e-6, 1.0 - 1e-6, "probabilities")
+        if chances.size < 2:
+            raise ValueError(
+                f"proportions need the probabilities of at least two conditions, got {chances.size}"
+            )
+        whole_number("trials", self.trials)
+        not_negative("sd", self.sd)
+
+    @property
+    def logits(self) -> np.ndarray:
+        """Logits of the participant in the middle."""
+        return special.logit(pd.Series(self.probabilities).to_numpy(float))
 
     def expected(self, n: int, alpha: float) -> Iterator[tuple[str, str, float, float]]:
         """Yield the effect and its test, which has no closed form."""
@@ -118,85 +151,64 @@ class Shares:
         self, n: int, rng: np.random.Generator, replicates: int, alpha: float
     ) -> dict[str, int]:
         """Draw studies, and count those whose likelihood ratio finds the conditions different."""
-        k, found = len(self.logits), 0
+        logits, significant = self.logits, 0
+        k = len(logits)
         model = Logistic(np.repeat(np.arange(n), k), np.full(n * k, float(self.trials)), 9)
         conditions, common = np.tile(np.eye(k), (n, 1)), np.ones((n * k, 1))
         for _ in range(replicates):
-            chance = special.expit(self.logits + self.sd * rng.standard_normal((n, 1))).ravel()
+            chance = special.expit(logits + self.sd * rng.standard_normal((n, 1))).ravel()
             counts = rng.binomial(self.trials, chance).astype(float)
             chi2 = 2.0 * (model.fit(counts, conditions).llf - model.fit(counts, common).llf)
-            found += special.chdtrc(k - 1, max(chi2, 0.0)) < alpha
-        return {"condition/likelihood ratio": int(found)}
+            significant += special.chdtrc(k - 1, max(chi2, 0.0)) < alpha
+        return {"condition/likelihood ratio": int(significant)}
 
 
-def population_of(
-    mean: Any,
-    covariance: Any,
-    data: Any,
-    dv: Hashable,
-    within: list,
-    between: list,
-    subject: Hashable,
-    order: Any,
-) -> NormalCells:
+def population_of(mean: Any, covariance: Any, data: Any, columns: StudyColumns) -> NormalCells:
     """
     Return the population of a pilot study, or of means indexed by the factors' levels and a
     covariance of the cells.
     """
+    within, between = columns.factors, columns.groups
     if data is not None:
-        pilot = repeated_measures(data, dv, within, subject, between=between, order=order)
+        pilot = repeated_measures(
+            data,
+            columns.dv,
+            within,
+            columns.subject,
+            between=between,
+            order=columns.order,
+        )
         matrix = checked_covariance("covariance of data", pilot.residual_covariance())
         means = np.array(
             [pilot.scores.values[who].mean(axis=0) for _, who in pilot.design.members()]
         )
-        own = {str(name): levels for name, levels in pilot.within.items()}
+        factors = {str(name): levels for name, levels in pilot.within.items()}
         groups = {str(name): levels for name, levels in pilot.between.items()}
         origin = f"simulated studies, from {pilot.origin}" if pilot.origin else "simulated studies"
-        return NormalCells(own, groups, means, matrix, origin)
+        return NormalCells(factors, groups, means, matrix, origin)
     names, series = [*map(str, between), *map(str, within)], pd.Series(mean, dtype=float)
     if series.index.nlevels != len(names):
         raise ValueError(
             f"mean must be indexed by {', '.join(names)}, got {series.index.nlevels} level(s)"
         )
     levels = {name: tuple(series.index.unique(i)) for i, name in enumerate(names)}
-    found = series.reindex(pd.MultiIndex.from_product(levels.values()))
-    if found.isna().any():
+    cells = series.reindex(pd.MultiIndex.from_product(levels.values()))
+    if cells.isna().any():
         raise ValueError(
-            f"mean: no number for cell {found.index[found.isna()][0]!r} of {' × '.join(names)}"
+            f"mean: no number for cell {cells.index[cells.isna()][0]!r} of {' × '.join(names)}"
         )
     groups = {name: levels.pop(name) for name in names[: len(between)]}
-    means = found.to_numpy().reshape(int(np.prod([len(x) for x in groups.values()])), -1)
+    means = cells.to_numpy().reshape(int(np.prod([len(x) for x in groups.values()])), -1)
     return NormalCells(
         levels, groups, means, checked_covariance("covariance", covariance, means.shape[1])
     )
 
 
-def shares_of(probabilities: Any, trials: int | None, sd: float | None) -> Shares:
-    """
-    Return the population of shares with these probabilities, of the participant in the middle, by
-    condition.
-    """
-    if trials is None or sd is None:
-        raise ValueError(
-            'family="binomial" needs trials= of a person and condition, and sd= of intercepts in '
-            "logits"
-        )
-    chances = array_between(
-        "mean", list(pd.Series(probabilities)), 1e-6, 1.0 - 1e-6, "probabilities"
-    )
-    if chances.size < 2:
-        raise ValueError(
-            f"mean must have the probabilities of at least two conditions, got {chances.size}"
-        )
-    return Shares(special.logit(chances), whole_number("trials", trials), not_negative("sd", sd))
-
-
 def effects_power(
-    population: NormalCells | Shares,
+    population: NormalCells | Proportions,
     sizes: Sequence[int],
     counted: Sequence[dict],
-    alpha: float,
-    level: float,
+    simulation: Simulation,
 ) -> pd.DataFrame:
     """
     Return the power of every effect with n participants in each group, for every n, from the counts
@@ -204,38 +216,18 @@ def effects_power(
     """
     rows = []
     for n, counts in zip(sizes, counted, strict=True):
-        for effect, test, eta2, closed in population.expected(n, alpha):
-            count, replicates = counts[f"{effect}/{test}"], counts["replicates"]
-            low, high = clopper_pearson(count, replicates, level)
-            rows.append(
-                (
-                    n,
-                    effect,
-                    eta2,
-                    test,
-                    count / replicates,
-                    float(low),
-                    float(high),
-                    replicates,
-                    closed,
-                )
-            )
-    columns = [
-        "n",
-        "effect",
-        "eta2_partial",
-        "test",
-        "power",
-        "ci_low",
-        "ci_high",
-        "replicates",
-        "closed_form",
-    ]
-    return pd.DataFrame(rows, columns=columns)
+        for effect, test, eta2, closed in population.expected(n, simulation.alpha):
+            count = counts[f"{effect}/{test}"]
+            low, high = clopper_pearson(count, simulation.replicates, simulation.level)
+            row = {"n": n, "effect": effect, "eta2_partial": eta2, "test": test}
+            row |= {"power": count / simulation.replicates, "ci_low": float(low)}
+            row |= {"ci_high": float(high), "replicates": simulation.replicates}
+            rows.append(row | {"closed_form": closed})
+    return pd.DataFrame(rows)
 
 
 def count_effects(
-    population: NormalCells | Shares,
+    population: NormalCells | Proportions,
     n: int,
     draws: SeedSequence,
     replicates: int,

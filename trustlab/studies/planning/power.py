@@ -4,7 +4,7 @@ sphericity.
 """
 
 from collections import Counter
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations, product
 from typing import Any
@@ -13,9 +13,8 @@ import numpy as np
 import pandas as pd
 from numpy.random import SeedSequence
 
-from trustlab.campaign.run import where_to_run
 from trustlab.models.axes import axes_or_new
-from trustlab.models.checks import did_you_mean, one_of, open_unit, whole_number
+from trustlab.models.checks import did_you_mean, of_class, one_of, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.anova import chunks
 from trustlab.studies.analysis.batch import repeated_measures_batch
@@ -28,11 +27,16 @@ from trustlab.studies.planning.closed_form_power import (
 from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.factorial_power import (
     NormalCells,
-    Shares,
+    Proportions,
     count_effects,
     effects_power,
     population_of,
-    shares_of,
+)
+from trustlab.studies.planning.settings import (
+    USUAL_COLUMNS,
+    USUAL_SIMULATION,
+    Simulation,
+    StudyColumns,
 )
 
 # What power is computed against, and how a figure labels it.
@@ -53,7 +57,6 @@ COLUMNS = (
 
 MOST_CELLS = 10_000
 MOST_N = 100_000
-LEAST_REPLICATES = 100
 
 # Corrections of the omnibus F; "auto" is Greenhouse–Geisser where Mauchly's test rejects.
 TESTS = (*CORRECTIONS, "auto")
@@ -72,8 +75,8 @@ class PowerAnalysis:
 
     Parameters
     ----------
-    conditions : Conditions, NormalCells or Shares
-        The population given; the others with several factors or groups, or of shares.
+    conditions : Conditions, NormalCells or Proportions
+        The population; `NormalCells` with several factors or groups.
     alpha : float
         Level of every test.
     replicates : int
@@ -88,7 +91,7 @@ class PowerAnalysis:
         What `table()`, `pairs()` and `claims()` return.
     """
 
-    conditions: Conditions | NormalCells | Shares
+    conditions: Conditions | NormalCells | Proportions
     alpha: float
     replicates: int
     level: float
@@ -173,7 +176,7 @@ class PowerAnalysis:
         tests = [test] if isinstance(test, str) else list(test)
         for name in tests:
             one_of("test", name, TESTS)
-        tests = ["likelihood ratio"] if isinstance(self.conditions, Shares) else tests
+        tests = ["likelihood ratio"] if isinstance(self.conditions, Proportions) else tests
         against = against or (self.varied[0] if self.varied else "n")
         one_of("against", against, AXES)
         axes = axes_or_new(axes, figsize=(6.0, 3.8))
@@ -223,30 +226,17 @@ class PowerAnalysis:
 
 
 def power_analysis(
-    mean: Sequence[float] | None = None,
-    covariance: np.ndarray | None = None,
+    mean: Any = None,
+    covariance: Any = None,
     *,
     data: pd.DataFrame | None = None,
-    dv: Hashable = "value",
-    within: Hashable | list[Hashable] = "condition",
-    between: Hashable | list[Hashable] | None = None,
-    subject: Hashable = "subject",
-    order: Any = None,
-    labels: Sequence[Hashable] | None = None,
+    columns: StudyColumns = USUAL_COLUMNS,
     n: int | Sequence[int] = 36,
     effect_size: float | Sequence[float] | None = None,
     correlation: float | Sequence[float] | None = None,
     epsilon: float | Sequence[float] | None = None,
     claims: Sequence[tuple] | None = None,
-    family: str = "normal",
-    trials: int | None = None,
-    sd: float | None = None,
-    alpha: float = 0.05,
-    replicates: int = 10_000,
-    level: float = 0.95,
-    seed: int = 0,
-    n_jobs: int | None = None,
-    executor: Any = None,
+    simulation: Simulation = USUAL_SIMULATION,
 ) -> PowerAnalysis:
     """
     Simulate studies drawn from a normal population and count how many find its effects.
@@ -258,21 +248,16 @@ def power_analysis(
 
     Parameters
     ----------
-    mean : array_like, shape (k,), mapping or Series, optional
-        Means of the conditions.
+    mean : array_like, shape (k,), mapping, Series or Proportions, optional
+        Means of the conditions, named by a mapping or Series. With several factors or groups
+        (`columns`) it is a Series indexed by their levels. `Proportions` stand for the population
+        of shares of trials, which needs no covariance.
     covariance : array_like, shape (k, k), optional
-        Their covariance; `graded_covariance` makes one of a wanted correlation and ε.
+        Their covariance; `graded_covariance` makes one with a chosen correlation and ε.
     data : pandas.DataFrame, optional
-        A long table instead of both.
-    dv, within, subject : hashable
-        Columns of `data`; several factors are a list, and `mean` is then a Series indexed by their
-        levels, as the covariance is.
-    between : hashable or list of hashable, optional
-        Factors between subjects, which come first in the index of `mean`.
-    order : sequence or dict, optional
-        Order of the conditions in `data`; of several factors, a dict of factor to levels.
-    labels : sequence, optional
-        Names of the conditions, where `mean` has none.
+        A long table, from which both are estimated.
+    columns : StudyColumns
+        Columns of `data`; factors within and between subjects.
     n : int or sequence of int
         Subjects; at least 3. With groups, in each of them.
     effect_size : float or sequence of float, optional
@@ -283,31 +268,14 @@ def power_analysis(
         stays as it is.
     claims : sequence of (a, b), optional
         Pairs that must be found together with F, in the direction of the population's difference.
-    family : {"normal", "binomial"}
-        Scores, or counts of successes: `mean` has their probabilities by condition for the
-        participant in the middle, and conditions are compared by the likelihood ratio of the
-        logistic mixed model, which takes some milliseconds a study.
-    trials, sd : int, float
-        Of counts: trials of each participant and condition, and the standard deviation of
-        participants' intercepts in logits.
-    alpha : float
-        Level of all tests, in (0, 1).
-    replicates : int
-        Studies per cell; at least 100.
-    level : float
-        Coverage of the Monte-Carlo intervals.
-    seed : int
-        Each cell has draws of its own, by its n and its population and not by its place in the
-        grid.
-    n_jobs, executor : int, Executor, optional
-        Where cells are simulated, as in `run_campaign`; by default in this process. They have no
-        effect on results.
+    simulation : Simulation
+        Replicates, seed, levels, and where studies are simulated.
 
     Returns
     -------
     PowerAnalysis
-        With several factors, groups or counts there are no effect_size, correlation, epsilon,
-        claims or labels.
+        With several factors, groups or proportions, effect_size, correlation, epsilon and claims
+        have no effect and are refused.
 
     Raises
     ------
@@ -317,47 +285,47 @@ def power_analysis(
 
     Examples
     --------
-    >>> from trustlab.studies.planning.covariances import graded_covariance
-    >>> found = power_analysis([0.0, 0.3, 0.6], graded_covariance(3), n=20, replicates=1000)
-    >>> found.table()["test"].tolist()
+    >>> from trustlab.studies import Simulation, graded_covariance
+    >>> quick = Simulation(replicates=1000)
+    >>> power = power_analysis([0.0, 0.3, 0.6], graded_covariance(3), n=20, simulation=quick)
+    >>> power.table()["test"].tolist()
     ['none', 'greenhouse-geisser', 'huynh-feldt', 'auto']
     """
-    alpha, level = open_unit("alpha", alpha), open_unit("level", level)
-    replicates = whole_number("replicates", replicates, least=LEAST_REPLICATES, most=10_000_000)
-    seed, where = whole_number("seed", seed, least=0), where_to_run(n_jobs, executor)
-    sides = [x if isinstance(x, list) else [] if x is None else [x] for x in (within, between)]
-    shares = one_of("family", family, ("normal", "binomial")) != "normal"
-    idle: dict[str, Any] = (
-        {"covariance": covariance, "data": data} if shares else {"trials": trials, "sd": sd}
-    )
-    if shares or len(sides[0]) > 1 or sides[1]:
-        idle |= {
+    of_class("columns", columns, StudyColumns)
+    of_class("simulation", simulation, Simulation)
+    proportions = isinstance(mean, Proportions)
+    if proportions or len(columns.factors) > 1 or columns.groups:
+        idle = {
             "effect_size": effect_size,
             "correlation": correlation,
             "epsilon": epsilon,
             "claims": claims,
         }
-        _refuse_idle(idle | {"labels": labels})
-        cells = (mean, covariance, data, dv, sides[0], sides[1], subject, order)
-        several = shares_of(mean, trials, sd) if shares else population_of(*cells)
-        return _power_of_effects(several, _listed("n", n), seed, replicates, alpha, level, where)
-    _refuse_idle(idle)
-    population = conditions_from(mean, covariance, data, dv, sides[0][0], subject, order, labels)
+        if proportions:
+            idle |= {"covariance": covariance, "data": data}
+        _refuse_idle(idle)
+        several = mean if proportions else population_of(mean, covariance, data, columns)
+        return _power_of_effects(several, _listed("n", n), simulation)
+    population = conditions_from(mean, covariance, data, columns)
     mask = claims_mask(claims, population)
     axes = zip(AXES, (n, effect_size, correlation, epsilon), strict=True)
     grid = [_listed(name, values) for name, values in axes]
     studies = _cells(population, grid)
-    drawn = [(cell, size, _draws(seed, size, cell)) for size, cell in studies]
-    counted = run_counts(
-        count_findings, drawn, {"replicates": replicates, "alpha": alpha, "claims": mask}, where
-    )
-    pairs = zip(studies, counted, strict=True)
+    cells = [(cell, size, _draws(simulation.seed, size, cell)) for size, cell in studies]
+    counted = run_counts(count_findings, cells, simulation, claims=mask)
     parts = [
-        _rows(cell, size, counts, replicates, alpha, level, mask) for (size, cell), counts in pairs
+        _rows(cell, size, counts, simulation, mask)
+        for (size, cell), counts in zip(studies, counted, strict=True)
     ]
     tables = _tables(parts, population.simulated_origin)
     varied = tuple(name for name, values in zip(AXES, grid, strict=True) if len(values) > 1)
-    return PowerAnalysis(population, alpha, replicates, level, seed, varied, *tables)
+    return _power(population, simulation, varied, *tables)
+
+
+def _power(population, simulation: Simulation, varied: tuple, *tables) -> PowerAnalysis:
+    """Return the result with its settings beside its tables."""
+    s = simulation
+    return PowerAnalysis(population, s.alpha, s.replicates, s.level, s.seed, varied, *tables)
 
 
 def _listed(name: str, value: Any) -> list:
@@ -380,23 +348,16 @@ def _tables(parts: list[tuple], origin: str) -> list[pd.DataFrame]:
 
 
 def _power_of_effects(
-    population: NormalCells | Shares,
-    n: list,
-    seed: int,
-    replicates: int,
-    alpha: float,
-    level: float,
-    where: dict,
+    population: NormalCells | Proportions, n: list, simulation: Simulation
 ) -> PowerAnalysis:
     """Return the power of every effect with each n participants in a group."""
-    sizes, none = _sizes(n), pd.DataFrame()
-    cells = [(population, x, np.random.SeedSequence(seed, spawn_key=(x,))) for x in sizes]
-    counted = run_counts(count_effects, cells, {"replicates": replicates, "alpha": alpha}, where)
-    table = effects_power(population, sizes, counted, alpha, level)
+    sizes = _sizes(n)
+    cells = [(population, size, SeedSequence(simulation.seed, spawn_key=(size,))) for size in sizes]
+    counted = run_counts(count_effects, cells, simulation)
+    table = effects_power(population, sizes, counted, simulation)
     table.attrs["origin"] = population.simulated_origin
-    return PowerAnalysis(
-        population, alpha, replicates, level, seed, ("n", "effect"), table, none, none
-    )
+    empty = pd.DataFrame()
+    return _power(population, simulation, ("n", "effect"), table, empty, empty)
 
 
 def _refuse_idle(arguments: dict[str, Any]) -> None:
@@ -439,21 +400,20 @@ def _cells(population: Conditions, grid: list[list]) -> list[tuple[int, Conditio
     return cells
 
 
-def _rows(
-    cell: Conditions, n: int, counts: dict, replicates: int, alpha: float, level: float, mask: Any
-) -> tuple:
+def _rows(cell: Conditions, n: int, counts: dict, simulation: Simulation, mask: Any) -> tuple:
     """
     Return the rows of the three tables for one cell, from the counts of its simulated studies.
     """
-    k = len(cell.mean)
+    k, alpha, replicates = len(cell.mean), simulation.alpha, simulation.replicates
     axes = (n, cell.eta2_partial, cell.correlation, cell.epsilon)
     strength = noncentrality(cell.eta2_partial, n, k)
     exact = noncentral_f_power(n, k, strength, alpha) if cell.epsilon > 1.0 - 1e-9 else np.nan
 
     # All limits at once: one call takes a quarter of a millisecond, however many counts it gets.
-    known = [key for key in counts if key.startswith(("F ", "pair ", "claims "))]
-    ends = np.transpose(clopper_pearson([counts[key] for key in known], replicates, level))
-    limits = dict(zip(known, ends.tolist(), strict=True))
+    keys = [key for key in counts if key.startswith(("F ", "pair ", "claims "))]
+    totals = [counts[key] for key in keys]
+    ends = np.transpose(clopper_pearson(totals, replicates, simulation.level))
+    limits = dict(zip(keys, ends.tolist(), strict=True))
 
     def power(key: str) -> tuple[float, float, float, int]:
         return counts[key] / replicates, *limits[key], replicates
@@ -472,13 +432,13 @@ def _rows(
             pairs.append((*axes, *pair, d_z, name, *power(f"pair {i} {name}"), closed))
     if mask is not None:
         for name in ADJUSTMENTS:
-            found = counts[f"claimed {name}"] / replicates
-            together.append((*axes, name, int(mask.sum()), *power(f"claims {name}"), found))
+            expected = counts[f"claimed {name}"] / replicates
+            together.append((*axes, name, int(mask.sum()), *power(f"claims {name}"), expected))
     return omnibus, pairs, together
 
 
 def run_counts(
-    task: Callable, cells: Sequence[tuple], fixed: Mapping, where: Mapping
+    task: Callable, cells: Sequence[tuple], simulation: Simulation, **more: Any
 ) -> list[dict]:
     """
     Return what a task counts in each cell (population, n, draws), with the same further arguments
@@ -486,11 +446,12 @@ def run_counts(
     """
     from trustlab.campaign import CampaignError, run_campaign
 
+    fixed = {"replicates": simulation.replicates, "alpha": simulation.alpha, **more}
     parameters = [
         {"population": population, "n": n, "draws": draws, **fixed}
         for population, n, draws in cells
     ]
-    done = run_campaign(task, parameters, **where)
+    done = run_campaign(task, parameters, **simulation.where)
     if done["failed"].any():
         raise CampaignError(
             f"studies could not be simulated: {done.loc[done['failed'], 'error'].iloc[0]}"

@@ -1,16 +1,16 @@
 """
-The smallest study with a wanted power: bisection on simulated power, begun at the closed form.
+The smallest study of a given power: bisection on simulated power, begun at the closed form.
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.random import SeedSequence
 
-from trustlab.campaign.run import where_to_run
-from trustlab.models.checks import one_of, open_unit, whole_number
+from trustlab.models.checks import of_class, one_of, open_unit, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import (
@@ -21,13 +21,18 @@ from trustlab.studies.planning.closed_form_power import (
 from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.power import (
     ADJUSTMENTS,
-    LEAST_REPLICATES,
     MOST_N,
     TESTS,
     USUAL_TEST,
     claims_mask,
     count_findings,
     run_counts,
+)
+from trustlab.studies.planning.settings import (
+    USUAL_COLUMNS,
+    USUAL_SIMULATION,
+    Simulation,
+    StudyColumns,
 )
 
 # How many n are simulated at the same time where there are workers for it.
@@ -81,26 +86,16 @@ class SmallestN:
 
 def smallest_n(
     power: float = 0.8,
-    mean: Sequence[float] | None = None,
-    covariance: np.ndarray | None = None,
+    mean: Any = None,
+    covariance: Any = None,
     *,
-    labels: Sequence[Hashable] | None = None,
-    effect_size: float | None = None,
     data: pd.DataFrame | None = None,
-    dv: Hashable = "value",
-    within: Hashable = "condition",
-    subject: Hashable = "subject",
-    order: Sequence | None = None,
+    columns: StudyColumns = USUAL_COLUMNS,
+    effect_size: float | None = None,
     pair: tuple | None = None,
-    test: str = USUAL_TEST,
-    adjust: str = "holm",
-    alpha: float = 0.05,
-    replicates: int = 10_000,
-    level: float = 0.95,
-    seed: int = 0,
+    test: str | None = None,
     most: int = 2000,
-    n_jobs: int | None = None,
-    executor: Any = None,
+    simulation: Simulation = USUAL_SIMULATION,
 ) -> SmallestN:
     """
     Return the smallest n whose simulated power reaches `power` while that of n − 1 does not.
@@ -111,30 +106,21 @@ def smallest_n(
     Parameters
     ----------
     power : float
-        Wanted, in (0, 1).
-    mean, covariance, data, dv, within, subject, order, labels : object
-        The population, as for `power_analysis`.
+        The power to reach, in (0, 1).
+    mean, covariance, data, columns : object
+        The population, as for `power_analysis`, with one factor.
     effect_size : float, optional
         Partial η² of the population; as given when left out.
     pair : (a, b), optional
         Two conditions: the power of their comparison instead of that of F.
-    test : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
-        Correction of F.
-    adjust : {"holm", "bonferroni", "none"}
-        Adjustment of the pair's p-value.
-    alpha : float
-        Level of the test.
-    replicates : int
-        Studies per n; at least 100.
-    level : float
-        Coverage of the Monte-Carlo interval.
-    seed : int
-        Of the draws.
+    test : str, optional
+        Correction of F, "greenhouse-geisser" (by default), "huynh-feldt", "none" or "auto"; of a
+        pair, the adjustment of its p-value, "holm" (by default), "bonferroni" or "none".
     most : int
         The largest n to try.
-    n_jobs, executor : int, Executor, optional
-        Where studies are simulated, as in `run_campaign`; by default in this process. Several n are
-        then simulated at the same time; the answer is the same.
+    simulation : Simulation
+        As for `power_analysis`. With workers several n are simulated at the same time; the answer
+        is the same.
 
     Returns
     -------
@@ -149,54 +135,59 @@ def smallest_n(
     Examples
     --------
     >>> import trustlab as tl
-    >>> from trustlab.studies import graded_covariance
-    >>> plan = tl.smallest_n(0.8, [0.0, 0.3, 0.6], graded_covariance(3, correlation=0.5), replicates=500)
+    >>> from trustlab.studies import Simulation, graded_covariance
+    >>> quick = Simulation(replicates=500)
+    >>> plan = tl.smallest_n(0.8, [0.0, 0.3, 0.6], graded_covariance(3), simulation=quick)
     >>> plan.n
     30
     """
-    population = conditions_from(mean, covariance, data, dv, within, subject, order, labels)
+    of_class("columns", columns, StudyColumns)
+    of_class("simulation", simulation, Simulation)
+    if len(columns.factors) > 1 or columns.groups:
+        raise ValueError(
+            "smallest_n takes one factor within subjects; for several factors or groups compare "
+            "values of n by power_analysis"
+        )
+    population = conditions_from(mean, covariance, data, columns)
     if effect_size is not None:
         population = population.with_effect(effect_size)
-    wanted = open_unit("power", power)
-    alpha = open_unit("alpha", alpha)
-    level = open_unit("level", level)
-    replicates = whole_number("replicates", replicates, least=LEAST_REPLICATES, most=10_000_000)
-    seed, most = (
-        whole_number("seed", seed, least=0),
-        whole_number("most", most, least=3, most=MOST_N),
-    )
-    one_of("test", test, TESTS)
-    one_of("adjust", adjust, ADJUSTMENTS)
-    if wanted <= alpha:
+    target, alpha, replicates = open_unit("power", power), simulation.alpha, simulation.replicates
+    most = whole_number("most", most, least=3, most=MOST_N)
+    if pair is None:
+        index = None
+        test = one_of("test", USUAL_TEST if test is None else test, TESTS)
+        key = f"F {test}"
+        name = f"F, {test}"
+    else:
+        index = int(np.flatnonzero(claims_mask([pair], population))[0])
+        test = one_of("test of a pair", "holm" if test is None else test, ADJUSTMENTS)
+        key = f"pair {index} {test}"
+        name = f"{pair[0]} – {pair[1]}, {test}"
+    if target <= alpha:
         raise ValueError(
-            f"power = {wanted:g} must exceed alpha = {alpha:g}, its value without any effect"
+            f"power = {target:g} must exceed alpha = {alpha:g}, its value without any effect"
         )
-    which = None if pair is None else int(np.flatnonzero(claims_mask([pair], population))[0])
-    key = f"F {test}" if which is None else f"pair {which} {adjust}"
-    expected = _closed_form(population, which, wanted, alpha, adjust)
-    where = where_to_run(n_jobs, executor)
+    expected = _closed_form(population, index, target, alpha, test)
 
     def simulated(sizes: list[int]) -> dict[int, int]:
-        cells = [(population, n, np.random.SeedSequence(seed, spawn_key=(n,))) for n in sizes]
-        fixed = {"replicates": replicates, "alpha": alpha, "claims": None}
-        counted = run_counts(count_findings, cells, fixed, where)
+        cells = [(population, n, SeedSequence(simulation.seed, spawn_key=(n,))) for n in sizes]
+        counted = run_counts(count_findings, cells, simulation, claims=None)
         return {n: counts[key] for n, counts in zip(sizes, counted, strict=True)}
 
-    ahead = 1 if where["n_jobs"] == 1 else AHEAD
-    n, found = _search(simulated, expected, wanted * replicates, most, ahead)
+    ahead = 1 if simulation.where["n_jobs"] == 1 else AHEAD
+    n, findings = _search(simulated, expected, target * replicates, most, ahead)
     if n is None:
-        share = found[most] / replicates
-        what = f"{most} subjects reach a power of {share:.3g} only, {wanted:g} was wanted"
+        share = findings[most] / replicates
         raise ValueError(
-            f"{what}: the effect is too small for the design; raise most=, or change the design"
+            f"{most} subjects reach a power of {share:.3g} only, {target:g} was wanted: the effect "
+            "is too small for the design; raise most=, or change the design"
         )
-    low, high = clopper_pearson(list(found.values()), replicates, level)
-    shares = [count / replicates for count in found.values()]
-    rows = pd.DataFrame({"n": list(found), "power": shares, "ci_low": low, "ci_high": high})
+    low, high = clopper_pearson(list(findings.values()), replicates, simulation.level)
+    shares = [count / replicates for count in findings.values()]
+    rows = pd.DataFrame({"n": list(findings), "power": shares, "ci_low": low, "ci_high": high})
     power, low, high = rows.set_index("n").loc[n]
-    name = f"F, {test}" if pair is None else f"{pair[0]} – {pair[1]}, {adjust}"
     squares = participants_needed(len(population.mean), n)
-    return SmallestN(n, power, low, high, wanted, name, squares, rows, population.simulated_origin)
+    return SmallestN(n, power, low, high, target, name, squares, rows, population.simulated_origin)
 
 
 def _search(
@@ -214,25 +205,25 @@ def _search(
     the path on which the closed form leads the search; where the simulation leads elsewhere, some
     were simulated for nothing.
     """
-    found: dict[int, int] = {}
-    asked: set[int] = set()
+    findings: dict[int, int] = {}
+    sizes: set[int] = set()
     missing: list[int] = []
 
     def enough(n: int) -> bool:
-        asked.add(n)
-        if n in found:
-            return found[n] >= least
+        sizes.add(n)
+        if n in findings:
+            return findings[n] >= least
         missing.append(n)
         return expected(n)
 
     start = _bisect(expected, 3, most) or most
     while True:
-        asked.clear()
+        sizes.clear()
         missing.clear()
         n = _bisect(enough, start, most)
         if not missing:
-            return n, {size: found[size] for size in sorted(asked)}
-        found |= simulated(list(dict.fromkeys(missing))[:ahead])
+            return n, {size: findings[size] for size in sorted(sizes)}
+        findings |= simulated(list(dict.fromkeys(missing))[:ahead])
 
 
 def _bisect(enough, start: int, most: int) -> int | None:
@@ -251,22 +242,22 @@ def _bisect(enough, start: int, most: int) -> int | None:
 
 
 def _closed_form(
-    population: Conditions, which: Any, wanted: float, alpha: float, adjust: str
+    population: Conditions, pair: int | None, target: float, alpha: float, adjust: str
 ) -> Callable[[int], bool]:
     """
     Return whether n subjects are enough by noncentral F with Box's ε, or by noncentral t for a
     pair.
     """
     k, epsilon = len(population.mean), population.epsilon
-    if which is not None:
-        d_z = population.d_z[which]
+    if pair is not None:
+        d_z = population.d_z[pair]
         k = 2
         epsilon = 1.0
         # Holm's first step is Bonferroni's; its later steps have no closed form.
         alpha = alpha if adjust == "none" else alpha / len(population.d_z)
 
     def expected(n: int) -> bool:
-        strength = n * d_z**2 if which is not None else noncentrality(population.eta2_partial, n, k)
-        return noncentral_f_power(n, k, strength, alpha, epsilon) >= wanted
+        strength = n * d_z**2 if pair is not None else noncentrality(population.eta2_partial, n, k)
+        return noncentral_f_power(n, k, strength, alpha, epsilon) >= target
 
     return expected

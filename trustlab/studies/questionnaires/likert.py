@@ -105,9 +105,8 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     numbers = items.astype(float).set_axis(range(k), axis=1).reset_index(drop=True)
     if np.abs(numbers.to_numpy()).max() > 1e100:
         raise ValueError("items are so large that their squares overflow; change their unit")
-    numbers /= np.ldexp(
-        1.0, np.frexp(np.abs(numbers.to_numpy()).max())[1]
-    )  # squares of tiny numbers underflow
+    # Squares of tiny numbers underflow.
+    numbers /= np.ldexp(1.0, np.frexp(np.abs(numbers.to_numpy()).max())[1])
     if np.ptp(numbers.sum(axis=1)) == 0.0:
         raise ValueError("the items' sum is the same for all subjects: alpha is not defined")
     alpha = float(alpha_of(data=numbers)[0])
@@ -314,13 +313,16 @@ class ScaleScores:
                 continue
             several = isinstance(coded.index, pd.MultiIndex)
             groups = coded.groupby(level=1, sort=False) if several else [(np.nan, coded)]
-            for condition, own in groups:
-                own = own.dropna()
-                found = (np.nan, np.nan, np.nan)
-                if len(own) >= 3 and np.ptp(own.sum(axis=1)) > 0.0:
-                    alpha = cronbach_alpha(own, confidence)
-                    found = (alpha.alpha, alpha.ci_low, alpha.ci_high)
-                rows.append((score, condition, len(own), own.shape[1], *found))
+            for condition, group in groups:
+                items = group.dropna()
+                row = {"score": score, "condition": condition}
+                row |= {"n": len(items), "items": items.shape[1]}
+                row |= dict.fromkeys(("alpha", "ci_low", "ci_high"), np.nan)
+                if len(items) >= 3 and np.ptp(items.sum(axis=1)) > 0.0:
+                    result = cronbach_alpha(items, confidence)
+                    row |= {"alpha": result.alpha}
+                    row |= {"ci_low": result.ci_low, "ci_high": result.ci_high}
+                rows.append(row)
         return pd.DataFrame(
             rows, columns=["score", "condition", "n", "items", "alpha", "ci_low", "ci_high"]
         )
@@ -355,10 +357,10 @@ def missing_answers(
     for score, items in parts.items():
         short = answers[list(items)].isna().mean(axis=1).to_numpy() > 0.5
         if short.any():
-            found = f"fewer than half of the {len(items)} items of {score!r} are answered"
-            whose = answer_name(answers.index[int(np.argmax(short))])
+            row = answer_name(answers.index[int(np.argmax(short))])
             raise ValueError(
-                f"{whose}: {found}, so that the half rule gives no score; leave the subject out"
+                f"{row}: fewer than half of the {len(items)} items of {score!r} are answered, so "
+                "that the half rule gives no score; leave the subject out"
             )
     rows = [(*(row if several else (row, np.nan)), item, rule) for row, item in gaps]
     table = pd.DataFrame(rows, columns=["subject", "condition", "item", "rule"])
@@ -434,32 +436,38 @@ def score_likert(
     1       2        5.0      10.0
     """
     of_class("scale", scale, LikertScale)
-    answers = read_answers(
-        frame,
-        scale.items,
-        subject=subject,
-        condition=condition,
-        items=items,
-        item=item,
-        response=response,
-    )
+    columns: dict[str, Any] = {"condition": condition, "items": items}
+    columns |= {"item": item, "response": response}
+    answers = read_answers(frame, scale.items, subject=subject, **columns)
     check_answers(answers, scale.low, scale.high, scale.step)
-    whole = Subscale(f"{scale.name}_mean", scale.items, scale.reversed)
+    return scores_of(answers, scale, f"{scale.name}_mean", missing, frame.attrs)
+
+
+def scores_of(
+    answers: pd.DataFrame, scale: LikertScale, mean: str, missing: str, attrs: Mapping
+) -> ScaleScores:
+    """
+    Return the scores of checked answers.
+
+    `mean` names the mean of all items; `attrs`, of the frame of answers, are passed on.
+    """
+    whole = Subscale(mean, scale.items, scale.reversed)
     parts = (whole, *scale.subscales)
     gaps = missing_answers(answers, {part.name: part.items for part in parts}, missing)
-    coded, scores = {}, {}
+    coded = {}
+    scores = {}
     for part in parts:
-        own = answers[list(part.items)].copy()
+        items = answers[list(part.items)].copy()
         turned = list(part.reversed)
-        own[turned] = scale.low + scale.high - own[turned]
-        coded[part.name] = own
-        scores[part.name] = own.mean(axis=1)
+        items[turned] = scale.low + scale.high - items[turned]
+        coded[part.name] = items
+        scores[part.name] = items.mean(axis=1)
         if part is whole:
             scores[f"{scale.name}_sum"] = scores[part.name] * len(scale.items)
     ranges = dict.fromkeys(scores, (scale.low, scale.high))
     ranges[f"{scale.name}_sum"] = (scale.low * len(scale.items), scale.high * len(scale.items))
     table = pd.DataFrame(scores, index=answers.index).reset_index()
-    table.attrs = dict(frame.attrs)  # synthetic answers give synthetic scores
+    table.attrs = dict(attrs)  # synthetic answers give synthetic scores
     return ScaleScores(scale.source or scale.name, table, answers, ranges, coded, gaps)
 
 
@@ -530,7 +538,8 @@ def score_satisfaction(  # type: ignore[misc]  # `items` is among the columns to
     --------
     >>> import pandas as pd
     >>> import trustlab as tl
-    >>> answers = pd.DataFrame({"person": [1, 2], "satisfaction": [6, 3], "comfort": [5, 4], "control": [7, 2]})
+    >>> answers = pd.DataFrame({"person": [1, 2], "satisfaction": [6, 3]})
+    >>> answers = answers.assign(comfort=[5, 4], control=[7, 2])
     >>> tl.score_satisfaction(answers, points=7, subject="person").table()
        person  satisfaction_mean  satisfaction_sum
     0       1                6.0              18.0
@@ -594,7 +603,8 @@ def score_trust_checklist(frame: pd.DataFrame, **columns: Unpack[AnswerColumns])
     --------
     >>> import pandas as pd
     >>> import trustlab as tl
-    >>> answers = pd.DataFrame([dict.fromkeys(tl.studies.TRUST_CHECKLIST.items, 4)]).assign(person=1)
+    >>> items = tl.studies.TRUST_CHECKLIST.items
+    >>> answers = pd.DataFrame([dict.fromkeys(items, 4)]).assign(person=1)
     >>> tl.score_trust_checklist(answers, subject="person").table()
        person  trust_mean  trust_sum  trust_subscale  distrust_subscale
     0       1         4.0       48.0             4.0                4.0

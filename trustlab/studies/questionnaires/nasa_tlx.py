@@ -1,42 +1,52 @@
 """NASA task load index (Hart and Staveland 1988), raw and weighted."""
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, of_class, one_of, warn_renamed
+from trustlab.models.checks import did_you_mean, of_class, one_of
 from trustlab.studies.columns import column_of, refuse_missing_labels
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
-from trustlab.studies.questionnaires.likert import ScaleScores, missing_answers
+from trustlab.studies.questionnaires.likert import LikertScale, ScaleScores, scores_of
 
 # : The six scales: demands (mental, physical, temporal), performance (good → poor), effort,
 # frustration.
 TLX_SCALES = ("mental", "physical", "temporal", "performance", "effort", "frustration")
 
-# : Response scales besides 0–100 in steps of 5: lowest and highest answer, step, what makes 0–100
-# of it, in words.
-TLX_RESCALINGS: dict[str, tuple[float, float, float | None, Callable, str]] = {
-    "0-100": (0.0, 100.0, None, lambda x: x, "as it is, on or between the marks (sliders)"),
-    "0-20": (0.0, 20.0, 1.0, lambda x: 5.0 * x, "5 times the answer"),
-    "1-21": (1.0, 21.0, 1.0, lambda x: 5.0 * (x - 1.0), "5 times the answer less 1"),
-    "1-20, as intervals": (
-        1.0,
-        20.0,
-        1.0,
-        lambda x: 5.0 * x,
-        "5 times the answer: twenty intervals, 5 to 100",
+# : The questionnaire as published, 0 (low, or a good performance) to 100 in steps of 5.
+TLX = LikertScale("tlx", TLX_SCALES, 0.0, 100.0, step=5.0, source="NASA-TLX")
+
+
+class Form(NamedTuple):
+    """
+    A response scale: 100 (answer − zero)/steps is the answer on the scale 0–100.
+
+    low, high, step: the answers of the form, step None where they are continuous.
+    """
+
+    low: float
+    high: float
+    step: float | None
+    zero: float
+    steps: float
+    meaning: str
+
+
+# : Response scales besides 0–100 in steps of 5.
+TLX_RESCALINGS: dict[str, Form] = {
+    "0-100": Form(0.0, 100.0, None, 0.0, 100.0, "as it is, on or between the marks (sliders)"),
+    "0-20": Form(0.0, 20.0, 1.0, 0.0, 20.0, "5 times the answer"),
+    "1-21": Form(1.0, 21.0, 1.0, 1.0, 20.0, "5 times the answer less 1"),
+    "1-20, as intervals": Form(
+        1.0, 20.0, 1.0, 0.0, 20.0, "5 times the answer: twenty intervals, 5 to 100"
     ),
-    "1-20, stretched": (
-        1.0,
-        20.0,
-        1.0,
-        lambda x: 100.0 * (x - 1.0) / 19.0,
-        "1 to 20 stretched to 0 to 100",
-    ),
-    "0-10": (0.0, 10.0, 1.0, lambda x: 10.0 * x, "10 times the answer"),
-    "1-7": (1.0, 7.0, 1.0, lambda x: 100.0 * (x - 1.0) / 6.0, "1 to 7 stretched to 0 to 100"),
+    "1-20, stretched": Form(1.0, 20.0, 1.0, 1.0, 19.0, "1 to 20 stretched to 0 to 100"),
+    "0-10": Form(0.0, 10.0, 1.0, 0.0, 10.0, "10 times the answer"),
+    "1-7": Form(1.0, 7.0, 1.0, 1.0, 6.0, "1 to 7 stretched to 0 to 100"),
 }
 
 _PAIRS = tuple(itertools.combinations(TLX_SCALES, 2))
@@ -46,25 +56,25 @@ def _check_weights(weights: np.ndarray, whose: str) -> None:
     """Refuse weights that fifteen pairwise choices cannot give."""
     for name, weight in zip(TLX_SCALES, weights, strict=True):
         if weight not in range(6):
-            found = f"that of {name!r} is {'missing' if np.isnan(weight) else f'{weight:g}'}"
+            value = "missing" if np.isnan(weight) else f"{weight:g}"
             raise ValueError(
-                f"weights of {whose}: {found}; each must be a whole number from 0 to 5"
+                f"weights of {whose}: that of {name!r} is {value}; each must be a whole number "
+                "from 0 to 5"
             )
     total = float(weights.sum())
     if total != 15.0:
         raise ValueError(f"weights of {whose} sum to {total:g}; those of fifteen choices sum to 15")
     lowest = np.cumsum(np.sort(weights))
-    for k in range(
-        2, 6
-    ):  # Landau (1953): the k scales chosen least still meet each other k(k − 1)/2 times
+    # Landau (1953): the k scales chosen least still meet each other k(k − 1)/2 times.
+    for k in range(2, 6):
         if lowest[k - 1] < k * (k - 1) / 2:
             why = (
                 f"meet each other {k * (k - 1) // 2} times but were chosen {int(lowest[k - 1])} "
                 "times in all"
             )
-            given = [int(w) for w in weights]
+            counts = [int(weight) for weight in weights]
             raise ValueError(
-                f"weights of {whose}: no fifteen choices give {given}; the {k} scales chosen "
+                f"weights of {whose}: no fifteen choices give {counts}; the {k} scales chosen "
                 f"least {why}"
             )
 
@@ -106,26 +116,27 @@ def tlx_weights(
         column_of(choices, argument, name)
     refuse_missing_labels(choices[subject], "subject")
     rows = []
-    for who, own in choices.groupby(subject, sort=False):
-        counts, seen = dict.fromkeys(TLX_SCALES, 0), set()
-        for a, b, pick in own[[first, second, chosen]].itertuples(index=False, name=None):
+    for who, part in choices.groupby(subject, sort=False):
+        counts = dict.fromkeys(TLX_SCALES, 0)
+        pairs = set()
+        for a, b, pick in part[[first, second, chosen]].itertuples(index=False, name=None):
             for scale in (a, b):
                 if scale not in TLX_SCALES:
                     hint = did_you_mean(scale, TLX_SCALES)
                     raise ValueError(f"subject {who!r}: {scale!r} is not a scale{hint}")
             pair = frozenset((a, b))
-            if len(pair) < 2 or pair in seen:
-                what = (
+            if len(pair) < 2 or pair in pairs:
+                fault = (
                     "is compared with itself" if len(pair) < 2 else f"and {b!r} are compared twice"
                 )
-                raise ValueError(f"subject {who!r}: {a!r} {what}; keep one row per pair of scales")
+                raise ValueError(f"subject {who!r}: {a!r} {fault}; keep one row per pair of scales")
             if pick not in pair:
                 raise ValueError(
                     f"subject {who!r}, {a!r} or {b!r}: chosen is {pick!r}, which is neither"
                 )
-            seen.add(pair)
+            pairs.add(pair)
             counts[pick] += 1
-        lacking = [" and ".join(pair) for pair in _PAIRS if frozenset(pair) not in seen]
+        lacking = [" and ".join(pair) for pair in _PAIRS if frozenset(pair) not in pairs]
         if lacking:
             raise ValueError(
                 f"subject {who!r}: {len(lacking)} of 15 pairs are missing: {', '.join(lacking)}"
@@ -139,9 +150,9 @@ def _weights_of_rows(weights: pd.DataFrame | Mapping, answers: pd.DataFrame) -> 
     keys = list(answers.index.names)
     if isinstance(weights, Mapping):
         if set(weights) != set(TLX_SCALES):
-            found = ", ".join(map(str, weights))
+            names = ", ".join(map(str, weights))
             raise ValueError(
-                f"weights must have the six scales {', '.join(TLX_SCALES)}; got {found}"
+                f"weights must have the six scales {', '.join(TLX_SCALES)}; got {names}"
             )
         weights = pd.DataFrame([dict(weights)] * len(answers), index=answers.index).reset_index()
     of_class("weights", weights, pd.DataFrame, "or give a dict of scale to weight")
@@ -152,12 +163,12 @@ def _weights_of_rows(weights: pd.DataFrame | Mapping, answers: pd.DataFrame) -> 
     for row, values in zip(table.index, table.to_numpy(), strict=True):
         _check_weights(values, answer_name(row))
     # Without a column for the condition, a subject's weights hold under every condition.
-    wanted = answers.index if condition or len(keys) == 1 else answers.index.get_level_values(0)
-    lacking = [row for row in wanted if row not in table.index]
+    rows = answers.index if condition or len(keys) == 1 else answers.index.get_level_values(0)
+    lacking = [row for row in rows if row not in table.index]
     if lacking:
         remedy = "add them, or leave weights out for the raw score"
         raise ValueError(f"{answer_name(lacking[0])}: there are no weights; {remedy}")
-    return table.loc[list(wanted)].to_numpy(dtype=float)
+    return table.loc[list(rows)].to_numpy(dtype=float)
 
 
 def _on_hundred(answers: pd.DataFrame, scale: str | None) -> pd.DataFrame:
@@ -165,26 +176,23 @@ def _on_hundred(answers: pd.DataFrame, scale: str | None) -> pd.DataFrame:
     Return checked answers on the scale 0–100; without a name, answers that another form could have
     are refused.
     """
-    known = "; ".join(f"{name!r}: {words}" for name, (*_, words) in TLX_RESCALINGS.items())
+    forms = "; ".join(f"{name!r}: {form.meaning}" for name, form in TLX_RESCALINGS.items())
     if scale is None:
-        check_answers(
-            answers,
-            0.0,
-            100.0,
-            5.0,
-            f"; if the form had another scale, set scale= to one of {known}",
-        )
+        hint = f"; if the form had another scale, set scale= to one of {forms}"
+        check_answers(answers, TLX.low, TLX.high, TLX.step, hint)
         top = np.nanmax(answers.to_numpy(), initial=0.0)
         if top <= 21.0:
             raise ValueError(
-                f"no answer exceeds {top:g}, which fits several forms; set scale= to one of {known}"
+                f"no answer exceeds {top:g}, which fits several forms; set scale= to one of {forms}"
             )
         return answers
     if not isinstance(scale, str) or scale not in TLX_RESCALINGS:
-        raise ValueError(f"scale must be one of {known}; got {scale!r}")
-    low, high, step, rule, words = TLX_RESCALINGS[scale]
-    check_answers(answers, low, high, step, f' (scale="{scale}": {words})')
-    return rule(answers)
+        raise ValueError(f"scale must be one of {forms}; got {scale!r}")
+    form = TLX_RESCALINGS[scale]
+    check_answers(answers, form.low, form.high, form.step, f' (scale="{scale}": {form.meaning})')
+    if form.steps == 100.0:
+        return answers
+    return 100.0 * (answers - form.zero) / form.steps
 
 
 def score_nasa_tlx(
@@ -197,7 +205,6 @@ def score_nasa_tlx(
     response: str | None = None,
     weights: pd.DataFrame | Mapping[str, int] | None = None,
     scale: str | None = None,
-    rescale: str | None = None,
     performance: str = "good_to_poor",
     missing: str = "refuse",
 ) -> ScaleScores:
@@ -226,8 +233,6 @@ def score_nasa_tlx(
     scale : str, optional
         The form, a name in TLX_RESCALINGS. When left out, answers must be those of the published
         form, 0–100 in steps of 5, and fit no other: where none exceeds 21, the form must be named.
-    rescale : str, optional
-        Former name of `scale`.
     performance : {"good_to_poor", "poor_to_good"}
         Direction of the performance scale on the form; "poor_to_good" is recoded as 100 − x.
     missing : str
@@ -261,26 +266,14 @@ def score_nasa_tlx(
     0       1     40.0           NaN
     """
     one_of("performance", performance, ("good_to_poor", "poor_to_good"))
-    if rescale is not None:
-        warn_renamed("score_nasa_tlx(rescale=…)", "score_nasa_tlx(scale=…)")
-        scale = rescale
-    answers = read_answers(
-        frame,
-        TLX_SCALES,
-        subject=subject,
-        condition=condition,
-        items=items,
-        item=item,
-        response=response,
-    )
-    answers = _on_hundred(answers, scale)
-    gaps = missing_answers(answers, {"tlx_raw": TLX_SCALES}, missing)
-    coded = answers.copy()
-    if performance == "poor_to_good":
-        coded["performance"] = 100.0 - coded["performance"]
-    scores = pd.DataFrame(
-        {"tlx_raw": coded.mean(axis=1), "tlx_weighted": np.nan}, index=answers.index
-    )
+    columns: dict[str, Any] = {"condition": condition, "items": items}
+    columns |= {"item": item, "response": response}
+    answers = _on_hundred(read_answers(frame, TLX_SCALES, subject=subject, **columns), scale)
+    reversed_items = ("performance",) if performance == "poor_to_good" else ()
+    questionnaire = replace(TLX, reversed=reversed_items)
+    raw = scores_of(answers, questionnaire, "tlx_raw", missing, frame.attrs)
+    coded = raw.coded["tlx_raw"]
+    weighted = np.full(len(answers), np.nan)
     if weights is not None:
         w = np.where(coded.notna(), _weights_of_rows(weights, answers), 0.0)
         if (w.sum(axis=1) == 0.0).any():
@@ -288,8 +281,8 @@ def score_nasa_tlx(
             raise ValueError(
                 f"{answer_name(row)}: every scale with a weight is missing: no weighted score"
             )
-        scores["tlx_weighted"] = (w * coded.fillna(0.0)).sum(axis=1) / w.sum(axis=1)
-    ranges = dict.fromkeys(scores, (0.0, 100.0))
-    table = scores.reset_index()
-    table.attrs = dict(frame.attrs)  # synthetic answers give synthetic scores
-    return ScaleScores("NASA-TLX", table, answers, ranges, {"tlx_raw": coded}, gaps)
+        weighted = (w * coded.fillna(0.0)).sum(axis=1) / w.sum(axis=1)
+    table = raw.scores.drop(columns="tlx_sum")
+    table["tlx_weighted"] = np.asarray(weighted)
+    ranges = dict.fromkeys(("tlx_raw", "tlx_weighted"), (TLX.low, TLX.high))
+    return replace(raw, scores=table, ranges=ranges)
