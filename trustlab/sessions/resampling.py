@@ -22,15 +22,15 @@ class Stream:
     Samples that share their times: the columns of a table, or what is read from one topic of a bag.
 
     `t` [s] and every array of `columns` have shape (N,), in SI units; `place(k)` says where sample
-    k stands in the file. `held` is True where the last sample holds until the log ends; `remedy` is
-    what to do about times that do not rise, beside sorting and splitting the log.
+    k stands in the file. `holds` is True where the last sample lasts until the log ends; `remedy`
+    is what to do about times that do not rise, beside sorting and splitting the log.
     """
 
     t: np.ndarray
     columns: dict[str, np.ndarray]
     place: Callable[[int], str]
     topic: str = ""
-    held: bool = False
+    holds: bool = False
     remedy: str = ""
 
 
@@ -76,7 +76,7 @@ def resample(
     # Where every stream has samples: from the last first sample to the first last one. A stream
     # that is held has a value beyond its last sample, so that it does not end this interval unless
     # all are held.
-    bounding = [stream for stream in log.streams if not stream.held]
+    bounding = [stream for stream in log.streams if not stream.holds]
     method, sample_time = resampling.method, resampling.sample_time
     start = max(stream.t[0] for stream in log.streams)
     stop = (

@@ -95,7 +95,7 @@ def split_at_gaps(log: RawLog, gap: float) -> list[RawLog]:
     """
     times = np.unique(
         np.concatenate(
-            [stream.t for stream in log.streams if not stream.held] or [log.streams[0].t]
+            [stream.t for stream in log.streams if not stream.holds] or [log.streams[0].t]
         )
     )
     starts = [-np.inf, *times[1:][np.diff(times) > gap], np.inf]
@@ -115,7 +115,7 @@ def split_at_gaps(log: RawLog, gap: float) -> list[RawLog]:
 def _between(stream: Stream, start: float, stop: float) -> Stream:
     first, end = (int(np.searchsorted(stream.t, time)) for time in (start, stop))
     t = stream.t
-    if stream.held and first:  # what was published before holds at the start
+    if stream.holds and first:  # what was published before holds at the start
         first, t = first - 1, np.maximum(t, start)
     columns = {name: values[first:end] for name, values in stream.columns.items()}
     return replace(stream, t=t[first:end], columns=columns, place=lambda k: stream.place(first + k))

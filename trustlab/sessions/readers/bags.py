@@ -7,12 +7,13 @@ import dataclasses
 import math
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -48,11 +49,13 @@ def read_bag(
         if recipe is not None and recipe.messages is not None:
             _define(reader, Path(recipe.source).parent / recipe.messages.folder)
         if recipe is None:
-            return _read_own(reader, selection, str(path))
-        rules = [
-            rule for rule in map(recipe.columns.__getitem__, selection) if rule.kind == "topic"
-        ]
-        return _read_topics(reader, rules, recipe, str(path))
+            return _read_written(reader, selection, str(path))
+        return _read_topics(reader, _topic_rules(recipe, selection), recipe, str(path))
+
+
+def _topic_rules(recipe: Recipe, selection: Sequence[str] | None) -> list[ColumnRule]:
+    rules = [recipe.columns[name] for name in selection or ()]
+    return [rule for rule in rules if rule.kind == "topic"]
 
 
 def _define(reader, folder: Path) -> None:
@@ -104,27 +107,26 @@ def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]
     """
     chosen = [connection for connection in reader.connections if connection.topic in topics]
     expected: Counter[str] = Counter()
-    found: Counter[str] = Counter()
+    count: Counter[str] = Counter()
     with _guard():
         for connection in chosen:
             expected[connection.topic] += int(connection.msgcount)
     if expected.total() > MAX_SAMPLES:
         raise SessionError(f"the bag has more than {MAX_SAMPLES} messages on the topics read")
     for topic, stamp, message in _decoded(reader, chosen):
-        found[topic] += 1
-        if (
-            not isinstance(stamp, int) or not abs(stamp) < 2**62
-        ):  # differences of stamps must not overflow
+        count[topic] += 1
+        # Differences of stamps must not overflow.
+        if not isinstance(stamp, int) or not abs(stamp) < 2**62:
             raise SessionError(f"topic {topic!r}: a message has the time {stamp} ns")
         yield topic, stamp, message
     for topic in topics:
-        if found[topic] == 0:
+        if count[topic] == 0:
             raise SessionError(f"topic {topic!r} has no messages; was it being published?")
-        if expected[topic] and found[topic] != expected[topic]:
-            fault = (
-                f"the bag's index counts {expected[topic]} messages, but {found[topic]} are there"
+        if expected[topic] and count[topic] != expected[topic]:
+            raise SessionError(
+                f"topic {topic!r}: the bag's index counts {expected[topic]} messages, "
+                f"but {count[topic]} are there; the bag is damaged or truncated"
             )
-            raise SessionError(f"topic {topic!r}: {fault}; the bag is damaged or truncated")
 
 
 def _decoded(reader, connections) -> Iterator[tuple[str, int, Any]]:
@@ -213,13 +215,13 @@ def _check_sqlite_size(database: Path) -> None:
         head = file.read(100)
     size = database.stat().st_size
     page = int.from_bytes(head[16:18], "big")  # the format writes a page of 65536 bytes as 1
-    said = int.from_bytes(head[28:32], "big") * (65536 if page == 1 else page)
-    if len(head) < 100 or not head.startswith(b"SQLite format 3\0") or size < said:
-        fault = f"has {size} bytes of {said}" if size else "is empty"
+    stated = int.from_bytes(head[28:32], "big") * (65536 if page == 1 else page)
+    if len(head) < 100 or not head.startswith(b"SQLite format 3\0") or size < stated:
+        fault = f"has {size} bytes of {stated}" if size else "is empty"
         raise SessionError(f"{_DAMAGED} ({database.name} {fault}); record it again")
 
 
-def _read_own(reader, selection: Sequence[str] | None, source: str) -> RawLog:
+def _read_written(reader, selection: Sequence[str] | None, source: str) -> RawLog:
     """Return the log in a bag that `write_session` wrote."""
     types = _types(reader)
     names = [topic.removeprefix(PREFIX) for topic in types if topic.startswith(PREFIX)]
@@ -244,14 +246,25 @@ def _read_own(reader, selection: Sequence[str] | None, source: str) -> RawLog:
     metadata, extra = metadata_from_json(topics.pop(f"{PREFIX}metadata")[0])
     for topic, values in topics.items():
         if len(values) != extra.get("samples"):
-            fault = (
+            raise SessionError(
                 f"topic {topic!r} has {len(values)} messages where the metadata say "
-                f"{extra.get('samples')}"
+                f"{extra.get('samples')}; the bag is damaged or truncated"
             )
-            raise SessionError(f"{fault}; the bag is damaged or truncated")
     columns = {topic.removeprefix(PREFIX): np.array(values) for topic, values in topics.items()}
     stream = Stream(columns.pop("t"), columns, "message {} (from 0)".format)
     return RawLog(source, [stream], metadata, digests=extra["digests"])
+
+
+@dataclass
+class Series:
+    """The samples of one topic: times [ns], the messages' numbers, and values by column."""
+
+    topic: str
+    selectors: str = ""
+    rules: list[ColumnRule] = field(default_factory=list)
+    stamps: Any = field(default_factory=list)
+    rows: Any = field(default_factory=list)
+    values: dict[str, Any] = field(default_factory=dict)
 
 
 def _read_topics(reader, rules: Sequence[ColumnRule], recipe: Recipe, source: str) -> RawLog:
@@ -259,82 +272,71 @@ def _read_topics(reader, rules: Sequence[ColumnRule], recipe: Recipe, source: st
     types = _types(reader)
     # A message that lacks the entry a rule selects is no sample of it, so that each selection is a
     # stream of its own.
-    groups: dict[tuple[str, str], list[ColumnRule]] = {}
+    groups: dict[tuple[str, str], Series] = {}
     for rule in rules:
-        topic = rule.topic
+        topic, selectors = rule.topic, rule.path.selectors
         if topic not in types:
             hint = alternatives(topic, types, "it has")
             raise SessionError(f"topic {topic!r} (for {rule.name}) is not in the bag{hint}")
         if " and " in types[topic]:
             raise SessionError(f"topic {topic!r} has messages of two types: {types[topic]}")
         _check_defined(reader, topic, types[topic])
-        groups.setdefault((topic, rule.path.selectors), []).append(rule)
-    stamps: dict[tuple[str, str], list[int]] = {group: [] for group in groups}
-    rows: dict[tuple[str, str], list[int]] = {group: [] for group in groups}
-    values: dict[str, list[float]] = {rule.name: [] for rule in rules}
+        series = groups.setdefault((topic, selectors), Series(topic, selectors))
+        series.rules.append(rule)
+        series.values[rule.name] = []
     count: Counter[str] = Counter()
     frames: dict[str, object] = {}
     for topic, received, message in _messages(reader, {topic for topic, _ in groups}):
         kind, row = types[topic], count[topic]
         where = f"topic {topic!r}, message {row} (from 0)"
         count[topic] += 1
-        stamp = (
-            _header_stamp(message, kind, where) if recipe.time.of(topic) == "header" else received
-        )
-        for group in (group for group in groups if group[0] == topic):
-            found = [_value(message, rule, kind, where, frames) for rule in groups[group]]
-            if None not in found:
-                stamps[group].append(stamp)
-                rows[group].append(row)
-                for rule, value in zip(groups[group], found, strict=True):
-                    values[rule.name].append(value)
-    for (topic, selectors), each in stamps.items():
-        if not each:
-            raise SessionError(
-                f"topic {topic!r}: none of its {count[topic]} messages has an entry {selectors}"
-            )
-    series = [
-        Series(group, own, stamps[group], rows[group], values) for group, own in groups.items()
-    ]
+        stamp = received
+        if recipe.time.of(topic) == "header":
+            stamp = _header_stamp(message, kind, where)
+        for series in groups.values():
+            if series.topic == topic:
+                _add_sample(series, stamp, row, message, kind, where, frames)
     notes: dict[str, object] = {}
-    for (topic, selectors), each in rows.items():
-        if len(each) < count[topic]:
-            notes[f"selected {topic}{selectors}"] = (
-                f"{len(each)} of {count[topic]} messages have the entry"
+    for series in groups.values():
+        total, entry = count[series.topic], series.selectors
+        if not series.rows:
+            raise SessionError(
+                f"topic {series.topic!r}: none of its {total} messages has an entry {entry}"
             )
-    return series_log(source, series, notes)
+        if len(series.rows) < total:
+            words = f"{len(series.rows)} of {total} messages have the entry"
+            notes[f"selected {series.topic}{entry}"] = words
+    return series_log(source, list(groups.values()), notes)
 
 
-class Series(NamedTuple):
-    """
-    What was read of one topic: its name and selectors, its rules, times [ns], numbers of messages,
-    columns by name.
-    """
-
-    group: tuple[str, str]
-    rules: Sequence[ColumnRule]
-    stamps: Sequence[int] | np.ndarray
-    rows: Sequence[int] | np.ndarray
-    values: Mapping[str, Any]
+def _add_sample(series: Series, stamp: int, row: int, message, kind, where, frames) -> None:
+    """Add the numbers of a message to a series, unless it lacks an entry that they select."""
+    numbers = [_value(message, rule, kind, where, frames) for rule in series.rules]
+    if None in numbers:
+        return
+    series.stamps.append(stamp)
+    series.rows.append(row)
+    for rule, number in zip(series.rules, numbers, strict=True):
+        series.values[rule.name].append(number)
 
 
-def series_log(source: str, series: Sequence[Series], notes: dict[str, object]) -> RawLog:
+def series_log(source: str, groups: Sequence[Series], notes: dict[str, object]) -> RawLog:
     """Return the log that topics make, timed from the last of their first stamps."""
-    if not series:
+    if not groups:
         raise SessionError("none of the columns to read comes from a topic; add one that does")
-    start = max(int(each.stamps[0]) for each in series)
+    start = max(int(series.stamps[0]) for series in groups)
     streams = [
         Stream(
             # Differences of whole nanoseconds are exact; as floats the stamps would be 0.2 µs apart
             # at best.
-            t=(np.array(each.stamps, dtype=np.int64) - start) / 1e9,
-            columns={rule.name: rule.convert(each.values[rule.name]) for rule in each.rules},
-            place=partial(_place, each.group[0], each.rows),
-            topic="".join(each.group),
-            held=any(rule.hold for rule in each.rules),
+            t=(np.array(series.stamps, dtype=np.int64) - start) / 1e9,
+            columns={rule.name: rule.convert(series.values[rule.name]) for rule in series.rules},
+            place=partial(_place, series.topic, series.rows),
+            topic=series.topic + series.selectors,
+            holds=any(rule.hold for rule in series.rules),
             remedy="choose the other stamp under [time], or ",
         )
-        for each in series
+        for series in groups
     ]
     return RawLog(source, streams, notes={"start_time": start / 1e9} | notes)
 
@@ -405,23 +407,20 @@ def _walk(value, rule: ColumnRule, kind: str, here: str, frames: dict[str, objec
             value = value[step]
             frame = getattr(value, "child_frame_id", None)
             if frames.setdefault(rule.name, frame) != frame:
-                fault = (
-                    f"the entry [{step}] is of frame {frame!r} here, and of "
-                    f"{frames[rule.name]!r} before"
+                raise SessionError(
+                    f"{here}: the entry [{step}] is of frame {frame!r} here, and of "
+                    f'{frames[rule.name]!r} before; select one: [child_frame_id="{frame}"]'
                 )
-                raise SessionError(f'{here}: {fault}; select one: [child_frame_id="{frame}"]')
         else:
             parent, value = value, _field(value, step, kind, here)
     return value
 
 
 def _field(value, name: str, kind: str, here: str):
-    fields = (
-        [each.name for each in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
-    )
-    fields = [
-        each for each in fields if not each.startswith("__")
-    ]  # what rosbags adds to a message
+    fields = []
+    if dataclasses.is_dataclass(value):
+        fields = [entry.name for entry in dataclasses.fields(value)]
+    fields = [title for title in fields if not title.startswith("__")]  # rosbags adds these
     if name not in fields:
         hint = alternatives(name, fields or ["a plain value"], "it has")
         raise RecipeError(f"{here}: {kind} has no field {name!r} there{hint}")
@@ -430,9 +429,8 @@ def _field(value, name: str, kind: str, here: str):
 
 def _selected(entries, parent, selector: Selector, here: str):
     """Return the entry of a list that a selector names; None where there is none."""
-    names = getattr(
-        parent, selector.key, None
-    )  # as in JointState, whose positions stand beside the joints' names
+    # As in JointState, whose positions stand beside the joints' names.
+    names = getattr(parent, selector.key, None)
     if names is None:
         try:
             names = [attrgetter(selector.key)(entry) for entry in entries]
@@ -483,26 +481,25 @@ def read_topics(path: Path, recipe: Recipe | None, selection: Sequence[str] | No
             topics = _xdf_topics(pyxdf.load_xdf(str(path), dejitter_timestamps=False)[0])
     if recipe is None:
         raise SessionError(f"a {path.suffix} file needs a recipe (topics: {listed(topics)})")
-    groups: dict[str, list[ColumnRule]] = {}
-    for rule in (recipe.columns[name] for name in selection):
-        if rule.kind == "topic":
-            if rule.topic not in topics:
-                hint = alternatives(rule.topic, topics, "it has")
-                raise SessionError(
-                    f"topic {rule.topic!r} (for {rule.name}) is not in the file{hint}"
-                )
-            groups.setdefault(rule.topic, []).append(rule)
-    series = []
-    for topic, rules in groups.items():
+    groups: dict[str, Series] = {}
+    for rule in _topic_rules(recipe, selection):
+        topic = rule.topic
+        if topic not in topics:
+            hint = alternatives(topic, topics, "it has")
+            raise SessionError(f"topic {topic!r} (for {rule.name}) is not in the file{hint}")
         stamps, fields = topics[topic]
-        if recipe.time.of(topic) == "header" or not len(stamps):
-            fault = "has one time only, that of receipt" if len(stamps) else "has no messages"
-            raise RecipeError(f"topic {topic!r} {fault}")
-        values = {rule.name: _column_of(topic, rule, fields) for rule in rules}
-        series.append(Series((topic, ""), rules, stamps, np.arange(len(stamps)), values))
-    return series_log(
-        str(path), series, {} if ulog else {"clocks": "brought together by the offsets in the file"}
-    )
+        if not len(stamps):
+            raise RecipeError(f"topic {topic!r} has no messages")
+        if recipe.time.of(topic) == "header":
+            raise RecipeError(f"topic {topic!r} has one time only, that of receipt")
+        rows = np.arange(len(stamps))
+        series = groups.setdefault(topic, Series(topic, stamps=stamps, rows=rows))
+        series.rules.append(rule)
+        series.values[rule.name] = _column_of(topic, rule, fields)
+    notes: dict[str, object] = {}
+    if not ulog:
+        notes["clocks"] = "brought together by the offsets in the file"
+    return series_log(str(path), list(groups.values()), notes)
 
 
 def _column_of(topic: str, rule: ColumnRule, fields: dict[str, Any]) -> np.ndarray:

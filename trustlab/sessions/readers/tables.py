@@ -33,10 +33,7 @@ BLANKS = ("", "nan", "na", "n/a", "null", "none", "-")
 class SourceColumn:
     """
     One column of the file: its name in the session (or "t"), its position from 0, its label in
-    errors, its rule.
-
-    `text` makes a number of a cell that is no number, and raises ValueError; `blank` is how blank
-    cells are filled.
+    errors, its rule. `text` makes a number of a cell that is no number, and raises ValueError.
     """
 
     name: str
@@ -44,7 +41,11 @@ class SourceColumn:
     label: str
     rule: ColumnRule | None = None
     text: Callable[[object], float] | None = None
-    blank: str | None = None
+
+    @property
+    def blank(self) -> str | None:
+        """How blank cells are filled."""
+        return self.rule.blank if self.rule else None
 
 
 def select_columns(
@@ -54,38 +55,25 @@ def select_columns(
     Return the columns to read from a file whose columns have these names, empty ones if it has no
     header.
     """
-    rules: dict[str, ColumnRule] = {}
-    if recipe is not None:
-        chosen = {name: recipe.columns[name] for name in selection}
-        rules = {name: rule for name, rule in chosen.items() if rule.kind == "column"}
-        keys = {"t": recipe.time.column} | {name: rule.column for name, rule in rules.items()}
-    else:
+    if recipe is None:
         if selection is None:
             _check_names(names, where)
             selection = [name for name in names if name != "t"]
-        keys = {name: name for name in ["t", *selection]}
-    time = recipe.time if recipe else TableTime(unit="s")
-    stamps: dict[str, Callable[[object], float]] = {
-        "iso": _IsoTimes(time.from_zero),
-        "clock": _clock_time,
-    }
-    texts = {"t": stamps.get(time.unit)}
-    for name, rule in rules.items():
-        texts[name] = (
-            partial(_item, rule.item, recipe.table.decimal) if rule.item is not None else None
-        )
-        texts[name] = partial(looked_up, rule.map) if rule.map else texts[name]
-    blanks = {name: rule.blank for name, rule in rules.items()}
-    return [
-        SourceColumn(
-            column,
-            *_find(column, key, names, where),
-            rules.get(column),
-            texts.get(column),
-            blanks.get(column),
-        )
-        for column, key in keys.items()
-    ]
+        return [SourceColumn(name, *_find(name, name, names, where)) for name in ["t", *selection]]
+    stamps = {"iso": _IsoTimes(recipe.time.from_zero), "clock": _clock_time}
+    place = _find("t", recipe.time.column, names, where)
+    columns = [SourceColumn("t", *place, text=stamps.get(recipe.time.unit))]
+    for name in selection or ():
+        rule = recipe.columns[name]
+        if rule.kind != "column":
+            continue
+        text = None
+        if rule.map:
+            text = partial(looked_up, rule.map)
+        elif rule.item is not None:
+            text = partial(_item, rule.item, recipe.table.decimal)
+        columns.append(SourceColumn(name, *_find(name, rule.column, names, where), rule, text))
+    return columns
 
 
 class _IsoTimes:
@@ -117,10 +105,10 @@ class _IsoTimes:
 def _clock_time(text: object) -> float:
     """Return the seconds since midnight."""
     written = str(text).replace(",", ".")
-    found = re.fullmatch(r"\s*(\d{1,2}):(\d{2}):(\d{2}(?:\.\d{1,12})?)\s*", written, re.ASCII)
-    if not found:
+    match = re.fullmatch(r"\s*(\d{1,2}):(\d{2}):(\d{2}(?:\.\d{1,12})?)\s*", written, re.ASCII)
+    if not match:
         raise ValueError(f"{str(text)[:60]!r} is not a time of the day such as 12:00:00.5")
-    hours, minutes, seconds = map(float, found.groups())
+    hours, minutes, seconds = map(float, match.groups())
     return 3600.0 * hours + 60.0 * minutes + seconds
 
 
@@ -165,9 +153,8 @@ def _check_names(names: Sequence[str], where: str) -> None:
     Raise unless all names of a file that is read without a recipe belong to the vocabulary and none
     occurs twice.
     """
-    if 2 * sum(bool(NUMBER.fullmatch(name.strip())) for name in names) > len(
-        names
-    ):  # dates may stand among them
+    numerals = [name for name in names if NUMBER.fullmatch(name.strip())]
+    if 2 * len(numerals) > len(names):  # dates may stand among them
         remedy = (
             "add a line of names, or read the file with a recipe that says [table] header = false"
         )
@@ -198,30 +185,34 @@ def table_stream(
     file's units.
     """
     notes: dict[str, object] = {}
-    if blanks := [(column.name, column.blank) for column in selected if column.blank]:
+    blanks = [(column.name, column.blank) for column in selected if column.blank]
+    if blanks:
         raw, place, notes = fill_blanks(blanks, dict(raw), place)
-    columns = {
-        column.name: column.rule.convert(raw[column.name]) if column.rule else raw[column.name]
-        for column in selected
-    }
+    columns = {}
+    for column in selected:
+        values = raw[column.name]
+        columns[column.name] = column.rule.convert(values) if column.rule else values
     t = columns.pop("t")
-    time = recipe.time if recipe else TableTime(unit="s")
+    if recipe is not None:
+        t = _seconds(t, recipe.time, selected[0].text, notes)
+    return Stream(np.asarray(t, dtype=float), columns, place), notes
+
+
+def _seconds(t: np.ndarray, time: TableTime, stamps: object, notes: dict) -> np.ndarray:
+    """Return times in seconds; `stamps` read them if they were texts."""
     factor = 1.0 if time.unit in ("iso", "clock") else to_si(time.unit, "s")
     with np.errstate(over="ignore", invalid="ignore"):
-        if (
-            time.unit == "clock" and (np.diff(t) < -43200.0).any()
-        ):  # half a day back is the day after
+        # Half a day back is the day after.
+        if time.unit == "clock" and (np.diff(t) < -43200.0).any():
             midnights = np.cumsum(np.diff(t, prepend=t[0]) < -43200.0)
             notes["midnights"] = f"{midnights[-1]} passed; times count on"
             t = t + 86400.0 * midnights
         if time.from_zero and t.size and np.isfinite(t[0]):
-            stamps = next(column.text for column in selected if column.name == "t")
             start = (stamps.start or 0) / 10**9 if isinstance(stamps, _IsoTimes) else 0.0
             notes["start_time"] = start + float(t[0]) * factor
             t = t - t[0]  # before the conversion to float, which would round large integer stamps
         t = np.asarray(t, dtype=float)
-        t = t * factor if factor != 1.0 else t
-    return Stream(t, columns, place), notes
+        return t * factor if factor != 1.0 else t
 
 
 def read_parquet(
@@ -332,9 +323,10 @@ def arrow_log(
     metadata, extra = (
         (None, {}) if comment is None else metadata_from_json(comment.decode("utf-8", "replace"))
     )
-    column = {each.name: names[each.position] for each in selected}
-    table = load(list(dict.fromkeys(column.values())))
-    raw = {each.name: numbers(table.column(column[each.name]), each) for each in selected}
+    table = load(list(dict.fromkeys(names[column.position] for column in selected)))
+    raw = {
+        column.name: numbers(table.column(names[column.position]), column) for column in selected
+    }
     stream, notes = table_stream(selected, raw, recipe, "row {} (from 0)".format)
     return RawLog(source, [stream], metadata, notes=notes, digests=extra.get("digests", {}))
 
@@ -348,41 +340,42 @@ def numbers(values, column: SourceColumn) -> np.ndarray:
     """Return the numbers of a column of Arrow; raise where it has none."""
     import pyarrow as pa
 
+    if column.text:
+        return _numbers_of_texts(values, column)
+    kind = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
+    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)):
+        hint = "write numbers, or turn words into numbers with a recipe's map"
+        if pa.types.is_temporal(kind):
+            hint = 'write seconds, or set [time] unit = "iso" in a recipe'
+        raise SessionError(f"column {column.label}: holds {kind}, not numbers; {hint}")
+    # Large integer times stay exact until their start is subtracted.
+    if not pa.types.is_signed_integer(values.type):
+        values = values.cast(pa.float64(), safe=False)
+    return values.to_numpy(zero_copy_only=False)
+
+
+def _numbers_of_texts(values, column: SourceColumn) -> np.ndarray:
+    """Return the numbers that the texts of a column mean; each text is read once."""
+    import pyarrow as pa
+
     def attempt(text: object) -> float:
         try:
             return column.text(text)
         except ValueError:
             return math.nan if column.blank and is_blank(text) else math.inf
 
-    if column.text:
-        coded = (
-            pa.chunked_array(values).combine_chunks().dictionary_encode()
-        )  # read every text once
-        known = [attempt(text) for text in [*coded.dictionary.to_pylist(), None]]
-        read = np.array(known, dtype=float)[
-            coded.indices.fill_null(len(known) - 1).to_numpy(zero_copy_only=False)
-        ]
-        if np.isinf(read).any():
-            k = int(np.argmax(np.isinf(read)))
-            try:
-                column.text(values[k].as_py())
-            except ValueError as error:
-                raise SessionError(f"row {k} (from 0), column {column.label}: {error}") from None
-        return read
-    kind = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
-    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)):
-        words = "write numbers, or turn words into numbers with a recipe's map"
-        hint = (
-            'write seconds, or set [time] unit = "iso" in a recipe'
-            if pa.types.is_temporal(kind)
-            else words
-        )
-        raise SessionError(f"column {column.label}: holds {kind}, not numbers; {hint}")
-    if not pa.types.is_signed_integer(
-        values.type
-    ):  # large times stay exact until their start is subtracted
-        values = values.cast(pa.float64(), safe=False)
-    return values.to_numpy(zero_copy_only=False)
+    coded = pa.chunked_array(values).combine_chunks().dictionary_encode()
+    words = [*coded.dictionary.to_pylist(), None]
+    known = np.array([attempt(word) for word in words], dtype=float)
+    codes = coded.indices.fill_null(len(words) - 1).to_numpy(zero_copy_only=False)
+    result = known[codes]
+    if np.isinf(result).any():
+        k = int(np.argmax(np.isinf(result)))
+        try:
+            column.text(values[k].as_py())
+        except ValueError as error:
+            raise SessionError(f"row {k} (from 0), column {column.label}: {error}") from None
+    return result
 
 
 def read_arrays(
@@ -405,8 +398,8 @@ def read_arrays(
             columns = {name: arrays[name]() for name in names}
             sizes = {name: len(column) for name, column in columns.items()}
             if len(set(sizes.values())) > 1:
-                found = ", ".join(f"{name} {size}" for name, size in sizes.items())
-                raise SessionError(f"the columns differ in their number of values: {found}")
+                listing = ", ".join(f"{name} {size}" for name, size in sizes.items())
+                raise SessionError(f"the columns differ in their number of values: {listing}")
             return pa.table(columns)
 
         return arrow_log(
@@ -430,22 +423,18 @@ def _matlab_arrays(path: Path, budget: Budget) -> Arrays:
     from scipy import io
 
     try:
-        found = io.whosmat(path)
-    except (
-        NotImplementedError
-    ):  # from version 7.3 on, these are HDF5 files with rows and columns changed over
+        budget.take(sum(8 * math.prod(shape) for _, shape, _ in io.whosmat(path)))
+    except NotImplementedError:
+        # From version 7.3 on, these are HDF5 files with rows and columns changed over.
         yield from _hdf5_arrays(path, budget, transposed=True)
         return
-    budget.take(sum(8 * math.prod(shape) for _, shape, _ in found))
-    for name, value in io.loadmat(path, simplify_cells=True).items():
-        parts = (
-            {f"{name}.{column}": each for column, each in value.items()}
-            if isinstance(value, dict)
-            else {name: value}
-        )
-        for column, each in parts.items():
-            if isinstance(each, np.ndarray) and each.dtype.kind in "biuf":
-                yield from _columns(column, each.shape, partial(np.asarray, each))
+    for title, content in io.loadmat(path, simplify_cells=True).items():
+        parts = {title: content}
+        if isinstance(content, dict):
+            parts = {f"{title}.{name}": values for name, values in content.items()}
+        for name, values in parts.items():
+            if isinstance(values, np.ndarray) and values.dtype.kind in "biuf":
+                yield from _columns(name, values.shape, partial(np.asarray, values))
 
 
 def _hdf5_arrays(path: Path, budget: Budget, transposed: bool = False) -> Arrays:
@@ -458,12 +447,13 @@ def _hdf5_arrays(path: Path, budget: Budget, transposed: bool = False) -> Arrays
             values = file[name][()]
         return values.T if transposed else values
 
+    shapes: dict[str, tuple[int, ...]] = {}
+
+    def note(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset):
+            shapes[name] = item.shape
+
     with h5py.File(path, "r") as file:
-        shapes: dict[str, tuple[int, ...]] = {}
-        file.visititems(
-            lambda name, item: (
-                shapes.update({name: item.shape}) if isinstance(item, h5py.Dataset) else None
-            )
-        )
+        file.visititems(note)
     for name, shape in shapes.items():
         yield from _columns(name, shape[::-1] if transposed else shape, partial(read, name))
