@@ -403,3 +403,42 @@ def test_all_cells_of_levels_that_are_numbers():
     frame = two_way().replace({"b0": 0.0, "b1": 0.1, "b2": 0.2}).infer_objects()
     cells = run(frame).scores.conditions
     assert cells == tuple(product(("a0", "a1"), (0.0, 0.1, 0.2)))
+
+
+def test_every_design_gives_one_class_with_the_same_columns():
+    frame = two_way()
+    designs = [{"within": "B"}, {"within": ["B"], "between": "side"}, {}, {"between": "side"}]
+    results = [
+        run(frame if "within" not in more else frame[frame["A"] == "a0"], **more)
+        for more in designs
+    ]
+    assert {type(result) for result in results} == {tl.studies.RepeatedMeasures}
+    assert len({tuple(result.table().columns) for result in results}) == 1
+    assert [list(result.within) for result in results] == [["B"], ["B"], ["A", "B"], ["A", "B"]]
+
+
+def test_statistics_are_attributes_where_there_is_one_effect():
+    frame = two_way()
+    result = run(frame[frame["A"] == "a0"], within="B")
+    row = result.table().iloc[0]
+    assert (result.F, result.p_gg, result.df1) == (row["F"], row["p_gg"], 2)
+    assert "epsilon_gg" in dir(result)
+    with pytest.raises(AttributeError, match=r"3 effects, each with its 'F': see \.table\(\)"):
+        _ = run(frame).F
+    with pytest.raises(AttributeError, match="no attribute 'f'"):
+        _ = result.f
+
+
+@pytest.mark.parametrize("name", ["friedman", "normality", "anova_table", "mixed_model"])
+def test_what_is_for_one_factor_says_so(name):
+    with pytest.raises(ValueError, match=r"is for one factor within subjects.*\['A', 'B'\]"):
+        getattr(run(two_way()), name)()
+
+
+def test_groups_are_compared_within_groups():
+    """Oracle: the unweighted means of the cells of two factors between subjects."""
+    frame = two_way(n=12).assign(sex=lambda f: np.where(f["who"] % 2, "f", "m"))
+    pairs = run(frame, between=["side", "sex"]).pairs("side", at="sex")
+    means = frame.groupby(["side", "sex"])["v"].mean().unstack("side")  # noqa: PD010
+    expected = (means["l"] - means["r"]).loc[pairs["level"]]
+    np.testing.assert_allclose(pairs["mean_difference"], expected, rtol=1e-9)

@@ -217,7 +217,7 @@ def apa_pair(result) -> str:
 def apa_effects(result) -> str:
     """Return the test of every effect of a factorial analysis as a sentence."""
     sentences = []
-    for row in result.effects.to_dict("records"):
+    for row in result.tests:
         verb = "was" if row["p_corrected"] < result.alpha else "was not"
         sentences.append(
             f"{row['effect']} {verb} significant, F({_df(row['df1_corrected'])}, "

@@ -57,8 +57,8 @@ class RepeatedMeasures:
         of several factors are their cells, as tuples.
     design : StudyDesign
         Factors, groups and covariate.
-    effects : pandas.DataFrame
-        What `table` returns.
+    tests : list of dict
+        The rows of `table`.
     excluded : tuple
         Subjects left out for missing cells.
     correction_rule : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
@@ -70,23 +70,23 @@ class RepeatedMeasures:
     scores: ScoreTable
     observed: ScoreTable
     design: StudyDesign
-    effects: pd.DataFrame
+    tests: list[dict[str, Any]]
     excluded: tuple
     correction_rule: str
     alpha: float
 
     def __getattr__(self, name: str) -> Any:
         # Only called for what is no field: a statistic of the one effect.
-        if name.startswith("_") or name == "effects" or name not in self.effects:
+        if name.startswith("_") or name == "tests" or name not in self.tests[0]:
             raise AttributeError(f"RepeatedMeasures has no attribute {name!r}")
-        if len(self.effects) > 1:
+        if len(self.tests) > 1:
             raise AttributeError(
-                f"there are {len(self.effects)} effects, each with its {name!r}: see .table()"
+                f"there are {len(self.tests)} effects, each with its {name!r}: see .table()"
             )
-        return self.effects[name].tolist()[0]
+        return self.tests[0][name]
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *(self.effects if len(self.effects) == 1 else [])]
+        return [*super().__dir__(), *(self.tests[0] if len(self.tests) == 1 else [])]
 
     @property
     def dv(self) -> Hashable:
@@ -188,7 +188,7 @@ class RepeatedMeasures:
             df2_corrected, p_corrected, and eta2_partial_low, eta2_partial_high (90 %) with its
             degrees of freedom; alpha, excluded (how many subjects), origin.
         """
-        return self.effects.copy()
+        return labelled(pd.DataFrame(self.tests), self.origin)
 
     def anova_table(self) -> pd.DataFrame:
         """
@@ -216,7 +216,7 @@ class RepeatedMeasures:
         applies.
         """
         tables = []
-        for row in self.effects.to_dict("records"):
+        for row in self.tests:
             columns = {
                 "effect": row["effect"],
                 "correction": CORRECTIONS,
@@ -478,9 +478,9 @@ class RepeatedMeasures:
         note = f" [{self.origin}]" if self.origin else ""
         factors = ", ".join(map(str, [*self.within, *self.between]))
         tests = "; ".join(
-            f"F({row.df1_corrected:.4g}, {row.df2_corrected:.4g}) = {row.F:.4g}, p = "
-            f"{row.p_corrected:.3g}, correction: {row.correction}"
-            for row in self.effects.itertuples()
+            f"F({row['df1_corrected']:.4g}, {row['df2_corrected']:.4g}) = {row['F']:.4g}, p = "
+            f"{row['p_corrected']:.3g}, correction: {row['correction']}"
+            for row in self.tests
         )
         return (
             f"RepeatedMeasures({self.dv} by {factors}, {self.n} subjects × {self.k} "
@@ -491,7 +491,7 @@ class RepeatedMeasures:
         left_out = f"Left out: {', '.join(map(str, self.excluded))}." if self.excluded else ""
         counts = f"{self.n} subjects × {self.k} conditions."
         origin = self.origin and f"{self.origin}."
-        tables = [self.effects[_SHOWN], self.descriptives()]
+        tables = [self.table()[_SHOWN], self.descriptives()]
         reason = ""
         if self.design.one_way:
             reason = self.reason
@@ -578,10 +578,10 @@ def repeated_measures(
     observed, scores, excluded, design = read_design(
         frame, dv, factors, subject, groups, covariate, missing, order
     )
-    rows = _tested(scores, design, correction, alpha)
-    effects = pd.DataFrame(rows).assign(alpha=alpha, excluded=len(excluded), origin=scores.origin)
-    effects = labelled(effects, scores.origin)
-    return RepeatedMeasures(scores, observed, design, effects, excluded, correction, alpha)
+    tests = _tested(scores, design, correction, alpha)
+    for test in tests:
+        test |= {"alpha": alpha, "excluded": len(excluded), "origin": scores.origin}
+    return RepeatedMeasures(scores, observed, design, tests, excluded, correction, alpha)
 
 
 def _tested(scores: ScoreTable, design: StudyDesign, correction: str, alpha: float) -> list[dict]:
