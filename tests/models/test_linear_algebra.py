@@ -8,6 +8,7 @@ import pytest
 from trustlab.models.linear_algebra import (
     cholesky_factors,
     inverses,
+    polar_factor,
     products,
     solutions,
     symmetric_eigen,
@@ -76,3 +77,18 @@ def test_what_has_no_factor_or_no_solution_is_said():
     singular = np.array([[[1.0, 2.0], [2.0, 4.0]]])
     assert np.isnan(solutions(singular, np.ones((1, 2)))).all()
     assert np.isnan(inverses(singular)).all()
+
+
+@pytest.mark.parametrize("shape", [(5, 1), (18, 5), (36, 10)])
+def test_polar_factor_is_that_of_the_singular_values(shape):
+    matrix = np.random.default_rng(shape[0]).normal(size=shape)
+    left, _, right = np.linalg.svd(matrix, full_matrices=False)
+    assert polar_factor(matrix) == pytest.approx(left @ right, abs=1e-13)
+
+
+def test_polar_factor_leaves_out_a_direction_without_extent():
+    matrix = np.random.default_rng(0).normal(size=(6, 3))
+    matrix[:, 1] = 0.0
+    factor = polar_factor(matrix)
+    assert not factor[:, 1].any()
+    assert factor.T @ factor == pytest.approx(np.diag([1.0, 0.0, 1.0]), abs=1e-13)

@@ -15,6 +15,11 @@ from trustlab.models.compiled import njit
 SWEEPS = 60
 
 
+def transposed(a: np.ndarray) -> np.ndarray:
+    """Return a stack of matrices with rows and columns exchanged, contiguous."""
+    return np.ascontiguousarray(np.swapaxes(a, -1, -2))
+
+
 @njit
 def products(a, b):
     """Return a @ b for stacks of matrices, shapes (B, m, k) and (B, k, n)."""
@@ -154,18 +159,9 @@ def _rotate_once_round(matrix, basis):
                 tangent = -tangent
             cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
             sine = tangent * cosine
-            for k in range(size):
-                first, second = matrix[k, p], matrix[k, q]
-                matrix[k, p] = cosine * first - sine * second
-                matrix[k, q] = sine * first + cosine * second
-            for k in range(size):
-                first, second = matrix[p, k], matrix[q, k]
-                matrix[p, k] = cosine * first - sine * second
-                matrix[q, k] = sine * first + cosine * second
-            for k in range(size):
-                first, second = basis[k, p], basis[k, q]
-                basis[k, p] = cosine * first - sine * second
-                basis[k, q] = sine * first + cosine * second
+            _turn_columns(matrix, p, q, cosine, sine)
+            _turn_columns(matrix.T, p, q, cosine, sine)
+            _turn_columns(basis, p, q, cosine, sine)
             matrix[p, q] = 0.0
             matrix[q, p] = 0.0
     return rotated
@@ -178,3 +174,61 @@ def _with_positive_start(vector):
         if abs(vector[k]) > 1e-8:
             return vector.copy() if vector[k] > 0.0 else -vector
     return vector.copy()
+
+
+@njit
+def polar_factor(a):
+    """
+    Return the orthonormal polar factor of a matrix (m, n), m ≥ n, by one-sided Jacobi rotations.
+
+    The nearest matrix with orthonormal columns (Hestenes 1958; Golub and Van Loan 2013, Section
+    8.6). A direction in which the matrix has no extent is left out.
+    """
+    rows, columns = a.shape
+    left = a.copy()
+    basis = np.eye(columns)
+    for _ in range(SWEEPS):
+        rotated = False
+        for p in range(columns - 1):
+            for q in range(p + 1, columns):
+                first = 0.0
+                second = 0.0
+                both = 0.0
+                for i in range(rows):
+                    first += left[i, p] * left[i, p]
+                    second += left[i, q] * left[i, q]
+                    both += left[i, p] * left[i, q]
+                if abs(both) <= 1e-15 * np.sqrt(first * second):
+                    continue
+                rotated = True
+                slope = (second - first) / (2.0 * both)
+                tangent = 1.0 / (abs(slope) + np.sqrt(1.0 + slope * slope))
+                if slope < 0.0:
+                    tangent = -tangent
+                cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
+                _turn_columns(left, p, q, cosine, tangent * cosine)
+                _turn_columns(basis, p, q, cosine, tangent * cosine)
+        if not rotated:
+            break
+    for j in range(columns):
+        square = 0.0
+        for i in range(rows):
+            square += left[i, j] * left[i, j]
+        if square > 0.0:
+            left[:, j] /= np.sqrt(square)
+    out = np.zeros((rows, columns))
+    for i in range(rows):
+        for k in range(columns):
+            for j in range(columns):
+                out[i, j] += left[i, k] * basis[j, k]
+    return out
+
+
+@njit
+def _turn_columns(matrix, p, q, cosine, sine):
+    """Rotate two columns of a matrix in their plane, in place."""
+    for k in range(len(matrix)):
+        first = matrix[k, p]
+        second = matrix[k, q]
+        matrix[k, p] = cosine * first - sine * second
+        matrix[k, q] = sine * first + cosine * second

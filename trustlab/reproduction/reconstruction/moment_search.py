@@ -2,6 +2,8 @@
 Means and covariance that have all printed statistics: damped least squares on interval violations,
 from many starts at once.
 
+Every operation has a fixed order, so that the same seed finds the same solution on every machine.
+
 The unknowns are the means and a lower triangular G with S = GG', so that every S is a covariance
 matrix. The violation of a constraint is how far its statistic lies outside the printed interval, in
 half-widths of the interval; a root of all violations is a solution (Levenberg 1944, Marquardt 1963;
@@ -14,8 +16,10 @@ from functools import cached_property
 
 import numpy as np
 
+from trustlab.models.linear_algebra import cholesky_factors, products, solutions, transposed
 from trustlab.reproduction.reconstruction.constraints import Constraint
 from trustlab.reproduction.reconstruction.moment_statistics import MomentStatistics, pair_indices
+from trustlab.reproduction.reconstruction.p_values import exponentials, logarithms
 
 # Unit of violation of a statement that is open to one side: natural logarithm of a p, or a share of
 # chi-square.
@@ -149,7 +153,8 @@ class MomentProblem:
 
     def statistics(self, mean: np.ndarray, factor: np.ndarray) -> MomentStatistics:
         """Return the statistics of candidates."""
-        return MomentStatistics(mean, factor @ np.swapaxes(factor, -1, -2), self.n, self.corrected)
+        covariance = products(factor, transposed(factor))
+        return MomentStatistics(mean, covariance, self.n, self.corrected)
 
     def values(self, stats: MomentStatistics) -> tuple[np.ndarray, ...]:
         """
@@ -197,7 +202,7 @@ class MomentProblem:
         log_p = stats.log_p
         m = log_p.shape[1]
         order = np.argsort(log_p, axis=1)
-        stepped = np.take_along_axis(log_p, order, axis=1) + np.log(m - np.arange(m))
+        stepped = np.take_along_axis(log_p, order, axis=1) + logarithms(m - np.arange(float(m)))
         largest = np.maximum.accumulate(stepped, axis=1)
         value = np.empty_like(log_p)
         np.put_along_axis(value, order, largest, axis=1)
@@ -223,7 +228,7 @@ class MomentProblem:
         """
         k, (centre, spread) = self.k, self.typical
         mean = centre + spread * rng.standard_normal((count, k))
-        sd = spread * np.exp(0.3 * rng.standard_normal((count, k)))
+        sd = spread * exponentials(0.3 * rng.standard_normal((count, k)))
         for s in self._cells:
             (mean if s.kind == "mean" else sd)[:, s.index] = 0.5 * (s.low + s.high)
             if s.kind == "mean" and s.index in self._level:
@@ -233,14 +238,14 @@ class MomentProblem:
         loading = rng.standard_normal((count, k, k)) + common * np.abs(
             rng.standard_normal((count, 1, k))
         )
-        covariance = loading @ np.swapaxes(loading, -1, -2) + 0.05 * np.eye(k)
+        covariance = products(loading, transposed(loading)) + 0.05 * np.eye(k)
         root = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
         correlation = covariance / (root[:, :, None] * root[:, None, :])
         share = self._varying_share(mean, sd)
-        factor = np.linalg.cholesky(share * correlation + (1.0 - share))
+        factor, _ = cholesky_factors(share * correlation + (1.0 - share))
         if self.n <= self.k:  # n values have n − 1 degrees of freedom: the covariance is singular
             factor[:, :, self.n - 1 :] = 0.0
-            factor /= np.linalg.norm(factor, axis=2, keepdims=True)
+            factor /= np.sqrt((factor**2).sum(axis=2, keepdims=True))
         return mean, sd[:, :, None] * factor
 
     @cached_property
@@ -329,7 +334,10 @@ class MomentProblem:
         residual = np.where(above > 0.0, above, np.where(below > 0.0, -below, 0.0)) / unit
         residual = np.where(np.isfinite(value), residual, np.inf)
         # S = GG', so that dS = dG G' + G dG', and the gradient is symmetric.
-        by_factor = 2.0 * (by_covariance @ factor[:, None])[:, :, *self._triangle]
+        count, rows = value.shape
+        gradient = by_covariance.reshape(count * rows, self.k, self.k)
+        by_factor = 2.0 * products(gradient, np.repeat(factor, rows, axis=0))
+        by_factor = by_factor.reshape(count, rows, self.k, self.k)[:, :, *self._triangle]
         jacobian = np.concatenate([by_mean, by_factor], axis=2) * self.typical[1] / unit[:, None]
         return residual, np.where(residual[..., None] != 0.0, jacobian, 0.0)
 
@@ -358,14 +366,12 @@ class MomentProblem:
             residual = residual[keep]
             jacobian = jacobian[keep]
             cost = cost[keep]
-            normal = np.swapaxes(jacobian, 1, 2) @ jacobian
+            normal = products(transposed(jacobian), jacobian)
             diagonal = np.diagonal(normal, axis1=1, axis2=2)
             floor = 1e-8 * diagonal.max(axis=1, keepdims=True) + 1e-12
             damped = normal + (damping[active, None] * (diagonal + floor))[:, :, None] * identity
-            step = np.linalg.solve(damped, -(np.swapaxes(jacobian, 1, 2) @ residual[..., None]))[
-                ..., 0
-            ]
-            trial = x[active] + step
+            slope = products(transposed(jacobian), residual[..., None])[..., 0]
+            trial = x[active] + solutions(damped, -slope)
             found, slopes = self._residuals(trial, margin, width)
             better = np.nan_to_num((found**2).sum(axis=1), nan=np.inf) < cost
             x[active[better]] = trial[better]

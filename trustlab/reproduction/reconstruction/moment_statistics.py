@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-from scipy import special
 
+from trustlab.models.linear_algebra import cholesky_factors, inverses
+from trustlab.reproduction.reconstruction.p_values import log_p_of_f, log_p_of_t, logarithms
 from trustlab.studies.analysis.sphericity import mauchly_factor
 
 TINY = 1e-300
@@ -28,17 +29,6 @@ def pair_indices(k: int) -> tuple[np.ndarray, np.ndarray]:
     last axis.
     """
     return np.triu_indices(k, 1)
-
-
-def _density_t(t: np.ndarray, df: float) -> np.ndarray:
-    """
-    Return the density of Student's t; scipy.stats would spend most of the search on checking its
-    arguments.
-    """
-    constant = np.exp(special.gammaln((df + 1.0) / 2.0) - special.gammaln(df / 2.0)) / np.sqrt(
-        df * np.pi
-    )
-    return constant * (1.0 + t * t / df) ** (-(df + 1.0) / 2.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +91,9 @@ class MomentStatistics:
         p = self.k - 1
         # det A of orthonormal contrasts is the product of the p nonzero eigenvalues of PSP: shift
         # the zero one to 1.
-        _, logdet = np.linalg.slogdet(self._centred / self._trace[:, None, None] * p + 1.0 / self.k)
-        return -mauchly_factor(self.n, self.k) * logdet
+        factor, _ = cholesky_factors(self._centred / self._trace[:, None, None] * p + 1.0 / self.k)
+        roots = np.ascontiguousarray(np.diagonal(factor, axis1=-2, axis2=-1))
+        return -2.0 * mauchly_factor(self.n, self.k) * logarithms(roots).sum(axis=-1)
 
     @cached_property
     def difference_variance(self) -> np.ndarray:
@@ -120,19 +111,22 @@ class MomentStatistics:
         return (self.mean[:, i] - self.mean[:, j]) / np.sqrt(self.difference_variance / self.n)
 
     @cached_property
+    def _log_p_and_slope(self) -> tuple[np.ndarray, np.ndarray]:
+        return log_p_of_t(self.t, self.n - 1.0)
+
+    @property
     def log_p(self) -> np.ndarray:
         """Natural logarithms of the unadjusted two-sided p of all pairs, shape (B, pairs)."""
-        return np.log(np.maximum(2.0 * special.stdtr(self.n - 1, -np.abs(self.t)), TINY))
-
-    def _log_anova_p(self, F: np.ndarray, epsilon: np.ndarray) -> np.ndarray:
-        factor = np.minimum(epsilon, 1.0) if self.corrected else 1.0
-        df1 = factor * (self.k - 1)
-        return np.log(np.maximum(special.fdtrc(df1, df1 * (self.n - 1), F), TINY))
+        return self._log_p_and_slope[0]
 
     @cached_property
+    def _log_anova_p_and_slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return log_p_of_f(self.f_ratio, self.epsilon, self.k, self.n, self.corrected)
+
+    @property
     def log_anova_p(self) -> np.ndarray:
         """Natural logarithm of the p of F, shape (B,)."""
-        return self._log_anova_p(self.f_ratio, self.epsilon)
+        return self._log_anova_p_and_slopes[0]
 
     # Gradients of Q statistics: with respect to the means, shape (B, Q, k), and to the covariance,
     # shape (B, Q, k, k), symmetric: a small symmetric change dS changes the statistic by the sum of
@@ -192,7 +186,7 @@ class MomentStatistics:
         p = self.k - 1
         centring = np.eye(self.k) - 1.0 / self.k
         scale = (self._trace / p)[:, None, None]
-        inverse = np.linalg.inv(self._centred / scale + 1.0 / self.k) - 1.0 / self.k
+        inverse = inverses(self._centred / scale + 1.0 / self.k) - 1.0 / self.k
         by_covariance = -mauchly_factor(self.n, self.k) * (inverse - centring) / scale
         return np.zeros_like(self.mean)[:, None], by_covariance[:, None]
 
@@ -203,26 +197,19 @@ class MomentStatistics:
         difference = np.zeros((rows.size, self.k))
         i, j = pair_indices(self.k)
         difference[rows, i], difference[rows, j] = 1.0, -1.0
-        slope = -2.0 * np.sign(self.t) * _density_t(self.t, self.n - 1.0) * np.exp(-self.log_p)
+        slope = self._log_p_and_slope[1]
         by_mean = (slope / np.sqrt(self.difference_variance / self.n))[..., None] * difference
         step = -0.5 * slope * self.t / self.difference_variance
         return by_mean, step[..., None, None] * (difference[:, :, None] * difference[:, None, :])
 
     @property
     def gradient_log_anova_p(self) -> tuple[np.ndarray, np.ndarray]:
-        """
-        The gradient of the logarithm of the p of F (its two partial derivatives by central
-        differences).
-        """
+        """The gradient of the logarithm of the p of F."""
         F_mean, F_covariance = self.gradient_f_ratio
         _, e_covariance = self.gradient_epsilon
-        f = self.f_ratio
-        e = self.epsilon
-        step = 1e-6 * np.maximum(self.f_ratio, 1e-6)
-        lower = np.maximum(f - step, 0.0)
-        by_F = (self._log_anova_p(f + step, e) - self._log_anova_p(lower, e)) / (f + step - lower)
-        by_e = (self._log_anova_p(f, e + 1e-6) - self._log_anova_p(f, e - 1e-6)) / 2e-6
+        _, by_F, by_epsilon = self._log_anova_p_and_slopes
         by_covariance = (
-            by_F[:, None, None, None] * F_covariance + by_e[:, None, None, None] * e_covariance
+            by_F[:, None, None, None] * F_covariance
+            + by_epsilon[:, None, None, None] * e_covariance
         )
         return by_F[:, None, None] * F_mean, by_covariance

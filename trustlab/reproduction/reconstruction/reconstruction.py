@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.html import as_html
+from trustlab.models.linear_algebra import polar_factor, products, transposed
 from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import (
@@ -378,10 +379,11 @@ def sample_with_moments(
     `factor` is G, of which only the first n − 1 columns may differ from 0; the ends of the scale
     may be infinite. None where `iterations` projections find none.
     """
-    factor = factor[:, : n - 1]
+    factor = np.ascontiguousarray(factor[:, : n - 1])
     low, high = scale
     inset = 1e-4 * (high - low) if np.isfinite(high - low) else 1e-3 * float(np.abs(factor).max())
-    values = mean + rng.standard_normal((n, factor.shape[1])) @ factor.T
+    draws = rng.standard_normal((1, n, factor.shape[1]))
+    values = mean + products(draws, transposed(factor)[None])[0]
     for _ in range(iterations):
         values = _with_moments(values, mean, factor)
         if values.min() >= low and values.max() <= high:
@@ -393,10 +395,10 @@ def sample_with_moments(
 def _with_moments(values: np.ndarray, mean: np.ndarray, factor: np.ndarray) -> np.ndarray:
     """Return the nearest values with exactly these moments."""
     n = len(values)
-    left, _, right = np.linalg.svd((values - values.mean(axis=0)) @ factor, full_matrices=False)
-    whitened = left @ right
+    (projected,) = products((values - values.mean(axis=0))[None], factor[None])
+    whitened = polar_factor(projected)
     whitened = whitened - whitened.mean(axis=0)
-    return mean + np.sqrt(n - 1.0) * whitened @ factor.T
+    return mean + np.sqrt(n - 1.0) * products(whitened[None], transposed(factor)[None])[0]
 
 
 def feasible_ranges(
