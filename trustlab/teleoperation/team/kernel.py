@@ -5,6 +5,10 @@ directed graph.
 `run_team` takes one sample after another; a sample is a row of named steps, each on one record of
 STATE. All that a run remembers stands in `Memory` and STATE, so that a run may pause at any sample:
 the graph and the leader change between two calls.
+
+Steps that take arrays do without reference counts (_nrt=False), as in `loop/kernel.py`: counts are
+atomic and would take half of the time. They allocate nothing, and their caller keeps the arrays;
+`move_directed` allocates, and is the exception.
 """
 
 from typing import NamedTuple
@@ -46,10 +50,7 @@ ARRIVED = "error pushed v_l v_r open_force"
 # + resistance · r_m.
 SIGNALS = "u_l u_r yielded mobility offset resistance channel_force aim"
 # Powers of this sample [W], and what is dissipated in it.
-POWERS = (
-    "seen_power near_power far_power hand_power device_power team_power error_power filter_power "
-    "device_loss team_loss error_loss"
-)
+POWERS = "seen_power near_power far_power hand_power device_power device_loss team_loss error_loss"
 WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=POWERS)
 # What both ends read and leave; it begins with the row of the log, so that energies since the start
 # stand there alone.
@@ -170,7 +171,7 @@ def rig_of(n):
     return Rig(device, low_pass if n.filtering == TWO_PORT else no_filter, low_pass)
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, _nrt=False)
 def store(n, team, rig, w, z, state):
     """Set the storages at the start of the sample; the leader's port reaches the team g times."""
     state.v_hd = state.v_filter = 0.0
@@ -205,7 +206,7 @@ def look(n, k, now, past, state):
     return 0.0
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, _nrt=False)
 def share_force(n, robots, lead, trust, performance, state):
     """Set β by the leader's trust in the operator, and step the trust of all."""
     leader = robots[lead]
@@ -218,7 +219,7 @@ def share_force(n, robots, lead, trust, performance, state):
         trust[i] = trust_step(trust[i], performance, robots[i].decay, robots[i].gain)  # (4.2)
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, _nrt=False)
 def receive(n, m, k, low_pass, state):
     """Set the waves that arrive at both ends, (3.13), filtered where waves are."""
     T, kind = n.sample_time, n.read_out
@@ -350,7 +351,7 @@ def filter_wave(filters, wave, level):
         level[i], wave[i] = 2.0 * middle - level[i], middle
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, _nrt=False)
 def storages(team, w, z):
     """
     Return V_fs and V_e, (4.23) and (4.29); V_fs is a storage on an undirected graph only, elsewhere
@@ -366,7 +367,7 @@ def storages(team, w, z):
     return np.nan if team.directed else v_fs, v_e
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, _nrt=False)
 def force_at_rest(team, lead, h, w, z, i):
     """
     Return the force (4.24) on axis i that the leader would report at the midpoint if it were not
@@ -382,77 +383,63 @@ def force_at_rest(team, lead, h, w, z, i):
     return force
 
 
-@njit(error_model="numpy", forceinline=True)
-def move_undirected(team, lead, h, drive, w, z, i):
-    """
-    Step (4.22) on axis i in the eigenbasis, the leader driven at `drive`; return its position at
-    the midpoint, ‖Lq‖² and qᵀLq.
-    """
-    at = team_loss = error_loss = 0.0
-    for j in range(w.shape[1]):
-        value = team.values[j]
-        # (4.22): q̇ = Lᵀζ − L q + D r_s, ζ̇ = −L q
-        q = team.solve[j] * (w[i, j] + h * (value * z[i, j] + team.vectors[lead, j] * drive))
-        w[i, j] = 2.0 * q - w[i, j]
-        z[i, j] -= 2.0 * h * value * q
-        at += team.vectors[lead, j] * q
-        team_loss += (value * q) ** 2  # (4.25)
-        error_loss += value * q * q  # (4.33)
-    return at, team_loss, error_loss
-
-
-@njit(error_model="numpy")
-def move_directed(team, lead, h, drive, w, z, i):
-    """Do the same on a directed graph, where w and z are the robots' own q and ζ."""
-    q = team.solved @ w[i] + team.inner @ z[i] + h * drive * team.solved[:, lead]
-    pulled = team.laplacian @ q
-    for j in range(q.size):  # numba would compile an assignment of whole rows for two seconds
-        w[i, j] = 2.0 * q[j] - w[i, j]
-        z[i, j] -= 2.0 * h * pulled[j]
-    return q[lead], np.dot(pulled, pulled), np.dot(q, pulled)
-
-
-@njit(error_model="numpy", forceinline=True)
-def move(n, team, lead, h, w, z, state):
-    """Step the team under the leader's velocity; set powers and losses of its two ports."""
-    state.team_power = state.error_power = state.filter_power = 0.0
+@njit(error_model="numpy", forceinline=True, _nrt=False)
+def move_undirected(n, team, w, z, state):
+    """Step (4.22) in the eigenbasis; set the leader's place at the midpoint, and what is lost."""
+    h, lead = 0.5 * n.sample_time, int(state.number)
     state.team_loss = state.error_loss = 0.0
     for i in range(3):
         drive = n.lead_gain * state.r_s[i]
-        if team.directed:
-            state.leader[i], pulled, bent = move_directed(team, lead, h, drive, w, z, i)
-        else:
-            state.leader[i], pulled, bent = move_undirected(team, lead, h, drive, w, z, i)
-        state.team_loss += n.force_gain / n.lead_gain * pulled
-        state.error_loss += bent / n.lead_gain
-        state.team_power += state.r_s[i] * state.f_s[i]
-        state.error_power += state.r_s[i] * state.leader[i]
-        state.filter_power += state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i]
+        at = pulled = bent = 0.0
+        for j in range(w.shape[1]):
+            value = team.values[j]
+            # (4.22): q̇ = Lᵀζ − L q + D r_s, ζ̇ = −L q
+            q = team.solve[j] * (w[i, j] + h * (value * z[i, j] + team.vectors[lead, j] * drive))
+            w[i, j] = 2.0 * q - w[i, j]
+            z[i, j] -= 2.0 * h * value * q
+            at += team.vectors[lead, j] * q
+            pulled += (value * q) ** 2
+            bent += value * q * q
+        state.leader[i] = at
+        state.team_loss += n.force_gain / n.lead_gain * pulled  # (4.25)
+        state.error_loss += bent / n.lead_gain  # (4.33)
 
 
-@njit(error_model="numpy", forceinline=True)
-def remember(m, k, now, state):
-    """Keep what later samples look up."""
-    now.stored, now.lost = state.v_e, state.error_loss
+@njit(error_model="numpy")
+def move_directed(n, team, w, z, state):
+    """Do the same on a directed graph, where w and z are the robots' own q and ζ."""
+    h, lead = 0.5 * n.sample_time, int(state.number)
+    state.team_loss = state.error_loss = 0.0
     for i in range(3):
-        m.u_l[k, i], m.u_r[k, i] = state.u_l[i], state.u_r[i]
-        now.sent[i], now.seen[i] = state.r_s[i], state.leader[i]
+        drive = n.lead_gain * state.r_s[i]
+        q = team.solved @ w[i] + team.inner @ z[i] + h * drive * team.solved[:, lead]  # (4.22)
+        pulled = team.laplacian @ q
+        for j in range(q.size):  # numba would compile an assignment of whole rows for two seconds
+            w[i, j] = 2.0 * q[j] - w[i, j]
+            z[i, j] -= 2.0 * h * pulled[j]
+        state.leader[i] = q[lead]
+        state.team_loss += n.force_gain / n.lead_gain * np.dot(pulled, pulled)
+        state.error_loss += np.dot(q, pulled) / n.lead_gain
 
 
 @njit(error_model="numpy", forceinline=True)
 def book(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
     T = n.sample_time
+    team_power = error_power = filter_power = 0.0
     for i in range(3):
         state.device[i] += T * state.middle[i]
         state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
+        team_power += state.r_s[i] * state.f_s[i]
+        error_power += state.r_s[i] * state.leader[i]
+        filter_power += state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i]
     state.v_h += T * (state.seen_power - state.hand_power)  # (4.30)
     state.v_ch += T * (state.near_power - state.far_power)  # (4.15)
-    state.supply_team += T * state.team_power
-    state.supply_error += T * state.error_power
+    state.supply_team += T * team_power
+    state.supply_error += T * error_power
     state.supply_hand += T * state.hand_power
     state.supply_device += T * state.device_power
-    state.supply_filter += T * (state.filter_power - state.near_power + state.far_power)
+    state.supply_filter += T * (filter_power - state.near_power + state.far_power)
     state.lost_device += T * state.device_loss
     state.lost_team += T * state.team_loss
     state.lost_error += T * state.error_loss
@@ -469,6 +456,51 @@ def diverged(state):
     return -1 if state.v_e < 1e12 else 2
 
 
+@njit(error_model="numpy", forceinline=True, _nrt=False)
+def solve_ends(n, team, rig, robots, m, k, state):
+    """Solve both ends of the channel in sample k, for what has arrived by then."""
+    now, past = m.samples[k], m.samples[max(k - n.vision, 0)]
+    lead, head = now.lead, robots[now.head]
+    store(n, team, rig, m.w, m.z, state)
+    performance = look(n, k, now, past, state)
+    share_force(n, robots, lead, m.trust, performance, state)
+    receive(n, m, k, rig.low_pass, state)
+    near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)  # (4.7)
+    operator_side(n, rig, near_end, state.v_h + n.budget - n.reserve, state)
+    for i in range(3):
+        rest = force_at_rest(team, lead, 0.5 * n.sample_time, m.w, m.z, i)
+        state.open_force[i] = n.force_gain * rest
+    far_end = waves.robot_end(robots[lead].b, 1.0, 1.0)
+    stiffness = n.force_gain * n.lead_gain * team.stiffness[lead]
+    robot_side(rig.filters, far_end, stiffness, state)
+
+
+@njit(error_model="numpy", forceinline=True, _nrt=False)
+def finish(n, m, k, every, state, row, table):
+    """Keep what later samples look up, log, and book; return the block that diverged, −1: none."""
+    now, past = m.samples[k], m.samples[max(k - n.vision, 0)]
+    now.stored, now.lost = state.v_e, state.error_loss
+    for i in range(3):
+        m.u_l[k, i], m.u_r[k, i] = state.u_l[i], state.u_r[i]
+        now.sent[i], now.seen[i] = state.r_s[i], state.leader[i]
+    if k % every == 0:
+        state.v_e_delayed = past.stored
+        stored = state.v_h + n.budget + state.v_hd + state.v_ch + state.v_fs
+        state.v_t = stored + state.v_e_delayed + state.v_filter  # (4.32)
+        for i in range(row.size):
+            table[k // every, i] = row[i]
+    book(n, past.lost if k >= n.vision else 0.0, state)
+    return diverged(state)
+
+
+@njit(error_model="numpy", forceinline=True, _nrt=False)
+def record_places(m, at, coordinates):
+    """Record where the robots are, in the eigenbasis, in row `at`."""
+    for i in range(3):
+        for j in range(m.trust.size):
+            coordinates[at, i, j] = m.w[i, j]
+
+
 @njit(error_model="numpy")
 def run_team(n, team, robots, memory, first, last, every, states, row, table, coordinates):
     """
@@ -480,37 +512,16 @@ def run_team(n, team, robots, memory, first, last, every, states, row, table, co
     N): of the distance to the goal. Returns the samples done and the block that diverged (−1:
     none).
     """
-    m, state, rig = memory, states[0], rig_of(n)
-    w, z = m.w, m.z
-    h = 0.5 * n.sample_time
+    rig, state, w, z = rig_of(n), states[0], memory.w, memory.z
     for k in range(first, last):
-        now, past = m.samples[k], m.samples[max(k - n.vision, 0)]
-        lead, head = now.lead, robots[now.head]
-        store(n, team, rig, w, z, state)
-        performance = look(n, k, now, past, state)
-        share_force(n, robots, lead, m.trust, performance, state)
-        receive(n, m, k, rig.low_pass, state)
-        near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)  # (4.7)
-        operator_side(n, rig, near_end, state.v_h + n.budget - n.reserve, state)
-        for i in range(3):
-            state.open_force[i] = n.force_gain * force_at_rest(team, lead, h, w, z, i)
-        far_end = waves.robot_end(robots[lead].b, 1.0, 1.0)
-        stiffness = n.force_gain * n.lead_gain * team.stiffness[lead]
-        robot_side(rig.filters, far_end, stiffness, state)
+        solve_ends(n, team, rig, robots, memory, k, state)
         if k % every == 0:
-            for i in range(3):
-                for j in range(m.trust.size):
-                    coordinates[k // every, i, j] = w[i, j]
-        move(n, team, lead, h, w, z, state)
-        remember(m, k, now, state)
-        if k % every == 0:
-            state.v_e_delayed = past.stored
-            stored = state.v_h + n.budget + state.v_hd + state.v_ch + state.v_fs
-            state.v_t = stored + state.v_e_delayed + state.v_filter  # (4.32)
-            for i in range(row.size):
-                table[k // every, i] = row[i]
-        book(n, past.lost if k >= n.vision else 0.0, state)
-        block = diverged(state)
+            record_places(memory, k // every, coordinates)
+        if team.directed:
+            move_directed(n, team, w, z, state)
+        else:
+            move_undirected(n, team, w, z, state)
+        block = finish(n, memory, k, every, state, row, table)
         if block >= 0:
             return k + 1, block
     return last, -1
