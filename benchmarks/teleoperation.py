@@ -21,8 +21,8 @@ from benchmarks.peers.plain_loop import PlainLoop
 from benchmarks.timing import Row, here, in_turns
 from benchmarks.workers import PeerMissingError, Worker
 from trustlab.teleoperation.loop import kernel
+from trustlab.teleoperation.loop.parts import LOG
 from trustlab.teleoperation.loop.settings import STUDIES
-from trustlab.teleoperation.loop.state import LOG
 
 TITLE = "Teleoperation"
 DURATION, PERIOD = 120.0, 0.001

@@ -14,7 +14,7 @@ from matplotlib import pyplot as plt
 import trustlab as tl
 from tests.house.documents import DOCUMENTS, ROOT, blocks, name_of, python, write_files
 from trustlab.sessions import load_recipe
-from trustlab.teleoperation.loop.state import STATE
+from trustlab.teleoperation.loop.parts import STATE
 
 
 @pytest.mark.parametrize("path", [*DOCUMENTS, ROOT / "CONTRIBUTING.md"], ids=name_of)

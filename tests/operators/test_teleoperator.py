@@ -12,7 +12,7 @@ import trustlab as tl
 from trustlab.operators.answers import experience, simulated_answers
 from trustlab.operators.teleoperator import RANGES, REACH, Teleoperator, graded_teleoperators
 from trustlab.sessions.session import Metadata, Session
-from trustlab.testbeds.tracking_task import TrackingTask
+from trustlab.testbeds.uav_tracking import TrackingTask
 
 RUN = tl.simulate_teleoperation("TMIG", seed=1, duration=20.0)
 

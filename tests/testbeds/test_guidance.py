@@ -10,7 +10,7 @@ import pytest
 
 import trustlab as tl
 from trustlab.teleoperation import STUDIES, Delay, DivergenceError
-from trustlab.teleoperation.loop.guidance import GUIDANCE
+from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds.uav_tracking import TASKS
 
 T = 0.01

@@ -11,7 +11,7 @@ import pytest
 
 import trustlab as tl
 from trustlab.teleoperation import SCHEMES, STUDIES, Delay, PartError, packet_delay
-from trustlab.teleoperation.loop.guidance import GUIDANCE
+from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds import tracking_vehicle
 
 SHORT = 8.0
@@ -237,6 +237,47 @@ def test_a_trace_of_packets_is_read_newest_first():
 def test_a_trace_that_cannot_be_is_refused_by_name_and_time(trace, words):
     with pytest.raises(ValueError, match=words):
         tl.simulate_teleoperation(delay_1=trace, delay_2=0.1, duration=5.0)
+
+
+def forging(state):
+    """The feedback of the loop, in a part that would make the guards believe in energy."""
+    state.energy_port = 100.0
+    state.energy_robot = 100.0
+    state.energy_channel = 100.0
+    state.sample_time = 10.0
+    return -6.0 * state.stretch
+
+
+@pytest.mark.parametrize("part", [forging, partial(forging)])
+@pytest.mark.parametrize("guidance", GUIDANCE)
+def test_no_part_can_forge_the_ledger(part, guidance):
+    """Oracle: power at the ports summed here; and the same feedback that forges nothing."""
+    hidden = {"seed": 1, "duration": SHORT, "guidance": guidance}
+    run = tl.simulate_teleoperation("M", feedback=part, **hidden)
+    honest = tl.simulate_teleoperation("M", feedback=lambda s: -6.0 * s.stretch, **hidden)
+    assert run.data.equals(honest.data)
+    for name, velocity, force in (("port", "r_m", "f_m"), ("robot", "r_s", "f_s")):
+        power = (columns(run, velocity) * columns(run, force)).sum(axis=1)
+        np.testing.assert_allclose(run[f"energy_{name}"], 0.01 * np.cumsum(power), atol=1e-9)
+
+
+def test_the_ledger_is_out_of_reach():
+    """Negative control: who does change the ledger makes the guard let energy out."""
+    loop = tl.TeleoperationLoop("M", seed=1, feedback=lambda s: s.ledger.port * s.stretch)
+    assert loop.ways["feedback"].startswith("Python")
+    with pytest.raises(PartError, match="the state has no 'ledger'"):
+        loop.step()
+    forged = tl.TeleoperationLoop("M", seed=1, feedback=lambda s: 60.0 * s.stretch)
+    forged._states["ledger"]["port"] = 100.0
+    honest = tl.TeleoperationLoop("M", seed=1, feedback=lambda s: 60.0 * s.stretch)
+    assert forged.run(SHORT)["energy_port"].min() < 99.0
+    assert honest.run(SHORT)["energy_port"].min() > -1e-9
+
+
+def test_an_error_in_the_first_sample_promises_no_session():
+    with pytest.raises(PartError, match="division by zero, at t = 0 s$") as caught:
+        tl.simulate_teleoperation("M", feedback=partial(lambda s: 1 / 0))
+    assert caught.value.session is None
 
 
 def failing(state):

@@ -13,9 +13,13 @@ from scipy.integrate import solve_ivp
 from trustlab.allocation.blending import OptimalBlending
 from trustlab.models.uav import TransferFunction
 from trustlab.operators import Teleoperator
-from trustlab.teleoperation.loop.guidance import GUIDANCE
-from trustlab.teleoperation.loop.settings import STUDIES, DivergenceError, LoopSettings
-from trustlab.teleoperation.loop.setup import vehicle_matrices
+from trustlab.teleoperation.loop.kernel import GUIDANCE
+from trustlab.teleoperation.loop.settings import (
+    STUDIES,
+    DivergenceError,
+    LoopSettings,
+    vehicle_matrices,
+)
 from trustlab.teleoperation.ports.device import PassivityError
 from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.testbeds.uav_tracking import (

@@ -23,8 +23,7 @@ from trustlab.teleoperation.loop.settings import (
     PartError,
     study_named,
 )
-from trustlab.testbeds.tracking_task import TASKS, TrackingTask
-from trustlab.testbeds.uav_tracking import TeleoperationLoop
+from trustlab.testbeds.uav_tracking import TASKS, TeleoperationLoop, TrackingTask
 
 with extra("live"):
     import anywidget

@@ -8,8 +8,8 @@ import numpy as np
 
 from trustlab.models.checks import between, not_negative, one_of, positive, spawned, whole_number
 from trustlab.operators.ground_robot import check_participant
-from trustlab.teleoperation.loop.defaults import LAWS
-from trustlab.teleoperation.loop.state import HAND
+from trustlab.teleoperation.loop.kernel import LAWS
+from trustlab.teleoperation.loop.parts import HAND
 from trustlab.teleoperation.records import filled
 
 # Largest command [m/s] that operators of each study ask for, above the speed of its target.

@@ -25,12 +25,13 @@ from .teleoperation_measures import (
     plot_trajectory as plot_trajectory,
     teleoperation_measures as teleoperation_measures,
 )
-from .tracking_task import TrackingTask as TrackingTask, tracking_vehicle as tracking_vehicle
 from .uav_following.people import (
     FollowingPopulation as FollowingPopulation,
     following_operator as following_operator,
 )
 from .uav_tracking import (
     TeleoperationLoop as TeleoperationLoop,
+    TrackingTask as TrackingTask,
     simulate_teleoperation as simulate_teleoperation,
+    tracking_vehicle as tracking_vehicle,
 )

@@ -1,6 +1,11 @@
 """
 A UAV that follows a ground robot through a teleoperation loop: a simulated stand-in for Figs. 3.12
 and 3.15.
+
+The task (a target on a closed path, a controller that loses it, the vehicle flown), the loop that
+is stepped or run, and what is drawn at random. One sample is `advance` in
+`teleoperation/loop/kernel.py`; the state, and parts that a user may replace, are in `parts.py`
+beside it.
 """
 
 import sys
@@ -18,33 +23,183 @@ from trustlab.models.checks import (
     not_negative,
     of_class,
     one_of,
+    positive,
     spawned,
 )
+from trustlab.models.uav import PRINTED_UAV, TransferFunction
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
 from trustlab.teleoperation.channel import lost_waves
 from trustlab.teleoperation.delays import Delay, delays_in_samples, random_walk_delay
 from trustlab.teleoperation.filters import first_order
-from trustlab.teleoperation.loop import guidance as ways, kernel, setup
-from trustlab.teleoperation.loop.defaults import DEFAULTS, LAWS
-from trustlab.teleoperation.loop.parts import View, part_of
+from trustlab.teleoperation.loop import kernel
+from trustlab.teleoperation.loop.parts import (
+    AUTONOMY,
+    COLUMNS,
+    HISTORY,
+    INPUT,
+    LOG,
+    PORTS,
+    View,
+    part_of,
+)
 from trustlab.teleoperation.loop.schemes import Scheme, optimal, scheme_named
 from trustlab.teleoperation.loop.settings import (
     DivergenceError,
     LoopSettings,
     PartError,
+    blending_cost,
+    setup_of,
+    state_of,
     study_named,
+    vehicle_matrices,
+    vehicle_of,
 )
-from trustlab.teleoperation.loop.state import COLUMNS, HISTORY, INPUT, LOG, PORTS
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.ports.passivity import METHODS
-from trustlab.teleoperation.records import log_of, signal
-from trustlab.testbeds.tracking_task import DELAYS, TASKS, TrackingTask, tracking_vehicle
+from trustlab.teleoperation.records import filled, log_of, signal
 
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
 # How far ahead a loop that is stepped draws what comes from outside [s]; twice as far each time
 # that it runs out.
 BLOCK = 60.0
+
+
+def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
+    """
+    Return the UAV of (A.1) under a low-level velocity controller, as Section 3.6 assumes one.
+
+    State feedback u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω, and at
+    −ω for order one. The printed PD controller of Appendix A does not stabilise (A.1) by itself on
+    x and y.
+
+    Parameters
+    ----------
+    bandwidth : float
+        ω [1/s], positive.
+
+    Raises
+    ------
+    ValueError
+        If `bandwidth` is not positive, or above 1000.
+    """
+    omega = between("bandwidth", positive("bandwidth", bandwidth), 0.0, 1e3)
+    return tuple(
+        TransferFunction(omega, (omega,))
+        if model.order == 1
+        else TransferFunction(omega**2, (2.0 * omega, omega**2))
+        for model in PRINTED_UAV.values()
+    )
+
+
+@dataclass(frozen=True)
+class TrackingTask:
+    """
+    What the target does and what goes wrong on the way.
+
+    Parameters
+    ----------
+    size_x, size_y : float
+        Half lengths of the closed path [m].
+    speed : float
+        Mean speed of the target [m/s].
+    failure_every, failure_length : float
+        Mean time between losses of the target by the autonomous controller, and how long one lasts
+        [s]; exponential.
+    camera_delay : float
+        How late pictures arrive at the operator and the controller [s].
+    proportional, integral, derivative : float
+        Gains of the hovering PID controller.
+    reach : float
+        Its largest command [m/s].
+    view : float
+        Half the width of the camera's picture [m], which shows operator and controller the target
+        from above; without bound when not given (10⁶ m). A target that leaves it is lost until it
+        is back: the operator looks where it was last seen, the controller hovers.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite or out of range.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> calm = tl.TrackingTask(speed=0.1, failure_every=60.0)
+    >>> run = tl.simulate_teleoperation("MI", task=calm, duration=5.0, seed=0)
+    >>> run.duration
+    4.99
+    """
+
+    size_x: float = 1.5
+    size_y: float = 1.0
+    speed: float = 0.2
+    failure_every: float = 15.0
+    failure_length: float = 4.0
+    camera_delay: float = 0.1
+    proportional: float = 1.0
+    integral: float = 0.1
+    derivative: float = 0.1
+    reach: float = 1.5
+    view: float = 1e6
+
+    def __post_init__(self):
+        may_be_zero = ("speed", "camera_delay", "proportional", "integral", "derivative")
+        for name in self.__dataclass_fields__:
+            check = not_negative if name in may_be_zero else positive
+            object.__setattr__(self, name, check(name, getattr(self, name)))
+        between("view", self.view, 0.0, 1e6)
+
+    def controller(self, sample_time: float) -> np.void:
+        """
+        Return the autonomous controller as the compiled loop takes it.
+
+        Parameters
+        ----------
+        sample_time : float
+            T [s].
+        """
+        late = max(round(self.camera_delay / sample_time), 1)
+        gains = {
+            name: getattr(self, name)
+            for name in ("proportional", "integral", "derivative", "reach")
+        }
+        return filled(AUTONOMY, **gains, picture=self.view, delay=late)
+
+    def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return where the UAV should be and how fast that moves: a figure of eight at a height above
+        the floor.
+
+        Parameters
+        ----------
+        t : numpy.ndarray, shape (N,)
+            Times [s].
+        height : float
+            z_d [m].
+        phase : float
+            Where on the path the target begins [rad].
+
+        Returns
+        -------
+        position, velocity : numpy.ndarray, shape (N, 3)
+            In m and m/s.
+        """
+        # for a root mean square speed of `speed`
+        rate = self.speed / np.sqrt(0.5 * self.size_x**2 + 2.0 * self.size_y**2)
+        turn = rate * t + phase
+        x, y = self.size_x * np.sin(turn), self.size_y * np.sin(2 * turn)
+        v_x = self.size_x * rate * np.cos(turn)
+        v_y = 2 * self.size_y * rate * np.cos(2 * turn)
+        position = np.column_stack([x, y, np.full(t.size, height)])
+        return position, np.column_stack([v_x, v_y, np.zeros(t.size)])
+
+
+TASKS = {
+    "preliminary": TrackingTask(size_x=6.0, size_y=4.0, speed=0.8, camera_delay=0.2, reach=2.5),
+    "main": TrackingTask(),
+}
+DELAYS = {"preliminary": (0.1, 0.8), "main": (0.03, 0.2)}
 
 
 @dataclass(eq=False)
@@ -176,21 +331,19 @@ class TeleoperationLoop:
         )
         one_of("read_out", self.read_out, READ_OUTS)
         one_of("guard", self.guard, METHODS)
-        one_of("guidance", self.guidance, ways.GUIDANCE)
+        one_of("guidance", self.guidance, kernel.GUIDANCE)
         self.tank = not_negative("tank", self.tank)
         T = self.sample_time = between("sample_time", self.sample_time, 1e-5, 0.1)
         if self.delay is not None and (self.delay_1 is not None or self.delay_2 is not None):
             raise ValueError("delay is the delay both ways: give it, or delay_1 and delay_2")
         self._seeds = spawned(self.seed, 5)
         self._failure: PartError | DivergenceError | None = None
-        self._states, self._accounts = (
-            setup.state_of(settings, T),
-            np.concatenate([accounts(), accounts()]),
-        )
+        self._states = state_of(settings, T)
+        self._accounts = np.concatenate([accounts(), accounts()])
         self.state = View(self._states)
         self._row = self._states.view(np.uint8)[: LOG.itemsize].view(float)
         hand = self._person.numbers(T, self._task.camera_delay)
-        self._setups = setup.setup_of(settings, hand, self._task.controller(T), T)
+        self._setups = setup_of(settings, hand, self._task.controller(T), T)
         self._fill_setup()
         self._done = 0
         self._table, self._log = log_of(LOG, 0)
@@ -198,10 +351,10 @@ class TeleoperationLoop:
 
     def _fill_setup(self) -> None:
         """Put guard, tank, vehicle and parts into the constants."""
-        one, given = self._setups[0], tracking_vehicle() if self.vehicle is None else self.vehicle
-        axes, vehicle = setup.vehicle_of(given)
+        setup = self._setups[0]
+        axes, vehicle = vehicle_of(tracking_vehicle() if self.vehicle is None else self.vehicle)
         if axes:
-            one["vehicle"] = setup.vehicle_matrices(axes, self.sample_time)[0]
+            setup["vehicle"] = vehicle_matrices(axes, self.sample_time)[0]
         if self._scheme.shares is optimal:
             if not axes:
                 raise ValueError(
@@ -209,23 +362,24 @@ class TeleoperationLoop:
                 )
             ends, task = self._settings.scattering, self._task
             gains = (task.proportional, task.derivative)
-            one["blend"] = setup.blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
-        one["guard"] = METHODS[self.guard]
-        one["read_out"] = READ_OUTS[self.read_out]
-        one["tank"] = self.tank
-        own = {"trust": self.trust, "feedback": self.feedback, "autonomy": self.autonomy}
+            setup["blend"] = blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
+        setup["guard"] = METHODS[self.guard]
+        setup["read_out"] = READ_OUTS[self.read_out]
+        setup["tank"] = self.tank
         law = self._person.law
-        wanted = {
+        parts = kernel.DEFAULTS | {
             "scheme": self._scheme.shares,
             "vehicle": vehicle,
-            "operator": law if callable(law) else LAWS[law],
+            "operator": law if callable(law) else kernel.LAWS[law],
         }
-        wanted |= {port: DEFAULTS[port] if part is None else part for port, part in own.items()}
-        self._parts = {port: part_of(port, wanted[port], self.state) for port in PORTS}
+        for port in kernel.DEFAULTS:
+            if getattr(self, port) is not None:
+                parts[port] = getattr(self, port)
+        self._parts = {port: part_of(port, parts[port], self.state) for port in PORTS}
         self.ways = {port: part.way for port, part in self._parts.items()}
-        way = ways.GUIDANCE[self.guidance] if self._scheme.bilateral else ways.one_way
-        for port, part in ({"guidance": way} | self._parts).items():
-            one["parts"][port] = part.address
+        guidance = kernel.GUIDANCE[self.guidance] if self._scheme.bilateral else kernel.one_way
+        for port, part in ({"guidance": guidance} | self._parts).items():
+            setup["parts"][port] = part.address
 
     @property
     def t(self) -> float:
@@ -300,26 +454,24 @@ class TeleoperationLoop:
         """The run so far: every signal and every port's energy, labelled synthetic."""
         t = np.round(self.sample_time * np.arange(self._done), 9)
         log, table = self._table[: self._done], np.empty((self._done, len(COLUMNS)), order="F")
-        for first in range(
-            0, self._done, 512
-        ):  # rows become columns a stretch at a time, which the cache holds
+        # rows become columns a stretch at a time, which the cache holds
+        for first in range(0, self._done, 512):
             table[first : first + 512] = log[first : first + 512]
         data = pd.DataFrame(table, index=pd.Index(t, name="t"), columns=COLUMNS, copy=False)
-        facts: dict[str, object] = {
+        replaced = [
+            f"{port} {way.split(':')[0]}" for port, way in self.ways.items() if way != "built-in"
+        ]
+        facts = {
             "study": self._settings.title,
             "scheme": self._scheme.title,
             "seed": str(self.seed),
-        }
-        facts |= {
             "read_out": self.read_out,
             "guard": self.guard,
             "guidance": self.guidance,
             "tank": self.tank,
+            "parts": ", ".join(replaced) or "built-in",
+            "note": NOTE,
         }
-        own = [
-            f"{port} {way.split(':')[0]}" for port, way in self.ways.items() if way != "built-in"
-        ]
-        facts |= {"parts": ", ".join(own) or "built-in", "note": NOTE}
         return keep_table(
             data, Metadata(self._person.participant, self._scheme.name, __name__, True, facts)
         )
@@ -345,7 +497,8 @@ class TeleoperationLoop:
             if end == kernel.DONE:
                 return
             self._failure = self._failed(end)
-            self._failure.session = self.session if self._done > 1 else None
+            if self._done > 1:
+                self._failure.session = self.session
         raise self._failure from self._failure.__cause__
 
     def _failed(self, end: int) -> PartError | DivergenceError:
@@ -363,19 +516,19 @@ class TeleoperationLoop:
         cause = self._parts[block].raised() if state.raised else None
         if cause is not None and not isinstance(cause, Exception):
             raise cause  # an interrupt
-        what = f"raised {type(cause).__name__}: {cause}" if cause else "raised an error"
+        fault = f"raised {type(cause).__name__}: {cause}" if cause else "raised an error"
         if not state.raised:
-            found = " and ".join(f"{name} = {np.round(state[name], 6)}" for name in PORTS[block])
-            what = f"returned {found}; finite numbers are wanted"
+            values = " and ".join(f"{name} = {np.round(state[name], 6)}" for name in PORTS[block])
+            fault = f"returned {values}; finite numbers are wanted"
         if block == "scheme":
             bounds = (
                 f"{n} in [{state[f'{n}_min']:g}, {state[f'{n}_max']:g}]" for n in PORTS[block]
             )
-            what += f"; {' and '.join(bounds)}, for which the channel's ends are set (3.1)"
-        error = PartError(
-            f"the {block} of this loop {what}, at t = {t:g} s; the run so far is in .session of "
-            "this error"
-        )
+            fault += f"; {' and '.join(bounds)}, for which the channel's ends are set (3.1)"
+        told = f"the {block} of this loop {fault}, at t = {t:g} s"
+        if self._done > 1:
+            told += "; the run so far is in .session of this error"
+        error = PartError(told)
         error.__cause__ = cause
         return error
 
@@ -385,7 +538,7 @@ class TeleoperationLoop:
         takes fewer where it must.
         """
         if stepped:
-            arrays = any(one is not None for one in (self.alpha, self.push, self.lost))
+            arrays = any(array is not None for array in (self.alpha, self.push, self.lost))
             # arrays are as long as the run that they are meant for
             count = self._most() if arrays else min(count, self._most())
             if count <= self._done:
@@ -402,43 +555,35 @@ class TeleoperationLoop:
         inputs["pushed"] = signal(
             "push", np.zeros((count, 3)) if self.push is None else self.push, count, 3
         )
-        both = (self.delay_1, self.delay_2) if self.delay is None else (self.delay, self.delay)
+        pair = (self.delay_1, self.delay_2) if self.delay is None else (self.delay, self.delay)
         delays = _delays(
-            self._settings, both, self.read_out, count, self.sample_time, self._seeds[3:]
+            self._settings, pair, self.read_out, count, self.sample_time, self._seeds[3:]
         )
         self._arrives = lost_waves(self.lost, count)
         self._inputs, self._delays = inputs, delays
         table, log = log_of(LOG, count)
         table[: self._done] = self._table[: self._done]
         history, sent = np.zeros(count, HISTORY), np.zeros((2, count, 3))
-        history[: self._done], sent[:, : self._done] = (
-            self._history[: self._done],
-            self._sent[:, : self._done],
-        )
+        history[: self._done] = self._history[: self._done]
+        sent[:, : self._done] = self._sent[:, : self._done]
         self._table = table
         self._log = log
         self._history = history
         self._sent = sent
-        carried = ways.PACKETS if self.guidance == "two_port" else ways.WAVES
+        carried = kernel.PACKETS if self.guidance == "two_port" else kernel.WAVES
         if not self._scheme.bilateral:
-            carried = ways.SIGNALS
+            carried = kernel.SIGNALS
         if self.guidance in ("tank", "two_port") and self._scheme.bilateral:
             self._delays = np.maximum(delays, 1.0)  # packets take a sample at least
-        self._setups["channel"] = carried if self._delays.any() else ways.DIRECT
+        self._setups["channel"] = carried if self._delays.any() else kernel.DIRECT
 
     def _most(self) -> int:
         """Return how many samples the arguments that are arrays or traces allow."""
         lengths = [*np.shape(self.alpha)[:1], *np.shape(self.push)[:1], *np.shape(self.lost)[1:2]]
-        traces = [
-            one.end for one in (self.delay, self.delay_1, self.delay_2) if isinstance(one, Delay)
-        ]
-        return min(
-            [
-                *lengths,
-                *(int(end / self.sample_time) + 1 for end in traces if np.isfinite(end)),
-                sys.maxsize,
-            ]
-        )
+        for delay in (self.delay, self.delay_1, self.delay_2):
+            if isinstance(delay, Delay) and np.isfinite(delay.end):
+                lengths.append(int(delay.end / self.sample_time) + 1)
+        return min([*lengths, sys.maxsize])
 
 
 def simulate_teleoperation(
@@ -552,14 +697,14 @@ def _coloured(count: int, time: float, sample_time: float, rng) -> np.ndarray:
     return first_order(white, np.sqrt(1.0 - keep**2), keep)
 
 
-def _delays(settings: LoopSettings, given, read_out, count, sample_time, seeds) -> np.ndarray:
+def _delays(settings: LoopSettings, pair, read_out, count, sample_time, seeds) -> np.ndarray:
     """Return the delays both ways in samples; random walks of the study where none is given."""
     rate, (low, high) = settings.scattering.max_delay_rate, DELAYS[settings.study]
     chosen = {}
-    for name, delay, child in zip(("delay_1", "delay_2"), given, seeds, strict=True):
+    for name, delay, child in zip(("delay_1", "delay_2"), pair, seeds, strict=True):
         if delay is None:
-            own = np.random.SeedSequence(int(np.random.default_rng(child).integers(1 << 62)))
-            delay = random_walk_delay(max(low, sample_time), high, rate, own)
+            seed = np.random.SeedSequence(int(np.random.default_rng(child).integers(1 << 62)))
+            delay = random_walk_delay(max(low, sample_time), high, rate, seed)
         chosen[name] = delay
     return delays_in_samples(chosen, rate, read_out, count, sample_time, zero=True)
 

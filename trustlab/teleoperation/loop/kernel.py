@@ -1,22 +1,24 @@
 """
 The whole teleoperation loop (Fig. 3.1), compiled: `advance` does one sample after another.
 
-A sample changes one record of STATE, of which the first part is the row of the log. Whatever is
-delayed (pictures, waves, performance that leaves its window) is looked up here, so that the parts
-need no history. Records are passed as plain pointers, whereas every array that a compiled function
-is given costs two atomic reference counts a call: with arrays as arguments this loop is three times
-slower. `advance` and `read_wave`, which need arrays, do without counts (_nrt=False): they allocate
-nothing, and their caller keeps what they are given.
+The file follows a sample: what arrives, the built-in parts (autonomy, operator's law, feedback,
+vehicle, trust), the hand, the four ways in which guidance reaches the operator, the books of
+energy, performance, and `advance`. A sample changes one record of STATE, of which the first part is
+the row of the log. Whatever is delayed (pictures, waves, performance that leaves its window) is
+looked up here, so that the parts need no history. Records are passed as plain pointers, whereas
+every array that a compiled function is given costs two atomic reference counts a call: with arrays
+as arguments this loop is three times slower. `advance` and `read_wave`, which need arrays, do
+without counts (_nrt=False): they allocate nothing, and their caller keeps what they are given.
 """
 
 import numpy as np
 
 from trustlab.models.compiled import njit
-from trustlab.teleoperation.loop.guidance import DIRECT, PACKETS, SIGNALS, WAVES
-from trustlab.teleoperation.loop.parts import call
-from trustlab.teleoperation.loop.state import PORTS
-from trustlab.teleoperation.ports import device as haptic
+from trustlab.models.trust import trust_step
+from trustlab.teleoperation.loop.parts import PORTS, Part, call
+from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.ledger import read_wave
+from trustlab.teleoperation.ports.passivity import activation, demanded
 
 # How a run ends: well, a block diverged, or a part raised an error or returned what cannot be.
 DONE, DEVICE, CHANNEL, ROBOT, SCHEME, TRUST, FEEDBACK, AUTONOMY, OPERATOR, VEHICLE = range(-1, 9)
@@ -25,18 +27,68 @@ DONE, DEVICE, CHANNEL, ROBOT, SCHEME, TRUST, FEEDBACK, AUTONOMY, OPERATOR, VEHIC
 BLOCKS = ("haptic device", "channel", "robot", *PORTS)
 
 SLACK = 1e-12
+# What the channel carries: nothing between the ends, waves, the device's output alone, or packets
+# with their energy.
+DIRECT = 0
+WAVES = 1
+SIGNALS = 2
+PACKETS = 3
+
+# Time in which `two_port` makes up for the velocity that its controller took [s].
+DRIFT_TIME = 0.5
+
+# Speed of the hand [m/s] above which an operator notices what the channel makes of it.
+FLOOR = 0.05
+
+
+# What a sample begins with.
 
 
 @njit(error_model="numpy", forceinline=True)
-def finite(vector):
-    """Return whether three numbers are finite."""
-    return np.isfinite(vector[0]) and np.isfinite(vector[1]) and np.isfinite(vector[2])
+def pictured(error, widest):
+    """Return whether the target is in the camera's picture, x and y seen from above."""
+    return abs(error[0]) <= widest and abs(error[1]) <= widest
 
 
 @njit(error_model="numpy", forceinline=True)
-def within(share, low, high):
-    """Return whether a scale is within its bounds, up to rounding."""
-    return low * (1.0 - SLACK) <= share <= high * (1.0 + SLACK)
+def look_up(k, setup, inputs, history, state):
+    """
+    Set what sample k begins with: the target, the pictures of camera and operator, and the
+    performance that leaves.
+    """
+    now = inputs[k]
+    state.t = k * setup.sample_time
+    view, camera = k - setup.hand.delay, k - setup.auto.delay
+    widest = setup.auto.picture
+    state.sees = view >= 1 and pictured(history[view].error, widest)
+    state.finds = (
+        camera >= 1 and inputs[camera].detected and pictured(history[camera].error, widest)
+    )
+    before = camera - 1
+    state.found_before = (
+        state.finds and inputs[before].detected and pictured(history[before].error, widest)
+    )
+    square = 0.0
+    for i in range(3):
+        state.reference[i] = now.reference[i]
+        state.reference_velocity[i] = now.reference_velocity[i]
+        state.pushed[i] = now.pushed[i]
+        state.motor[i] = now.motor[i]
+        state.hand[i] = now.hand[i]
+        state.error[i] = now.reference[i] - state.robot[i]
+        square += state.error[i] ** 2
+        history[k].error[i] = state.error[i]
+        if state.sees:  # else the operator remembers where the target was last seen
+            state.seen[i] = history[view].error[i] + inputs[view].ahead[i]
+            state.seen_before[i] = history[view - 1].error[i] + inputs[view - 1].ahead[i]
+        if camera >= 1:
+            state.picture[i] = history[camera].error[i]
+            state.picture_before[i] = history[camera - 1].error[i]
+    state.path_error = np.sqrt(square)
+    state.samples = min(k + 1, setup.loop.window)
+    if k >= setup.loop.window:
+        old = history[k - setup.loop.window]
+        state.leaving_r, state.leaving_h = old.good_r, old.good_h
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -57,12 +109,13 @@ def receive(k, setup, delays, arrives, accounts, history, sent, log, state):
     if setup.channel != SIGNALS:
         far = newest_packet(arrives[0], k, delays[0, k], accounts[2])
         near = newest_packet(arrives[1], k, delays[1, k], accounts[3])
-        state.known_near = history[far].in_near if far >= 0 else 0.0
-        state.known_far = history[near].in_far if near >= 0 else 0.0
+        state.ledger.known_near = history[far].in_near if far >= 0 else 0.0
+        state.ledger.known_far = history[near].in_far if near >= 0 else 0.0
     if setup.channel == WAVES:
         gain = setup.loop.gain
         read_out = setup.read_out
-        T = state.sample_time
+        T = setup.sample_time
+        # (3.16)
         read_wave(sent[0], arrives[0], k, delays[0, k], gain, read_out, T, accounts[0], state.v_r)
         read_wave(sent[1], arrives[1], k, delays[1, k], gain, read_out, T, accounts[1], state.v_l)
     elif setup.channel == PACKETS:
@@ -80,73 +133,169 @@ def receive(k, setup, delays, arrives, accounts, history, sent, log, state):
                 state.arrived[i] = value + (where - first) * (later - value)
 
 
-@njit(error_model="numpy", forceinline=True)
-def pictured(error, widest):
-    """Return whether the target is in the camera's picture, x and y seen from above."""
-    return abs(error[0]) <= widest and abs(error[1]) <= widest
+# Built-in parts.
 
 
 @njit(error_model="numpy", forceinline=True)
-def look_up(k, setup, inputs, history, state):
+def clip(value, reach):
+    """Return value within ± reach."""
+    return min(max(value, -reach), reach)
+
+
+@Part
+def controller(state, setup):
     """
-    Set what sample k begins with: the target, the pictures of camera and operator, and the
-    performance that leaves.
+    Set u_a by a PID controller on the camera's picture; a vehicle that has lost its target hovers.
     """
-    now = inputs[k]
-    state.t = k * state.sample_time
-    view, camera = k - setup.hand.delay, k - setup.auto.delay
-    widest = setup.auto.picture
-    state.sees = view >= 1 and pictured(history[view].error, widest)
-    state.finds = (
-        camera >= 1 and inputs[camera].detected and pictured(history[camera].error, widest)
-    )
-    before = camera - 1
-    state.found_before = (
-        state.finds and inputs[before].detected and pictured(history[before].error, widest)
-    )
-    square = 0.0
+    auto = setup.auto
     for i in range(3):
-        state.reference[i], state.reference_velocity[i] = (
-            now.reference[i],
-            now.reference_velocity[i],
-        )
-        state.pushed[i] = now.pushed[i]
-        state.motor[i] = now.motor[i]
-        state.hand[i] = now.hand[i]
-        state.error[i] = now.reference[i] - state.robot[i]
-        square += state.error[i] ** 2
-        history[k].error[i] = state.error[i]
-        if state.sees:  # else the operator remembers where the target was last seen
-            state.seen[i] = history[view].error[i] + inputs[view].ahead[i]
-            state.seen_before[i] = history[view - 1].error[i] + inputs[view - 1].ahead[i]
-        if camera >= 1:
-            state.picture[i], state.picture_before[i] = (
-                history[camera].error[i],
-                history[camera - 1].error[i],
+        state.u_a[i] = 0.0
+        if state.finds:
+            rate = 0.0
+            if state.found_before:
+                rate = (state.picture[i] - state.picture_before[i]) / setup.sample_time
+            command = auto.proportional * state.picture[i] + auto.derivative * rate
+            summed = state.integral[i] + setup.sample_time * state.picture[i]
+            # anti-windup: the integral rests while the command is at its limit
+            if abs(command + auto.integral * summed) < auto.reach:
+                state.integral[i] = summed
+            state.u_a[i] = clip(command + auto.integral * state.integral[i], auto.reach)
+
+
+@Part
+def proportional_law(state, setup):
+    """
+    Set the command that the operator wants, in proportion to the error seen and its rate.
+
+    While the target is out of the picture it is looked for where it was last seen.
+    """
+    hand = setup.hand
+    for i in range(3):
+        command = hand.proportional * state.seen[i]
+        if state.sees:
+            command += hand.derivative * (
+                (state.seen[i] - state.seen_before[i]) / setup.sample_time
             )
-    state.path_error = np.sqrt(square)
-    state.samples = min(k + 1, setup.loop.window)
-    if k >= setup.loop.window:
-        old = history[k - setup.loop.window]
-        state.leaving_r, state.leaving_h = old.good_r, old.good_h
+        state.wanted[i] = hand.compensation * clip(command, hand.reach)
+
+
+@Part
+def crossover_law(state, setup):
+    """
+    Set the command wanted by an operator who keeps the crossover of the whole loop where it was,
+    whatever the channel's scale.
+
+    The scale is the ratio of the root mean squares of what the channel gives and takes, which
+    delays do not change.
+    """
+    hand = setup.hand
+    memory = state.operator_memory
+    sent = 0.0
+    followed = 0.0
+    for i in range(3):
+        sent += state.r_m[i] ** 2
+        followed += state.r_s[i] ** 2
+    memory[0] += hand.learned * (sent - memory[0])
+    memory[1] += hand.learned * (followed - memory[1])
+    scale = np.sqrt((memory[1] + FLOOR**2) / (memory[0] + FLOOR**2))  # 1 until the hand has moved
+    for i in range(3):
+        state.wanted[i] = (
+            hand.compensation * clip(hand.crossover * state.seen[i], hand.reach) / scale
+        )
+
+
+@Part
+def spring(state, setup):
+    """Set the guiding force −k_ffa e."""
+    for i in range(3):
+        state.guiding[i] = -setup.loop.guidance * state.stretch[i]
+
+
+@Part
+def linear_vehicle(state, setup):
+    """Step the vehicle by its exact matrices, the command being held over the sample."""
+    phi, gamma = setup.vehicle.phi, setup.vehicle.gamma
+    for i in range(3):
+        s = state.robot[i]
+        w = state.velocity[i]
+        a = state.acceleration[i]
+        command = state.command[i]
+        state.robot[i] = (
+            phi[i, 0, 0] * s + phi[i, 0, 1] * w + phi[i, 0, 2] * a + gamma[i, 0] * command
+        )
+        state.velocity[i] = (
+            phi[i, 1, 0] * s + phi[i, 1, 1] * w + phi[i, 1, 2] * a + gamma[i, 1] * command
+        )
+        state.acceleration[i] = (
+            phi[i, 2, 0] * s + phi[i, 2, 1] * w + phi[i, 2, 2] * a + gamma[i, 2] * command
+        )
+
+
+@Part
+def two_way_trust(state, setup):
+    """Step trust (3.2)-(3.3), in the units of its models."""
+    state.trust_hr = next_trust(state.trust_hr, setup.loop.trust_hr, state.p_r)  # (3.2)
+    state.trust_rh = next_trust(state.trust_rh, setup.loop.trust_rh, state.p_h)  # (3.3)
 
 
 @njit(error_model="numpy", forceinline=True)
-def reach_out(setup, state):
-    """Set the hand's force, and the output that the device would have without feedback."""
-    hand, given = setup.hand, not np.isnan(state.hand[0])
+def next_trust(trust, model, p):
+    """
+    Return trust one sample later for a performance in its own unit; performance beyond its range
+    counts as at its end.
+    """
+    share = min(max((p - model.p_min) / (model.p_max - model.p_min), 0.0), 1.0)
+    span = model.t_max - model.t_min
+    return model.t_min + span * trust_step(
+        (trust - model.t_min) / span, share, model.decay, model.gain
+    )
+
+
+# How operators act on the error that they see, by name; and the parts of a loop by port.
+LAWS = {"proportional": proportional_law, "crossover": crossover_law}
+DEFAULTS = {"trust": two_way_trust, "feedback": spring, "autonomy": controller}
+
+
+# Decisions, and the hand.
+
+
+@njit(error_model="numpy", forceinline=True)
+def finite(vector):
+    """Return whether three numbers are finite."""
+    return np.isfinite(vector[0]) and np.isfinite(vector[1]) and np.isfinite(vector[2])
+
+
+@njit(error_model="numpy", forceinline=True)
+def within(share, low, high):
+    """Return whether a scale is within its bounds, up to rounding."""
+    return low * (1.0 - SLACK) <= share <= high * (1.0 + SLACK)
+
+
+@njit(error_model="numpy", forceinline=True)
+def decide(setup, alpha, state):
+    """
+    Let autonomy, scheme and operator decide; return the part that failed, DONE where none did. α
+    may be given.
+    """
+    parts = setup.parts
     for i in range(3):
-        device = axis(setup.device, i)
-        if given:
-            state.wish[i] = device.weight * state.hand[i]
-        else:
-            state.wish[i] = hand.decay * state.wish[i] + (1.0 - hand.decay) * state.wanted[i]
-        goal = state.wish[i] / device.weight  # where the device's output is the wish, r_m = Λ x
-        shaking = hand.noise * state.motor[i] * (1.0 + abs(state.wish[i]))
-        state.force[i] = device.held_stiffness * goal + shaking + state.pushed[i]
-        state.free_output[i] = haptic.free_output(
-            device, state.device[i], state.device_velocity[i], state.force[i]
-        )
+        state.u_i[i] = (
+            state.reference_velocity[i] + state.error[i]
+        )  # the ideal controller has the gain 1/s
+    call(parts.autonomy, state, setup)
+    if state.raised or not finite(state.u_a):
+        return AUTONOMY
+    call(parts.scheme, state, setup)
+    if not np.isnan(alpha):
+        state.alpha = alpha
+    # (3.1)
+    bounded = within(state.alpha, state.alpha_min, state.alpha_max)
+    if state.raised or not (bounded and within(state.beta, state.beta_min, state.beta_max)):
+        return SCHEME
+    call(parts.operator, state, setup)
+    if state.raised or not finite(state.wanted):
+        return OPERATOR
+    return DONE
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -166,36 +315,341 @@ def axis(d, i):
 
 
 @njit(error_model="numpy", forceinline=True)
+def reach_out(setup, state):
+    """Set the hand's force, and the output that the device would have without feedback."""
+    hand, recorded = setup.hand, not np.isnan(state.hand[0])
+    for i in range(3):
+        device = axis(setup.device, i)
+        if recorded:
+            state.wish[i] = device.weight * state.hand[i]
+        else:
+            state.wish[i] = hand.decay * state.wish[i] + (1.0 - hand.decay) * state.wanted[i]
+        goal = state.wish[i] / device.weight  # where the device's output is the wish, r_m = Λ x
+        shaking = hand.noise * state.motor[i] * (1.0 + abs(state.wish[i]))
+        state.force[i] = device.held_stiffness * goal + shaking + state.pushed[i]
+        state.free_output[i] = haptic.free_output(
+            device, state.device[i], state.device_velocity[i], state.force[i]
+        )
+
+
+# How guidance reaches the operator: both ends of the channel are solved, each with the port behind
+# it and its controller.
+
+
+@njit(error_model="numpy", forceinline=True)
+def feel(state, setup, stretch):
+    """Set the guiding force that the error `stretch` gives."""
+    for i in range(3):
+        state.stretch[i] = stretch[i]
+    call(setup.parts.feedback, state, setup)
+
+
+@njit(error_model="numpy", forceinline=True)
+def share_let_pass(guard, energy, velocity, force, gain, sample_time):
+    """
+    Return the share of a port's velocity that the passivity controller of Theorem 4 lets pass, 1
+    where it rests.
+
+    velocity, force, shape (3,): what the port would do without the controller. `gain` is the power
+    that the velocity would cost against the port's own compliance.
+    """
+    power = 0.0
+    for i in range(3):
+        power += velocity[i] * force[i]
+    demand = demanded(guard, energy, power, sample_time)  # (3.19)
+    if np.isnan(demand) or gain == 0.0:
+        return 1.0
+    return 1.0 / (1.0 + activation(power, gain, 1.0, demand)[0])
+
+
+@njit(error_model="numpy", forceinline=True)
+def share_paid_for(guard, energy, line, square, sample_time):
+    """
+    Return the greatest share σ ≤ 1 of a force whose power, line σ − square σ², leaves the energy
+    that is demanded.
+    """
+    demand = demanded(guard, energy, line - square, sample_time)
+    if np.isnan(demand):
+        return 1.0
+    spendable = max(-demand, 0.0)
+    root = np.sqrt(line * line + 4.0 * square * spendable)
+    if line > 0.0:
+        return min((line + root) / (2.0 * square), 1.0)
+    return min(2.0 * spendable / (root - line), 1.0) if root > line else 0.0
+
+
+@njit(error_model="numpy", forceinline=True)
+def open_ends(state, setup):
+    """
+    Set the robot's velocity r_s = α (free − compliance f_s): the free part arrives, and the port
+    yields to the force.
+
+    Without a channel in between, both ends are one system of equations, solved in closed form.
+    """
+    near, far = setup.near, setup.far
+    for i in range(3):
+        if setup.channel == DIRECT:
+            loaded, echo = echoed(state, setup, i)
+            state.compliance[i] = (
+                1.0 - far.arriving * echo * far.sent / (1.0 + far.reflected * echo)
+            ) / far.b
+            straight = far.arriving * near.sent * state.free_output[i] / loaded
+            state.free_velocity[i] = straight / (far.b * (1.0 + far.reflected * echo))
+        else:
+            state.compliance[i] = 1.0 / far.b
+            state.free_velocity[i] = far.arriving * state.v_r[i] / far.b
+
+
+@njit(error_model="numpy", forceinline=True)
+def echoed(state, setup, i):
+    """
+    Return how the channel loads the device, and what of a wave sent back comes again without a
+    channel in between.
+    """
+    near, admittance = setup.near, setup.admittance[i]
+    loaded = 1.0 + admittance * state.beta * near.b
+    return loaded, near.reflected - near.sent * (admittance * state.beta * near.arriving / loaded)
+
+
+@njit(error_model="numpy", forceinline=True)
+def close_ends(state, setup):
+    """
+    Set the waves and the operator's end for the robot's velocity and force: r_m = free_output −
+    admittance f_m.
+    """
+    near, far = setup.near, setup.far
+    for i in range(3):
+        loaded, echo = echoed(state, setup, i)
+        through = setup.admittance[i] * state.beta * near.arriving / loaded
+        if setup.channel == DIRECT:
+            straight = near.sent * state.free_output[i] / loaded + echo * far.sent * state.f_s[i]
+            state.v_r[i] = straight / (1.0 + far.reflected * echo)
+            state.v_l[i] = waves.robot_wave(far, state.f_s[i], state.v_r[i])
+        state.r_m[i] = state.free_output[i] / loaded - through * state.v_l[i]
+        # (3.12), (3.22)
+        state.f_m[i] = state.beta * waves.operator_force(near, state.r_m[i], state.v_l[i])
+        state.u_l[i] = waves.operator_wave(near, state.r_m[i], state.v_l[i])
+        state.u_r[i] = waves.robot_wave(far, state.f_s[i], state.v_r[i])
+        state.guide[i] = state.f_m[i] - state.beta * near.b * state.r_m[i]
+
+
+@Part
+def through_channel(state, setup):
+    """
+    The guiding force at the robot's port, under the controller of Theorem 4: Chapter 3 as printed.
+    """
+    feel(state, setup, state.error)
+    open_ends(state, setup)
+    square = 0.0
+    for i in range(3):
+        state.pull[i] = state.f_s[i] = state.guiding[i]
+        # (3.12), (3.22)
+        state.r_s[i] = state.alpha * (state.free_velocity[i] - state.compliance[i] * state.f_s[i])
+        square += state.r_s[i] ** 2 * (state.compliance[0] / state.compliance[i])
+    gain = square / (state.alpha * state.compliance[0])
+    share = share_let_pass(
+        setup.guard, state.ledger.robot, state.r_s, state.f_s, gain, setup.sample_time
+    )
+    if share < 1.0:
+        for i in range(3):
+            state.r_s[i] = share * state.r_s[i]
+            state.f_s[i] = (state.free_velocity[i] - state.r_s[i] / state.alpha) / state.compliance[
+                i
+            ]
+    close_ends(state, setup)
+    state.port_share = share
+
+
+@Part
+def tank(state, setup):
+    """
+    The guiding force at the robot's port, as far as a tank of energy there pays for the wave that
+    it sends (Franken et al.).
+
+    Waves fill the tank by ½ ‖v_r‖² and drain it by ½ ‖u_r‖²; packets add what else came in at the
+    operator's end, where waves carry less than the port takes, ½ ∫ (β/β_min − 1) ‖u_l‖² dt. So the
+    operator's port, ½ ∫ β (‖u_l‖²/β_min − ‖v_l‖²/β_max) dt, gives out no more than the tank held at
+    first.
+    """
+    feel(state, setup, state.error)
+    open_ends(state, setup)
+    far, T = setup.far, setup.sample_time
+    line = square = spare = 0.0
+    for i in range(3):
+        line += far.sent * state.guiding[i] * far.reflected * state.v_r[i]
+        square += 0.5 * (far.sent * state.guiding[i]) ** 2
+        spare += 0.5 * T * (1.0 - far.reflected**2) * state.v_r[i] ** 2
+    level = setup.tank + state.ledger.known_near - state.ledger.out_far + spare
+    state.port_share = share_paid_for(setup.guard, level, line, square, T)
+    for i in range(3):
+        state.pull[i] = state.f_s[i] = state.port_share * state.guiding[i]
+        state.r_s[i] = state.alpha * (state.free_velocity[i] - state.compliance[i] * state.f_s[i])
+    close_ends(state, setup)
+    for i in range(3):
+        state.ledger.out_far += 0.5 * T * (state.u_r[i] ** 2 - state.v_r[i] ** 2)
+        state.ledger.in_near += 0.5 * T * (state.beta / state.beta_min - 1.0) * state.u_l[i] ** 2
+
+
+@Part
+def at_operator(state, setup):
+    """
+    The guiding force β f at the haptic device, from the picture that the operator sees; the channel
+    carries the command.
+
+    The device feels f_m = offset + resistance r_m, the channel's end with no force at the robot's,
+    and the guiding force. The controller works on (r_m, f_m): guidance spends what the operator's
+    port has earned.
+    """
+    feel(state, setup, state.picture)
+    near, far = setup.near, setup.far
+    back = 0.0  # of a wave sent, what returns at once without a channel in between
+    if setup.channel == DIRECT:
+        back = -far.reflected * near.sent / (1.0 + near.reflected * far.reflected)
+    gain, resistance = 0.0, state.beta * (near.b + near.arriving * back)
+    for i in range(3):
+        arrived = 0.0 if setup.channel == DIRECT else state.beta * near.arriving * state.v_l[i]
+        state.pull[i] = state.beta * state.guiding[i]
+        force, admittance = arrived + state.pull[i], setup.admittance[i]
+        state.r_m[i] = (state.free_output[i] - admittance * force) / (1.0 + admittance * resistance)
+        state.f_m[i] = force + resistance * state.r_m[i]
+        gain += state.r_m[i] ** 2 / admittance
+    share = share_let_pass(
+        setup.guard, state.ledger.port, state.r_m, state.f_m, gain, setup.sample_time
+    )
+    for i in range(3):
+        if share < 1.0:
+            state.r_m[i] = share * state.r_m[i]
+            state.f_m[i] = (state.free_output[i] - state.r_m[i]) / setup.admittance[i]
+        if setup.channel == DIRECT:
+            state.v_l[i] = back * state.r_m[i]
+            state.v_r[i] = waves.operator_wave(near, state.r_m[i], state.v_l[i])
+        state.guide[i] = state.f_m[i] - state.beta * near.b * state.r_m[i]
+        state.f_s[i] = 0.0
+        # (3.12), (3.22)
+        state.r_s[i] = state.alpha * waves.robot_velocity(far, state.f_s[i], state.v_r[i])
+        state.u_l[i] = waves.operator_wave(near, state.r_m[i], state.v_l[i])
+        state.u_r[i] = waves.robot_wave(far, state.f_s[i], state.v_r[i])
+    state.port_share = share
+
+
+@Part
+def two_port(state, setup):
+    """
+    Velocity and force as they are, both ports passive in the time domain, the robot's drift made up
+    for (Artigas et al.).
+
+    A packet carries the energy that has come in at its sender's port so far, and no port gives out
+    more than it knows has come in at the other. The moving target's energy does not count: the
+    guiding force spends what the robot's port has taken.
+    """
+    feel(state, setup, state.error)
+    T = setup.sample_time
+    power = 0.0
+    square = 0.0
+    for i in range(3):
+        asked = state.alpha * state.arrived[i]
+        state.free_velocity[i] = asked
+        state.r_s[i] = asked + state.drift[i] / DRIFT_TIME
+        power += state.r_s[i] * state.guiding[i]
+        square += state.guiding[i] ** 2
+    share = 1.0
+    excess = 0.0
+    paid = 0.0
+    if power < 0.0:
+        share = share_paid_for(setup.guard, state.ledger.robot, power, 0.0, T)
+    elif power > 0.0:
+        demand = demanded(setup.guard, state.ledger.known_near - state.ledger.out_far, -power, T)
+        excess = 0.0 if np.isnan(demand) else (power + demand) / square
+    for i in range(3):
+        state.r_s[i] -= excess * state.guiding[i]
+        state.pull[i] = state.f_s[i] = share * state.guiding[i]
+        state.drift[i] += T * (state.free_velocity[i] - state.r_s[i])
+        paid += T * state.r_s[i] * state.f_s[i]
+    state.ledger.out_far += max(paid, 0.0)
+    state.ledger.in_far += max(-paid, 0.0)
+    gain = 0.0
+    for i in range(3):
+        state.f_m[i] = state.beta * state.packet_force[i]
+        state.r_m[i] = state.free_output[i] - setup.admittance[i] * state.f_m[i]
+        gain += state.r_m[i] ** 2 / setup.admittance[i]
+    state.port_share = share_let_pass(
+        setup.guard, state.ledger.known_far - state.ledger.out_near, state.r_m, state.f_m, gain, T
+    )
+    came = 0.0
+    for i in range(3):
+        if state.port_share < 1.0:
+            state.r_m[i] = state.port_share * state.r_m[i]
+            state.f_m[i] = (state.free_output[i] - state.r_m[i]) / setup.admittance[i]
+        state.guide[i] = state.f_m[i]
+        came += T * state.r_m[i] * state.f_m[i]
+    state.ledger.in_near += max(came, 0.0)
+    state.ledger.out_near += max(-came, 0.0)
+
+
+@Part
+def one_way(state, setup):
+    """The device's output to the robot, from which no force comes back."""
+    feel(state, setup, state.error)
+    for i in range(3):
+        state.r_m[i] = state.free_output[i]
+        state.f_m[i] = 0.0
+        state.f_s[i] = 0.0
+        state.pull[i] = 0.0
+        state.r_s[i] = state.alpha * (state.r_m[i] if setup.channel == DIRECT else state.arrived[i])
+    state.port_share = 1.0
+
+
+GUIDANCE = {
+    "at_operator": at_operator,
+    "through_channel": through_channel,
+    "tank": tank,
+    "two_port": two_port,
+}
+
+
+# Energy, performance, and the step to the next sample.
+
+
+@njit(error_model="numpy", forceinline=True)
 def book(setup, state):
     """
     Book the energy of every port and set the robot's command; return whether device and channel are
     bounded.
     """
-    T = state.sample_time
+    T = setup.sample_time
     scaling = setup.loop.force_scaling
+    ledger = state.ledger
     near = 0.0
     state.energy_device = 0.0
     for i in range(3):
         device = axis(setup.device, i)
         x = state.device[i]
         v = state.device_velocity[i]
+        # (3.8)
         v_middle = haptic.midpoint_velocity(device, x, v, state.force[i], scaling * state.f_m[i])
         x_middle = x + 0.5 * T * v_middle
         state.middle[i] = v_middle
         state.f_h[i] = (
             state.force[i] - setup.hand.stiffness * x_middle - setup.hand.damping * v_middle
         )
-        state.energy_operator += T * state.r_m[i] * state.f_h[i] / scaling
-        state.energy_port += T * state.r_m[i] * state.f_m[i]
-        state.energy_channel += T * (state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i])
-        state.energy_robot += T * state.r_s[i] * state.f_s[i]
-        state.energy_target -= T * state.pull[i] * state.reference_velocity[i]
-        state.energy_dissipated += T / scaling * haptic.device_loss(device, x_middle, v_middle)
+        ledger.operator += T * state.r_m[i] * state.f_h[i] / scaling  # (3.25)
+        ledger.port += T * state.r_m[i] * state.f_m[i]
+        ledger.channel += T * (state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i])
+        ledger.robot += T * state.r_s[i] * state.f_s[i]
+        ledger.target -= T * state.pull[i] * state.reference_velocity[i]
+        ledger.dissipated += T / scaling * haptic.device_loss(device, x_middle, v_middle)  # (3.10)
         after_x, after_v = x + T * v_middle, 2.0 * v_middle - v
+        # (3.9)
         state.energy_device += haptic.device_storage(device, after_x, after_v) / scaling
         state.u_h[i] = state.r_s[i] / state.alpha
         state.command[i] = state.r_s[i] + (1.0 - state.alpha) * state.u_a[i]
         near += state.r_m[i] ** 2 + state.f_m[i] ** 2
+    state.energy_operator = ledger.operator
+    state.energy_dissipated = ledger.dissipated
+    state.energy_channel = ledger.channel
+    state.energy_robot = ledger.robot
+    state.energy_port = ledger.port
+    state.energy_target = ledger.target
     return near
 
 
@@ -216,43 +670,15 @@ def judge(n, state):
         size += abs(state.error[i])
         miss_h += abs(state.u_h[i] - state.u_i[i])
         miss_r += abs(state.u_a[i] - state.u_i[i])
-    state.good_r = performance(n, miss_r, 1.0 - state.alpha, size)
+    state.good_r = performance(n, miss_r, 1.0 - state.alpha, size)  # (3.27)
     state.good_h = performance(n, miss_h, state.alpha, size)
     state.sum_r += state.good_r
     state.sum_h += state.good_h
     state.sum_r -= state.leaving_r
     state.sum_h -= state.leaving_h
-    # sums of differences may end a rounding error below zero
-    state.p_r, state.p_h = (
-        max(state.sum_r / state.samples, 0.0),
-        max(state.sum_h / state.samples, 0.0),
-    )
-
-
-@njit(error_model="numpy", forceinline=True)
-def decide(setup, alpha, state):
-    """
-    Let autonomy, scheme and operator decide; return the part that failed, DONE where none did. α
-    may be given.
-    """
-    parts = setup.parts
-    for i in range(3):
-        state.u_i[i] = (
-            state.reference_velocity[i] + state.error[i]
-        )  # the ideal controller has the gain 1/s
-    call(parts.autonomy, state, setup)
-    if state.raised or not finite(state.u_a):
-        return AUTONOMY
-    call(parts.scheme, state, setup)
-    if not np.isnan(alpha):
-        state.alpha = alpha
-    bounded = within(state.alpha, state.alpha_min, state.alpha_max)
-    if state.raised or not (bounded and within(state.beta, state.beta_min, state.beta_max)):
-        return SCHEME
-    call(parts.operator, state, setup)
-    if state.raised or not finite(state.wanted):
-        return OPERATOR
-    return DONE
+    # (3.26); sums of differences may end a rounding error below zero
+    state.p_r = max(state.sum_r / state.samples, 0.0)
+    state.p_h = max(state.sum_h / state.samples, 0.0)
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -261,8 +687,8 @@ def keep(k, state, history, sent):
     old = history[k]
     old.good_r = state.good_r
     old.good_h = state.good_h
-    old.in_near = state.in_near
-    old.in_far = state.in_far
+    old.in_near = state.ledger.in_near
+    old.in_far = state.ledger.in_far
     for i in range(3):
         sent[0, k, i], sent[1, k, i] = state.u_l[i], state.u_r[i]
 
@@ -271,7 +697,7 @@ def keep(k, state, history, sent):
 def act(setup, state):
     """Step device, vehicle and trust; return the block or part that failed, DONE where none did."""
     for i in range(3):
-        state.device[i] += state.sample_time * state.middle[i]
+        state.device[i] += setup.sample_time * state.middle[i]
         state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
     call(setup.parts.vehicle, state, setup)
     far = 0.0

@@ -196,7 +196,7 @@ def look(n, k, now, past, state):
     in_sight = k >= n.vision
     state.seen_power = square = 0.0
     for i in range(3):
-        state.error[i] = -past.seen[i] if in_sight else 0.0
+        state.error[i] = -past.seen[i] if in_sight else 0.0  # r_q − y_h(t − T), (4.26)
         state.pushed[i] = now.pushed[i]
         square += state.error[i] ** 2
         if in_sight:
@@ -221,7 +221,7 @@ def share_force(n, robots, lead, trust, performance, state):
 
 @njit(error_model="numpy", forceinline=True, _nrt=False)
 def receive(n, m, k, low_pass, state):
-    """Set the waves that arrive at both ends, (3.13), filtered where waves are."""
+    """Set the waves that arrive at both ends, (3.16), filtered where waves are."""
     T, kind = n.sample_time, n.read_out
     read_wave(m.u_l, m.arrives[0], k, m.delays[0, k], n.gain, kind, T, m.accounts[0], state.v_r)
     read_wave(m.u_r, m.arrives[1], k, m.delays[1, k], n.gain, kind, T, m.accounts[1], state.v_l)
@@ -253,7 +253,7 @@ def operator_side(n, rig, end, spendable, state):
             + filters.gate * state.r_m[i]
             - filters.k12 * force
         )
-        state.u_l[i] = waves.operator_wave(end, velocity, state.v_l[i])  # (3.22), (4.3)
+        state.u_l[i] = waves.operator_wave(end, velocity, state.v_l[i])  # (3.22)
         x, v = state.device[i], state.device_velocity[i]
         # (4.6)
         v_middle = haptic.midpoint_velocity(device, x, v, state.f_h[i], state.f_m[i])
@@ -282,7 +282,7 @@ def reach_out(n, rig, end, loaded, spendable, state):
         # the channel's force at its port, for the velocity that the filter holds: force = offset +
         # resistance r_m
         velocity = filters.decay * state.near_velocity[i]
-        # (3.22), (4.3)
+        # (3.22), (3.12)
         state.channel_force[i] = (
             state.beta * (end.b * velocity + end.arriving * state.v_l[i]) / loaded
         )

@@ -15,9 +15,9 @@ from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import filled, log_of
 from trustlab.testbeds import deciding
 from trustlab.testbeds.condition_run import ConditionRun, condition_measures
-from trustlab.testbeds.tracking_task import TrackingTask, tracking_vehicle
 from trustlab.testbeds.uav_following import kernel
 from trustlab.testbeds.uav_following.people import P_R_MIN, following_operator
+from trustlab.testbeds.uav_tracking import TrackingTask, tracking_vehicle
 
 # Length of a test, as printed [s], and in samples.
 DURATION = 360.0
