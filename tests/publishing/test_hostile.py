@@ -36,7 +36,7 @@ from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.session import Session
 from trustlab.studies.analysis.rank_tests import friedman
 from trustlab.studies.analysis.report import report
-from trustlab.studies.factors.formula_model import FormulaModel
+from trustlab.studies.regression.formula_model import FormulaModel
 from trustlab.studies.planning.virtual_study import VirtualStudy
 from trustlab.studies.questionnaires.likert import ScaleScores
 from trustlab.teleoperation import TeamTrial

@@ -32,8 +32,6 @@ from .evidence import (
     intraclass_correlation as intraclass_correlation,
     simultaneous_intervals as simultaneous_intervals,
 )
-from .factors.formula_model import FormulaModel as FormulaModel, formula_model as formula_model
-from .factors.order_effects import OrderEffects as OrderEffects, order_effects as order_effects
 from .planning.closed_form_power import (
     clopper_pearson as clopper_pearson,
     noncentral_f_power as noncentral_f_power,
@@ -67,3 +65,5 @@ from .questionnaires.nasa_tlx import (
     score_nasa_tlx as score_nasa_tlx,
     tlx_weights as tlx_weights,
 )
+from .regression.formula_model import FormulaModel as FormulaModel, formula_model as formula_model
+from .regression.order_effects import OrderEffects as OrderEffects, order_effects as order_effects

@@ -1,4 +1,4 @@
-"""Reading columns of a user's table: found by name, without missing labels, numbers as floats."""
+"""Columns of a user's table: looked up by name, without missing labels, numbers as floats."""
 
 import decimal
 import numbers
@@ -63,8 +63,7 @@ def refuse_missing_labels(column: pd.Series, argument: str) -> None:
 
 def number_or_nan(value: object) -> float:
     """
-    Return a real number as a float and any mark of a missing value as NaN; a TypeError for all
-    else.
+    Return a real number as a float, a missing value as NaN; raise TypeError for anything else.
     """
     if value is None or value is pd.NA or value is pd.NaT:
         return np.nan
@@ -77,7 +76,7 @@ def number_or_nan(value: object) -> float:
 
 
 def labels_of(name: str, values: object, least: int) -> tuple[Hashable, ...]:
-    """Return labels that are all there, all different, and at least so many."""
+    """Return at least `least` labels, all different and none missing."""
     if isinstance(values, str | bytes) or not isinstance(
         values, Sequence | np.ndarray | pd.Series | pd.Index
     ):

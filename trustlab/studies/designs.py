@@ -1,7 +1,4 @@
-"""
-Orders of conditions: complete balanced Latin squares (Williams 1949), and the balance of any set of
-orders.
-"""
+"""Orders of conditions: balanced Latin squares (Williams 1949), and the balance of orders."""
 
 import numbers
 from collections.abc import Hashable, Sequence
@@ -17,8 +14,7 @@ from trustlab.studies.columns import column_of, labels_of, refuse_missing_labels
 
 def williams_square(n: int) -> np.ndarray:
     """
-    Return a Williams design: every condition as often at every position, and after every other
-    condition.
+    Return a Williams design: each condition equally often at each position and after each other.
 
     The first row zigzags, 0, 1, n − 1, 2, n − 2 …, so that its steps (modulo n) are all different;
     the others are that row plus 1, 2 … (modulo n). For odd n the same rows read backwards are
@@ -140,8 +136,8 @@ def design_balance(
     condition: str = "condition",
 ) -> DesignBalance:
     """
-    Count positions and first-order carry-over in any set of orders, for example those of the
-    participants who were kept.
+    Count positions and first-order carry-over in any set of orders, such as those of the remaining
+    participants.
 
     Parameters
     ----------

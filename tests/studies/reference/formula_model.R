@@ -1,4 +1,4 @@
-# Reference values of tests/studies/factors/test_formula_model.py: lme4 on published data sets.
+# Reference values of tests/studies/regression/test_formula_model.py: lme4 on published data sets.
 # Run in this folder: Rscript formula_model.R    (lme4, nlme, jsonlite; writes formula_model.json)
 suppressPackageStartupMessages({
   library(lme4)

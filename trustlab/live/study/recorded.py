@@ -23,7 +23,7 @@ from trustlab.models.html import as_html
 from trustlab.sessions.readers import read_session
 from trustlab.sessions.session import Session
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
-from trustlab.studies.factors.order_effects import OrderEffects, order_effects
+from trustlab.studies.regression.order_effects import OrderEffects, order_effects
 from trustlab.studies.questionnaires.likert import (
     LikertScale,
     ScaleScores,

@@ -81,8 +81,8 @@ class PartialEtaInterval:
     level: float
 
 
-# Noncentrality beyond which the noncentral F of SciPy fails; the form for large λ has nine digits
-# there, and η² all of its own.
+# Beyond this noncentrality SciPy's noncentral F fails; the form for large λ has nine digits there,
+# and η² is exact to double precision.
 _LARGE = 1e9
 
 

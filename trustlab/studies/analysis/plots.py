@@ -14,7 +14,7 @@ _BLUE, _GREY = "#1f5a8c", "0.6"
 
 
 def panels(count: int, height: float, title: str = "") -> np.ndarray:
-    """Return so many axes of a new figure, at most four in a row."""
+    """Return axes of a new figure, at most four in a row."""
     columns = min(4, count)
     rows = -(-count // columns)
     axes = axes_or_new(
@@ -31,10 +31,10 @@ def _subjects(scores: ScoreTable, axes) -> None:
     axes.plot(places, scores.values.T, color=_GREY, lw=0.7, alpha=0.6, marker=".", ms=3)
 
 
-def _means(stats: pd.DataFrame, axes, end: str = "") -> None:
-    """Draw means with the intervals in columns ci_low and ci_high, their names with that end."""
+def _means(stats: pd.DataFrame, axes, suffix: str = "") -> None:
+    """Draw means with the intervals in columns ci_low and ci_high with a suffix."""
     mean = stats["mean"]
-    reach = [mean - stats[f"ci_low{end}"], stats[f"ci_high{end}"] - mean]
+    reach = [mean - stats[f"ci_low{suffix}"], stats[f"ci_high{suffix}"] - mean]
     axes.errorbar(
         np.arange(mean.size), mean, reach, fmt="o", color=_BLUE, capsize=5, lw=1.5, zorder=3
     )

@@ -9,8 +9,7 @@ import scipy
 
 from trustlab.models.html import as_html
 
-# Different whole numbers up to which scores are taken for those of one rating item, such as 0 to
-# 10.
+# Scores of at most so many different whole numbers (0 to 10) are taken for a rating item's.
 _MOST_STEPS = 11
 
 
@@ -37,8 +36,7 @@ class Friedman:
 
 def friedman(values: np.ndarray) -> Friedman:
     """
-    Rank the scores of every subject, shape (n, k), and test whether the mean ranks of the
-    conditions differ.
+    Test whether the conditions' mean ranks differ; `values` has shape (n, k).
     """
     import pingouin
 
@@ -89,8 +87,7 @@ def wilcoxon(differences: np.ndarray, largest: float) -> Wilcoxon:
 
 def rank_pairs(values: np.ndarray, a: np.ndarray, b: np.ndarray, method: str) -> pd.DataFrame:
     """
-    Compare every pair of conditions a, b by ranks: a row per pair, the statistic, p, and what else
-    the method gives.
+    Compare every pair of conditions a, b by ranks, a row per pair.
 
     "wilcoxon" is the signed-rank test of each pair; NaN where no subject's scores differ. "conover"
     follows Friedman's test: t of the mean ranks of all conditions on (n − 1)(k − 1) degrees of
@@ -119,8 +116,7 @@ def rank_pairs(values: np.ndarray, a: np.ndarray, b: np.ndarray, method: str) ->
 
 def rating_notes(values: np.ndarray, tests: str) -> tuple[str, ...]:
     """
-    Return a note, with the name of the tests by ranks, where scores look like those of one rating
-    item.
+    Return a note that names the tests by ranks if scores look like those of one rating item.
     """
     steps = np.unique(values)
     if steps.size > _MOST_STEPS or not np.array_equal(steps, np.round(steps)):
@@ -133,8 +129,7 @@ def rating_notes(values: np.ndarray, tests: str) -> tuple[str, ...]:
 
 def normality_of_differences(values: np.ndarray, a: np.ndarray, b: np.ndarray) -> pd.DataFrame:
     """
-    Apply the Shapiro–Wilk test to the differences of every pair of conditions a, b: a row W, p per
-    pair.
+    Return W and p of the Shapiro–Wilk test of the differences of every pair of conditions a, b.
 
     NaN where all differences are equal, and above 5000 subjects, where the approximation of p is
     not valid.

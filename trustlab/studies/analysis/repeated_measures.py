@@ -1,7 +1,4 @@
-"""
-Repeated measures of a long table, with any factors within and between subjects: everything that a
-paper reports about them.
-"""
+"""Repeated-measures ANOVA of a long table, and everything that a paper reports about it."""
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
@@ -32,7 +29,7 @@ from trustlab.studies.analysis.rank_tests import (
     rating_notes,
 )
 from trustlab.studies.analysis.score_table import ScoreTable, labelled, same_for_all
-from trustlab.studies.analysis.sphericity import CORRECTIONS, decided
+from trustlab.studies.analysis.sphericity import CORRECTIONS, choose_correction
 from trustlab.studies.analysis.study_design import StudyDesign, read_design
 
 _ETA2 = ["eta2_partial", "eta2_generalized"]
@@ -76,7 +73,7 @@ class RepeatedMeasures:
     alpha: float
 
     def __getattr__(self, name: str) -> Any:
-        # Only called for what is no field: a statistic of the one effect.
+        # Python calls this only for names that are no field or method.
         if name.startswith("_") or name == "tests" or name not in self.tests[0]:
             raise AttributeError(f"RepeatedMeasures has no attribute {name!r}")
         if len(self.tests) > 1:
@@ -578,13 +575,15 @@ def repeated_measures(
     observed, scores, excluded, design = read_design(
         frame, dv, factors, subject, groups, covariate, missing, order
     )
-    tests = _tested(scores, design, correction, alpha)
+    tests = _tests_of_effects(scores, design, correction, alpha)
     for test in tests:
         test |= {"alpha": alpha, "excluded": len(excluded), "origin": scores.origin}
     return RepeatedMeasures(scores, observed, design, tests, excluded, correction, alpha)
 
 
-def _tested(scores: ScoreTable, design: StudyDesign, correction: str, alpha: float) -> list[dict]:
+def _tests_of_effects(
+    scores: ScoreTable, design: StudyDesign, correction: str, alpha: float
+) -> list[dict]:
     """Return the statistics of every effect, with the correction that applies."""
     try:
         values = checked_scores(scores.values[None])
@@ -602,7 +601,7 @@ def _tested(scores: ScoreTable, design: StudyDesign, correction: str, alpha: flo
         df1, df2 = test["df1"], test["df2"]
         test |= {"df1_gg": df1 * test["epsilon_gg"], "df2_gg": df2 * test["epsilon_gg"]}
         test |= {"df1_hf": df1 * test["epsilon_hf"], "df2_hf": df2 * test["epsilon_hf"]}
-        decision = decided(test, df1, df2, design.regressors.df_error, correction, alpha)
+        decision = choose_correction(test, df1, df2, design.regressors.df_error, correction, alpha)
         corrected = decision["df1_corrected"], decision["df2_corrected"]
         low, high = noncentrality_interval(test["F"], *corrected, 0.90)
         # λ = n d ε η²/(1 − η²) in the population, for d contrasts within subjects.

@@ -208,9 +208,8 @@ def _section(result: RepeatedMeasures) -> StudyReport:
     else:
         factors = [*result.within, *result.between]
         pairs = {f"Pairwise comparisons of {name}": result.pairs(name) for name in factors}
-    moments = result.descriptives().astype(
-        dict.fromkeys(factors, str)
-    )  # levels that are numbers are not rounded
+    # levels that are numbers are not rounded
+    moments = result.descriptives().astype(dict.fromkeys(factors, str))
     columns = [name for name in moments if name in factors or name in _MOMENTS]
     tables = {"Descriptive statistics": moments[columns].rename(columns=_MOMENTS)}
     tables |= {"Analysis of variance": result.table()[list(_TESTS)].rename(columns=_TESTS)}

@@ -226,8 +226,8 @@ def _missing_cells(table: ScoreTable) -> str:
     return "; ".join(texts[:_SHOWN]) + (f"; and {rest} more" if rest > 0 else "")
 
 
-def _alike(labels: tuple) -> str:
-    """Return a hint where two conditions may be one that was written in two ways."""
+def _similar_labels(labels: tuple) -> str:
+    """Return a hint where two labels may be spellings of one condition."""
     plain: dict[str, Hashable] = {}
     for label in labels:
         first = plain.setdefault(str(label).strip().casefold(), label)
@@ -251,14 +251,13 @@ def same_for_all(table: ScoreTable) -> list:
 
 def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTable, tuple]:
     """
-    Return a table without missing cells, and the subjects that were left out for it
-    (missing="listwise").
+    Return a table without missing cells, and the subjects left out (missing="listwise").
     """
     one_of("missing", missing, ("raise", "listwise"))
     gone = np.isnan(table.values).any(axis=1)
     if gone.any() and missing == "raise":
         raise ValueError(
-            f"missing cells in {table.dv!r}: {_missing_cells(table)}{_alike(table.conditions)}. "
+            f"missing cells in {table.dv!r}: {_missing_cells(table)}{_similar_labels(table.conditions)}. "
             "Complete them; or leave these subjects out with missing='listwise'; or use "
             "trustlab.studies.mixed_model, which accepts missing cells"
         )
@@ -266,7 +265,9 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
     complete = tuple(s for s, out in zip(table.subjects, gone, strict=True) if not out)
     if len(complete) < 3:
         without = (
-            f" (left out: {_missing_cells(table)}){_alike(table.conditions)}" if excluded else ""
+            f" (left out: {_missing_cells(table)}){_similar_labels(table.conditions)}"
+            if excluded
+            else ""
         )
         named = f" ({', '.join(map(repr, complete))})" if complete else ""
         raise ValueError(

@@ -1,7 +1,4 @@
-"""
-Sphericity: Mauchly's test, Greenhouse–Geisser and Huynh–Feldt ε for arrays of studies, and which
-correction applies.
-"""
+"""Sphericity: Mauchly's test, Greenhouse–Geisser and Huynh–Feldt ε, and the correction to use."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -58,8 +55,8 @@ def corrected_tests(
     ss_effect: np.ndarray, ss_error: np.ndarray, covariance: np.ndarray, q: int, df_error: int
 ) -> dict[str, np.ndarray]:
     """
-    Return F of effects of d contrasts times q columns of a design between subjects, ε, partial η²,
-    and p under each correction.
+    Return F, ε, partial η² and p under each correction of an effect of d contrasts times q columns
+    of the between-subject design.
 
     `covariance` holds that of the d contrasts, on `df_error` degrees of freedom.
     """
@@ -142,9 +139,8 @@ def mauchly(
     log_w = np.minimum(log_det - d * np.log(trace / d), 0.0)
     singular = sign <= 0
     doubtful = singular | (log_w < np.log(1e-10)) | (trace * _RELATIVE_RANK < floor)
-    if (
-        doubtful.any()
-    ):  # λ_min/λ_max ≤ 10⁻¹⁴ implies W ≤ e d 10⁻¹⁴, so that few need their eigenvalues
+    # λ_min/λ_max ≤ 10⁻¹⁴ implies W ≤ e d 10⁻¹⁴, so that few need their eigenvalues.
+    if doubtful.any():
         eigenvalues = np.linalg.eigvalsh(covariance[doubtful])
         least = np.maximum(
             d * _RELATIVE_RANK * eigenvalues[..., -1], np.broadcast_to(floor, shape)[doubtful]
@@ -177,34 +173,36 @@ def why_no_mauchly(n: int, k: int, w: float) -> str:
     return f"Mauchly's test is not defined: {why}."
 
 
-def decided(
+def choose_correction(
     test: Mapping, df1: int, df2: int, df_error: int, correction: str, alpha: float
 ) -> dict[str, Any]:
     """
-    Return which correction applies to one test and why, its degrees of freedom and p.
+    Return the correction that applies to a test and why, its degrees of freedom and p.
 
     "auto" is Greenhouse–Geisser where Mauchly's test rejects sphericity at `alpha` or is not
     defined, else none; one contrast needs none.
     """
     d = df2 // df_error
     why = why_no_mauchly(df_error + 1, d + 1, test["mauchly_w"])
-    applied, reason = _applied(correction, alpha, d, test["mauchly_p"], test["epsilon_gg"], why)
-    epsilon = dict(zip(CORRECTIONS, (1.0, test["epsilon_gg"], test["epsilon_hf"]), strict=True))[
-        applied
-    ]
+    applied, reason = _chosen_correction(
+        correction, alpha, d, test["mauchly_p"], test["epsilon_gg"], why
+    )
+    epsilon, p = {
+        "none": (1.0, test["p"]),
+        "greenhouse-geisser": (test["epsilon_gg"], test["p_gg"]),
+        "huynh-feldt": (test["epsilon_hf"], test["p_hf"]),
+    }[applied]
     return {
         "mauchly_reason": why,
         "correction": applied,
         "reason": reason,
         "df1_corrected": df1 * epsilon,
         "df2_corrected": df2 * epsilon,
-        "p_corrected": dict(zip(CORRECTIONS, (test["p"], test["p_gg"], test["p_hf"]), strict=True))[
-            applied
-        ],
+        "p_corrected": p,
     }
 
 
-def _applied(
+def _chosen_correction(
     correction: str, alpha: float, d: int, p: float, epsilon_gg: float, why_not: str
 ) -> tuple[str, str]:
     """Return the correction that applies to d contrasts and the reason in a sentence or two."""

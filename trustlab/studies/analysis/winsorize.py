@@ -67,7 +67,7 @@ class Winsorized:
 
     def apa(self) -> str:
         """
-        Return the sentence a paper needs: how many values of how many, whose, and by which rule.
+        Return the sentence for a paper: how many values were changed, of whom, and by which rule.
         """
         of = int(self.limits["n"].sum())
         if self.changes.empty:
@@ -89,7 +89,7 @@ class Winsorized:
 
 def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, float]:
     """
-    Return the lowest and highest value that is not outlying; not finite where the spread overflows.
+    Return the limits beyond which values are outlying; not finite where the spread overflows.
     """
     n = x.size
     if n < 3:
@@ -129,7 +129,7 @@ def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, f
     return float(low - k * spread), float(high + k * spread)
 
 
-def _moved(x: np.ndarray, low: float, high: float, to: str, where: str) -> np.ndarray:
+def _replace_outliers(x: np.ndarray, low: float, high: float, to: str, where: str) -> np.ndarray:
     """Return the values with those outside [low, high] replaced."""
     if not np.isfinite([low, high]).all():
         raise ValueError(
@@ -151,12 +151,14 @@ def _check_rule(outside: str, k: float, to: str) -> float:
     if outside == "quantile" and k >= 0.5:
         raise ValueError(f"k must be below 0.5 for quantiles, got {k:g}")
     if outside == "extremes" and (k != int(k) or to != "next"):
-        need = 'outside="extremes" needs a whole number k and to="next" (there is no other limit)'
-        raise ValueError(f"{need}, got k={k:g} and to={to!r}")
+        raise ValueError(
+            'outside="extremes" needs a whole number k and to="next" (there is no other limit), '
+            f"got k={k:g} and to={to!r}"
+        )
     return k
 
 
-def _chosen(conditions: Sequence[Hashable] | None, table: ScoreTable) -> list:
+def _conditions(conditions: Sequence[Hashable] | None, table: ScoreTable) -> list:
     """Return the conditions to look at: all by default."""
     if conditions is None:
         return list(table.conditions)
@@ -175,12 +177,15 @@ def _cells(
     frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable, conditions: Any
 ) -> tuple:
     """
-    Return a table's scores and subjects, and the rows of each condition in which there is a score.
+    Return a table's scores and subjects, and the rows with a score of each condition.
     """
-    chosen = _chosen(conditions, read_scores(frame, dv, within, subject))
+    chosen = _conditions(conditions, read_scores(frame, dv, within, subject))
     scores = pd.to_numeric(frame[dv]).to_numpy(dtype=float, na_value=np.nan).copy()
-    labels, there = list(frame[within]), np.isfinite(scores)
-    rows = {c: np.flatnonzero([label == c for label in labels] & there) for c in chosen}
+    labels = list(frame[within])
+    rows = {
+        condition: np.flatnonzero([label == condition for label in labels] & np.isfinite(scores))
+        for condition in chosen
+    }
     return scores, frame[subject].to_numpy(), rows
 
 
@@ -255,12 +260,12 @@ def winsorize(
         groups = {np.nan: subjects}
     changes, limits = [], []
     for condition, rows in groups.items():
-        x, where = scores[rows], "data" if dv is None else f"condition {condition!r} of {dv!r}"
-        with np.errstate(
-            over="ignore", invalid="ignore"
-        ):  # a spread that overflows is refused below
+        x = scores[rows]
+        where = "data" if dv is None else f"condition {condition!r} of {dv!r}"
+        # _replace_outliers refuses a spread that overflows
+        with np.errstate(over="ignore", invalid="ignore"):
             low, high = _limits(x, outside, k, where)
-        new = _moved(x, low, high, to, where)
+        new = _replace_outliers(x, low, high, to, where)
         moved = np.flatnonzero(new != x)
         changes += [(subjects[rows[i]], condition, x[i], new[i]) for i in moved]
         limits.append((condition, x.size, low, high, moved.size))

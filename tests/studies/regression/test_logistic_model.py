@@ -13,7 +13,7 @@ import pytest
 from scipy import integrate, special, stats
 
 import trustlab as tl
-from trustlab.studies.factors.logistic_model import Logistic, _log_likelihood
+from trustlab.studies.regression.logistic_model import Logistic, _log_likelihood
 
 SETS = json.loads((Path(__file__).parents[1] / "reference" / "logistic_model.json").read_text())[
     "sets"

@@ -14,7 +14,7 @@ from trustlab.models.checks import of_class, one_of, spawned, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.score_table import labelled, origin_of
 from trustlab.studies.columns import column_of, refuse_missing_labels
-from trustlab.studies.factors.logistic_model import Logistic, checked_counts
+from trustlab.studies.regression.logistic_model import Logistic, checked_counts
 
 # Logits beyond which no data tell a probability from 0 or 1.
 _FAR = 15.0
@@ -184,7 +184,7 @@ def formula_model(
         estimates = _logistic_estimates(logistic, y, x)
     else:
         centre, scale = y.mean() if "Intercept" in x.columns else 0.0, y.std()
-        y = (y - centre) / scale  # so that the search does not see the unit
+        y = (y - centre) / scale  # the search does not depend on the unit
         model = normal = _Normal(codes, z)
         estimates = _normal_estimates(normal, y, x, centre, scale)
     seeds = spawned(seed, len(terms))
@@ -254,8 +254,8 @@ def _coefficients(names: list[str], estimate: np.ndarray, se: np.ndarray) -> pd.
 
 def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     """
-    Return score, regressors of fixed and of random effects, and for every term its columns; no row
-    is left out in silence.
+    Return score, regressors of fixed and of random effects, and the columns of every term; rows
+    with missing values are refused.
     """
     from formulaic import model_matrix
     from formulaic.errors import FormulaicError

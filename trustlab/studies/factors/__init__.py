@@ -1,3 +1,0 @@
-"""
-Designs of several factors: within and between subjects, with covariates, and orders of conditions.
-"""

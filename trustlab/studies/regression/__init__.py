@@ -1,0 +1,1 @@
+"""Regressions of trials: mixed models by formula, logistic models, effects of order."""
