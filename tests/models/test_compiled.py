@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -105,17 +106,34 @@ def test_an_edit_of_a_function_in_another_file_is_seen(first):
     assert run(folder)[0][0] == before
 
 
+def compilation_in(module):
+    """What numba says of compiling a function of a module."""
+    function = SimpleNamespace(py_func=SimpleNamespace(__module__=module))
+    return SimpleNamespace(data={"dispatcher": function})
+
+
 def test_compilation_is_announced_once_after_two_seconds_and_quick_ones_not_at_all(capsys):
     quick, slow = _Notice(), _Notice()
-    quick.on_start(None)
-    quick.on_end(None)
+    ours = compilation_in("trustlab.models.trust")
+    quick.on_start(ours)
+    quick.on_end(ours)
     quick.timer.join()
     assert capsys.readouterr().err == ""
     slow.spent = 1.99  # of functions compiled before
     for _ in range(2):
-        slow.on_start(None)
-        slow.on_start(None)  # one that the first calls
+        slow.on_start(ours)
+        slow.on_start(ours)  # one that the first calls
         slow.timer.join()
-        slow.on_end(None)
-        slow.on_end(None)
+        slow.on_end(ours)
+        slow.on_end(ours)
     assert capsys.readouterr().err == NOTICE + "\n"
+
+
+def test_compilation_of_a_users_function_is_not_announced(capsys):
+    notice = _Notice()
+    notice.spent = 1.99
+    for module in ("mine", "trustlabelled"):
+        notice.on_start(compilation_in(module))
+        assert notice.timer is None
+        notice.on_end(compilation_in(module))
+    assert (notice.spent, capsys.readouterr().err) == (1.99, "")

@@ -39,6 +39,8 @@ NOTICE = (
 class _Notice(event.Listener):
     """
     Says once, on stderr, that compilation is what takes the time, when it has taken two seconds.
+
+    Functions of users, which numba announces as well, do not count.
     """
 
     def __init__(self):
@@ -46,6 +48,8 @@ class _Notice(event.Listener):
         self.spent, self.timer = 0.0, None
 
     def on_start(self, event: Any) -> None:
+        if not _of_trustlab(event):
+            return
         self.begun.append(time.monotonic())
         if len(self.begun) == 1 and self.spent < 2.0:
             self.timer = threading.Timer(
@@ -55,10 +59,16 @@ class _Notice(event.Listener):
             self.timer.start()
 
     def on_end(self, event: Any) -> None:
+        if not _of_trustlab(event):
+            return
         taken = time.monotonic() - self.begun.pop()
         if not self.begun:
             self.timer.cancel()
             self.spent += taken
+
+
+def _of_trustlab(event: Any) -> bool:
+    return event.data["dispatcher"].py_func.__module__.partition(".")[0] == "trustlab"
 
 
 if multiprocessing.parent_process() is None:  # the workers of a campaign are silent

@@ -272,11 +272,11 @@ def channel_run(
     r_m, f_s = signals(2, r_m=r_m, f_s=f_s)
     of_class("scattering", scattering, Scattering)
     count, scales = len(r_m), []
-    for name, given, default in (
+    for name, scale, default in (
         ("alpha", alpha, scattering.alpha_max),
         ("beta", beta, scattering.beta_max),
     ):
-        values = np.asarray(default if given is None else given, dtype=float)
+        values = np.asarray(default if scale is None else scale, dtype=float)
         if values.ndim and values.shape != (count,):
             raise ValueError(
                 f"{name} must be a number or have shape ({count},), got {values.shape}"

@@ -143,10 +143,10 @@ def random_walk_delay(
         raise ValueError(
             f"0 < low < high and hold > 0 are needed, got low = {low}, high = {high}, hold = {hold}"
         )
-    own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    stream = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
 
     def walk(t: np.ndarray) -> np.ndarray:
-        rng = np.random.default_rng(own)  # drawn anew at each call: the same walk every time
+        rng = np.random.default_rng(stream)  # drawn anew at each call: the same walk every time
         knots = max(int(np.ceil(t[-1] / hold)) + 1, 2)
         values = np.empty(knots)
         values[0] = rng.uniform(low, high)
@@ -233,14 +233,14 @@ def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
             f"sent and received need the same number of packets, got {sent.shape} and "
             f"{received.shape}"
         )
-    for bad, what in (
+    for bad, fault in (
         (np.diff(sent, prepend=sent[0]) < 0.0, "sent before the packet before it"),
         (received < sent, "received before it was sent"),
     ):
         if bad.any():
             k = int(np.argmax(bad))
             raise ValueError(
-                f"the trace runs backwards: packet {k}, sent at t = {sent[k]:g} s, was {what}"
+                f"the trace runs backwards: packet {k}, sent at t = {sent[k]:g} s, was {fault}"
             )
     arrived = np.flatnonzero(np.isfinite(received))
     if not arrived.size:
@@ -291,7 +291,7 @@ def delay_from(name: str, delay, max_rate: float | None = None) -> Delay:
 
 
 def delays_in_samples(
-    given: Mapping[str, object],
+    pair: Mapping[str, object],
     max_rate: float,
     read_out: str,
     count: int,
@@ -306,7 +306,7 @@ def delays_in_samples(
     two samples.
     """
     delays = np.empty((2, count))
-    for i, (name, value) in enumerate(given.items()):
+    for i, (name, value) in enumerate(pair.items()):
         delay = delay_from(name, value, max_rate)
         if read_out != "ledger" and delay.max_rate > max_rate + SLACK:
             raise ValueError(
@@ -321,7 +321,7 @@ def delays_in_samples(
             raise ValueError(f"{name} must be at least one sample, {sample_time:g} s, got 0")
     if delays.any() and not delays.all():
         raise ValueError(
-            f"{' and '.join(given)} must both be zero (no channel in between) or both at least "
+            f"{' and '.join(pair)} must both be zero (no channel in between) or both at least "
             "one sample"
         )
     whole = np.round(delays)

@@ -234,10 +234,10 @@ class TwoPortFilter:
         low = (_low_pass(first, self.cutoff, step), _low_pass(second, self.cutoff, step))
         y_1, y_2 = low[0][0] - self.k12 * second, self.k21 * first + low[1][0]
         supply = step * np.cumsum((first * y_2 - second * y_1).sum(axis=1))
-        held = (
+        storage = (
             self.k21 * (low[0][1] ** 2).sum(axis=1) + self.k12 * (low[1][1] ** 2).sum(axis=1)
         ) / self.cutoff
-        return FilterRun(step * np.arange(1, len(first) + 1), y_1, y_2, supply, held)
+        return FilterRun(step * np.arange(1, len(first) + 1), y_1, y_2, supply, storage)
 
 
 def printed_filter(cutoff: float) -> TwoPortFilter:

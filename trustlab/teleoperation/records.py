@@ -43,38 +43,35 @@ def signal(
     name: str, values, rows: int | None = None, columns: int | None = None, least: int = 1
 ) -> np.ndarray:
     """Return a signal as a finite array of shape (N, n); one number per sample counts as (N, 1)."""
-    wanted = f"({'N' if rows is None else rows}, {'n' if columns is None else columns})"
+    shape = f"({'N' if rows is None else rows}, {'n' if columns is None else columns})"
     try:
-        given = np.asarray(values)
-        if given.dtype.kind not in "iuf":
+        raw = np.asarray(values)
+        if raw.dtype.kind not in "iuf":
             raise TypeError
-        array = np.ascontiguousarray(given, dtype=float)
+        array = np.ascontiguousarray(raw, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(
             f"{name} must be an array of numbers, got {type(values).__name__}"
         ) from None
     array = array[:, None] if array.ndim == 1 and columns is None else array
     if array.ndim != 2 or array.shape != (rows or array.shape[0], columns or array.shape[1]):
-        raise ValueError(f"{name} must have shape {wanted}, got {given.shape}")
+        raise ValueError(f"{name} must have shape {shape}, got {raw.shape}")
     if len(array) < least or not array.size:
-        raise ValueError(f"{name} must have at least {least} rows, got shape {given.shape}")
+        raise ValueError(f"{name} must have at least {least} rows, got shape {raw.shape}")
     if not np.isfinite(array).all():
         k, i = np.argwhere(~np.isfinite(array))[0]
         raise ValueError(f"{name} must be finite, but sample {k}, axis {i} is {array[k, i]}")
     return array
 
 
-def signals(least: int = 1, **given) -> list[np.ndarray]:
+def signals(least: int = 1, **pair) -> list[np.ndarray]:
     """Return two signals by name as finite arrays of the same shape (N, n)."""
-    (one, first), (other, second) = (
-        (name, signal(name, values, least=least)) for name, values in given.items()
-    )
-    if first.shape != second.shape:
-        raise ValueError(
-            f"{one} and {other} must have the same shape (N, n), got {first.shape} and "
-            f"{second.shape}"
-        )
-    return [first, second]
+    arrays = [signal(name, values, least=least) for name, values in pair.items()]
+    first, second = (array.shape for array in arrays)
+    if first != second:
+        names = " and ".join(pair)
+        raise ValueError(f"{names} must have the same shape (N, n), got {first} and {second}")
+    return arrays
 
 
 def robot_numbers(name: str, values, count: int, robots: int) -> np.ndarray:

@@ -226,15 +226,10 @@ def _distances(scattering: Scattering, impedance: float) -> tuple[float, float]:
     Return how far force and velocity are from ideal: gains on a logarithmic scale, leaks against
     `impedance`.
     """
-    found = gains(scattering)
-    force = np.hypot(
-        np.log(found["force"] / scattering.beta_max),
-        found["drag"] / (scattering.beta_max * impedance),
-    )
-    velocity = np.hypot(
-        np.log(found["velocity"] / scattering.alpha_max),
-        found["drift"] * impedance / scattering.alpha_max,
-    )
+    gain = gains(scattering)
+    alpha, beta = scattering.alpha_max, scattering.beta_max
+    force = np.hypot(np.log(gain["force"] / beta), gain["drag"] / (beta * impedance))
+    velocity = np.hypot(np.log(gain["velocity"] / alpha), gain["drift"] * impedance / alpha)
     return float(force), float(velocity)
 
 
@@ -402,7 +397,10 @@ def plot_transparency(settings: Mapping[str, LoopSettings] = STUDIES, points: in
         across = low if over == "ranges" else impedance
         ends = [[(1.0, y, x) if over == "ranges" else (x, y, y) for x in across] for y in low]
         grid = np.array(
-            [[gains(Scattering(b, one, 1.0, two, 1.0))[key] for b, one, two in row] for row in ends]
+            [
+                [gains(Scattering(b, low_a, 1.0, low_b, 1.0))[key] for b, low_a, low_b in row]
+                for row in ends
+            ]
         )
         shown = grid if over == "ranges" else np.log10(grid + 1e-12).clip(-2)
         bar = ax.figure.colorbar(ax.contourf(across, low, shown, 12), ax=ax)
@@ -416,10 +414,10 @@ def plot_transparency(settings: Mapping[str, LoopSettings] = STUDIES, points: in
             else "both ratios of bounds"
         )
         bar.set_label("gain, ideally 1" if over == "ranges" else "log$_{10}$, ideally −∞")
-        for (name, one), mark in zip(settings.items(), "os^v", strict=False):
-            own = one.scattering
-            alpha, beta = own.alpha_min / own.alpha_max, own.beta_min / own.beta_max
-            place = (beta, alpha) if over == "ranges" else (own.b, np.sqrt(alpha * beta))
+        for (name, study), mark in zip(settings.items(), "os^v", strict=False):
+            ends = study.scattering
+            alpha, beta = ends.alpha_min / ends.alpha_max, ends.beta_min / ends.beta_max
+            place = (beta, alpha) if over == "ranges" else (ends.b, np.sqrt(alpha * beta))
             ax.plot(*place, mark, mfc="white", mec="black", ms=7, label=name)
     axes.flat[0].legend(fontsize="small", loc="lower left", frameon=True)
     return axes
@@ -446,13 +444,13 @@ def plot_rendered_spring(
     matplotlib.axes.Axes
     """
     ax, omega = axes_or_new(ax), np.geomspace(0.05, 60.0, 400)
-    for number, (name, one) in enumerate(settings.items()):
-        spring = one.k_ffa / (1j * omega)
-        late = rendered_impedance(one.scattering, omega, spring, delay, delay)
+    for number, (name, study) in enumerate(settings.items()):
+        spring = study.k_ffa / (1j * omega)
+        late = rendered_impedance(study.scattering, omega, spring, delay, delay)
         ax.semilogx(
             omega, np.abs(late), f"C{number}-", label=f"{name}, delays of {1000 * delay:g} ms"
         )
-        at_once = rendered_impedance(one.scattering, omega, spring)
+        at_once = rendered_impedance(study.scattering, omega, spring)
         ax.semilogx(omega, np.abs(at_once), f"C{number}:", label=f"{name}, no delay")
     ax.set(
         xlabel="frequency ω [rad/s]",

@@ -161,17 +161,17 @@ def compare_guidance(
     operators, seed = whole_number("operators", operators), whole_number("seed", seed, least=0)
     one_of("study", study, STUDY_NAMES)
     cells = [
-        {"guidance": name, "scheme": scheme_named(scheme).name, "participant": who + 1}
+        {"guidance": name, "scheme": scheme_named(scheme).name, "participant": number + 1}
         for name in variants
         for scheme in schemes
-        for who in range(operators)
+        for number in range(operators)
     ]
     fixed = {"operators": operators, "study": study, "start": seed, "duration": duration}
     plans = [cell | fixed | {"variant": dict(variants[str(cell["guidance"])])} for cell in cells]
-    found = run_campaign(_flown, plans, seed=seed, n_jobs=n_jobs, progress=False)
-    if found["failed"].any():
-        raise RuntimeError(f"a run failed: {found.loc[found['failed'], 'error'].iloc[0]}")
-    return GuidanceComparison(found)
+    runs = run_campaign(_flown, plans, seed=seed, n_jobs=n_jobs, progress=False)
+    if runs["failed"].any():
+        raise RuntimeError(f"a run failed: {runs.loc[runs['failed'], 'error'].iloc[0]}")
+    return GuidanceComparison(runs)
 
 
 _people = lru_cache(graded_teleoperators)
@@ -185,7 +185,7 @@ def _flown(
     are paired.
     """
     person = _people(operators, start, study)[participant - 1]
-    own = np.random.SeedSequence([start, participant])
-    run = simulate_teleoperation(scheme, person, study, seed=own, duration=duration, **variant)
+    stream = np.random.SeedSequence([start, participant])
+    run = simulate_teleoperation(scheme, person, study, seed=stream, duration=duration, **variant)
     row = teleoperation_measures(run).iloc[0]
     return {name: float(value) for name, value in row.drop(["participant", "scheme"]).items()}

@@ -146,9 +146,8 @@ def plot_trajectory(session: Session, axes=None):
     axes.plot(x, y, z, ls="--", lw=1.3, color=RED, label="target, at the height wanted")
     x, y, z = (session[f"robot_{axis}"] for axis in "xyz")
     axes.plot(x, y, z, lw=1.0, color=BLUE, label="UAV")
-    wanted = session["reference_z"][0]
-    low, high = min(z.min(), wanted), max(z.max(), wanted)
-    axes.set_zlim(min(low, wanted - 0.5), max(high, wanted + 0.5))
+    height = session["reference_z"][0]
+    axes.set_zlim(min(z.min(), height - 0.5), max(z.max(), height + 0.5))
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.set_title(session.label, fontsize="medium")
     axes.legend(

@@ -592,7 +592,7 @@ def simulate_teleoperation(
     study: str | LoopSettings = "main",
     seed: int | np.random.SeedSequence = 0,
     duration: float = 120.0,
-    **others: Any,
+    **options: Any,
 ) -> Session:
     """
     Simulate one run of a scheme of Section 3.8 or 3.9, or of one's own.
@@ -603,7 +603,7 @@ def simulate_teleoperation(
         Scheme, operator, settings, and the seed of what is drawn.
     duration : float
         Length [s].
-    **others : as of `TeleoperationLoop`
+    **options : as of `TeleoperationLoop`
         sample_time, task, delay, delay_1, delay_2, read_out, guidance, guard and tank; alpha, push
         and lost, signals that are given; vehicle, trust, feedback and autonomy, parts of the loop
         that replace its own.
@@ -642,7 +642,7 @@ def simulate_teleoperation(
     >>> run.duration, run.metadata.synthetic
     (9.99, True)
     """
-    return TeleoperationLoop(scheme, operator, study, seed, **others).run(duration)
+    return TeleoperationLoop(scheme, operator, study, seed, **options).run(duration)
 
 
 def samples(duration: float, sample_time: float) -> int:

@@ -252,7 +252,7 @@ def setup_of(
     setups = np.zeros(1, SETUP)
     device = settings.device()
     ends = settings.scattering
-    held = haptic.held_device.py_func(
+    axes = haptic.held_device.py_func(
         *(np.diag(m) for m in (device.mass, device.damping, device.stiffness, device.weight)),
         hand["stiffness"],
         hand["damping"],
@@ -264,9 +264,9 @@ def setup_of(
     setup["hand"] = hand
     setup["auto"] = auto
     setup["near"], setup["far"] = ends.at_operator, ends.at_robot
-    for name, value in held._asdict().items():
+    for name, value in axes._asdict().items():
         setup["device"][name] = value
-    setup["admittance"] = settings.force_scaling * held.lever / held.inertia
+    setup["admittance"] = settings.force_scaling * axes.lever / axes.inertia
     return setups
 
 

@@ -158,8 +158,8 @@ class HapticDevice:
     require_passive: bool = True
 
     def __post_init__(self):
-        given = (self.mass, self.damping, self.stiffness, self.weight)
-        sizes = [np.shape(value)[0] for value in given if np.ndim(value)]
+        gains = (self.mass, self.damping, self.stiffness, self.weight)
+        sizes = [np.shape(value)[0] for value in gains if np.ndim(value)]
         n = whole_number("dimensions", sizes[0] if sizes else self.dimensions)
         object.__setattr__(self, "dimensions", n)
         mass = _matrix("mass", self.mass, n)
@@ -321,12 +321,14 @@ class HapticDevice:
     def state_space(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return A, B, C of the state (x, v), input f_h − γ f''_m and output r_m."""
         n = self.dimensions
-        zero = np.zeros((self.dimensions, self.dimensions))
-        one = np.eye(self.dimensions)
+        zero = np.zeros((n, n))
+        unit = np.eye(n)
         inverse = np.linalg.inv(self.mass)
-        a = np.block([[zero, one], [-inverse @ self.stiffness, -inverse @ self.damping]])
-        return a, np.vstack([np.zeros((n, n)), inverse]), np.hstack([self.weight, one])
+        a = np.block([[zero, unit], [-inverse @ self.stiffness, -inverse @ self.damping]])
+        return a, np.vstack([zero, inverse]), np.hstack([self.weight, unit])
 
-    def _vectors(self, **given) -> list[np.ndarray]:
+    def _vectors(self, **vectors) -> list[np.ndarray]:
         """Return the arguments as finite vectors of the device's dimension."""
-        return [finite_array(name, value, length=self.dimensions) for name, value in given.items()]
+        return [
+            finite_array(name, value, length=self.dimensions) for name, value in vectors.items()
+        ]

@@ -23,9 +23,9 @@ WINDOW = 65_536
 
 def accounts() -> np.ndarray:
     """Return two empty accounts, to the robot and back."""
-    both = np.zeros(2, ACCOUNT)
-    both["latest"] = -1.0
-    return both
+    pair = np.zeros(2, ACCOUNT)
+    pair["latest"] = -1.0
+    return pair
 
 
 @njit(error_model="numpy", forceinline=True)

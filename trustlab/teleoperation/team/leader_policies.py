@@ -180,9 +180,8 @@ class MostTrusted:
         leader = int(best[0])
         since = 0
         for k, candidate in enumerate(best.tolist()):
-            free = (
-                k - since >= hold or trust[k, leader] == -np.inf
-            )  # who leaves the team leads no more
+            # who leaves the team leads no more
+            free = k - since >= hold or trust[k, leader] == -np.inf
             if free and trust[k, candidate] > trust[k, leader] + self.margin:
                 leader, since = candidate, k
             out[k] = leader
@@ -327,9 +326,9 @@ class RandomLeaders:
             left = np.flatnonzero(~present[k:until, leader])
             until = k + int(left[0]) if left.size else until
             out[k:until] = leader
-            others = (leader + 1 + np.arange(n - 1)) % n
-            others = others[present[min(until, count - 1), others]]
-            leader, k = int(others[rng.integers(others.size)]), until
+            candidates = (leader + 1 + np.arange(n - 1)) % n
+            candidates = candidates[present[min(until, count - 1), candidates]]
+            leader, k = int(candidates[rng.integers(candidates.size)]), until
         return out
 
 
@@ -354,11 +353,9 @@ def is_live(policy) -> bool:
 
 
 def policy_named(policy: str | LeaderPolicy | LivePolicy) -> Any:
-    """Return a leader policy by name, or an object of one's own as it is."""
-    own = not isinstance(policy, str | type) and (
-        callable(getattr(policy, "leaders", None)) or is_live(policy)
-    )
-    if own and hasattr(policy, "title"):
+    """Return a leader policy by name, or a user's object as it is."""
+    decides = callable(getattr(policy, "leaders", None)) or is_live(policy)
+    if decides and hasattr(policy, "title") and not isinstance(policy, type):
         return policy
     also = f"an object, not a class, with a title and a method {SIGNATURE}, or a method {LIVE}"
     return POLICIES[one_of("policy", policy, POLICIES, also)]
