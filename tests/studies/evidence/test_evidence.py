@@ -14,6 +14,7 @@ from scipy import stats
 
 import trustlab as tl
 from trustlab.studies import intraclass_correlation, simultaneous_intervals
+from trustlab.studies.evidence import log_jzs_bayes_factor
 
 SETS = json.loads((Path(__file__).parents[1] / "reference" / "evidence.json").read_text())["sets"]
 # Shrout and Fleiss (1979), Table 2: six targets, four judges.
@@ -71,6 +72,35 @@ def test_bayes_factors_agree_with_r(name):
     assert found["bf01"] == pytest.approx(1.0 / found["bf10"])
     wide = tl.bayes_factor(pair_of(name), **COLUMNS, scale=1.0)["bf10"].item()
     assert wide == pytest.approx(SETS[name]["bf10_wide"], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("t", "n", "scale", "expected"),
+    [
+        (0.0, 10, 2**-0.5, -1.1750823266311887),
+        (0.5, 3, 2**-0.5, -0.6576984390669531),
+        (2.5, 20, 2**-0.5, 0.9940459629939761),
+        (2.5, 20, 1.0, 0.8363147795400806),
+        (-4.2, 36, 2**-0.5, 5.015231518611739),
+        (30.0, 200, 2**-0.5, 166.06039418808658),
+        (80.0, 1000, 2**-0.5, 995.2161017634046),
+        (500.0, 10, 2**-0.5, 39.42762053607319),
+        (1000.0, 36, 2**-0.5, 172.11641002455337),
+        (1e6, 5, 0.2, 37.237967534704296),
+        (3.0, 2, 5.0, -0.13969377894660898),
+    ],
+)
+def test_bayes_factors_of_any_t(t, n, scale, expected):
+    """Oracle: the integral with 40 digits, by adaptive quadrature (mpmath)."""
+    assert log_jzs_bayes_factor(t, n, scale) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_a_bayes_factor_too_large_for_a_number_has_its_logarithm():
+    values = np.random.default_rng(5).standard_normal((600, 2)) * 1e-3 + np.array([9.0, 0.0])
+    factor = tl.bayes_factor(long(values), **COLUMNS).iloc[0]
+    assert factor["log_bf10"] > 709.0
+    assert factor["bf10"] == np.inf
+    assert factor["bf01"] == 0.0
 
 
 def test_bayes_factor_by_bic_is_the_closed_form():
