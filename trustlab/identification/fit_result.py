@@ -381,11 +381,11 @@ def state_table(
     structure: Structure, runs: list[Run], values: np.ndarray, stderrs: np.ndarray
 ) -> pd.DataFrame:
     """Return the table of initial states; values and standard errors have shape (runs, states)."""
-    table = pd.DataFrame(index=pd.Index([run.label for run in runs], name="run"))
+    columns = {}
     for j, parameter in enumerate(structure.initial):
-        table[parameter.name] = values[:, j]
-        table[f"{parameter.name}_stderr"] = stderrs[:, j]
-    return table
+        columns[parameter.name] = values[:, j]
+        columns[f"{parameter.name}_stderr"] = stderrs[:, j]
+    return pd.DataFrame(columns, index=pd.Index([run.label for run in runs], name="run"))
 
 
 def run_fits(

@@ -349,11 +349,12 @@ def _model(estimate: Estimate, weak: list[Parameter], reasons: list[str]) -> Any
 
 def weak_parameters(estimate: Estimate, table: pd.DataFrame) -> list[Parameter]:
     """Return the shared parameters at a bound, or with a 95 % interval too wide to be of use."""
-    values = table["value"].to_dict()
+    values, stderrs, statuses = (table[name].to_dict() for name in ("value", "stderr", "status"))
     weak = []
     for parameter in estimate.problem.structure.parameters:
-        stderr, status = table.loc[parameter.name, ["stderr", "status"]]
-        wide = HALF_WIDTH * stderr > parameter.useful_half_width(values)
+        status = statuses[parameter.name]
+        half_width = HALF_WIDTH * stderrs[parameter.name]
+        wide = half_width > parameter.useful_half_width(values)
         if status == "at bound" or (status == "estimated" and wide):
             weak.append(parameter)
     return weak

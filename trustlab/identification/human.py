@@ -243,11 +243,12 @@ def _search_grid(mode, p_h, starts, rates, betas, rests, out):
             for i in range(starts.size - 1):
                 r = rest
                 for k in range(starts[i], starts[i + 1]):
-                    middle = r + 0.5 * (1.0 - a) * (mode[k] - r)
+                    after = next_utilization(r, mode[k], a)  # (2.5)
+                    middle = 0.5 * (r + after)
                     inside = 0.0 < middle < 1.0
                     log_r[k] = np.log(middle) if inside else -np.inf
                     log_q[k] = np.log(1.0 - middle) if inside else -np.inf
-                    r += (1.0 - a) * (mode[k] - r)
+                    r = after
             for beta in betas:
                 # P_h = p_min (1 − shape) + p_max shape, (2.6), is linear in p_min and p_max: they
                 # are solved for.
