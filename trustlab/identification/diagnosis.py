@@ -1,6 +1,7 @@
 """
-What to say of a fit: how the search ended and what the intervals allow for, and reasons to doubt it
-(a mode stamped early or late, coarse numbers, an unstated window, slow noise).
+What to say of a fit: remarks, and reasons to doubt its intervals.
+
+Doubtful are a mode stamped early or late, coarse numbers, an unstated window and slow noise.
 """
 
 from collections.abc import Iterator
@@ -64,7 +65,8 @@ def _initial_states(estimate: Estimate) -> Iterator[str]:
     problem = estimate.problem
     for j, parameter in enumerate(problem.structure.initial):
         column = slice(problem.shared + j, None, problem.states)
-        at_bound, values = estimate.search.at_bound[column], estimate.theta[column]
+        at_bound = estimate.search.at_bound[column]
+        values = estimate.theta[column]
         for end, meaning in parameter.ends.items():
             number = int((at_bound & (values == end)).sum())
             if number:
@@ -127,7 +129,8 @@ def doubts(estimate: Estimate) -> Iterator[str]:
 
 def _rivals(estimate: Estimate) -> Iterator[str]:
     """Find other values that explain the data as well, beyond what standard errors allow."""
-    shared, names = estimate.problem.shared, estimate.problem.structure.names
+    shared = estimate.problem.shared
+    names = estimate.problem.structure.names
     stderr = np.sqrt(np.diag(estimate.covariance)[:shared])
     lowest = min((rival.deviance for rival in estimate.rivals), default=0.0)
     for rival in estimate.rivals:

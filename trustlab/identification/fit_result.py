@@ -395,8 +395,9 @@ def run_fits(
     errors: list[list[np.ndarray]] | None = None,
 ) -> list[RunFit]:
     """
-    Put every run beside its fitted outputs, by run, and its prediction errors, by output and run;
-    without these, measured less fitted stands in.
+    Put every run beside its fitted outputs and prediction errors.
+
+    `fitted` is ordered by run, `errors` by output and run; measured less fitted by default.
     """
     results = []
     for i, run in enumerate(runs):

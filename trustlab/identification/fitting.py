@@ -269,7 +269,8 @@ def _default(parameter: Parameter, low: float, high: float) -> float:
 
 def estimate_table(estimate: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the table of the shared parameters, and the covariance of the estimated ones."""
-    structure, size = estimate.problem.structure, estimate.problem.shared
+    structure = estimate.problem.structure
+    size = estimate.problem.shared
     return parameter_table(
         structure.names[:size],
         estimate.theta[:size],
@@ -292,7 +293,8 @@ def result(
     # NaN for what was fixed; rows of what a bound holds are NaN already.
     stderr = np.sqrt(np.where(estimate.fixed, np.nan, np.diag(estimate.covariance)))
     shape = (len(problem.runs), problem.states)
-    states, state_errors = (v[problem.shared :].reshape(shape) for v in (estimate.theta, stderr))
+    states = estimate.theta[problem.shared :].reshape(shape)
+    state_errors = stderr[problem.shared :].reshape(shape)
     return FitResult(
         model=_model(estimate, weak, reasons),
         method="output_error",
@@ -313,7 +315,8 @@ def _mark(weak: list[Parameter], table: pd.DataFrame) -> Iterator[str]:
     """Mark weak parameters in the table and say what would help."""
     for parameter in weak:
         name = parameter.name
-        value, stderr = table["value"][name], table["stderr"][name]
+        value = table["value"][name]
+        stderr = table["stderr"][name]
         if table["status"][name] == "at bound":
             yield (
                 f"{name} is at its bound, {value:.6g}: the fit is better beyond it, or "
@@ -329,7 +332,8 @@ def _mark(weak: list[Parameter], table: pd.DataFrame) -> Iterator[str]:
 
 def _model(estimate: Estimate, weak: list[Parameter], reasons: list[str]) -> Any:
     """Return the structure's model; an error names the weak parameters and the doubts."""
-    structure, shared = estimate.problem.structure, estimate.problem.shared
+    structure = estimate.problem.structure
+    shared = estimate.problem.shared
     values = dict(zip(structure.names, estimate.theta[:shared].tolist(), strict=False))
     if structure.model is None:
         return values

@@ -52,8 +52,7 @@ def fit_human(
     **settings: Any,
 ) -> FitResult:
     """
-    Identify the human model (2.5)-(2.6) from sessions: a, beta, p_min, p_max, and each session's
-    initial utilization.
+    Identify the human model (2.5)-(2.6): a, beta, p_min, p_max, and r0 of every session.
 
     Parameters
     ----------
@@ -231,8 +230,9 @@ GRID_POINT = np.dtype([(name, float) for name in ("squares", "a", "beta", "p_min
 @njit
 def _search_grid(mode, p_h, starts, rates, betas, rests, out):
     """
-    Fill Σ e² and parameters at every grid point with p_max > p_min; `starts` are where runs begin
-    and the end.
+    Fill Σ e² and parameters at every grid point with p_max > p_min.
+
+    `starts` are the first samples of the runs, and the end of the last one.
     """
     total = np.sum(p_h**2)
     log_r = np.empty(p_h.size)  # ln r and ln(1 − r) of (2.6), shared by all beta
@@ -275,10 +275,7 @@ def _search_grid(mode, p_h, starts, rates, betas, rests, out):
 
 
 def decay_rates(longest: int, length: int, limits: tuple[float, float]) -> np.ndarray:
-    """
-    Return shares kept over a block of `length` samples, for time constants from a few samples to
-    many runs.
-    """
+    """Return shares kept over a block, for time constants from a few samples to many runs."""
     time_constants = np.geomspace(min(20.0, 0.2 * longest), 4.0 * longest, 18)
     return np.unique(np.clip(1.0 - 1.0 / time_constants, *limits)) ** length
 
@@ -291,10 +288,7 @@ def undo_blocks(rate: float, length: int) -> float:
 def human_guess(
     runs: list[Run], limits: Mapping[str, tuple[float, float]]
 ) -> list[dict[str, float]]:
-    """
-    Return starting values of a, beta, p_min, p_max and r0 from a coarse search on block means, the
-    best first.
-    """
+    """Return starting values from a coarse search on block means, the best first."""
     means, length = block_means(runs)
     starts = np.cumsum([0, *(run.size for run in means)])
     betas = np.unique(np.clip(GRID_BETA, *limits["beta"]))
@@ -343,10 +337,7 @@ def _best_apart(grid: np.ndarray, rates: np.ndarray, most: int = 6) -> list[np.v
 
 
 def _refined(means: list[Run], point: np.void, limits: Mapping, length: int) -> tuple[float, ...]:
-    """
-    Search from one grid point on block means; p_min and p_max stay free even where the user fixed
-    them.
-    """
+    """Search from one grid point on block means, with p_min and p_max free even if fixed."""
     guess = {name: float(point[name]) for name in HUMAN.names}
     problem = Problem(HUMAN, means, guess)
     rate = [min(max(bound**length, UNIT_MARGIN), 1.0 - UNIT_MARGIN) for bound in limits["a"]]

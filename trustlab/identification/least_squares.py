@@ -1,7 +1,4 @@
-"""
-Bounded nonlinear least squares on accumulated normal equations (Gauss–Newton with
-Levenberg–Marquardt damping).
-"""
+"""Bounded Gauss–Newton search with Levenberg–Marquardt damping, on normal equations."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,10 +34,7 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class Minimum:
-    """
-    Where a search ended: the point, the equations there, what a bound holds, and whether it is a
-    minimum.
-    """
+    """Where a search ended, what a bound holds there, and whether it is a minimum."""
 
     x: np.ndarray
     normal: NormalEquations
@@ -88,8 +82,9 @@ def minimise(
             matrix = now.matrix[np.ix_(free, free)] / np.outer(scale, scale)
             gradient = now.gradient[free] / scale
             values, vectors = np.linalg.eigh(matrix)
-            along, known = gradient @ vectors, values > 1e-14 * values[-1]
-            promised = float(along[known] @ (along[known] / values[known]))
+            along = gradient @ vectors
+            regular = values > 1e-14 * values[-1]
+            promised = float(along[regular] @ (along[regular] / values[regular]))
             # A kink, as of (2.6) at r = 0, defies any quadratic model: stop where six evaluations
             # gained nothing.
             stalled = len(history) > 12 and promised < 1.0 and history[-7] - history[-1] < 1e-4
@@ -109,8 +104,8 @@ def minimise(
         trial = np.clip(x + step, lower, upper)
         new = evaluate(trial)
         iterations += 1
-        # Below a thousandth of a standard error the value's last digits are rounding: trust the
-        # step, not the value.
+        # Below a thousandth of a standard error the value's last digits are rounding errors: trust
+        # the step, not the value.
         slack = 1e-6 if promised < 1e-6 else 0.0
         if new.finite and new.value < now.value + slack:
             x = trial
@@ -118,7 +113,8 @@ def minimise(
             damping = max(damping / 10.0, 1e-12)
             refused = 0
         else:
-            damping, refused = max(damping * 5.0, 1e-6), refused + 1
+            damping = max(damping * 5.0, 1e-6)
+            refused += 1
             on_edge = ~held & ((x <= lower) | (x >= upper))
             if refused >= 8 and on_edge.any():
                 # The slope at a bound promises what no step away from it keeps (a kink): hold it

@@ -1,7 +1,4 @@
-"""
-How a log shows a model: window means, a mode stamped early or late, samples further apart than the
-model's steps.
-"""
+"""How a log shows a model: window means, a shifted mode, several model steps per sample."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -45,8 +42,9 @@ def _down(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def as_logged(structure: Structure, sample_time: float, log: LogSettings) -> Structure:
     """
-    Return a structure as the log shows it: several model steps per sample, a mode delay to
-    estimate, or both.
+    Return a structure as the log shows it: finer steps, a mode delay to estimate, or both.
+
+    Between samples the inputs keep the last value logged.
 
     Between samples the inputs keep the last value logged.
     """

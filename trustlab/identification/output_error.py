@@ -153,7 +153,8 @@ class Problem:
 
     def normal(self, theta: np.ndarray) -> NormalEquations:
         """Return the likelihood, its gradient and its Gauss–Newton matrix ([L] Section 10.2)."""
-        size, outputs = theta.size, len(self.structure.outputs)
+        size = theta.size
+        outputs = len(self.structure.outputs)
         squares = np.zeros(outputs)
         gradients = np.zeros((outputs, size))
         matrices = np.zeros((outputs, size, size))
@@ -203,8 +204,9 @@ class Problem:
 
     def whitened(self, series: Series, *columns: np.ndarray) -> tuple[list[np.ndarray], float]:
         """
-        Return an output's Kalman prediction errors (and further columns, filtered alike), and the
-        log-determinant of the noise ([L] Section 4.3, [S] Section 7.3).
+        Return an output's Kalman prediction errors and the log-determinant of the noise.
+
+        Further columns are filtered alike ([L] Section 4.3, [S] Section 7.3).
         """
         noise = self.noise[series.output]
         if noise == Noise() and not series.missing.any():
@@ -233,10 +235,7 @@ class Problem:
         return True
 
     def fit_noise(self, free: np.ndarray) -> None:
-        """
-        Take the noise model of each output that its residuals show at the latest point; `free`
-        parameters are estimated.
-        """
+        """Fit the noise of each output to its residuals; `free` parameters are estimated."""
         for j in range(len(self.noise)):
             parts = []
             for series in self.series_of(j):
@@ -317,7 +316,8 @@ class Valley:
 
         Where the matrix is singular, raise: the parameters involved are not identifiable.
         """
-        free, names = self.free, self.problem.names
+        free = self.free
+        names = self.problem.names
         matrix = self.normal.matrix[np.ix_(free, free)]
         if free.size == 0:
             return matrix
@@ -375,7 +375,8 @@ def _search(problem: Problem, start: np.ndarray, limits: Mapping, **options: Any
     theta = problem.from_search(minimum.x)
     # The way to the search coordinate and back rounds: what is fixed or at a bound gets its exact
     # value.
-    fixed, at_bound = low == high, minimum.at_bound
+    fixed = low == high
+    at_bound = minimum.at_bound
     theta[fixed] = low[fixed]
     theta[at_bound] = np.clip(theta, low, high)[at_bound]
     # The search mostly ends where it evaluated last.
@@ -391,8 +392,9 @@ def _search(problem: Problem, start: np.ndarray, limits: Mapping, **options: Any
 
 class Delay(NamedTuple):
     """
-    By how much later than its stamp mode acts [s], as residuals show it; `shift` is what a second
-    does to the estimates.
+    Delay of the mode behind its stamp [s], as residuals show it.
+
+    `shift` is the change of the estimates per second of delay.
     """
 
     value: float
@@ -423,10 +425,7 @@ class Estimate(Valley):
 
     @property
     def degrees_of_freedom(self) -> float:
-        """
-        Samples less parameters; where noise is correlated, times that it had to change, of the
-        slowest output.
-        """
+        """Samples less parameters; for correlated noise, those of the slowest output."""
         problem = self.problem
         least = problem.counts.sum() - self.free.size
         for count, columns, noise in zip(
@@ -511,7 +510,8 @@ def _covariance(valley: Valley, inverse: np.ndarray, sandwiched: bool, delay: De
 def _meat(valley: Valley) -> np.ndarray:
     """Return the long-run covariance of the likelihood's scores, summed over runs."""
     problem = valley.problem
-    weights, size = problem.weights(valley.normal.squares), valley.theta.size
+    weights = problem.weights(valley.normal.squares)
+    size = valley.theta.size
     meat = np.zeros((size, size))
     lags = max(hac_lags(errors) for errors in problem.residuals())
     for i, (run, places) in enumerate(zip(problem.runs, problem.places, strict=True)):
@@ -526,17 +526,15 @@ def _meat(valley: Valley) -> np.ndarray:
 
 
 def _of_stamps(valley: Valley, inverse: np.ndarray) -> np.ndarray:
-    """
-    Return what errors of the mode's stamps, independent from switch to switch, add to the
-    covariance.
-    """
+    """Return the covariance due to independent errors of the mode's stamps."""
     problem, free = valley.problem, valley.free
     weights = problem.weights(valley.normal.squares)
     added = np.zeros((free.size, free.size))
     for i, run in enumerate(problem.runs):
         if run.stamp_error == 0.0 or "mode" not in run.columns:
             continue
-        mode, values = run["mode"], problem.values(i, valley.theta)
+        mode = run["mode"]
+        values = problem.values(i, valley.theta)
         of_run = [series for series in problem.series if series.run == i]
         switches = np.flatnonzero(np.diff(mode > 0.5)) + 1
         # Neighbours add about the same: of thousands of switches some stand for all.
@@ -559,10 +557,7 @@ def _of_stamps(valley: Valley, inverse: np.ndarray) -> np.ndarray:
 
 
 def _delay(valley: Valley, inverse: np.ndarray, sandwiched: bool) -> Delay:
-    """
-    Return the delay of the mode's effect that the residuals show, to first order; 0 where they
-    cannot show one.
-    """
+    """Return the delay of the mode that the residuals show, to first order; 0 if they cannot."""
     problem, free = valley.problem, valley.free
     weights = problem.weights(valley.normal.squares)
     inputs = set(problem.structure.inputs)

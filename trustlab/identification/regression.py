@@ -114,14 +114,15 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -
     if n <= p:
         raise IdentificationError(f"{p} coefficients need more than {p} equations, got {n}", names)
     # Row by row: BLAS takes longer for the few, long rows of a product with its own transpose.
-    gram, moment = np.stack([design @ row for row in design]), design @ target
+    gram = np.stack([design @ row for row in design])
+    moment = design @ target
     scale = np.sqrt(np.diag(gram))
     if not np.isfinite(gram.sum() + moment.sum()):
         raise ValueError("the data are too large to square; scale them")
     if not (scale > 0.0).all():
-        dead = names[int(np.argmin(scale))]
+        lost = names[int(np.argmin(scale))]
         raise IdentificationError(
-            f"coefficient {dead} is not identifiable: its regressor is identically zero", (dead,)
+            f"coefficient {lost} is not identifiable: its regressor is identically zero", (lost,)
         )
     # Regressors scaled to unit length: their units have no part in what counts as nearly collinear.
     sizes = np.outer(scale, scale)
@@ -137,16 +138,17 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -
         # of their products.
         vectors, values, across = np.linalg.svd(design / scale[:, None], full_matrices=False)
         if values[-1] <= n * np.finfo(float).eps * values[0]:
-            free = names[int(np.argmax(np.abs(vectors[:, -1])))]
+            lost = names[int(np.argmax(np.abs(vectors[:, -1])))]
             raise IdentificationError(
-                f"coefficient {free} is not identifiable: its regressor is a linear combination "
+                f"coefficient {lost} is not identifiable: its regressor is a linear combination "
                 "of the others (does the input move?)",
-                (free,),
+                (lost,),
             )
         coefficients = vectors @ (across @ target / values) / scale
         inverse = (vectors / values**2) @ vectors.T / sizes
     residuals = target - coefficients @ design
-    return LeastSquares(coefficients, inverse * (residuals @ residuals / (n - p)), residuals, n - p)
+    variance = residuals @ residuals / (n - p)
+    return LeastSquares(coefficients, inverse * variance, residuals, n - p)
 
 
 def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
@@ -228,8 +230,9 @@ def equations(
     y: np.ndarray, u: np.ndarray, na: int, nb: tuple[int, ...], nk: tuple[int, ...], intercept: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return regressors, one per row, and left-hand sides of one run's ARX equations; u has shape (N,
-    m).
+    Return regressors, one per row, and left-hand sides of one run's ARX equations.
+
+    `u` has shape (N, m).
     """
     first = max([na] + [delay + lags - 1 for delay, lags in zip(nk, nb, strict=True)])
     size = y.size - first

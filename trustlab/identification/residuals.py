@@ -1,6 +1,7 @@
 """
-Residuals: outliers, correlations, whiteness, and two ways to allow for autocorrelated noise, a
-Kalman filter and a sandwich.
+Residuals: outliers, whiteness, and two ways to allow for correlation.
+
+A Kalman filter whitens AR(1) noise; a sandwich widens the covariance for any other.
 """
 
 from typing import NamedTuple
@@ -36,18 +37,22 @@ def pooled_cross_correlation(
     residuals: list[np.ndarray], inputs: list[np.ndarray], lags: int
 ) -> np.ndarray:
     """
-    Return the correlation of e(k) with u(k − lag) for −lags … lags < N, pooled over runs; 0 where
-    no input moves.
+    Return the correlation of e(k) with u(k − lag), pooled over runs.
+
+    Lags run from −lags to lags; 0 where no input moves.
     """
     from scipy import signal
 
-    e_mean, u_mean = np.concatenate(residuals).mean(), np.concatenate(inputs).mean()
+    e_mean = np.concatenate(residuals).mean()
+    u_mean = np.concatenate(inputs).mean()
     sums = np.zeros(2 * lags + 1)
     e_power = 0.0
     u_power = 0.0
     for e, u in zip(residuals, inputs, strict=True):
-        e, u = e - e_mean, u - u_mean
-        e_power, u_power = e_power + e @ e, u_power + u @ u
+        e = e - e_mean
+        u = u - u_mean
+        e_power += e @ e
+        u_power += u @ u
         sums += signal.correlate(e, u)[e.size - 1 - lags : e.size + lags]
     scale = np.sqrt(e_power * u_power)
     return sums / scale if scale > 0.0 else sums
@@ -112,10 +117,9 @@ def sandwich(bread: np.ndarray, meat: np.ndarray | None, samples: float) -> np.n
     `bread` is the inverse of the information matrix Σ w JᵀJ with w = n/Σ e², `meat` the long-run
     covariance of the scores w Jᵀe.
     """
-    # Residuals of a fit with p parameters are too small by (n − p)/n on average. The factor makes
-    # the white form s² (JᵀJ)⁻¹ with s² = Σ e²/(n − p); the robust form takes the same one (the
-    # small-sample form of MacKinnon & White 1985, HC1, and Stata's newey), so that both agree where
-    # residuals are white.
+    # The residuals of a fit with p parameters are too small by (n − p)/n on average. The factor
+    # makes the white form s² (JᵀJ)⁻¹ with s² = Σ e²/(n − p). The robust form takes the same factor
+    # (HC1 of MacKinnon & White 1985, Stata's newey): both agree where residuals are white.
     factor = samples / max(samples - len(bread), 1.0)
     return factor * (bread if meat is None else bread @ meat @ bread)
 
@@ -143,7 +147,8 @@ def _filter(values, missing, share, memory, errors):
             variance = memory * memory * variance + drive
             continue
         total = variance + white
-        scale, gain = 1.0 / np.sqrt(total), memory * variance / total
+        scale = 1.0 / np.sqrt(total)
+        gain = memory * variance / total
         logs += np.log(total)
         for j in range(values.shape[1]):
             error = values[k, j] - state[j]

@@ -46,8 +46,7 @@ def fit_robot(
     **settings: Any,
 ) -> FitResult:
     """
-    Identify the robot model (2.3) from sessions: a, p_min, p_max, and each session's initial
-    performance.
+    Identify the robot model (2.3): a, p_min, p_max, and P_r at the start of every session.
 
     Parameters
     ----------
@@ -115,7 +114,8 @@ def fit_robot(
     structure = robot_structure(best)
     if method == "regression":
         fit = regress(structure, runs)
-        values, covariance = fit.parameters["value"].to_numpy(), fit.covariance.to_numpy()
+        values = fit.parameters["value"].to_numpy()
+        covariance = fit.covariance.to_numpy()
         tables = _tables(values, ["estimated"] * 3, covariance, best, operator)
         fit = replace(fit, parameters=tables[0], covariance=tables[1])
     else:
@@ -171,7 +171,8 @@ def _fit_with_operator(
 
 def _checked_best(runs: list[Run], p_h_max: float) -> float:
     """Check the user's greatest human performance against the data."""
-    best, middle = positive("p_h_max", p_h_max), float(np.median(joined(runs, "p_h")))
+    best = positive("p_h_max", p_h_max)
+    middle = float(np.median(joined(runs, "p_h")))
     if best < middle:
         raise ValueError(
             f"p_h_max = {p_h_max} lies below the median of the measured p_h, {middle:.4g}; it is "
@@ -246,8 +247,7 @@ def _input_noise(
     estimate: Estimate, best: float, operator: Estimate | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return what noise of the measured P_h adds to the covariance, and the covariance that it shares
-    with p̂_h,max.
+    Return the covariance due to noise of the measured P_h, and that shared with p̂_h,max.
 
     The simulation is driven by the measured P_h, whose noise e_h reaches the estimates: to first
     order θ̂ − θ = (JᵀJ)⁻¹ Jᵀ(e_r − L e_h), with L the response of simulated P_r to P_h. So e_h,
@@ -274,18 +274,17 @@ def _input_noise(
         mixed[places] += influence.T @ g[i]
     # `inverse` is (w JᵀJ)⁻¹ with w = n/Σ e²: times w it is (JᵀJ)⁻¹.
     solve = estimate.inverse * problem.weights(estimate.normal.squares)[0]
-    direct, shared = np.zeros((size, size)), np.zeros(size)
+    direct = np.zeros((size, size))
+    shared = np.zeros(size)
     direct[np.ix_(free, free)] = variance * solve @ spread[np.ix_(free, free)] @ solve.T
     shared[free] = -variance * solve @ mixed[free]
     return direct, shared
 
 
 def _best_by_samples(operator: Estimate) -> list[np.ndarray]:
-    """
-    Return g, the derivative of p̂_h,max by every sample of the measured P_h; 0 where the residuals
-    are not white.
-    """
-    problem, row = operator.problem, operator.problem.names.index("p_max")
+    """Return g, the derivative of p̂_h,max by every sample of P_h; 0 for correlated residuals."""
+    problem = operator.problem
+    row = problem.names.index("p_max")
     solve = np.zeros(operator.theta.size)
     if operator.noise == "white":
         # p̂_h,max is one row of (JᵀJ)⁻¹ Jᵀ P_h, with the operator's own J.
@@ -319,8 +318,9 @@ def _tables(
     shift: np.ndarray | None = None,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """
-    Return table and covariance of a, p_min, p_max and p_h_max, and the row of b; `shared` is their
-    covariance with p̂_h,max.
+    Return table and covariance of a, p_min, p_max and p_h_max, and the row of b.
+
+    `shared` is their covariance with p̂_h,max, `shift` their derivative by it.
     """
     row = HUMAN.names.index("p_max")
     total = np.zeros((4, 4))

@@ -176,10 +176,7 @@ def _best_rate(mode, p_h, p_r, starts, rates, p_h_max):
 
 
 def robot_guess(runs: list[Run], limits: Mapping, p_h_max: float) -> dict[str, float | np.ndarray]:
-    """
-    Return starting values of a, p_min, p_max and, for every run, p_r0, from a coarse search on
-    block means.
-    """
+    """Return starting values from a coarse search on block means; p_r0 for every run."""
     means, length = block_means(runs)
     starts = np.cumsum([0, *(run.size for run in means)])
     rates = decay_rates(max(run.size for run in runs), length, limits["a"])

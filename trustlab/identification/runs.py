@@ -218,8 +218,9 @@ def as_columns(records: np.ndarray) -> np.ndarray:
 
 def block_means(runs: list[Run], budget: int = 500) -> tuple[list[Run], int]:
     """
-    Return block means of all columns and the block length; about `budget` blocks in all, at least
-    eight per run.
+    Return block means of all columns, and the block length.
+
+    There are about `budget` blocks in all, and at least eight per run.
     """
     total = sum(run.size for run in runs)
     shortest = min(run.size for run in runs)

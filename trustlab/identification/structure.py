@@ -382,8 +382,7 @@ class Structure:
         self, run: Any, outputs: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]
     ) -> None:
         """
-        Refuse what `sensitivities` returns unless there is an array of the right shape for each
-        output.
+        Refuse what `sensitivities` returns unless each output has arrays of the right shape.
 
         Parameters
         ----------

@@ -55,8 +55,9 @@ def fit_transfer_function(
     command, velocity, sample_time: float, order: int = 2, noise: str = "auto"
 ) -> TransferFunctionFit:
     """
-    Identify gain/(s + d_0) or gain/(s² + d_1 s + d_0) by output error, the command being held over
-    each sample.
+    Identify gain/(s + d_0) or gain/(s² + d_1 s + d_0) by output error.
+
+    The command is held over each sample.
 
     Parameters
     ----------
@@ -93,10 +94,12 @@ def fit_transfer_function(
     >>> round(fit.model.gain, 3), round(fit.model.denominator[0], 3)
     (0.985, 0.495)
     """
-    sample_time, order = positive("sample_time", sample_time), whole_number("order", order, 1, 2)
+    sample_time = positive("sample_time", sample_time)
+    order = whole_number("order", order, 1, 2)
     runs = _runs(command, velocity, sample_time)
     structure = transfer_structure(order, sample_time)
-    unknowns, samples = 1 + order + order * len(runs), sum(run.size for run in runs)
+    unknowns = 1 + order + order * len(runs)
+    samples = sum(run.size for run in runs)
     if samples < 2 * unknowns:
         raise IdentificationError(
             f"{samples} samples are too few for {unknowns} unknowns; record longer runs"
@@ -148,18 +151,17 @@ def transfer_structure(order: int, sample_time: float) -> Structure:
 
 
 def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np.ndarray:
-    """
-    Return velocity per unit gain and per unit of each initial state, shape (N, 1 + n), for a held
-    command.
-    """
+    """Return velocity per unit gain and per unit of each initial state, shape (N, 1 + n)."""
     n, dtype = len(denominator), np.result_type(denominator, float)
     # The companion form, with the command as a further, constant state: its exponential holds Φ and
     # Γ of one sample.
     block = np.zeros((n + 1, n + 1), dtype)
     block[: n - 1, 1:n] = np.eye(n - 1)
-    block[n - 1, :n], block[n - 1, n] = -denominator[::-1], 1.0
-    whole = linalg.expm(block * sample_time)
-    phi, gamma = whole[:n, :n], whole[:n, n]
+    block[n - 1, :n] = -denominator[::-1]
+    block[n - 1, n] = 1.0
+    exponential = linalg.expm(block * sample_time)
+    phi = exponential[:n, :n]
+    gamma = exponential[:n, n]
     # As difference equations: v is the first state, so the first row of (zI − Φ)⁻¹ is written out
     # for n = 1 and 2, its numerators by falling powers of z.
     pulse = np.zeros(u.size)
@@ -179,17 +181,15 @@ def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np
 def _guess(
     runs: list[Run], denominator: tuple[str, ...], states: tuple[str, ...], sample_time: float
 ) -> Mapping:
-    """
-    Return starting values by variable projection: a search over the denominator, the rest by linear
-    least squares.
-    """
-    order, target = len(denominator), np.concatenate([run["velocity"] for run in runs])
+    """Return starting values: a search over the denominator, the rest by least squares."""
+    order = len(denominator)
+    target = np.concatenate([run["velocity"] for run in runs])
 
     def project(d):
         parts = [_responses(d, run["command"], sample_time) for run in runs]
         # The gain is shared; each run's initial states act in that run alone.
-        own = linalg.block_diag(*(part[:, 1:] for part in parts))
-        design = np.column_stack([np.concatenate([part[:, 0] for part in parts]), own])
+        initial = linalg.block_diag(*(part[:, 1:] for part in parts))
+        design = np.column_stack([np.concatenate([part[:, 0] for part in parts]), initial])
         if not np.isfinite(design).all():
             return np.zeros(design.shape[1]), np.full(target.size, 1e6)
         weights = np.linalg.lstsq(design, target, rcond=None)[0]
@@ -203,24 +203,18 @@ def _guess(
         _denominators(order, runs, sample_time), key=lambda d: float(np.sum(residuals(d) ** 2))
     )
     tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14, "max_nfev": 200}
-    found = [
+    minima = [
         optimize.least_squares(residuals, start, x_scale="jac", **tight) for start in starts[:2]
     ]
-    best = min(found, key=lambda done: done.cost).x
+    best = min(minima, key=lambda minimum: minimum.cost).x
     weights = project(best)[0]
-    own = weights[1:].reshape(len(runs), order)
-    return {
-        "gain": weights[0],
-        **dict(zip(denominator, best, strict=True)),
-        **dict(zip(states, own.T, strict=True)),
-    }
+    initial = weights[1:].reshape(len(runs), order)
+    guess = dict(zip((*denominator, *states), (*best, *initial.T), strict=True))
+    return {"gain": weights[0], **guess}
 
 
 def _denominators(order: int, runs: list[Run], sample_time: float) -> list[np.ndarray]:
-    """
-    Return denominators to start from: natural frequencies from the sample time to the runs' length,
-    damped or not.
-    """
+    """Return starting denominators, from the sample time to the length of the runs."""
     longest = sample_time * max(run.size for run in runs)
     rates = 1.0 / np.geomspace(2.0 * sample_time, longest / 2.0, 12)
     if order == 1:

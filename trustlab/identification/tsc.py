@@ -42,8 +42,9 @@ def fit_tsc(
     **settings: Any,
 ) -> FitResult:
     """
-    Identify robot (2.3) and operator (2.5)-(2.6) together: one likelihood, the robot driven by the
-    fitted operator.
+    Identify robot (2.3) and operator (2.5)-(2.6) together, by one likelihood.
+
+    The fitted operator drives the robot.
 
     Parameters
     ----------

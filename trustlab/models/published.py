@@ -13,10 +13,7 @@ from trustlab.models.tsc import TscModel
 
 
 class ByName(dict):
-    """
-    A dictionary by name that takes 2 for "2", and whose KeyError says which names there are and
-    which is nearest.
-    """
+    """A dictionary by name that takes 2 for "2" and lists its names in a KeyError."""
 
     def __missing__(self, key):
         if isinstance(key, Integral) and not isinstance(key, bool) and str(key) in self:
@@ -28,10 +25,7 @@ class ByName(dict):
 
 
 def published_folder() -> Path:
-    """
-    Return the folder of printed tables: in the installed package, or data/published of the
-    repository.
-    """
+    """Return the folder of printed tables, installed or in the repository."""
     package = Path(__file__).resolve().parents[1]
     installed = package / "data" / "published"
     return installed if installed.is_dir() else package.parent / "data" / "published"
@@ -86,8 +80,7 @@ def printed_pilot() -> dict[str, str]:
 
 def published_models() -> dict[str, TscModel]:
     """
-    Return the models with the printed parameters: the pilot operator and the five participants of
-    Table 2.1.
+    Return the printed models: the pilot operator and the participants of Table 2.1.
 
     Returns
     -------

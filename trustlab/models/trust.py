@@ -19,8 +19,9 @@ from trustlab.models.compiled import njit
 @njit(error_model="numpy", forceinline=True)
 def trust_step(trust, share, decay, gain):
     """
-    Return trust one sample later, (3.2) or (3.3), all as shares of their ranges; exact for a held
-    performance.
+    Return trust one sample later, (3.2) or (3.3), as a share of its range.
+
+    It is exact for a performance that is held over the sample.
     """
     return decay * trust + gain * (1.0 - decay) * share
 
@@ -49,8 +50,7 @@ def trust_run(share, decay, gain, start):
 @dataclass(frozen=True)
 class TrustModel:
     """
-    Trust that grows with performance and decays in proportion to its own level, equations (3.2) and
-    (3.3).
+    Trust that grows with performance and decays with its own level, (3.2) and (3.3).
 
     dT/dt = −a (T − T_min)/(T_max − T_min) + b (P − P_min)/(P_max − P_min). With b ≤ a trust stays
     between its bounds (3.4) for any performance within its range; with b > a it settles above T_max
@@ -115,8 +115,9 @@ class TrustModel:
 
     def decay(self, sample_time: float) -> float:
         """
-        Return the factor by which trust decays over one sample without performance, exp(−a T/(T_max
-        − T_min)).
+        Return the share of trust kept over a sample without performance.
+
+        It is exp(−a T/(T_max − T_min)).
 
         Parameters
         ----------

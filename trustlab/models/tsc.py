@@ -32,10 +32,7 @@ class TscConstants(NamedTuple):
 
 
 def performance_weights(p_r_min, p_r_max, p_h_min, p_h_max):
-    """
-    Return a_T and b_T, the weights of robot and human performance in TSC, (2.2); takes numbers or
-    arrays.
-    """
+    """Return a_T and b_T of (2.2), the weights of performance in TSC; numbers or arrays."""
     scale = p_r_max * p_h_max - p_r_min * p_h_min
     return (p_h_max + p_h_min) / scale, (p_r_max + p_r_min) / scale
 

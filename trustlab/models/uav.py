@@ -10,8 +10,7 @@ from trustlab.models.checks import finite_array, finite_number, positive, set_ch
 @dataclass(frozen=True)
 class TransferFunction:
     """
-    A continuous-time transfer function of order 1 or 2 without zeros, gain/(s + d_0) or gain/(s² +
-    d_1 s + d_0).
+    A transfer function without zeros, gain/(s + d_0) or gain/(s² + d_1 s + d_0).
 
     Parameters
     ----------
