@@ -74,7 +74,7 @@ def equivalence(
     >>> tests = tl.equivalence(frame, dv="value", within="condition", subject="subject", bound=10.0)
     >>> tests[["a", "b", "p_holm", "equivalent"]].round(3).head(3)
         a   b  p_holm  equivalent
-    0  C1  C2   0.018        True
+    0  C1  C2   0.019        True
     1  C1  C3   0.569       False
     2  C1  C4   0.003        True
     """
