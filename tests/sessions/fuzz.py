@@ -73,8 +73,10 @@ mode = { column = "mode", above = 0.5 }
 """)
 TF = Recipe.from_toml("""
 kind = "bag"
-[columns]
-robot_x = { topic = "/tf", field = 'transforms[child_frame_id="b"].transform.translation.x', unit = "m" }
+[columns.robot_x]
+topic = "/tf"
+field = 'transforms[child_frame_id="b"].transform.translation.x'
+unit = "m"
 """)
 
 
@@ -177,8 +179,8 @@ def write_xdf(path: Path, times, values) -> Path:
         return b"\x04" + struct.pack("<IH", len(content) + 2, tag) + content
 
     stream = struct.pack("<I", 1)
-    about = "<name>arm</name><type>x</type><channel_count>1</channel_count><nominal_srate>0</nominal_srate>"
-    about += "<channel_format>double64</channel_format>"
+    about = "<name>arm</name><type>x</type><channel_count>1</channel_count>"
+    about += "<nominal_srate>0</nominal_srate><channel_format>double64</channel_format>"
     about += "<desc><channels><channel><label>x</label></channel></channels></desc>"
     samples = [
         b"\x08" + struct.pack("<dd", t, value) for t, value in zip(times, values, strict=True)

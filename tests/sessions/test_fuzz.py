@@ -165,8 +165,8 @@ def test_damaged_rosbag2_folders(folder, originals, part, damage):
 
 
 CELLS = st.sampled_from(
-    """0 1 -0.0 1e308 -1e308 1e-320 1e400 nan inf -inf NaN NA 0.1 0.2 0.30000000000000004 +.5 5. 1e5 abc 1_0 0x1f ١
-    '' 1,5 2026-01-01 true 9007199254740993 - ä "0.4" "a""b" " """.split()  # noqa: SIM905
+    """0 1 -0.0 1e308 -1e308 1e-320 1e400 nan inf -inf NaN NA 0.1 0.2 0.30000000000000004 +.5 5.
+    1e5 abc 1_0 0x1f ١ '' 1,5 2026-01-01 true 9007199254740993 - ä "0.4" "a""b" " """.split()  # noqa: SIM905
 ) | st.sampled_from(["", " ", " 0.1 ", "\t7", "\0", "1 2"])
 NAMES = st.sampled_from(
     [

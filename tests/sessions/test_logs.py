@@ -78,8 +78,10 @@ def frame_of(name, x):
 
 
 TF = """
-[columns]
-robot_x = { topic = "/tf", field = 'transforms[child_frame_id="turtle1"].transform.translation.x', unit = "m" }
+[columns.robot_x]
+topic = "/tf"
+field = 'transforms[child_frame_id="turtle1"].transform.translation.x'
+unit = "m"
 """
 
 

@@ -84,12 +84,18 @@ mode = { value = 0 }
 robot_x = { topic = "/turtle2/pose", field = "x", unit = "m" }
 robot_y = { topic = "/turtle2/pose", field = "y", unit = "m" }
 yaw = { topic = "/turtle2/pose", field = "theta", unit = "rad" }
-human_x = { topic = "/tf", field = 'transforms[child_frame_id="turtle1"].transform.translation.x', unit = "m" }
-human_y = { topic = "/tf", field = 'transforms[child_frame_id="turtle1"].transform.translation.y', unit = "m" }
 v_command = { topic = "/turtle1/cmd_vel", field = "linear.x", unit = "m/s", hold = true }
 w_command = { topic = "/turtle1/cmd_vel", field = "angular.z", unit = "rad/s", hold = true }
 path_error = { distance = ["robot", "human"], axes = ["x", "y"] }
 step_distance = { travelled = "robot", axes = ["x", "y"] }
+[columns.human_x]
+topic = "/tf"
+field = 'transforms[child_frame_id="turtle1"].transform.translation.x'
+unit = "m"
+[columns.human_y]
+topic = "/tf"
+field = 'transforms[child_frame_id="turtle1"].transform.translation.y'
+unit = "m"
 """
 # The commands of the same run as PlotJuggler exports them: a line per message, blank where others
 # spoke.

@@ -38,9 +38,7 @@ class SessionError(ValueError):
 
 
 class RecipeError(SessionError):
-    """
-    A recipe that does not exist or cannot be followed; takes the same arguments as SessionError.
-    """
+    """A recipe that does not exist or cannot be followed; arguments as for SessionError."""
 
 
 @contextmanager
@@ -57,48 +55,33 @@ def source_named(source: str | None) -> Iterator[None]:
 
 @contextmanager
 def damage_named(damage: str, remedy: str) -> Iterator[None]:
-    """
-    Turn whatever a decoder of a binary format raises inside into a SessionError: what the file is,
-    and the remedy.
-    """
+    """Turn any error of a decoder into a SessionError that names the damage and the remedy."""
     # Decoders meet damaged files with errors of their own, struct.error, KeyError, AssertionError,
     # zlib and database errors, MemoryError … There is no common base, so that this one place,
     # around calls into a decoder and little else, takes every Exception and hands on the cause.
     try:
         yield
-    except (
-        SessionError,
-        ModuleNotFoundError,
-    ):  # the second says what to install, and nothing of the file
-        raise
+    except (SessionError, ModuleNotFoundError):
+        raise  # the second says what to install, and nothing of the file
     except Exception as error:
         reason = (str(error) or "no reason given").splitlines()[0][:200]
         raise SessionError(f"{damage} ({type(error).__name__}: {reason}); {remedy}") from error
 
 
 def listed(names: Iterable[object]) -> str:
-    """
-    Return names separated by commas for an error message: at most 30 of them, each at most 40
-    characters.
-    """
+    """Return names for an error message, separated by commas and cut to 30 short ones."""
     names = list(names)
     return ", ".join(str(name)[:40] for name in names[:30]) + (" …" if len(names) > 30 else "")
 
 
 def alternatives(name: object, known: Iterable[object], words: str = "known") -> str:
-    """
-    Return what an error says after an unknown name: the nearest known name, if one is close, and
-    all there are.
-    """
+    """Return the end of an error about an unknown name: the nearest known name, then all."""
     known = list(known)
     return f"{did_you_mean(name, known)} ({words}: {listed(known)})"
 
 
 def nearest_file(path: Path, suffix: str = "") -> str:
-    """
-    Return "; did you mean …?" for the path of a missing file, from the names beside it that end
-    with `suffix`.
-    """
+    """Return "; did you mean …?" for a missing file, from names beside it with this suffix."""
     try:
         beside = [each.name for each in path.parent.iterdir() if each.name.lower().endswith(suffix)]
     except (OSError, ValueError):

@@ -92,18 +92,13 @@ def _plain(value: object) -> object:
 
 
 def digest(values: bytes | np.ndarray) -> str:
-    """
-    Return a text of 16 digits that changes with every bit of a column, as floats, or of a text.
-    """
+    """Return 16 digits that change with every bit of a text, or of a column as floats."""
     data: Any = values if isinstance(values, bytes) else np.ascontiguousarray(values, dtype=float)
     return hashlib.blake2b(data, digest_size=8).hexdigest()
 
 
 def metadata_to_json(metadata: Metadata, columns: Any, **extra: object) -> str:
-    """
-    Return metadata, digests of the columns and what else is given as a line of JSON, but for the
-    source, the new file.
-    """
+    """Return metadata (but the source), digests of the columns and extra entries as JSON."""
     content = {name: getattr(metadata, name) for name in _FIELDS if name != "source"}
     for name, value in [*content.items(), *metadata.more.items()]:
         if not _survives_json(value):

@@ -1,7 +1,4 @@
-"""
-Performance measured from logs: (2.4), (2.7), their UAV variants, (3.26)-(3.27), and the tracking
-error of trials.
-"""
+"""Performance measured from logs: (2.4), (2.7), (3.26)-(3.27), UAVs; tracking error of trials."""
 
 from collections.abc import Iterable
 
@@ -42,8 +39,7 @@ def window_mean(values: np.ndarray, sample_time: float, window: float) -> np.nda
 
 def nearness(distance: np.ndarray, largest: float) -> np.ndarray:
     """
-    Return N(y) = (y_max − y)/y_max: 1 without deviation, 0 at y_max, negative beyond it (never
-    clipped).
+    Return N(y) = (y_max − y)/y_max: 1 without deviation, 0 at y_max, negative beyond it.
 
     Parameters
     ----------
@@ -65,8 +61,7 @@ def goal_speed(
     step_distance: np.ndarray, path_error: np.ndarray, sample_time: float, e_max: float = 2.0
 ) -> np.ndarray:
     """
-    Return (Δd/Δt)(e_max − e)/e_max, what (2.4) averages: speed, discounted with the distance from
-    the path.
+    Return (Δd/Δt)(e_max − e)/e_max, what (2.4) averages: speed, less far from the path.
 
     Parameters
     ----------
@@ -131,8 +126,7 @@ def command_quality(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndarra
 
 def command_deviation(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndarray:
     """
-    Return Σ (u_i − u_h)/Δu_max as printed in Section 2.4.2: signed, and larger for a worse
-    operator.
+    Return Σ (u_i − u_h)/Δu_max as in Section 2.4.2: signed; larger is worse.
 
     Parameters
     ----------

@@ -1,7 +1,4 @@
-"""
-Patterns for paths of files, which say something about a session, and paths to a field inside a
-message.
-"""
+"""Patterns for paths of files, and paths to a field inside a message."""
 
 import os
 import re
@@ -32,10 +29,7 @@ def natural_key(value: object) -> tuple:
 
 @dataclass(frozen=True)
 class PathMatch:
-    """
-    A path that fits a pattern: the folder where the pattern starts, and its fields, typed and as
-    written.
-    """
+    """A path that fits a pattern: the folder where the pattern starts, and its fields."""
 
     base: str
     fields: Mapping[str, object]
@@ -96,9 +90,7 @@ class PathPattern:
         object.__setattr__(self, "depth", self.text.strip("/").count("/") + 1)
 
     def _parts(self) -> list[tuple]:
-        """
-        Return the texts between the fields, each with the name and the type of the field after it.
-        """
+        """Return the texts between the fields, each with name and type of the field after it."""
         try:
             return list(Formatter().parse(self.text))
         except ValueError as error:
@@ -107,10 +99,7 @@ class PathPattern:
             ) from None
 
     def match(self, path: str | os.PathLike) -> PathMatch | None:
-        """
-        Return the fields of a path whose end fits the pattern, or None; a relative path is made
-        absolute.
-        """
+        """Return the fields of a path whose end fits the pattern, or None."""
         parts = os.path.abspath(path).replace(os.sep, "/").split("/")
         match = self._regex.fullmatch("/".join(parts[-self.depth :]))
         if match is None:
@@ -126,10 +115,7 @@ class PathPattern:
 
 @dataclass(frozen=True)
 class Selector:
-    """
-    The entry of a list of messages whose field `key` is `value`; or of a list beside a list of
-    names called `key`.
-    """
+    """An entry of a list: by its field `key`, or by a list of names `key` beside the list."""
 
     key: str
     value: str
@@ -178,7 +164,5 @@ class FieldPath:
 
     @property
     def selectors(self) -> str:
-        """
-        The selectors as written: a message that has no such entry is not a sample of this field.
-        """
+        """The selectors as written; a message without such an entry is no sample."""
         return "".join(str(step) for step in self.steps if isinstance(step, Selector))

@@ -17,10 +17,7 @@ LABELS = {
 
 
 def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:
-    """
-    Shade the manual phases of one panel: in proportion to the manual share, above one half where it
-    varies much.
-    """
+    """Shade the manual phases, in proportion to the manual share while switches are few."""
     edges = np.flatnonzero(np.diff(mode)) + 1
     if edges.size > 200:
         axes.fill_between(
@@ -40,10 +37,7 @@ def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:
 
 
 def plot_session(session, columns: str | list[str] | None = None):
-    """
-    Plot columns of a session against time, one panel each; p_r, p_h and r (or all) when none are
-    named.
-    """
+    """Plot columns against time, one panel each; by default p_r, p_h and r, or all."""
     if isinstance(columns, str):
         columns = [columns]
     if columns is None:
@@ -65,8 +59,7 @@ def plot_session(session, columns: str | list[str] | None = None):
 
 def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | None = None):
     """
-    Plot where the operator led, where the robot went and where it should have gone, one panel per
-    session.
+    Plot the paths of operator, robot and reference, one panel per session.
 
     Parameters
     ----------

@@ -158,10 +158,7 @@ def parse(
     allowed: Sequence[str] | None = None,
     **attributes: object,
 ) -> Rule:
-    """
-    Return the rule that one table of the recipe states; refuse by name a key that is unknown,
-    missing or wrong.
-    """
+    """Return the rule that a table states; refuse unknown, missing and wrong keys by name."""
     keys = {
         entry.metadata["spelt"] or entry.name: entry
         for entry in dataclasses.fields(rule)  # type: ignore[arg-type]
@@ -231,9 +228,7 @@ def column_key(name: str, value: object) -> str | int:
 
 
 def plain_key(value: object) -> str:
-    """
-    Return what a map is searched for: "1", 1 and 1.0 are the same, "MANUAL" stays a text.
-    """
+    """Return the key of a value in a map: "1", 1 and 1.0 are the same, "MANUAL" stays a text."""
     if isinstance(value, bool | np.bool_):
         return "true" if value else "false"
     written = str(value).strip()

@@ -1,6 +1,4 @@
-"""
-Raw logs, as readers take them from files, and how their streams come to one uniform time axis.
-"""
+"""Raw logs, as readers make them, and how their streams come to one uniform time axis."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -53,9 +51,7 @@ class RawLog:
 
 
 def require_common_times(log: RawLog) -> None:
-    """
-    Raise where the streams of a log differ in their times, so that only resampling can join them.
-    """
+    """Raise where the streams of a log have different times: only resampling joins them."""
     first = log.streams[0]
     for stream in log.streams[1:]:
         if not np.array_equal(stream.t, first.t):
@@ -70,9 +66,7 @@ def require_common_times(log: RawLog) -> None:
 def resample(
     log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """
-    Return a uniform time axis and the columns of a checked log on it; say so in the log's notes.
-    """
+    """Return a uniform time axis and the columns of a checked log on it; note how."""
     # Where every stream has samples: from the last first sample to the first last one. A stream
     # that is held has a value beyond its last sample, so that it does not end this interval unless
     # all are held.
@@ -139,10 +133,7 @@ def _method(name: str, method: str, rule: ColumnRule | None) -> str:
 def _interpolate(
     stream: Stream, name: str, grid: np.ndarray, slack: float, method: str
 ) -> np.ndarray:
-    """
-    Return a column at the times of the grid, none of which is before the first sample; `slack` [s]
-    is rounding.
-    """
+    """Return a column at the times of the grid; `slack` [s] is rounding."""
     times, values = stream.t, stream.columns[name]
     if method == "linear":
         if name != "yaw":

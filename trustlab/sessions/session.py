@@ -134,9 +134,7 @@ class Session:
 
     @property
     def label(self) -> str:
-        """
-        Participant, or operator where the data are synthetic, condition and trial, for captions.
-        """
+        """Participant (operator where data are synthetic), condition and trial, for captions."""
         meta = self.metadata
         person = "operator" if meta.synthetic else "participant"
         parts = [f"{person} {meta.participant}" if meta.participant is not None else ""]
@@ -234,8 +232,7 @@ class Session:
         self, window: float = 100.0, measure: str = "ground_robot", **scales: Any
     ) -> Session:
         """
-        Return the session with measured performance, columns p_r and p_h, as means over a moving
-        window.
+        Return the session with measured performance p_r and p_h, as moving means.
 
         Parameters
         ----------
@@ -295,10 +292,7 @@ class Session:
 
 
 def keep_table(data: pd.DataFrame, metadata: Metadata) -> Session:
-    """
-    Return the session of a table of floats that nobody else holds: every value is checked, none is
-    copied.
-    """
+    """Return the session of a table that nobody else holds: checked, and not copied."""
     _checked(data)
     session = object.__new__(Session)
     vars(session).update(data=data, metadata=metadata)
@@ -331,10 +325,7 @@ def _checked(data: pd.DataFrame) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 def check_rising(
     t: np.ndarray, place: Callable[[int], str] = "row {}".format, remedy: str = ""
 ) -> np.ndarray:
-    """
-    Return the steps of a time axis [s]; raise at the first time that is not finite, repeats or runs
-    backwards.
-    """
+    """Return the time steps [s]; raise where a time is not finite, repeats or runs backwards."""
     if not np.isfinite(t).all():
         k = int(np.argmax(~np.isfinite(t)))
         raise SessionError(f"{place(k)}, column t: time is {t[k]}; every row needs a time", row=k)
@@ -379,10 +370,7 @@ def check_time(
 def check_column(
     name: str, values: np.ndarray, t: np.ndarray, place: Callable[[int], str] = "row {}".format
 ) -> np.ndarray:
-    """
-    Return a column as floats; raise if its name is unknown, or at its first value that is missing
-    or out of range.
-    """
+    """Return a column as floats; raise at its first value that is missing or out of range."""
     if name not in VOCABULARY:
         remedy = "map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()"
         hint = did_you_mean(name, VOCABULARY)
@@ -394,9 +382,8 @@ def check_column(
     column = VOCABULARY[name]
     low = -np.inf if column.low is None else column.low
     high = np.inf if column.high is None else column.high
-    least, most = (
-        (values.min(), values.max()) if values.size else (0.0, 0.0)
-    )  # both NaN where any value is
+    # Both are NaN where any value is.
+    least, most = (values.min(), values.max()) if values.size else (0.0, 0.0)
     if np.isfinite([least, most]).all() and low <= least and most <= high:
         return values
     bad = ~np.isfinite(values)

@@ -1,7 +1,4 @@
-"""
-The columns a session can have: their units, ranges and meaning; and the units in which a log may
-hold them.
-"""
+"""The columns a session can have, and the units in which a log may hold them."""
 
 import csv
 from collections.abc import Iterator
@@ -14,10 +11,7 @@ from trustlab.sessions.errors import alternatives
 
 @dataclass(frozen=True)
 class Column:
-    """
-    One column: `unit` is SI, "1" for a pure number, "measure" for the unit of the performance
-    measure.
-    """
+    """One column; `unit` is SI, "1" for a pure number, or "measure" (that of the measure)."""
 
     name: str
     unit: str
@@ -33,10 +27,7 @@ def _rows(name: str) -> list[list[str]]:
 
 
 def _columns() -> Iterator[Column]:
-    """
-    Yield the columns of vocabulary.csv; a name that ends with * stands for three, one for each
-    axis.
-    """
+    """Yield the columns of vocabulary.csv; a name that ends with * stands for three axes."""
     for name, unit, low, high, meaning in _rows("vocabulary.csv"):
         limits = (float(low) if low else None, float(high) if high else None)
         for axis in "xyz" if name.endswith("*") else ("",):

@@ -104,10 +104,7 @@ def _write(session: Session, path: Path, format: str) -> None:
 
 
 def _replace(path: Path, bag: Path) -> None:
-    """
-    Put a rosbag2 recording in the place of another: until metadata.yaml is replaced, it names the
-    old database.
-    """
+    """Replace a rosbag2 recording; until metadata.yaml is replaced, it names the old database."""
     files = sorted(bag.iterdir(), key=lambda file: file.name == "metadata.yaml")
     for file in files:
         os.replace(file, path / file.name)
@@ -178,10 +175,7 @@ def _write_bag(session: Session, place: Path, format: str) -> Path:
 
 
 def _stamps(t: np.ndarray) -> list[int]:
-    """
-    Return rising stamps [ns] from 0; the exact times stand on /trustlab/t, so that made-up stamps
-    do no harm.
-    """
+    """Return rising stamps [ns] from 0; the exact times are on /trustlab/t."""
     with np.errstate(over="ignore", invalid="ignore"):
         nanoseconds = np.round((t - t[0]) * 1e9)
     # 4e18 ns fit both kinds of bag: ROS 1 has 32 bits for the seconds, ROS 2 has 63 for the

@@ -32,10 +32,7 @@ Place = Callable[[int], str]
 def fill_blanks(
     blanks: Sequence[tuple[str, str]], raw: dict[str, np.ndarray], place: Place
 ) -> tuple[dict[str, np.ndarray], Place, dict[str, object]]:
-    """
-    Return columns with their blanks filled, cut to the rows that the rules reach, where these rows
-    stand, and notes.
-    """
+    """Return columns with blanks filled, cut to the rows that can be, their places, and notes."""
     size = len(raw["t"])
     notes: dict[str, object] = {}
     raw = dict(raw)
@@ -65,10 +62,7 @@ def fill_blanks(
 
 
 def merge_repeats(log: RawLog, rule: str) -> None:
-    """
-    Keep one sample of those that share a time: the first, the last, or their mean (of states and
-    angles the last).
-    """
+    """Merge samples that share a time: first, last, or mean (of states and angles the last)."""
     for stream in log.streams:
         new = np.diff(stream.t, prepend=-np.inf) != 0.0
         if new.all():
@@ -89,10 +83,7 @@ def merge_repeats(log: RawLog, rule: str) -> None:
 
 
 def split_at_gaps(log: RawLog, gap: float) -> list[RawLog]:
-    """
-    Return the parts of a log between gaps [s] in which no stream has a sample, but those that are
-    held.
-    """
+    """Return the parts of a log between gaps [s] of all streams whose values do not hold."""
     times = np.unique(
         np.concatenate(
             [stream.t for stream in log.streams if not stream.holds] or [log.streams[0].t]
@@ -122,12 +113,11 @@ def _between(stream: Stream, start: float, stop: float) -> Stream:
 
 
 def recipe_values(
-    recipe: Recipe, path: Path | None, index: SessionIndex | None
+    recipe: Recipe | None, path: Path | None, index: SessionIndex | None
 ) -> dict[str, object]:
-    """
-    Return what is known about one session beside its log: path fields, header cells and the
-    recipe's metadata.
-    """
+    """Return path fields, header cells and the recipe's metadata of one session."""
+    if recipe is None:
+        return {}
     match = recipe.pattern.match(path) if recipe.pattern and path else None
     origins = [rule.origin for rule in recipe.metadata.values()]
     origins += [rule.origin for rule in recipe.columns.values() if rule.kind == "from"]
@@ -168,10 +158,7 @@ def _known(origin: str, values: Mapping[str, object], where: str) -> object:
 
 
 def parts_of(log: RawLog, recipe: Recipe | None) -> list[RawLog]:
-    """
-    Return the parts of a raw log that make a session each: one, or those between gaps if the recipe
-    splits it there.
-    """
+    """Return the parts of a raw log that make a session each: all of it, or those between gaps."""
     with source_named(log.source):
         if recipe and recipe.time.repeated:
             merge_repeats(log, recipe.time.repeated)
@@ -188,10 +175,7 @@ def assemble_session(
     selection: Sequence[str] | None,
     resampling: Resampling | None,
 ) -> Session:
-    """
-    Return the session that a raw log makes: `values` come from `recipe_values`, `wanted` are the
-    columns to keep.
-    """
+    """Return the session of a raw log; `values` are those of `recipe_values`."""
     rules: Mapping[str, Any] = recipe.columns if recipe else {}
     with source_named(log.source):
         if recipe is None and log.fault is None:
@@ -266,10 +250,7 @@ def _check_digests(log: RawLog) -> None:
 
 
 def _check(log: RawLog, uniform: bool) -> None:
-    """
-    Raise the fault that comes first: in the file where there is one stream, in time where there are
-    several.
-    """
+    """Raise the first fault: first in the file, or in time where there are several streams."""
     faults: list[tuple[float, SessionError]] = []
     if log.fault is not None:
         row = log.streams[0].t.size if log.fault.row is None else log.fault.row

@@ -1,7 +1,4 @@
-"""
-Logs by topic: ROS 1 and ROS 2 bags, read without ROS, and those of PX4 (ULog) and of the lab
-streaming layer (XDF).
-"""
+"""Logs by topic: ROS 1 and ROS 2 bags, PX4 (ULog) and the lab streaming layer (XDF)."""
 
 import dataclasses
 import math
@@ -41,10 +38,7 @@ _guard = partial(
 def read_bag(
     path: Path, recipe: Recipe | None, selection: Sequence[str] | None, budget: Budget
 ) -> RawLog:
-    """
-    Return the log in a bag: a stream per topic of the recipe; without a recipe, what
-    `write_session` wrote.
-    """
+    """Return the log in a bag: topics of the recipe, or else what `write_session` wrote."""
     with _open(path, budget) as reader:
         if recipe is not None and recipe.messages is not None:
             _define(reader, Path(recipe.source).parent / recipe.messages.folder)
@@ -59,9 +53,7 @@ def _topic_rules(recipe: Recipe, selection: Sequence[str] | None) -> list[Column
 
 
 def _define(reader, folder: Path) -> None:
-    """
-    Add the message definitions in the .msg files of a folder to those of a bag, which come first.
-    """
+    """Add the message definitions in .msg files of a folder; those of the bag come first."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     files = sorted(folder.rglob("*.msg"))
@@ -102,9 +94,7 @@ def _types(reader) -> dict[str, str]:
 
 
 def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
-    """
-    Yield topic, time of receipt [ns] and message, in order of time; check that none is missing.
-    """
+    """Yield topic, time of receipt [ns] and message, in order of time; all must be there."""
     chosen = [connection for connection in reader.connections if connection.topic in topics]
     expected: Counter[str] = Counter()
     count: Counter[str] = Counter()
@@ -177,12 +167,12 @@ def _check_file_size(path: Path, budget: Budget) -> None:
                     budget.take(len(piece))
         elif path.suffix == ".mcap":
             position = 8
-            while True:
+            while position + _MCAP_RECORD.size <= path.stat().st_size:
                 file.seek(position)
                 head = file.read(_MCAP_RECORD.size)
-                if len(head) < _MCAP_RECORD.size or head[0] not in _MCAP_KINDS:
-                    return  # the end, or damage, which rosbags describes
                 kind, length, _, _, size = _MCAP_RECORD.unpack(head)
+                if kind not in _MCAP_KINDS:
+                    return  # damage, which rosbags describes
                 if kind == _MCAP_CHUNK:
                     budget.take(size)
                 position += 9 + length
@@ -207,10 +197,7 @@ def _check_block_sizes(reader, path: Path, budget: Budget) -> None:
 
 
 def _check_sqlite_size(database: Path) -> None:
-    """
-    Raise for a database that is shorter than its header says; its missing pages would read as
-    zeros.
-    """
+    """Raise for a truncated database; its missing pages would read as zeros."""
     with database.open("rb") as file:
         head = file.read(100)
     size = database.stat().st_size
@@ -368,10 +355,7 @@ def _header_stamp(message, kind: str, where: str) -> int:
 def _value(
     message, rule: ColumnRule, kind: str, where: str, frames: dict[str, object]
 ) -> float | None:
-    """
-    Return the number that a rule takes from a message of type `kind`; None where the entry it
-    selects is not there.
-    """
+    """Return the number that a rule takes from a message; None without the selected entry."""
     here = f"{where}, field {rule.path.text!r} ({rule.name})"
     value = _walk(message, rule, kind, here, frames)
     if value is None:
@@ -387,10 +371,7 @@ def _value(
 
 
 def _walk(value, rule: ColumnRule, kind: str, here: str, frames: dict[str, object]):
-    """
-    Follow a rule's field path into a message; `frames` are the coordinate frames that its lists
-    began with.
-    """
+    """Follow a rule's field path into a message; `frames` stay the same for each rule."""
     parent = None
     for step in rule.path.steps:
         if not isinstance(step, str) and not isinstance(value, list | tuple | np.ndarray):
@@ -448,10 +429,7 @@ def _selected(entries, parent, selector: Selector, here: str):
 
 
 def _yaw(value, kind: str, here: str) -> float:
-    """
-    Return the heading [rad] of a quaternion: its rotation about the vertical axis (roll and pitch
-    do not matter).
-    """
+    """Return the heading [rad] of a quaternion: its rotation about the vertical axis."""
     try:
         x, y, z, w = (float(getattr(value, name)) for name in "xyzw")
     except (AttributeError, TypeError, ValueError):
@@ -463,10 +441,7 @@ def _yaw(value, kind: str, here: str) -> float:
 
 
 def read_topics(path: Path, recipe: Recipe | None, selection: Sequence[str] | None) -> RawLog:
-    """
-    Return a stream per topic of a ULog or XDF file; a field is named as there, or channel[0] and so
-    on in XDF.
-    """
+    """Return a stream per topic of a ULog or XDF file; XDF fields may be channel[0] and so on."""
     with extra("formats"):
         import pyulog
         import pyxdf

@@ -166,16 +166,12 @@ def _fast(
     layout: TableRule,
     width: int,
 ) -> dict[str, np.ndarray] | None:
-    """
-    Return the columns below the first lines, or None where anything is unusual and `_scan` must
-    find out what.
-    """
+    """Return the columns; None where anything is unusual, for `_scan` to examine."""
     import pyarrow as pa
     import pyarrow.csv
 
-    if layout.delimiter == " " and any(
-        each.blank for each in selected
-    ):  # between two spaces there is no cell
+    blank = any(column.blank for column in selected)
+    if blank and layout.delimiter == " ":  # between two spaces there is no cell
         return None
     types = {str(each.position): pa.string() if each.text else pa.float64() for each in selected}
     # Buffers that grow as the blocks come, so that a long column is never in memory twice.
@@ -193,9 +189,7 @@ def _fast(
                 pyarrow.csv.ConvertOptions(
                     include_columns=list(types),
                     column_types=types,
-                    null_values=[*BLANKS, *map(str.upper, BLANKS)]
-                    if any(each.blank for each in selected)
-                    else [],
+                    null_values=[*BLANKS, *map(str.upper, BLANKS)] if blank else [],
                     strings_can_be_null=False,
                     decimal_point=layout.decimal,
                 ),
@@ -220,14 +214,10 @@ def _scan(
     width: int,
     basis: str,
 ) -> tuple[dict[str, np.ndarray], array, SessionError | None]:
-    """
-    Return columns, line numbers and the first fault, reading row by row: the reference that `_fast`
-    must agree with.
-    """
+    """Return columns, line numbers and the first fault, row by row; `_fast` must agree."""
     values, lines = array("d"), array("q")
-    selected = sorted(
-        selected, key=lambda each: each.position
-    )  # the leftmost fault of a row comes first
+    # The leftmost fault of a row comes first.
+    selected = sorted(selected, key=lambda column: column.position)
     fault = None
     try:
         for line, row in _rows(

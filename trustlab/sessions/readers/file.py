@@ -1,7 +1,4 @@
-"""
-Read logged sessions: one, all of a folder, or several logs of one run joined; which reader a file
-needs, with which recipe.
-"""
+"""Read logged sessions: one, all of a folder, a data frame, or several logs of one run joined."""
 
 import os
 from collections import Counter
@@ -180,78 +177,74 @@ class FileReader:
         stated = self.recipe.resampling if self.recipe else None
         self.columns, self.resampling = columns, asked_resampling(resample, sample_time) or stated
         layout = {"delimiter": delimiter, "decimal": decimal}
-        self.given = {name: value for name, value in layout.items() if value is not None}
-        if self.given and self.recipe is not None:
-            name = next(iter(self.given))
+        self.separators = {name: value for name, value in layout.items() if value is not None}
+        if self.separators and self.recipe is not None:
+            name = next(iter(self.separators))
             raise RecipeError(
                 f"{name} is given, but the recipe states it, in [table]", self.recipe.source
             )
         self.index = SessionIndex(self.recipe) if self.recipe and self.recipe.header else None
 
     def set_layout(self, paths: Sequence[str | os.PathLike]) -> None:
-        """
-        Set how CSV files are written; refuse a delimiter or decimal mark where none of the files is
-        one.
-        """
-        if self.given and not any(str(path).lower().endswith(_TEXTS) for path in paths):
-            name = next(iter(self.given))
+        """Set how CSV files are written; refuse the arguments where no file is one."""
+        if self.separators and not any(str(path).lower().endswith(_TEXTS) for path in paths):
+            name = next(iter(self.separators))
             kind = suffix_of(Path(str(paths[0]))) or "folders"
             raise ValueError(
                 f"{name} applies to .csv files, not to {kind}: leave it out (file: {paths[0]})"
             )
         self.layout = (
-            self.recipe.table if self.recipe else parse(TableRule, self.given, "arguments")
+            self.recipe.table if self.recipe else parse(TableRule, self.separators, "arguments")
         )
 
     def read(self, path: str | os.PathLike) -> list[Session]:
-        """
-        Return the session of one file or rosbag2 folder, or all that the recipe splits it into.
-        """
+        """Return the sessions of one file or rosbag2 folder: one, unless the recipe splits it."""
         source = os.fspath(path) if isinstance(path, str | os.PathLike) else path
         if not isinstance(source, str):
             raise SessionError(f"a path is needed, got {type(path).__name__}")
         with source_named(source):
             try:
                 path = _existing(Path(source))
-                values = recipe_values(self.recipe, path, self.index) if self.recipe else {}
-                log = self._raw_log(path, self._needed())
+                values = recipe_values(self.recipe, path, self.index)
+                log = self._raw_log(path)
             except OSError as error:
                 raise SessionError(f"cannot be read ({error.strerror or error})") from error
-        return self._assembled(log, values)
+        return self._sessions(log, values)
 
     def read_frame(self, frame: pd.DataFrame) -> list[Session]:
         """Return the session in a data frame, or all that the recipe splits it into."""
-        if self.recipe is not None and self.recipe.kind != "table":
-            raise RecipeError(
-                f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a table"
-            )
-        values = recipe_values(self.recipe, None, self.index) if self.recipe else {}
+        self._check_kind("table")
+        values = recipe_values(self.recipe, None, self.index)
         log = frame_log(frame, self.recipe, self._needed())
-        return self._assembled(log, values)
+        return self._sessions(log, values)
 
-    def _assembled(self, log: RawLog, values: Mapping[str, object]) -> list[Session]:
+    def _sessions(self, log: RawLog, values: Mapping[str, object]) -> list[Session]:
         """Return the sessions that a raw log makes."""
-        parts = parts_of(log, self.recipe)
+        selection = self._selection()
         return [
-            assemble_session(part, self.recipe, values, self._wanted(), self.resampling)
-            for part in parts
+            assemble_session(part, self.recipe, values, selection, self.resampling)
+            for part in parts_of(log, self.recipe)
         ]
 
+    def _check_kind(self, kind: str) -> None:
+        if self.recipe is not None and self.recipe.kind != kind:
+            raise RecipeError(
+                f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a {kind}"
+            )
+
     def _needed(self) -> list[str] | None:
-        """Return the columns wanted, and those that they are computed from."""
-        selection = self._wanted()
+        """Return the selected columns, and those that they are computed from."""
+        selection = self._selection()
         if self.recipe is None:
             return selection
         needs = [need for name in selection for need in self.recipe.columns[name].needs]
         return list(dict.fromkeys([*selection, *needs]))
 
-    def _raw_log(self, path: Path, needed: Sequence[str] | None) -> RawLog:
+    def _raw_log(self, path: Path) -> RawLog:
         suffix = suffix_of(path)
         kind = "bag" if path.is_dir() or suffix in _BAGS else "table"
-        if self.recipe is not None and self.recipe.kind != kind:
-            raise RecipeError(
-                f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a {kind}"
-            )
+        self._check_kind(kind)
+        needed = self._needed()
         if path.is_file() and path.stat().st_size == 0:
             raise SessionError("the file is empty")
         budget = budget_of(path, self.max_bytes)
@@ -267,10 +260,8 @@ class FileReader:
         read = read_parquet if suffix == ".parquet" else read_feather
         return read(path, self.recipe, needed, budget)
 
-    def _wanted(self) -> list[str] | None:
-        """
-        Return the session's columns to read; None for all of a file that is read without a recipe.
-        """
+    def _selection(self) -> list[str] | None:
+        """Return the session's columns to read; None for all of a file without a recipe."""
         known = list(self.recipe.columns) if self.recipe else None
         if self.columns is None:
             return known
@@ -444,10 +435,7 @@ def _logs_in(folder: str) -> list[str]:
 
 
 def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[str]:
-    """
-    Return the files that a recipe reads in a folder, checked against each other and against the
-    header files.
-    """
+    """Return the files that a recipe reads in a folder, checked against the header files."""
     sessions = _find(folder, recipe.pattern)
     headers = _find(folder, index.pattern) if index else {}
     if not sessions and not headers:

@@ -21,10 +21,7 @@ def _typed(text: str) -> object:
 
 
 class SessionIndex:
-    """
-    The header files of one recipe, each read once; a row is found by the path fields that are its
-    key.
-    """
+    """The header files of one recipe, each read once; path fields are the key of a row."""
 
     def __init__(self, recipe: Recipe):
         self.pattern, self.keys = recipe.header.file, recipe.header.keys
@@ -43,10 +40,7 @@ class SessionIndex:
         return rows[self._key(match)][1]
 
     def check(self, headers: Mapping[str, PathMatch], matches: Mapping[str, PathMatch]) -> None:
-        """
-        Check that the rows of the header files found and the session files found correspond one to
-        one.
-        """
+        """Check that rows of the header files and session files correspond one to one."""
         used: dict[str, set] = {os.path.abspath(path): set() for path in headers}
         for path, match in matches.items():
             self.row(match, path)
@@ -70,10 +64,7 @@ class SessionIndex:
         return tuple(plain_key(match.fields[name]) for name in self.keys)
 
     def _table(self, path: str, source: str) -> dict[tuple, tuple[int, dict]]:
-        """
-        Return the rows of a header file: key to line number and cells; `source` is the session that
-        needs it.
-        """
+        """Return the rows of a header file by key, with line numbers; `source` needs it."""
         if path not in self._tables:
             try:
                 text = Path(path).read_bytes().decode("utf-8-sig")

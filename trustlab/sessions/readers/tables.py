@@ -1,7 +1,4 @@
-"""
-Tables of numbers, in Parquet, Feather, MATLAB and HDF5 files and data frames: which columns are
-read, and the raw log that they make.
-"""
+"""Tables in Parquet, Feather, MATLAB and HDF5 files and data frames, as raw logs."""
 
 import math
 import re
@@ -51,16 +48,16 @@ class SourceColumn:
 def select_columns(
     names: Sequence[str], recipe: Recipe | None, selection: Sequence[str] | None, where: str
 ) -> list[SourceColumn]:
-    """
-    Return the columns to read from a file whose columns have these names, empty ones if it has no
-    header.
-    """
+    """Return the columns to read from a file with these names (empty without a header)."""
     if recipe is None:
         if selection is None:
             _check_names(names, where)
             selection = [name for name in names if name != "t"]
         return [SourceColumn(name, *_find(name, name, names, where)) for name in ["t", *selection]]
-    stamps = {"iso": _IsoTimes(recipe.time.from_zero), "clock": _clock_time}
+    stamps: dict[str, Callable[[object], float]] = {
+        "iso": _IsoTimes(recipe.time.from_zero),
+        "clock": _clock_time,
+    }
     place = _find("t", recipe.time.column, names, where)
     columns = [SourceColumn("t", *place, text=stamps.get(recipe.time.unit))]
     for name in selection or ():
@@ -77,10 +74,7 @@ def select_columns(
 
 
 class _IsoTimes:
-    """
-    Reads dates and times as seconds since the first of them, or since 1970; without a time zone, as
-    if they were UTC.
-    """
+    """Reads dates as seconds since the first of them, or since 1970; UTC without a time zone."""
 
     def __init__(self, from_first: bool):
         # Nanoseconds, as integers: in seconds since 1970 a float would lose all but seven decimals.
@@ -113,9 +107,7 @@ def _clock_time(text: object) -> float:
 
 
 def _item(index: int, decimal: str, text: object) -> float:
-    """
-    Return one of the numbers in a cell such as "(x, y, z)", or "(x; y; z)" with decimal commas.
-    """
+    """Return one number of a cell such as "(x, y, z)", or "(x; y; z)" with decimal commas."""
     cell = str(text).strip(" ()[]{}")
     if decimal == "," and "." not in cell:
         cell = re.sub(r"(?<=\d),(?=\d)", ".", cell)
@@ -149,10 +141,7 @@ def _time_hint(key: str, names: Sequence[str]) -> str:
 
 
 def _check_names(names: Sequence[str], where: str) -> None:
-    """
-    Raise unless all names of a file that is read without a recipe belong to the vocabulary and none
-    occurs twice.
-    """
+    """Raise unless all names belong to the vocabulary and none occurs twice."""
     numerals = [name for name in names if NUMBER.fullmatch(name.strip())]
     if 2 * len(numerals) > len(names):  # dates may stand among them
         remedy = (
@@ -180,10 +169,7 @@ def table_stream(
     recipe: Recipe | None,
     place: Callable[[int], str],
 ) -> tuple[Stream, dict[str, object]]:
-    """
-    Return the stream that the columns of a table make, and notes; `raw` are their numbers in the
-    file's units.
-    """
+    """Return the stream of a table's columns, and notes; `raw` is in the file's units."""
     notes: dict[str, object] = {}
     blanks = [(column.name, column.blank) for column in selected if column.blank]
     if blanks:
@@ -381,10 +367,7 @@ def _numbers_of_texts(values, column: SourceColumn) -> np.ndarray:
 def read_arrays(
     path: Path, recipe: Recipe | None, selection: Sequence[str] | None, budget: Budget
 ) -> RawLog:
-    """
-    Return the table that arrays of a MATLAB or HDF5 file make: "name", "group/name", or "name[1]"
-    of a matrix.
-    """
+    """Return the log in arrays of a MATLAB or HDF5 file: "name", "group/name" or "name[1]"."""
     import pyarrow as pa
 
     with _guard("MATLAB or HDF5"):
