@@ -347,15 +347,13 @@ def factorial_batch(
     for part in chunks(studies, scores[0].size):
         regression = regress(scores[part.start : part.stop], design)
         tests = effect_tests(regression, levels, part.start)
-        study = pd.Index(part, name="study")
-        tables.append(
-            pd.concat(
-                {name: pd.DataFrame(test, index=study) for name, test in tests.items()},
-                names=["effect"],
-            )
-        )
-    table = pd.concat(tables).swaplevel()
-    return table.sort_index(level="study", sort_remaining=False, kind="stable")
+        index = pd.MultiIndex.from_product([part, list(tests)], names=["study", "effect"])
+        columns = {}
+        for name in next(iter(tests.values())):
+            values = [np.broadcast_to(test[name], len(part)) for test in tests.values()]
+            columns[name] = np.column_stack(values).ravel()
+        tables.append(pd.DataFrame(columns, index))
+    return pd.concat(tables)
 
 
 def analyse_table(scores: ScoreTable) -> RepeatedMeasuresBatch:
