@@ -167,6 +167,7 @@ class Regression(NamedTuple):
         """
         studies, columns, cells = self.coefficients.shape
         projected = (self.coefficients.reshape(-1, cells) @ contrasts).reshape(studies, columns, -1)
+        # SS = n |L⁻¹ R B C|² with L L' = R (X'X/n)⁻¹ R'
         root = np.linalg.cholesky(rows @ self.design.inverse @ rows.T)
         whitened = np.matmul(np.linalg.solve(root, rows), projected)
         return len(self.design.matrix) * (whitened.reshape(studies, -1) ** 2).sum(axis=1)
@@ -221,21 +222,16 @@ def effect_tests(
             raise ValueError(
                 f"study {first + flat[0]}: {_why_flat(regression, levels, names, flat[0])}"
             )
+        sphericity = mauchly(covariance, design.df_error + 1, regression.rounding**2, cells)
+        common = {"df2": d * design.df_error, "ss_subjects": errors[0], "ss_error": ss_error}
+        common |= {f"mauchly_{name}": value for name, value in sphericity._asdict().items()}
         for block, columns in blocks.items():
+            q = len(columns)
             ss_effect = regression.hypothesis(contrasts, identity[columns])
-            sphericity = mauchly(covariance, design.df_error + 1, regression.rounding**2, cells)
-            tests[" × ".join(filter(None, (block, *names)))] = {
-                "df1": d * len(columns),
-                "df2": d * design.df_error,
-                "ss_effect": ss_effect,
-                "ss_subjects": errors[0],
-                "ss_error": ss_error,
-                "mauchly_w": sphericity.w,
-                "mauchly_chi2": sphericity.chi2,
-                "mauchly_df": sphericity.df,
-                "mauchly_p": sphericity.p,
-                "mauchly_p_first_order": sphericity.p_first_order,
-            } | corrected_tests(ss_effect, ss_error, covariance, len(columns), design.df_error)
+            test = {"df1": d * q, "ss_effect": ss_effect} | common
+            test |= corrected_tests(ss_effect, ss_error, covariance, q, design.df_error)
+            tests[" × ".join(filter(None, (block, *names)))] = test
+    # Of all variance but that of the other effects (Olejnik and Algina, 2003).
     for test in tests.values():
         test["eta2_generalized"] = test["ss_effect"] / sum(errors, start=test["ss_effect"])
     # Main effects come first; the order of the rest is kept.

@@ -311,7 +311,7 @@ def factorial_batch(
     Returns
     -------
     pandas.DataFrame
-        Index study, effect; columns df1, df2, ss_effect, ss_subjects, ss_error, mauchly_w,
+        Index study, effect; columns df1, ss_effect, df2, ss_subjects, ss_error, mauchly_w,
         mauchly_chi2, mauchly_df, mauchly_p, mauchly_p_first_order, F, p, eta2_partial, epsilon_gg,
         epsilon_hf, epsilon_hf_untruncated, p_gg, p_hf, eta2_generalized.
 

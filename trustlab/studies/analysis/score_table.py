@@ -257,9 +257,9 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
     gone = np.isnan(table.values).any(axis=1)
     if gone.any() and missing == "raise":
         raise ValueError(
-            f"missing cells in {table.dv!r}: {_missing_cells(table)}{_similar_labels(table.conditions)}. "
-            "Complete them; or leave these subjects out with missing='listwise'; or use "
-            "trustlab.studies.mixed_model, which accepts missing cells"
+            f"missing cells in {table.dv!r}: {_missing_cells(table)}"
+            f"{_similar_labels(table.conditions)}. Complete them; or leave these subjects out with "
+            "missing='listwise'; or use trustlab.studies.mixed_model, which accepts missing cells"
         )
     excluded = tuple(s for s, out in zip(table.subjects, gone, strict=True) if out)
     complete = tuple(s for s, out in zip(table.subjects, gone, strict=True) if not out)
