@@ -35,9 +35,9 @@ def fill_blanks(
     """Return columns with blanks filled, cut to the rows that can be, their places, and notes."""
     size = len(raw["t"])
     notes: dict[str, object] = {}
-    raw = dict(raw)
     first = 0
     stop = size
+    rows = np.arange(size)
     for name, rule in blanks:
         known = np.flatnonzero(~np.isnan(raw[name]))
         if not known.size:  # the check of the column says so
@@ -47,7 +47,8 @@ def fill_blanks(
             stop = min(stop, int(known[-1]) + 1)
             raw[name] = np.interp(raw["t"], raw["t"][known], raw[name][known])
         else:
-            raw[name] = raw[name][known[np.searchsorted(known, np.arange(size), side="right") - 1]]
+            before = np.searchsorted(known, rows, side="right") - 1
+            raw[name] = raw[name][known[before]]
         notes[f"blanks of {name}"] = f"{size - known.size} of {size} cells, filled by {rule!r}"
     if first or stop < size:
         last = size - max(stop, first)
@@ -74,26 +75,26 @@ def merge_repeats(log: RawLog, rule: str) -> None:
                 stream.columns[name] = np.add.reduceat(values, first) / (last - first + 1)
             else:
                 stream.columns[name] = values[first if rule == "first" else last]
-        stream.t, stream.place = (
-            stream.t[first],
-            partial(lambda place, rows, k: place(int(rows[k])), stream.place, first),
-        )
+        stream.t = stream.t[first]
+        stream.place = partial(_place_of_row, stream.place, first)
         label = f"repeated times {stream.topic}".strip()
         log.notes[label] = f"{new.size - first.size} of {new.size} samples merged by {rule!r}"
 
 
+def _place_of_row(place: Place, rows: np.ndarray, k: int) -> str:
+    return place(int(rows[k]))
+
+
 def split_at_gaps(log: RawLog, gap: float) -> list[RawLog]:
     """Return the parts of a log between gaps [s] of all streams whose values do not hold."""
-    times = np.unique(
-        np.concatenate(
-            [stream.t for stream in log.streams if not stream.holds] or [log.streams[0].t]
-        )
-    )
+    bounding = [stream for stream in log.streams if not stream.holds] or log.streams[:1]
+    times = np.unique(np.concatenate([stream.t for stream in bounding]))
     starts = [-np.inf, *times[1:][np.diff(times) > gap], np.inf]
+    least = 2 if len(log.streams) == 1 else 1
     parts = []
     for start, stop in pairwise(starts):
         streams = [_between(stream, start, stop) for stream in log.streams]
-        if min(stream.t.size for stream in streams) > (1 if len(streams) == 1 else 0):
+        if min(stream.t.size for stream in streams) >= least:
             parts.append(replace(log, streams=streams, notes=dict(log.notes)))
     lost = len(starts) - 1 - len(parts)
     for k, part in enumerate(parts):
@@ -104,10 +105,12 @@ def split_at_gaps(log: RawLog, gap: float) -> list[RawLog]:
 
 
 def _between(stream: Stream, start: float, stop: float) -> Stream:
-    first, end = (int(np.searchsorted(stream.t, time)) for time in (start, stop))
+    first = int(np.searchsorted(stream.t, start))
+    end = int(np.searchsorted(stream.t, stop))
     t = stream.t
     if stream.holds and first:  # what was published before holds at the start
-        first, t = first - 1, np.maximum(t, start)
+        first -= 1
+        t = np.maximum(t, start)
     columns = {name: values[first:end] for name, values in stream.columns.items()}
     return replace(stream, t=t[first:end], columns=columns, place=lambda k: stream.place(first + k))
 
@@ -251,6 +254,7 @@ def _check_digests(log: RawLog) -> None:
 
 def _check(log: RawLog, uniform: bool) -> None:
     """Raise the first fault: first in the file, or in time where there are several streams."""
+    alone = len(log.streams) == 1
     faults: list[tuple[float, SessionError]] = []
     if log.fault is not None:
         row = log.streams[0].t.size if log.fault.row is None else log.fault.row
@@ -258,21 +262,17 @@ def _check(log: RawLog, uniform: bool) -> None:
     for stream in log.streams:
         # A fault that ended reading explains irregular times and a short log, which are then not
         # worth a word.
-        too_short = len(log.streams) == 1 and stream.t.size < 2
+        too_short = alone and stream.t.size < 2
         check = check_time if log.fault is None and (uniform or too_short) else check_rising
         checks = [partial(check, stream.t, stream.place, stream.remedy)]
-        checks += [
-            partial(check_column, *column, stream.t, stream.place)
-            for column in stream.columns.items()
-        ]
+        for name, values in stream.columns.items():
+            checks.append(partial(check_column, name, values, stream.t, stream.place))
         for check in checks:
             try:
                 check()
             except SessionError as error:
                 row = stream.t.size if error.row is None else error.row
-                position = (
-                    row if len(log.streams) == 1 else float(stream.t[min(row, stream.t.size - 1)])
-                )
+                position = row if alone else float(stream.t[min(row, stream.t.size - 1)])
                 faults.append((position, error))
     if faults:
         raise min(faults, key=lambda fault: fault[0])[1]
