@@ -15,7 +15,7 @@ from trustlab.models.checks import finite_array, of_class, one_of, positive
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.ports import waves as equations
-from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts, read_wave
+from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts, read_waves
 from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.teleoperation.records import robot_numbers, signals
 
@@ -48,21 +48,24 @@ class ChannelRun:
     v_r: np.ndarray
     sample_time: float
 
+    @property
+    def _powers(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return power into the operator's port and out of the robots' [W]."""
+        return (self.r_m * self.f_m).sum(axis=1), (self.r_s * self.f_s).sum(axis=1)
+
     @cached_property
     def energy(self) -> np.ndarray:
         """
         ∫ r_mᵀf_m − r_sᵀf_s dτ up to and with each sample [J], shape (N,): energy in the channel.
         """
-        power = (self.r_m * self.f_m).sum(axis=1) - (self.r_s * self.f_s).sum(axis=1)
-        return self.sample_time * np.cumsum(power)
+        near, far = self._powers
+        return self.sample_time * np.cumsum(near - far)
 
     @cached_property
     def exchanged(self) -> np.ndarray:
         """``∫ |r_mᵀf_m| + |r_sᵀf_s| dτ`` up to and with each sample [J], shape (N,)."""
-        power = np.abs((self.r_m * self.f_m).sum(axis=1)) + np.abs(
-            (self.r_s * self.f_s).sum(axis=1)
-        )
-        return self.sample_time * np.cumsum(power)
+        near, far = self._powers
+        return self.sample_time * np.cumsum(np.abs(near) + np.abs(far))
 
     @cached_property
     def wave_energy(self) -> np.ndarray:
@@ -70,11 +73,10 @@ class ChannelRun:
         ½ ∫ ‖u_l‖² − ‖v_l‖² + ‖u_r‖² − ‖v_r‖² dτ [J], shape (N,): the lower bound of the proof of
         Theorem 3.
         """
-        power = sum(
-            sign * (wave**2).sum(axis=1)
-            for sign, wave in ((1, self.u_l), (-1, self.v_l), (1, self.u_r), (-1, self.v_r))
+        u_l, v_l, u_r, v_r = (
+            (wave**2).sum(axis=1) for wave in (self.u_l, self.v_l, self.u_r, self.v_r)
         )
-        return 0.5 * self.sample_time * np.cumsum(power)
+        return 0.5 * self.sample_time * np.cumsum(u_l - v_l + u_r - v_r)
 
     def plot(self, ax=None):
         """
@@ -138,11 +140,18 @@ def _send(
     """
     count, n = r_m.shape
     for k in range(count):
-        read_wave(
-            waves.u_l, arrives[0], k, delays[0, k], gain, read_out, period, books[0], waves.v_r[k]
-        )
-        read_wave(
-            waves.u_r, arrives[1], k, delays[1, k], gain, read_out, period, books[1], waves.v_l[k]
+        read_waves(
+            waves.u_l,
+            waves.u_r,
+            arrives,
+            k,
+            delays,
+            gain,
+            read_out,
+            period,
+            books,
+            waves.v_l[k],
+            waves.v_r[k],
         )
         here, there = bounds[near[k]], bounds[far[k]]
         operator = equations.operator_end(here.b, here.beta_min, here.beta_max)

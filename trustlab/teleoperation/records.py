@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from trustlab.models.compiled import njit
+
 
 def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = "") -> np.dtype:
     """
@@ -12,6 +14,12 @@ def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = 
     for names, kind in ((numbers, float), (counts, np.int64), (flags, np.bool_)):
         fields += [(name, kind) for name in names.split()]
     return np.dtype(fields)
+
+
+@njit(error_model="numpy", forceinline=True, _nrt=False)
+def dot(a, b):
+    """Return aᵀb of two vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def filled(kind: np.dtype, **values) -> np.void:

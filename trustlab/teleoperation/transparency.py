@@ -25,12 +25,19 @@ from trustlab.teleoperation.ports.waves import Scattering
 
 PARAMETERS = ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")
 
-MAPS = {
-    "felt force, $f_m/(β f_s)$, hand still": ("force", "ranges"),
-    "robot's velocity, $r_s/(α r_m)$, no force": ("velocity", "ranges"),
-    "drag felt, $f_m/(β r_m)$ [N s/m]": ("drag", "b"),
-    "drift, $-r_s/(α f_s)$ [m/s/N]": ("drift", "b"),
+# Maps of gains: title, which gain, and whether over the ranges of both scales or over b.
+MAPS = (
+    ("felt force, $f_m/(β f_s)$, hand still", "force", True),
+    ("robot's velocity, $r_s/(α r_m)$, no force", "velocity", True),
+    ("drag felt, $f_m/(β r_m)$ [N s/m]", "drag", False),
+    ("drift, $-r_s/(α f_s)$ [m/s/N]", "drift", False),
+)
+ACROSS = {
+    "x": "bounds of β, $\\underline{β}/\\overline{β}$",
+    "y": "bounds of α, $\\underline{α}/\\overline{α}$",
+    "bar": "gain, ideally 1",
 }
+OVER_B = {"x": "b [N s/m]", "y": "both ratios of bounds", "bar": "log$_{10}$, ideally −∞"}
 
 
 def ideal_distances(scattering: Scattering):
@@ -54,25 +61,15 @@ def ideal_distances(scattering: Scattering):
         weight/leak.
     """
     s = of_class("scattering", scattering, Scattering)
+    near, far = s.at_operator, s.at_robot
+    columns = ["wanted", "weight", "other", "leak"]
     rows = {
-        "f'_m = v_l": ("v_l", np.sqrt(2.0 * s.b / s.beta_max), "r_m", s.b),
-        "u_r = f_s": (
-            "f_s",
-            np.sqrt(2.0 * s.alpha_min / s.b),
-            "v_r",
-            np.sqrt(s.alpha_min / s.alpha_max),
-        ),
+        "f'_m = v_l": ("v_l", near.arriving, "r_m", s.b),
+        "u_r = f_s": ("f_s", far.sent, "v_r", far.reflected),
         "r'_s = v_r": ("v_r", np.sqrt(2.0 / (s.b * s.alpha_max)), "f_s", 1.0 / s.b),
-        "u_l = r_m": (
-            "r_m",
-            np.sqrt(2.0 * s.b * s.beta_min),
-            "v_l",
-            np.sqrt(s.beta_min / s.beta_max),
-        ),
+        "u_l = r_m": ("r_m", near.sent, "v_l", near.reflected),
     }
-    frame = pd.DataFrame.from_dict(
-        rows, orient="index", columns=["wanted", "weight", "other", "leak"]
-    )
+    frame = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
     frame["distance"] = np.hypot(frame["weight"] - 1.0, frame["leak"])
     frame["ratio"] = frame["weight"] / frame["leak"]
     return frame.rename_axis("relation")
@@ -188,11 +185,12 @@ def rendered_impedance(
             f"environment must be a finite number or one per frequency, got shape {load.shape}"
         )
     loop = s.gain**2 * np.exp(-1j * omega * (there + back))
-    into = alpha * load * np.sqrt(2.0 * s.b / s.alpha_max) / (s.b + alpha * load)
-    reflected = np.sqrt(2.0 * s.alpha_min / s.b) * into - np.sqrt(s.alpha_min / s.alpha_max)
-    arriving = loop * reflected * np.sqrt(2.0 * s.b * s.beta_min)
-    arriving = arriving / (1.0 - np.sqrt(s.beta_min / s.beta_max) * loop * reflected)
-    return beta * (s.b + np.sqrt(2.0 * s.b / s.beta_max) * arriving)
+    near, far = s.at_operator, s.at_robot
+    into = alpha * load * far.arriving / (s.b + alpha * load)
+    reflected = far.sent * into - far.reflected
+    arriving = loop * reflected * near.sent
+    arriving = arriving / (1.0 - near.reflected * loop * reflected)
+    return beta * (s.b + near.arriving * arriving)
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,32 +390,23 @@ def plot_transparency(settings: Mapping[str, LoopSettings] = STUDIES, points: in
     numpy.ndarray of matplotlib.axes.Axes, shape (2, 2)
     """
     axes = axes_or_new(None, 2, 2, figsize=(9.2, 7.0))
-    low, impedance = np.geomspace(0.02, 1.0, points), np.geomspace(0.2, 10.0, points)
-    for ax, (title, (key, over)) in zip(axes.flat, MAPS.items(), strict=True):
-        across = low if over == "ranges" else impedance
-        ends = [[(1.0, y, x) if over == "ranges" else (x, y, y) for x in across] for y in low]
-        grid = np.array(
-            [
-                [gains(Scattering(b, low_a, 1.0, low_b, 1.0))[key] for b, low_a, low_b in row]
-                for row in ends
-            ]
-        )
-        shown = grid if over == "ranges" else np.log10(grid + 1e-12).clip(-2)
-        bar = ax.figure.colorbar(ax.contourf(across, low, shown, 12), ax=ax)
-        ax.set(xscale="log", yscale="log", title=title)
-        ax.set_xlabel(
-            "bounds of β, $\\underline{β}/\\overline{β}$" if over == "ranges" else "b [N s/m]"
-        )
-        ax.set_ylabel(
-            "bounds of α, $\\underline{α}/\\overline{α}$"
-            if over == "ranges"
-            else "both ratios of bounds"
-        )
-        bar.set_label("gain, ideally 1" if over == "ranges" else "log$_{10}$, ideally −∞")
+    shares, impedances = np.geomspace(0.02, 1.0, points), np.geomspace(0.2, 10.0, points)
+    for ax, (title, key, by_ranges) in zip(axes.flat, MAPS, strict=True):
+        across = shares if by_ranges else impedances
+        grid = np.empty((points, points))
+        for i, j in np.ndindex(grid.shape):
+            y, x = float(shares[i]), float(across[j])
+            ends = Scattering(1.0, y, 1.0, x) if by_ranges else Scattering(x, y, 1.0, y)
+            grid[i, j] = gains(ends)[key]
+        names = ACROSS if by_ranges else OVER_B
+        values = grid if by_ranges else np.log10(grid + 1e-12).clip(-2)
+        bar = ax.figure.colorbar(ax.contourf(across, shares, values, 12), ax=ax)
+        bar.set_label(names["bar"])
+        ax.set(xscale="log", yscale="log", title=title, xlabel=names["x"], ylabel=names["y"])
         for (name, study), mark in zip(settings.items(), "os^v", strict=False):
-            ends = study.scattering
-            alpha, beta = ends.alpha_min / ends.alpha_max, ends.beta_min / ends.beta_max
-            place = (beta, alpha) if over == "ranges" else (ends.b, np.sqrt(alpha * beta))
+            s = study.scattering
+            alpha, beta = s.alpha_min / s.alpha_max, s.beta_min / s.beta_max
+            place = (beta, alpha) if by_ranges else (s.b, np.sqrt(alpha * beta))
             ax.plot(*place, mark, mfc="white", mec="black", ms=7, label=name)
     axes.flat[0].legend(fontsize="small", loc="lower left", frameon=True)
     return axes

@@ -7,7 +7,7 @@ energy, performance, and `advance`. A sample changes one record of STATE, of whi
 the row of the log. Whatever is delayed (pictures, waves, performance that leaves its window) is
 looked up here, so that the parts need no history. Records are passed as plain pointers, whereas
 every array that a compiled function is given costs two atomic reference counts a call: with arrays
-as arguments this loop is three times slower. `advance` and `read_wave`, which need arrays, do
+as arguments this loop is three times slower. `advance` and `read_waves`, which need arrays, do
 without counts (_nrt=False): they allocate nothing, and their caller keeps what they are given.
 """
 
@@ -17,8 +17,9 @@ from trustlab.models.compiled import njit
 from trustlab.models.trust import trust_step
 from trustlab.teleoperation.loop.parts import PORTS, Part, call
 from trustlab.teleoperation.ports import device as haptic, waves
-from trustlab.teleoperation.ports.ledger import read_wave
+from trustlab.teleoperation.ports.ledger import read_waves
 from trustlab.teleoperation.ports.passivity import activation, demanded
+from trustlab.teleoperation.records import dot
 
 # How a run ends: well, a block diverged, or a part raised an error or returned what cannot be.
 DONE, DEVICE, CHANNEL, ROBOT, SCHEME, TRUST, FEEDBACK, AUTONOMY, OPERATOR, VEHICLE = range(-1, 9)
@@ -68,7 +69,6 @@ def look_up(k, setup, inputs, history, state):
     state.found_before = (
         state.finds and inputs[before].detected and pictured(history[before].error, widest)
     )
-    square = 0.0
     for i in range(3):
         state.reference[i] = now.reference[i]
         state.reference_velocity[i] = now.reference_velocity[i]
@@ -76,7 +76,6 @@ def look_up(k, setup, inputs, history, state):
         state.motor[i] = now.motor[i]
         state.hand[i] = now.hand[i]
         state.error[i] = now.reference[i] - state.robot[i]
-        square += state.error[i] ** 2
         history[k].error[i] = state.error[i]
         if state.sees:  # else the operator remembers where the target was last seen
             state.seen[i] = history[view].error[i] + inputs[view].ahead[i]
@@ -84,7 +83,7 @@ def look_up(k, setup, inputs, history, state):
         if camera >= 1:
             state.picture[i] = history[camera].error[i]
             state.picture_before[i] = history[camera - 1].error[i]
-    state.path_error = np.sqrt(square)
+    state.path_error = np.sqrt(dot(state.error, state.error))
     state.samples = min(k + 1, setup.loop.window)
     if k >= setup.loop.window:
         old = history[k - setup.loop.window]
@@ -112,12 +111,9 @@ def receive(k, setup, delays, arrives, accounts, history, sent, log, state):
         state.ledger.known_near = history[far].in_near if far >= 0 else 0.0
         state.ledger.known_far = history[near].in_far if near >= 0 else 0.0
     if setup.channel == WAVES:
-        gain = setup.loop.gain
-        read_out = setup.read_out
-        T = setup.sample_time
-        # (3.16)
-        read_wave(sent[0], arrives[0], k, delays[0, k], gain, read_out, T, accounts[0], state.v_r)
-        read_wave(sent[1], arrives[1], k, delays[1, k], gain, read_out, T, accounts[1], state.v_l)
+        n, T = setup.loop, setup.sample_time
+        kind, v_l, v_r = setup.read_out, state.v_l, state.v_r
+        read_waves(sent[0], sent[1], arrives, k, delays, n.gain, kind, T, accounts, v_l, v_r)
     elif setup.channel == PACKETS:
         for i in range(3):
             if far >= 0:
@@ -190,13 +186,8 @@ def crossover_law(state, setup):
     """
     hand = setup.hand
     memory = state.operator_memory
-    sent = 0.0
-    followed = 0.0
-    for i in range(3):
-        sent += state.r_m[i] ** 2
-        followed += state.r_s[i] ** 2
-    memory[0] += hand.learned * (sent - memory[0])
-    memory[1] += hand.learned * (followed - memory[1])
+    memory[0] += hand.learned * (dot(state.r_m, state.r_m) - memory[0])
+    memory[1] += hand.learned * (dot(state.r_s, state.r_s) - memory[1])
     scale = np.sqrt((memory[1] + FLOOR**2) / (memory[0] + FLOOR**2))  # 1 until the hand has moved
     for i in range(3):
         state.wanted[i] = (
@@ -299,27 +290,11 @@ def decide(setup, alpha, state):
 
 
 @njit(error_model="numpy", forceinline=True)
-def axis(d, i):
-    """Return one axis of the device."""
-    return haptic.Device(
-        d.sample_time[i],
-        d.mass[i],
-        d.damping[i],
-        d.stiffness[i],
-        d.weight[i],
-        d.held_stiffness[i],
-        d.inertia[i],
-        d.lever[i],
-        d.spare[i],
-    )
-
-
-@njit(error_model="numpy", forceinline=True)
 def reach_out(setup, state):
     """Set the hand's force, and the output that the device would have without feedback."""
     hand, recorded = setup.hand, not np.isnan(state.hand[0])
     for i in range(3):
-        device = axis(setup.device, i)
+        device = setup.device[i]
         if recorded:
             state.wish[i] = device.weight * state.hand[i]
         else:
@@ -353,9 +328,7 @@ def share_let_pass(guard, energy, velocity, force, gain, sample_time):
     velocity, force, shape (3,): what the port would do without the controller. `gain` is the power
     that the velocity would cost against the port's own compliance.
     """
-    power = 0.0
-    for i in range(3):
-        power += velocity[i] * force[i]
+    power = dot(velocity, force)
     demand = demanded(guard, energy, power, sample_time)  # (3.19)
     if np.isnan(demand) or gain == 0.0:
         return 1.0
@@ -544,14 +517,11 @@ def two_port(state, setup):
     """
     feel(state, setup, state.error)
     T = setup.sample_time
-    power = 0.0
-    square = 0.0
     for i in range(3):
         asked = state.alpha * state.arrived[i]
         state.free_velocity[i] = asked
         state.r_s[i] = asked + state.drift[i] / DRIFT_TIME
-        power += state.r_s[i] * state.guiding[i]
-        square += state.guiding[i] ** 2
+    power = dot(state.r_s, state.guiding)
     share = 1.0
     excess = 0.0
     paid = 0.0
@@ -559,7 +529,7 @@ def two_port(state, setup):
         share = share_paid_for(setup.guard, state.ledger.robot, power, 0.0, T)
     elif power > 0.0:
         demand = demanded(setup.guard, state.ledger.known_near - state.ledger.out_far, -power, T)
-        excess = 0.0 if np.isnan(demand) else (power + demand) / square
+        excess = 0.0 if np.isnan(demand) else (power + demand) / dot(state.guiding, state.guiding)
     for i in range(3):
         state.r_s[i] -= excess * state.guiding[i]
         state.pull[i] = state.f_s[i] = share * state.guiding[i]
@@ -622,7 +592,7 @@ def book(setup, state):
     near = 0.0
     state.energy_device = 0.0
     for i in range(3):
-        device = axis(setup.device, i)
+        device = setup.device[i]
         x = state.device[i]
         v = state.device_velocity[i]
         # (3.8)

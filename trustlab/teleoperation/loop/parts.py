@@ -104,8 +104,8 @@ SHARED = STATE[list(STATE.names[:-1])]
 # Exact one-sample matrices of (position, velocity, acceleration) per axis.
 VEHICLE = np.dtype([("phi", float, (3, 3, 3)), ("gamma", float, (3, 3))])
 
-# The haptic device in its hand, axis by axis.
-DEVICE = record(vectors=" ".join(haptic.Device._fields))
+# One axis of the haptic device in its hand.
+DEVICE = record(numbers=" ".join(haptic.Device._fields))
 
 # A `TrustModel` for one sample time; `gain` is b/a.
 TRUST = record(numbers="decay gain p_min p_max t_min t_max")
@@ -140,7 +140,7 @@ SETUP = np.dtype(
         ("loop", LOOP),
         ("hand", HAND),
         ("auto", AUTONOMY),
-        ("device", DEVICE),
+        ("device", DEVICE, 3),
         ("admittance", float, 3),
         ("near", END),
         ("far", END),

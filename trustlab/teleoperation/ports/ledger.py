@@ -94,6 +94,13 @@ def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out
     account.balance = max(account.balance - spent, 0.0)  # rounding may leave −1e-17 J
 
 
+@njit(error_model="numpy", forceinline=True, _nrt=False)
+def read_waves(u_l, u_r, arrives, k, delays, gain, read_out, sample_time, accounts, v_l, v_r):
+    """Read the waves that arrive at both ends in sample k, (3.16), into `v_l` and `v_r`."""
+    read_wave(u_l, arrives[0], k, delays[0, k], gain, read_out, sample_time, accounts[0], v_r)
+    read_wave(u_r, arrives[1], k, delays[1, k], gain, read_out, sample_time, accounts[1], v_l)
+
+
 class EnergyLedger:
     """
     Read packets of waves so that never more energy leaves than came in, whatever their jitter, loss

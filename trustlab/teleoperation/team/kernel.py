@@ -18,8 +18,8 @@ import numpy as np
 from trustlab.models.compiled import njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
-from trustlab.teleoperation.ports.ledger import read_wave
-from trustlab.teleoperation.records import columns_of, record
+from trustlab.teleoperation.ports.ledger import read_waves
+from trustlab.teleoperation.records import columns_of, dot, record
 
 NO_FILTER = 0
 TWO_PORT = 1
@@ -194,15 +194,12 @@ def look(n, k, now, past, state):
     return the operator's performance as the robots judge it.
     """
     in_sight = k >= n.vision
-    state.seen_power = square = 0.0
     for i in range(3):
         state.error[i] = -past.seen[i] if in_sight else 0.0  # r_q − y_h(t − T), (4.26)
         state.pushed[i] = now.pushed[i]
-        square += state.error[i] ** 2
-        if in_sight:
-            state.seen_power += past.sent[i] * state.error[i]
+    state.seen_power = dot(past.sent, state.error) if in_sight else 0.0
     if in_sight and n.push > 0.0:
-        return max(1.0 - np.sqrt(square) / n.error_range, 0.0)
+        return max(1.0 - np.sqrt(dot(state.error, state.error)) / n.error_range, 0.0)
     return 0.0
 
 
@@ -222,9 +219,9 @@ def share_force(n, robots, lead, trust, performance, state):
 @njit(error_model="numpy", forceinline=True, _nrt=False)
 def receive(n, m, k, low_pass, state):
     """Set the waves that arrive at both ends, (3.16), filtered where waves are."""
-    T, kind = n.sample_time, n.read_out
-    read_wave(m.u_l, m.arrives[0], k, m.delays[0, k], n.gain, kind, T, m.accounts[0], state.v_r)
-    read_wave(m.u_r, m.arrives[1], k, m.delays[1, k], n.gain, kind, T, m.accounts[1], state.v_l)
+    T, kind, books = n.sample_time, n.read_out, m.accounts
+    v_l, v_r = state.v_l, state.v_r
+    read_waves(m.u_l, m.u_r, m.arrives, k, m.delays, n.gain, kind, T, books, v_l, v_r)
     if n.filtering == WAVES:
         filter_wave(low_pass, state.v_r, state.filtered_r)
         filter_wave(low_pass, state.v_l, state.filtered_l)
@@ -241,7 +238,7 @@ def operator_side(n, rig, end, spendable, state):
     device, filters = rig.device, rig.filters
     loaded = 1.0 + state.beta * end.b * filters.k12
     reach_out(n, rig, end, loaded, spendable, state)
-    state.hand_power = state.device_power = state.device_loss = state.near_power = 0.0
+    state.device_power = state.device_loss = state.near_power = 0.0
     for i in range(3):
         state.r_m[i] = state.yielded[i] + state.mobility[i] * state.push * state.aim[i]
         state.f_m[i] = state.offset[i] + state.resistance[i] * state.r_m[i]
@@ -258,7 +255,6 @@ def operator_side(n, rig, end, spendable, state):
         # (4.6)
         v_middle = haptic.midpoint_velocity(device, x, v, state.f_h[i], state.f_m[i])
         state.middle[i] = v_middle
-        state.hand_power += state.r_m[i] * state.f_h[i]
         state.device_power += state.r_m[i] * (state.f_h[i] - state.f_m[i])
         # (3.10)
         state.device_loss += haptic.device_loss(
@@ -267,17 +263,17 @@ def operator_side(n, rig, end, spendable, state):
         state.near_power += velocity * force
         state.near_velocity[i] += passed(filters, state.r_m[i], state.near_velocity[i])
         state.near_force[i] += passed(filters, force, state.near_force[i])
+    state.hand_power = dot(state.r_m, state.f_h)
 
 
 @njit(error_model="numpy", forceinline=True)
 def reach_out(n, rig, end, loaded, spendable, state):
     """Set what the hand aims at, how device, filter and channel yield, and the share pushed."""
     device, filters = rig.device, rig.filters
-    distance = np.sqrt(state.error[0] ** 2 + state.error[1] ** 2 + state.error[2] ** 2)
-    pushing = n.push * distance
+    pushing = n.push * np.sqrt(dot(state.error, state.error))
     stiffness = n.push * min(1.0, n.reach / pushing) if pushing > 0.0 else 0.0
     admittance = device.lever / device.inertia
-    pull = stir = square = 0.0
+    pull = stir = 0.0
     for i in range(3):
         # the channel's force at its port, for the velocity that the filter holds: force = offset +
         # resistance r_m
@@ -301,10 +297,10 @@ def reach_out(n, rig, end, loaded, spendable, state):
         ) / under
         pull += state.aim[i] * state.yielded[i] * (1.0 - 2.0 * n.drag * state.mobility[i])
         stir += state.mobility[i] * state.aim[i] ** 2 * (1.0 - n.drag * state.mobility[i])
-        square += state.yielded[i] ** 2
     state.push = 1.0
     if n.guarded:
         most = spendable / n.sample_time + state.seen_power
+        square = dot(state.yielded, state.yielded)
         state.push = push_share(spendable, most, pull, stir, square, n.drag)  # (4.30)
 
 
@@ -426,17 +422,15 @@ def move_directed(n, team, w, z, state):
 def book(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
     T = n.sample_time
-    team_power = error_power = filter_power = 0.0
+    filter_power = 0.0
     for i in range(3):
         state.device[i] += T * state.middle[i]
         state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
-        team_power += state.r_s[i] * state.f_s[i]
-        error_power += state.r_s[i] * state.leader[i]
         filter_power += state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i]
     state.v_h += T * (state.seen_power - state.hand_power)  # (4.30)
     state.v_ch += T * (state.near_power - state.far_power)  # (4.15)
-    state.supply_team += T * team_power
-    state.supply_error += T * error_power
+    state.supply_team += T * dot(state.r_s, state.f_s)
+    state.supply_error += T * dot(state.r_s, state.leader)
     state.supply_hand += T * state.hand_power
     state.supply_device += T * state.device_power
     state.supply_filter += T * (filter_power - state.near_power + state.far_power)
