@@ -53,7 +53,7 @@ CALLS = (
             (call, given, name)
             for call, given in CALLS
             for name in inspect.signature(call).parameters
-            if name != "others"
+            if name != "options"
         ),
         *((tl.simulate_teleoperation, {"duration": 1.0}, name) for name in LOOP),
     ],

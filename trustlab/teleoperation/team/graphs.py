@@ -128,13 +128,14 @@ def _check_connected(names: tuple, matrix: np.ndarray) -> None:
         listed = "; ".join("{" + ", ".join(part) + "}" for part in parts)
         raise GraphError(
             f"the graph is not connected, it has {count} parts: {listed}; robots of "
-            "different parts never meet: add edges, or pass require_connected=False to see it"
+            "different parts never meet: add edges, or pass require_connected=False (in a TeamTrial "
+            "to simulate_team) to see it"
         )
     if not roots(matrix).any():
         raise GraphError(
             "the directed graph has no spanning tree: there is no robot whom all others see, "
             "directly or through others, so that nobody can lead them all; add edges, or pass "
-            "require_connected=False to see it"
+            "require_connected=False (in a TeamTrial to simulate_team) to see it"
         )
 
 
