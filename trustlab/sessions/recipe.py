@@ -166,19 +166,14 @@ def parse(
     }
     table = _known_keys(table, allowed or keys, where)
     values = {}
-    for name, entry in keys.items():
-        if name in table:
-            try:
-                values[entry.name] = entry.metadata["check"](name, table[name])
-            except RecipeError:  # of a table inside this one, which names itself
-                raise
-            except ValueError as error:
-                raise RecipeError(f"{where}: {error}") from None
-        elif entry.default is MISSING:
-            raise RecipeError(f"{where}: needs {name}, {entry.metadata['hint']}")
     try:
+        for name, entry in keys.items():
+            if name in table:
+                values[entry.name] = entry.metadata["check"](name, table[name])
+            elif entry.default is MISSING:
+                raise ValueError(f"needs {name}, {entry.metadata['hint']}")
         return rule(**values, **attributes)
-    except RecipeError:
+    except RecipeError:  # of a table inside this one, which names itself
         raise
     except ValueError as error:
         raise RecipeError(f"{where}: {error}") from None
