@@ -17,7 +17,7 @@ from benchmarks.timing import Row, Spread, seconds_per_call
 from trustlab.studies import Simulation, graded_covariance
 
 TITLE = "Virtual studies and power"
-STUDIES = {"ground_robot": ("8 laps", 1_000, 20.0), "uav": ("6 minutes", 4_000, 60.0)}
+STUDIES = {"ground_robot": ("8 laps", 1_000, 20.0), "uav_following": ("6 minutes", 4_000, 60.0)}
 """Sessions, operators and seconds by testbed."""
 
 SMALL = 20

@@ -16,7 +16,7 @@ from trustlab.live.hand import HumanHand, scripted_drive
 from trustlab.live.noise import HASHED
 from trustlab.live.runs import Drive, commands_of, drive_config, driven, replay
 from trustlab.models.portable import cos_sin
-from trustlab.testbeds import run_condition
+from trustlab.testbeds import GroundRobot, run_condition
 from trustlab.testbeds.ground_robot.kernel import COLUMNS
 
 wasmtime = pytest.importorskip("wasmtime")
@@ -196,7 +196,7 @@ def test_the_live_robot_is_the_testbeds_robot():
     """
     quiet = {"range_noise": 0.0, "bearing_noise": 0.0, "heading_noise": 0.0, "detection": 1.0}
     robot = tl.testbeds.Pioneer(**quiet)
-    run = run_condition("C1", participant=2, laps=2, seed=3, robot=robot)
+    run = run_condition("C1", participant=2, seed=3, testbed=GroundRobot(laps=2, robot=robot))
     data = run.session.data
     config = drive_config("training", MODEL, laps=2, robot=robot)
     rows, lap_times = driven(config, data[["v_command", "w_command", "mode"]].to_numpy())

@@ -178,10 +178,9 @@ def virtual_study():
     )
     conditions = tuple(measures["condition"].unique())
     return VirtualStudy(
-        "ground_robot",
+        SimpleNamespace(name="ground_robot", title="a testbed", origin=NAME),
         conditions,
         None,
-        SimpleNamespace(origin=NAME),
         measures[["participant"]],
         measures,
         measures[:0],
@@ -291,7 +290,7 @@ def built():
         tl.power_analysis(dict(zip(labels, (0, 1), strict=True)), ones, n=5, **quick),
         tl.smallest_n(0.5, dict(zip(labels, (0, 3), strict=True)), ones, **quick),
         session(),
-        dataclasses.replace(run, session=Session(run.session.data, session().metadata)),
+        dataclasses.replace(run, metadata=session().metadata),
         ArxResult((NAME, "c"), ones[0], ones, np.ones(9), 1, (1,), (1,), True),
         dataclasses.replace(tl.fit_robot(tl.read_session(PILOT)), message=NAME),
         choice,

@@ -111,7 +111,7 @@ def test_simulated_effects_are_differences_of_a_virtual_study(simulated):
     study = tl.virtual_study(
         n=5,
         conditions=["C1", "C2", "C3", "C4", "C5"],
-        testbed="uav",
+        testbed="uav_following",
         seed=1,
         assumptions={"attention_cost": 0.05},
     )
@@ -131,7 +131,9 @@ def test_the_t_test_of_followed_suggestions_has_a_simulated_counterpart():
         .set_index("id")
         .loc["uav/followed_percent/C2-C4"]
     )
-    study = tl.virtual_study(n=20, seed=1, testbed="uav", conditions=["C1", "C2", "C3", "C4", "C5"])
+    study = tl.virtual_study(
+        n=20, seed=1, testbed="uav_following", conditions=["C1", "C2", "C3", "C4", "C5"]
+    )
     both = study.measures[study.measures["condition"].isin(["C2", "C4"])].astype({"condition": str})
     test = tl.paired_t_test(
         both, "followed_percent", "condition", "participant", missing="listwise"

@@ -143,7 +143,7 @@ def test_bias_shifts_the_thresholds_of_tsc_as_measured():
     assert run("C3", trust_bias=0.1).session == run("C3").session
 
 
-@pytest.mark.parametrize("testbed", ["ground_robot", "uav"])
+@pytest.mark.parametrize("testbed", ["ground_robot", "uav_following"])
 def test_own_is_c3_with_the_thresholds_that_switches_in_c1_show(testbed):
     model = tl.published_models()["2"]
     someone = replace(published_operator(2), trust_bias=0.05)

@@ -67,8 +67,9 @@ CALLS = {
             "thresholds": (0.0, 0.35),
             "laps": 1,
             "r0": 0.5,
-        }
-        | DRIVER,
+            "seed": 1,
+            "testbed": "ground_robot",
+        },
     ),
     "run_condition, operator": (
         run_condition,

@@ -19,7 +19,15 @@ from trustlab.allocation import followed_suggestions
 from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.tsc import threshold_mode
 from trustlab.operators import operator
-from trustlab.testbeds import Course, Pioneer, drive_modes, identification_session, run_condition
+from trustlab.testbeds import (
+    Course,
+    GroundRobot,
+    Pioneer,
+    UavTracking,
+    drive_modes,
+    identification_session,
+    run_condition,
+)
 from trustlab.testbeds.deciding import SETTLING
 
 matplotlib.use("Agg")
@@ -55,6 +63,10 @@ def runs(one, model):
 
 def level(session, start, stop):
     return session["p_r"][10 * start : 10 * stop].mean()
+
+
+# A course of twenty kilometres.
+FAR = Course(corners=((0, 0), (5e3, 0), (5e3, 5e3), (0, 5e3)), resolution=50.0)
 
 
 # Assumptions 1 and 2
@@ -461,13 +473,7 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
         ({"condition": "C5"}, "no effect in C5, where Algorithm 2 decides;"),
         ({"condition": ["C3"]}, r"'random', or rule=, got \['C3'\]"),
         ({"laps": 10**9}, "from 1 to 1000"),
-        (
-            {
-                "laps": 900,
-                "course": Course(corners=((0, 0), (5e3, 0), (5e3, 5e3), (0, 5e3)), resolution=50.0),
-            },
-            "may last",
-        ),
+        ({"laps": 900, "testbed": GroundRobot(course=FAR)}, "may last"),
         ({"participant": 1}, "either participant= or operator=, not both"),
         ({"operator": None}, "who drives"),
         (
@@ -480,9 +486,9 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
         ({"seed": -1}, "seed must be a whole number"),
         ({"seed": "a"}, "seed must be a whole number"),
         ({"r0": 1.5}, "r0 must lie in"),
-        ({"robot": Course()}, "robot must be of class Pioneer"),
-        ({"course": Pioneer()}, "course must be of class Course"),
-        ({"robot": Pioneer(max_speed=0.01)}, "only 0 of 8 laps"),
+        ({"testbed": GroundRobot(robot=Pioneer(max_speed=0.01))}, "only 0 of 8 laps"),
+        ({"testbed": UavTracking()}, "testbed must be of class ConditionTestbed, got UavTracking"),
+        ({"testbed": "uav_tracking"}, "testbed must be one of 'ground_robot', 'uav_following'"),
     ],
 )
 def test_bad_input_is_named(one, model, change, says):
@@ -494,6 +500,8 @@ def test_bad_input_is_named(one, model, change, says):
 @pytest.mark.parametrize(
     ("make", "says"),
     [
+        (lambda: GroundRobot(robot=Course()), "robot must be of class Pioneer"),
+        (lambda: GroundRobot(course=Pioneer()), "course must be of class Course"),
         (lambda: Course(corners=((0, 0), (1, 0))), "corners must have at least 3 rows"),
         (
             lambda: Course(corners=((0, 0), (1, 0), (np.nan, 1))),

@@ -15,12 +15,14 @@ from trustlab.testbeds import drive_modes, published_operator
 
 
 class Relay:
-    def __init__(self, low=0.28, high=0.32):
+    def __init__(self, low=0.28, high=0.32, mode=1):
         self.low = low
         self.high = high
+        self.mode = mode
         self.calls = 0
 
     def step(self, *, tsc, p_r):
+        Relay.last = self  # the run's own copy
         self.calls += 1
         return 1 if p_r < self.low else 0 if p_r > self.high else None
 
@@ -35,7 +37,8 @@ def test_a_rule_decides_from_what_is_measured():
             now = 1 if p_r < 0.28 else 0 if p_r > 0.32 else now
         modes.append(now)
         assert log["mode"][k] == now
-    assert rule.calls == np.sum(log.t > 99.95)
+    assert Relay.last.calls == np.sum(log.t > 99.95)
+    assert rule.calls == 0
     assert np.count_nonzero(np.diff(modes)) >= 2
     again = drive_modes(np.array(modes), published_operator(2), seed=3)
     for name in ("p_r", "p_h", "r", "path_error", "robot_x", "yaw"):
@@ -46,21 +49,22 @@ def test_a_rule_decides_from_what_is_measured():
 
 
 def test_a_rule_flies_too():
-    rule = Relay(0.45, 0.52)
-    run = tl.run_condition(rule=rule, participant=3, testbed="uav", seed=3, mode=0)
+    rule = Relay(0.45, 0.52, mode=0)
+    run = tl.run_condition(rule=rule, participant=3, testbed="uav_following", seed=3)
     log, now = run.session, 0
     for t, p_r, mode in zip(log.t, log["p_r"], log["mode"], strict=True):
         if t > 99.95:
             now = 1 if p_r < 0.45 else 0 if p_r > 0.52 else now
         assert mode == now
-    assert rule.calls == np.sum(log.t > 99.95)
+    assert Relay.last.calls == np.sum(log.t > 99.95)
+    assert rule.calls == 0
     assert np.count_nonzero(np.diff(log["mode"])) >= 2
     assert log.metadata.condition == "rule Relay"
     # a rule that says what the operator's own suggestions say in C3, forced and without reaction,
     # gives the same modes as (2.8)
-    own = tl.run_condition("C3", participant=3, testbed="uav", seed=3)
+    own = tl.run_condition("C3", participant=3, testbed="uav_following", seed=3)
     again = tl.run_condition(
-        rule=tl.ThresholdRule(*own.thresholds), participant=3, testbed="uav", seed=3
+        rule=tl.ThresholdRule(*own.thresholds), participant=3, testbed="uav_following", seed=3
     )
     mode = 1
     for t, tsc, driven in zip(
@@ -72,15 +76,23 @@ def test_a_rule_flies_too():
 
 
 def test_the_rules_of_the_package_are_rules_too():
-    thresholds = tl.ThresholdRule(0.0, 0.35, mode=0)
-    runs = [
-        tl.run_condition(rule=thresholds, participant=2, laps=3, seed=1, mode=first)
-        for first in (None, 1)
-    ]
-    assert [run.session["mode"][0] for run in runs] == [0.0, 1.0]
-    assert thresholds.mode == 0
+    for first in (0, 1):
+        thresholds = tl.ThresholdRule(0.0, 0.35, mode=first)
+        run = tl.run_condition(rule=thresholds, participant=2, laps=3, seed=1)
+        assert run.session["mode"][0] == first
+        assert thresholds.mode == first
     run = tl.run_condition(rule=tl.PerformanceRule(0.24, 0.35), participant=2, laps=3, seed=1)
     assert run.session["mode"][0] == 1.0
+
+
+@pytest.mark.parametrize("kind", [bool, np.bool_, int])
+def test_a_rule_may_return_a_truth_value(kind):
+    class Alone:
+        def step(self, tsc, p_r):
+            return kind(False)
+
+    run = tl.run_condition(rule=Alone(), participant=2, laps=2, seed=1)
+    assert (run.session["mode"][run.session.t > 100.05] == 0.0).all()
 
 
 def test_rules_that_fail_say_when():
@@ -97,14 +109,9 @@ def test_rules_that_fail_say_when():
         ({"rule": Relay(), "condition": "C3"}, "no effect beside rule="),
         ({"rule": Relay(), "thresholds": (0.0, 0.3)}, "no effect beside rule="),
         (
-            {"rule": Late(), "testbed": "uav", "laps": None},
+            {"rule": Late(), "testbed": "uav_following", "laps": None},
             r"rule.step failed at t = 100.0 s.*out of data",
         ),
-        (
-            {"condition": "C3", "mode": 0, "testbed": "uav", "laps": None},
-            "mode has no effect without rule=",
-        ),
-        ({"condition": "C3", "mode": 0}, "mode has no effect without rule="),
         ({}, "condition must be one of .*or rule="),
     ):
         with pytest.raises(ValueError, match=says):

@@ -49,9 +49,3 @@ def test_each_trust_follows_its_own_model_in_its_own_units():
     alpha, beta = SETTINGS.scalings()
     np.testing.assert_allclose(data["alpha"], alpha.value(data["trust_hr"].to_numpy()), atol=1e-12)
     np.testing.assert_allclose(data["beta"], beta.value(data["trust_rh"].to_numpy()), atol=1e-12)
-
-
-def test_old_names_warn_and_work():
-    lap = tl.run_condition("C1", participant=2, laps=2)
-    with pytest.warns(DeprecationWarning, match=r"measures\(\) is now measures"):
-        assert lap.measures() == lap.measures

@@ -13,21 +13,22 @@ import pytest
 import trustlab as tl
 from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.tsc import threshold_mode
-from trustlab.testbeds import FollowingPopulation, following_operator
+from trustlab.testbeds import OperatorPopulation, UavFollowing, following_operator
 from trustlab.testbeds.deciding import CONDITIONS, SETTLING
 from trustlab.testbeds.uav_following.kernel import MEAN_1
-from trustlab.testbeds.uav_following.run import DURATION, E_MAX, GAIN, U_MAX, measured_flight
+from trustlab.testbeds.uav_following.run import DURATION, E_MAX, GAIN, U_MAX
 
 PEOPLE = [
-    FollowingPopulation.person(row)
-    for row in FollowingPopulation().draw(12, seed=1).to_dict("records")
+    OperatorPopulation.person(row)
+    for row in OperatorPopulation.uav_following().draw(12, seed=1).to_dict("records")
 ]
 
 
 @pytest.fixture(scope="module")
 def runs():
     return {
-        name: tl.run_condition(name, testbed="uav", participant=2, seed=0) for name in CONDITIONS
+        name: tl.run_condition(name, testbed="uav_following", participant=2, seed=0)
+        for name in CONDITIONS
     }
 
 
@@ -84,7 +85,8 @@ def flown(operator, model):
     }
     who = replace(operator, **alone)
     return [
-        tl.run_condition("C1", who, model, testbed="uav", seed=seed).session for seed in range(2)
+        tl.run_condition("C1", who, model, testbed="uav_following", seed=seed).session
+        for seed in range(2)
     ]
 
 
@@ -111,7 +113,7 @@ def test_left_alone_the_autopilot_drifts_away():
         who, reaction_lag=0.0, lower=-9.0, upper=-8.0, lower_spread=0.0, upper_spread=0.0
     )
     sessions = [
-        tl.run_condition("C1", at_once, model, testbed="uav", seed=seed).session
+        tl.run_condition("C1", at_once, model, testbed="uav_following", seed=seed).session
         for seed in range(40)
     ]
     assert all(session["mode"][1001:].max() == 0.0 for session in sessions)
@@ -135,22 +137,25 @@ def test_twenty_people_by_number():
     assert len({who.human.beta for who, _, _ in people}) == 20
     assert following_operator("7")[0] == following_operator(7)[0]
     assert (
-        FollowingPopulation().draw(3, seed=5).equals(FollowingPopulation().draw(9, seed=5).head(3))
+        OperatorPopulation.uav_following()
+        .draw(3, seed=5)
+        .equals(OperatorPopulation.uav_following().draw(9, seed=5).head(3))
     )
-    table = FollowingPopulation().table().set_index("quantity")
-    drawn = FollowingPopulation().draw(400, seed=2)
+    table = OperatorPopulation.uav_following().table().set_index("quantity")
+    drawn = OperatorPopulation.uav_following().draw(400, seed=2)
     assert drawn["p_r_max"].mean() == pytest.approx(table.loc["p_r_max", "mean"], abs=0.02)
 
 
 def test_same_seed_same_run_and_measures_without_a_session(runs):
     who, model, thresholds = following_operator(2)
-    again = tl.run_condition("C2", who, model, thresholds, testbed="uav", seed=0)
+    again = tl.run_condition("C2", who, model, thresholds, testbed="uav_following", seed=0)
     assert again.session == runs["C2"].session
     child = np.random.SeedSequence(3).spawn(1)[0]
-    whole = tl.run_condition("C4", who, model, testbed="uav", seed=child)
-    measures, last = measured_flight("C4", who, model, thresholds, child, None)
-    assert measures == whole.measures
-    assert last == whole.session["r"][-1]
+    whole = tl.run_condition("C4", who, model, testbed="uav_following", seed=child)
+    row = OperatorPopulation.uav_following().draw(2, seed=0).to_dict("records")[1]
+    bare = UavFollowing().run("C4", row, child)
+    assert bare.measures == whole.measures
+    assert bare.log["r"][-1] == whole.session["r"][-1]
 
 
 def test_figures_and_tables_say_that_they_are_synthetic(runs):
@@ -171,7 +176,7 @@ def test_figures_and_tables_say_that_they_are_synthetic(runs):
         ({"operator": PEOPLE[0][0]}, "either participant= or operator="),
         ({"participant": PEOPLE[0][0]}, "model must be of class TscModel"),
         ({"testbed": "sea"}, "testbed must be one of"),
-        ({"laps": 3}, "laps has no effect on the UAV testbed"),
+        ({"laps": 3}, "laps has no effect on the testbed of the UAV"),
         ({"condition": "C1", "thresholds": (0.0, 0.2)}, "thresholds have no effect in C1"),
         ({"condition": "TMIG"}, "condition must be one of"),
         ({"r0": 2.0}, "r0 must lie in"),
@@ -179,4 +184,6 @@ def test_figures_and_tables_say_that_they_are_synthetic(runs):
 )
 def test_bad_input(change, says):
     with pytest.raises(ValueError, match=says):
-        tl.run_condition(**({"condition": "C3", "testbed": "uav", "participant": 2} | change))
+        tl.run_condition(
+            **({"condition": "C3", "testbed": "uav_following", "participant": 2} | change)
+        )

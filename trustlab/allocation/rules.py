@@ -3,9 +3,11 @@ Rules that say who should drive, step by step: by thresholds of TSC (2.8), by pe
 2), or a user's own.
 """
 
-from copy import copy
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from trustlab.models.checks import (
     finite_number,
@@ -198,8 +200,8 @@ def begun(rule: object, mode: int | None) -> tuple[Any, int]:
     """
     Return a rule and the mode before the first sample: the one given, else `rule.mode`, else 1.
 
-    The rules of this module come back as copies, so that a run leaves them as they are. A rule that
-    has a mode is set to the one given.
+    The rule comes back as a copy, so that a run leaves it as it is. A rule that has a mode is set
+    to the one given.
     """
     if isinstance(rule, type) or not callable(getattr(rule, "step", None)):
         kind = (
@@ -211,8 +213,7 @@ def begun(rule: object, mode: int | None) -> tuple[Any, int]:
             "rule must have a method step(tsc=…, p_r=…) that returns 1 (manual), 0 (autonomous) "
             f"or None (keep the mode), as ThresholdRule and PerformanceRule have; got {kind}"
         )
-    if type(rule) in (ThresholdRule, PerformanceRule):
-        rule = copy(rule)
+    rule = deepcopy(rule)
     own = whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
     mode = own if mode is None else whole_number("mode", mode, least=0, most=1)
     if hasattr(rule, "mode") and mode != own:
@@ -236,6 +237,8 @@ def decision(rule: Any, where: str, tsc: float, p_r: float) -> int | None:
         raise ValueError(f"rule.step failed {here}: {type(error).__name__}: {error}") from error
     if wanted is None:
         return None
+    if isinstance(wanted, bool | np.bool_):
+        return int(wanted)
     return whole_number(
         f"what rule.step returns (1 manual, 0 autonomous, None to keep the mode) {here}",
         wanted,

@@ -356,7 +356,7 @@ def operator(
     return Operator(participant, human, **more)
 
 
-def model_of(values: dict[str, float]) -> TscModel:
+def model_of(values: Mapping[str, Any]) -> TscModel:
     """Return the model of one row of a population's draw."""
     human = HumanModel(values["a_r"], values["beta"], values["p_h_min"], values["p_h_max"])
     return TscModel(
@@ -364,19 +364,23 @@ def model_of(values: dict[str, float]) -> TscModel:
     )
 
 
-def person_of(values: dict[str, float]) -> tuple[Operator, TscModel, tuple[float, float]]:
+def person_of(values: Mapping[str, Any]) -> tuple[Operator, TscModel, tuple[float, float]]:
     """
     Return the simulated operator, model and thresholds of TSC of one row of a population's draw.
+
+    Assumptions and `sessions` are taken from the row where it has them.
     """
     model = model_of(values)
-    one = operator(
+    assumed = {name: values[name] for name in (*ASSUMPTIONS, "sessions") if name in values}
+    person = operator(
         int(values["participant"]),
         model,
         lower=(values["lower"], values["lower_spread"]),
         upper=(values["upper"], values["upper_spread"]),
         follow=(values["follow_tsc"], values["follow_performance"]),
+        **assumed,
     )
-    return one, model, (values["tsc_l"], values["tsc_u"])
+    return person, model, (values["tsc_l"], values["tsc_u"])
 
 
 def share_drawn(mean: float, sd: float, rng: np.random.Generator) -> float:

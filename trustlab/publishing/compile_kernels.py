@@ -19,7 +19,7 @@ def _ground_robot() -> None:
     tl.testbeds.run_correction(
         2, (0.0, 0.35), tests=1, laps=1, seed=0
     )  # the kernel again, with the correction in it
-    tl.virtual_study(n=4, testbed="uav", conditions=["C1", "C3"], seed=0)
+    tl.virtual_study(n=4, testbed="uav_following", conditions=["C1", "C3"], seed=0)
 
 
 def _the_rest() -> None:

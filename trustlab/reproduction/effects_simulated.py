@@ -18,10 +18,11 @@ from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.reproduction.effects import COLUMNS, Effect, effects, model_effects
 from trustlab.studies.analysis.plots import panels
-from trustlab.studies.planning.populations import TeleoperatorPopulation
+from trustlab.studies.planning.settings import CampaignOptions
 from trustlab.studies.planning.virtual_study import virtual_study
 from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES
 from trustlab.testbeds.deciding import CONDITIONS
+from trustlab.testbeds.populations import TeleoperatorPopulation
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
 # Testbeds of the studies under C1–C5.
@@ -29,7 +30,7 @@ ALLOCATION = {
     "table_2.4": "ground_robot",
     "table_2.5": "ground_robot",
     "table_2.6": "ground_robot",
-    "uav": "uav",
+    "uav": "uav_following",
 }
 
 # Settings, schemes and points of the scale of satisfaction of the studies of Chapter 3.
@@ -146,7 +147,12 @@ def _measured(
     ):  # carry-over, which half squares leave unbalanced, is not estimated
         warnings.filterwarnings("ignore", f"{n} participants fill half")
         study = virtual_study(
-            n=n, seed=seed, testbed=place, assumptions=assumed, n_jobs=n_jobs, progress=False
+            n=n,
+            seed=seed,
+            testbed=place,
+            assumptions=assumed,
+            n_jobs=n_jobs,
+            campaign=CampaignOptions(progress=False),
         )
     frame = study.measures.astype({"condition": str})
     if place == "ground_robot" and "satisfaction" in frame:

@@ -39,12 +39,12 @@ from .planning.closed_form_power import (
 )
 from .planning.covariances import Conditions as Conditions, graded_covariance as graded_covariance
 from .planning.factorial_power import Proportions as Proportions
-from .planning.populations import (
-    GroundRobotPopulation as GroundRobotPopulation,
-    TeleoperatorPopulation as TeleoperatorPopulation,
-)
 from .planning.power import PowerAnalysis as PowerAnalysis, power_analysis as power_analysis
-from .planning.settings import Simulation as Simulation, StudyColumns as StudyColumns
+from .planning.settings import (
+    CampaignOptions as CampaignOptions,
+    Simulation as Simulation,
+    StudyColumns as StudyColumns,
+)
 from .planning.smallest_n import SmallestN as SmallestN, smallest_n as smallest_n
 from .planning.virtual_study import VirtualStudy as VirtualStudy, virtual_study as virtual_study
 from .questionnaires.likert import (

@@ -6,7 +6,6 @@ from .ground_robot.conditions import (
     published_model as published_model,
     published_operator as published_operator,
     published_thresholds as published_thresholds,
-    run_condition as run_condition,
 )
 from .ground_robot.correction_run import run_correction as run_correction
 from .ground_robot.course import Course as Course
@@ -14,6 +13,11 @@ from .ground_robot.pioneer import Pioneer as Pioneer
 from .guidance_comparison import (
     GuidanceComparison as GuidanceComparison,
     compare_guidance as compare_guidance,
+)
+from .populations import (
+    OperatorPopulation as OperatorPopulation,
+    TeleoperatorPopulation as TeleoperatorPopulation,
+    following_operator as following_operator,
 )
 from .robot_team import simulate_team as simulate_team
 from .team_run import TeamRun as TeamRun
@@ -25,9 +29,12 @@ from .teleoperation_measures import (
     plot_trajectory as plot_trajectory,
     teleoperation_measures as teleoperation_measures,
 )
-from .uav_following.people import (
-    FollowingPopulation as FollowingPopulation,
-    following_operator as following_operator,
+from .testbed import (
+    GroundRobot as GroundRobot,
+    Testbed as Testbed,
+    UavFollowing as UavFollowing,
+    UavTracking as UavTracking,
+    run_condition as run_condition,
 )
 from .uav_tracking import (
     TeleoperationLoop as TeleoperationLoop,

@@ -4,6 +4,7 @@ suggestions, answers.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,14 +17,22 @@ from trustlab.allocation.suggestions import (
     suggestion_episodes,
 )
 from trustlab.models.axes import axes_or_new
-from trustlab.models.checks import finite_array, one_of, warn_renamed
+from trustlab.models.checks import finite_array, one_of
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 from trustlab.operators.answers import allocation_answers
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.plots import shade_manual
-from trustlab.sessions.session import Session
-from trustlab.testbeds.deciding import DEADLINE, KNOWN, OWN, SAMPLE_TIME, SCHEDULE
+from trustlab.sessions.session import Metadata, Session
+from trustlab.testbeds.deciding import (
+    DEADLINE,
+    KNOWN,
+    OWN,
+    SAMPLE_TIME,
+    SCHEDULE,
+    framed,
+    sample_times,
+)
 
 # Panels of the figure of a run, by column.
 PANELS = {
@@ -35,15 +44,6 @@ PANELS = {
 MEANS = ("p_r", "p_h", "r", "tsc", "path_error")
 
 
-class Measures(dict[str, float]):
-    """The measures of a run by name, which were a method."""
-
-    def __call__(self) -> dict[str, float]:
-        """Return them, with a warning that they are an attribute now."""
-        warn_renamed("measures()", "measures")
-        return dict(self)
-
-
 def condition_measures(
     log: Any,
     t: np.ndarray,
@@ -51,41 +51,35 @@ def condition_measures(
     operator: Operator | None = None,
     model: TscModel | None = None,
     lap_times: np.ndarray | None = None,
-) -> Measures:
+) -> dict[str, float]:
     """
     Return the outcome measures of a run from its log, anything with columns by name, as
     `ConditionRun.measures`.
 
     Without an operator nobody's answers are simulated: people give their own.
     """
-    found = {name: float(log[name].mean()) for name in MEANS}
+    measures: dict[str, float] = {name: float(log[name].mean()) for name in MEANS}
     if lap_times is not None:
-        found["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
-    found |= {
-        "manual_share": float(log["mode"].mean()),
-        "switches": int(np.count_nonzero(np.diff(log["mode"]))),
-    }
+        measures["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
+    measures["manual_share"] = float(log["mode"].mean())
+    measures["switches"] = int(np.count_nonzero(np.diff(log["mode"])))
     if lap_times is not None:
-        found["laps"] = int(lap_times.size)
-    found["duration"] = float(t[-1] - t[0])
+        measures["laps"] = int(lap_times.size)
+    measures["duration"] = float(t[-1] - t[0])
     if lap_times is not None:
-        found["lap_time"] = float(lap_times[-1] / lap_times.size)
-    states = [
-        state
-        for _, _, _, state in suggestion_episodes(t, log["mode"], log["suggested_mode"], DEADLINE)
-    ]
-    followed, decided = states.count(FOLLOWED), states.count(FOLLOWED) + states.count(NOT_FOLLOWED)
-    found |= {
-        "suggestions": decided,
-        "followed_percent": 100.0 * followed / decided if decided else np.nan,
-    }
+        measures["lap_time"] = float(lap_times[-1] / lap_times.size)
+    episodes = suggestion_episodes(t, log["mode"], log["suggested_mode"], DEADLINE)
+    states = [state for _, _, _, state in episodes]
+    followed = states.count(FOLLOWED)
+    decided = followed + states.count(NOT_FOLLOWED)
+    measures["suggestions"] = decided
+    measures["followed_percent"] = 100.0 * followed / decided if decided else np.nan
     if operator is not None and (operator.load_utilization or operator.load_switching):
-        scheme, forced = KNOWN.get(
-            condition, (SCHEDULE, True)
-        )  # a rule of one's own is judged by nobody
-        judged = 0 if forced else found["switches"] if scheme == OWN else decided
-        found |= allocation_answers(log["mode"], log["tsc"], found, judged, operator, model)
-    return Measures(found)
+        # Nobody judges a user's rule.
+        scheme, forced = KNOWN.get(condition, (SCHEDULE, True))
+        judged = 0 if forced else measures["switches"] if scheme == OWN else decided
+        measures |= allocation_answers(log["mode"], log["tsc"], measures, judged, operator, model)
+    return measures
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -95,8 +89,10 @@ class ConditionRun:
 
     Parameters
     ----------
-    session : Session
-        Everything logged at 10 Hz; its metadata say that it is synthetic.
+    log : numpy.ndarray, shape (N,)
+        Everything logged at 10 Hz, a record per sample.
+    metadata : Metadata
+        Of the session; they say that it is synthetic.
     operator : Operator
         Who.
     model : TscModel
@@ -107,10 +103,16 @@ class ConditionRun:
 
     title: ClassVar[str] = "UAV that follows a leader"
 
-    session: Session
+    log: np.ndarray
+    metadata: Metadata
     operator: Operator
     model: TscModel
     thresholds: tuple[float, float] | None
+
+    @cached_property
+    def session(self) -> Session:
+        """The log as a session."""
+        return Session(framed(self.log), self.metadata)
 
     def suggestions(self) -> pd.DataFrame:
         """
@@ -120,7 +122,7 @@ class ConditionRun:
         return followed_suggestions(self.session, DEADLINE)
 
     @property
-    def measures(self) -> Measures:
+    def measures(self) -> dict[str, float]:
         """
         The outcome measures of the run, by name.
 
@@ -130,23 +132,20 @@ class ConditionRun:
         followed_percent: share of them followed within 15 s, NaN without any; tlx, satisfaction,
         trust where the operator answers (`allocation_answers`).
         """
-        condition, lap_times = (
-            str(self.session.metadata.condition),
-            getattr(self, "lap_times", None),
-        )
         return condition_measures(
-            self.session, self.session.t, condition, self.operator, self.model, lap_times
+            self.log,
+            sample_times(self.log.size),
+            str(self.metadata.condition),
+            self.operator,
+            self.model,
+            getattr(self, "lap_times", None),
         )
 
     def table(self) -> pd.DataFrame:
         """Return participant, condition, synthetic and the measures in one row."""
-        meta = self.session.metadata
-        who = {
-            "participant": meta.participant,
-            "condition": meta.condition,
-            "synthetic": meta.synthetic,
-        }
-        return pd.DataFrame([who | self.measures])
+        names = ("participant", "condition", "synthetic")
+        facts = {name: getattr(self.metadata, name) for name in names}
+        return pd.DataFrame([facts | self.measures])
 
     def plot(self, bounds: dict[str, tuple[float, float]] | None = None):
         """
@@ -200,7 +199,7 @@ class ConditionRun:
         return axes
 
     def _repr_html_(self) -> str:
-        words = f"{self.session.label}; {self.session.metadata.more.get('note', '')}"
+        words = f"{self.session.label}; {self.metadata.more.get('note', '')}"
         return as_html(words, self.table(), title=self.title)
 
     def __repr__(self) -> str:

@@ -11,7 +11,7 @@ import pandas as pd
 
 from trustlab.allocation.correction.corrector import threshold_pair
 from trustlab.allocation.limits import check_thresholds, threshold_limits
-from trustlab.allocation.rules import begun, decision, performance_suggestion
+from trustlab.allocation.rules import decision, performance_suggestion
 from trustlab.models.checks import between, one_of, warn
 from trustlab.models.compiled import njit
 from trustlab.models.human import performance_at
@@ -122,43 +122,23 @@ def suggested_by_tsc(condition: str) -> bool:
 
 def task_for(
     condition: str | None,
-    rule: Any,
-    mode: int | None,
-    thresholds: tuple[float, float] | None,
-    default: tuple[float, float] | None,
     operator: Operator,
     model: TscModel,
+    thresholds: tuple[float, float] | None,
+    default: tuple[float, float] | None,
     e_max: float,
     laps: int,
-    r0: float | None,
-) -> tuple[Any, Task, tuple[float, float] | None, str]:
+) -> tuple[Task, tuple[float, float] | None]:
     """
-    Return a rule of one's own or None, the task, the thresholds of suggestions, and what to call
-    the condition, all checked.
+    Return the task of a condition and the thresholds of its suggestions, checked.
 
-    Thresholds, those given or a default, belong to C2 and C3; `mode` to a rule, beside which there
-    is no condition.
+    `thresholds` apply only to C2 and C3, where `default` takes their place if they are None.
     """
-    r0 = operator.r0 if r0 is None else r0
-    if rule is not None:
-        if condition is not None or thresholds is not None:
-            raise ValueError(
-                "condition and thresholds have no effect beside rule=, which decides; leave them "
-                "out"
-            )
-        rule, mode = begun(rule, mode)
-        task = task_of(SCHEDULE, e_max, laps=laps, model=model, first_mode=mode, r0=r0)
-        return rule, task, None, f"rule {type(rule).__name__}"
-    if mode is not None:
-        raise ValueError(
-            "mode has no effect without rule=: the conditions begin in the manual mode; leave it "
-            "out"
-        )
     condition = one_of("condition", condition, KNOWN, "rule=")
     scheme, forced = KNOWN[condition]
     if thresholds is not None and not suggested_by_tsc(condition):
-        own = "the operator's own thresholds, Operator(lower=, upper=), decide"
-        decides = {"C1": own, "own": own, "random": "chance decides"}.get(
+        operators = "the operator's own thresholds, Operator(lower=, upper=), decide"
+        decides = {"C1": operators, "own": operators, "random": "chance decides"}.get(
             condition, "Algorithm 2 decides"
         )
         raise ValueError(
@@ -177,12 +157,8 @@ def task_for(
     lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
     if condition == "own":  # switches in C1 come at these values of measured TSC
         lower, upper = operator.lower - operator.trust_bias, operator.upper - operator.trust_bias
-    return (
-        None,
-        task_of(scheme, e_max, forced, laps, lower, upper, model, r0=r0),
-        thresholds,
-        condition,
-    )
+    task = task_of(scheme, e_max, forced, laps, lower, upper, model, r0=operator.r0)
+    return task, thresholds
 
 
 def decided_by(
@@ -197,20 +173,21 @@ def decided_by(
     """
     if rule is None:
         return run(None)
-    schedule, said = np.full(most, task.first_mode), np.full(most, -1.0)
+    schedule = np.full(most, task.first_mode)
+    decisions = np.full(most, -1.0)
     k, switched = round(SETTLING / SAMPLE_TIME), True
     while switched:
         log, *rest = run(schedule)
         switched = False
         while k < log.size and not switched:
-            wanted = decision(
-                rule, f"t = {k * SAMPLE_TIME:.1f} s", float(log["tsc"][k]), float(log["p_r"][k])
-            )
-            if wanted is not None:
-                said[k], switched = wanted, wanted != schedule[k]
-                schedule[k:] = wanted
+            when = f"t = {k * SAMPLE_TIME:.1f} s"
+            mode = decision(rule, when, float(log["tsc"][k]), float(log["p_r"][k]))
+            if mode is not None:
+                decisions[k] = mode
+                switched = mode != schedule[k]
+                schedule[k:] = mode
             k += 1
-    log["suggested_mode"] = said[: log.size]
+    log["suggested_mode"] = decisions[: log.size]
     return log, *rest
 
 

@@ -16,11 +16,12 @@ from scipy import stats
 import trustlab as tl
 from trustlab.allocation.limits import threshold_limits
 from trustlab.campaign import CampaignError, CampaignWarning
-from trustlab.studies import GroundRobotPopulation, TeleoperatorPopulation
+from trustlab.studies import CampaignOptions
 from trustlab.studies.planning import virtual_study as one_participant
-from trustlab.studies.planning.populations import COORDINATES
+from trustlab.testbeds import GroundRobot, OperatorPopulation, TeleoperatorPopulation, UavTracking
+from trustlab.testbeds.populations import COORDINATES
 
-PUBLISHED = GroundRobotPopulation.published()
+PUBLISHED = OperatorPopulation.ground_robot()
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,11 @@ def test_the_published_population_has_the_printed_means_and_spreads():
     for name, values in expected.items():
         assert rows.loc[name, "mean"] == pytest.approx(values.mean(), rel=1e-12)
         assert rows.loc[name, "sd"] == pytest.approx(values.std(), rel=1e-9)
-    assert list(rows.index) == [*COORDINATES, "follow_tsc", "follow_performance"]
+    assert list(rows.index) == [
+        *COORDINATES["ground_robot"].names,
+        "follow_tsc",
+        "follow_performance",
+    ]
     assert rows.loc["follow_tsc", ["mean", "sd"]].tolist() == pytest.approx([0.7857, 0.2945])
 
 
@@ -57,7 +62,7 @@ def test_thresholds_of_the_second_participant_are_at_their_place():
     limits = threshold_limits(tl.published_models()["2"], 0.0)
     place = (0.0 - limits.lower) / (limits.upper - limits.lower)
     above = (0.35 - 0.0) / (limits.upper - 0.0)
-    own = GroundRobotPopulation(PUBLISHED.mean, PUBLISHED.covariance, PUBLISHED.follow)
+    own = OperatorPopulation(PUBLISHED.mean, PUBLISHED.covariance, PUBLISHED.follow)
     z = own.mean.copy()
     printed = tl.published_table("2.1")["2"].astype(float)
     z[:6] = [
@@ -77,14 +82,14 @@ def test_thresholds_of_the_second_participant_are_at_their_place():
 def test_shrinkage_makes_the_covariance_positive_definite_and_keeps_variances():
     eigenvalues = np.linalg.eigvalsh(PUBLISHED.covariance)
     assert eigenvalues[0] > 1e-6 * eigenvalues[-1]
-    free = GroundRobotPopulation.published(shrinkage=1.0)
+    free = OperatorPopulation.ground_robot(shrinkage=1.0)
     np.testing.assert_allclose(free.covariance, np.diag(np.diag(PUBLISHED.covariance)), atol=1e-15)
-    wide = GroundRobotPopulation.published(spread=2.0)
+    wide = OperatorPopulation.ground_robot(spread=2.0)
     np.testing.assert_allclose(wide.covariance, 4.0 * PUBLISHED.covariance, rtol=1e-12)
     with pytest.raises(
         ValueError, match=r"shrinkage must lie in \(0, 1\], got 0.0: at 0 .* is singular"
     ):
-        GroundRobotPopulation.published(shrinkage=0)
+        OperatorPopulation.ground_robot(shrinkage=0)
 
 
 def test_draws_have_the_distribution_and_all_are_models():
@@ -117,14 +122,14 @@ def test_the_people_of_a_smaller_study_are_the_first_of_a_larger(population):
 def test_draws_that_are_no_model_are_drawn_again():
     covariance = PUBLISHED.covariance.copy()
     covariance[6, 6] = 1.0  # own lower thresholds far below −1
-    wide = GroundRobotPopulation(PUBLISHED.mean, covariance, PUBLISHED.follow)
+    wide = OperatorPopulation(PUBLISHED.mean, covariance, PUBLISHED.follow)
     drawn = wide.draw(60, seed=0)
     assert drawn["redrawn"].sum() > 10
     assert (drawn["lower"] >= -1.0).all()
     mean = PUBLISHED.mean.copy()
     mean[2] = 5.0  # performance of five metres a second
     with pytest.raises(ValueError, match="none of 1000 draws for participant 1 is a valid model"):
-        GroundRobotPopulation(mean, PUBLISHED.covariance, PUBLISHED.follow).draw(1)
+        OperatorPopulation(mean, PUBLISHED.covariance, PUBLISHED.follow).draw(1)
 
 
 def test_teleoperators_lie_in_their_ranges():
@@ -195,7 +200,7 @@ def test_the_order_is_the_designs_and_balanced(kept):
 def test_a_participant_is_a_function_of_their_row_and_seed_that_any_process_can_run(kept):
     task = pickle.loads(pickle.dumps(one_participant.run_participant))
     order = " ".join(kept.design.table().loc[7])
-    fixed = {"testbed": "ground_robot", "settings": {"laps": 2, "rest": None}, "folder": None}
+    fixed = {"testbed": GroundRobot(laps=2), "folder": None}
     values = kept.participants.to_dict("records")[6]
     found = task(**fixed, order=order, **values, seed=np.random.SeedSequence(3).spawn(7)[6])
     for row in kept.measures.query("participant == 7").to_dict("records"):
@@ -240,7 +245,9 @@ def test_orders_have_no_effect_unless_rest_is_given(tmp_path):
     key = ["participant", "condition"]
     plain = [tl.virtual_study(d, seed=1, laps=1).measures.sort_values(key) for d in (first, second)]
     carried = [
-        tl.virtual_study(d, seed=1, laps=1, rest=60.0).measures.sort_values(key)
+        tl.virtual_study(d, seed=1, testbed=GroundRobot(laps=1, rest=60.0)).measures.sort_values(
+            key
+        )
         for d in (first, second)
     ]
     np.testing.assert_array_equal(plain[0]["p_r"], plain[1]["p_r"])
@@ -250,7 +257,11 @@ def test_orders_have_no_effect_unless_rest_is_given(tmp_path):
 
 def test_rest_carries_utilization_over_by_2_5(tmp_path):
     study = tl.virtual_study(
-        n=4, conditions=["C1", "C5"], seed=1, laps=1, rest=120.0, out=tmp_path / "s"
+        n=4,
+        conditions=["C1", "C5"],
+        seed=1,
+        testbed=GroundRobot(laps=1, rest=120.0),
+        out=tmp_path / "s",
     )
     a = study.participants.set_index("participant")["a_r"]
     sessions = {(s.metadata.participant, s.metadata.more["trial"]): s for s in study.sessions()}
@@ -263,9 +274,11 @@ def test_rest_carries_utilization_over_by_2_5(tmp_path):
 
 
 def test_the_uav_testbed_measures_what_teleoperation_measures_does():
-    study = tl.virtual_study(n=4, conditions=["TMIG", "M", "MI", "OMI"], seed=2, duration=12.0)
+    study = tl.virtual_study(
+        n=4, conditions=["TMIG", "M", "MI", "OMI"], seed=2, testbed=UavTracking(duration=12.0)
+    )
     assert study.conditions == ("TMIG", "M", "MI", "OMI")
-    operator = study.population.person(study.participants.to_dict("records")[2])
+    operator = study.testbed.population.person(study.participants.to_dict("records")[2])
     seeds = dict(
         zip(["M", "MI", "OMI", "TMIG"], np.random.SeedSequence(2).spawn(4)[2].spawn(4), strict=True)
     )
@@ -282,11 +295,12 @@ def test_the_uav_testbed_measures_what_teleoperation_measures_does():
 def test_memory_does_not_grow_with_runs(monkeypatch):
     arguments = {"conditions": ["C1", "C5"], "seed": 1, "laps": 1}
     tl.virtual_study(n=4, **arguments)  # compiled, imported
-    whole, held = one_participant.measured_condition, []
+    whole, sessions = GroundRobot.run, []
 
-    def holding(condition, operator, **options):
-        held.append(tl.run_condition(condition, operator, options["model"], laps=1))
-        return whole(condition, operator, **options)
+    def holding(self, *arguments):
+        run = whole(self, *arguments)
+        sessions.append(run.session)
+        return run
 
     def peak(n):
         tracemalloc.start()
@@ -298,7 +312,7 @@ def test_memory_does_not_grow_with_runs(monkeypatch):
 
     session = 15 * 8 * 900  # bytes of one lap
     assert peak(24) - peak(4) < 10 * session  # 40 sessions more
-    monkeypatch.setattr(one_participant, "measured_condition", holding)
+    monkeypatch.setattr(GroundRobot, "run", holding)
     assert peak(24) - peak(4) > 30 * session
 
 
@@ -318,24 +332,24 @@ def test_participants_run_on_any_executor():
     arguments = {"n": 4, "conditions": ["C1", "C5"], "seed": 1, "laps": 1}
     here = tl.virtual_study(**arguments)
     with ThreadPoolExecutor(2) as executor:
-        there = tl.virtual_study(**arguments, executor=executor)
+        there = tl.virtual_study(**arguments, campaign=CampaignOptions(executor=executor))
     pd.testing.assert_frame_equal(here.measures, there.measures, check_exact=True)
     with pytest.raises(ValueError, match=r"executor must be a concurrent\.futures\.Executor"):
-        tl.virtual_study(**arguments, executor=5)
+        tl.virtual_study(**arguments, campaign=CampaignOptions(executor=5))
 
 
 # --- failures and folders -------------------------------------------------------------------------
 
 
 def test_a_participant_who_fails_is_listed_and_left_out(monkeypatch):
-    whole = one_participant.measured_condition
+    whole = GroundRobot.run
 
-    def failing(condition, operator, **options):
-        if operator.participant == 2 and condition == "C4":
+    def failing(self, condition, person, seed):
+        if person["participant"] == 2 and condition == "C4":
             raise ValueError("the joystick came off")
-        return whole(condition, operator, **options)
+        return whole(self, condition, person, seed)
 
-    monkeypatch.setattr(one_participant, "measured_condition", failing)
+    monkeypatch.setattr(GroundRobot, "run", failing)
     with pytest.warns(CampaignWarning, match="joystick came off"):
         study = tl.virtual_study(n=4, conditions=["C1", "C4"], seed=1, laps=1)
     assert study.failures["participant"].tolist() == [2]
@@ -418,28 +432,36 @@ SQUARE = tl.studies.latin_square_design(["C1", "C2"], 4)
         ({"design": SQUARE, "n": 10}, "design is for 4 participants, but n = 10"),
         ({"design": tl.studies.latin_square_design(["C1", "C2"], 2)}, "2 participants are too few"),
         ({"design": tl.studies.latin_square_design(["C1", "C2"], ["a", "b"])}, "are numbered"),
-        ({"population": "everyone"}, "population must be of class GroundRobotPopulation, got str"),
-        (
-            {"population": TeleoperatorPopulation(), "conditions": ["C1", "C2"]},
-            "got TeleoperatorPopulation; the conditions are of the ground-robot testbed",
-        ),
-        (
-            {"population": PUBLISHED, "conditions": ["M", "OMI"]},
-            "got GroundRobotPopulation; the conditions are of the UAV testbed",
-        ),
+        ({"testbed": "everyone"}, "testbed must be one of"),
+        ({"testbed": "uav"}, "testbed must be one of"),
+        ({"testbed": UavTracking(), "conditions": ["C1", "C2"]}, "condition must be one of 'M'"),
+        ({"testbed": GroundRobot(), "conditions": ["M", "OMI"]}, "condition must be one of 'C1'"),
         ({"laps": 0}, "laps must be a whole number"),
-        ({"duration": 60.0}, "duration has no effect on the ground-robot testbed"),
-        ({"rest": -1.0}, "rest must not be negative"),
-        ({"rest": np.nan}, "rest must be finite"),
         ({"laps": 8, "conditions": ["M", "OMI"]}, "laps has no effect on the UAV testbed"),
-        ({"rest": 1.0, "conditions": ["M", "OMI"]}, "rest has no effect on the UAV testbed"),
-        ({"duration": "long", "conditions": ["M", "OMI"]}, "duration must be a number"),
+        ({"campaign": {"fresh": True}}, "campaign must be of class CampaignOptions"),
         ({"n_jobs": 0}, "n_jobs must be a whole number"),
     ],
 )
 def test_virtual_study_refuses(arguments, message):
     with pytest.raises(ValueError, match=message):
         tl.virtual_study(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("testbed", "arguments", "message"),
+    [
+        (GroundRobot, {"population": "everyone"}, "must be of class OperatorPopulation, got str"),
+        (GroundRobot, {"population": TeleoperatorPopulation()}, "got TeleoperatorPopulation"),
+        (UavTracking, {"population": PUBLISHED}, "got OperatorPopulation"),
+        (GroundRobot, {"rest": -1.0}, "rest must not be negative"),
+        (GroundRobot, {"rest": np.nan}, "rest must be finite"),
+        (GroundRobot, {"laps": 0}, "laps must be a whole number"),
+        (UavTracking, {"duration": "long"}, "duration must be a number"),
+    ],
+)
+def test_testbeds_refuse(testbed, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        testbed(**arguments)
 
 
 @pytest.mark.parametrize(
@@ -461,12 +483,12 @@ def test_virtual_study_refuses(arguments, message):
 def test_populations_refuse(arguments, message):
     given = {"mean": PUBLISHED.mean, "covariance": PUBLISHED.covariance, "follow": PUBLISHED.follow}
     with pytest.raises(ValueError, match=message):
-        GroundRobotPopulation(**(given | arguments))
+        OperatorPopulation(**(given | arguments))
 
 
 def test_other_refusals_of_populations(kept):
     with pytest.raises(ValueError, match="spread must be positive"):
-        GroundRobotPopulation.published(spread=0.0)
+        OperatorPopulation.ground_robot(spread=0.0)
     with pytest.raises(ValueError, match="study must be one of 'preliminary', 'main'"):
         TeleoperatorPopulation("pilot")
     with pytest.raises(ValueError, match="n must be a whole number"):
@@ -490,14 +512,18 @@ def test_a_fresh_study_takes_the_place_of_an_earlier_one(tmp_path):
     before = {path.name for path in (tmp_path / "s" / "sessions").iterdir()}
     with pytest.raises(ValueError, match="not known to be of this study"):
         tl.virtual_study(**arguments, seed=2)
-    found = tl.virtual_study(**arguments, seed=2, fresh=True)
+    found = tl.virtual_study(**arguments, seed=2, campaign=CampaignOptions(fresh=True))
     after = {path.name for path in (tmp_path / "s" / "sessions").iterdir()}
     assert len(found.sessions()) == 8 == len(after)
     assert before != after
     (tmp_path / "s" / "sessions" / "notes.txt").write_text("mine")
     with pytest.raises(ValueError, match="not known to be of this study"):
-        tl.virtual_study(**arguments, seed=3, fresh=True)
+        tl.virtual_study(**arguments, seed=3, campaign=CampaignOptions(fresh=True))
     with pytest.raises(ValueError, match="fresh must be True or False"):
-        tl.virtual_study(**arguments, seed=3, fresh="yes")
+        tl.virtual_study(**arguments, seed=3, campaign=CampaignOptions(fresh="yes"))
     with pytest.raises(ValueError, match="other_versions must be one of"):
-        tl.virtual_study(**arguments | {"out": tmp_path / "t"}, seed=3, other_versions=["scipy"])
+        tl.virtual_study(
+            **arguments | {"out": tmp_path / "t"},
+            seed=3,
+            campaign=CampaignOptions(other_versions=["scipy"]),
+        )

@@ -9,8 +9,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.studies import GroundRobotPopulation
-from trustlab.testbeds import FollowingPopulation
+from trustlab.testbeds import OperatorPopulation, UavFollowing
 
 CONDITIONS = ["C1", "C2", "C3", "C4", "C5"]
 ASSUMED = {"attention_cost": 0.1, "load_utilization": 0.5, "load_switching": 0.1}
@@ -18,18 +17,22 @@ ASSUMED = {"attention_cost": 0.1, "load_utilization": 0.5, "load_switching": 0.1
 
 @pytest.fixture(scope="module")
 def study():
-    return tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav", seed=0, assumptions=ASSUMED)
+    return tl.virtual_study(
+        n=10, conditions=CONDITIONS, testbed="uav_following", seed=0, assumptions=ASSUMED
+    )
 
 
 def test_measures_are_those_of_the_runs_one_by_one(study):
     assert len(study.measures) == 50
-    values = FollowingPopulation().draw(10, seed=0).to_dict("records")[3]
-    operator, model, thresholds = FollowingPopulation.person(values)
+    values = OperatorPopulation.uav_following().draw(10, seed=0).to_dict("records")[3]
+    operator, model, thresholds = OperatorPopulation.person(values)
     people = tl.Operator(**{**vars(operator), **ASSUMED})
     seeds = np.random.SeedSequence(0).spawn(10)[3].spawn(5)
     for place, condition in enumerate(CONDITIONS):
         given = thresholds if condition in ("C2", "C3") else None
-        run = tl.run_condition(condition, people, model, given, testbed="uav", seed=seeds[place])
+        run = tl.run_condition(
+            condition, people, model, given, testbed="uav_following", seed=seeds[place]
+        )
         row = study.measures.query("participant == 4 and condition == @condition").iloc[0]
         assert {name: row[name] for name in run.measures} == pytest.approx(
             run.measures, rel=0, abs=0, nan_ok=True
@@ -66,7 +69,7 @@ def test_answers_follow_their_formula(study):
         .apply(lambda answers: answers.between(1.0, 7.0))
         .all(axis=None)
     )
-    assert "tlx" not in tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav").names
+    assert "tlx" not in tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav_following").names
 
 
 def test_half_a_square_is_said_to_be_unbalanced():
@@ -74,18 +77,18 @@ def test_half_a_square_is_said_to_be_unbalanced():
         UserWarning,
         match="5 participants fill half of the last square.*10 participants would balance both",
     ):
-        half = tl.virtual_study(n=5, conditions=CONDITIONS, testbed="uav", seed=1)
+        half = tl.virtual_study(n=5, conditions=CONDITIONS, testbed="uav_following", seed=1)
     balance = half.design.balance()
     assert balance.balanced_positions
     assert not balance.balanced_carry_over
     assert half.design.participants == (1, 2, 3, 4, 5)
     with pytest.raises(ValueError, match="do not fill whole squares"):
-        tl.virtual_study(n=7, conditions=CONDITIONS, testbed="uav")
+        tl.virtual_study(n=7, conditions=CONDITIONS, testbed="uav_following")
 
 
 def test_same_seed_same_table_serial_or_parallel(study):
     again = tl.virtual_study(
-        n=10, conditions=CONDITIONS, testbed="uav", seed=0, assumptions=ASSUMED, n_jobs=2
+        n=10, conditions=CONDITIONS, testbed="uav_following", seed=0, assumptions=ASSUMED, n_jobs=2
     )
     pd.testing.assert_frame_equal(study.measures, again.measures, check_exact=True)
 
@@ -93,7 +96,7 @@ def test_same_seed_same_table_serial_or_parallel(study):
 def test_order_matters_where_people_learn_or_tire():
     calm, tired = (
         tl.virtual_study(
-            n=10, conditions=CONDITIONS, testbed="uav", seed=2, assumptions=assumed
+            n=10, conditions=CONDITIONS, testbed="uav_following", seed=2, assumptions=assumed
         ).measures
         for assumed in ({}, {"fatigue": 0.05})
     )
@@ -104,11 +107,13 @@ def test_order_matters_where_people_learn_or_tire():
 
 
 def test_sessions_are_written_and_read_again(tmp_path):
-    kept = tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav", out=tmp_path / "study")
+    kept = tl.virtual_study(
+        n=10, conditions=CONDITIONS, testbed="uav_following", out=tmp_path / "study"
+    )
     sessions = kept.sessions()
     assert len(sessions) == 50
     assert {session.metadata.more["testbed"] for session in sessions} == {"uav_following"}
-    plain = tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav")
+    plain = tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav_following")
     pd.testing.assert_frame_equal(kept.measures, plain.measures, check_exact=True)
 
 
@@ -127,19 +132,22 @@ def test_sessions_are_written_and_read_again(tmp_path):
         ({"testbed": "sea"}, "testbed must be one of"),
         (
             {"testbed": "ground_robot", "conditions": ["M", "MI"]},
-            "do not run on the testbed 'ground_robot', but on uav",
+            "do not run on the testbed 'ground_robot', but on uav_tracking",
         ),
         ({"laps": 2}, "laps has no effect on the testbed of the UAV that follows a leader"),
         (
-            {"population": GroundRobotPopulation.published()},
-            "population must be of class FollowingPopulation",
-        ),
-        (
-            {"conditions": ["M", "MI"], "assumptions": {}},
+            {"conditions": ["M", "MI"], "assumptions": {}, "testbed": None},
             "assumptions has no effect on the UAV testbed",
         ),
     ],
 )
 def test_bad_input(arguments, says):
     with pytest.raises(ValueError, match=says):
-        tl.virtual_study(**({"n": 10, "conditions": CONDITIONS, "testbed": "uav"} | arguments))
+        tl.virtual_study(
+            **({"n": 10, "conditions": CONDITIONS, "testbed": "uav_following"} | arguments)
+        )
+
+
+def test_a_population_is_of_its_testbed():
+    with pytest.raises(ValueError, match="population is of the testbed 'ground_robot', not"):
+        UavFollowing(population=OperatorPopulation.ground_robot())

@@ -10,52 +10,16 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from trustlab.models.checks import finite_array, finite_number, positive, whole_number
+from trustlab.models.checks import (
+    checked_covariance,
+    finite_array,
+    finite_number,
+    positive,
+    whole_number,
+)
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
 from trustlab.studies.columns import labels_of
 from trustlab.studies.planning.settings import StudyColumns
-
-# Least eigenvalue, as a share of the greatest, that counts as positive.
-_LEAST = 1e-12
-
-
-def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -> np.ndarray:
-    """
-    Return a matrix that is square, symmetric and positive definite; the error names the eigenvalue
-    that is not.
-    """
-    try:
-        given = np.asarray(values)
-    except ValueError:  # rows of different lengths
-        given = np.empty(0, dtype=object)
-    numbers = given.dtype.kind in "fiu"
-    if not numbers or given.ndim != 2 or given.shape[0] != given.shape[1] or given.size == 0:
-        found = f"shape {given.shape}" if numbers else type(values).__name__
-        raise ValueError(f"{name} must be a square matrix of numbers, got {found}")
-    matrix = given.astype(float)
-    if size is not None and len(matrix) != size:
-        raise ValueError(
-            f"{name} must be {size} × {size}, one row per condition, got {len(matrix)} × "
-            f"{len(matrix)}"
-        )
-    if not np.isfinite(matrix).all():
-        i, j = np.argwhere(~np.isfinite(matrix))[0]
-        raise ValueError(f"{name} must be finite, but row {i}, column {j} is {matrix[i, j]}")
-    scale = np.abs(matrix).max()
-    off = np.abs(matrix - matrix.T)
-    if off.max() > 1e-8 * scale:
-        i, j = np.unravel_index(int(np.argmax(off)), off.shape)
-        found = f"[{i}, {j}] is {matrix[i, j]:g} and [{j}, {i}] is {matrix[j, i]:g}"
-        raise ValueError(f"{name} must be symmetric, but {found}")
-    matrix = 0.5 * (matrix + matrix.T)
-    eigenvalues = np.linalg.eigvalsh(matrix)
-    if not eigenvalues[0] > _LEAST * eigenvalues[-1]:
-        found = f"its least eigenvalue is {eigenvalues[0]:.6g} (greatest {eigenvalues[-1]:.6g})"
-        why = "zero means that one condition is a linear function of the others"
-        raise ValueError(
-            f"{name} is not positive definite: {found}; {why}. Check its variances and correlations"
-        )
-    return matrix
 
 
 @dataclass(frozen=True, eq=False)

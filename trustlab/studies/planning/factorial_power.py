@@ -14,7 +14,12 @@ import pandas as pd
 from numpy.random import SeedSequence
 from scipy import special
 
-from trustlab.models.checks import array_between, not_negative, whole_number
+from trustlab.models.checks import (
+    array_between,
+    checked_covariance,
+    not_negative,
+    whole_number,
+)
 from trustlab.studies.analysis.anova import (
     BetweenDesign,
     between_design,
@@ -28,7 +33,6 @@ from trustlab.studies.analysis.repeated_measures import repeated_measures
 from trustlab.studies.analysis.sphericity import CORRECTIONS, greenhouse_geisser
 from trustlab.studies.regression.logistic_model import Logistic
 from trustlab.studies.planning.closed_form_power import clopper_pearson
-from trustlab.studies.planning.covariances import checked_covariance
 from trustlab.studies.planning.settings import Simulation, StudyColumns
 
 

@@ -1,6 +1,6 @@
-"""Settings of power by simulation: how studies are simulated, and how their factors are named."""
+"""Settings of simulated studies and of power: where they run, how they draw, what columns are."""
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
@@ -93,5 +93,29 @@ class StudyColumns:
         return self.between if isinstance(self.between, list) else [self.between]
 
 
+@dataclass(frozen=True)
+class CampaignOptions:
+    """
+    How the runs of a virtual study are made, as for `run_campaign`.
+
+    Parameters
+    ----------
+    executor : Executor, optional
+        Where participants are simulated instead of in this process or `n_jobs` others.
+    progress : bool, optional
+        Whether to show progress.
+    fresh : bool
+        Whether to remove an earlier virtual study, with its sessions, from `out`.
+    other_versions : sequence of str
+        Programs that may have another version than the runs in `out` have.
+    """
+
+    executor: Executor | None = None
+    progress: bool | None = None
+    fresh: bool = False
+    other_versions: Sequence[str] = ()
+
+
+USUAL_CAMPAIGN = CampaignOptions()
 USUAL_SIMULATION = Simulation()
 USUAL_COLUMNS = StudyColumns()

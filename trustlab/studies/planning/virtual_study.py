@@ -16,44 +16,15 @@ from numpy.random import SeedSequence
 
 from trustlab.campaign.folder import folder_path, refuse, writing_in
 from trustlab.campaign.run import run_campaign, where_to_run
-from trustlab.models.checks import (
-    finite_number,
-    flag,
-    not_negative,
-    of_class,
-    one_of,
-    warn,
-    whole_number,
-)
+from trustlab.models.checks import flag, of_class, one_of, warn, whole_number
 from trustlab.models.html import as_html
-from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.sessions.writers import write_session
 from trustlab.studies.analysis.plots import panels
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
-from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
-from trustlab.teleoperation.loop.schemes import SCHEMES
-from trustlab.testbeds.deciding import (
-    CONDITIONS,
-    KNOWN,
-    SAMPLE_TIME,
-    suggested_by_tsc,
-    warn_if_too_short,
-)
-from trustlab.testbeds.ground_robot.conditions import MOST_LAPS, measured_condition, run_condition
-from trustlab.testbeds.teleoperation_measures import teleoperation_measures
-from trustlab.testbeds.uav_following.people import FollowingPopulation
-from trustlab.testbeds.uav_following.run import measured_flight
-from trustlab.testbeds.uav_tracking import simulate_teleoperation
-
-Population = GroundRobotPopulation | FollowingPopulation | TeleoperatorPopulation
-
-# How messages call the testbeds.
-WORDS = {
-    "ground_robot": "the ground-robot testbed",
-    "uav": "the UAV testbed",
-    "uav_following": "the testbed of the UAV that follows a leader",
-}
+from trustlab.studies.planning.settings import USUAL_CAMPAIGN, CampaignOptions
+from trustlab.testbeds.deciding import warn_if_too_short
+from trustlab.testbeds.testbed import TESTBEDS, Testbed, named_testbed
 
 # Where the measures come from, for headers and captions.
 ORIGIN = "simulated operators"
@@ -63,18 +34,6 @@ KEYS = ("participant", "position", "condition", "synthetic")
 
 TEST = ("n", "k", "F", "df1", "df2", "p", "correction", "epsilon_gg")
 EFFECT = ("eta2_partial", "eta2_partial_low", "eta2_partial_high")
-USUAL = {
-    **dict.fromkeys(("ground_robot", "uav_following"), ("p_r", "p_h", "r", "path_error")),
-    "uav": ("tracking_error", "p_r", "p_h", "hand_force"),
-}
-TESTBEDS = {"ground_robot": tuple(KNOWN), "uav": tuple(SCHEMES), "uav_following": tuple(KNOWN)}
-MAIN_SCHEMES = ("M", "OMI", "MMI", "TMIG")
-PRINTED_N = {"ground_robot": 20, "uav": 32, "uav_following": 20}
-POPULATIONS: dict[str, type] = {
-    "ground_robot": GroundRobotPopulation,
-    "uav": TeleoperatorPopulation,
-    "uav_following": FollowingPopulation,
-}
 FILES = ("participants.csv", "orders.csv", "measures.csv", "about.txt")
 
 
@@ -85,16 +44,14 @@ class VirtualStudy:
 
     Parameters
     ----------
-    testbed : {"ground_robot", "uav", "uav_following"}
-        The testbed; "uav_following" is that of C1 to C5 on the UAV.
+    testbed : Testbed
+        The testbed with its settings.
     conditions : tuple of str
-        Its conditions, as given.
+        The conditions that were run.
     design : LatinSquareDesign
         The order of conditions of every participant.
-    population : GroundRobotPopulation, FollowingPopulation or TeleoperatorPopulation
-        The population from which operators were drawn.
     participants : pandas.DataFrame
-        Their parameters as drawn, a row each.
+        Their parameters as drawn, and what was assumed of all, a row each.
     measures : pandas.DataFrame
         A row per session: participant, position, condition, synthetic, and every measure of the
         testbed.
@@ -102,15 +59,14 @@ class VirtualStudy:
         Participants whose sessions could not be run: participant, error. They have no rows in
         `measures`.
     settings : dict
-        seed, laps or duration [s], rest [s], assumptions, where given.
+        seed, settings of the testbed, and assumptions, where given.
     folder : pathlib.Path or None
         Where sessions, measures and participants were written.
     """
 
-    testbed: str
+    testbed: Testbed
     conditions: tuple[str, ...]
     design: LatinSquareDesign
-    population: Population
     participants: pd.DataFrame
     measures: pd.DataFrame
     failures: pd.DataFrame
@@ -144,11 +100,11 @@ class VirtualStudy:
             variance.
         """
         one_of("dv", dv, self.names)
-        wanted = self.conditions if conditions is None else tuple(conditions)
-        for condition in wanted:
+        compared = self.conditions if conditions is None else tuple(conditions)
+        for condition in compared:
             one_of("condition", condition, self.conditions)
-        rows = self.measures[self.measures["condition"].isin(wanted)]
-        return repeated_measures(rows, dv, "condition", "participant", order=wanted, **options)
+        rows = self.measures[self.measures["condition"].isin(compared)]
+        return repeated_measures(rows, dv, "condition", "participant", order=compared, **options)
 
     def table(self) -> pd.DataFrame:
         """
@@ -164,29 +120,25 @@ class VirtualStudy:
         """
         rows = []
         for name in self.names:
-            there = self.measures[name].notna().groupby(self.measures["condition"]).all()
-            own = [condition for condition in self.conditions if there[condition]]
+            complete = self.measures[name].notna().groupby(self.measures["condition"]).all()
+            measured = [condition for condition in self.conditions if complete[condition]]
+            lacking = [condition for condition in self.conditions if condition not in measured]
             row: dict[str, Any] = dict.fromkeys([*TEST, *EFFECT], np.nan)
             try:
-                if len(own) < 2:
+                if len(measured) < 2:
                     raise ValueError(
                         "fewer than two conditions have this measure for every participant"
                     )
-                result = self.analysis(name, own)
+                result = self.analysis(name, measured)
             except ValueError as error:
                 row |= {"correction": "", "note": str(error)}
             else:
                 row |= {key: getattr(result, key) for key in row}
-                row |= {
-                    "df1": result.df1_corrected,
-                    "df2": result.df2_corrected,
-                    "p": result.p_corrected,
-                }
-                gone = [c for c in self.conditions if c not in own]
-                row["note"] = (
-                    f"without {', '.join(gone)}, which do not have it for everyone" if gone else ""
-                )
-            rows.append({"measure": name, "conditions": " ".join(own)} | row)
+                row |= {"df1": result.df1_corrected, "df2": result.df2_corrected}
+                row |= {"p": result.p_corrected, "note": ""}
+                if lacking:
+                    row["note"] = f"without {', '.join(lacking)}, which do not have it for everyone"
+            rows.append({"measure": name, "conditions": " ".join(measured)} | row)
         frame = pd.DataFrame(rows)
         frame.attrs["origin"] = ORIGIN
         return frame
@@ -225,7 +177,7 @@ class VirtualStudy:
         -------
         numpy.ndarray of matplotlib.axes.Axes
         """
-        measures = USUAL[self.testbed] if measures is None else measures
+        measures = self.testbed.measures if measures is None else measures
         names = [measures] if isinstance(measures, str) else list(measures)
         results = [self.analysis(name) for name in names]
         axes = panels(
@@ -243,32 +195,26 @@ class VirtualStudy:
             f"{name} {value}" for name, value in self.settings.items() if value is not None
         )
         assumed = self.settings.get("assumptions", {})
-        carried, rest = (
-            "Every session begins with the same utilization",
-            ": orders have no effect on results.",
-        )
+        start = "Every session begins with the same utilization"
+        order = ": orders have no effect on results."
         if self.settings.get("rest") is not None:
-            carried, rest = (
-                "Utilization is carried over from session to session by (2.5)",
-                "; nothing else is.",
-            )
+            start = "Utilization is carried over from session to session by (2.5)"
+            order = "; nothing else is."
         if assumed.get("learning") or assumed.get("fatigue"):
-            rest = "; people learn or tire from session to session."
-        failed = (
-            f" {len(self.failures)} participant(s) failed and are left out."
-            if len(self.failures)
-            else ""
-        )
+            order = "; people learn or tire from session to session."
+        failed = ""
+        if len(self.failures):
+            failed = f" {len(self.failures)} participant(s) failed and are left out."
         return (
-            f"Virtual study on {WORDS[self.testbed]}: {len(self.participants)} simulated "
-            f"operators ({self.population.origin}), conditions {', '.join(self.conditions)}; "
-            f"{setting}. No person took part. {carried}{rest}{failed}"
+            f"Virtual study on {self.testbed.title}: {len(self.participants)} simulated operators "
+            f"({self.testbed.origin}), conditions {', '.join(self.conditions)}; {setting}. No "
+            f"person took part. {start}{order}{failed}"
         )
 
     def __repr__(self) -> str:
         conditions = ", ".join(self.conditions)
         return (
-            f"VirtualStudy({self.testbed}, {len(self.participants)} simulated operators, "
+            f"VirtualStudy({self.testbed.name}, {len(self.participants)} simulated operators, "
             f"{conditions})"
         )
 
@@ -283,27 +229,21 @@ def virtual_study(
     design: str | LatinSquareDesign = "latin_square",
     n: int | None = None,
     conditions: Sequence[str] | None = None,
-    population: Population | None = None,
     seed: int = 0,
     *,
-    testbed: str | None = None,
+    testbed: str | Testbed | None = None,
     assumptions: Mapping[str, float] | None = None,
     laps: int | None = None,
-    duration: float | None = None,
-    rest: float | None = None,
     n_jobs: int | None = None,
-    executor: Any = None,
     out: str | os.PathLike | None = None,
-    progress: bool | None = None,
-    fresh: bool = False,
-    other_versions: Sequence[str] = (),
+    campaign: CampaignOptions = USUAL_CAMPAIGN,
 ) -> VirtualStudy:
     """
     Simulate a within-subject study from its design to its statistics.
 
     Operators are drawn from a population and run every condition in the orders of a Latin square;
     their measures are analysed. Given the operator, sessions are independent: orders have no effect
-    unless `rest` is given.
+    unless the testbed has a `rest`.
 
     Parameters
     ----------
@@ -316,41 +256,30 @@ def virtual_study(
         or the next whole squares.
     conditions : sequence of str, optional
         C1 to C5 and the controls "own" and "random" of `run_condition` (ground robot, or a UAV that
-        follows a leader), or M, MI, MMI, TMIG, TMIS, OMI (teleoperation of a UAV); C1 to C5, or M,
-        OMI, MMI and TMIG for a `TeleoperatorPopulation`.
-    population : GroundRobotPopulation, FollowingPopulation or TeleoperatorPopulation, optional
-        From whom operators are drawn; `GroundRobotPopulation.published()`, `FollowingPopulation()`
-        or `TeleoperatorPopulation()` by default.
+        follows a leader), or M, MI, MMI, TMIG, TMIS, OMI (teleoperation of a UAV); those of the
+        dissertation's study by default.
     seed : int
         Of the design, of the people and of all runs. With the same seed, the people of a smaller
         study are the first of a larger one.
-    testbed : {"ground_robot", "uav"}, optional
-        Where C1 to C5 are run, the testbed of Section 2.4.1 (by default) or of Section 2.4.2;
-        schemes of Chapter 3 are of "uav".
+    testbed : {"ground_robot", "uav_following", "uav_tracking"} or Testbed, optional
+        Where conditions are run: on the testbed of Section 2.4.1 (by default), of Section 2.4.2, or
+        of Chapter 3 (by default for its schemes). A `GroundRobot`, `UavFollowing` or `UavTracking`
+        of `trustlab.testbeds` has settings: population, laps, rest, duration; any object with the
+        protocol `Testbed` will do.
     assumptions : mapping of str to float, optional
         For C1 to C5, what is assumed of all operators: any of `trustlab.operators.ASSUMPTIONS` by
         name.
     laps : int, optional
         Laps of each run of the ground robot; 8, as printed.
-    duration : float, optional
-        Length of each run of teleoperation [s]; 120.
-    rest : float, optional
-        C1 to C5 only: pause between sessions [s], in which utilization decays by (2.5) from its
-        value at the end of the session before. When it is left out, every session begins with the
-        operator's r0, 0 unless assumed otherwise.
-    n_jobs, executor : int, Executor, optional
-        Where participants are simulated, as in `run_campaign`; by default in this process. They
-        have no effect on results.
+    n_jobs : int, optional
+        How many processes simulate participants, as in `run_campaign`; by default this one alone.
+        It has no effect on results.
     out : path-like, optional
         A folder for sessions/ (Parquet, one file per session, for `read_sessions`),
         participants.csv, orders.csv, measures.csv, about.txt and campaign/; a call with the same
         arguments goes on where a killed one stopped. Eight laps are about 1 MB.
-    progress : bool, optional
-        Whether to show progress, as for `run_campaign`.
-    fresh : bool
-        Whether to remove an earlier virtual study, with its sessions, from `out`.
-    other_versions : sequence of str
-        Programs that may have another version than the runs in `out` have, as for `run_campaign`.
+    campaign : CampaignOptions
+        Executor, progress, and what becomes of an earlier study in `out`.
 
     Returns
     -------
@@ -359,8 +288,8 @@ def virtual_study(
     Raises
     ------
     ValueError
-        If a condition is unknown or of another testbed, the population does not fit, n is too small
-        or fills no whole squares, or an argument would have no effect.
+        If a condition is unknown or of another testbed, n is too small or fills no whole squares,
+        or an argument would have no effect.
 
     Warns
     -----
@@ -378,45 +307,40 @@ def virtual_study(
     (13, 3)
     """
     seed = whole_number("seed", seed, least=0)
-    conditions = _named(conditions, design, population)
-    testbed = _testbed(testbed, conditions, population)
-    population = _fitting(population, testbed)
-    design = _designed(design, n, conditions, seed, testbed)
-    settings = _settings(testbed, laps, duration, rest, assumptions)
-    people = population.draw(len(design.participants), seed)
-    folder = None if out is None else Folder(out, design, flag("fresh", fresh))
-    own = {"study": population.study} if isinstance(population, TeleoperatorPopulation) else {}
-    fixed = {
-        "testbed": testbed,
-        "settings": settings | own,
-        "folder": folder and str(folder.sessions),
-    }
+    of_class("campaign", campaign, CampaignOptions)
+    bed, conditions = _fitting(testbed, _named(conditions, design), laps)
+    design = _designed(design, n, conditions, seed, bed.printed_n)
+    people = bed.people(len(design.participants), assumptions, seed)
+    folder = None if out is None else Folder(out, design, flag("fresh", campaign.fresh))
+    fixed = {"testbed": bed, "folder": folder and str(folder.sessions)}
     runs = people.assign(order=design.table().agg(" ".join, axis=1).to_numpy())
     done = run_campaign(
         run_participant,
         [fixed | run for run in runs.to_dict("records")],
         seed=seed,
         out=None if folder is None else folder.campaign,
-        progress=progress,
-        fresh=fresh,
-        other_versions=other_versions,
-        **where_to_run(n_jobs, executor),
+        progress=campaign.progress,
+        fresh=campaign.fresh,
+        other_versions=campaign.other_versions,
+        **where_to_run(n_jobs, campaign.executor),
     )
     failed = done["failed"].to_numpy(dtype=bool)
     if failed.all():
         raise ValueError(f"every participant's run failed; the first: {done['error'].iloc[0]}")
+    settings = {"seed": seed} | bed.settings
+    if assumptions:
+        settings["assumptions"] = {name: float(value) for name, value in assumptions.items()}
     study = VirtualStudy(
-        testbed,
-        conditions,
-        design,
-        population,
-        people,
-        _tidy(done[~failed], design, conditions),
-        done.loc[failed, ["participant", "error"]].reset_index(drop=True),
-        {"seed": seed} | {name: value for name, value in settings.items() if value != {}},
-        None if folder is None else folder.path,
+        testbed=bed,
+        conditions=conditions,
+        design=design,
+        participants=people,
+        measures=_tidy(done[~failed], design, conditions),
+        failures=done.loc[failed, ["participant", "error"]].reset_index(drop=True),
+        settings=settings,
+        folder=None if folder is None else folder.path,
     )
-    if testbed != "uav":
+    if "switches" in study.names:
         _warn_of_idle_sessions(study)
     if folder is not None:
         folder.finish(study)
@@ -430,8 +354,8 @@ def _warn_of_idle_sessions(study: VirtualStudy) -> None:
         warn("nobody switched in any session: the conditions differ by noise only")
 
 
-def _named(conditions: object, design: object, population: object) -> tuple[str, ...]:
-    """Return the conditions, all of one testbed."""
+def _named(conditions: Any, design: object) -> tuple[str, ...] | None:
+    """Return the conditions of the argument or the design; None where neither has them."""
     if conditions is not None and not isinstance(conditions, list | tuple | pd.Index | pd.Series):
         raise ValueError(f"conditions must be a list of names, got {conditions!r:.60}")
     if isinstance(design, LatinSquareDesign):
@@ -440,53 +364,56 @@ def _named(conditions: object, design: object, population: object) -> tuple[str,
                 f"design has the conditions {design.conditions}, but conditions= says "
                 f"{tuple(conditions)}"
             )
-        conditions = design.conditions
+        return tuple(map(str, design.conditions))
+    one_of("design", design, ["latin_square"], "a LatinSquareDesign")
+    return None if conditions is None else tuple(conditions)
+
+
+def _fitting(
+    testbed: str | Testbed | None, names: tuple[str, ...] | None, laps: int | None
+) -> tuple[Testbed, tuple[str, ...]]:
+    """Return the testbed and the conditions that it runs."""
+    if isinstance(testbed, str):
+        one_of("testbed", testbed, TESTBEDS)
+    if testbed is None or isinstance(testbed, str):
+        if names is not None:
+            testbed = _testbed_with(names, testbed)
+        bed = named_testbed("ground_robot" if testbed is None else testbed, laps)
     else:
-        one_of("design", design, ["latin_square"], "a LatinSquareDesign")
-    if conditions is None:
-        return MAIN_SCHEMES if isinstance(population, TeleoperatorPopulation) else tuple(CONDITIONS)
-    known = [*KNOWN, *SCHEMES]
-    names = tuple(one_of("condition", name, known) for name in conditions)
+        bed = named_testbed(testbed, laps)
+        for name in names or ():
+            one_of("condition", name, bed.conditions)
+    return bed, bed.printed_conditions if names is None else names
+
+
+def _testbed_with(names: tuple[str, ...], testbed: str | None) -> str:
+    """Return the name of the testbed that runs these conditions, the one asked for if any."""
+    groups = {name: kind.conditions for name, kind in TESTBEDS.items()}  # type: ignore[attr-defined]
+    known = list(dict.fromkeys(condition for group in groups.values() for condition in group))
+    for name in names:
+        one_of("condition", name, known)
     if len(names) < 2 or len(set(names)) < len(names):
         raise ValueError(
             f"conditions must be two or more, each once, got {', '.join(names) or 'none'}"
         )
-    if 0 < sum(name in SCHEMES for name in names) < len(names):
+    fitting = [name for name, group in groups.items() if set(names) <= set(group)]
+    if not fitting:
         raise ValueError(
             f"a study runs on one testbed, but conditions {', '.join(names)} are of two; make two "
             "studies"
         )
-    return names
-
-
-def _testbed(testbed: str | None, conditions: tuple[str, ...], population: object) -> str:
-    """Return the testbed that conditions, population and argument agree on."""
-    known = [name for name, group in TESTBEDS.items() if conditions[0] in group]
     if testbed is None:
-        return "uav_following" if isinstance(population, FollowingPopulation) else known[0]
-    one_of("testbed", testbed, TESTBEDS)
-    found = [name for name in known if testbed in (name, name.partition("_following")[0])]
-    if not found:
-        where = f"the testbed {testbed!r}, but on {' or '.join(known)}"
-        raise ValueError(f"conditions {', '.join(conditions)} do not run on {where}")
-    return found[0]
-
-
-def _fitting(population: object, testbed: str) -> Population:
-    """Return a population of operators of the testbed."""
-    if population is None:
-        return (
-            GroundRobotPopulation.published()
-            if testbed == "ground_robot"
-            else POPULATIONS[testbed]()
+        return fitting[0]
+    if testbed not in fitting:
+        raise ValueError(
+            f"conditions {', '.join(names)} do not run on the testbed {testbed!r}, but on "
+            f"{' or '.join(fitting)}"
         )
-    return of_class(
-        "population", population, POPULATIONS[testbed], f"the conditions are of {WORDS[testbed]}"
-    )
+    return testbed
 
 
 def _designed(
-    design: object, n: int | None, conditions: tuple, seed: int, testbed: str
+    design: Any, n: int | None, conditions: tuple[str, ...], seed: int, printed_n: int
 ) -> LatinSquareDesign:
     """Return a design whose participants are numbered and enough for repeated measures."""
     n = None if n is None else whole_number("n", n)
@@ -505,15 +432,13 @@ def _designed(
                 "least 3"
             )
         return design
-    least = participants_needed(len(conditions), 3)
-    if n is None:
-        n = participants_needed(len(conditions), PRINTED_N[testbed])
-    if n < max(3, len(conditions)):
-        square = f"a balanced Latin square of {len(conditions)} conditions"
-        raise ValueError(
-            f"n = {n} is too small for the design: {square} needs {least} participants"
-        )
     k = len(conditions)
+    n = participants_needed(k, printed_n) if n is None else n
+    if n < max(3, k):
+        raise ValueError(
+            f"n = {n} is too small for the design: a balanced Latin square of {k} conditions "
+            f"needs {participants_needed(k, 3)} participants"
+        )
     if k % 2 == 0 or n % (2 * k) != k:
         return latin_square_design(conditions, n, seed=seed)
     # The first k orders of a square for odd k are a Latin square by themselves: every condition
@@ -526,27 +451,6 @@ def _designed(
         f"{n + k} participants would balance both"
     )
     return replace(whole, participants=tuple(range(1, n + 1)), rows=whole.rows[: n - k] + half)
-
-
-def _settings(
-    testbed: str, laps: int | None, duration: float | None, rest: float | None, assumptions: Any
-) -> dict:
-    """Return the settings of all runs; raise where one would have no effect."""
-    idle: dict[str, object] = {"laps": laps, "rest": rest, "assumptions": assumptions}
-    if testbed != "uav":
-        idle = {"duration": duration, "laps": None if testbed == "ground_robot" else laps}
-    for name, value in idle.items():
-        if value is not None:
-            raise ValueError(f"{name} has no effect on {WORDS[testbed]}; leave it out")
-    if testbed == "uav":
-        return {"duration": 120.0 if duration is None else finite_number("duration", duration)}
-    laps = 8 if laps is None else whole_number("laps", laps, most=MOST_LAPS)
-    settings = {"laps": laps} if testbed == "ground_robot" else {}
-    assumed = checked_assumptions({} if assumptions is None else assumptions)
-    return settings | {
-        "rest": None if rest is None else not_negative("rest", rest),
-        "assumptions": assumed,
-    }
 
 
 def _tidy(
@@ -581,17 +485,17 @@ class Folder:
             present = {item.name for item in self.path.iterdir()} if self.path.exists() else set()
             refuse(self.path, "other things", present - {"sessions", "campaign", *FILES})
             self.sessions.mkdir(parents=True, exist_ok=True)
-        held = {item.name for item in self.sessions.iterdir() if not item.name.startswith(".")}
+        files = {item.name for item in self.sessions.iterdir() if not item.name.startswith(".")}
         known = set()
         if (self.campaign / "campaign.json").is_file():
             known = {session_file(*row) for row in design.orders().itertuples(index=False)}
             if fresh:
                 known = {
-                    name for name in held if fnmatchcase(name, "participant_*_trial_*.parquet")
+                    name for name in files if fnmatchcase(name, "participant_*_trial_*.parquet")
                 }
-        refuse(self.sessions, "sessions that are not known to be of this study", held - known)
+        refuse(self.sessions, "sessions that are not known to be of this study", files - known)
         if fresh:
-            for name in known & held:
+            for name in known & files:
                 (self.sessions / name).unlink()
 
     def finish(self, study: VirtualStudy) -> None:
@@ -599,11 +503,11 @@ class Folder:
         failed = set(study.failures["participant"])
         orders = study.design.orders()
         rows = orders[~orders["participant"].isin(failed)].itertuples(index=False)
-        wanted = [session_file(*row) for row in rows]
-        missing = [name for name in wanted if not (self.sessions / name).is_file()]
+        names = [session_file(*row) for row in rows]
+        missing = [name for name in names if not (self.sessions / name).is_file()]
         if missing:
             raise ValueError(
-                f"{len(missing)} of {len(wanted)} sessions are missing from {self.sessions} "
+                f"{len(missing)} of {len(names)} sessions are missing from {self.sessions} "
                 f"({missing[0]} first), although the campaign beside it says that they were run; "
                 "remove the folder and run the study again"
             )
@@ -618,13 +522,6 @@ class Folder:
             (self.path / "about.txt").write_text(about, encoding="utf-8")
 
 
-# What makes an operator of a row of the population's draw, by testbed.
-PERSONS = {
-    "ground_robot": GroundRobotPopulation.person,
-    "uav_following": FollowingPopulation.person,
-}
-
-
 def session_file(participant: int, position: int, condition: str) -> str:
     """
     Return the name of the file that holds one session; participants and positions count from 1.
@@ -633,99 +530,31 @@ def session_file(participant: int, position: int, condition: str) -> str:
 
 
 def run_participant(
-    testbed: str,
+    testbed: Testbed,
     participant: int,
     order: str,
-    settings: dict,
     folder: str | None,
     seed: SeedSequence,
-    **operator: float,
+    **numbers: float,
 ) -> dict[str, float]:
     """
     Run all conditions for one simulated operator, and return measures as "condition/measure": a
     task of `run_campaign`.
 
-    `order` holds the conditions in their order, separated by blanks; `settings` assumptions of
-    C1–C5, laps of the ground robot and rest [s] (the pause between sessions, or None where each
-    begins with the operator's r0), or study and duration [s] of teleoperation; `operator` is a row
-    of the population's draw.
+    `order` holds the conditions in their order, separated by blanks; `numbers` are a row of the
+    testbed's people.
     """
     conditions = order.split()
     # Each condition has a seed by its place in the alphabet, so that the order has no effect on its
     # noise.
     streams = dict(zip(sorted(conditions), seed.spawn(len(conditions)), strict=True))
-    values, found = operator | {"participant": participant}, {}
-    run = (
-        _Allocated(testbed, values, settings)
-        if testbed in PERSONS
-        else _Teleoperated(values, settings)
-    )
+    person: Mapping[str, Any] = numbers | {"participant": participant}
+    measures = {}
     for position, condition in enumerate(conditions, start=1):
-        if folder is None:
-            measures = run.measures(condition, position, streams[condition])
-        else:
-            session, measures = run.session(condition, position, streams[condition])
-            named = session.with_metadata(trial=position, testbed=testbed)
-            write_session(named, Path(folder) / session_file(participant, position, condition))
-        found |= {f"{condition}/{name}": float(value) for name, value in measures.items()}
-    return found
-
-
-class _Teleoperated:
-    """A teleoperator's runs."""
-
-    def __init__(self, values: dict[str, float], settings: dict):
-        self.person, self.settings = TeleoperatorPopulation.person(values), settings
-
-    def session(self, scheme: str, position: int, seed: SeedSequence):
-        study, duration = self.settings["study"], self.settings["duration"]
-        session = simulate_teleoperation(scheme, self.person, study, seed=seed, duration=duration)
-        measures = teleoperation_measures(session).iloc[0].drop(["participant", "scheme"]).to_dict()
-        return session, measures
-
-    def measures(self, scheme: str, position: int, seed: SeedSequence) -> dict[str, float]:
-        return self.session(scheme, position, seed)[1]
-
-
-class _Allocated:
-    """
-    An operator's runs under C1–C5; utilization is carried over where sessions have a rest between
-    them.
-    """
-
-    def __init__(self, testbed: str, values: dict[str, float], settings: dict):
-        self.testbed = testbed
-        self.settings = settings
-        self.carried = None
-        someone, self.model, self.thresholds = PERSONS[testbed](values)
-        self.person = replace(someone, **settings.get("assumptions", {}))
-
-    def _arguments(self, condition: str, position: int) -> dict:
-        person = replace(self.person, sessions=position - 1)
-        return {"condition": condition, "operator": person, "model": self.model, "r0": self.carried}
-
-    def _rested(self, last: float) -> None:
-        if self.settings["rest"] is not None:
-            self.carried = last * self.model.human.a ** (self.settings["rest"] / SAMPLE_TIME)
-
-    def session(self, condition: str, position: int, seed: SeedSequence):
-        own = {} if self.testbed != "ground_robot" else {"laps": self.settings["laps"]}
-        if suggested_by_tsc(condition):
-            own["thresholds"] = self.thresholds
-        run = run_condition(
-            **self._arguments(condition, position), seed=seed, testbed=self.testbed, **own
-        )
-        self._rested(float(run.session["r"][-1]))
-        return run.session, run.measures
-
-    def measures(self, condition: str, position: int, seed: SeedSequence) -> dict[str, float]:
-        arguments = self._arguments(condition, position) | {
-            "thresholds": self.thresholds,
-            "seed": seed,
-        }
-        if self.testbed == "ground_robot":
-            measures, last = measured_condition(**arguments, laps=self.settings["laps"])
-        else:
-            measures, last = measured_flight(**arguments)
-        self._rested(last)
-        return measures
+        run = testbed.run(condition, person, streams[condition])
+        if folder is not None:
+            session = run.session.with_metadata(trial=position, testbed=testbed.name)
+            write_session(session, Path(folder) / session_file(participant, position, condition))
+        measures |= {f"{condition}/{name}": float(x) for name, x in run.measures.items()}
+        person = testbed.next_session(person, run)
+    return measures

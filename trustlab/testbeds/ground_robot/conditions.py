@@ -4,8 +4,7 @@ A robot on a course, an operator, and who drives: a simulated stand-in for the S
 """
 
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -16,7 +15,6 @@ from trustlab.models.checks import (
     finite_array,
     finite_number,
     of_class,
-    one_of,
     spawned,
     whole_number,
 )
@@ -27,14 +25,12 @@ from trustlab.operators.teleoperator import Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
 from trustlab.testbeds import deciding
-from trustlab.testbeds.condition_run import ConditionRun, condition_measures
+from trustlab.testbeds.condition_run import ConditionRun
 from trustlab.testbeds.ground_robot import kernel
 from trustlab.testbeds.ground_robot.course import Course, default_course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
-from trustlab.testbeds.uav_following.run import fly_condition
 
 E_MAX = 2.0
-TESTBEDS = ("ground_robot", "uav", "uav_following")
 SLOWEST = 0.15
 # Largest runs that are made: ten million samples, 1.2 GB, are nearly twelve days of driving.
 MOST_LAPS = 1000
@@ -55,7 +51,7 @@ class GroundRobotRun(ConditionRun):
 
     Parameters
     ----------
-    session, operator, model, thresholds : Session, Operator, TscModel, (float, float) or None
+    log, metadata, operator, model, thresholds : object
         As for a `ConditionRun`.
     course : Course
         Where.
@@ -115,162 +111,6 @@ class GroundRobotRun(ConditionRun):
             f"GroundRobotRun({self.session.label}: {self.lap_times.size} laps in "
             f"{self.session.duration:.0f} s)"
         )
-
-
-def run_condition(
-    condition: str | None = None,
-    participant: int | str | Operator | None = None,
-    model: TscModel | None = None,
-    thresholds: tuple[float, float] | None = None,
-    laps: int | None = None,
-    seed: int | np.random.SeedSequence = 0,
-    robot: Pioneer | None = None,
-    course: Course | None = None,
-    r0: float | None = None,
-    operator: Operator | None = None,
-    testbed: str = "ground_robot",
-    rule: Any = None,
-    mode: int | None = None,
-) -> ConditionRun:
-    """
-    Drive laps, or fly after a leader, under one of the conditions C1–C5 of Section 2.4.1.2.
-
-    C1: the operator allocates by thresholds of TSC of their own. C2, C3: suggestions by (2.8), free
-    to follow and forced. C4, C5: suggestions by Algorithm 2, free and forced. Two controls are not
-    printed: "own", forced suggestions by the thresholds that the operator's switches in C1 show,
-    and "random", forced suggestions at random times. TSC (2.1) and the suggestions come from
-    performance as measured, (2.4) and (2.7) over 100 s, and the given model. The run begins in the
-    manual mode, rolling on the path; nobody switches before that window is full.
-
-    Parameters
-    ----------
-    condition : {"C1", "C2", "C3", "C4", "C5", "own", "random"}, optional
-        The condition; either this or `rule`.
-    participant : int, str or Operator
-        Who drives: the stand-in for a printed participant, 1 to 5, "1" to "5" or "pilot"
-        (`published_operator`), or any `Operator`.
-    model : TscModel, optional
-        The model which TSC and P_max of Algorithm 2 are taken from: the operator's identified one.
-        For a printed participant the printed one when not given; needed for an `Operator`.
-    thresholds : (float, float), optional
-        TSC_l and TSC_u of (2.8), in C2 and C3 only; for a printed participant those of Table 2.2
-        when not given. In C1 the operator's own thresholds, `Operator.lower` and `.upper`, decide;
-        in C4 and C5 Algorithm 2.
-    laps : int, optional
-        How many laps of the ground robot; at least one, at most 1000; 8, as printed, when not
-        given.
-    seed : int or numpy.random.SeedSequence
-        Streams are spawned from it: the robot's sensing, the operator's hand, the operator's
-        decisions, and the leader's start.
-    robot : Pioneer, optional
-        The robot, if not the calibrated one.
-    course : Course, optional
-        The course, if not the default one.
-    r0 : float, optional
-        Utilization at the beginning, in [0, 1]; that of the operator when not given, 0 (rested)
-        unless assumed otherwise.
-    operator : Operator, optional
-        The same as an `Operator` given as participant.
-    testbed : {"ground_robot", "uav"}
-        The ground robot of Section 2.4.1, or the UAV of Section 2.4.2 that follows a leader for six
-        minutes: there participants are the seeded operators 1 to 20 of `following_operator`, or an
-        `Operator` with a model in shares of 1.
-    rule : object, optional
-        Who drives, in place of a condition: an object with a method step(tsc=…, p_r=…), as for
-        `simulate_allocation`. It is called every 0.1 s, from the time on at which the window is
-        full, with TSC and P_r as measured, and what it returns is the mode at once, without a
-        reaction.
-    mode : int, optional
-        With a rule only: the first mode, 1 manual or 0 autonomous; `rule.mode` or else 1 when not
-        given.
-
-    Returns
-    -------
-    ConditionRun
-        With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot a
-        `GroundRobotRun`, which has `.laps()` and `.plot_path()` besides.
-
-    Raises
-    ------
-    ValueError
-        If an argument is not understood or would have no effect, thresholds lie outside the limits
-        of Theorem 1 at δ_Ph = 0 (which are quoted), the laps are not finished at 0.15 m/s on
-        average, or a rule fails or returns something else.
-
-    Warns
-    -----
-    UserWarning
-        If the run ends before the window is full, so that nobody could switch and all conditions
-        are the same.
-
-    Notes
-    -----
-    Simulated: no person took part, and the robot's and the hand's parameters are calibrated, not
-    measured.
-
-    In C1 an operator whose threshold is passed within the first 100 s switches at their end, one
-    reaction later, whatever TSC is by then: this first switch says nothing about the threshold. The
-    metadata hold these 100 s as `settling`, and `estimate_thresholds` leaves such switches out with
-    after=110.0. All switches come a reaction late, see there.
-
-    Examples
-    --------
-    >>> run = run_condition("C3", participant=2, laps=2, seed=1)
-    >>> run.session.metadata.synthetic
-    True
-    """
-    if one_of("testbed", testbed, TESTBEDS) != "ground_robot":
-        for name, value in (("laps", laps), ("robot", robot), ("course", course)):
-            if value is not None:
-                raise ValueError(f"{name} has no effect on the UAV testbed; leave it out")
-        return fly_condition(
-            condition, participant, model, thresholds, seed, r0, operator, rule, mode
-        )
-    operator, model, printed = who_drives(participant, operator, model)
-    operator, robot, course = checked(operator, robot, course)
-    laps = whole_number("laps", 8 if laps is None else laps, most=MOST_LAPS)
-    most = longest(laps, course)
-    who = operator, model, E_MAX, laps, r0
-    rule, task, thresholds, condition = deciding.task_for(
-        condition, rule, mode, thresholds, printed, *who
-    )
-    run = partial(driven, task, most, robot, course, operator, seed)
-    data, lap_times = deciding.decided_by(rule, task, most, run)
-    deciding.warn_if_too_short(data.size * deciding.SAMPLE_TIME)
-    facts = {"laps": laps, "settling": deciding.SETTLING} | deciding.tsc_facts(thresholds)
-    session = session_of(deciding.framed(data), operator, condition, seed, **facts)
-    return GroundRobotRun(
-        session=session,
-        course=course,
-        operator=operator,
-        robot=robot,
-        model=model,
-        thresholds=thresholds,
-        lap_times=lap_times,
-    )
-
-
-def measured_condition(
-    condition: str,
-    operator: Operator,
-    model: TscModel,
-    thresholds: tuple[float, float],
-    laps: int,
-    seed: np.random.SeedSequence,
-    r0: float | None,
-) -> tuple[dict[str, float], float]:
-    """
-    Return the measures of `run_condition` with its defaults, and the last utilization, without
-    making a session.
-    """
-    course = default_course()
-    who = operator, model, E_MAX, laps, r0
-    _, task, _, _ = deciding.task_for(condition, None, None, None, thresholds, *who)
-    log, lap_times = driven(task, longest(laps, course), Pioneer(), course, operator, seed)
-    measures = condition_measures(
-        log, deciding.sample_times(log.size), condition, operator, model, lap_times
-    )
-    return measures, float(log["r"][-1])
 
 
 def drive_modes(
@@ -463,13 +303,15 @@ def driven(
     return log[:rows], lap_times[:done]
 
 
+def metadata_of(operator, condition, seed, **facts) -> Metadata:
+    """Return metadata that say how a run was made."""
+    facts |= deciding.seed_facts(seed) | {"note": NOTE} | deciding.measured("(2.4), (2.7)")
+    return Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts)
+
+
 def session_of(data, operator, condition, seed, **facts) -> Session:
     """Return a run as a session that says how it was made."""
-    facts |= deciding.seed_facts(seed) | {"note": NOTE} | deciding.measured("(2.4), (2.7)")
-    return Session(
-        data,
-        Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts),
-    )
+    return Session(data, metadata_of(operator, condition, seed, **facts))
 
 
 def plot_path(

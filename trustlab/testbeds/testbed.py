@@ -1,0 +1,586 @@
+"""
+Testbeds behind one protocol, the runs of conditions C1–C5 on two of them, and their names.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+import pandas as pd
+
+from trustlab.allocation.rules import begun
+from trustlab.models.checks import finite_number, not_negative, of_class, one_of, whole_number
+from trustlab.models.tsc import TscModel
+from trustlab.operators.ground_robot import Operator, checked_assumptions, person_of
+from trustlab.sessions.session import Session
+from trustlab.teleoperation.loop.schemes import SCHEMES
+from trustlab.testbeds import deciding
+from trustlab.testbeds.condition_run import ConditionRun
+from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task
+from trustlab.testbeds.ground_robot import conditions as ground
+from trustlab.testbeds.ground_robot.course import Course
+from trustlab.testbeds.ground_robot.pioneer import Pioneer
+from trustlab.testbeds.populations import (
+    OperatorPopulation,
+    TeleoperatorPopulation,
+    following_operator,
+)
+from trustlab.testbeds.teleoperation_measures import teleoperation_measures
+from trustlab.testbeds.uav_following import run as flight
+from trustlab.testbeds.uav_tracking import simulate_teleoperation
+
+Seed = int | np.random.SeedSequence
+Person = Mapping[str, Any]
+
+
+class TestbedRun(Protocol):
+    """One session on a testbed."""
+
+    @property
+    def measures(self) -> dict[str, float]:
+        """The outcome measures by name."""
+
+    @property
+    def session(self) -> Session:
+        """What was logged."""
+
+
+class Testbed(Protocol):
+    """
+    What studies know of a testbed.
+
+    Attributes: `name`, one word everywhere; `title`, its name in sentences; `conditions`, all that
+    can be run; `printed_conditions` and `printed_n`, those and the participants of the
+    dissertation's study; `measures`, those that figures show by default; `origin`, where the people
+    come from; `settings`, what else a study reports of it.
+    """
+
+    name: str
+    title: str
+    conditions: tuple[str, ...]
+    printed_conditions: tuple[str, ...]
+    printed_n: int
+    measures: tuple[str, ...]
+
+    @property
+    def origin(self) -> str:
+        """Where the people come from."""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of all runs, by name."""
+
+    def people(
+        self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
+    ) -> pd.DataFrame:
+        """Return a row of numbers per person: participant, from 1, and their parameters."""
+
+    def run(self, condition: str, person: Person, seed: Seed) -> TestbedRun:
+        """Run one session with the person of a row of `people`."""
+
+    def next_session(self, person: Person, run: Any) -> Person:
+        """Return the person as they come to the session after this run."""
+
+
+@cache
+def _usual_population(name: str) -> OperatorPopulation:
+    """Return the population of a testbed where none is given."""
+    if name == "ground_robot":
+        return OperatorPopulation.ground_robot()
+    return OperatorPopulation.uav_following()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ConditionTestbed:
+    """
+    What the testbeds of C1 to C5 have in common.
+
+    Parameters
+    ----------
+    rest : float, optional
+        Pause between the sessions of a study [s], in which utilization decays by (2.5) from its
+        value at the end of the session before. When it is left out, every session begins with the
+        operator's r0, 0 unless assumed otherwise.
+    population : OperatorPopulation, optional
+        From whom operators are drawn.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of range or the population is of another testbed.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    e_max: ClassVar[float]
+    laps: ClassVar[int] = 0
+    conditions: ClassVar[tuple[str, ...]] = tuple(KNOWN)
+    printed_conditions: ClassVar[tuple[str, ...]] = tuple(CONDITIONS)
+    printed_n: ClassVar[int] = 20
+    measures: ClassVar[tuple[str, ...]] = ("p_r", "p_h", "r", "path_error")
+
+    rest: float | None = None
+    population: OperatorPopulation | None = None
+
+    def __post_init__(self):
+        if self.rest is not None:
+            not_negative("rest", self.rest)
+        if self.population is not None:
+            of_class("population", self.population, OperatorPopulation)
+            if self.population.testbed != self.name:
+                raise ValueError(
+                    f"population is of the testbed {self.population.testbed!r}, not {self.name!r}"
+                )
+
+    @property
+    def operators(self) -> OperatorPopulation:
+        """The population given, or the usual one."""
+        return _usual_population(self.name) if self.population is None else self.population
+
+    @property
+    def origin(self) -> str:
+        """Where the people come from."""
+        return self.operators.origin
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of all runs, by name."""
+        return {"rest": self.rest}
+
+    def people(
+        self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
+    ) -> pd.DataFrame:
+        """
+        Return a row per operator: the population's draw, and what is assumed of all of them.
+
+        Parameters
+        ----------
+        n : int
+            How many; those of a smaller n are the first of a larger one.
+        assumptions : mapping of str to float, optional
+            Any of `trustlab.operators.ASSUMPTIONS` by name.
+        seed : int
+            Seed of the draws.
+        """
+        assumed = checked_assumptions({} if assumptions is None else assumptions)
+        return self.operators.draw(n, seed).assign(**assumed)
+
+    def run(self, condition: str, person: Person, seed: Seed) -> ConditionRun:
+        """
+        Run one session with the operator of a row of `people`.
+
+        Parameters
+        ----------
+        condition : str
+            One of `conditions`.
+        person : mapping
+            The row.
+        seed : int or numpy.random.SeedSequence
+            As for `run_condition`.
+        """
+        operator, model, default = person_of(person)
+        task, thresholds = deciding.task_for(
+            condition, operator, model, None, default, self.e_max, self.laps
+        )
+        return self.result(task, operator, model, thresholds, condition, seed)
+
+    def next_session(self, person: Person, run: ConditionRun) -> Person:
+        """
+        Return the operator as they come to the session after this run.
+
+        Parameters
+        ----------
+        person : mapping
+            As for `run`.
+        run : ConditionRun
+            The run.
+        """
+        after = {**person, "sessions": person.get("sessions", 0) + 1}
+        if self.rest is not None:
+            last = float(run.log["r"][-1])
+            after["r0"] = last * run.model.human.a ** (self.rest / SAMPLE_TIME)  # (2.5)
+        return after
+
+    def result(
+        self,
+        task: Task,
+        operator: Operator,
+        model: TscModel,
+        thresholds: tuple[float, float] | None,
+        condition: str,
+        seed: Seed,
+        rule: Any = None,
+    ) -> ConditionRun:
+        """Return the run of a task; a rule gives the modes where there is one."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GroundRobot(ConditionTestbed):
+    """
+    The ground robot of Section 2.4.1.
+
+    Parameters
+    ----------
+    laps : int
+        Laps of each run; 8 as printed, at most 1000.
+    rest, population : object
+        As for a `ConditionTestbed`; `OperatorPopulation.ground_robot()` by default.
+    robot : Pioneer, optional
+        The robot, if not the calibrated one.
+    course : Course, optional
+        The course, if not the default one.
+
+    Raises
+    ------
+    ValueError
+        If a setting is not understood.
+    """
+
+    name: ClassVar[str] = "ground_robot"
+    title: ClassVar[str] = "the ground-robot testbed"
+    e_max: ClassVar[float] = ground.E_MAX
+
+    laps: int = 8  # type: ignore[misc]  # of other testbeds a constant
+    robot: Pioneer | None = None
+    course: Course | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        whole_number("laps", self.laps, most=ground.MOST_LAPS)
+        if self.robot is not None:
+            of_class("robot", self.robot, Pioneer)
+        if self.course is not None:
+            of_class("course", self.course, Course)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of all runs, by name."""
+        return {"laps": self.laps, "rest": self.rest}
+
+    def identified(
+        self, participant: Any, operator: Operator | None, model: TscModel | None
+    ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
+        """Return operator, model and thresholds of a printed participant or a given operator."""
+        return ground.who_drives(participant, operator, model)
+
+    def result(self, task, operator, model, thresholds, condition, seed, rule=None):
+        """Return the run of a task; a rule gives the modes where there is one."""
+        operator, robot, course = ground.checked(operator, self.robot, self.course)
+        most = ground.longest(self.laps, course)
+        drive = partial(ground.driven, task, most, robot, course, operator, seed)
+        log, lap_times = deciding.decided_by(rule, task, most, drive)
+        facts = {"laps": self.laps, "settling": deciding.SETTLING}
+        facts |= deciding.tsc_facts(thresholds)
+        return ground.GroundRobotRun(
+            log=log,
+            metadata=ground.metadata_of(operator, condition, seed, **facts),
+            operator=operator,
+            model=model,
+            thresholds=thresholds,
+            course=course,
+            robot=robot,
+            lap_times=lap_times,
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class UavFollowing(ConditionTestbed):
+    """
+    The UAV of Section 2.4.2 that follows a leader for six minutes.
+
+    Performance is the window mean over 100 s of (e_max − e)/e_max and of 1 − ‖u_i − u_h‖₁/Δu_max
+    (Section 2.4.2, where the deviation itself is printed). While the operator flies, the autopilot
+    knows where the leader is; left alone, it drifts away. What is not printed (e_max, Δu_max, the
+    leader's path, ranges of performance) is plausible, not measured.
+
+    Parameters
+    ----------
+    rest, population : object
+        As for a `ConditionTestbed`; `OperatorPopulation.uav_following()` by default.
+    """
+
+    name: ClassVar[str] = "uav_following"
+    title: ClassVar[str] = "the testbed of the UAV that follows a leader"
+    e_max: ClassVar[float] = flight.E_MAX
+
+    def identified(
+        self, participant: Any, operator: Operator | None, model: TscModel | None
+    ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
+        """Return operator, model and thresholds of a seeded participant or a given operator."""
+        default = None
+        remedy = "who flies? give participant=, 1 to 20, or an Operator with model="
+        someone = deciding.someone(participant, operator, remedy)
+        if not isinstance(someone, Operator):
+            someone, identified, default = following_operator(someone)
+            model = identified if model is None else model
+        return someone, of_class("model", model, TscModel), default
+
+    def result(self, task, operator, model, thresholds, condition, seed, rule=None):
+        """Return the run of a task; a rule gives the modes where there is one."""
+        fly = partial(flight.flown, task, operator, seed)
+        (log,) = deciding.decided_by(rule, task, flight.SAMPLES, fly)
+        return ConditionRun(
+            log=log,
+            metadata=flight.metadata_of(operator, condition, seed, thresholds),
+            operator=operator,
+            model=model,
+            thresholds=thresholds,
+        )
+
+
+USUAL_TELEOPERATORS = TeleoperatorPopulation()
+
+
+@dataclass(frozen=True, eq=False)
+class TeleoperationRun:
+    """
+    One session of teleoperation.
+
+    Parameters
+    ----------
+    session : Session
+        What was logged.
+    """
+
+    session: Session
+
+    @property
+    def measures(self) -> dict[str, float]:
+        """The outcome measures by name, as `teleoperation_measures` has them."""
+        row = teleoperation_measures(self.session).iloc[0]
+        return row.drop(["participant", "scheme"]).to_dict()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class UavTracking:
+    """
+    The teleoperated UAV of Chapter 3, with the settings of `simulate_teleoperation`.
+
+    Parameters
+    ----------
+    duration : float
+        Length of each run [s].
+    population : TeleoperatorPopulation, optional
+        From whom operators are drawn, and whose study is simulated; `TeleoperatorPopulation()` by
+        default.
+
+    Raises
+    ------
+    ValueError
+        If a setting is not understood.
+    """
+
+    name: ClassVar[str] = "uav_tracking"
+    title: ClassVar[str] = "the UAV testbed"
+    conditions: ClassVar[tuple[str, ...]] = tuple(SCHEMES)
+    printed_conditions: ClassVar[tuple[str, ...]] = ("M", "OMI", "MMI", "TMIG")
+    printed_n: ClassVar[int] = 32
+    measures: ClassVar[tuple[str, ...]] = ("tracking_error", "p_r", "p_h", "hand_force")
+
+    duration: float = 120.0
+    population: TeleoperatorPopulation = USUAL_TELEOPERATORS
+
+    def __post_init__(self):
+        finite_number("duration", self.duration)
+        of_class("population", self.population, TeleoperatorPopulation)
+
+    @property
+    def origin(self) -> str:
+        """Where the people come from."""
+        return self.population.origin
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of all runs, by name."""
+        return {"duration": self.duration}
+
+    def people(
+        self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
+    ) -> pd.DataFrame:
+        """
+        Return a row per operator: the population's draw.
+
+        Parameters
+        ----------
+        n, seed : int
+            As for `TeleoperatorPopulation.draw`.
+        assumptions : None
+            There are none of teleoperators.
+        """
+        if assumptions is not None:
+            raise ValueError(f"assumptions has no effect on {self.title}; leave it out")
+        return self.population.draw(n, seed)
+
+    def run(self, condition: str, person: Person, seed: Seed) -> TeleoperationRun:
+        """
+        Run one session with the operator of a row of `people`.
+
+        Parameters
+        ----------
+        condition : str
+            The scheme.
+        person : mapping
+            The row.
+        seed : int or numpy.random.SeedSequence
+            As for `simulate_teleoperation`.
+        """
+        operator = TeleoperatorPopulation.person(person)
+        study, duration = self.population.study, self.duration
+        return TeleoperationRun(
+            simulate_teleoperation(condition, operator, study, seed=seed, duration=duration)
+        )
+
+    def next_session(self, person: Person, run: TeleoperationRun) -> Person:
+        """
+        Return the same operator: nothing is carried from session to session.
+
+        Parameters
+        ----------
+        person : mapping
+            As for `run`.
+        run : TeleoperationRun
+            The run.
+        """
+        return person
+
+
+TESTBEDS: dict[str, Callable[..., Any]] = {
+    bed.name: bed for bed in (GroundRobot, UavFollowing, UavTracking)
+}
+
+
+def named_testbed(testbed: Any, laps: int | None = None, among: Any = TESTBEDS) -> Any:
+    """Return a testbed by its name, or the one given; with so many laps where they are given."""
+    bed = testbed
+    if isinstance(testbed, type) or not callable(getattr(testbed, "run", None)):
+        bed = TESTBEDS[one_of("testbed", testbed, among, "a Testbed")]()
+    if laps is None:
+        return bed
+    if not isinstance(bed, GroundRobot):
+        raise ValueError(f"laps has no effect on {bed.title}; leave it out")
+    return replace(bed, laps=laps)
+
+
+def run_condition(
+    condition: str | None = None,
+    participant: int | str | Operator | None = None,
+    model: TscModel | None = None,
+    thresholds: tuple[float, float] | None = None,
+    laps: int | None = None,
+    seed: Seed = 0,
+    r0: float | None = None,
+    operator: Operator | None = None,
+    testbed: str | ConditionTestbed = "ground_robot",
+    rule: Any = None,
+) -> ConditionRun:
+    """
+    Drive laps, or fly after a leader, under one of the conditions C1–C5 of Section 2.4.1.2.
+
+    C1: the operator allocates by thresholds of TSC of their own. C2, C3: suggestions by (2.8), free
+    to follow and forced. C4, C5: suggestions by Algorithm 2, free and forced. Two controls are not
+    printed: "own", forced suggestions by the thresholds that the operator's switches in C1 show,
+    and "random", forced suggestions at random times. TSC (2.1) and the suggestions come from
+    performance as measured, (2.4) and (2.7) over 100 s, and the given model. The run begins in the
+    manual mode, rolling on the path; nobody switches before that window is full.
+
+    Parameters
+    ----------
+    condition : {"C1", "C2", "C3", "C4", "C5", "own", "random"}, optional
+        The condition; either this or `rule`.
+    participant : int, str or Operator
+        Who drives: the stand-in for a printed participant, 1 to 5, "1" to "5" or "pilot"
+        (`published_operator`), or any `Operator`. On the UAV the seeded operators 1 to 20 of
+        `following_operator`, or an `Operator` with a model in shares of 1.
+    model : TscModel, optional
+        The model which TSC and P_max of Algorithm 2 are taken from: the operator's identified one.
+        For a participant by number it is known; needed for an `Operator`.
+    thresholds : (float, float), optional
+        TSC_l and TSC_u of (2.8), in C2 and C3 only; for a printed participant those of Table 2.2
+        when not given. In C1 the operator's own thresholds, `Operator.lower` and `.upper`, decide;
+        in C4 and C5 Algorithm 2.
+    laps : int, optional
+        How many laps of the ground robot; at least one, at most 1000; 8, as printed, when not
+        given.
+    seed : int or numpy.random.SeedSequence
+        Streams are spawned from it: the robot's sensing, the operator's hand, the operator's
+        decisions, and the leader's start.
+    r0 : float, optional
+        Utilization at the beginning, in [0, 1]; that of the operator when not given, 0 (rested)
+        unless assumed otherwise.
+    operator : Operator, optional
+        The same as an `Operator` given as participant.
+    testbed : {"ground_robot", "uav_following"}, GroundRobot or UavFollowing
+        The testbed by name, or with settings: `GroundRobot(robot=…, course=…)`.
+    rule : object, optional
+        Who drives, in place of a condition: an object with a method step(tsc=…, p_r=…), as for
+        `simulate_allocation`. A copy of it is called every 0.1 s, from the time on at which the
+        window is full, with TSC and P_r as measured, and what it returns is the mode at once,
+        without a reaction. The first mode is `rule.mode`, or 1 (manual) where it has none.
+
+    Returns
+    -------
+    ConditionRun
+        With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot a
+        `GroundRobotRun`, which has `.laps()` and `.plot_path()` besides.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood or would have no effect, thresholds lie outside the limits
+        of Theorem 1 at δ_Ph = 0 (which are quoted), the laps are not finished at 0.15 m/s on
+        average, or a rule fails or returns something else.
+
+    Warns
+    -----
+    UserWarning
+        If the run ends before the window is full, so that nobody could switch and all conditions
+        are the same.
+
+    Notes
+    -----
+    Simulated: no person took part, and the robot's and the hand's parameters are calibrated, not
+    measured.
+
+    In C1 an operator whose threshold is passed within the first 100 s switches at their end, one
+    reaction later, whatever TSC is by then: this first switch says nothing about the threshold. The
+    metadata hold these 100 s as `settling`, and `estimate_thresholds` leaves such switches out with
+    after=110.0. All switches come a reaction late, see there.
+
+    Examples
+    --------
+    >>> run = run_condition("C3", participant=2, laps=2, seed=1)
+    >>> run.session.metadata.synthetic
+    True
+    """
+    bed = named_testbed(testbed, laps, (GroundRobot.name, UavFollowing.name))
+    of_class("testbed", bed, ConditionTestbed, "or a name")
+    operator, model, default = bed.identified(participant, operator, model)
+    if r0 is not None:
+        operator = replace(operator, r0=r0)
+    if rule is None:
+        task, thresholds = deciding.task_for(
+            condition, operator, model, thresholds, default, bed.e_max, bed.laps
+        )
+    else:
+        if condition is not None or thresholds is not None:
+            raise ValueError(
+                "condition and thresholds have no effect beside rule=, which decides; leave them "
+                "out"
+            )
+        rule, mode = begun(rule, None)
+        condition = f"rule {type(rule).__name__}"
+        task = deciding.task_of(
+            deciding.SCHEDULE,
+            bed.e_max,
+            False,
+            bed.laps,
+            model=model,
+            first_mode=mode,
+            r0=operator.r0,
+        )
+    run = bed.result(task, operator, model, thresholds, condition, seed, rule)
+    deciding.warn_if_too_short(run.log.size * SAMPLE_TIME)
+    return run
