@@ -89,8 +89,8 @@ def test_cross_correlation_has_its_lag_the_right_way_round():
 
 
 def test_no_product_crosses_from_run_to_run():
-    one, other = np.r_[1.0, -1.0, 1.0, -1.0], np.r_[-1.0, 1.0, -1.0, 1.0]
-    assert pooled_autocorrelation([one, other], 1)[1] == pytest.approx(-6.0 / 8.0)
+    alternating, opposite = np.r_[1.0, -1.0, 1.0, -1.0], np.r_[-1.0, 1.0, -1.0, 1.0]
+    assert pooled_autocorrelation([alternating, opposite], 1)[1] == pytest.approx(-6.0 / 8.0)
 
 
 def test_hac_matrix_is_newey_west():

@@ -139,24 +139,24 @@ def test_p_h_max_is_an_argument_of_its_own(operators, make_session, switching):
 
 
 def test_sessions_that_do_not_fit_together(operators, make_session, switching):
-    one = make_session(operators["pilot"], switching[:6000])
-    other = make_session(operators["pilot"], switching[:6000], sample_time=0.05)
+    session = make_session(operators["pilot"], switching[:6000])
+    faster = make_session(operators["pilot"], switching[:6000], sample_time=0.05)
     with pytest.raises(IdentificationError, match=r"0.1 s and .*0.05 s"):
-        tl.fit_robot([one, other])
+        tl.fit_robot([session, faster])
     with pytest.raises(IdentificationError, match="no session"):
         tl.fit_robot([])
     with pytest.raises(
         ValueError, match="must be of class Session, got DataFrame; pass a session or"
     ):
-        tl.fit_robot([one.data])
-    run = SimpleNamespace(session=one)
-    for given in (run, [run]):
+        tl.fit_robot([session.data])
+    run = SimpleNamespace(session=session)
+    for sessions in (run, [run]):
         with pytest.raises(ValueError, match=r"got SimpleNamespace; pass its \.session"):
-            tl.fit_robot(given)
+            tl.fit_robot(sessions)
     with pytest.raises(tl.SessionError, match="no column 'p_h'"):
-        tl.fit_human(tl.Session(one.data[["mode", "p_r"]]))
+        tl.fit_human(tl.Session(session.data[["mode", "p_r"]]))
     with pytest.raises(ValueError, match="p_h_max must be positive"):
-        tl.fit_robot(one, p_h_max=-1.0)
+        tl.fit_robot(session, p_h_max=-1.0)
 
 
 def test_least_squares_refuses_what_it_has_no_use_for_and_doubts_what_explains_nothing(

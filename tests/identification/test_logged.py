@@ -90,11 +90,13 @@ def test_exact_windowed_data_give_the_parameters_back(operators, window):
         assert fit.success, fit.message
         assert f"window of {window:g} s" in fit.message
     np.testing.assert_allclose(joint.table().loc[list(NAMES), "value"], expected, rtol=1e-6)
-    found = robot.table()["value"]
+    estimates = robot.table()["value"]
     np.testing.assert_allclose(
-        found[["a", "p_min", "p_max", "p_h_max"]], [*expected.iloc[4:], expected.iloc[3]], rtol=1e-6
+        estimates[["a", "p_min", "p_max", "p_h_max"]],
+        [*expected.iloc[4:], expected.iloc[3]],
+        rtol=1e-6,
     )
-    assert list(found.index) == ["a", "p_min", "p_max", "p_h_max", "b"]
+    assert list(estimates.index) == ["a", "p_min", "p_max", "p_h_max", "b"]
     assert robot.outputs == ("p_r",)
     np.testing.assert_allclose(human.table()["value"].iloc[:4], expected.iloc[:4], rtol=1e-6)
     # What is fitted is the mean that with_performance would have made of the fitted model.
@@ -252,11 +254,11 @@ def test_the_kalman_filter_whitens_like_a_cholesky_factor():
     rng = np.random.default_rng(0)
     size = 60
     share = 0.3
-    kept = 0.9
+    memory = 0.9
     values, missing = rng.standard_normal((size, 3)), rng.random(size) < 0.2
-    errors, logs = prediction_errors(values, missing, Noise(share, kept))
+    errors, logs = prediction_errors(values, missing, Noise(share, memory))
     lag = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
-    covariance = share * kept**lag + (1.0 - share) * np.eye(size)
+    covariance = share * memory**lag + (1.0 - share) * np.eye(size)
     there = ~missing
     factor = np.linalg.cholesky(covariance[np.ix_(there, there)])
     np.testing.assert_allclose(errors[there], np.linalg.solve(factor, values[there]), atol=1e-12)

@@ -62,9 +62,9 @@ def test_exact_data_give_the_parameters_back(operators, make_session, switching,
         (tl.fit_tsc(session), joint),
     ):
         assert fit.success, fit.message
-        found = fit.table()["value"]
+        estimates = fit.table()["value"]
         for key, value in expected.items():
-            assert found[key] == pytest.approx(value, rel=1e-6), key
+            assert estimates[key] == pytest.approx(value, rel=1e-6), key
         assert np.min(fit.fit_percent) > 99.99
     assert tl.fit_robot(session, method="regression").model.a == pytest.approx(
         model.robot.a, rel=1e-9
@@ -89,13 +89,13 @@ def test_an_operator_at_either_end_of_utilization(operators, make_session, switc
     At r = 0 and r = 1 (2.6) is infinitely steep; nearly all noisy sessions must be fitted all the
     same.
     """
-    model, found = operators["pilot"], []
+    model, successes = operators["pilot"], []
     for seed in range(60):
         fit = tl.fit_human(make_session(model, switching, noise=0.003, seed=seed, r0=r0))
         z = (fit.table()["value"] - pd.Series(truth(model)[1])) / fit.table()["stderr"]
-        found.append(fit.success)
+        successes.append(fit.success)
         assert not fit.success or z.abs().max() < 5.0, (seed, fit.message)
-    assert np.mean(found) > 0.97
+    assert np.mean(successes) > 0.97
 
 
 def test_runs_share_parameters_and_keep_their_own_beginning(operators, make_session):

@@ -82,9 +82,13 @@ def test_sensitivities_of_its_own_give_the_same_fit():
     plain = tl.Structure(
         "line", names, outputs="p_r", simulate=lambda run, gain, offset: gain * run["mode"] + offset
     )
-    one, other = (tl.fit(which, session_of(0.003), noise="white") for which in (exact, plain))
+    exact_fit, plain_fit = (
+        tl.fit(candidate, session_of(0.003), noise="white") for candidate in (exact, plain)
+    )
     for column in ("value", "stderr"):
-        np.testing.assert_allclose(one.parameters[column], other.parameters[column], rtol=1e-8)
+        np.testing.assert_allclose(
+            exact_fit.parameters[column], plain_fit.parameters[column], rtol=1e-8
+        )
 
 
 def test_several_outputs_are_weighted_by_their_own_noise():
@@ -141,9 +145,9 @@ def test_its_derived_rows_carry_their_error():
     assert fit.parameters.loc["sum", "stderr"] == pytest.approx(
         np.sqrt(fit.covariance.to_numpy().sum()), rel=1e-9
     )
-    both = {"rise": 0.011, "decay": 0.006}
+    rates = {"rise": 0.011, "decay": 0.006}
     assert np.isnan(
-        tl.fit(structure, session_of(0.003), fixed=both).parameters.loc["sum", "stderr"]
+        tl.fit(structure, session_of(0.003), fixed=rates).parameters.loc["sum", "stderr"]
     )
 
 
@@ -191,10 +195,10 @@ def test_a_transfer_function_has_the_same_form_of_robust_errors():
 
     velocity = response(1.0, 0.5, 0.1) + 0.02 * rng.standard_normal(u.size)
     fit = tl.fit_transfer_function(u, velocity, T, order=1, noise="hac")
-    found = np.r_[fit.parameters["value"], fit.initial_states["velocity_0"]]
-    ends = [(found + s, found - s) for s in 1e-6 * np.diag(np.abs(found))]
+    estimates = np.r_[fit.parameters["value"], fit.initial_states["velocity_0"]]
+    ends = [(estimates + s, estimates - s) for s in 1e-6 * np.diag(np.abs(estimates))]
     J = np.column_stack([(response(*a) - response(*b)) / (a - b).sum() for a, b in ends])
-    e = velocity - response(*found)
+    e = velocity - response(*estimates)
     bread = np.linalg.inv(J.T @ J)
     meat = S_hac_simple(J * e[:, None], nlags=hac_lags([e]))
     expected = u.size / (u.size - 3) * bread @ meat @ bread
@@ -276,9 +280,9 @@ def test_the_robot_s_sensitivities_agree_with_central_differences(operators, mak
 def test_any_structure_with_a_linear_form_can_be_regressed(operators, make_session, switching):
     model = operators["pilot"]
     session = make_session(model, switching, noise=0.001)
-    own = tl.fit(robot_structure(model.robot.p_h_max), session, method="regression")
+    general = tl.fit(robot_structure(model.robot.p_h_max), session, method="regression")
     named = tl.fit_robot(session, method="regression", p_h_max=model.robot.p_h_max)
-    pd.testing.assert_frame_equal(own.parameters, named.parameters.loc[["a", "p_min", "p_max"]])
+    pd.testing.assert_frame_equal(general.parameters, named.parameters.loc[["a", "p_min", "p_max"]])
     with pytest.raises(ValueError, match="'two rates' has no linear form"):
         tl.fit(MINE, session, method="regression")
 

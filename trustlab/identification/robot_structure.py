@@ -35,7 +35,7 @@ def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
     by_max = 0.0
     by_0 = 1.0
     gain = (p_max - p_min) / p_h_max
-    b = 1.0 - a
+    loss = 1.0 - a
     for k in range(mode.size):
         p_r[k] = performance
         row = by[k]
@@ -43,15 +43,14 @@ def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
         row.p_min = by_min
         row.p_max = by_max
         row.p_r0 = by_0
-        # (2.3) as P_r(k+1) = a P_r(k) + (1 − a)(p_min + gain M(k) P_h(k)), differentiated by each
-        # parameter in turn.
         drive = mode[k] * p_h[k]
         share = drive / p_h_max
-        by_a = a * by_a + performance - p_min - gain * drive
-        by_min = a * by_min + b * (1.0 - share)
-        by_max = a * by_max + b * share
-        by_0 = a * by_0
-        performance = a * performance + b * (p_min + gain * drive)
+        # (2.3) as P_r(k+1) = a P_r(k) + (1 − a)(p_min + gain M(k) P_h(k)), differentiated by
+        by_a = a * by_a + performance - p_min - gain * drive  # a
+        by_min = a * by_min + loss * (1.0 - share)  # p_min
+        by_max = a * by_max + loss * share  # p_max
+        by_0 = a * by_0  # P_r(0)
+        performance = a * performance + loss * (p_min + gain * drive)  # (2.3)
 
 
 def simulate_robot(run: Run, p_h: np.ndarray, p_h_max: float, a, p_min, p_max, p_r0):
@@ -146,8 +145,8 @@ def _best_rate(mode, p_h, p_r, starts, rates, p_h_max):
     best_min = np.nan
     best_max = np.nan
     for a in rates:
-        # P_r = p_min low + p_max high + what is left of the first sample is linear in p_min and
-        # p_max: solved for.
+        # By (2.3) P_r = p_min low + p_max high + the rest of the first sample: linear in p_min and
+        # p_max, which are solved for.
         s11 = s12 = s22 = t1 = t2 = total = 0.0
         for i in range(starts.size - 1):
             low = 0.0
