@@ -127,9 +127,9 @@ def _check_connected(names: tuple, matrix: np.ndarray) -> None:
         parts = [[repr(names[i]) for i in np.flatnonzero(label == part)] for part in range(count)]
         listed = "; ".join("{" + ", ".join(part) + "}" for part in parts)
         raise GraphError(
-            f"the graph is not connected, it has {count} parts: {listed}; robots of "
-            "different parts never meet: add edges, or pass require_connected=False (in a TeamTrial "
-            "to simulate_team) to see it"
+            f"the graph is not connected, it has {count} parts: {listed}; robots of different "
+            "parts never meet: add edges, or pass require_connected=False (in a TeamTrial to "
+            "simulate_team) to see it"
         )
     if not roots(matrix).any():
         raise GraphError(
