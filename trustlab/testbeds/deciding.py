@@ -255,6 +255,7 @@ def skill_now(task, person, state):
     """
     Return human performance (2.6), as experience and the attention that deciding takes leave of it.
     """
+    # (2.6), for a rested and unpractised operator
     skill = person.skill * performance_at(state.r, person.beta, person.p_min, person.p_max)
     free_to_decline = not task.forced and state.suggested >= 0 and state.suggested != state.mode
     if task.scheme == OWN or free_to_decline:
@@ -275,8 +276,9 @@ def measure(task, k, z_r, z_h, state):
             state.sum_h - z_h[k - task.window],
         )
     used = min(k + 1, task.window)
-    state.p_r, state.p_h = state.sum_r / used, state.sum_h / used
-    state.tsc = task.a_T * state.p_r - task.b_T * state.p_h
+    state.p_r = state.sum_r / used  # (2.4)
+    state.p_h = state.sum_h / used  # (2.7)
+    state.tsc = task.a_T * state.p_r - task.b_T * state.p_h  # (2.1)
 
 
 @njit
@@ -308,8 +310,9 @@ def suggest(task, state):
     """Make the suggestion of the scheme, by (2.8) or Algorithm 2 (C2–C5)."""
     if task.scheme == TSC:
         standing = state.mode if state.suggested < 0 else state.suggested
-        state.suggested = threshold_mode(state.tsc, state.lower, state.upper, standing)
+        state.suggested = threshold_mode(state.tsc, state.lower, state.upper, standing)  # (2.8)
     else:
+        # Algorithm 2
         state.suggested = performance_suggestion(state.p_r, task.p_min, task.p_max)
 
 

@@ -31,9 +31,9 @@ from trustlab.studies.analysis.anova import (
 )
 from trustlab.studies.analysis.repeated_measures import repeated_measures
 from trustlab.studies.analysis.sphericity import CORRECTIONS, greenhouse_geisser
-from trustlab.studies.regression.logistic_model import Logistic
 from trustlab.studies.planning.closed_form_power import clopper_pearson
 from trustlab.studies.planning.settings import Simulation, StudyColumns
+from trustlab.studies.regression.logistic_model import Logistic
 
 
 @dataclass(frozen=True, eq=False)

@@ -402,7 +402,9 @@ def _rows(cell: Conditions, n: int, counts: dict, simulation: Simulation, mask: 
     """
     Return the rows of the three tables for one cell, from the counts of its simulated studies.
     """
-    k, alpha, replicates = len(cell.mean), simulation.alpha, simulation.replicates
+    k = len(cell.mean)
+    alpha = simulation.alpha
+    replicates = simulation.replicates
     axes = (n, cell.eta2_partial, cell.correlation, cell.epsilon)
     strength = noncentrality(cell.eta2_partial, n, k)
     exact = noncentral_f_power(n, k, strength, alpha) if cell.epsilon > 1.0 - 1e-9 else np.nan

@@ -151,7 +151,9 @@ def smallest_n(
     population = conditions_from(mean, covariance, data, columns)
     if effect_size is not None:
         population = population.with_effect(effect_size)
-    target, alpha, replicates = open_unit("power", power), simulation.alpha, simulation.replicates
+    target = open_unit("power", power)
+    alpha = simulation.alpha
+    replicates = simulation.replicates
     most = whole_number("most", most, least=3, most=MOST_N)
     if pair is None:
         index = None

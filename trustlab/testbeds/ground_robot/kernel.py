@@ -126,11 +126,11 @@ def correct(correction, task, k, t, state):
         state.lower, state.upper = corrected_l, corrected_u
     else:
         standing = state.mode if state.suggested < 0 else state.suggested
-        state.suggested = threshold_mode(state.tsc, corrected_l, corrected_u, standing)
+        state.suggested = threshold_mode(state.tsc, corrected_l, corrected_u, standing)  # (2.8)
     if t < SETTLING:
         correction.log[k].lower, correction.log[k].upper = corrected_l, corrected_u
         return
-    c_l, c_u = correct_thresholds(correction, k, state.r, state.p_r, state.mode)
+    c_l, c_u = correct_thresholds(correction, k, state.r, state.p_r, state.mode)  # (2.40)
     if correction.adopted:
         state.lower, state.upper = state.lower + c_l, state.upper + c_u
         state.shift_l, state.shift_u = state.shift_l + c_l, state.shift_u + c_u
@@ -170,8 +170,8 @@ def locate(course, k, row, state):
 def perform(task, k, z_r, z_h, row, state):
     """Measure performance of robot and hand, (2.4) and (2.7), and TSC (2.1)."""
     near = 1.0 - row.path_error / task.e_max
-    z_r[k] = state.moved / task.sample_time * near
-    z_h[k] = state.v_hand * near + abs(state.w_hand) * (1.0 - near)
+    z_r[k] = state.moved / task.sample_time * near  # (2.4)
+    z_h[k] = state.v_hand * near + abs(state.w_hand) * (1.0 - near)  # (2.7)
     measure(task, k, z_r, z_h, state)
 
 
@@ -310,5 +310,5 @@ def drive(
         if 0 < task.laps <= state.laps:
             return k + 1, state.laps
         roll(robot, rates.anchor, dt, course, found, state, sensing)
-        state.r = min(max(next_utilization(state.r, state.mode, person.a), 0.0), 1.0)
+        state.r = min(max(next_utilization(state.r, state.mode, person.a), 0.0), 1.0)  # (2.5)
     return log.size, state.laps

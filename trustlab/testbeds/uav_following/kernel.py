@@ -169,13 +169,12 @@ def follow(
         row.reference_y = position[k, 1]
         off_x, off_y = row.reference_x - state.x, row.reference_y - state.y
         row.path_error = np.sqrt(off_x * off_x + off_y * off_y)
-        row.u_i_x, row.u_i_y = (
-            velocity[k, 0] + flight.gain * off_x,
-            velocity[k, 1] + flight.gain * off_y,
-        )
+        row.u_i_x = velocity[k, 0] + flight.gain * off_x
+        row.u_i_y = velocity[k, 1] + flight.gain * off_y
         operate(task, person, flight, rates, log[max(k - delay, 0)], row, state, hand)
-        z_r[k] = 1.0 - row.path_error / task.e_max
-        z_h[k] = 1.0 - (abs(row.u_i_x - row.u_h_x) + abs(row.u_i_y - row.u_h_y)) / flight.u_max
+        z_r[k] = 1.0 - row.path_error / task.e_max  # Section 2.4.2, P_r
+        deviation = abs(row.u_i_x - row.u_h_x) + abs(row.u_i_y - row.u_h_y)
+        z_h[k] = 1.0 - deviation / flight.u_max  # Section 2.4.2, P_h
         measure(task, k, z_r, z_h, state)
         allocate(task, person, schedule[k], t, state, mind)
         row.mode = state.mode
@@ -186,4 +185,4 @@ def follow(
         row.tsc = state.tsc
         detect(flight, rates, state, sensing)
         fly(flight, dt, row, state)
-        state.r = min(max(next_utilization(state.r, state.mode, person.a), 0.0), 1.0)
+        state.r = min(max(next_utilization(state.r, state.mode, person.a), 0.0), 1.0)  # (2.5)
