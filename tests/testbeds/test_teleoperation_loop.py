@@ -275,7 +275,7 @@ def test_the_ledger_is_out_of_reach():
 
 
 def test_an_error_in_the_first_sample_promises_no_session():
-    with pytest.raises(PartError, match="division by zero, at t = 0 s$") as caught:
+    with pytest.raises(PartError, match=r"division by zero, at t = 0 s$") as caught:
         tl.simulate_teleoperation("M", feedback=partial(lambda s: 1 / 0))
     assert caught.value.session is None
 

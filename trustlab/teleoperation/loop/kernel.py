@@ -112,7 +112,8 @@ def receive(k, setup, delays, arrives, accounts, history, sent, log, state):
         state.ledger.known_far = history[near].in_far if near >= 0 else 0.0
     if setup.channel == WAVES:
         n, T = setup.loop, setup.sample_time
-        kind, v_l, v_r = setup.read_out, state.v_l, state.v_r
+        kind = setup.read_out
+        v_l, v_r = state.v_l, state.v_r
         read_waves(sent[0], sent[1], arrives, k, delays, n.gain, kind, T, accounts, v_l, v_r)
     elif setup.channel == PACKETS:
         for i in range(3):

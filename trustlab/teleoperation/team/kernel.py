@@ -219,7 +219,8 @@ def share_force(n, robots, lead, trust, performance, state):
 @njit(error_model="numpy", forceinline=True, _nrt=False)
 def receive(n, m, k, low_pass, state):
     """Set the waves that arrive at both ends, (3.16), filtered where waves are."""
-    T, kind, books = n.sample_time, n.read_out, m.accounts
+    T, kind = n.sample_time, n.read_out
+    books = m.accounts
     v_l, v_r = state.v_l, state.v_r
     read_waves(m.u_l, m.u_r, m.arrives, k, m.delays, n.gain, kind, T, books, v_l, v_r)
     if n.filtering == WAVES:
@@ -506,7 +507,8 @@ def run_team(n, team, robots, memory, first, last, every, states, row, table, co
     N): of the distance to the goal. Returns the samples done and the block that diverged (−1:
     none).
     """
-    rig, state, w, z = rig_of(n), states[0], memory.w, memory.z
+    rig, state = rig_of(n), states[0]
+    w, z = memory.w, memory.z
     for k in range(first, last):
         solve_ends(n, team, rig, robots, memory, k, state)
         if k % every == 0:
