@@ -108,8 +108,9 @@ def simulated_answers(
     --------
     >>> import trustlab as tl
     >>> run = tl.simulate_teleoperation("TMIG", seed=0, duration=10.0)
-    >>> tl.simulated_answers(run, seed=0)
-    {'mental': 10, 'physical': 5, 'temporal': 15, 'performance': 10, 'effort': 10, 'frustration': 30, 'satisfaction': 6, 'comfort': 6, 'control': 5, 'trust': 5.083333333333333}
+    >>> answers = tl.simulated_answers(run, seed=0)
+    >>> answers["mental"], answers["satisfaction"]
+    (10, 6)
     """
     participant, seed = (
         whole_number("participant", participant),

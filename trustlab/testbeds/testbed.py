@@ -75,13 +75,44 @@ class Testbed(Protocol):
     def people(
         self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
     ) -> pd.DataFrame:
-        """Return a row of numbers per person: participant, from 1, and their parameters."""
+        """
+        Return a row of numbers per person: participant, from 1, and their parameters.
+
+        Parameters
+        ----------
+        n : int
+            How many.
+        assumptions : mapping of str to float, optional
+            What is assumed of all of them, by name.
+        seed : int
+            Seed of the draws.
+        """
 
     def run(self, condition: str, person: Person, seed: Seed) -> TestbedRun:
-        """Run one session with the person of a row of `people`."""
+        """
+        Run one session.
+
+        Parameters
+        ----------
+        condition : str
+            One of `conditions`.
+        person : mapping
+            A row of `people`.
+        seed : int or numpy.random.SeedSequence
+            Seed of the session.
+        """
 
     def next_session(self, person: Person, run: Any) -> Person:
-        """Return the person as they come to the session after this run."""
+        """
+        Return the person as they come to the session after this run.
+
+        Parameters
+        ----------
+        person : mapping
+            As for `run`.
+        run : object
+            What `run` returned.
+        """
 
 
 @cache
@@ -213,7 +244,16 @@ class ConditionTestbed:
         seed: Seed,
         rule: Any = None,
     ) -> ConditionRun:
-        """Return the run of a task; a rule gives the modes where there is one."""
+        """
+        Return the run of a task.
+
+        Parameters
+        ----------
+        task, operator, model, thresholds, condition, seed : object
+            What is run, by whom, and what the metadata say of it.
+        rule : object, optional
+            What gives the modes instead of the task.
+        """
         raise NotImplementedError
 
 
@@ -263,11 +303,27 @@ class GroundRobot(ConditionTestbed):
     def identified(
         self, participant: Any, operator: Operator | None, model: TscModel | None
     ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
-        """Return operator, model and thresholds of a printed participant or a given operator."""
+        """
+        Return operator, model and thresholds of a printed participant or a given operator.
+
+        Parameters
+        ----------
+        participant, operator, model : object
+            As for `run_condition`.
+        """
         return ground.who_drives(participant, operator, model)
 
     def result(self, task, operator, model, thresholds, condition, seed, rule=None):
-        """Return the run of a task; a rule gives the modes where there is one."""
+        """
+        Return the run of a task.
+
+        Parameters
+        ----------
+        task, operator, model, thresholds, condition, seed : object
+            What is run, by whom, and what the metadata say of it.
+        rule : object, optional
+            What gives the modes instead of the task.
+        """
         operator, robot, course = ground.checked(operator, self.robot, self.course)
         most = ground.longest(self.laps, course)
         drive = partial(ground.driven, task, most, robot, course, operator, seed)
@@ -309,7 +365,14 @@ class UavFollowing(ConditionTestbed):
     def identified(
         self, participant: Any, operator: Operator | None, model: TscModel | None
     ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
-        """Return operator, model and thresholds of a seeded participant or a given operator."""
+        """
+        Return operator, model and thresholds of a seeded participant or a given operator.
+
+        Parameters
+        ----------
+        participant, operator, model : object
+            As for `run_condition`.
+        """
         default = None
         remedy = "who flies? give participant=, 1 to 20, or an Operator with model="
         someone = deciding.someone(participant, operator, remedy)
@@ -319,7 +382,16 @@ class UavFollowing(ConditionTestbed):
         return someone, of_class("model", model, TscModel), default
 
     def result(self, task, operator, model, thresholds, condition, seed, rule=None):
-        """Return the run of a task; a rule gives the modes where there is one."""
+        """
+        Return the run of a task.
+
+        Parameters
+        ----------
+        task, operator, model, thresholds, condition, seed : object
+            What is run, by whom, and what the metadata say of it.
+        rule : object, optional
+            What gives the modes instead of the task.
+        """
         fly = partial(flight.flown, task, operator, seed)
         (log,) = deciding.decided_by(rule, task, flight.SAMPLES, fly)
         return ConditionRun(

@@ -148,13 +148,35 @@ class Proportions:
         return special.logit(pd.Series(self.probabilities).to_numpy(float))
 
     def expected(self, n: int, alpha: float) -> Iterator[tuple[str, str, float, float]]:
-        """Yield the effect and its test, which has no closed form."""
+        """
+        Yield the effect and its test, which has no closed form.
+
+        Parameters
+        ----------
+        n : int
+            Participants.
+        alpha : float
+            Level of the test.
+        """
         yield "condition", "likelihood ratio", np.nan, np.nan
 
     def counts(
         self, n: int, rng: np.random.Generator, replicates: int, alpha: float
     ) -> dict[str, int]:
-        """Draw studies, and count those whose likelihood ratio finds the conditions different."""
+        """
+        Draw studies, and count those whose likelihood ratio finds the conditions different.
+
+        Parameters
+        ----------
+        n : int
+            Participants.
+        rng : numpy.random.Generator
+            Source of the draws.
+        replicates : int
+            Studies.
+        alpha : float
+            Level of the test.
+        """
         logits, significant = self.logits, 0
         k = len(logits)
         model = Logistic(np.repeat(np.arange(n), k), np.full(n * k, float(self.trials)), 9)
