@@ -5,7 +5,6 @@ acknowledged.
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from trustlab.live.runs import replay, session_of
+from trustlab.live.study.store import append, cut_torn_line, read_lines
 from trustlab.models.checks import shown
 from trustlab.sessions.session import Session
 
@@ -46,14 +46,11 @@ class Attempt:
         self.finished = False
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._append([header])
+            append(path, [header])
             return True
-        data = path.read_bytes()
-        whole = data.rfind(b"\n") + 1
-        if whole < len(data):  # a line torn by a crash while it was written was never acknowledged
-            os.truncate(path, whole)
-        for line in data[:whole].decode().splitlines()[1:]:
-            self._take(json.loads(line))
+        cut_torn_line(path)  # a line torn by a crash was never acknowledged
+        for entry in read_lines(path)[1:]:
+            self._take(entry)
         return not self.finished
 
     def _take(self, entry: Any) -> None:
@@ -64,12 +61,6 @@ class Attempt:
             self.notes.append(f"row {entry['row']}: {entry['note']}")
         else:
             self.finished = True
-
-    def _append(self, lines: list[str]) -> None:
-        with self.path.open("ab") as file:
-            file.write("".join(f"{line}\n" for line in lines).encode())
-            file.flush()
-            os.fsync(file.fileno())
 
     def answer(self, said: Mapping[str, Any]) -> dict[str, Any]:
         """
@@ -82,13 +73,13 @@ class Attempt:
                 number, *_ = self._checked(row)
                 if number == len(self.rows) + len(new):
                     new.append(row)
-            self._append([json.dumps(row) for row in new])
+            append(self.path, [json.dumps(row) for row in new])
         else:
             new = (
                 [{"note": str(said["note"])[:200], "row": len(self.rows)}] if "note" in said else []
             )
             new += [{"end": said["end"]}] if "end" in said and not self.finished else []
-            self._append([json.dumps(entry) for entry in new])
+            append(self.path, [json.dumps(entry) for entry in new])
         for entry in new:
             self._take(entry)
         return {"have": len(self.rows)} | ({"rows": self.rows} if said.get("begin") else {})

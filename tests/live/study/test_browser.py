@@ -218,7 +218,9 @@ def test_a_closed_tab_loses_nothing_and_another_browser_goes_on(served, browser)
     until(other, f"self.study.rows > {already + 5}")
     assert wait_for_rows(folder, already + 5) > already
     starts = [
-        e["rows"] for e in served.server.course("P01").participant.events if e["kind"] == "begin"
+        e["rows"]
+        for e in served.server.participation("P01").participant.events
+        if e["kind"] == "begin"
     ]
     assert starts[0] == 0
     assert starts[1] >= made
@@ -342,12 +344,12 @@ def test_what_the_experimenter_does_reaches_the_page(served, browser, client):
 def test_the_pages_can_be_used_by_keyboard_and_screen_reader(served, browser):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     page = opened(browser.new_context(bypass_csp=True), served.links["P01"])
-    course = served.server.course("P01")
+    participation = served.server.participation("P01")
     for name in ("consent", "training", "nasa_tlx", "satisfaction", "debriefing"):
-        step = next(step for step in course.steps if step.page.name == name)
+        step = next(step for step in participation.steps if step.page.name == name)
         for index in range(step.index):
-            if index not in course.progress.done:
-                course.participant.add("page", page=index, name="x", answers={}, attempt=0)
+            if index not in participation.progress.done:
+                participation.participant.add("page", page=index, name="x", answers={}, attempt=0)
         page.reload()
         next_page(page)
         found = axe.run(page, options={"rules": {"landmark-one-main": {"enabled": True}}})

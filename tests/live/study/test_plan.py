@@ -8,7 +8,7 @@ import json
 import pytest
 
 import trustlab as tl
-from trustlab.live.study import plan as planning
+from trustlab.live.study import live_study as planning
 from trustlab.live.study.__main__ import main
 from trustlab.live.study.server import StudyServer
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.live.study import course as courses
+from trustlab.live.study import participation
 from trustlab.live.study.drives import FROM_FIT, FROM_PART, FROM_STAND_IN, identified, model_of
 from trustlab.testbeds import published_operator
 from trustlab.testbeds.ground_robot.conditions import drive_modes
@@ -44,18 +44,18 @@ def rehearsed(tmp_path_factory):
         "pages": folder / "pages.toml",
     }
     plan = tl.LiveStudy(folder / "mystudy", ["C1", "C3"], 4, rehearsal=True, **short)
-    take = courses.Course.rows
+    take = participation.Participation.rows
 
-    def changed(course, body):
-        position = course.steps[body["page"]].position
-        if course.code == "P01" and position == 2 and body["rows"][0][0] == 0:
+    def changed(person, body):
+        position = person.steps[body["page"]].position
+        if person.code == "P01" and position == 2 and body["rows"][0][0] == 0:
             body["rows"][7][-3] = float(
                 np.nextafter(body["rows"][7][-3], 1.0)
             )  # the last bit of one P_r
-        return take(course, body)
+        return take(person, body)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(courses.Course, "rows", changed)
+        patched.setattr(participation.Participation, "rows", changed)
         plan.rehearse(seed=1)
     return tl.read_live_study(plan.folder)
 
@@ -125,10 +125,7 @@ def test_sessions_are_like_any_other_and_the_folder_is_as_it_was(rehearsed):
     again = tl.read_live_study(rehearsed.plan.folder)
     assert again.measures.equals(rehearsed.measures)
     assert again.measures.attrs == {"origin": rehearsed.origin}
-    with pytest.warns(DeprecationWarning, match=r"measures\(\) is now measures"):
-        assert again.measures().equals(rehearsed.measures)
-    with pytest.warns(DeprecationWarning, match=r"participants\(\) is now participants"):
-        assert again.participants().equals(rehearsed.participants)
+    assert again.participants.equals(rehearsed.participants)
     session = again.sessions()[0]
     assert session.metadata.synthetic
     assert {"verified", "thresholds_from", "performance_window", "lap_times"} <= set(

@@ -235,9 +235,9 @@ def test_the_participant_is_told_no_condition(served, client):
         said += client(url + path, body).content
     order = served.plan.orders["P01"]
     page = next(step.index for step in served.plan.steps("P01") if step.page.name == "drive")
-    course = served.server.course("P01")
+    participation = served.server.participation("P01")
     for index in range(1, page):
-        course.participant.add("page", page=index)
+        participation.participant.add("page", page=index)
     answer = client(f"{url}/begin", {"page": page, "tab": "c"})
     assert answer.json["config"]["columns"]
     said += client(f"{url}/state").content + answer.content
@@ -264,10 +264,10 @@ def test_an_answer_of_a_megabyte_is_refused(served, client):
 
 def test_long_words_are_refused_with_the_item(served, client):
     client(served.links["P01"] + "/answers", CONSENT)
-    course = served.server.course("P01")
-    page = next(step for step in course.steps if step.page.name == "satisfaction")
+    participation = served.server.participation("P01")
+    page = next(step for step in participation.steps if step.page.name == "satisfaction")
     for index in range(1, page.index):
-        course.participant.add("page", page=index)
+        participation.participant.add("page", page=index)
     answers = {"satisfaction": 4, "comfort": 4, "control": 4, "remark": "x" * 1001}
     refused = client(served.links["P01"] + "/answers", {"page": page.index, "answers": answers})
     assert (refused.status, refused.json["error"]) == (400, "remark: this answer cannot be taken")
@@ -420,7 +420,8 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, clien
     assert on_disk(served.plan) == rows(0, 10)
     assert on_disk(served.plan, name="01-training.1") == []
     first, second = (
-        served.server.course("P01").participant.header(f"01-training.{k}")["config"] for k in (0, 1)
+        served.server.participation("P01").participant.header(f"01-training.{k}")["config"]
+        for k in (0, 1)
     )
     assert first != second  # another seed
 

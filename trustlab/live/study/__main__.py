@@ -7,7 +7,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from trustlab.live.study.plan import LiveStudy
+from trustlab.live.study.live_study import LiveStudy
 from trustlab.live.study.store import PLAN
 
 

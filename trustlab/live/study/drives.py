@@ -9,12 +9,13 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.live.study.pages import Step
+from trustlab.live.study.plan import Plan
 from trustlab.live.study.store import Participant
 from trustlab.models.checks import of_class
 from trustlab.models.human import HumanModel
@@ -22,9 +23,6 @@ from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
 from trustlab.testbeds.deciding import WINDOW
-
-if TYPE_CHECKING:
-    from trustlab.live.study.plan import LiveStudy
 
 FROM_FIT = "own drive"
 FROM_PART = "own drive in part"
@@ -50,7 +48,7 @@ def attempt_name(step: Step, attempt: int) -> str:
     return f"{step.name}.{attempt}"
 
 
-def drive_seed(plan: LiveStudy, code: str, step: Step, attempt: int) -> int:
+def drive_seed(plan: Plan, code: str, step: Step, attempt: int) -> int:
     """
     Return the seed of an attempt: a child of the study's seed by participant, page and attempt.
     """
@@ -59,12 +57,12 @@ def drive_seed(plan: LiveStudy, code: str, step: Step, attempt: int) -> int:
     return int(child.generate_state(1)[0])
 
 
-def stand_in(plan: LiveStudy, why: str, detail: str = "") -> dict[str, Any]:
+def stand_in(plan: Plan, why: str, detail: str = "") -> dict[str, Any]:
     """Return the plan's own model and thresholds, with the reason why they stand in."""
     return {"source": FROM_STAND_IN, "why": why, "detail": detail, **plan.content["stand_in"]}
 
 
-def identified(plan: LiveStudy, session: Session) -> dict[str, Any]:
+def identified(plan: Plan, session: Session) -> dict[str, Any]:
     """
     Return a participant's model and thresholds from the identification drive, as far as the drive
     determines them.
@@ -120,7 +118,7 @@ def drive_of(
 
 
 def drive_settings(
-    plan: LiveStudy, code: str, step: Step, attempt: int, model: Mapping[str, Any] | None
+    plan: Plan, code: str, step: Step, attempt: int, model: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """
     Return the first line of an attempt's file: what determines the drive but for the commands, and
@@ -153,7 +151,7 @@ def at_its_end(config: Mapping[str, Any], session: Session) -> bool:
 
 
 def session_of_attempt(
-    plan: LiveStudy,
+    plan: Plan,
     participant: Participant,
     step: Step,
     attempt: int,

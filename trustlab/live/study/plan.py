@@ -1,187 +1,46 @@
-"""
-`LiveStudy`: the plan of a within-subject study in the browser, frozen in its folder before the
-first participant comes.
-"""
+"""The plan of a live study: what is planned, as its folder holds it, frozen once."""
+
+from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-import pandas as pd
-
-from trustlab.allocation.limits import check_thresholds, threshold_limits
-from trustlab.live.study.drives import drive_of, kernel_digest
-from trustlab.live.study.pages import Page, Step, as_json, read_pages, steps_of
+from trustlab.live.study.pages import Page, Step, steps_of
 from trustlab.live.study.store import (
     PLAN,
     Participant,
-    delete_participant,
     deleted_codes,
     make_tokens,
     sync_folder,
     write_whole,
 )
-from trustlab.models.checks import (
-    finite_number,
-    flag,
-    of_class,
-    one_of,
-    positive,
-    shown,
-    spawned,
-    whole_number,
-)
-from trustlab.models.html import as_html
-from trustlab.models.tsc import TscModel
-from trustlab.studies.designs import latin_square_design
-from trustlab.testbeds.deciding import CONDITIONS
-from trustlab.testbeds.ground_robot.conditions import published_model, published_thresholds
+from trustlab.models.checks import one_of
 
 FORMAT = 1
 
-IDENTIFICATION = ((1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0))
-"""
-Modes of the identification drive and how long each lasts [s]: Section 2.2.2's manual, autonomous
-and mixed phases, in 17 minutes.
-"""
 
-STAND_IN = "2"
-"""
-The printed participant whose model and thresholds stand in where an identification drive says too
-little.
-"""
-
-
-def _schedule(phases: Any) -> list[list[float]]:
-    """Return the phases of the identification drive, checked: each of the modes must be driven."""
-    if not isinstance(phases, Sequence) or not all(
-        isinstance(p, Sequence) and len(p) == 2 for p in phases
-    ):
-        raise ValueError(f"identification must be a list of (mode, seconds), got {shown(phases)}")
-    checked = [
-        [whole_number("a mode of identification", m, 0, 1), positive("its seconds", s)]
-        for m, s in phases
-    ]
-    if {mode for mode, _ in checked} != {0, 1}:
-        raise ValueError("identification must have phases of both modes, 1 manual and 0 autonomous")
-    return checked
-
-
-class LiveStudy:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan:
     """
-    A within-subject study that people take part in with a browser.
-
-    The plan is frozen at once: the folder gets `study.json` (conditions, everybody's order, pages,
-    the digest of the physics), a folder per participant, and beside it a file with their links,
-    which others on the machine cannot read. The same call later opens the study again; another plan
-    for the same folder is refused.
+    What is planned: conditions, everybody's order, pages, drives and the digest of the physics.
 
     Parameters
     ----------
-    folder : path-like
-        Where the study is kept; made if it is not there.
-    conditions : sequence of str
-        Conditions of Section 2.4.1.2, "C1" to "C5"; at least two. Participants do not see these
-        names.
-    participants : int or sequence of str
-        How many, called P01, P02 …, or their codes (letters, digits, - and _). Codes only: never
-        names.
-    seed : int
-        Seed of the orders and of every drive.
-    pages : path-like or sequence of path-like
-        TOML files that change pages, leave some out, or add pages and questionnaires of your own.
-    laps : int
-        Laps of each drive under a condition; 8 as printed.
-    training : float
-        Length of the training drive [s].
-    identification : sequence of (int, float)
-        Mode (1 manual, 0 autonomous) and length [s] of each phase of the identification drive.
-    model : TscModel, optional
-        What stands in for a participant's own model where the identification drive does not
-        determine it; that of the printed participant 2 by default.
-    thresholds : (float, float), optional
-        TSC_l and TSC_u that go with `model`; those of Table 2.2 by default.
-    whole_squares : bool
-        Whether to refuse a number of participants that does not fill whole Latin squares.
-    rehearsal : bool
-        Whether scripted hands drive, on an accelerated clock: for trying the study out. Everything
-        is labelled synthetic.
-
-    Raises
-    ------
-    ValueError
-        If an argument is not understood, the participants do not fill whole squares, or the folder
-        holds another plan or other files.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import trustlab as tl
-    >>> folder = tempfile.mkdtemp()
-    >>> tl.LiveStudy(f"{folder}/rehearsal", ["C1", "C3"], participants=4, seed=0, rehearsal=True)
-    LiveStudy('rehearsal': 4 participants, C1, C3)
+    folder : pathlib.Path
+        The study's folder.
+    content : dict
+        What `study.json` holds.
     """
 
-    def __init__(
-        self,
-        folder: str | os.PathLike,
-        conditions: Sequence[str] = tuple(CONDITIONS),
-        participants: int | Sequence[str] = 20,
-        seed: int = 0,
-        *,
-        pages: str | os.PathLike | Sequence[str | os.PathLike] = (),
-        laps: int = 8,
-        training: float = 120.0,
-        identification: Sequence[tuple[int, float]] = IDENTIFICATION,
-        model: TscModel | None = None,
-        thresholds: tuple[float, float] | None = None,
-        whole_squares: bool = True,
-        rehearsal: bool = False,
-    ):
-        if (model is None) != (thresholds is None):
-            raise ValueError("model and thresholds belong together; give both or neither")
-        model = published_model(STAND_IN) if model is None else of_class("model", model, TscModel)
-        lower, upper = published_thresholds(STAND_IN) if thresholds is None else thresholds
-        check_thresholds(model, lower, upper, threshold_limits(model, 0.0))
-        for condition in conditions:
-            one_of("condition", condition, CONDITIONS)
-        codes = _codes(participants)
-        design = latin_square_design(
-            conditions, codes, seed, whole_squares=flag("whole_squares", whole_squares)
-        )
-        files = [pages] if isinstance(pages, str | os.PathLike) else pages
-        self.folder = Path(folder).absolute()
-        content: dict[str, Any] = {
-            "format": FORMAT,
-            "kernel": kernel_digest(),
-            "conditions": list(conditions),
-            "seed": design.seed,
-            "rehearsal": flag("rehearsal", rehearsal),
-            "laps": whole_number("laps", laps, most=1000),
-            "training": positive("training", training),
-            "identification": _schedule(identification),
-            "stand_in": {
-                "model": asdict(model),
-                "thresholds": [finite_number("TSC_l", lower), finite_number("TSC_u", upper)],
-            },
-            "orders": {code: list(order) for code, *order in design.table().itertuples()},
-            "pages": as_json(read_pages(map(Path, files))),
-        }
-        for condition in {
-            "training",
-            "identification",
-            *conditions,
-        }:  # what cannot be driven is refused now
-            drive_of(content, condition, content["stand_in"], seed=0)
-        self.content: dict[str, Any] = json.loads(json.dumps(content))  # as it will be read again
-        self._freeze()
+    folder: Path
+    content: dict[str, Any]
 
     @classmethod
-    def open(cls, folder: str | os.PathLike) -> "LiveStudy":
+    def open(cls, folder: str | os.PathLike) -> Self:
         """
         Return the study that a folder holds.
 
@@ -196,42 +55,30 @@ class LiveStudy:
             If there is no plan in it, or one of another version of this package.
         """
         plan = cls.__new__(cls)
-        plan.folder = Path(folder).absolute()
-        file = plan.folder / PLAN
-        if not file.is_file():
-            raise ValueError(
-                f"there is no {PLAN} in {folder}: no live study was planned there; make one with "
-                "trustlab.LiveStudy"
-            )
-        plan.content = json.loads(file.read_text(encoding="utf-8"))
-        if plan.content.get("format") != FORMAT:
-            raise ValueError(
-                f"{file} has format {plan.content.get('format')!r}; this version of trustlab "
-                f"reads format {FORMAT}"
-            )
+        Plan.__init__(plan, Path(folder).absolute(), read_plan(Path(folder)))
         return plan
 
-    def _freeze(self) -> None:
-        """Write the plan, where there is none, or compare with the one that is there."""
+    def freeze(self) -> None:
+        """Write the plan where there is none; compare it with the one that is there."""
         if (self.folder / PLAN).exists():
-            there = LiveStudy.open(self.folder).content
-            other = [key for key in self.content if there.get(key) != self.content[key]]
-            if other:
+            frozen = read_plan(self.folder)
+            changed = [key for key in self.content if frozen.get(key) != self.content[key]]
+            if changed:
                 raise ValueError(
-                    f"{self.folder} holds a frozen plan with other {', '.join(other)}; open it "
+                    f"{self.folder} holds a frozen plan with other {', '.join(changed)}; open it "
                     "with trustlab.LiveStudy.open, or choose another folder: a plan does not "
                     "change once it is made"
                 )
             return
         if self.folder.exists() and any(
-            path.name not in self.content["orders"] for path in self.folder.iterdir()
+            path.name not in self.orders for path in self.folder.iterdir()
         ):
             raise ValueError(
                 f"{self.folder} has other files in it; a study needs a folder of its own"
             )
-        for code in self.content["orders"]:
+        for code in self.orders:
             (self.folder / code).mkdir(parents=True, exist_ok=True)
-        make_tokens(self.folder, self.content["orders"])
+        make_tokens(self.folder, self.orders)
         sync_folder(self.folder)
         write_whole(self.folder / PLAN, json.dumps(self.content, indent=1) + "\n")
 
@@ -280,132 +127,19 @@ class LiveStudy:
         """Return the codes of the participants who were deleted."""
         return deleted_codes(self.folder)
 
-    def delete(self, code: str) -> None:
-        """
-        Delete a participant: folder, link, and reports made with their data. An empty file keeps
-        the count.
 
-        Parameters
-        ----------
-        code : str
-            The participant.
-
-        Raises
-        ------
-        ValueError
-            If there is no such participant.
-        """
-        delete_participant(self.folder, one_of("participant", code, self.orders))
-
-    def serve(
-        self,
-        address: str = "127.0.0.1",
-        port: int = 8765,
-        *,
-        certificate: str | os.PathLike | None = None,
-        key: str | os.PathLike | None = None,
-        names: Iterable[str] = (),
-    ) -> None:
-        """
-        Serve the study until interrupted (Ctrl-C, or the stop button of a notebook).
-
-        The experimenter's link is printed; everybody's links are on that page.
-
-        Parameters
-        ----------
-        address : str
-            Where to listen. On 127.0.0.1, browsers of this machine alone reach it; anything else
-            needs a certificate.
-        port : int
-            Port; 0 for any that is free.
-        certificate, key : path-like, optional
-            Files in PEM format for TLS.
-        names : iterable of str
-            Names of this machine that links may use, besides `address`: a request for any other
-            host is refused.
-
-        Raises
-        ------
-        ValueError
-            If the address needs a certificate, the study is being served already, or the physics is
-            not the one it was frozen with.
-        """
-        from trustlab.live.study.server import StudyServer
-
-        with StudyServer(
-            self, address, port, certificate=certificate, key=key, names=names
-        ) as server:
-            print(f"The experimenter's page: {server.experimenter}\nEnd with Ctrl-C.", flush=True)
-            server.wait()
-
-    def rehearse(self, seed: int = 0) -> None:
-        """
-        Let scripted hands go through the whole study, without browsers: so that files and report
-        are seen before people come.
-
-        The hands have a person's limits (`trustlab.live.hand`); answers are drawn at random and
-        mean nothing. Everything is labelled synthetic.
-
-        Parameters
-        ----------
-        seed : int
-            Of hands and answers.
-
-        Raises
-        ------
-        ValueError
-            If the plan was not made with rehearsal=True.
-        """
-        from trustlab.live.study.course import Course
-        from trustlab.live.study.rehearsal import rehearse
-
-        if not self.rehearsal:
-            raise ValueError(
-                "this study is for people; plan another one with rehearsal=True for scripted hands"
-            )
-        present = [code for code in self.orders if code not in self.deleted()]
-        rehearse([Course(self, code) for code in present], spawned(seed, len(present)))
-
-    def table(self) -> pd.DataFrame:
-        """Return everybody's order: a row per participant, a column per position."""
-        positions = range(1, len(self.content["conditions"]) + 1)
-        index = pd.Index(self.orders, name="participant")
-        return pd.DataFrame(list(self.orders.values()), index, positions).rename_axis(
-            columns="position"
+def read_plan(folder: Path) -> dict[str, Any]:
+    """Return what the plan in a folder holds."""
+    file = folder.absolute() / PLAN
+    if not file.is_file():
+        raise ValueError(
+            f"there is no {PLAN} in {folder}: no live study was planned there; make one with "
+            "trustlab.LiveStudy"
         )
-
-    def _repr_html_(self) -> str:
-        kind = " Rehearsal by scripted hands." if self.rehearsal else ""
-        words = (
-            f"{len(self.orders)} participants, seed {self.content['seed']}, "
-            f"{self.content['laps']} laps a drive.{kind}"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    if content.get("format") != FORMAT:
+        raise ValueError(
+            f"{file} has format {content.get('format')!r}; this version of trustlab "
+            f"reads format {FORMAT}"
         )
-        return as_html(words, self.table(), title=f"Live study {self.folder.name}")
-
-    def __repr__(self) -> str:
-        return (
-            f"LiveStudy({self.folder.name!r}: {len(self.orders)} participants, "
-            f"{', '.join(self.content['conditions'])})"
-        )
-
-
-def _codes(participants: int | Sequence[str]) -> list[str]:
-    """Return the participants' codes: what they are given, or P01, P02 and so on."""
-    if isinstance(participants, int):
-        count = whole_number("participants", participants, most=999)
-        return [f"P{number:02d}" for number in range(1, count + 1)]
-    codes = list(participants)
-    for code in codes:
-        if (
-            not isinstance(code, str)
-            or not code.isascii()
-            or not code.replace("-", "a").replace("_", "a").isalnum()
-        ):
-            raise ValueError(
-                f"a participant's code has letters, digits, - and _ only, got {shown(code)}"
-            )
-    if len({code.lower() for code in codes}) < len(
-        codes
-    ):  # one folder each, also where names ignore case
-        raise ValueError("participants: two codes are the same")
-    return codes
+    return content

@@ -8,22 +8,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.live.study.drives import attempt_name
 from trustlab.live.study.pages import Page, Step
-from trustlab.live.study.plan import LiveStudy
+from trustlab.live.study.plan import Plan
 from trustlab.live.study.progress import Progress, progress_of
 from trustlab.live.study.store import EVENTS, read_lines
-from trustlab.models.checks import one_of, warn_renamed
+from trustlab.models.checks import one_of
 from trustlab.models.html import as_html
 from trustlab.sessions.readers import read_session
 from trustlab.sessions.session import Session
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
-from trustlab.studies.regression.order_effects import OrderEffects, order_effects
 from trustlab.studies.questionnaires.likert import (
     LikertScale,
     ScaleScores,
@@ -32,10 +31,10 @@ from trustlab.studies.questionnaires.likert import (
     score_trust_checklist,
 )
 from trustlab.studies.questionnaires.nasa_tlx import score_nasa_tlx
+from trustlab.studies.regression.order_effects import OrderEffects, order_effects
 from trustlab.testbeds.condition_run import condition_measures
 
 KEYS = ["participant", "position", "condition"]
-Table = TypeVar("Table", bound=pd.DataFrame)
 REHEARSAL = "scripted hands, no person took part"
 
 
@@ -62,7 +61,8 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     --------
     >>> import tempfile
     >>> import trustlab as tl
-    >>> plan = tl.LiveStudy(tempfile.mkdtemp() + "/rehearsal", ["C1", "C3"], participants=4, seed=0, rehearsal=True)
+    >>> folder = tempfile.mkdtemp() + "/rehearsal"
+    >>> plan = tl.LiveStudy(folder, ["C1", "C3"], participants=4, seed=0, rehearsal=True)
     >>> tl.read_live_study(plan.folder).participants[["participant", "order", "pages_done"]]
       participant  order  pages_done
     0         P01  C3 C1           0
@@ -70,7 +70,7 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     2         P03  C1 C3           0
     3         P04  C3 C1           0
     """
-    plan = LiveStudy.open(folder)
+    plan = Plan.open(folder)
     deleted = plan.deleted()
     events = {
         code: read_lines(plan.folder / code / EVENTS) for code in plan.orders if code not in deleted
@@ -80,23 +80,6 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     )
 
 
-class MeasuresTable(pd.DataFrame):
-    """The measures of a live study's drives, which were a method."""
-
-    renamed = "measures"
-
-    def __call__(self) -> pd.DataFrame:
-        """Return the table, with a warning that it is an attribute now."""
-        warn_renamed(f"{self.renamed}()", self.renamed)
-        return self
-
-
-class ParticipantsTable(MeasuresTable):
-    """Where the participants of a live study are, which was a method."""
-
-    renamed = "participants"
-
-
 @dataclass(frozen=True, eq=False)
 class RecordedStudy:
     """
@@ -104,7 +87,7 @@ class RecordedStudy:
 
     Parameters
     ----------
-    plan : LiveStudy
+    plan : Plan
         The frozen plan.
     progress : dict of str to Progress
         Where each participant is, by code.
@@ -112,7 +95,7 @@ class RecordedStudy:
         Codes of the participants who were deleted.
     """
 
-    plan: LiveStudy
+    plan: Plan
     progress: dict[str, Progress]
     deleted: tuple[str, ...]
 
@@ -140,7 +123,7 @@ class RecordedStudy:
         return list(self._sessions)
 
     @property
-    def participants(self) -> ParticipantsTable:
+    def participants(self) -> pd.DataFrame:
         """
         Where everybody is.
 
@@ -170,9 +153,9 @@ class RecordedStudy:
                     ),
                 }
             )
-        return self._labelled(ParticipantsTable(rows))
+        return self._labelled(pd.DataFrame(rows))
 
-    def _labelled(self, frame: Table) -> Table:
+    def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
         """Say of a table where its numbers come from, where no person took part."""
         if self.origin:
             frame.attrs["origin"] = self.origin
@@ -226,7 +209,7 @@ class RecordedStudy:
         return found
 
     @property
-    def measures(self) -> MeasuresTable:
+    def measures(self) -> pd.DataFrame:
         """
         The measures of every finished drive under a condition, and the scores of the questionnaires
         after it.
@@ -254,7 +237,7 @@ class RecordedStudy:
                 row | condition_measures(session, session.t, str(meta.condition), lap_times=laps)
             )
         if not rows:
-            return MeasuresTable(columns=KEYS)
+            return pd.DataFrame(columns=KEYS)
         table = pd.DataFrame(rows)
         for name, score in self.scores().items():
             if self._page(name).section == "each":
@@ -266,7 +249,7 @@ class RecordedStudy:
                 table = table.merge(
                     score.scores[columns], how="left", on=["participant", "condition"]
                 )
-        return self._labelled(MeasuresTable(table))
+        return self._labelled(table)
 
     def _page(self, name: str) -> Page:
         return next(page for page in self.plan.pages if page.name == name)
@@ -395,7 +378,8 @@ class RecordedStudy:
         """
         from trustlab.live.study.report import write_report
 
-        return write_report(self, self.plan.folder / "report.html" if path is None else Path(path))
+        page = self.plan.folder / "report.html" if path is None else Path(path)
+        return write_report(self.plan.folder, list(self.progress), page)
 
     def table(self) -> pd.DataFrame:
         """Return `measures`."""

@@ -8,24 +8,24 @@ from typing import Any
 import numpy as np
 
 from trustlab.live.hand import HumanHand, scripted_drive
-from trustlab.live.study.course import Course
 from trustlab.live.study.drives import attempt_name
 from trustlab.live.study.pages import Item, Step
+from trustlab.live.study.participation import Participation
 
 SENT_AT_ONCE = 600
 
 
-def rehearse(courses: list[Course], seeds: list[np.random.SeedSequence]) -> None:
+def rehearse(participations: list[Participation], seeds: list[np.random.SeedSequence]) -> None:
     """Let each participant go from where they are to the end."""
-    for course, seed in zip(courses, seeds, strict=True):
+    for participation, seed in zip(participations, seeds, strict=True):
         rng = np.random.default_rng(seed)
-        while (now := course.state())["kind"] != "end":
-            step = course.steps[now["page"]]
+        while (now := participation.state())["kind"] != "end":
+            step = participation.steps[now["page"]]
             if now["kind"] == "form":
                 answers = {item.name: _answer(item, rng) for item in step.page.items}
-                course.answers({"page": step.index, "answers": answers})
+                participation.answers({"page": step.index, "answers": answers})
             else:
-                _drive(course, step, rng)
+                _drive(participation, step, rng)
 
 
 def _answer(item: Item, rng: np.random.Generator) -> Any:
@@ -37,15 +37,15 @@ def _answer(item: Item, rng: np.random.Generator) -> Any:
     return True if item.kind == "check" else ""
 
 
-def _drive(course: Course, step: Step, rng: np.random.Generator) -> None:
+def _drive(participation: Participation, step: Step, rng: np.random.Generator) -> None:
     """Drive as a page would, by a hand that follows suggestions and takes over no other time."""
     about: dict[str, Any] = {"page": step.index, "tab": "rehearsal"}
-    about["attempt"] = course.begin(about)["attempt"]
-    header = course.participant.header(attempt_name(step, about["attempt"]))
+    about["attempt"] = participation.begin(about)["attempt"]
+    header = participation.participant.header(attempt_name(step, about["attempt"]))
     assert header is not None
     config = header["config"]
     made, _ = scripted_drive(config, HumanHand(config, int(rng.integers(2**32))))
     stamped = [[k, 1000.0 * config["sample_time"] * k, *row] for k, row in enumerate(made.tolist())]
     for first in range(0, len(stamped), SENT_AT_ONCE):
-        course.rows(about | {"rows": stamped[first : first + SENT_AT_ONCE]})
-    course.done(about | {"rows": len(stamped)})
+        participation.rows(about | {"rows": stamped[first : first + SENT_AT_ONCE]})
+    participation.done(about | {"rows": len(stamped)})

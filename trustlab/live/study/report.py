@@ -8,23 +8,19 @@ from __future__ import annotations
 import time
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from trustlab.live.study.store import EVENTS, PLAN, write_whole
 from trustlab.publishing.provenance import Checkout, file_digest, provenance
 
-if TYPE_CHECKING:
-    from trustlab.live.study.recorded import RecordedStudy
-
 NOTEBOOK = Path(__file__).with_name("report.ipynb")
 
 
-def write_report(study: RecordedStudy, path: Path) -> Path:
-    """Run the notebook on what the study has recorded, and write its page, complete in itself."""
+def write_report(folder: Path, codes: list[str], path: Path) -> Path:
+    """Run the notebook on what a folder holds of these participants, and write its page."""
     from trustlab.publishing.execution import Kernels, anonymous, execute
     from trustlab.publishing.report_page import report_html
 
-    folder, package = study.plan.folder, Path(__file__).parents[2]
+    package = Path(__file__).parents[2]
     checkout = Checkout(
         root=package.parent,
         notebooks=folder,
@@ -40,7 +36,7 @@ def write_report(study: RecordedStudy, path: Path) -> Path:
         file.relative_to(folder).as_posix(): file_digest(file)
         for file in [
             folder / PLAN,
-            *(folder / code / EVENTS for code in study.progress),
+            *(folder / code / EVENTS for code in codes),
             *sorted(folder.glob("*/*.csv")),
         ]
     }

@@ -18,11 +18,12 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
-from trustlab.live.study.course import Course, RefusedError
 from trustlab.live.study.drives import kernel_digest
 from trustlab.live.study.pages import AnswerError
+from trustlab.live.study.participation import Participation, RefusedError
+from trustlab.live.study.plan import Plan
 from trustlab.live.study.store import EXPERIMENTER, DeletedError, read_tokens, tokens_path
 from trustlab.models.checks import whole_number
 from trustlab.models.extras import extra
@@ -32,11 +33,6 @@ with extra("live"):
     import tornado.log
     import tornado.netutil
     import tornado.web
-
-if TYPE_CHECKING:
-    from typing import Self
-
-    from trustlab.live.study.plan import LiveStudy
 
 STATIC = Path(__file__).parents[1] / "static"
 TYPES = {
@@ -199,16 +195,16 @@ class ParticipantRequest(Base):
         """Answer with the page to show."""
         if what != "state":
             raise tornado.web.HTTPError(405)
-        await self.reply(token, lambda course: course.state())
+        await self.reply(token, lambda participation: participation.state())
 
     async def post(self, token: str, what: str) -> None:
         """Take answers, rows, notes and the end of a drive."""
         if what == "state":
             raise tornado.web.HTTPError(405)
         body = self.body()
-        await self.reply(token, lambda course: getattr(course, what)(body))
+        await self.reply(token, lambda participation: getattr(participation, what)(body))
 
-    async def reply(self, token: str, work: Callable[[Course], dict[str, Any]]) -> None:
+    async def reply(self, token: str, work: Callable[[Participation], dict[str, Any]]) -> None:
         """
         Do the work in a thread, after what this participant asked before, and answer with what it
         returns.
@@ -218,7 +214,7 @@ class ParticipantRequest(Base):
             raise tornado.web.HTTPError(404)
         async with self.served.locks.setdefault(code, asyncio.Lock()):
             try:
-                self.write(await asyncio.to_thread(lambda: work(self.served.course(code))))
+                self.write(await asyncio.to_thread(lambda: work(self.served.participation(code))))
             except AnswerError as error:
                 self.set_status(400)
                 self.finish({"error": str(error)})
@@ -257,7 +253,7 @@ class ExperimenterRequest(Base):
         async with self.served.locks.setdefault(code, asyncio.Lock()):
             try:
                 await asyncio.to_thread(
-                    lambda: getattr(self.served.course(code), f"experimenter_{action}")(body)
+                    lambda: getattr(self.served.participation(code), f"experimenter_{action}")(body)
                 )
             except AnswerError as error:
                 self.set_status(400)
@@ -284,7 +280,7 @@ class StudyServer:
 
     def __init__(
         self,
-        plan: LiveStudy,
+        plan: Plan,
         address: str = "127.0.0.1",
         port: int = 0,
         *,
@@ -331,8 +327,8 @@ class StudyServer:
         self.hosts: set[str] = set()
         self.buckets: dict[str, Bucket] = {}
         self.locks: dict[str, asyncio.Lock] = {}
-        self.courses: dict[str, Course] = {}
-        self.courses_lock = threading.Lock()
+        self.participations: dict[str, Participation] = {}
+        self.participations_lock = threading.Lock()
         self.tokens: dict[str, str] = {}
         self.tokens_at = 0
         self.thread: threading.Thread | None = None
@@ -353,15 +349,15 @@ class StudyServer:
                 found = name
         return found
 
-    def course(self, code: str) -> Course:
-        """Return a participant's course, read from the disk the first time."""
-        with self.courses_lock:
-            if code not in self.courses or self.courses[code].participant.deleted:
-                self.courses.pop(code, None)
+    def participation(self, code: str) -> Participation:
+        """Return a participant's participation, read from the disk the first time."""
+        with self.participations_lock:
+            if code not in self.participations or self.participations[code].participant.deleted:
+                self.participations.pop(code, None)
                 if code not in self.present():
                     raise DeletedError(f"participant {code} was deleted")
-                self.courses[code] = Course(self.plan, code)
-            return self.courses[code]
+                self.participations[code] = Participation(self.plan, code)
+            return self.participations[code]
 
     def present(self) -> list[str]:
         """Return the codes of all who were not deleted."""
@@ -371,7 +367,7 @@ class StudyServer:
     def overview(self) -> dict[str, Any]:
         """Return what the experimenter's page shows."""
         rows = [
-            self.course(code).overview() | {"link": f"{self.base}/p/{self.tokens[code]}"}
+            self.participation(code).overview() | {"link": f"{self.base}/p/{self.tokens[code]}"}
             for code in self.present()
         ]
         return {

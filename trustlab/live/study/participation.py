@@ -6,7 +6,7 @@ does to it.
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from trustlab.live.study.drives import (
     at_its_end,
@@ -17,11 +17,9 @@ from trustlab.live.study.drives import (
     shown_config,
 )
 from trustlab.live.study.pages import LONGEST_ANSWER, AnswerError, Step
+from trustlab.live.study.plan import Plan
 from trustlab.live.study.progress import Progress, progress_of
 from trustlab.sessions.writers import write_session
-
-if TYPE_CHECKING:
-    from trustlab.live.study.plan import LiveStudy
 
 MOST_ROWS = 300_000
 """Rows of one attempt: more than eight hours."""
@@ -66,10 +64,10 @@ def _words(body: dict[str, Any], name: str, most: int = LONGEST_ANSWER) -> str:
     return value
 
 
-class Course:
+class Participation:
     """A participant in a study that is being served."""
 
-    def __init__(self, plan: LiveStudy, code: str):
+    def __init__(self, plan: Plan, code: str):
         self.plan, self.code = plan, code
         self.participant = plan.participant(code)
         self.steps = plan.steps(code)
