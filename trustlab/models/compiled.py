@@ -68,7 +68,8 @@ class _Notice(event.Listener):
 
 
 def _of_trustlab(event: Any) -> bool:
-    return event.data["dispatcher"].py_func.__module__.partition(".")[0] == "trustlab"
+    module = event.data["dispatcher"].py_func.__module__ or ""  # none in code from exec
+    return module.partition(".")[0] == "trustlab"
 
 
 if multiprocessing.parent_process() is None:  # the workers of a campaign are silent
