@@ -64,19 +64,19 @@ def reconstruction(name):
 # Name of the case: whether every bit is the same, and what computes it.
 CASES = {
     "simulate_allocation": (True, lambda: tl.simulate_allocation(model(), 0.0, 0.35, steps=20_000)),
-    "threshold_limits": (True, lambda: list(tl.threshold_limits(model())[:2])),
-    "run_condition": (True, lambda: tl.run_condition("C3", laps=1, seed=0).session.frame),
+    "threshold_limits": (True, lambda: bounds(tl.threshold_limits(model()))),
+    "run_condition": (True, lambda: tl.run_condition("C3", participant=2, laps=1, seed=0).session.table()),
     "virtual_study": (
         True,
         lambda: tl.virtual_study(n=3, conditions=["C1", "C3", "C5"], laps=1, seed=0).measures,
     ),
     "virtual_study_uav": (
         True,
-        lambda: tl.virtual_study(n=4, testbed="uav_following", seed=0).measures,
+        lambda: tl.virtual_study(n=10, testbed="uav_following", seed=0).measures,
     ),
     "simulate_teleoperation": (
         True,
-        lambda: tl.simulate_teleoperation("TMIG", seed=0, duration=5.0).session.frame,
+        lambda: tl.simulate_teleoperation("TMIG", seed=0, duration=5.0).table(),
     ),
     "simulate_team": (True, lambda: tl.simulate_team(nx.cycle_graph(4), seed=0).positions),
     "ThresholdCorrector": (True, corrections),
@@ -85,7 +85,7 @@ CASES = {
         True,
         lambda: pd.DataFrame(tl.parameter_draws(50, seed=1, beta=(0.6, 0.8), laps=[4, 8])),
     ),
-    "latin_square_design": (True, lambda: tl.latin_square_design(4, 12, seed=0).table()),
+    "latin_square_design": (True, lambda: tl.latin_square_design(["A", "B", "C", "D"], 12, seed=0).table()),
     "reconstruct_tlx": (True, lambda: reconstruction("uav.tlx")),
     "reconstruct_tracking": (True, lambda: reconstruction("teleop.tracking_error")),
     "limit_cycle": (True, lambda: tl.limit_cycle(model(), 0.0, 0.3).table()),
@@ -98,8 +98,8 @@ CASES = {
     "equivalence": (
         False,
         lambda: tl.equivalence(
-            scores(), dv="score", within="condition", subject="subject", bounds=0.8
-        ).table(),
+            scores(), dv="score", within="condition", subject="subject", bound=0.8
+        ),
     ),
     "mixed_model": (
         False,
@@ -114,14 +114,19 @@ CASES = {
 }
 
 
+def bounds(limits):
+    return [limits.lower, limits.upper]
+
+
 def thresholds():
     choice = tl.choose_thresholds(model())
     return choice.lower, choice.upper
 
 
 def power():
-    data = scores(12, 3)
-    return tl.power_analysis([12], data=data, seed=0)
+    columns = tl.studies.StudyColumns("score", "condition", "subject")
+    quick = tl.studies.Simulation(replicates=500, seed=0)
+    return tl.power_analysis(data=scores(12, 3), columns=columns, n=12, simulation=quick)
 
 
 def values(result):

@@ -22,7 +22,7 @@ class Simulation:
     replicates : int
         Simulated studies per cell, at least 100.
     seed : int
-        Seed of the draws. A cell's draws depend on its n and its population, not on its place in
+        Seed of the draws. All populations of a size share their draws, whatever their place in
         a grid.
     alpha : float
         Level of all tests, in (0, 1).
