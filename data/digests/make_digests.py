@@ -65,7 +65,10 @@ def reconstruction(name):
 CASES = {
     "simulate_allocation": (True, lambda: tl.simulate_allocation(model(), 0.0, 0.35, steps=20_000)),
     "threshold_limits": (True, lambda: bounds(tl.threshold_limits(model()))),
-    "run_condition": (True, lambda: tl.run_condition("C3", participant=2, laps=1, seed=0).session.table()),
+    "run_condition": (
+        True,
+        lambda: tl.run_condition("C3", participant=2, laps=1, seed=0).session.table(),
+    ),
     "virtual_study": (
         True,
         lambda: tl.virtual_study(n=3, conditions=["C1", "C3", "C5"], laps=1, seed=0).measures,
@@ -85,7 +88,10 @@ CASES = {
         True,
         lambda: pd.DataFrame(tl.parameter_draws(50, seed=1, beta=(0.6, 0.8), laps=[4, 8])),
     ),
-    "latin_square_design": (True, lambda: tl.latin_square_design(["A", "B", "C", "D"], 12, seed=0).table()),
+    "latin_square_design": (
+        True,
+        lambda: tl.latin_square_design(["A", "B", "C", "D"], 12, seed=0).table(),
+    ),
     "reconstruct_tlx": (True, lambda: reconstruction("uav.tlx")),
     "reconstruct_tracking": (True, lambda: reconstruction("teleop.tracking_error")),
     "limit_cycle": (True, lambda: tl.limit_cycle(model(), 0.0, 0.3).table()),
@@ -103,9 +109,7 @@ CASES = {
     ),
     "mixed_model": (
         False,
-        lambda: tl.mixed_model(
-            scores(), dv="score", within="condition", subject="subject"
-        ).table(),
+        lambda: tl.mixed_model(scores(), dv="score", within="condition", subject="subject").table(),
     ),
     "audit": (False, tl.audit),
     "printed_effects": (False, tl.printed_effects),

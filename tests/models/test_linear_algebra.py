@@ -4,10 +4,12 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from trustlab.models.linear_algebra import (
     cholesky_factors,
     inverses,
+    matrix_exponential,
     polar_factor,
     products,
     solutions,
@@ -92,3 +94,13 @@ def test_polar_factor_leaves_out_a_direction_without_extent():
     factor = polar_factor(matrix)
     assert not factor[:, 1].any()
     assert factor.T @ factor == pytest.approx(np.diag([1.0, 0.0, 1.0]), abs=1e-13)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 0.4, 7.0])
+def test_matrix_exponential_agrees_with_scipy(scale):
+    matrix = scale * np.random.default_rng(1).normal(size=(5, 5))
+    expected = linalg.expm(matrix)
+    assert matrix_exponential(matrix) / np.abs(expected).max() == pytest.approx(
+        expected / np.abs(expected).max(), abs=1e-13
+    )
+    assert matrix_exponential(np.zeros((3, 3))).tolist() == np.eye(3).tolist()

@@ -10,6 +10,8 @@ import numpy as np
 
 from trustlab.models.checks import between, finite_array, in_order, positive, whole_number
 from trustlab.models.compiled import njit
+from trustlab.models.linear_algebra import matrix_exponential, products, transposed
+from trustlab.models.portable import cos_sin
 from trustlab.models.uav import TransferFunction, three_axes
 
 # Degree of the interpolation of the cost in α; its error over 0.2 s is below rounding (a test
@@ -217,10 +219,12 @@ class OptimalBlending:
         Return flow and cost over a time in which α is held as Chebyshev series in α, shape (3,
         DEGREE + 1, 5, 5) each.
         """
-        from scipy.linalg import expm
-
-        nodes = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
-        fit = np.polynomial.chebyshev.chebvander(nodes, DEGREE)
+        count = DEGREE + 1
+        nodes = np.array([cos_sin(np.pi * (k + 0.5) / count)[0] for k in range(count)])
+        values_of_series = np.polynomial.chebyshev.chebvander(nodes, DEGREE)
+        # At these nodes Chebyshev's polynomials are orthogonal.
+        fit = 2.0 / count * transposed(values_of_series)
+        fit[0] *= 0.5
         values = np.empty((2, 3, DEGREE + 1, 5, 5))
         for axis in range(3):
             for k, alpha in enumerate(0.5 * (nodes + 1.0)):
@@ -228,10 +232,13 @@ class OptimalBlending:
                 q[2, 2] = self.error_weight
                 difference = np.array([1.0, -1.0, 0.0, 0.0, 0.0])
                 q += self.deviation_weight * (1.0 - alpha) ** 2 * np.outer(difference, difference)
-                whole = expm(np.block([[-a.T, q], [np.zeros((5, 5)), a]]) * length)  # Van Loan
-                gram = whole[5:, 5:].T @ whole[:5, 5:]
-                values[:, axis, k] = whole[5:, 5:], 0.5 * (gram + gram.T)
-        flow, weight = np.linalg.solve(fit, values.reshape(6, DEGREE + 1, 25)).reshape(values.shape)
+                block = np.block([[-a.T, q], [np.zeros((5, 5)), a]])
+                whole = matrix_exponential(block * length)  # Van Loan
+                flow = np.ascontiguousarray(whole[5:, 5:])
+                (gram,) = products(transposed(flow)[None], whole[None, :5, 5:].copy())
+                values[:, axis, k] = flow, 0.5 * (gram + gram.T)
+        series = products(np.repeat(fit[None], 6, axis=0), values.reshape(6, count, 25))
+        flow, weight = series.reshape(values.shape)
         return flow, weight
 
     def cost(self, alpha: float, u_h, u_a, e, rate, acceleration) -> float:

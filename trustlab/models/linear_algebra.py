@@ -232,3 +232,28 @@ def _turn_columns(matrix, p, q, cosine, sine):
         second = matrix[k, q]
         matrix[k, p] = cosine * first - sine * second
         matrix[k, q] = sine * first + cosine * second
+
+
+@njit
+def matrix_exponential(a):
+    """Return e to the power of a matrix (k, k): Taylor's series of a/2ˢ, squared s times."""
+    size = len(a)
+    norm = 0.0
+    for i in range(size):
+        row = 0.0
+        for j in range(size):
+            row += abs(a[i, j])
+        norm = max(norm, row)
+    squarings = 0
+    scaled = a.copy()
+    while norm > 0.5:
+        norm *= 0.5
+        scaled *= 0.5
+        squarings += 1
+    whole = np.eye(size)
+    # 0.5¹⁸/18! is below a unit in the last place.
+    for order in range(18, 0, -1):
+        whole = np.eye(size) + products(scaled[None], whole[None])[0] / order
+    for _ in range(squarings):
+        whole = products(whole[None], whole[None])[0]
+    return whole

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, positive, set_checked
+from trustlab.models.linear_algebra import matrix_exponential
 
 
 @dataclass(frozen=True)
@@ -87,13 +88,11 @@ class TransferFunction:
         ValueError
             If `sample_time` is not positive.
         """
-        from scipy.linalg import expm
-
         sample_time = positive("sample_time", sample_time)
         a, b = self.matrices()
         block = np.zeros((self.order + 1, self.order + 1))
         block[:-1, :-1], block[:-1, -1] = a, b
-        exponential = expm(block * sample_time)
+        exponential = matrix_exponential(block * sample_time)
         return exponential[:-1, :-1], exponential[:-1, -1]
 
 

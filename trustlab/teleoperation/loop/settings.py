@@ -18,6 +18,7 @@ from trustlab.models.checks import (
     positive,
     set_checked,
 )
+from trustlab.models.linear_algebra import matrix_exponential
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
 from trustlab.models.uav import TransferFunction, three_axes
 from trustlab.sessions.session import Session
@@ -363,8 +364,6 @@ def _matrices(axes: tuple, sample_time: float) -> np.ndarray:
     Return the matrices of `vehicle_matrices`, worked out once: exponentials take longer than a
     minute of the loop.
     """
-    from scipy.linalg import expm
-
     matrices = np.zeros(1, VEHICLE)
     for i, axis in enumerate(axes):
         n = axis.order + 1
@@ -375,6 +374,6 @@ def _matrices(axes: tuple, sample_time: float) -> np.ndarray:
         block[0, 1] = 1.0
         block[1:n, 1:n] = a
         block[1:n, n] = b
-        whole = expm(block * sample_time)
+        whole = matrix_exponential(block * sample_time)
         matrices["phi"][0, i, :n, :n], matrices["gamma"][0, i, :n] = whole[:n, :n], whole[:n, n]
     return matrices

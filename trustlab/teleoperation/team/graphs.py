@@ -10,8 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.models.checks import finite_number, positive
+from trustlab.models.linear_algebra import symmetric_eigen
 from trustlab.teleoperation.team.kernel import Formation
 from trustlab.teleoperation.team.settings import TeamSettings
+
+# Robots up to which a team has the same bits on every machine; Jacobi's rotations take too long for
+# more.
+MOST_IN_FIXED_ORDER = 64
 
 
 class GraphError(ValueError):
@@ -244,6 +249,14 @@ def scaled_settings(
     )
 
 
+def _eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return eigenvalues and eigenvectors of a symmetric matrix, in a fixed order if it is small."""
+    if len(matrix) > MOST_IN_FIXED_ORDER:
+        return np.linalg.eigh(matrix)
+    values, vectors = symmetric_eigen(matrix[None])
+    return values[0], vectors[0]
+
+
 def formation_on(graph: TeamGraph, coupling: float, h: float) -> Formation:
     """
     Return what one step of the midpoint rule of length 2h needs of a graph; a directed one must
@@ -252,7 +265,7 @@ def formation_on(graph: TeamGraph, coupling: float, h: float) -> Formation:
     L, none = coupling * laplacian(graph.adjacency), np.empty((0, 0))
     size = len(L)
     if not graph.directed:
-        values, vectors = np.linalg.eigh(L)
+        values, vectors = _eigen(L)
         # the least eigenvalue is 0; rounding may make it negative, which would let the mean drift
         values, vectors = np.maximum(values, 0.0), np.ascontiguousarray(vectors)
         # (I + hL + h²L²) of the midpoint rule is diagonal in the eigenbasis
