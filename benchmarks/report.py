@@ -118,14 +118,26 @@ def _write_csv(path: Path, rows: list[Row]) -> None:
 
 
 STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; max-width: 90rem; margin: 2rem auto; padding: 0 1rem; color: #1c2430; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.1rem; margin-top: 2rem; }
+body {
+  font: 15px/1.45 system-ui, sans-serif; color: #1c2430;
+  max-width: 90rem; margin: 2rem auto; padding: 0 1rem;
+}
+h1 { font-size: 1.5rem; }
+h2 { font-size: 1.1rem; margin-top: 2rem; }
 table { border-collapse: collapse; width: 100%; }
-th, td { text-align: left; vertical-align: top; padding: .4rem .6rem; border-bottom: 1px solid #d8dde5; }
-th { border-bottom: 2px solid #1c2430; } .n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
-.n small { display: block; color: #667; } .yes { color: #176b3a; font-weight: 600; } .no { color: #b3261e; font-weight: 600; }
-.fault td { background: #fdecea; } .note { color: #556; font-size: .88em; } dl { display: grid; grid-template-columns: max-content 1fr; gap: .15rem 1rem; }
-dt { color: #556; } dd { margin: 0; }
+th, td {
+  text-align: left; vertical-align: top; padding: .4rem .6rem; border-bottom: 1px solid #d8dde5;
+}
+th { border-bottom: 2px solid #1c2430; }
+.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
+.n small { display: block; color: #667; }
+.yes { color: #176b3a; font-weight: 600; }
+.no { color: #b3261e; font-weight: 600; }
+.fault td { background: #fdecea; }
+.note { color: #556; font-size: .88em; }
+dl { display: grid; grid-template-columns: max-content 1fr; gap: .15rem 1rem; }
+dt { color: #556; }
+dd { margin: 0; }
 """
 
 
@@ -144,11 +156,16 @@ def _page(rows: list[Row], facts: dict[str, str]) -> str:
             f'class="{kind}">{met}</td></tr>'
         )
     known = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in facts.items())
+    heads = "".join(
+        f'<th class="n">{words}</th>' for words in ("ours, ms", "peer, ms", "ratio")
+    )
     return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>trustlab: benchmarks</title>'
-        f"<style>{STYLE}</style></head><body><h1>Benchmarks</h1><p>{html.escape(METHOD)}</p><table><thead><tr><th>peer</th>"
-        '<th class="n">ours, ms</th><th class="n">peer, ms</th><th class="n">ratio</th><th>goal</th><th>met</th></tr></thead>'
-        f"<tbody>{''.join(body)}</tbody></table><h2>Measured on</h2><dl>{known}</dl></body></html>\n"
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f"<title>trustlab: benchmarks</title><style>{STYLE}</style></head><body>"
+        f"<h1>Benchmarks</h1><p>{html.escape(METHOD)}</p>"
+        f"<table><thead><tr><th>peer</th>{heads}<th>goal</th><th>met</th></tr></thead>"
+        f"<tbody>{''.join(body)}</tbody></table>"
+        f"<h2>Measured on</h2><dl>{known}</dl></body></html>\n"
     )
 
 

@@ -36,14 +36,17 @@ def scores(subjects=12, conditions=4):
 
 
 def model():
+    """Return the printed model of participant 2."""
     return tl.published_models()["2"]
 
 
 def analysis():
+    """Return a repeated-measures analysis of the scores."""
     return tl.repeated_measures(scores(), dv="score", within="condition", subject="subject")
 
 
 def campaign():
+    """Return the table of a campaign that is written to a folder."""
     def task(x, seed):
         return {"y": np.random.default_rng(seed).normal() + x}
 
@@ -52,12 +55,14 @@ def campaign():
 
 
 def corrections():
+    """Return one step of the threshold corrector."""
     corrector = tl.ThresholdCorrector(model(), target=(0.05, 0.4), horizon=100)
     plan = corrector.step(r=0.6, p_r=0.3, lower=0.0, upper=0.35, mode=1)
     return [plan.lower, plan.upper, plan.cost]
 
 
 def reconstruction(name):
+    """Return data with the printed statistics of a study."""
     return tl.reconstruct(tl.published_studies()[name], seed=0)
 
 
@@ -119,15 +124,18 @@ CASES = {
 
 
 def bounds(limits):
+    """Return the limits of thresholds."""
     return [limits.lower, limits.upper]
 
 
 def thresholds():
+    """Return the thresholds chosen for the model."""
     choice = tl.choose_thresholds(model())
     return choice.lower, choice.upper
 
 
 def power():
+    """Return the power of a study like the scores."""
     columns = tl.studies.StudyColumns("score", "condition", "subject")
     quick = tl.studies.Simulation(replicates=500, seed=0)
     return tl.power_analysis(data=scores(12, 3), columns=columns, n=12, simulation=quick)

@@ -14,8 +14,8 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXTRAS = PROJECT["project"]["optional-dependencies"]
 # Declared although no file imports them: JupyterLab is started by `make lab`, ipykernel by
-# papermill; the scheduler of `distributed` is Dask's.
-NOT_IMPORTED = {"jupyter", "ipykernel", "dask"}
+# papermill; a Dask client is the user's own.
+NOT_IMPORTED = {"jupyter", "ipykernel", "dask", "distributed"}
 
 
 def names(requirements):

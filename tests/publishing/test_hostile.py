@@ -36,9 +36,9 @@ from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.session import Session
 from trustlab.studies.analysis.rank_tests import friedman
 from trustlab.studies.analysis.report import report
-from trustlab.studies.regression.formula_model import FormulaModel
 from trustlab.studies.planning.virtual_study import VirtualStudy
 from trustlab.studies.questionnaires.likert import ScaleScores
+from trustlab.studies.regression.formula_model import FormulaModel
 from trustlab.teleoperation import TeamTrial
 from trustlab.testbeds.guidance_comparison import GuidanceComparison
 
