@@ -156,9 +156,7 @@ def _page(rows: list[Row], facts: dict[str, str]) -> str:
             f'class="{kind}">{met}</td></tr>'
         )
     known = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in facts.items())
-    heads = "".join(
-        f'<th class="n">{words}</th>' for words in ("ours, ms", "peer, ms", "ratio")
-    )
+    heads = "".join(f'<th class="n">{words}</th>' for words in ("ours, ms", "peer, ms", "ratio"))
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f"<title>trustlab: benchmarks</title><style>{STYLE}</style></head><body>"

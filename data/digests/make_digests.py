@@ -47,6 +47,7 @@ def analysis():
 
 def campaign():
     """Return the table of a campaign that is written to a folder."""
+
     def task(x, seed):
         return {"y": np.random.default_rng(seed).normal() + x}
 

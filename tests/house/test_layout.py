@@ -16,24 +16,24 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # Code tokens by room: comments, docstrings and layout are not counted. A limit is raised with what
 # a room takes on, and lowered with what it loses; it is no reason to pack.
 MOST_TOKENS = {
-    "allocation": 40000,
-    "campaign": 13000,
-    "identification": 29000,
-    "live": 25000,
-    "models": 8000,
-    "operators": 3500,
-    "publishing": 12000,
-    "reproduction": 40500,
-    "sessions": 30000,
-    "studies": 51500,
-    "teleoperation": 29500,
-    "testbeds": 29000,
+    "allocation": 40_000,
+    "campaign": 11_000,
+    "identification": 29_000,
+    "live": 25_000,
+    "models": 10_500,
+    "operators": 3_500,
+    "publishing": 12_000,
+    "reproduction": 41_500,
+    "sessions": 29_000,
+    "studies": 48_000,
+    "teleoperation": 30_500,
+    "testbeds": 32_000,
     "trustlab": 500,
 }
-MOST_TOKENS_A_LINE = 9.5
+MOST_TOKENS_A_LINE = 9.6
 WIDTH = 100
 MOST_PARAMETERS = 10
-MOST_PRONOUNS = 0.05
+MOST_PRONOUNS = 0.015
 PRONOUNS = re.compile(
     "(ones?|others?|own|given|found|kept|held|wanted|what|who|whose|which|both|them|they|theirs"
     "|ours|mine|it|this|that|these|those)"
@@ -209,7 +209,7 @@ def test_no_line_is_wider_than_a_page():
 
 
 def test_functions_are_short():
-    assert over(long_functions, 65) == {}
+    assert over(long_functions, 66) == {}
 
 
 def test_public_functions_take_few_parameters():

@@ -29,7 +29,10 @@ PICTURE = """from IPython.display import Image, display
 import base64, pathlib
 display(Image(data=base64.b64decode("%s"), format="png", alt="one dot"))
 print("data at", pathlib.Path.cwd().parent / "trustlab" / "a.py")"""
-DOT = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+DOT = (
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9aw"
+    "AAAABJRU5ErkJggg=="
+)
 
 
 def write(root, name, *cells):

@@ -123,7 +123,8 @@ def world(root):
         "<tr><th "
         "rowspan='2'>M</th><th>mean</th><td>1</td></tr><tr><th>SD</th><td>2</td></tr><tr><th>OMI</th><th>n</th>"
     )
-    grouped = f"<table><thead><tr><th></th><th></th><th>value</th></tr></thead><tbody>{grouped}<td>3</td></tr></tbody></table>"
+    head = "<thead><tr><th></th><th></th><th>value</th></tr></thead>"
+    grouped = f"<table>{head}<tbody>{grouped}<td>3</td></tr></tbody></table>"
     tables.append(cell({"text/html": grouped}))
     cells = [new_markdown_cell(words), answer, panels(5), panels(1), *tables]
     nbformat.write(new_notebook(cells=cells), root / "notebooks" / "01_a.ipynb")
@@ -305,9 +306,12 @@ def test_figure_is_explored_by_pointer_and_keyboard(browser, reports):
     figure.get_by_role("button", name="explore").click()
     view, told = figure.get_by_role("application"), figure.locator("output")
     readings = view.evaluate("""view => {
-        const box = view.getBoundingClientRect(), told = view.closest("figure").querySelector("output"), found = [];
+        const box = view.getBoundingClientRect();
+        const told = view.closest("figure").querySelector("output");
+        const found = [];
         for (let x = 1; x < box.width; x += 8) for (let y = 1; y < box.height; y += 3) {
-            view.dispatchEvent(new PointerEvent("pointermove", { clientX: box.left + x, clientY: box.top + y }));
+            const place = { clientX: box.left + x, clientY: box.top + y };
+            view.dispatchEvent(new PointerEvent("pointermove", place));
             found.push(told.textContent);
         }
         return found;

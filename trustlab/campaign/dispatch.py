@@ -4,6 +4,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from traceback import extract_tb
 from typing import Any
 
 from trustlab.campaign.errors import CampaignError
@@ -160,7 +161,14 @@ class Dispatcher:
 
 
 def _is_death(error: BaseException) -> bool:
-    """Return whether a worker died; Dask says so with an error of its own."""
-    return isinstance(error, BrokenExecutor | CancelledError) or (
-        type(error).__name__ == "KilledWorker"
-    )
+    """
+    Return whether a worker died with the chunk.
+
+    Dask has an error of its own, and its executor fails to unpack a result that was lost with the
+    workers that held it.
+    """
+    if isinstance(error, BrokenExecutor | CancelledError):
+        return True
+    places = [frame.filename for frame in extract_tb(error.__traceback__)]
+    lost = isinstance(error, ValueError) and places[-1:] and places[-1].endswith("cfexecutor.py")
+    return bool(lost) or type(error).__name__ == "KilledWorker"

@@ -252,10 +252,8 @@ def _axis(axis) -> str:
     )
     names = [spoken(tick.get_text()) for tick in axis.get_ticklabels()]
     if any(re.search(r"[^\W\d_]{2}|[A-Z]\d", name) for name in names):
-        return (
-            f"{label} "
-            f"({', '.join(filter(None, names[:MOST_LINES]))}{' …' if len(names) > MOST_LINES else ''})"
-        )
+        listed = ", ".join(filter(None, names[:MOST_LINES]))
+        return f"{label} ({listed}{' …' if len(names) > MOST_LINES else ''})"
     low, high = sorted(axis.get_view_interval())
     return f"{label} from {low:.3g} to {high:.3g}"
 

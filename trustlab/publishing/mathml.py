@@ -108,7 +108,10 @@ def _faults(element: Element) -> Iterator[str]:
     if name in PARTS and len(element) != PARTS[name]:
         yield f"a part is missing ({name} needs {PARTS[name]}, found {len(element)})"
     if element.get("linebreak"):
-        yield r"a line break is outside an environment; put \begin{aligned} … \end{aligned} round it"
+        yield (
+            r"a line break is outside an environment; "
+            r"put \begin{aligned} … \end{aligned} round it"
+        )
     if element.get("mathvariant", "normal") != "normal":
         yield (
             f"browsers do not show the alphabet {element.get('mathvariant')!r}; use \\mathbf or "

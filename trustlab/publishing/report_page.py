@@ -53,7 +53,11 @@ LEFT_OVER = re.compile(
 )
 # $5 and $6 are prices: a dollar that opens a formula is not followed by a space; one that closes it
 # is neither preceded by a space nor followed by a digit.
-FORMULA = r"(?s:(?<![\\$])\$(?![\s$])(?P<math_inline_tex>(?:\\\$|(?!\n\s*\n)[^$`])+?)(?<![\s\\])\$(?![\d$]))"
+FORMULA = (
+    r"(?s:(?<![\\$])\$(?![\s$])"
+    r"(?P<math_inline_tex>(?:\\\$|(?!\n\s*\n)[^$`])+?)"
+    r"(?<![\s\\])\$(?![\d$]))"
+)
 FETCHED = ("src", "srcset", "poster", "data", "background", "xlink:href", "action", "formaction")
 # A backslash may spell any of the others; within a picture "<" ends a style.
 ELSEWHERE = re.compile(r"@import|image-set|\\|<|url\(\s*['\"]?\s*(?!data:|#)", re.IGNORECASE)
@@ -351,11 +355,13 @@ def check_page(page: str, what: str) -> None:
 
 
 NUMBER = re.compile(
-    r"[<>]?\s*[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|<NA>|[-+]?inf|\u2013|-"
+    r"[<>]?\s*[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?"
+    r"|nan|NaN|<NA>|[-+]?inf|\u2013|-"
 )
 P_VALUE = re.compile(
     r"p|p, .*|mauchly_p"
-    r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman|mixed|shapiro_least|simulated|chi2)"
+    r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman"
+    r"|mixed|shapiro_least|simulated|chi2)"
 )
 LEAST_P = 0.001
 # Significant digits that are shown as they are; of more, one less than that is shown.

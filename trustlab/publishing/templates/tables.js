@@ -1,20 +1,28 @@
 "use strict";
-// Tables are sorted, filtered, unfolded and saved within the page; without this script all of them stand there whole.
+// Tables are sorted, filtered, unfolded and saved within the page; without this script all of them
+// stand there whole.
 const FOLDED = 15;
 const make = (name, about) => Object.assign(document.createElement(name), about);
 const value = (cell) => (cell.dataset.value ?? cell.textContent).trim();
-const number = (text) => (/^[<>\s]*[-+−]?[\d.,]+(e[-+]?\d+)?\s*%?$/i.test(text) ? parseFloat(text.replace(/[<>\s,]/g, "").replace("−", "-")) : NaN);
+const number = (text) =>
+  /^[<>\s]*[-+−]?[\d.,]+(e[-+]?\d+)?\s*%?$/i.test(text)
+    ? parseFloat(text.replace(/[<>\s,]/g, "").replace("−", "-"))
+    : NaN;
 
 function asCsv(table) {
   const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
-  return [...table.rows].map((row) => [...row.cells].map((cell) => quoted(value(cell))).join(",")).join("\n");
+  return [...table.rows]
+    .map((row) => [...row.cells].map((cell) => quoted(value(cell))).join(","))
+    .join("\n");
 }
 
 function order(table, column, upwards) {
   const key = (row) => value(row.cells[column]);
   const before = (a, b) => {
-    const x = number(key(a)), y = number(key(b));
-    if (Number.isNaN(x) || Number.isNaN(y)) return Number.isNaN(x) - Number.isNaN(y) || key(a).localeCompare(key(b));
+    const x = number(key(a)),
+      y = number(key(b));
+    if (Number.isNaN(x) || Number.isNaN(y))
+      return Number.isNaN(x) - Number.isNaN(y) || key(a).localeCompare(key(b));
     return x - y;
   };
   const rows = [...table.tBodies[0].rows].sort(before);
@@ -32,8 +40,13 @@ function dropCount(table) {
 function sortable(table) {
   const heads = [...table.tHead.rows].at(-1).cells;
   [...heads].forEach((head, column) => {
-    const button = make("button", { type: "button", className: "sort", title: "sort by this column" });
-    head.querySelectorAll("a").forEach((link) => link.replaceWith(...link.childNodes));  // no link within a button
+    const button = make("button", {
+      type: "button",
+      className: "sort",
+      title: "sort by this column",
+    });
+    // no link within a button
+    head.querySelectorAll("a").forEach((link) => link.replaceWith(...link.childNodes));
     button.append(...head.childNodes);
     head.append(button);
     button.addEventListener("click", () => {
@@ -46,13 +59,21 @@ function sortable(table) {
 }
 
 function foldable(table, bar, count) {
-  const all = make("button", { type: "button", textContent: `show all ${count} rows`, ariaExpanded: "false" });
+  const all = make("button", {
+    type: "button",
+    textContent: `show all ${count} rows`,
+    ariaExpanded: "false",
+  });
   const fold = (folded) => {
     table.classList.toggle("folded", folded);
     all.textContent = folded ? `show all ${count} rows` : `show ${FOLDED} rows`;
     all.ariaExpanded = String(!folded);
   };
-  const filter = make("input", { type: "search", placeholder: "filter rows", ariaLabel: "filter rows" });
+  const filter = make("input", {
+    type: "search",
+    placeholder: "filter rows",
+    ariaLabel: "filter rows",
+  });
   const told = make("output", {});
   filter.addEventListener("input", () => {
     const words = filter.value.toLowerCase().split(/\s+/);
@@ -68,8 +89,16 @@ function foldable(table, bar, count) {
   all.addEventListener("click", () => fold(!table.classList.contains("folded")));
   bar.append(filter, all, told);
   fold(true);
-  const named = () => location.hash && table.querySelector(`[id="${CSS.escape(decodeURIComponent(location.hash.slice(1)))}"]`);
-  const unfold = () => { const row = named(); if (row) { fold(false); row.scrollIntoView(); } };
+  const named = () =>
+    location.hash &&
+    table.querySelector(`[id="${CSS.escape(decodeURIComponent(location.hash.slice(1)))}"]`);
+  const unfold = () => {
+    const row = named();
+    if (row) {
+      fold(false);
+      row.scrollIntoView();
+    }
+  };
   addEventListener("hashchange", unfold);
   unfold();
 }
@@ -79,15 +108,25 @@ function equip(table, place) {
   if (!table.tHead || !body) return;
   dropCount(table);
   // Where rows are grouped, the first cell of a row may be one of its second column.
-  for (const { cells: [cell] } of table.rows) if (cell?.offsetLeft === 0 && cell.colSpan === 1) cell.classList.add("first");
+  for (const {
+    cells: [cell],
+  } of table.rows)
+    if (cell?.offsetLeft === 0 && cell.colSpan === 1) cell.classList.add("first");
   if (body.rows.length < 3) return;
   const bar = make("div", { className: "tools" });
   if (!body.querySelector("[rowspan], [colspan]")) {
     sortable(table);
     if (body.rows.length > FOLDED + 5) foldable(table, bar, body.rows.length);
   }
-  const save = make("a", { href: "#", textContent: "CSV", title: "save this table as CSV", download: `${document.title}, table ${place + 1}.csv` });
-  save.addEventListener("click", () => { save.href = `data:text/csv;charset=utf-8,${encodeURIComponent(asCsv(table))}`; });
+  const save = make("a", {
+    href: "#",
+    textContent: "CSV",
+    title: "save this table as CSV",
+    download: `${document.title}, table ${place + 1}.csv`,
+  });
+  save.addEventListener("click", () => {
+    save.href = `data:text/csv;charset=utf-8,${encodeURIComponent(asCsv(table))}`;
+  });
   bar.append(save);
   table.closest(".scroll").before(bar);
 }
@@ -95,5 +134,7 @@ function equip(table, place) {
 addEventListener("DOMContentLoaded", () => {
   document.querySelectorAll(".scroll table").forEach(equip);
   // What scrolls can be reached by keyboard.
-  document.querySelectorAll(".equation, pre").forEach((one) => { if (one.scrollWidth > one.clientWidth) one.tabIndex = 0; });
+  document.querySelectorAll(".equation, pre").forEach((one) => {
+    if (one.scrollWidth > one.clientWidth) one.tabIndex = 0;
+  });
 });

@@ -250,7 +250,7 @@ def scaled_settings(
 
 
 def _eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return eigenvalues and eigenvectors of a symmetric matrix, in a fixed order if it is small."""
+    """Return eigenvalues and eigenvectors of a symmetric matrix; in fixed order if it is small."""
     if len(matrix) > MOST_IN_FIXED_ORDER:
         return np.linalg.eigh(matrix)
     values, vectors = symmetric_eigen(matrix[None])
