@@ -24,11 +24,15 @@ live = tl.LiveGroundRobot("C1", model=tl.published_models()["2"], laps=1)
 live"""
 ASK = """import time
 session = live.session
-print("asked", len(session), live.verified, session["v_command"].max(), session.metadata.more["pauses"], time.time(), "end")"""
+fastest = session["v_command"].max()
+pauses = session.metadata.more["pauses"]
+print("asked", len(session), live.verified, fastest, pauses, time.time(), "end")"""
 FLY = """import trustlab as tl
 live = tl.LiveTracking("TMIG", seed=0, task=tl.TrackingTask(view=1.0))
 live"""
-ASK_FLIGHT = """print("asked", len(live.session), live.verified, live.session["hand_x"].max(), live.session.metadata.more["notes"], "end")"""
+ASK_FLIGHT = """session = live.session
+notes = session.metadata.more["notes"]
+print("asked", len(session), live.verified, session["hand_x"].max(), notes, "end")"""
 CELL = """async (i) => {
   const notebook = jupyterapp.shell.currentWidget.content, cell = notebook.widgets[i];
   notebook.activeCellIndex = i;

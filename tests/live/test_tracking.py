@@ -23,7 +23,10 @@ const config = await (await fetch("./config.json")).json(), heard = [];
 const model = {
   get: () => config,
   on: (type, act) => heard.push(act),
-  send: async (said) => { const answer = JSON.parse(await window.kernel(JSON.stringify(said))); heard.forEach((act) => act(answer)); },
+  send: async (said) => {
+    const answer = JSON.parse(await window.kernel(JSON.stringify(said)));
+    heard.forEach((act) => act(answer));
+  },
 };
 widget.render({ model, el: document.getElementById("place") });
 window.ready = true;
@@ -268,7 +271,9 @@ def test_the_page_sends_the_pointer_and_draws_the_answers(browser):
         page.wait_for_timeout(50)
     page.wait_for_timeout(300)
     drawn = page.evaluate("document.querySelector('.tl-track').drawn")
-    ink = """(name) => { const c = document.querySelector(name), d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+    ink = """(name) => {
+        const c = document.querySelector(name);
+        const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
       return d.filter((x, i) => i % 4 === 3 && x > 0).length; }"""
     assert drawn["frames"] > 10
     assert drawn["now"]["t"] > 0.5

@@ -38,14 +38,19 @@ const heard = [];
 const model = {
   get: (name) => given[name],
   on: (type, act) => heard.push(act),
-  send: async (said) => { const answer = await window.kernel(JSON.stringify(said)); if (answer) heard.forEach((act) => act(JSON.parse(answer))); },
+  send: async (said) => {
+    const answer = await window.kernel(JSON.stringify(said));
+    if (answer) heard.forEach((act) => act(JSON.parse(answer)));
+  },
 };
 window.given = given;
 widget.render({ model, el: document.getElementById("place") });
 </script>"""
 NOW = """() => { const d = document.querySelector('.tl-drive').driving, p = d.physics;
-  return [p.get('x'), p.get('y'), p.get('yaw'), p.get('w'), p.get('arc'), p.get('laps'), p.k, p.done ? 1 : 0]; }"""
-PAD = """window.pad = { connected: true, index: 0, axes: [0, 0, 0, 0], buttons: [...Array(17)].map(() => ({ pressed: false })) };
+  const numbers = ['x', 'y', 'yaw', 'w', 'arc', 'laps'].map((name) => p.get(name));
+  return [...numbers, p.k, p.done ? 1 : 0]; }"""
+PAD = """const buttons = [...Array(17)].map(() => ({ pressed: false }));
+window.pad = { connected: true, index: 0, axes: [0, 0, 0, 0], buttons };
 navigator.getGamepads = () => [window.pad, null, null, null];"""
 
 
@@ -140,9 +145,12 @@ def test_chromium_gives_the_bits_of_numba(notebook):
     page.wait_for_function("() => window.given !== undefined")
     found = page.evaluate(
         """async () => {
-          const commands = new Float64Array(await (await fetch("./commands")).arrayBuffer()), count = commands.length / 3;
-          const physics = await Physics.load(given.wasm.buffer, given.config), rows = new Float64Array(15 * count);
-          for (let k = 0; k < count; k += 1) rows.set(physics.tick(...commands.subarray(3 * k, 3 * k + 3)), 15 * k);
+          const commands = new Float64Array(await (await fetch("./commands")).arrayBuffer());
+          const count = commands.length / 3;
+          const physics = await Physics.load(given.wasm.buffer, given.config);
+          const rows = new Float64Array(15 * count);
+          for (let k = 0; k < count; k += 1)
+            rows.set(physics.tick(...commands.subarray(3 * k, 3 * k + 3)), 15 * k);
           const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", rows.buffer));
           return [...digest].map((x) => x.toString(16).padStart(2, "0")).join("");
         }"""
@@ -247,9 +255,20 @@ def test_hands(notebook):
     one = notebook(drive_config("training", MODEL, seconds=600.0, seed=3))
     one.start()
     page = one.page
-    page.evaluate("""() => { window.late = []; let pressed = 0; const root = document.querySelector('.tl-drive'), d = root.driving;
-      root.addEventListener('keydown', (event) => { if (!event.repeat && event.code === 'KeyW') pressed = performance.now(); }, true);
-      setInterval(() => { if (pressed && d.row[9] > 0) { late.push(performance.now() - pressed); pressed = 0; } }, 2); }""")
+    page.evaluate("""() => {
+      window.late = [];
+      let pressed = 0;
+      const root = document.querySelector('.tl-drive');
+      const begin = (event) => {
+        if (!event.repeat && event.code === 'KeyW') pressed = performance.now();
+      };
+      const look = () => {
+        if (!pressed || !(root.driving.row[9] > 0)) return;
+        late.push(performance.now() - pressed);
+        pressed = 0;
+      };
+      root.addEventListener('keydown', begin, true);
+      setInterval(look, 2); }""")
     for n in range(10):
         page.keyboard.down("KeyW")
         page.wait_for_timeout(190 + 7 * n % 60)

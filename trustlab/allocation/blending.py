@@ -152,7 +152,9 @@ class OptimalBlending:
     Examples
     --------
     >>> blending = OptimalBlending(alpha_min=0.2)
-    >>> step = blending.step(u_h=[0.1, 0, 0], u_a=[0.3, 0, 0], e=[1.0, 0, 0], rate=[0, 0, 0], acceleration=[0, 0, 0])
+    >>> still = [0.0, 0.0, 0.0]
+    >>> commands = {"u_h": [0.1, 0, 0], "u_a": [0.3, 0, 0]}
+    >>> step = blending.step(**commands, e=[1.0, 0, 0], rate=still, acceleration=still)
     >>> bool(0.2 <= step.alpha <= 1.0)
     True
     """

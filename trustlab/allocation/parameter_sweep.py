@@ -316,7 +316,8 @@ def cycle_sensitivity(
     >>> import trustlab as tl
     >>> tsc = tl.published_models()["2"]
     >>> ranges = {"upper": (0.2, 0.35), "human.a": (0.998, 0.9995)}
-    >>> indices = tl.cycle_sensitivity(tsc, ranges, n=16, lower=0.0, quantities=("mean_r",), n_jobs=1)
+    >>> options = {"quantities": ("mean_r",), "n_jobs": 1}
+    >>> indices = tl.cycle_sensitivity(tsc, ranges, n=16, lower=0.0, **options)
     >>> indices.table()[["parameter", "total"]].round(1)
       parameter  total
     0     upper    1.0

@@ -139,7 +139,8 @@ def estimate_thresholds(
     --------
     >>> import trustlab as tl
     >>> run = tl.run_condition("C3", participant=2, laps=4, seed=0)
-    >>> estimate = tl.estimate_thresholds(run.session, tl.published_models()["2"], within=1.0, resamples=100)
+    >>> model = tl.published_models()["2"]
+    >>> estimate = tl.estimate_thresholds(run.session, model, within=1.0, resamples=100)
     >>> estimate.table().index.tolist()
     ['lower', 'upper']
     """

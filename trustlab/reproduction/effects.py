@@ -134,7 +134,8 @@ def printed_effects() -> pd.DataFrame:
     Examples
     --------
     >>> import trustlab as tl
-    >>> tl.printed_effects().set_index("id").loc["table_2.4/tlx/C2-C1", ["printed", "low", "high"]].round(2).tolist()
+    >>> effect = tl.printed_effects().set_index("id").loc["table_2.4/tlx/C2-C1"]
+    >>> effect[["printed", "low", "high"]].astype(float).round(2).tolist()
     [-3.61, -3.62, -3.6]
     """
     return pd.DataFrame([effect[: len(COLUMNS)] for effect in effects()], columns=COLUMNS)

@@ -79,7 +79,8 @@ def simulated_effects(
         comes equally often first, second …
     seed : int
         Of all operators and runs.
-    only : {"ground_robot", "uav", "table_2.4", "table_2.5", "table_2.6", "table_3.1", "teleop"}, optional
+    only : str, optional
+        "ground_robot", "uav", "table_2.4", "table_2.5", "table_2.6", "table_3.1" or "teleop".
         The study to simulate, "ground_robot" for that of Tables 2.4 to 2.6; all of them when not
         given. Rows of other studies are then left out.
     n_jobs : int, optional
@@ -102,7 +103,8 @@ def simulated_effects(
     Examples
     --------
     >>> import trustlab as tl
-    >>> effects = tl.simulated_effects({"attention_cost": 0.05}, n=4, seed=0, only="table_2.6", n_jobs=1)
+    >>> assumptions = {"attention_cost": 0.05}
+    >>> effects = tl.simulated_effects(assumptions, n=4, seed=0, only="table_2.6", n_jobs=1)
     >>> effects["id"].tolist()
     ['table_2.6/followed_percent/C2-C4']
     """

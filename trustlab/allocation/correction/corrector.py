@@ -89,7 +89,8 @@ class ThresholdCorrector:
     Examples
     --------
     >>> import trustlab as tl
-    >>> corrector = tl.ThresholdCorrector(tl.published_models()["2"], target=(0.05, 0.4), horizon=200)
+    >>> model = tl.published_models()["2"]
+    >>> corrector = tl.ThresholdCorrector(model, target=(0.05, 0.4), horizon=200)
     >>> step = corrector.step(r=0.7, p_r=0.33, lower=0.0, upper=0.35, mode=1)
     >>> round(step.c_l * 1e6, 3), step.suggestion, step.gap
     (2.409, -1, 0.0)

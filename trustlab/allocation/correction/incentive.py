@@ -77,7 +77,8 @@ def incentive_bounds(
     Examples
     --------
     >>> import trustlab as tl
-    >>> least, most = tl.incentive_bounds(r=0.7, p_r=0.30, c_b=1e-5, model=tl.published_models()["2"])
+    >>> model = tl.published_models()["2"]
+    >>> least, most = tl.incentive_bounds(r=0.7, p_r=0.30, c_b=1e-5, model=model)
     >>> least < 0.0 < most
     True
     """

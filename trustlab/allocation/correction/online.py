@@ -88,7 +88,8 @@ class OnlineCorrection:
     >>> import trustlab as tl
     >>> corrector = tl.ThresholdCorrector(tl.published_models()["2"], target=(0.05, 0.4))
     >>> online = tl.OnlineCorrection(corrector, start=(0.0, 0.35))
-    >>> [online.update(p_r=p_r, p_h=0.39, mode=1).suggestion for p_r in (0.26, 0.3, float("nan"), 0.34)]
+    >>> measured = (0.26, 0.3, float("nan"), 0.34)
+    >>> [online.update(p_r=p_r, p_h=0.39, mode=1).suggestion for p_r in measured]
     [1, -1, -1, 0]
     """
 

@@ -137,7 +137,8 @@ def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, Print
         numbers[number.id] = number
     if changes is not None and not isinstance(changes, Mapping):
         raise ValueError(
-            f"changes must map ids to texts of numbers, for example {{'table_2.1/a_r/1': '0.9992'}}, got {shown(changes)}; "
+            "changes must map ids to texts of numbers, for example "
+            f"{{'table_2.1/a_r/1': '0.9992'}}, got {shown(changes)}; "
             'to select rows of the audit: verdicts[verdicts["verdict"] == "differs"]'
         )
     for id, text in (changes or {}).items():
