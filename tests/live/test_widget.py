@@ -17,7 +17,7 @@ import pytest
 import trustlab as tl
 from trustlab.live.attempt import Attempt
 from trustlab.live.build import WASM
-from trustlab.live.ground_robot import module_of
+from trustlab.live.ground_robot import MODULES, module_of
 from trustlab.live.hand import HumanHand, scripted_drive
 from trustlab.live.runs import commands_of, drive_config, driven
 from trustlab.testbeds import Course
@@ -67,7 +67,7 @@ class Notebook:
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
         files = {
             "": ("text/html", PAGE),
-            "widget.js": ("text/javascript", module_of("rows.js", "drive.js", "widget.js")),
+            "widget.js": ("text/javascript", module_of(*MODULES)),
             "given.json": (
                 "application/json",
                 json.dumps({"config": config, "key": self.attempt.key}),

@@ -3,6 +3,7 @@
 loop.
 """
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,9 +27,15 @@ with extra("live"):
     import traitlets
 
 
+MODULES = ("rows.js", "physics.js", "hands.js", "view.js", "drive.js", "widget.js")
+"""The browser modules of the widget, each behind those that it imports."""
+
+
 def module_of(*names: str) -> str:
     """Return browser modules of the package joined to one, as a notebook loads it."""
-    return "\n".join((STATIC / name).read_text(encoding="utf-8") for name in names)
+    text = "\n".join((STATIC / name).read_text(encoding="utf-8") for name in names)
+    # What the modules import from each other stands in the joined one.
+    return re.sub(r'^import .* from "\./[a-z_]+\.js";\n', "", text, flags=re.M)
 
 
 def checked_thresholds(
@@ -112,7 +119,7 @@ class LiveGroundRobot(anywidget.AnyWidget):
     []
     """
 
-    _esm = module_of("rows.js", "drive.js", "widget.js")
+    _esm = module_of(*MODULES)
     config = traitlets.Dict().tag(sync=True)
     wasm = traitlets.Bytes().tag(sync=True)
     key = traitlets.Unicode().tag(sync=True)

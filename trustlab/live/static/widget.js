@@ -1,4 +1,4 @@
-// The widget of a notebook: a start button, the drive, and its rows by the kernel's messages. Behind rows.js and drive.js in one module.
+// The widget of a notebook: a start button, the drive, and its rows by the kernel's messages. Behind the modules that it uses, in one.
 
 const SILENT = "The kernel does not answer. Nothing is lost: what is driven waits in this browser. If the kernel was restarted, run the cell "
   + "again; if that does not help, reload the page.";

@@ -1,0 +1,95 @@
+// Who drives: hands on keyboard, gamepad, mouse or finger, or a script.
+import { clamp } from "./physics.js";
+
+const KEYS = {
+  ArrowUp: [0, 1], KeyW: [0, 1], ArrowDown: [0, -1], KeyS: [0, -1],
+  ArrowLeft: [1, 1], KeyA: [1, 1], ArrowRight: [1, -1], KeyD: [1, -1],
+};
+
+// The hands on keyboard, gamepad, mouse or finger; whichever was used last drives.
+export class Hands {
+  constructor(root, ramp, onBlur) {
+    this.down = new Set();
+    this.levers = [0, 0];
+    this.ramp = ramp;
+    this.pointer = null;
+    this.source = "keyboard";
+    this.toggles = 0;
+    this.stop = new AbortController();
+    const listen = (target, type, act, more = {}) => target.addEventListener(type, act, { signal: this.stop.signal, ...more });
+    listen(root, "keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey || event.code === "Tab") return;
+      event.stopPropagation();          // a notebook has shortcuts of its own: an x beside the keys would cut the cell
+      if (event.code === "Space") this.toggles += event.repeat ? 0 : 1;
+      else if (event.code in KEYS) {
+        this.down.add(event.code);
+        this.source = "keyboard";
+      } else return;
+      event.preventDefault();
+    });
+    listen(root, "keyup", (event) => { this.down.delete(event.code); event.stopPropagation(); });
+    listen(root, "blur", () => { this.clear(); onBlur(); });
+    listen(root, "pointerdown", (event) => {
+      if (event.target.closest("button")) return;
+      root.focus({ preventScroll: true });
+      this.pointer = { id: event.pointerId, x: event.clientX, y: event.clientY, forward: 0, left: 0 };
+      this.source = "pointer";
+    });
+    listen(window, "pointermove", (event) => {
+      if (this.pointer?.id !== event.pointerId) return;
+      this.pointer.forward = clamp((this.pointer.y - event.clientY) / 80, -1, 1);
+      this.pointer.left = clamp((this.pointer.x - event.clientX) / 80, -1, 1);
+    });
+    for (const type of ["pointerup", "pointercancel"]) listen(window, type, (event) => { if (this.pointer?.id === event.pointerId) this.pointer = null; });
+  }
+
+  clear() {
+    this.down.clear();
+    this.pointer = null;
+    this.levers = [0, 0];
+  }
+
+  // Where forward and left stand now, each in [−1, 1]; one call per sample.
+  read(seconds) {
+    const pad = [...(navigator.getGamepads?.() ?? [])].find((one) => one?.connected);
+    if (pad) {
+      const still = (x) => (Math.abs(x ?? 0) < 0.08 ? 0 : x);
+      const axes = [-still(pad.axes[1]), -still(pad.axes[0])];
+      if (axes[0] || axes[1]) this.source = "gamepad";
+      const pressed = pad.buttons[0]?.pressed ?? false;
+      if (pressed && !this.pressed) this.toggles += 1;
+      this.pressed = pressed;
+      if (this.source === "gamepad") return axes;
+    }
+    if (this.source === "pointer") return this.pointer ? [this.pointer.forward, this.pointer.left] : [0, 0];
+    const wanted = [0, 0];
+    for (const code of this.down) wanted[KEYS[code][0]] += KEYS[code][1];
+    this.levers = this.levers.map((now, i) => {
+      const want = clamp(wanted[i], -1, 1);
+      const most = (Math.abs(want) > Math.abs(now) ? this.ramp.rise : this.ramp.fall) * seconds;
+      return now + clamp(want - now, -most, most);
+    });
+    return this.levers;
+  }
+}
+
+// A scripted hand for tests and rehearsals: steers to a point ahead on the path, wobbles, follows suggestions, switches now and then.
+export function script(hand, config, physics) {
+  const { speed = 0.9, wobble = 0.1, ahead = 1.2, patience = 20, phase = 600 } = hand;
+  const path = config.path, length = path.at(-1)[2];
+  let since = 0;
+  return (k, row) => {
+    let s = physics.get("arc") + ahead, i = 0;
+    s -= Math.floor(s / length) * length;
+    while (i < path.length - 2 && path[i + 1][2] <= s) i += 1;
+    const share = (s - path[i][2]) / (path[i + 1][2] - path[i][2]);
+    const [x, y] = [0, 1].map((axis) => path[i][axis] + share * (path[i + 1][axis] - path[i][axis]));
+    const aim = Math.atan2(y - physics.get("y"), x - physics.get("x")) - physics.get("yaw");
+    const bearing = Math.atan2(Math.sin(aim), Math.cos(aim)) + wobble * Math.sin(0.09 * k);
+    const now = row?.[0] ?? 1, suggested = row?.[1] ?? -1;
+    since = suggested >= 0 && suggested !== now ? since + 1 : 0;
+    const free = config.task.scheme === 1 && k % phase === phase - 1;
+    const wanted = since > patience ? suggested : free ? 1 - now : null;
+    return { forward: clamp(speed - 0.3 * Math.abs(bearing), 0, 1), left: clamp(1.6 * bearing, -1, 1), wanted };
+  };
+}
