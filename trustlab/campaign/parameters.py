@@ -204,10 +204,12 @@ def checked_names(parameters: Sequence[Mapping]) -> list[str]:
         if not isinstance(name, str) or not name:
             raise ValueError(f"names of parameters must be text, got {name!r} in run 0")
         if name in RESERVED:
-            own = (
+            reason = (
                 "every run is given a seed of its own"
                 if name == "seed"
                 else "the table has a column of that name"
             )
-            raise ValueError(f"a parameter cannot be called {name!r}: {own}; remove or rename it")
+            raise ValueError(
+                f"a parameter cannot be called {name!r}: {reason}; remove or rename it"
+            )
     return names

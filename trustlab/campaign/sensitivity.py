@@ -182,16 +182,20 @@ def sobol_indices(
         for point in _points(distributions, n, points)
     ]
     table = run_campaign(task, parameters, seed=seed, **campaign)
-    wanted = _numeric(table, names, results)
-    values = table[wanted].to_numpy(dtype=float).T.reshape(len(wanted), d + 2, n)
+    names_of_results = _numeric(table, names, results)
+    values = (
+        table[names_of_results].to_numpy(dtype=float).T.reshape(len(names_of_results), d + 2, n)
+    )
     f_a = values[:, 0]
     f_b = values[:, 1]
     f_ab = values[:, 2:].swapaxes(0, 1)
 
     def indices(k: np.ndarray) -> np.ndarray:
         """Return first-order and total indices from the points k; SciPy drops axes of length 1."""
-        found = scipy_indices(func={"f_A": f_a[:, k], "f_B": f_b[:, k], "f_AB": f_ab[..., k]}, n=n)
-        return np.stack([found.first_order, found.total_order]).reshape(2, -1, d)
+        estimate = scipy_indices(
+            func={"f_A": f_a[:, k], "f_B": f_b[:, k], "f_AB": f_ab[..., k]}, n=n
+        )
+        return np.stack([estimate.first_order, estimate.total_order]).reshape(2, -1, d)
 
     rng = np.random.default_rng(draws)
     with np.errstate(
@@ -202,8 +206,8 @@ def sobol_indices(
     low, high = np.nanquantile(again, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
     # Axes: estimate and its two ends, first order and total, results, parameters.
     shares = np.stack([whole, low, high])
-    shares[:, :, np.ptp(values[:, :2].reshape(len(wanted), -1), axis=1) == 0.0] = np.nan
-    index = pd.MultiIndex.from_product([wanted, names], names=["result", "parameter"])
+    shares[:, :, np.ptp(values[:, :2].reshape(len(names_of_results), -1), axis=1) == 0.0] = np.nan
+    index = pd.MultiIndex.from_product([names_of_results, names], names=["result", "parameter"])
     columns = [f"{order}_{end}" for order in ("first", "total") for end in ("order", "low", "high")]
     frame = pd.DataFrame(shares.transpose(2, 3, 1, 0).reshape(len(index), 6), index, columns)
     return SobolIndices(frame.rename(columns={"total_order": "total"}).reset_index(), n, level)
@@ -222,7 +226,12 @@ def _points(distributions: dict[str, Any], n: int, seed: np.random.SeedSequence)
     d = len(distributions)
     unit = qmc.Sobol(2 * d, rng=np.random.default_rng(seed), bits=64).random(n)
     a, b = (
-        np.column_stack([one.ppf(u) for one, u in zip(distributions.values(), half.T, strict=True)])
+        np.column_stack(
+            [
+                distribution.ppf(u)
+                for distribution, u in zip(distributions.values(), half.T, strict=True)
+            ]
+        )
         for half in np.hsplit(unit, 2)
     )
     mixed = [np.where(np.arange(d) == j, b, a) for j in range(d)]
@@ -241,22 +250,22 @@ def _distributions(ranges: Any) -> dict[str, Any]:
             "indices divide variance among parameters: give at least two, got "
             f"{', '.join(ranges)} alone"
         )
-    found = {}
+    distributions = {}
     for name, kind in ranges.items():
         if isinstance(kind, tuple):
             low, high = interval(f"ranges[{name!r}]", kind)
-            found[name] = stats.uniform(low, high - low)
+            distributions[name] = stats.uniform(low, high - low)
         elif callable(getattr(kind, "ppf", None)):
-            found[name] = kind
+            distributions[name] = kind
         else:
             raise ValueError(
                 f"ranges[{name!r}] must be (low, high) or a SciPy distribution, got "
                 f"{type(kind).__name__}"
             )
-    return found
+    return distributions
 
 
-def _numeric(table: pd.DataFrame, names: list[str], wanted: list[str] | None) -> list[str]:
+def _numeric(table: pd.DataFrame, names: list[str], selected: list[str] | None) -> list[str]:
     """Return the results to analyse, finite in every run."""
     if table["failed"].any():
         bad = table[table["failed"]].iloc[0]
@@ -266,11 +275,11 @@ def _numeric(table: pd.DataFrame, names: list[str], wanted: list[str] | None) ->
             "task"
         )
     known = [c for c in table.columns if c not in ("run", *names, "failed", "error", "traceback")]
-    if wanted is None:
-        wanted = [c for c in known if pd.api.types.is_numeric_dtype(table[c])]
-        if not wanted:
+    if selected is None:
+        selected = [c for c in known if pd.api.types.is_numeric_dtype(table[c])]
+        if not selected:
             raise ValueError(f"none of the results {', '.join(known)} is a number")
-    for name in wanted:
+    for name in selected:
         if name not in known:
             raise ValueError(f"results names {name!r}, but the task returns {', '.join(known)}")
         if not pd.api.types.is_numeric_dtype(table[name]):
@@ -285,4 +294,4 @@ def _numeric(table: pd.DataFrame, names: list[str], wanted: list[str] | None) ->
                 f"{int(bad.sum())} of {len(table)} points, first at {row[names].to_dict()}; "
                 "narrow the ranges, or choose results that are defined there"
             )
-    return list(wanted)
+    return list(selected)

@@ -178,12 +178,12 @@ def spawned(seed: int | np.random.SeedSequence, count: int) -> list[np.random.Se
     if isinstance(seed, np.random.SeedSequence):
         # Spawning advances a SeedSequence, so that the second call would give other children: spawn
         # from a copy.
-        own = np.random.SeedSequence(
+        child = np.random.SeedSequence(
             seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size
         )
     else:
-        own = np.random.SeedSequence(whole_number("seed", seed, least=0))
-    return own.spawn(count)
+        child = np.random.SeedSequence(whole_number("seed", seed, least=0))
+    return child.spawn(count)
 
 
 def set_checked(record: object, check: Callable[[str, Any], Any], *names: str) -> None:

@@ -110,10 +110,10 @@ def _numba_caches_in(folder: Path):
     Point numba to `folder` while it decides where to cache; whatever the user has set for other
     packages stays.
     """
-    ours = {"CACHE_DIR": str(folder), "CACHE_LOCATOR_CLASSES": ""}
-    before = {name: getattr(numba.config, name) for name in ours if hasattr(numba.config, name)}
+    settings = {"CACHE_DIR": str(folder), "CACHE_LOCATOR_CLASSES": ""}
+    before = {name: getattr(numba.config, name) for name in settings if hasattr(numba.config, name)}
     for name in before:
-        setattr(numba.config, name, ours[name])
+        setattr(numba.config, name, settings[name])
     try:
         yield
     finally:

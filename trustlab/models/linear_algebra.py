@@ -193,15 +193,15 @@ def polar_factor(a):
             for q in range(p + 1, columns):
                 first = 0.0
                 second = 0.0
-                both = 0.0
+                product = 0.0
                 for i in range(rows):
                     first += left[i, p] * left[i, p]
                     second += left[i, q] * left[i, q]
-                    both += left[i, p] * left[i, q]
-                if abs(both) <= 1e-15 * np.sqrt(first * second):
+                    product += left[i, p] * left[i, q]
+                if abs(product) <= 1e-15 * np.sqrt(first * second):
                     continue
                 rotated = True
-                slope = (second - first) / (2.0 * both)
+                slope = (second - first) / (2.0 * product)
                 tangent = 1.0 / (abs(slope) + np.sqrt(1.0 + slope * slope))
                 if slope < 0.0:
                     tangent = -tangent

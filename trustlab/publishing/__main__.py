@@ -92,7 +92,7 @@ def main(words: list[str] | None = None) -> int:
         print("\ninterrupted: every kernel is ended, no report is half made", file=sys.stderr)
         return 130
     counts = {
-        state: sum(one.state == state for one in built)
+        state: sum(report.state == state for report in built)
         for state in ("built", "up to date", "failed")
     }
     told = ", ".join(f"{count} {state}" for state, count in counts.items() if count)

@@ -62,7 +62,8 @@ class Kernels:
                 # same ports.
                 self.transport, self.ip = "ipc", str(Path(scratch, "kernel"))
 
-            async def start_kernel(self, **options: Any) -> None:  # type: ignore[override]  # theirs is an alias
+            # The parent's is an alias, which mypy takes for another signature.
+            async def start_kernel(self, **options: Any) -> None:  # type: ignore[override]
                 own = {"IPYTHONDIR": str(Path(scratch, "ipython"))}  # nobody's own start-up files
                 options |= {"cwd": str(kernels.folder), "env": kernels.environment | own}
                 # At its end a kernel is interrupted first, and would log that as an error.
@@ -156,7 +157,7 @@ def anonymous(text: str, checkout: Checkout) -> str:
     cell = r"(?P<cell>(?<![\w.@+~/-])[\w.@+~/-]*ipykernel_\d+/\d+\.py)"
     pattern = "|".join([r"data:image/[^\"]*", cell, *longest_first])
 
-    def named(found: re.Match[str]) -> str:
-        return "this notebook" if found["cell"] else words.get(found[0], found[0])
+    def named(match: re.Match[str]) -> str:
+        return "this notebook" if match["cell"] else words.get(match[0], match[0])
 
     return re.sub(pattern, named, text)

@@ -175,13 +175,13 @@ def image_uri(output: NotebookNode) -> str:
     return f"data:{kind};base64,{base64.b64encode(data[kind].encode()).decode()}"
 
 
-def said_of(output: NotebookNode, what: str) -> str:
+def said_of(output: NotebookNode, role: str) -> str:
     """
     Return what is noted with a picture: its author's words, "alt"; its "caption"; or "drawn", what
     one sees in it.
     """
     noted = [output.metadata, *(output.metadata.get(kind, {}) for kind in IMAGES)]
-    return " ".join(next((entry[what] for entry in noted if entry.get(what)), "").split())
+    return " ".join(next((entry[role] for entry in noted if entry.get(role)), "").split())
 
 
 GREEK = ("alpha", "beta", "gamma", "delta", "zeta", "theta", "mu", "sigma", "tau", "phi", "omega")
@@ -192,7 +192,7 @@ MOST_LINES = 8
 def spoken(text: str) -> str:
     """Return a label with its mathematics as plain text."""
     letters = {name: unicodedata.lookup(f"GREEK SMALL LETTER {name}") for name in GREEK}
-    text = re.sub(r"\\([A-Za-z]+)", lambda found: letters.get(found[1], ""), text)
+    text = re.sub(r"\\([A-Za-z]+)", lambda match: letters.get(match[1], ""), text)
     return " ".join(re.sub(r"[${}\\]", "", text).split())
 
 
@@ -234,8 +234,8 @@ def _panel(axes) -> str:
     runs = [f"{name} {_run(line)}" for name, line in list(lines.items())[:MOST_LINES]]
     legend = axes.get_legend()
     keys = [spoken(text.get_text()) for text in legend.get_texts()] if legend else []
-    if others := [key for key in keys if key not in lines]:
-        runs.append(f"also shown: {', '.join(others)}")
+    if rest := [key for key in keys if key not in lines]:
+        runs.append(f"also shown: {', '.join(rest)}")
     return "; ".join(filter(None, [title, against, *runs])) + "."
 
 

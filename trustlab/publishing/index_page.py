@@ -73,17 +73,17 @@ def read_record(checkout: Checkout, name: str) -> dict:
     built again then.
     """
     try:
-        found = json.loads(record_path(checkout, name).read_text(encoding="utf-8"))
+        record = json.loads(record_path(checkout, name).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
-    if isinstance(found, dict) and isinstance(found.get("failure"), dict):
-        return found
-    built = isinstance(found, dict) and all(
-        isinstance(found.get(key), kind) for key, kind in KINDS.items()
+    if isinstance(record, dict) and isinstance(record.get("failure"), dict):
+        return record
+    built = isinstance(record, dict) and all(
+        isinstance(record.get(key), kind) for key, kind in KINDS.items()
     )
     return (
-        found
-        if built and not page_faults(f"{found['sentence']}{found.get('headline', '')}")
+        record
+        if built and not page_faults(f"{record['sentence']}{record.get('headline', '')}")
         else {}
     )
 
@@ -124,14 +124,14 @@ def _card(checkout: Checkout, notebook: Path, shared: str) -> dict:
 
 def _others(checkout: Checkout, names: set[str]) -> list[tuple[str, str]]:
     """Return link and title of every other page among the reports."""
-    found = []
+    pages = []
     for page in sorted([*checkout.reports.glob("*.html"), *checkout.reports.glob("*/index.html")]):
         place = page.relative_to(checkout.reports).as_posix()
         if page.stem not in names and place != "index.html":
             text = page.read_text(encoding="utf-8", errors="replace")
             title = re.search(r"<title>\s*(.*?)\s*</title>", text, re.DOTALL)
-            found.append((place, html.unescape(title[1] if title else "") or page.stem))
-    return found
+            pages.append((place, html.unescape(title[1] if title else "") or page.stem))
+    return pages
 
 
 def write_index(checkout: Checkout, notebooks: list[Path], shared: str) -> None:

@@ -67,16 +67,16 @@ def find_notebooks(checkout: Checkout, names: Iterable[str] = ()) -> list[Path]:
     Return the files ``NN_*.ipynb`` in order; those that `names` name, in full or by their
     beginning, or all.
     """
-    found = sorted(
+    notebooks = sorted(
         path for path in checkout.notebooks.glob("*.ipynb") if NAMED.fullmatch(path.name)
     )
-    if not found:
+    if not notebooks:
         raise ValueError(
             f"no notebook NN_name.ipynb (two digits, underscore, name) in {checkout.notebooks}"
         )
     if not names:
-        return found
-    stems, chosen = [path.stem for path in found], set()
+        return notebooks
+    stems, chosen = [path.stem for path in notebooks], set()
     for name in names:
         short = Path(name).name.removesuffix(".ipynb")
         fits = [stem for stem in stems if stem == short] or [
@@ -86,7 +86,7 @@ def find_notebooks(checkout: Checkout, names: Iterable[str] = ()) -> list[Path]:
             known = f"{did_you_mean(short, stems)}. There are: {', '.join(stems)}"
             raise ValueError(f"no notebook is called {name!r}{known}")
         chosen.update(fits)
-    return [path for path in found if path.stem in chosen]
+    return [path for path in notebooks if path.stem in chosen]
 
 
 def _parameters_cell(path: Path) -> tuple[int, str]:
@@ -112,7 +112,7 @@ def declared_parameters(path: Path) -> dict[str, Any]:
         from papermill.translators import PythonTranslator
 
     declared = PythonTranslator.inspect({"source": _parameters_cell(path)[1]})
-    return {one.name: parse_value(one.default) for one in declared}
+    return {parameter.name: parse_value(parameter.default) for parameter in declared}
 
 
 def parse_value(text: str) -> Any:
@@ -127,16 +127,16 @@ def parse_value(text: str) -> Any:
     return text
 
 
-def parameters_for(notebooks: list[Path], given: dict[str, Any]) -> dict[Path, dict[str, Any]]:
+def parameters_for(notebooks: list[Path], values: dict[str, Any]) -> dict[Path, dict[str, Any]]:
     """
     Return the parameters each notebook gets: those of the given ones that it declares, of the kind
     of their default.
     """
-    if not given:
+    if not values:
         return {path: {} for path in notebooks}
     declared = {path: declared_parameters(path) for path in notebooks}
     known = {name for names in declared.values() for name in names}
-    for name in given:
+    for name in values:
         if name not in known:
             lines = [
                 f"  {path.stem}: {', '.join(names) or '(none)'}" for path, names in declared.items()
@@ -145,21 +145,23 @@ def parameters_for(notebooks: list[Path], given: dict[str, Any]) -> dict[Path, d
             raise ValueError("\n".join([unknown, "Declared parameters:", *lines]))
     return {
         path: {
-            name: _fitting(name, given[name], names[name], path) for name in given if name in names
+            name: _fitting(name, values[name], names[name], path)
+            for name in values
+            if name in names
         }
         for path, names in declared.items()
     }
 
 
-def _fitting(name: str, given: Any, default: Any, notebook: Path) -> Any:
+def _fitting(name: str, content: Any, default: Any, notebook: Path) -> Any:
     """Return a value of the kind the notebook declares; text is read by `parse_value`."""
-    if isinstance(given, str) and isinstance(default, str):
-        return given
-    value = parse_value(given) if isinstance(given, str) else given
+    if isinstance(content, str) and isinstance(default, str):
+        return content
+    value = parse_value(content) if isinstance(content, str) else content
     kinds = {bool: bool, int: int, float: int | float}.get(type(default), object)
     if not isinstance(value, kinds) or (isinstance(value, bool) and kinds not in (bool, object)):
-        other = f"{shown(value)} is of another kind"
-        raise ValueError(f"parameter {name} of {notebook.stem} is {default!r} by default; {other}")
+        fault = f"{shown(value)} is of another kind"
+        raise ValueError(f"parameter {name} of {notebook.stem} is {default!r} by default; {fault}")
     return value
 
 
@@ -269,7 +271,7 @@ def publish(
     checkout = Checkout.find() if checkout is None else checkout
     say = report or (lambda line: None)
     chosen = find_notebooks(checkout, names)
-    given = parameters_for(chosen, dict(parameters or {}))
+    values = parameters_for(chosen, dict(parameters or {}))
     most = cpu_count() if jobs == "auto" else whole_number("jobs", jobs)
     limit = None if timeout is None else positive("timeout", timeout)
     done = {}
@@ -278,7 +280,7 @@ def publish(
         record = {
             "digest": digests[path],
             "sources": input_digest(checkout, path, shared=shared),
-            "parameters": {name: repr(value) for name, value in given[path].items()},
+            "parameters": {name: repr(value) for name, value in values[path].items()},
         }
         done[path] = built = _keep(checkout, path.stem, result, record)
         say(
@@ -290,13 +292,13 @@ def publish(
 
     with held(checkout, say):
         shared = shared_digest(checkout)
-        digests = {path: input_digest(checkout, path, given[path], shared) for path in chosen}
+        digests = {path: input_digest(checkout, path, values[path], shared) for path in chosen}
         for path in chosen:
             current = read_record(checkout, path.stem).get("digest") == digests[path]
             if current and not force and (checkout.reports / f"{path.stem}.html").is_file():
                 say(f"{path.stem} … up to date")
                 done[path] = Built(path.stem, "up to date")
-        waiting = {path: given[path] for path in chosen if path not in done}
+        waiting = {path: values[path] for path in chosen if path not in done}
         _run_all(checkout, waiting, most, limit, finish)
         if not names:
             _remove_orphans(checkout, say)
@@ -323,8 +325,8 @@ def _run_all(
     pool = ThreadPoolExecutor(jobs)
     try:
         runs = {
-            pool.submit(_run, checkout, path, given, kernels, timeout): path
-            for path, given in waiting.items()
+            pool.submit(_run, checkout, path, values, kernels, timeout): path
+            for path, values in waiting.items()
         }
         for run in as_completed(runs):
             finish(runs[run], run.result())

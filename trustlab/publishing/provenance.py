@@ -112,7 +112,7 @@ def list_files(folder: Place, without: Iterable[Place] = ()) -> list[Path]:
 
     Links are followed, but not into a folder that the link lies in.
     """
-    without, found = {Path(place) for place in without}, []
+    without, listed = {Path(place) for place in without}, []
     root = Path(folder).resolve()
     above = {
         Path(folder): {root, *root.parents}
@@ -125,13 +125,13 @@ def list_files(folder: Place, without: Iterable[Place] = ()) -> list[Path]:
         real = {path: path.resolve() for path in visible if path not in without}
         above |= {path: above[here] | {to} for path, to in real.items() if to not in above[here]}
         folders[:] = [path.name for path in real if path in above]
-        found += [
+        listed += [
             here / name
             for name in files
             if not name.startswith(".") and not name.endswith((".pyc", "~"))
         ]
     return sorted(
-        path for path in found if path.is_file()
+        path for path in listed if path.is_file()
     )  # a pipe would never end, a broken link has no content
 
 

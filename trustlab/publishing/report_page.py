@@ -97,8 +97,8 @@ class _Renderer(IPythonRenderer):
     def heading(self, text: str, level: int, **_: Any) -> str:
         anchor = slug(plain(text))
         repeated = sum(
-            re.fullmatch(re.escape(anchor) + r"(-\d+)?", other) is not None
-            for _, other, _ in self.headings
+            re.fullmatch(re.escape(anchor) + r"(-\d+)?", known) is not None
+            for _, known, _ in self.headings
         )
         anchor += f"-{repeated + 1}" if repeated else ""
         self.headings.append((level, anchor, text))
@@ -187,12 +187,12 @@ class Page:
         """Return picture, words for who does not see it, and numbered caption of a figure."""
         self.figures += 1
         above = plain(self.headings[-1][2]) if self.headings else "Result"
-        given = said_of(output, "alt") or said_of(output, "caption")
-        seen = said_of(output, "drawn") or given or f"Figure: {above}"
+        words = said_of(output, "alt") or said_of(output, "caption")
+        seen = said_of(output, "drawn") or words or f"Figure: {above}"
         return {
             "uri": image_uri(output),
             "alt": seen,
-            "caption": f"Figure {self.figures}. {given or above}",
+            "caption": f"Figure {self.figures}. {words or above}",
         }
 
     def fold(self, source: str = "# ") -> str:
@@ -496,15 +496,15 @@ def linker(notebooks: Path, name: str) -> Callable[[str], str]:
     }
     shown = {row["entry"]: row["link"] for row in read_finder(notebooks)}
 
-    def link(found: re.Match[str]) -> str:
+    def link(match: re.Match[str]) -> str:
         known = {"report": reports, "equation": equations, "entry": shown}.get(
-            found.lastgroup or "", {}
+            match.lastgroup or "", {}
         )
-        address = known.get(found[found.lastgroup] if found.lastgroup else "", "")
+        address = known.get(match[match.lastgroup] if match.lastgroup else "", "")
         return (
-            f'<a href="{address}">{found[0]}</a>'
+            f'<a href="{address}">{match[0]}</a>'
             if address and not address.startswith(f"{name}.")
-            else found[0]
+            else match[0]
         )
 
     return lambda markup: LINKABLE.sub(link, markup)

@@ -132,7 +132,8 @@ def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, 
                 own.p_low = p_low
                 own.p_high = p_high
                 lives[to] = True
-        boxes, nexts, alive, lives = nexts, boxes, lives, alive
+        boxes, nexts = nexts, boxes
+        alive, lives = lives, alive
 
 
 # Inlined, like `remaining_cost`: each has one caller, and compiling it by itself would take half a

@@ -9,29 +9,53 @@ import { furnish } from "./view.js";
 
 function wanting(config) {
   const ends = [];
-  for (const [mode, seconds] of config.schedule ?? []) ends.push([mode, (ends.at(-1)?.[1] ?? 0) + seconds]);
+  for (const [mode, seconds] of config.schedule ?? [])
+    ends.push([mode, (ends.at(-1)?.[1] ?? 0) + seconds]);
   return (k) => (ends.find(([, end]) => k * config.sample_time < end) ?? ends.at(-1))?.[0] ?? null;
 }
 
 export async function drive(root, config, wasm, on) {
-  const physics = await Physics.load(wasm, config), dt = (1000 * config.sample_time) / (config.pace ?? 1), scheduled = wanting(config);
-  let wanted = config.task.first_mode, row = null, running = true, paused = null, last = performance.now(), behind = 0, frames = [], stamps = [], timer = 0;
+  const physics = await Physics.load(wasm, config),
+    dt = (1000 * config.sample_time) / (config.pace ?? 1),
+    scheduled = wanting(config);
+  let wanted = config.task.first_mode,
+    row = null,
+    running = true,
+    paused = null,
+    last = performance.now(),
+    behind = 0,
+    frames = [],
+    stamps = [],
+    timer = 0;
   const hands = new Hands(root, config.ramp, () => running && on.note("focus lost: keys released"));
-  const hand = config.hand ? script(config.hand, config, physics) : null, leaving = new AbortController();
-  const { camera, gauges, panel, away } = furnish(root, config, () => { hands.toggles += 1; }, leaving.signal);
+  const hand = config.hand ? script(config.hand, config, physics) : null,
+    leaving = new AbortController();
+  const { camera, gauges, panel, away } = furnish(
+    root,
+    config,
+    () => {
+      hands.toggles += 1;
+    },
+    leaving.signal,
+  );
   let shown = null;
 
   function take(v, w) {
     row = physics.tick(v, w, scheduled(physics.k) ?? wanted);
-    // A wish is not kept where it cannot be met now: before the window is full, or without the suggestion that must be followed.
-    if (config.task.forced || physics.k * config.sample_time <= config.task.settling) wanted = row[0];
+    // A wish is not kept where it cannot be met now: before the window is full, or without the
+    // suggestion that must be followed.
+    if (config.task.forced || physics.k * config.sample_time <= config.task.settling)
+      wanted = row[0];
     camera.add({ k: physics.k, x: physics.get("x"), y: physics.get("y"), yaw: physics.get("yaw") });
     gauges.add(row);
     return row;
   }
 
   function sample() {
-    const scripted = hand?.(physics.k, row), [forward, left] = scripted ? [scripted.forward, scripted.left] : hands.read(config.sample_time);
+    const scripted = hand?.(physics.k, row),
+      [forward, left] = scripted
+        ? [scripted.forward, scripted.left]
+        : hands.read(config.sample_time);
     if (hands.toggles % 2) wanted = 1 - (row?.[0] ?? wanted);
     hands.toggles = 0;
     if (scripted && scripted.wanted !== null) wanted = scripted.wanted;
@@ -62,9 +86,11 @@ export async function drive(root, config, wasm, on) {
     if (row !== shown) panel.show((shown = row), physics.get("laps"));
   }
 
-  // Samples that are due by the clock. A gap, in which the page slept, is a pause of the robot, and is logged as one.
+  // Samples that are due by the clock. A gap, in which the page slept, is a pause of the robot, and
+  // is logged as one.
   function advance() {
-    const now = performance.now(), gap = now - last;
+    const now = performance.now(),
+      gap = now - last;
     last = now;
     if (!running || paused !== null) return;
     if (gap > 250) {
@@ -72,7 +98,10 @@ export async function drive(root, config, wasm, on) {
       return;
     }
     behind += gap;
-    while (running && behind >= dt) { behind -= dt; sample(); }
+    while (running && behind >= dt) {
+      behind -= dt;
+      sample();
+    }
   }
 
   function pause(why = "paused") {
@@ -111,22 +140,53 @@ export async function drive(root, config, wasm, on) {
 
   // How the page keeps up: frames a second, the log's period [s], and what the hands are on.
   function telemetry() {
-    const periods = stamps.slice(1).map((x, i) => x - stamps[i]).sort((a, b) => a - b);
+    const periods = stamps
+      .slice(1)
+      .map((x, i) => x - stamps[i])
+      .sort((a, b) => a - b);
     const fps = frames.length > 1 ? (1000 * (frames.length - 1)) / (frames.at(-1) - frames[0]) : 0;
-    return { fps, rows: physics.k, source: hands.source, period_median: (periods[periods.length >> 1] ?? 0) / 1000, period_max: (periods.at(-1) ?? 0) / 1000 };
+    return {
+      fps,
+      rows: physics.k,
+      source: hands.source,
+      period_median: (periods[periods.length >> 1] ?? 0) / 1000,
+      period_max: (periods.at(-1) ?? 0) / 1000,
+    };
   }
 
-  away.addEventListener("click", () => { if (!document.hidden) resume(); }, { signal: leaving.signal });
-  document.addEventListener("visibilitychange", () => (document.hidden ? pause("the page is hidden") : resume()), { signal: leaving.signal });
+  away.addEventListener(
+    "click",
+    () => {
+      if (!document.hidden) resume();
+    },
+    { signal: leaving.signal },
+  );
+  document.addEventListener(
+    "visibilitychange",
+    () => (document.hidden ? pause("the page is hidden") : resume()),
+    { signal: leaving.signal },
+  );
   if (config.rows?.length) resume_from(config.rows);
-  const rush = () => {                                         // tests and rehearsals: as fast as the kernel goes
+  const rush = () => {
+    // tests and rehearsals: as fast as the kernel goes
     for (let n = 0; running && paused === null && n < 200; n += 1) sample();
     if (running) setTimeout(rush, 0);
   };
   if (running && config.clock === "accelerated") setTimeout(rush, 0);
   else if (running) {
-    timer = setInterval(advance, 40);                          // beside frames, which a busy machine may hold back
+    timer = setInterval(advance, 40); // beside frames, which a busy machine may hold back
     requestAnimationFrame(frame);
   }
-  return { stop, pause, resume, resume_from, telemetry, physics, hands, get row() { return row; } };
+  return {
+    stop,
+    pause,
+    resume,
+    resume_from,
+    telemetry,
+    physics,
+    hands,
+    get row() {
+      return row;
+    },
+  };
 }

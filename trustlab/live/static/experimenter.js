@@ -1,6 +1,8 @@
-// The experimenter's page: who is where, once a second; restart a drive, add a note, end a participation.
+// The experimenter's page: who is where, once a second; restart a drive, add a note, end a
+// participation.
 const base = location.pathname.replace(/\/$/, "");
-const main = document.querySelector("main"), trouble = document.getElementById("trouble");
+const main = document.querySelector("main"),
+  trouble = document.getElementById("trouble");
 
 function element(name, properties = {}, ...children) {
   const made = Object.assign(document.createElement(name), properties);
@@ -14,38 +16,64 @@ function complain(words) {
 }
 
 async function act(body) {
-  const answer = await fetch(`${base}/act`, { method: "POST", body: JSON.stringify(body), headers: { "Content-Type": "application/json" } });
+  const answer = await fetch(`${base}/act`, {
+    method: "POST",
+    body: JSON.stringify(body),
+    headers: { "Content-Type": "application/json" },
+  });
   if (answer.ok) show(await answer.json());
   else complain(`That could not be done: ${(await answer.json()).error}`);
 }
 
 function buttons(who) {
-  const participant = who.code, box = element("div");
-  const button = (words, action) => box.append(element("button", { className: "quiet", textContent: words, onclick: action }), " ");
+  const participant = who.code,
+    box = element("div");
+  const button = (words, action) =>
+    box.append(element("button", { className: "quiet", textContent: words, onclick: action }), " ");
   for (const { page, title } of who.drives)
-    button(`Restart “${title}”`, () => confirm(`${participant}: drive “${title}” again? What was driven is kept.`) && act({ participant, action: "restart", page }));
+    button(
+      `Restart “${title}”`,
+      () =>
+        confirm(`${participant}: drive “${title}” again? What was driven is kept.`) &&
+        act({ participant, action: "restart", page }),
+    );
   button("Note", () => {
     const text = prompt(`A note about ${participant}`);
     if (text?.trim()) act({ participant, action: "note", text });
   });
-  if (!who.ended) button("End", () => confirm(`End the participation of ${participant}?`) && act({ participant, action: "end" }));
+  if (!who.ended)
+    button(
+      "End",
+      () =>
+        confirm(`End the participation of ${participant}?`) && act({ participant, action: "end" }),
+    );
   return box;
 }
 
 function pace(who) {
   const parts = [];
   if (who.rows !== null) parts.push(`${who.rows} rows`);
-  for (const [name, value] of Object.entries(who.telemetry)) if (name !== "rows") parts.push(`${name} ${Math.round(value * 1000) / 1000}`);
+  for (const [name, value] of Object.entries(who.telemetry))
+    if (name !== "rows") parts.push(`${name} ${Math.round(value * 1000) / 1000}`);
   if (who.pauses) parts.push(`${who.pauses} pauses`);
   return parts.join(", ");
 }
 
-const people = new Map();                         // code → the cells of its row, and what its last cell was made of
+const people = new Map(); // code → the cells of its row, and what its last cell was made of
 
 function newRow(who) {
-  const copy = element("button", { className: "quiet", textContent: "Copy link", onclick: () => navigator.clipboard.writeText(who.link) });
+  const copy = element("button", {
+    className: "quiet",
+    textContent: "Copy link",
+    onclick: () => navigator.clipboard.writeText(who.link),
+  });
   const cells = Array.from({ length: 6 }, () => element("td"));
-  const row = element("tr", { id: who.code }, element("td", {}, who.code, element("br"), copy), ...cells);
+  const row = element(
+    "tr",
+    { id: who.code },
+    element("td", {}, who.code, element("br"), copy),
+    ...cells,
+  );
   return { row, cells, made: "" };
 }
 
@@ -54,17 +82,27 @@ function update(who) {
   if (!people.has(who.code)) people.set(who.code, newRow(who));
   const person = people.get(who.code);
   const [order, page, seen, drive, model, last] = person.cells;
-  const away = who.seconds_ago === null ? "not yet" : who.seconds_ago < 5 ? "here" : `${Math.round(who.seconds_ago)} s ago`;
+  const away =
+    who.seconds_ago === null
+      ? "not yet"
+      : who.seconds_ago < 5
+        ? "here"
+        : `${Math.round(who.seconds_ago)} s ago`;
   order.textContent = who.order.join(" ");
-  page.textContent = `${who.page < who.pages ? `${who.page + 1} of ${who.pages}: ` : ""}${who.title}${who.condition ? ` (${who.condition})` : ""}${who.ended ? ", ended" : ""}`;
+  const number = who.page < who.pages ? `${who.page + 1} of ${who.pages}: ` : "";
+  const condition = who.condition ? ` (${who.condition})` : "";
+  page.textContent = `${number}${who.title}${condition}${who.ended ? ", ended" : ""}`;
   seen.textContent = away;
   seen.className = away === "here" ? "" : "away";
-  drive.textContent = pace(who) + (who.unverified.length ? ` Not verified: ${who.unverified.join(", ")}.` : "");
+  drive.textContent =
+    pace(who) + (who.unverified.length ? ` Not verified: ${who.unverified.join(", ")}.` : "");
   model.textContent = who.model ? `${who.model}${who.why ? `: ${who.why}` : ""}` : "";
   model.className = who.why ? "away" : "";
   const parts = JSON.stringify([who.drives, who.notes, who.ended]);
   if (parts !== person.made) {
-    const words = who.notes.map((note) => element("p", { textContent: note.text ?? `${note.file}: ${note.bytes} bytes cut off` }));
+    const words = who.notes.map((note) =>
+      element("p", { textContent: note.text ?? `${note.file}: ${note.bytes} bytes cut off` }),
+    );
     last.replaceChildren(...words, buttons(who));
     person.made = parts;
   }
@@ -73,12 +111,28 @@ function update(who) {
 
 function show(state) {
   const gone = state.deleted ? ` ${state.deleted} deleted.` : "";
-  document.querySelector("h1").textContent = `Study ${state.study}${state.rehearsal ? " (rehearsal by scripted hands)" : ""}`;
-  document.getElementById("about").textContent = `${state.people.length} participants.${gone} This page and the links on it are for the experimenter only.`;
-  const rows = state.people.map(update), table = main.querySelector("tbody");
+  document.querySelector("h1").textContent =
+    `Study ${state.study}${state.rehearsal ? " (rehearsal by scripted hands)" : ""}`;
+  document.getElementById("about").textContent =
+    `${state.people.length} participants.${gone} ` +
+    "This page and the links on it are for the experimenter only.";
+  const rows = state.people.map(update),
+    table = main.querySelector("tbody");
   if (table?.childElementCount === rows.length) return;
-  const heads = ["Participant", "Order", "Page", "Seen", "Drive", "Model and thresholds", "Notes and actions"];
-  const head = element("thead", {}, element("tr", {}, ...heads.map((words) => element("th", { textContent: words }))));
+  const heads = [
+    "Participant",
+    "Order",
+    "Page",
+    "Seen",
+    "Drive",
+    "Model and thresholds",
+    "Notes and actions",
+  ];
+  const head = element(
+    "thead",
+    {},
+    element("tr", {}, ...heads.map((words) => element("th", { textContent: words }))),
+  );
   main.replaceChildren(element("table", {}, head, element("tbody", {}, ...rows)));
 }
 

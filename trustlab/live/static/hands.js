@@ -2,8 +2,14 @@
 import { clamp } from "./physics.js";
 
 const KEYS = {
-  ArrowUp: [0, 1], KeyW: [0, 1], ArrowDown: [0, -1], KeyS: [0, -1],
-  ArrowLeft: [1, 1], KeyA: [1, 1], ArrowRight: [1, -1], KeyD: [1, -1],
+  ArrowUp: [0, 1],
+  KeyW: [0, 1],
+  ArrowDown: [0, -1],
+  KeyS: [0, -1],
+  ArrowLeft: [1, 1],
+  KeyA: [1, 1],
+  ArrowRight: [1, -1],
+  KeyD: [1, -1],
 };
 
 // The hands on keyboard, gamepad, mouse or finger; whichever was used last drives.
@@ -16,10 +22,12 @@ export class Hands {
     this.source = "keyboard";
     this.toggles = 0;
     this.stop = new AbortController();
-    const listen = (target, type, act, more = {}) => target.addEventListener(type, act, { signal: this.stop.signal, ...more });
+    const listen = (target, type, act, more = {}) =>
+      target.addEventListener(type, act, { signal: this.stop.signal, ...more });
     listen(root, "keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey || event.code === "Tab") return;
-      event.stopPropagation();          // a notebook has shortcuts of its own: an x beside the keys would cut the cell
+      // A notebook has shortcuts of its own: an x beside the keys would cut the cell
+      event.stopPropagation();
       if (event.code === "Space") this.toggles += event.repeat ? 0 : 1;
       else if (event.code in KEYS) {
         this.down.add(event.code);
@@ -27,12 +35,24 @@ export class Hands {
       } else return;
       event.preventDefault();
     });
-    listen(root, "keyup", (event) => { this.down.delete(event.code); event.stopPropagation(); });
-    listen(root, "blur", () => { this.clear(); onBlur(); });
+    listen(root, "keyup", (event) => {
+      this.down.delete(event.code);
+      event.stopPropagation();
+    });
+    listen(root, "blur", () => {
+      this.clear();
+      onBlur();
+    });
     listen(root, "pointerdown", (event) => {
       if (event.target.closest("button")) return;
       root.focus({ preventScroll: true });
-      this.pointer = { id: event.pointerId, x: event.clientX, y: event.clientY, forward: 0, left: 0 };
+      this.pointer = {
+        id: event.pointerId,
+        x: event.clientX,
+        y: event.clientY,
+        forward: 0,
+        left: 0,
+      };
       this.source = "pointer";
     });
     listen(window, "pointermove", (event) => {
@@ -40,7 +60,10 @@ export class Hands {
       this.pointer.forward = clamp((this.pointer.y - event.clientY) / 80, -1, 1);
       this.pointer.left = clamp((this.pointer.x - event.clientX) / 80, -1, 1);
     });
-    for (const type of ["pointerup", "pointercancel"]) listen(window, type, (event) => { if (this.pointer?.id === event.pointerId) this.pointer = null; });
+    for (const type of ["pointerup", "pointercancel"])
+      listen(window, type, (event) => {
+        if (this.pointer?.id === event.pointerId) this.pointer = null;
+      });
   }
 
   clear() {
@@ -61,7 +84,8 @@ export class Hands {
       this.pressed = pressed;
       if (this.source === "gamepad") return axes;
     }
-    if (this.source === "pointer") return this.pointer ? [this.pointer.forward, this.pointer.left] : [0, 0];
+    if (this.source === "pointer")
+      return this.pointer ? [this.pointer.forward, this.pointer.left] : [0, 0];
     const wanted = [0, 0];
     for (const code of this.down) wanted[KEYS[code][0]] += KEYS[code][1];
     this.levers = this.levers.map((now, i) => {
@@ -73,23 +97,33 @@ export class Hands {
   }
 }
 
-// A scripted hand for tests and rehearsals: steers to a point ahead on the path, wobbles, follows suggestions, switches now and then.
+// A scripted hand for tests and rehearsals: steers to a point ahead on the path, wobbles, follows
+// suggestions, switches now and then.
 export function script(hand, config, physics) {
   const { speed = 0.9, wobble = 0.1, ahead = 1.2, patience = 20, phase = 600 } = hand;
-  const path = config.path, length = path.at(-1)[2];
+  const path = config.path,
+    length = path.at(-1)[2];
   let since = 0;
   return (k, row) => {
-    let s = physics.get("arc") + ahead, i = 0;
+    let s = physics.get("arc") + ahead,
+      i = 0;
     s -= Math.floor(s / length) * length;
     while (i < path.length - 2 && path[i + 1][2] <= s) i += 1;
     const share = (s - path[i][2]) / (path[i + 1][2] - path[i][2]);
-    const [x, y] = [0, 1].map((axis) => path[i][axis] + share * (path[i + 1][axis] - path[i][axis]));
+    const [x, y] = [0, 1].map(
+      (axis) => path[i][axis] + share * (path[i + 1][axis] - path[i][axis]),
+    );
     const aim = Math.atan2(y - physics.get("y"), x - physics.get("x")) - physics.get("yaw");
     const bearing = Math.atan2(Math.sin(aim), Math.cos(aim)) + wobble * Math.sin(0.09 * k);
-    const now = row?.[0] ?? 1, suggested = row?.[1] ?? -1;
+    const now = row?.[0] ?? 1,
+      suggested = row?.[1] ?? -1;
     since = suggested >= 0 && suggested !== now ? since + 1 : 0;
     const free = config.task.scheme === 1 && k % phase === phase - 1;
     const wanted = since > patience ? suggested : free ? 1 - now : null;
-    return { forward: clamp(speed - 0.3 * Math.abs(bearing), 0, 1), left: clamp(1.6 * bearing, -1, 1), wanted };
+    return {
+      forward: clamp(speed - 0.3 * Math.abs(bearing), 0, 1),
+      left: clamp(1.6 * bearing, -1, 1),
+      wanted,
+    };
   };
 }

@@ -1,10 +1,13 @@
-// Numbered rows on their way to a disk: kept in IndexedDB apart from sending, sent again until they are acknowledged.
-//
-// A row is [k, ms, ...values]: its number from 0, the page's clock when it was made, and what was logged. `send(rows)` gets the
-// rows that are not yet acknowledged, at most 600 and in order, and returns how many rows (from 0 on, without a gap) are on the
-// disk of the other side, or a promise of that; undefined where it does not know, and then `acknowledged(n)` may be called later.
+// Numbered rows on their way to a disk: kept in IndexedDB apart from sending, sent again until they
+// are acknowledged.  A row is [k, ms, ...values]: its number from 0, the page's clock when it was
+// made, and what was logged. `send(rows)` gets the rows that are not yet acknowledged, at most 600
+// and in order, and returns how many rows (from 0 on, without a gap) are on the disk of the other
+// side, or a promise of that; undefined where it does not know, and then `acknowledged(n)` may be
+// called later.
 
-const NAME = "trustlab-live", STORE = "rows", MOST = 600;
+const NAME = "trustlab-live",
+  STORE = "rows",
+  MOST = 600;
 
 const opened = new Promise((ok) => {
   try {
@@ -13,11 +16,12 @@ const opened = new Promise((ok) => {
     request.onsuccess = () => ok(request.result);
     request.onerror = request.onblocked = () => ok(null);
   } catch {
-    ok(null);                                     // a private window may have none: rows are then in memory only
+    ok(null); // a private window may have none: rows are then in memory only
   }
 });
 
-// Do something with the store; "strict" means that the browser waits for the disk, so that its own death loses nothing.
+// Do something with the store; "strict" means that the browser waits for the disk, so that its own
+// death loses nothing.
 async function kept(mode, work, durability = "strict") {
   const database = await opened;
   if (!database) return undefined;
@@ -32,19 +36,21 @@ async function kept(mode, work, durability = "strict") {
 const between = (key, first, end) => IDBKeyRange.bound([key, first], [key, end], false, true);
 
 export class Rows {
-  // key: names these rows among all that this browser keeps. every: ms between sendings. leave(rows): send without waiting, as
-  // the page is being left (a request that outlives it).
+  // key: names these rows among all that this browser keeps. every: ms between sendings.
+  // leave(rows): send without waiting, as the page is being left (a request that outlives it).
   constructor(key, send, { every = 500, leave = null } = {}) {
     this.key = key;
     this.send = send;
-    this.waiting = new Map();                     // number → row, not yet acknowledged
-    this.unkept = [];                             // rows not yet handed to IndexedDB
-    this.have = -1;                               // rows that the other side has, where it has said so
+    this.waiting = new Map(); // number → row, not yet acknowledged
+    this.unkept = []; // rows not yet handed to IndexedDB
+    this.have = -1; // rows that the other side has, where it has said so
     this.busy = false;
     this.keeping = Promise.resolve();
-    this.ready = kept("readonly", (store) => store.getAll(between(key, 0, Infinity))).then((rows) => {
-      for (const row of rows ?? []) this.waiting.set(row[0], row);
-    });
+    this.ready = kept("readonly", (store) => store.getAll(between(key, 0, Infinity))).then(
+      (rows) => {
+        for (const row of rows ?? []) this.waiting.set(row[0], row);
+      },
+    );
     this.timer = setInterval(() => this.flush(), every);
     this.leaving = () => {
       this.keep();
@@ -90,7 +96,7 @@ export class Rows {
   }
 
   async flush() {
-    this.keep();                                  // not behind a sending that hangs
+    this.keep(); // not behind a sending that hangs
     if (this.busy || !this.waiting.size) return;
     this.busy = true;
     try {
@@ -110,14 +116,15 @@ export class Rows {
       const before = this.waiting.size;
       await this.flush();
       const [first] = this.next();
-      if (first && this.have >= 0 && first[0] > this.have) return this.drop();   // rows between are gone for good
+      // Rows between are gone for good
+      if (first && this.have >= 0 && first[0] > this.have) return this.drop();
       if (this.waiting.size === before) await new Promise((ok) => setTimeout(ok, 200));
     }
     this.close();
   }
 
   close() {
-    this.keep();                                  // for the page that goes on with this key
+    this.keep(); // for the page that goes on with this key
     clearInterval(this.timer);
     this.timer = null;
     removeEventListener("pagehide", this.leaving);

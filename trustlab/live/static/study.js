@@ -1,11 +1,15 @@
-// A participant's pages. What is shown next is the server's to say; words are set as text, never as markup.
+// A participant's pages. What is shown next is the server's to say; words are set as text, never as
+// markup.
 import { drive } from "./drive.js";
 import { Rows } from "./rows.js";
 
 const base = location.pathname.replace(/\/$/, "");
-const main = document.querySelector("main"), trouble = document.getElementById("trouble");
-const tab = crypto.getRandomValues(new Uint32Array(3)).join("-");     // this window: one window drives at a time
-const status = (self.study = { page: null, kind: null, rows: 0, pending: 0 });   // for the experimenter's eyes, and for tests
+const main = document.querySelector("main"),
+  trouble = document.getElementById("trouble");
+// This window: one window drives at a time
+const tab = crypto.getRandomValues(new Uint32Array(3)).join("-");
+// For the experimenter's eyes, and for tests
+const status = (self.study = { page: null, kind: null, rows: 0, pending: 0 });
 
 function element(name, properties = {}, ...children) {
   const made = Object.assign(document.createElement(name), properties);
@@ -20,29 +24,44 @@ function complain(words) {
 
 const pause = (ms) => new Promise((ok) => setTimeout(ok, ms));
 
-// One request. Returns {status, ...answer}; where the server is away or busy it is asked again until it answers.
+// One request. Returns {status, ...answer}; where the server is away or busy it is asked again
+// until it answers.
 async function ask(what, body) {
   for (let wait = 300; ; wait = Math.min(2 * wait, 4000)) {
     try {
-      const options = body && { method: "POST", body: JSON.stringify(body), headers: { "Content-Type": "application/json" } };
-      const answer = await fetch(`${base}/${what}`, { ...options, signal: AbortSignal.timeout(120000) });
+      const options = body && {
+        method: "POST",
+        body: JSON.stringify(body),
+        headers: { "Content-Type": "application/json" },
+      };
+      const answer = await fetch(`${base}/${what}`, {
+        ...options,
+        signal: AbortSignal.timeout(120000),
+      });
       if (answer.status < 500 && answer.status !== 429) {
         complain("");
         return { status: answer.status, ...(await answer.json()) };
       }
     } catch {
-      complain("No connection. Nothing is lost; this page goes on by itself when the connection is back.");
+      complain(
+        "No connection. Nothing is lost; this page goes on by itself when the connection is back.",
+      );
     }
     await pause(wait);
   }
 }
 
 function paragraphs(text) {
-  return text.split(/\n\s*\n/).filter(Boolean).map((words) => element("p", { textContent: words }));
+  return text
+    .split(/\n\s*\n/)
+    .filter(Boolean)
+    .map((words) => element("p", { textContent: words }));
 }
 
 function scale(item) {
-  const box = element("div", { className: (item.high - item.low) / item.step > 10 ? "scale fine" : "scale" });
+  const box = element("div", {
+    className: (item.high - item.low) / item.step > 10 ? "scale fine" : "scale",
+  });
   box.append(element("span", { className: "end", textContent: item.left }));
   for (let value = item.low; value <= item.high; value += item.step) {
     const input = element("input", { type: "radio", name: item.name, value, required: true });
@@ -53,26 +72,60 @@ function scale(item) {
 }
 
 function field(item) {
-  const box = element("fieldset", {}, element("legend", { textContent: item.kind === "check" ? "" : item.text }));
+  const box = element(
+    "fieldset",
+    {},
+    element("legend", { textContent: item.kind === "check" ? "" : item.text }),
+  );
   if (item.kind === "scale") box.append(scale(item));
-  else if (item.kind === "text") box.append(element("textarea", { name: item.name, maxLength: 1000, rows: 3, ariaLabel: item.text }));
+  else if (item.kind === "text")
+    box.append(
+      element("textarea", { name: item.name, maxLength: 1000, rows: 3, ariaLabel: item.text }),
+    );
   else if (item.kind === "check")
-    box.append(element("label", {}, element("input", { type: "checkbox", name: item.name, required: true }), ` ${item.text}`));
+    box.append(
+      element(
+        "label",
+        {},
+        element("input", { type: "checkbox", name: item.name, required: true }),
+        ` ${item.text}`,
+      ),
+    );
   else
     for (const choice of item.choices)
-      box.append(element("label", {}, element("input", { type: "radio", name: item.name, value: choice, required: true }), ` ${choice} `));
+      box.append(
+        element(
+          "label",
+          {},
+          element("input", { type: "radio", name: item.name, value: choice, required: true }),
+          ` ${choice} `,
+        ),
+      );
   return box;
 }
 
 function read(form, items) {
   const given = new FormData(form);
-  const value = { scale: Number, check: (words) => words !== null, text: (words) => words, choice: (words) => words };
-  return Object.fromEntries(items.map((item) => [item.name, value[item.kind](given.get(item.name))]));
+  const value = {
+    scale: Number,
+    check: (words) => words !== null,
+    text: (words) => words,
+    choice: (words) => words,
+  };
+  return Object.fromEntries(
+    items.map((item) => [item.name, value[item.kind](given.get(item.name))]),
+  );
 }
 
 // Show a form and return what follows when its answers are taken.
 function showForm(now) {
-  const form = element("form", {}, element("h2", { textContent: now.title }), ...paragraphs(now.text), ...now.items.map(field));
+  const form = element(
+    "form",
+    {},
+    element("h2", { textContent: now.title }),
+    ...paragraphs(now.text),
+    ...now.items.map(field),
+  );
   const button = element("button", { textContent: "Next" });
   form.append(button);
   main.replaceChildren(form);
@@ -88,27 +141,43 @@ function showForm(now) {
   });
 }
 
-// Rows of one attempt, on their way to the server; `stale` is called when this window must not go on.
+// Rows of one attempt, on their way to the server; `stale` is called when this window must not go
+// on.
 function delivery(code, page, attempt, window, stale, telemetry = () => ({})) {
   const post = (batch, options) => {
-    const body = JSON.stringify({ page, attempt, tab: window, rows: batch, telemetry: telemetry() });
-    return fetch(`${base}/rows`, { method: "POST", body, headers: { "Content-Type": "application/json" }, ...options });
+    const body = JSON.stringify({
+      page,
+      attempt,
+      tab: window,
+      rows: batch,
+      telemetry: telemetry(),
+    });
+    return fetch(`${base}/rows`, {
+      method: "POST",
+      body,
+      headers: { "Content-Type": "application/json" },
+      ...options,
+    });
   };
   const leave = (batch) => post(batch.slice(0, 100), { keepalive: true }).catch(() => {});
-  const rows = new Rows(`${code}/${page}/${attempt}/${window}`, async (batch) => {
-    status.pending = rows.pending();
-    const answer = await post(batch, { signal: AbortSignal.timeout(5000) });
-    if (answer.status === 409) {
-      await rows.drop();
-      stale("This study goes on in another window. Close this one.");
-    }
-    if ([400, 404, 413].includes(answer.status)) await rows.drop();
-    if (!answer.ok) return undefined;
-    const { have, current } = await answer.json();
-    if (!current) stale("");
-    status.pending = 0;
-    return have;
-  }, { leave });
+  const rows = new Rows(
+    `${code}/${page}/${attempt}/${window}`,
+    async (batch) => {
+      status.pending = rows.pending();
+      const answer = await post(batch, { signal: AbortSignal.timeout(5000) });
+      if (answer.status === 409) {
+        await rows.drop();
+        stale("This study goes on in another window. Close this one.");
+      }
+      if ([400, 404, 413].includes(answer.status)) await rows.drop();
+      if (!answer.ok) return undefined;
+      const { have, current } = await answer.json();
+      if (!current) stale("");
+      status.pending = 0;
+      return have;
+    },
+    { leave },
+  );
   return rows;
 }
 
@@ -130,17 +199,30 @@ async function showDrive(now) {
   main.replaceChildren(root);
   const physics = await (await fetch("/static/kernel.wasm")).arrayBuffer();
   const about = { page: now.page, attempt: begun.attempt, tab };
-  let driving = null, count = begun.rows.length;
+  let driving = null,
+    count = begun.rows.length;
   const telemetry = () => driving?.telemetry?.() ?? {};
   const outcome = await new Promise((ended, failed) => {
-    const rows = delivery(now.code, now.page, begun.attempt, tab, (why) => ended({ why, rows }), telemetry);
+    const rows = delivery(
+      now.code,
+      now.page,
+      begun.attempt,
+      tab,
+      (why) => ended({ why, rows }),
+      telemetry,
+    );
     const on = {
-      row: (k, values) => { rows.add(k, values); count = status.rows = k + 1; },
+      row: (k, values) => {
+        rows.add(k, values);
+        count = status.rows = k + 1;
+      },
       note: (text) => ask("note", { ...about, row: count, text }),
       end: (summary) => ended({ summary, rows }),
     };
     const config = { ...begun.config, rows: begun.rows };
-    drive(root, config, physics, on).then((made) => { driving = status.driving = made; }, failed);
+    drive(root, config, physics, on).then((made) => {
+      driving = status.driving = made;
+    }, failed);
   });
   driving?.stop?.();
   if (!outcome.summary) {
@@ -159,17 +241,33 @@ async function showDrive(now) {
 async function run() {
   for (;;) {
     const now = await ask("state");
-    if (now.status !== 200) return main.replaceChildren(element("p", { textContent: "This link leads to no study. Please ask the person who runs the study for yours." }));
+    if (now.status !== 200)
+      return main.replaceChildren(
+        element("p", {
+          textContent:
+            "This link leads to no study. Please ask the person who runs the study for yours.",
+        }),
+      );
     await bringLeft(now.code);
     Object.assign(status, { page: now.page, kind: now.kind, rows: 0 });
     document.getElementById("rehearsal").hidden = !now.rehearsal;
     const ended = now.kind === "end";
-    document.getElementById("where").textContent = ended ? now.code : `${now.code} · page ${now.page + 1} of ${now.pages}`;
-    if (ended) return main.replaceChildren(element("h2", { textContent: now.title }), ...paragraphs(now.text));
+    document.getElementById("where").textContent = ended
+      ? now.code
+      : `${now.code} · page ${now.page + 1} of ${now.pages}`;
+    if (ended)
+      return main.replaceChildren(
+        element("h2", { textContent: now.title }),
+        ...paragraphs(now.text),
+      );
     await (now.kind === "drive" ? showDrive(now) : showForm(now));
     scrollTo(0, 0);
   }
 }
 
-addEventListener("beforeunload", (event) => { if (status.pending) event.preventDefault(); });
-run().catch((error) => complain(`This page cannot go on (${error.message}). Please tell the person who runs the study.`));
+addEventListener("beforeunload", (event) => {
+  if (status.pending) event.preventDefault();
+});
+run().catch((error) =>
+  complain(`This page cannot go on (${error.message}). Please tell the person who runs the study.`),
+);

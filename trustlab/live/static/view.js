@@ -2,19 +2,33 @@
 import { clamp } from "./physics.js";
 
 export const STYLE = `
-.tl-drive { position: relative; display: grid; grid-template-columns: minmax(0, 3fr) minmax(12em, 1fr); gap: .5em; max-width: 70em;
-  font: 15px/1.4 system-ui, sans-serif; color: #1b2430; background: #fff; padding: .4em; border-radius: 6px; touch-action: none; user-select: none; }
+.tl-drive {
+  position: relative; display: grid; grid-template-columns: minmax(0, 3fr) minmax(12em, 1fr);
+  gap: .5em; max-width: 70em;
+  font: 15px/1.4 system-ui, sans-serif; color: #1b2430; background: #fff; padding: .4em;
+  border-radius: 6px; touch-action: none; user-select: none; }
 .tl-drive:focus { outline: 3px solid #0072b2; outline-offset: -3px; }
-.tl-drive canvas { display: block; will-change: transform; } /* layers of their own: the page around is not painted again with each frame */
+.tl-drive canvas {
+  /* layers of their own: the page around is not painted again with each frame */
+  display: block; will-change: transform;
+}
 .tl-drive .panel { display: flex; flex-direction: column; gap: .5em; }
-.tl-drive .mode { font-weight: 700; font-size: 1.15em; padding: .3em .6em; border-radius: 4px; color: #fff; background: #0072b2; }
+.tl-drive .mode {
+  font-weight: 700; font-size: 1.15em; padding: .3em .6em; border-radius: 4px; color: #fff;
+  background: #0072b2;
+}
 .tl-drive .mode.autonomous { background: #a04800; }
-.tl-drive .suggestion { min-height: 4.4em; padding: .3em .6em; border-radius: 4px; border: 2px solid transparent; }
+.tl-drive .suggestion {
+  min-height: 4.4em; padding: .3em .6em; border-radius: 4px; border: 2px solid transparent;
+}
 .tl-drive .suggestion.now { border-color: #00784f; background: #e6f6ef; }
 .tl-drive button { font: inherit; padding: .3em .6em; }
 .tl-drive .hint { font-size: .85em; color: #47525e; }
 .tl-drive .gauges { grid-column: 1 / -1; }
-.tl-drive .away { position: absolute; inset: 0; display: grid; place-items: center; background: rgba(255, 255, 255, .75); font-size: 1.3em; border-radius: 6px; }
+.tl-drive .away {
+  position: absolute; inset: 0; display: grid; place-items: center;
+  background: rgba(255, 255, 255, .75); font-size: 1.3em; border-radius: 6px;
+}
 .tl-drive .away[hidden] { display: none; }
 `;
 
@@ -30,11 +44,14 @@ function say(place, words) {
   if (place.textContent !== words) place.textContent = words;
 }
 
-// Make a canvas opaque and keep its pixels those of the screen: without a graphics card scaling costs more than drawing.
+// Make a canvas opaque and keep its pixels those of the screen: without a graphics card scaling
+// costs more than drawing.
 function fitted(canvas, shape, resized, signal) {
-  const g = canvas.getContext("2d", { alpha: false, desynchronized: true });   // shown past the page's own painting: sooner, and for less
+  // Shown past the page's own painting: sooner, and for less
+  const g = canvas.getContext("2d", { alpha: false, desynchronized: true });
   const fit = () => {
-    const wide = Math.floor(canvas.parentElement.clientWidth), dense = Math.min(devicePixelRatio, 2);
+    const wide = Math.floor(canvas.parentElement.clientWidth),
+      dense = Math.min(devicePixelRatio, 2);
     if (!wide || canvas.width === Math.round(wide * dense)) return;
     canvas.width = Math.round(wide * dense);
     canvas.height = Math.round(canvas.width * shape);
@@ -49,11 +66,24 @@ function fitted(canvas, shape, resized, signal) {
   return g;
 }
 
-// What the robot's camera shows: gates of posts within range, over a floor with a grid for the eye to hold on to.
+// What the robot's camera shows: gates of posts within range, over a floor with a grid for the eye
+// to hold on to.
 class Camera {
   constructor(canvas, config, signal) {
-    Object.assign(this, { config, canvas, past: [], course: config.view.map ? new CourseMap(config.path) : null });
-    this.g = fitted(canvas, 11 / 24, () => { this.focal = canvas.width / 2 / Math.tan(config.view.field / 2); }, signal);
+    Object.assign(this, {
+      config,
+      canvas,
+      past: [],
+      course: config.view.map ? new CourseMap(config.path) : null,
+    });
+    this.g = fitted(
+      canvas,
+      11 / 24,
+      () => {
+        this.focal = canvas.width / 2 / Math.tan(config.view.field / 2);
+      },
+      signal,
+    );
   }
 
   // Remember a pose; frames show the one of `delay` ago.
@@ -64,17 +94,32 @@ class Camera {
 
   // The pose at a time, in samples, between the poses that are remembered.
   pose(time) {
-    const past = this.past, i = Math.max(past.findLastIndex((one) => one.k <= time), 0);
-    const a = past[i], b = past[i + 1] ?? a, share = clamp((time - a.k) / Math.max(b.k - a.k, 1), 0, 1);
+    const past = this.past,
+      i = Math.max(
+        past.findLastIndex((one) => one.k <= time),
+        0,
+      );
+    const a = past[i],
+      b = past[i + 1] ?? a,
+      share = clamp((time - a.k) / Math.max(b.k - a.k, 1), 0, 1);
     const turn = Math.atan2(Math.sin(b.yaw - a.yaw), Math.cos(b.yaw - a.yaw));
-    return { x: a.x + share * (b.x - a.x), y: a.y + share * (b.y - a.y), yaw: a.yaw + share * turn };
+    return {
+      x: a.x + share * (b.x - a.x),
+      y: a.y + share * (b.y - a.y),
+      yaw: a.yaw + share * turn,
+    };
   }
 
   draw(time) {
     if (!this.past.length) return;
-    const { g, canvas, config, focal } = this, { range, height, delay } = config.view;
-    const at = this.pose(time - delay / config.sample_time), cos = Math.cos(at.yaw), sin = Math.sin(at.yaw);
-    const horizon = Math.round(0.36 * canvas.height), middle = canvas.width / 2, aside = Math.tan(config.view.field / 2) + 0.05;
+    const { g, canvas, config, focal } = this,
+      { range, height, delay } = config.view;
+    const at = this.pose(time - delay / config.sample_time),
+      cos = Math.cos(at.yaw),
+      sin = Math.sin(at.yaw);
+    const horizon = Math.round(0.36 * canvas.height),
+      middle = canvas.width / 2,
+      aside = Math.tan(config.view.field / 2) + 0.05;
     g.fillStyle = "#cfdbe6";
     g.fillRect(0, 0, canvas.width, horizon);
     g.fillStyle = "#e9e5da";
@@ -82,22 +127,40 @@ class Camera {
     g.fillStyle = "#b9b29f";
     for (let x = Math.floor(at.x - range); x <= at.x + range; x += 0.5) {
       for (let y = Math.floor(at.y - range); y <= at.y + range; y += 0.5) {
-        const ahead = cos * (x - at.x) + sin * (y - at.y), left = cos * (y - at.y) - sin * (x - at.x);
-        if (ahead < 0.35 || Math.abs(left) > aside * ahead || ahead * ahead + left * left > range * range) continue;
-        const near = focal / ahead;                       // whole pixels, which need no smoothing
-        g.fillRect(Math.round(middle - near * left), Math.round(horizon + near * height), Math.ceil(0.035 * near), Math.ceil(0.012 * near));
+        const ahead = cos * (x - at.x) + sin * (y - at.y),
+          left = cos * (y - at.y) - sin * (x - at.x);
+        if (
+          ahead < 0.35 ||
+          Math.abs(left) > aside * ahead ||
+          ahead * ahead + left * left > range * range
+        )
+          continue;
+        const near = focal / ahead; // whole pixels, which need no smoothing
+        g.fillRect(
+          Math.round(middle - near * left),
+          Math.round(horizon + near * height),
+          Math.ceil(0.035 * near),
+          Math.ceil(0.012 * near),
+        );
       }
     }
     const posts = [];
     config.posts.forEach(([x, y], i) => {
-      const ahead = cos * (x - at.x) + sin * (y - at.y), left = cos * (y - at.y) - sin * (x - at.x), away = Math.hypot(ahead, left);
+      const ahead = cos * (x - at.x) + sin * (y - at.y),
+        left = cos * (y - at.y) - sin * (x - at.x),
+        away = Math.hypot(ahead, left);
       if (ahead > 0.15 && away < range) posts.push({ ahead, left, away, i });
     });
     for (const { ahead, left, away, i } of posts.sort((a, b) => b.ahead - a.ahead)) {
       const near = focal / ahead;
-      g.globalAlpha = clamp((range - away) / 0.8, 0, 1);                        // posts come out of the haze
-      g.fillStyle = i % 2 ? "#0b7a55" : "#b3402e";                              // right and left of the way
-      g.fillRect(middle - near * (left + 0.045), horizon + near * (height - 0.9), 0.09 * near, 0.9 * near);
+      g.globalAlpha = clamp((range - away) / 0.8, 0, 1); // posts come out of the haze
+      g.fillStyle = i % 2 ? "#0b7a55" : "#b3402e"; // right and left of the way
+      g.fillRect(
+        middle - near * (left + 0.045),
+        horizon + near * (height - 0.9),
+        0.09 * near,
+        0.9 * near,
+      );
     }
     g.globalAlpha = 1;
     this.course?.draw(g, at);
@@ -107,7 +170,9 @@ class Camera {
 // The small map for experimenters: the path, drawn once, and where the robot is.
 class CourseMap {
   constructor(path) {
-    const xs = path.map((p) => p[0]), ys = path.map((p) => p[1]), low = [Math.min(...xs), Math.min(...ys)];
+    const xs = path.map((p) => p[0]),
+      ys = path.map((p) => p[1]),
+      low = [Math.min(...xs), Math.min(...ys)];
     const scale = 150 / (Math.max(...xs) - low[0]);
     this.place = (x, y) => [10 + scale * (x - low[0]), 130 - scale * (y - low[1])];
     this.sheet = Object.assign(element("canvas"), { width: 172, height: 140 });
@@ -128,22 +193,45 @@ class CourseMap {
   }
 }
 
-// P_r, P_h, r and TSC over the last minutes, each with its number; thresholds and best performance as lines. Drawn five times a second.
+// P_r, P_h, r and TSC over the last minutes, each with its number; thresholds and best performance
+// as lines. Drawn five times a second.
 class Gauges {
   constructor(canvas, config, signal) {
     this.canvas = canvas;
     this.stale = true;
-    this.g = fitted(canvas, 1 / 8, () => { this.stale = true; }, signal);
-    const { task, columns } = config, top = 1.25 * config.robot.max_speed;
+    this.g = fitted(
+      canvas,
+      1 / 8,
+      () => {
+        this.stale = true;
+      },
+      signal,
+    );
+    const { task, columns } = config,
+      top = 1.25 * config.robot.max_speed;
     const tsc = task.scheme === 2 ? [task.lower, task.upper] : [];
-    const shown = [["p_r", "robot P_r", 0, top, task.p_max ? [task.p_max] : []], ["p_h", "you P_h", 0, top, []], ["r", "how busy, r", 0, 1, []], ["tsc", "trust, TSC", -1, 1, tsc]];
-    this.panels = shown.filter(([name]) => task.a_T || name !== "tsc").map(([name, label, low, high, lines]) => ({ at: columns.indexOf(name), label, low, high, lines, past: [] }));
+    const shown = [
+      ["p_r", "robot P_r", 0, top, task.p_max ? [task.p_max] : []],
+      ["p_h", "you P_h", 0, top, []],
+      ["r", "how busy, r", 0, 1, []],
+      ["tsc", "trust, TSC", -1, 1, tsc],
+    ];
+    this.panels = shown
+      .filter(([name]) => task.a_T || name !== "tsc")
+      .map(([name, label, low, high, lines]) => ({
+        at: columns.indexOf(name),
+        label,
+        low,
+        high,
+        lines,
+        past: [],
+      }));
   }
 
   add(row) {
     for (const panel of this.panels) {
       panel.past.push(row[panel.at]);
-      if (panel.past.length > 1800) panel.past.shift();        // three minutes
+      if (panel.past.length > 1800) panel.past.shift(); // three minutes
     }
     this.added = (this.added ?? 0) + 1;
     this.stale ||= this.added % 2 === 0;
@@ -152,17 +240,25 @@ class Gauges {
   draw() {
     if (!this.stale) return;
     this.stale = false;
-    const g = this.g, wide = 960 / this.panels.length, size = this.canvas.width / 960;
+    const g = this.g,
+      wide = 960 / this.panels.length,
+      size = this.canvas.width / 960;
     g.setTransform(size, 0, 0, size, 0, 0);
     g.fillStyle = "#fff";
     g.fillRect(0, 0, 960, 120);
     g.font = "16px system-ui, sans-serif";
     this.panels.forEach(({ label, low, high, lines, past }, i) => {
-      const x = i * wide + 8, y = (value) => 112 - (84 * (clamp(value, low, high) - low)) / (high - low);
+      const x = i * wide + 8,
+        y = (value) => 112 - (84 * (clamp(value, low, high) - low)) / (high - low);
       g.fillStyle = "#f1f4f7";
       g.fillRect(x, 28, wide - 16, 84);
       g.strokeStyle = "#a04800";
-      for (const line of lines) { g.beginPath(); g.moveTo(x, y(line)); g.lineTo(x + wide - 16, y(line)); g.stroke(); }
+      for (const line of lines) {
+        g.beginPath();
+        g.moveTo(x, y(line));
+        g.lineTo(x + wide - 16, y(line));
+        g.stroke();
+      }
       g.strokeStyle = "#0072b2";
       g.beginPath();
       for (let n = 0; n < past.length; n += 6) g.lineTo(x + ((wide - 16) * n) / 1800, y(past[n]));
@@ -177,9 +273,16 @@ const NAMES = ["AUTONOMOUS", "MANUAL"];
 
 // Why the panel suggests a mode, in words.
 function reason(config, suggested, row) {
-  const { task, columns } = config, tsc = row[columns.indexOf("tsc")].toFixed(2), p = row[columns.indexOf("p_r")].toFixed(2);
-  if (task.scheme === 2) return suggested ? `trust has fallen: TSC ${tsc}, manual at ${task.lower.toFixed(2)}` : `trust has risen: TSC ${tsc}, autonomous at ${task.upper.toFixed(2)}`;
-  return suggested ? `the robot performs below its best: P_r ${p} of ${task.p_max.toFixed(2)} m/s` : `the robot performs at its best: P_r ${p} m/s`;
+  const { task, columns } = config,
+    tsc = row[columns.indexOf("tsc")].toFixed(2),
+    p = row[columns.indexOf("p_r")].toFixed(2);
+  if (task.scheme === 2)
+    return suggested
+      ? `trust has fallen: TSC ${tsc}, manual at ${task.lower.toFixed(2)}`
+      : `trust has risen: TSC ${tsc}, autonomous at ${task.upper.toFixed(2)}`;
+  return suggested
+    ? `the robot performs below its best: P_r ${p} of ${task.p_max.toFixed(2)} m/s`
+    : `the robot performs at its best: P_r ${p} m/s`;
 }
 
 class Panel {
@@ -189,32 +292,50 @@ class Panel {
     this.suggestion = element("div", "suggestion");
     this.suggestion.setAttribute("role", "status");
     this.button = element("button", "", "Switch (space bar)");
-    this.button.addEventListener("click", () => { toggle(); root.focus({ preventScroll: true }); });
+    this.button.addEventListener("click", () => {
+      toggle();
+      root.focus({ preventScroll: true });
+    });
     this.clock = element("div", "hint");
-    const hint = element("div", "hint", "Arrow keys or W A S D, a gamepad, or drag with mouse or finger. Stay between the posts, as fast as you can: red ones on your left.");
+    const hint = element(
+      "div",
+      "hint",
+      "Arrow keys or W A S D, a gamepad, or drag with mouse or finger. " +
+        "Stay between the posts, as fast as you can: red ones on your left.",
+    );
     this.root = element("div", "panel");
     this.root.append(this.mode, this.button, this.suggestion, this.clock, hint);
   }
 
   show(row, laps) {
-    const [mode, suggested] = row, { task } = this.config, stands = suggested >= 0 && suggested !== mode;
+    const [mode, suggested] = row,
+      { task } = this.config,
+      stands = suggested >= 0 && suggested !== mode;
     say(this.mode, NAMES[mode]);
     this.mode.classList.toggle("autonomous", mode === 0);
     this.suggestion.classList.toggle("now", stands);
-    const said = stands ? `${task.forced ? "Switching to" : "Suggested:"} ${NAMES[suggested]}. ${reason(this.config, suggested, row)}.` : "";
+    const said = stands
+      ? `${task.forced ? "Switching to" : "Suggested:"} ${NAMES[suggested]}. ` +
+        `${reason(this.config, suggested, row)}.`
+      : "";
     say(this.suggestion, said);
     say(this.clock, task.laps ? `Lap ${Math.min(laps + 1, task.laps)} of ${task.laps}` : "");
   }
 }
 
 export function furnish(root, config, toggle, signal) {
-  const sheet = new CSSStyleSheet(), home = root.getRootNode();
+  const sheet = new CSSStyleSheet(),
+    home = root.getRootNode();
   sheet.replaceSync(STYLE);
   home.adoptedStyleSheets = [...(home.adoptedStyleSheets ?? []), sheet];
   root.classList.add("tl-drive");
   root.tabIndex = 0;
-  const camera = element("canvas"), gauges = element("canvas"), away = element("div", "away", "Paused: click here to go on");
-  const panel = new Panel(root, config, toggle), front = element("div"), below = element("div", "gauges");
+  const camera = element("canvas"),
+    gauges = element("canvas"),
+    away = element("div", "away", "Paused: click here to go on");
+  const panel = new Panel(root, config, toggle),
+    front = element("div"),
+    below = element("div", "gauges");
   camera.setAttribute("aria-label", "what the robot's camera shows");
   gauges.setAttribute("aria-label", "performance, utilization and trust over the last minutes");
   away.hidden = true;
@@ -222,5 +343,10 @@ export function furnish(root, config, toggle, signal) {
   below.append(gauges);
   root.replaceChildren(front, panel.root, below, away);
   root.focus({ preventScroll: true });
-  return { camera: new Camera(camera, config, signal), gauges: new Gauges(gauges, config, signal), panel, away };
+  return {
+    camera: new Camera(camera, config, signal),
+    gauges: new Gauges(gauges, config, signal),
+    panel,
+    away,
+  };
 }

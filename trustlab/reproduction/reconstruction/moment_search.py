@@ -186,7 +186,9 @@ class MomentProblem:
         Return S_ii(n − 1)/n − (m − low)(high − m): positive where no values within the scale have
         these moments.
         """
-        (low, high), k, share = self.scale, self.k, (self.n - 1.0) / self.n
+        low, high = self.scale
+        k = self.k
+        share = (self.n - 1.0) / self.n
         value = share * stats.sd**2 - (stats.mean - low) * (high - stats.mean)
         by_mean = np.zeros((*stats.mean.shape, k))
         by_mean[:, range(k), range(k)] = 2.0 * stats.mean - low - high
