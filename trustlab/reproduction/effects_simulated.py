@@ -214,7 +214,8 @@ def _compared(
     """
     if effect.measure not in measures:
         return math.nan, math.nan, 0, math.nan, pd.NA, SILENT
-    wide = measures.pivot(index="participant", columns="condition", values=effect.measure)  # noqa: PD010, a repeat is an error
+    names = {"index": "participant", "columns": "condition", "values": effect.measure}
+    wide = measures.pivot(**names)  # noqa: PD010 (a repeat is an error)
     after, before = wide.reindex(columns=effect.conditions).T.to_numpy(float)
     difference = pd.Series(after - before).dropna()
     count = len(difference)
