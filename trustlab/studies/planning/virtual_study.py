@@ -388,7 +388,8 @@ def _fitting(
 
 def _testbed_with(names: tuple[str, ...], testbed: str | None) -> str:
     """Return the name of the testbed that runs these conditions, the one asked for if any."""
-    groups = {name: kind.conditions for name, kind in TESTBEDS.items()}  # type: ignore[attr-defined]
+    kinds: Mapping[str, Any] = TESTBEDS
+    groups = {name: kind.conditions for name, kind in kinds.items()}
     known = list(dict.fromkeys(condition for group in groups.values() for condition in group))
     for name in names:
         one_of("condition", name, known)
