@@ -18,7 +18,7 @@ from trustlab.teleoperation.loop.settings import DivergenceError, PartError
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.records import filled, log_of, robot_numbers, signal
 from trustlab.teleoperation.team import kernel
-from trustlab.teleoperation.team.graphs import TeamGraph, formation_on, graphs_in_time
+from trustlab.teleoperation.team.graphs import TeamGraph, formation_on, graphs_in_time, multiplied
 from trustlab.teleoperation.team.leader_policies import (
     Decision,
     LeaderPolicy,
@@ -259,7 +259,7 @@ class Team(NamedTuple):
             recorded = slice(-(-first // every), -(-last // every))
             # one product of matrices, not one per row: NumPy takes forty times as long for these
             flat = distances[recorded].reshape(-1, len(self.robots))
-            flat[:] = flat @ formation.vectors.T
+            flat[:] = multiplied(flat, formation.vectors.T)
             distances[recorded, :, ~graph.present] = np.nan  # not in the team, nowhere
         log["leader"] += self.goal
         t = pd.Index(np.round(T * every * np.arange(rows), 9), name="t")
@@ -277,8 +277,8 @@ class Team(NamedTuple):
         if before is not None:
             stored, _ = kernel.storages(before, memory.w, memory.z)
         for coordinates in (memory.w, memory.z):
-            places = coordinates if before is None else coordinates @ before.vectors.T
-            coordinates[:] = places @ after.vectors
+            places = coordinates if before is None else multiplied(coordinates, before.vectors.T)
+            coordinates[:] = multiplied(places, after.vectors)
         if before is not None:
             gained = kernel.storages(after, memory.w, memory.z)[0] - stored
             state["supply_links"] += self.settings.force_gain / self.settings.lead_gain * gained
@@ -307,7 +307,7 @@ def _memory(delays, pushed, distance, zeta) -> kernel.Memory:
 
 def _positions(team: kernel.Formation, memory: kernel.Memory, goal: np.ndarray) -> np.ndarray:
     """Return where the robots are now [m], shape (N, 3)."""
-    return (memory.w @ team.vectors.T).T + goal
+    return multiplied(memory.w, team.vectors.T).T + goal
 
 
 def _start(

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.models.checks import finite_number, positive
-from trustlab.models.linear_algebra import symmetric_eigen
+from trustlab.models.linear_algebra import products, symmetric_eigen
 from trustlab.teleoperation.team.kernel import Formation
 from trustlab.teleoperation.team.settings import TeamSettings
 
 # Robots up to which a team has the same bits on every machine; Jacobi's rotations take too long for
 # more.
-MOST_IN_FIXED_ORDER = 64
+MOST_IN_FIXED_ORDER = 32
 
 
 class GraphError(ValueError):
@@ -247,6 +247,14 @@ def scaled_settings(
     return replace(
         settings or TeamSettings(), coupling=coupling, lead_gain=gain, force_gain=1.0 / gain
     )
+
+
+def multiplied(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Return rows times a team's matrix (N, N), in a fixed order if it is small."""
+    if len(matrix) > MOST_IN_FIXED_ORDER:
+        return rows @ matrix
+    (out,) = products(np.ascontiguousarray(rows)[None], np.ascontiguousarray(matrix)[None])
+    return out
 
 
 def _eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
