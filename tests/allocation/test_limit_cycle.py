@@ -144,12 +144,6 @@ def test_rare_coexisting_motions_are_found(random_model, seed, periods):
     assert limit_cycle(model, lower, upper, starts=1).motions == 1
 
 
-def test_exhaustive_is_an_old_name(operators):
-    cycle = limit_cycle(operators["1"], 0.1, 0.5)
-    with pytest.warns(DeprecationWarning, match=r"always False .* use trustlab\.invariant_bounds"):
-        assert cycle.exhaustive is False
-
-
 def test_utilization_that_saturates_has_a_cycle_too():
     model = tl.TscModel(
         tl.RobotModel(0.999, 0.24, 0.39, 0.4602), tl.HumanModel(0.5, 0.5, 0.391, 0.4602)

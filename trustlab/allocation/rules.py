@@ -14,7 +14,6 @@ from trustlab.models.checks import (
     in_order,
     not_negative,
     shown,
-    warn_renamed,
     whole_number,
 )
 from trustlab.models.compiled import njit
@@ -178,17 +177,13 @@ class PerformanceRule:
             TSC. The rule does not use it; it is accepted so that both rules are called alike, and
             checked so that a NaN in the calling loop does not go unnoticed.
         p_r : float
-            Robot performance now; needed. A single argument without a name is taken for it, with a
-            warning.
+            Robot performance now; needed.
 
         Raises
         ------
         ValueError
             If a value given is not a finite number.
         """
-        if p_r is None and tsc is not None:
-            warn_renamed("PerformanceRule.step(p_r)", "step(tsc=…, p_r=…), as every rule has it")
-            p_r, tsc = tsc, None
         p_r = finite_number("p_r, which Algorithm 2 needs,", p_r)
         if tsc is not None:
             finite_number("tsc (unused by Algorithm 2)", tsc)

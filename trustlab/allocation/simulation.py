@@ -78,9 +78,9 @@ def simulate_allocation(
         1 when not given.
     rule : object, optional
         Who drives: an object with a method that is called by keyword at each sample, step(tsc=…,
-        p_r=…), and returns 1 (manual), 0 (autonomous) or None (keep the mode). `ThresholdRule` and
-        `PerformanceRule` run compiled and stay as they are. A rule of your own is called in the
-        order of the samples and keeps what it remembers.
+        p_r=…), and returns 1 (manual), 0 (autonomous) or None (keep the mode). True and False count
+        as 1 and 0. `ThresholdRule` and `PerformanceRule` run compiled. A run works on a copy of
+        the rule, so that what the rule remembers does not carry over to the next run.
 
     Returns
     -------

@@ -107,6 +107,7 @@ class CasadiEngine:
     """
 
     name = "casadi"
+    options = ("extra_cost", "extra_constraints", "switch_width", "solver")
 
     def __init__(
         self,

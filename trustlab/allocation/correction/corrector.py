@@ -1,7 +1,7 @@
 """Correcting an operator's thresholds step by step, Section 2.5, by an engine chosen by name."""
 
-import inspect
 from collections.abc import Callable
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -108,17 +108,14 @@ class ThresholdCorrector:
     ):
         self.tsc = of_class("tsc", tsc, TscModel)
         self.target = check_target(tsc, target)
-        self.c_b, self.horizon = (
-            positive("c_b", c_b),
-            whole_number("horizon", horizon, most=1_000_000),
-        )
+        self.c_b = positive("c_b", c_b)
+        self.horizon = whole_number("horizon", horizon, most=1_000_000)
         kind = ENGINES[one_of("engine", engine, ENGINES)]
-        known = list(inspect.signature(kind).parameters)[6:]
-        unknown = sorted(set(options) - set(known))
+        unknown = sorted(set(options) - set(kind.options))
         if unknown:
             raise ValueError(
                 f"the engine {engine!r} has no option {unknown[0]!r}; it has "
-                f"{', '.join(known) or 'none'}"
+                f"{', '.join(kind.options)}"
             )
         self.incentive = incentive or incentive_box
         self.engine = kind(tsc, *self.target, self.c_b, self.horizon, self.incentive, **options)
@@ -157,8 +154,7 @@ class ThresholdCorrector:
         p_r = within_range("p_r", p_r, *self._range)
         lower, upper = threshold_pair("threshold", (lower, upper))
         plan = self.engine.solve(r, p_r, lower, upper, check_mode(mode))
-        object.__setattr__(plan, "solve_time", perf_counter() - began)
-        return plan
+        return replace(plan, solve_time=perf_counter() - began)
 
     def __repr__(self) -> str:
         return (

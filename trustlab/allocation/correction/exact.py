@@ -38,17 +38,15 @@ keeps a margin of
    1e-9 c_b, between 1e-15 and 1e-12, and the lower bound is the cost without the margin.
 6. If the budget of steps runs out, the rest is bounded by boxes: one rectangle per mode encloses
 all reachable r and P_r,
-   cut by the thresholds' range at each switch; the rates in its best corner bound the cost. Over
-   many switches these boxes grow wide; there whole phases bound how far thresholds can move
-   (`phase_bound`). In both bounds the thresholds that decide the modes may differ from those that
-   are charged for, which accounts for the remaining gap.
+   cut by the thresholds' range at each switch; the rates in its best corner bound the cost. The
+   bound is valid for any horizon, but the boxes grow wide over many switches: beyond some 1,000
+   steps the gap says little about how good the plan is.
 
 The lower bound holds up to rounding, about 1e-12 of the cost.
 """
 
 from __future__ import annotations
 
-import types
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -57,7 +55,7 @@ import numpy as np
 
 from trustlab.allocation.correction.dynamics import suggestion_now
 from trustlab.allocation.correction.incentive import box, incentive_box
-from trustlab.allocation.correction.lower_bound import LONG, future_cost, remaining_cost
+from trustlab.allocation.correction.lower_bound import Problem, future_cost, reachable
 from trustlab.allocation.correction.plan import LOWER, UPPER, CorrectionPlan, CorrectionStatus
 from trustlab.models.checks import whole_number
 from trustlab.models.compiled import njit
@@ -75,24 +73,18 @@ class Workspace(NamedTuple):
     waiting: np.ndarray  # steps that could have gone the other way, the last on top
     states: np.ndarray  # r, P_r, TSC_l, TSC_u and mode at steps 0 … N (no mode at N)
     actions: np.ndarray  # c_l and c_u at steps 0 … N − 1
-    long: (
-        bool | None
-        # True where bounds by phases can be worth their time; None leaves them out of what is
-        # compiled
-    )
 
     @classmethod
     def of(cls, horizon: int) -> Workspace:
         """Return arrays for N steps."""
         n = horizon + 1
-        arrays = (
-            np.empty((8, n)),
-            np.empty((6, 2, n)),
-            np.empty(n, np.int64),
-            np.empty((5, n)),
-            np.empty((2, horizon)),
+        return cls(
+            steps=np.empty((8, n)),
+            thresholds=np.empty((6, 2, n)),
+            waiting=np.empty(n, np.int64),
+            states=np.empty((5, n)),
+            actions=np.empty((2, horizon)),
         )
-        return cls(*arrays, horizon > LONG or None)
 
 
 @njit
@@ -190,17 +182,41 @@ def search(
     plan,
 ):
     """
-    Search the mode sequences from r0, p0, the thresholds `start` and the mode before; fill `states`
-    and the actions `plan`.
+    Search the mode sequences as `search_within` the incentives (2.42) does.
 
-    `standard` says that the incentives are (2.42), which lower bounds of the cost exploit; `budget`
-    is how many times N steps may be searched. The arrays of `Workspace` are passed one by one and
-    the constants as a plain tuple, because passing NamedTuples from Python takes longer than many a
-    search. Returns the cost, a lower bound of the cost of what was searched (for the rest see
+    The arrays of `Workspace` are passed one by one and the constants as a plain tuple, because
+    passing NamedTuples from Python takes longer than many a search.
+    """
+    problem = problem_of(constants, c_b, target, start, standard)
+    room = Workspace(steps, thresholds, waiting, states, plan)
+    return search_within(box, problem, budget, r0, p0, before, room)
+
+
+@njit
+def problem_of(constants, c_b, target, start, standard):
+    """Return thresholds and targets as those of a problem in which both thresholds rise."""
+    sign = np.empty(2)
+    goal = np.empty(2)
+    for j in (LOWER, UPPER):
+        sign[j] = 1.0 if target[j] >= start[j] else -1.0
+        goal[j] = sign[j] * target[j]
+    return Problem(TscConstants(*constants), c_b, standard, sign, start, goal)
+
+
+# Inlined: numba caches no function that hands another one over.
+@njit(inline="always")
+def search_within(incentive, problem, budget, r0, p0, before, room):
+    """
+    Search the mode sequences from r0, p0, the thresholds `start` and the mode before; fill the
+    room's states and actions.
+
+    `incentive` is compiled and bounds the corrections; `budget` is how many times N steps may be
+    searched. Returns the cost, a lower bound of the cost of what was searched (for the rest see
     `unsearched_cost`), the number of mode sequences followed, whether the search was complete, TSC
     now, and whether incentives stayed within [−c_b, 0] and [0, c_b].
     """
-    c = TscConstants(*constants)
+    c, c_b, standard, sign, start, goal = problem
+    steps, thresholds, waiting, states, plan = room
     # At each step: state, P_h, box (2.42), TSC and mode of the sequence that is followed, and the
     # least cost so far.
     r, p, p_h, low, high, tsc, mode, spent = steps
@@ -211,12 +227,8 @@ def search(
     best_r, best_p, best_lower, best_upper, best_mode = states
     n = r.size - 1
     margin = min(max(1e-9 * c_b, 1e-15), 1e-12)
-    sign = np.empty(2)
-    goal = np.empty(2)
     at = np.empty(2)
     for j in (LOWER, UPPER):
-        sign[j] = 1.0 if target[j] >= start[j] else -1.0
-        goal[j] = sign[j] * target[j]
         least[j, 0] = most[j, 0] = z[j, 0] = sign[j] * start[j]
         hold[j, :] = goal[j]
     r[0] = r0
@@ -249,7 +261,7 @@ def search(
                 if fresh:
                     p_h[k] = human_at(r[k], c)
                     tsc[k] = tsc_at(p[k], p_h[k], c)
-                    a, b = box(r[k], p[k], c_b, c.p_r_min, c.p_r_max)
+                    a, b = incentive(r[k], p[k], c_b, c.p_r_min, c.p_r_max)
                     slack = 1e-9 * c_b
                     if not (
                         standard or (-c_b - slack <= a <= slack and -slack <= b <= c_b + slack)
@@ -330,14 +342,12 @@ def search(
             height -= 1
             i = waiting[height]
             j = UPPER if mode[i - 1] == 1.0 else LOWER
-            other = 0.0 if sign[j] > 0 else 1.0
+            untried = 0.0 if sign[j] > 0 else 1.0
             for s in (LOWER, UPPER):
                 at[s] = min(most[s, i - 1] + (high[i - 1] if sign[s] > 0 else -low[i - 1]), goal[s])
             at[j] = min(at[j], sign[j] * tsc[i])
             enough = cost - spent[i - 1]
-            ahead = future_cost(
-                i, n, r[i], p[i], low[i], high[i], other, at, goal, sign, c, c_b, standard, enough
-            )
+            ahead = future_cost(problem, i, n, r[i], p[i], low[i], high[i], untried, at, enough)
             searched += 1 + (n - i) // 16
             if ahead < enough:
                 k = i
@@ -350,28 +360,19 @@ def search(
 
 
 @njit
-def unsearched_cost(
-    constants, c_b, target, start, standard, steps, thresholds, waiting, states, long
-):
-    """Bound from below the cost of what a search within its budget did not get to."""
-    c = TscConstants(*constants)
-    r, p, _, low, high, _, mode, spent = steps
-    least, most, hold, _, _, _ = thresholds
-    _, _, best_lower, best_upper, _ = states
-    goal = hold[:, 0]
-    sign = np.empty(2)
-    guess = np.empty(2)
+def unsearched_cost(constants, c_b, target, start, standard, steps, thresholds, waiting):
+    """Bound from below the cost (2.43) of what a search within its budget did not get to."""
+    problem = problem_of(constants, c_b, target, start, standard)
     # The first step with an untried mode: up to it all sequences agree; everything after it is
     # bounded as a whole.
-    i, n = waiting[0], r.size - 1
-    for j in (LOWER, UPPER):
-        sign[j] = 1.0 if target[j] >= start[j] else -1.0
-        way = sign[j] * (best_lower[n] if j == LOWER else best_upper[n]) - least[j, 0]
-        guess[j] = min(least[j, 0] + 1.3 * way + 50.0 * c_b, goal[j])
-    rest = remaining_cost(
-        i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, c_b, standard, long, guess
-    )
-    return max(spent[i - 1] + rest, 0.0)
+    first, n = waiting[0], steps.shape[1] - 1
+    path = np.empty((2, n + 1))
+    reachable(problem, first, steps, thresholds[1], path)
+    rest = 0.0
+    for k in range(first, n + 1):
+        for_lower = (problem.goal[LOWER] - path[LOWER, k]) ** 2
+        rest += for_lower + (problem.goal[UPPER] - path[UPPER, k]) ** 2
+    return max(steps[7, first - 1] + rest, 0.0)
 
 
 class ExactEngine:
@@ -405,6 +406,7 @@ class ExactEngine:
     """
 
     name = "exact"
+    options = ("budget",)
 
     def __init__(
         self,
@@ -423,7 +425,7 @@ class ExactEngine:
         room = Workspace.of(horizon)
         # One step, after which nothing is left, compiles what a plan can need, so that no plan of a
         # run waits for it.
-        self._room = Workspace.of(1)._replace(long=room.long)
+        self._room = Workspace.of(1)
         self._room.waiting[0] = 1
         self._searched(0.5, tsc.robot.p_min, target_lower, target_upper, 1)
         self._unsearched()
@@ -433,12 +435,11 @@ class ExactEngine:
         """Return cost, lower bound, number of sequences, status and TSC; `_room` has the plan."""
         # Written for speed: a plan takes about as long as passing its arguments.
         self._start[LOWER], self._start[UPPER] = lower, upper
-        steps, thresholds, waiting, states, actions, _ = self._room
+        steps, thresholds, waiting, states, actions = self._room
         now = self._start, r, p_r, float(mode), self._standard
-        found = self._search(
+        cost, bound, sequences, complete, tsc, valid = self._search(
             *self._problem, self.budget, *now, steps, thresholds, waiting, states, actions
         )
-        cost, bound, sequences, complete, tsc, valid = found
         if not valid:
             raise ValueError(
                 "the incentive function left [−c_b, 0] and [0, c_b] or returned NaN at a "
@@ -450,9 +451,9 @@ class ExactEngine:
         return cost, min(bound, self._unsearched()), sequences, CorrectionStatus.BOUNDED, tsc
 
     def _unsearched(self):
-        steps, thresholds, waiting, states, _, long = self._room
+        steps, thresholds, waiting, _, _ = self._room
         return unsearched_cost(
-            *self._problem, self._start, self._standard, steps, thresholds, waiting, states, long
+            *self._problem, self._start, self._standard, steps, thresholds, waiting
         )
 
     def decide(self, *state):
@@ -510,8 +511,12 @@ def _search_with(incentive: Callable, tsc: TscModel, c_b: float) -> Callable:
             "incentive must return a least correction in [−c_b, 0] and a greatest in [0, c_b], "
             f"got {low} and {high} at r = 0.5 for c_b = {c_b}"
         )
-    plain = search.py_func
-    own = types.FunctionType(
-        plain.__code__, plain.__globals__ | {"box": compiled}, "search_with_own_incentive"
-    )
-    return numba.njit(own)
+
+    @numba.njit
+    def search_with_incentive(
+        constants, c_b, target, budget, start, r0, p0, before, standard, *room
+    ):
+        problem = problem_of(constants, c_b, target, start, standard)
+        return search_within(compiled, problem, budget, r0, p0, before, Workspace(*room))
+
+    return search_with_incentive

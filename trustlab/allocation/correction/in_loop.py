@@ -83,7 +83,7 @@ def correct_thresholds(correction, k, r, p_r, mode):
         *problem, correction.budget, *state, *room, work.actions
     )
     if not complete:
-        bound = min(bound, unsearched_cost(*problem, thresholds, standard, *room, work.long))
+        bound = min(bound, unsearched_cost(*problem, thresholds, standard, *room[:3]))
     row = correction.log[k]
     row.lower, row.upper = thresholds[LOWER], thresholds[UPPER]
     row.cost = cost

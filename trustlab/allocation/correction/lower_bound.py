@@ -2,24 +2,33 @@
 Lower bounds of the cost (2.43) from some step on, which no plan can beat: for the exact engine.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
-from trustlab.allocation.correction.phase_bound import HIGH, LOW, least_effort
 from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.compiled import njit
 from trustlab.models.human import next_utilization
 from trustlab.models.robot import next_performance
-from trustlab.models.tsc import advance, human_at, human_range
-
-# Number of steps from which the bound over many switches is worth its computing time.
-LONG = 1000
+from trustlab.models.tsc import TscConstants, advance, human_at, human_range
 
 # A rectangle of states.
 BOX = np.dtype([("r_low", float), ("r_high", float), ("p_low", float), ("p_high", float)])
 
 
+class Problem(NamedTuple):
+    """What stays the same throughout a search; thresholds are seen as rising, × `sign`."""
+
+    c: TscConstants
+    c_b: float
+    standard: bool  # whether the incentives are (2.42)
+    sign: np.ndarray  # 1 for a threshold that rises to its target, −1 for one that falls
+    start: np.ndarray
+    goal: np.ndarray
+
+
 @njit
-def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standard, enough):
+def future_cost(problem, first, n, r, p, low, high, mode, at, enough):
     """
     Bound the cost from step `first` to n from below, the thresholds being at most `at` at step
     `first` (seen as rising).
@@ -31,6 +40,7 @@ def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standar
     # of P_r in its range. So it rises fastest where r and P_r are least, as in the autonomous mode
     # for ever, and falls fastest where they are greatest, as in the manual mode with the operator
     # at their best. Other incentives than (2.42) are bounded by c_b alone.
+    c, c_b, standard, sign, _, goal = problem
     span = c.p_r_max - c.p_r_min
     cost = (goal[LOWER] - at[LOWER]) ** 2 + (goal[UPPER] - at[UPPER]) ** 2
     r, p = advance(r, p, human_at(r, c), mode, c)
@@ -52,10 +62,8 @@ def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standar
         if standard:
             up = max(0.5 * c_b * (2.0 - r_least - (p_least - c.p_r_min) / span), 0.0)
             down = max(0.5 * c_b * (r_most + (p_most - c.p_r_min) / span), 0.0)
-            r_least, r_most = (
-                next_utilization(r_least, 0.0, c.a_r),
-                next_utilization(r_most, 1.0, c.a_r),
-            )
+            r_least = next_utilization(r_least, 0.0, c.a_r)
+            r_most = next_utilization(r_most, 1.0, c.a_r)
             p_least = next_performance(p_least, worst, 1.0, c.a_pr, c.b_pr, c.p_r_min)
             p_most = next_performance(p_most, finest, 1.0, c.a_pr, c.b_pr, c.p_r_min)
         else:
@@ -64,7 +72,7 @@ def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standar
 
 
 @njit
-def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, path):
+def reachable(problem, first, steps, most, path):
     """
     Fill `path` with how far thresholds can have moved from step `first` to n, whatever the modes,
     from boxes that enclose r and P_r.
@@ -73,6 +81,9 @@ def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, 
     that stays in its mode and the part that switches, for thresholds anywhere between their start
     and the farthest they can have moved; parts with the same mode are enclosed in one box.
     """
+    c, c_b, standard, sign, start, goal = problem
+    r, p, _, low, high, _, mode, _ = steps
+    n = r.size - 1
     span = c.p_r_max - c.p_r_min
     near = np.empty(2)
     for j in (LOWER, UPPER):
@@ -117,86 +128,17 @@ def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, 
                     p_high = min(p_high, (x_high + c.b_T * h_high) / c.a_T)
                 if p_low > p_high + 1e-12:
                     continue
-                r_low, r_high = (
-                    next_utilization(b.r_low, to, c.a_r),
-                    next_utilization(b.r_high, to, c.a_r),
-                )
+                r_low = next_utilization(b.r_low, to, c.a_r)
+                r_high = next_utilization(b.r_high, to, c.a_r)
                 p_low = next_performance(p_low, h_low, to, c.a_pr, c.b_pr, c.p_r_min)
                 p_high = next_performance(p_high, h_high, to, c.a_pr, c.b_pr, c.p_r_min)
-                own = nexts[to]
+                after = nexts[to]
                 if lives[to]:
-                    r_low, r_high = min(own.r_low, r_low), max(own.r_high, r_high)
-                    p_low, p_high = min(own.p_low, p_low), max(own.p_high, p_high)
-                own.r_low = r_low
-                own.r_high = r_high
-                own.p_low = p_low
-                own.p_high = p_high
+                    r_low, r_high = min(after.r_low, r_low), max(after.r_high, r_high)
+                    p_low, p_high = min(after.p_low, p_low), max(after.p_high, p_high)
+                after.r_low = r_low
+                after.r_high = r_high
+                after.p_low = p_low
+                after.p_high = p_high
                 lives[to] = True
-        boxes, nexts = nexts, boxes
-        alive, lives = lives, alive
-
-
-# Inlined, like `remaining_cost`: each has one caller, and compiling it by itself would take half a
-# second more.
-@njit(inline="always")
-def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
-    """
-    Lower `path` to what whole phases allow while thresholds stay within `ends`; return whether they
-    do stay within them.
-    """
-    before, limits = first - 1, np.empty((2, 2))
-    slopes, offsets = np.zeros(2), np.zeros(2)
-    for j in (LOWER, UPPER):
-        a, b = sign[j] * start[j], sign[j] * ends[j]
-        limits[j, LOW], limits[j, HIGH] = min(a, b), max(a, b)
-    # Any weight of r is valid, see `phase_bound`; this one gave tight bounds in trials.
-    weight = 0.55 / (1.0 - c.a_r)
-    for way in (1.0, -1.0):
-        if sign[LOWER] != way and sign[UPPER] != way:
-            continue
-        mean, extra = least_effort(
-            r[before], p[before], mode[before], n - before, limits, way, way * weight, c
-        )
-        if extra == -np.inf:
-            return False
-        for j in (LOWER, UPPER):
-            if sign[j] == way:
-                # (2.42): up by ½ c_b Σ (2 − f) at most, down by ½ c_b Σ f.
-                slopes[j] = 0.5 * c_b * ((2.0 if way > 0 else 0.0) - mean)
-                offsets[j] = most[j, before] - 0.5 * c_b * extra
-    for j in (LOWER, UPPER):
-        far = max(slopes[j] * (n - before), slopes[j]) + offsets[j]
-        if min(far, path[j, n]) > ends[j]:
-            return False
-    for j in (LOWER, UPPER):
-        for k in range(first, n + 1):
-            path[j, k] = min(path[j, k], slopes[j] * (k - before) + offsets[j])
-    return True
-
-
-@njit(inline="always")
-def remaining_cost(
-    first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, long, guess
-):
-    """
-    Bound the cost from step `first` to n from below, by boxes and, over many steps, by whole
-    phases.
-
-    The bound by phases needs limits of the thresholds. `guess`, taken from a plan, is how far both
-    move at most: if the bound that follows from it stays within it, it is valid, by induction over
-    the steps. If not, the limits are those of the boxes.
-    """
-    path = np.empty((2, n + 1))
-    reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, path)
-    if long is not None and standard and n - first + 1 > LONG:
-        ends, proved = np.empty(2), False
-        for attempt in range(2):
-            for j in (LOWER, UPPER):
-                ends[j] = path[j, n] if attempt == 1 else min(guess[j], path[j, n])
-            proved = proved or by_phases(
-                ends, path, first, n, r, p, mode, most, start, sign, c, c_b
-            )
-    cost = 0.0
-    for k in range(first, n + 1):
-        cost += (goal[LOWER] - path[LOWER, k]) ** 2 + (goal[UPPER] - path[UPPER, k]) ** 2
-    return cost
+        boxes, nexts, alive, lives = nexts, boxes, lives, alive

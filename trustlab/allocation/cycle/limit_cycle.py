@@ -11,7 +11,7 @@ import numpy as np
 from trustlab.allocation.cycle import phases
 from trustlab.allocation.limits import check_thresholds, ranges_table, ranges_text
 from trustlab.models.axes import axes_or_new
-from trustlab.models.checks import warn, whole_number
+from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
@@ -92,19 +92,6 @@ class LimitCycle:
     model: TscModel | None = None
     lower: float = math.nan
     upper: float = math.nan
-
-    @property
-    def exhaustive(self) -> bool:
-        """
-        False: all motions are no longer searched for, as that changed next to nothing; an old name.
-        """
-        warn(
-            "LimitCycle.exhaustive is always False and goes with the next version: limit_cycle "
-            "reports what the simulated starts settle to; for bounds on every trajectory use "
-            "trustlab.invariant_bounds",
-            DeprecationWarning,
-        )
-        return False
 
     @functools.cached_property
     def slope(self) -> float:
