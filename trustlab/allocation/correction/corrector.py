@@ -23,7 +23,7 @@ from trustlab.models.checks import (
 )
 from trustlab.models.tsc import TscModel
 
-ENGINES = {"exact": ExactEngine, "casadi": CasadiEngine}
+ENGINES: dict[str, Any] = {"exact": ExactEngine, "casadi": CasadiEngine}
 
 
 class TargetWarning(UserWarning):
