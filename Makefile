@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: environment reports docs test test-long coverage lock bench lab study data calibration simulated kernel clean help
+.PHONY: environment reports docs test test-long coverage lock bench lab study data calibration simulated kernel digest clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -89,6 +89,9 @@ simulated: $(VENV)/.stamp  ## make the simulations again that the reports only r
 
 kernel: $(VENV)/.stamp  ## compile the live drive's physics to WebAssembly again (needs wasm-ld or the package ziglang)
 	$(BIN)/python -m trustlab.live.build
+
+digest: $(VENV)/.stamp  ## results of public functions on this machine, beside the expected ones
+	$(BIN)/python data/digests/make_digests.py
 
 lock:  ## resolve environment.lock again (needs uv)
 	uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 \

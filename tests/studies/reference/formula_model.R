@@ -16,7 +16,9 @@ sets <- list(
   "Potthoff and Roy (1964): nlme::Orthodont" =
     list(data = orthodont, y = "distance", fixed = "age * Sex", random = "1", groups = "Subject"),
   "Yates (1935), three plots missing: nlme::Oats" =
-    list(data = oats, y = "yield", fixed = "nitro + Variety", random = "1", groups = "Block")
+    list(data = oats, y = "yield", fixed = "nitro + Variety", random = "1", groups = "Block"),
+  "Yates (1935), slopes that are singular: nlme::Oats" =
+    list(data = oats, y = "yield", fixed = "nitro + Variety", random = "1 + nitro", groups = "Block")
 )
 analyse <- function(set) {
   control <- lmerControl(optimizer = "bobyqa", optCtrl = list(rhoend = 1e-10))
@@ -37,7 +39,8 @@ analyse <- function(set) {
   list(
     data = set$data, formula = paste(set$y, "~", set$fixed), random = set$random, groups = set$groups, tests = tests,
     estimate = unname(fixef(own)), se = unname(sqrt(diag(as.matrix(vcov(own))))),
-    variances = vc$vcov[is.na(vc$var2)], log_likelihood = as.numeric(logLik(fit(set$fixed)))
+    variances = vc$vcov[is.na(vc$var2)], log_likelihood = as.numeric(logLik(fit(set$fixed))),
+    singular = isSingular(own, tol = 1e-6)
   )
 }
 out <- list(r = R.version.string, lme4 = as.character(packageVersion("lme4")), sets = lapply(sets, analyse))

@@ -141,4 +141,5 @@ def reachable(problem, first, steps, most, path):
                 after.p_low = p_low
                 after.p_high = p_high
                 lives[to] = True
-        boxes, nexts, alive, lives = nexts, boxes, lives, alive
+        boxes, nexts = nexts, boxes
+        alive, lives = lives, alive

@@ -1,9 +1,8 @@
-"""Mixed models by formula, fitted by statsmodels and tested by likelihood ratios."""
+"""Mixed models by formula, tested by likelihood ratios."""
 
-import warnings
-from collections.abc import Hashable
-from contextlib import suppress
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,10 +13,14 @@ from trustlab.models.checks import of_class, one_of, spawned, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.score_table import labelled, origin_of
 from trustlab.studies.columns import column_of, refuse_missing_labels
+from trustlab.studies.regression.linear_model import Linear
 from trustlab.studies.regression.logistic_model import Logistic, checked_counts
 
 # Logits beyond which no data tell a probability from 0 or 1.
 _FAR = 15.0
+
+# Simulated statistics this close to the observed one are equal but for rounding.
+_TIE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +41,8 @@ class FormulaModel:
     coefficients, tests, variances : pandas.DataFrame
         What `coefficients_table`, `table` and `random_effects` return.
     log_likelihood : float
-        Maximum of the likelihood (not restricted).
+        Maximum of the likelihood (not restricted), with all its constants. With several nodes,
+        glmer of lme4 gives that of counts relative to the saturated model.
     singular : bool
         Whether a random variance is estimated as zero, or a correlation as ±1.
     draws : int
@@ -181,12 +185,12 @@ def formula_model(
             )
         logistic = Logistic(codes, checked_counts(y, frame, trials), points)
         model: Model = logistic
-        estimates = _logistic_estimates(logistic, y, x)
+        estimates = _logistic_estimates(logistic, y, x, labels)
     else:
         centre, scale = y.mean() if "Intercept" in x.columns else 0.0, y.std()
         y = (y - centre) / scale  # the search does not depend on the unit
-        model = normal = _Normal(codes, z)
-        estimates = _normal_estimates(normal, y, x, centre, scale)
+        model = linear = Linear(codes, z)
+        estimates = _normal_estimates(linear, y, x, centre, scale)
     seeds = spawned(seed, len(terms))
     tests = [
         _test(name, terms, y, x, model, bootstrap, child)
@@ -210,32 +214,39 @@ def formula_model(
 
 
 def _normal_estimates(
-    model: "_Normal", y: np.ndarray, x: pd.DataFrame, centre: float, scale: float
+    model: Linear, y: np.ndarray, x: pd.DataFrame, centre: float, scale: float
 ) -> dict:
     """
     Return the estimates of a linear model in the unit of the score: fixed effects and variances by
     restricted likelihood.
     """
     full, restricted = model.fit(y, x.to_numpy()), model.fit(y, x.to_numpy(), reml=True)
-    estimate = scale * restricted.fe_params + centre * np.array(
-        [name == "Intercept" for name in x.columns]
-    )
-    covariance = scale**2 * np.atleast_2d(restricted.cov_re)
+    offset = centre * np.array([name == "Intercept" for name in x.columns])
     return {
-        "coefficients": _coefficients(list(x.columns), estimate, scale * restricted.bse_fe),
-        "variances": _variances(list(model.z.columns), covariance, scale**2 * restricted.scale),
+        "coefficients": _coefficients(
+            list(x.columns), scale * restricted.beta + offset, scale * restricted.se
+        ),
+        "variances": _variances(
+            list(model.z.columns), scale**2 * restricted.covariance, scale**2 * restricted.residual
+        ),
         "log_likelihood": float(full.llf - len(y) * np.log(scale)),
-        "singular": bool(np.linalg.eigvalsh(covariance)[0] < 1e-6 * scale**2),
+        "singular": restricted.singular,
     }
 
 
-def _logistic_estimates(model: Logistic, y: np.ndarray, x: pd.DataFrame) -> dict:
+def _logistic_estimates(
+    model: Logistic, y: np.ndarray, x: pd.DataFrame, labels: Sequence[Hashable]
+) -> dict:
     """Return the estimates of a logistic model, in logits."""
     fit = model.fit(y, x.to_numpy(), covariance=True)
-    if np.abs(x.to_numpy() @ fit.beta).max() > _FAR:
+    if np.abs(x.to_numpy() @ fit.beta).max() > _FAR or fit.sd > _FAR:
+        never, always = ([labels[i] for i in group] for group in model.constant_groups(y))
+        people = (
+            f"groups {never} never succeed and {always} always do, or " if never or always else ""
+        )
         raise ValueError(
-            "the likelihood has no maximum: some effect separates successes from failures; leave "
-            "it out"
+            f"the likelihood has no maximum: {people}some effect separates successes from "
+            "failures; leave them or it out"
         )
     return {
         "coefficients": _coefficients(list(x.columns), fit.beta, np.sqrt(np.diag(fit.covariance))),
@@ -297,48 +308,7 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     return score, *numbers, terms
 
 
-class _Normal:
-    """
-    A linear model with correlated random effects by group: fitted by statsmodels, and drawn from.
-    """
-
-    def __init__(self, codes: np.ndarray, z: pd.DataFrame):
-        self.codes, self.z = codes, z
-
-    def fit(self, y: np.ndarray, x: np.ndarray, reml: bool = False):
-        """
-        Return the best fit from two starts: statsmodels' own can end at a variance of zero that is
-        not the maximum.
-        """
-        from statsmodels.regression.mixed_linear_model import MixedLM, MixedLMParams
-
-        model = MixedLM(y, x, self.codes, exog_re=self.z.to_numpy())
-        beta = np.linalg.lstsq(x, y, rcond=None)[0]
-        fits = []
-        second = MixedLMParams.from_components(beta, cov_re=np.eye(self.z.shape[1]))
-        methods = ["bfgs", "lbfgs", "powell"]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a variance at its boundary; reported as singular
-            for start in (None, second):
-                with suppress(np.linalg.LinAlgError):
-                    fits.append(model.fit(start_params=start, reml=reml, method=methods))
-        fits = [fit for fit in fits if np.isfinite(fit.llf)]
-        if not fits:
-            raise ValueError(
-                "no maximum of the mixed model's likelihood was found; give fewer random effects"
-            )
-        return max(fits, key=lambda fit: fit.llf)
-
-    def draw(self, fit, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return scores drawn from a fitted model."""
-        values, vectors = np.linalg.eigh(np.atleast_2d(fit.cov_re))
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        effects = rng.standard_normal((self.codes.max() + 1, self.z.shape[1])) @ root.T
-        noise = np.sqrt(fit.scale) * rng.standard_normal(self.codes.size)
-        return x @ fit.fe_params + (self.z.to_numpy() * effects[self.codes]).sum(axis=1) + noise
-
-
-Model = _Normal | Logistic
+Model = Linear | Logistic
 
 
 def _test(
@@ -367,13 +337,14 @@ def _test(
     def statistic(score: np.ndarray, null) -> float:
         return max(2.0 * (model.fit(score, full).llf - null.llf), 0.0)
 
-    null = model.fit(y, reduced)
+    null: Any = model.fit(y, reduced)
     chi2, df = statistic(y, null), full.shape[1] - reduced.shape[1]
     p_bootstrap = np.nan
     if draws:
         rng = np.random.default_rng(seed)
         scores = (model.draw(null, reduced, rng) for _ in range(draws))
-        larger = sum(statistic(score, model.fit(score, reduced)) >= chi2 for score in scores)
+        least = chi2 * (1.0 - _TIE)
+        larger = sum(statistic(score, model.fit(score, reduced)) >= least for score in scores)
         p_bootstrap = (larger + 1.0) / (draws + 1.0)
     return name, chi2, df, float(special.chdtrc(df, chi2)), p_bootstrap
 

@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 from trustlab.models.checks import finite_array
 from trustlab.models.compiled import njit
 from trustlab.studies.columns import column_of
+from trustlab.studies.regression.newton import polished
 
 
 class LogisticFit(NamedTuple):
@@ -71,26 +72,46 @@ def _log_likelihood(eta, counts, trials, first, sd, nodes, log_weights):
 
 
 @njit
-def _loss_and_slope(parameters, rows, counts, trials, first, nodes, log_weights):
-    """
-    Return the negative log-likelihood at logits and SD (of either sign), and its gradient by
-    central differences.
-    """
-    values, slope = np.empty(2), np.empty(parameters.size)
+def _loss(parameters, rows, counts, trials, first, nodes, log_weights):
+    """Return the negative log-likelihood at logits and SD (of either sign)."""
+    eta = np.zeros(counts.size)
+    for i in range(counts.size):
+        for j in range(rows.shape[1]):
+            eta[i] += rows[i, j] * parameters[j]
+    return -_log_likelihood(eta, counts, trials, first, abs(parameters[-1]), nodes, log_weights)
+
+
+@njit
+def _slope(parameters, rows, counts, trials, first, nodes, log_weights):
+    """Return the gradient of the loss by central differences, for the search."""
+    slope = np.empty(parameters.size)
+    data = rows, counts, trials, first, nodes, log_weights
     for i in range(parameters.size):
         step = 1e-5 * max(1.0, abs(parameters[i]))
-        for side in range(2):
-            moved = parameters.copy()
-            moved[i] += step * (1 - 2 * side)
-            eta = rows @ moved[:-1]
-            values[side] = _log_likelihood(
-                eta, counts, trials, first, abs(moved[-1]), nodes, log_weights
-            )
-        slope[i] = (values[1] - values[0]) / (2.0 * step)
-    eta = rows @ parameters[:-1]
-    return -_log_likelihood(
-        eta, counts, trials, first, abs(parameters[-1]), nodes, log_weights
-    ), slope
+        moved = parameters.copy()
+        moved[i] = parameters[i] + step
+        above = _loss(moved, *data)
+        moved[i] = parameters[i] - step
+        slope[i] = (above - _loss(moved, *data)) / (2.0 * step)
+    return slope
+
+
+@njit
+def _exact_slope(parameters, rows, counts, trials, first, nodes, log_weights):
+    """Return the gradient by wider differences, whose error falls with the fourth power."""
+    slope = np.empty(parameters.size)
+    data = rows, counts, trials, first, nodes, log_weights
+    for i in range(parameters.size):
+        step = 2e-3 * max(1.0, abs(parameters[i]))
+        moved = parameters.copy()
+        values = np.empty(4)
+        for j, size in enumerate((-2.0, -1.0, 1.0, 2.0)):
+            moved[i] = parameters[i] + size * step
+            values[j] = _loss(moved, *data)
+        near = values[2] - values[1]
+        far = values[3] - values[0]
+        slope[i] = (8.0 * near - far) / (12.0 * step)
+    return slope
 
 
 class Logistic:
@@ -105,32 +126,37 @@ class Logistic:
 
     def fit(self, counts: np.ndarray, x: np.ndarray, covariance: bool = False) -> LogisticFit:
         """
-        Return the maximum of the likelihood; the covariance is that of the observed information,
-        and zero unless asked for.
+        Return the maximum of the likelihood; with `covariance`, to the last digits and with the
+        inverse of the observed information.
         """
         order = self._order
-        rows = np.ascontiguousarray(x[order])
+        unit = np.abs(x).max(axis=0)
+        rows = np.ascontiguousarray(x[order] / unit)
         quadrature = self._first, self._nodes, self._log_weights
         data = (rows, counts[order], self.trials[order], *quadrature)
         # Least squares of empirical logits: near enough to start from.
         logits = np.log((counts + 0.5) / (self.trials - counts + 0.5))
-        start = np.linalg.lstsq(x, logits, rcond=None)[0]
-        optimum = minimize(
-            _loss_and_slope, np.append(start, 0.7), data, "BFGS", jac=True, options={"gtol": 1e-6}
-        )
-        beta, sd = optimum.x[:-1], abs(float(optimum.x[-1]))
-        information = np.zeros((beta.size, beta.size))
+        start = np.append(unit * np.linalg.lstsq(x, logits, rcond=None)[0], 0.7)
+        point = minimize(_loss, start, data, "BFGS", jac=_slope, options={"gtol": 1e-6}).x
+        information = np.zeros((unit.size, unit.size))
         if covariance:
-            from statsmodels.tools.numdiff import approx_hess3
-
-            hessian = approx_hess3(
-                optimum.x, lambda parameters: _loss_and_slope(parameters, *data)[0]
-            )
             # Where the intercepts do not vary the SD is at its boundary, and carries no information
             # on the logits.
-            regular = hessian if sd > _SINGULAR else hessian[:-1, :-1]
-            information = np.linalg.inv(regular)[: beta.size, : beta.size]
-        return LogisticFit(-float(optimum.fun), beta, sd, information)
+            free = np.arange(point.size if abs(point[-1]) > _SINGULAR else point.size - 1)
+            point, hessian = polished(
+                lambda parameters: _exact_slope(parameters, *data), point, free
+            )
+            inverse = np.linalg.inv(hessian)
+            information = inverse[: unit.size, : unit.size] / np.outer(unit, unit)
+        return LogisticFit(
+            -float(_loss(point, *data)), point[:-1] / unit, abs(float(point[-1])), information
+        )
+
+    def constant_groups(self, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the groups with no success at all, and those with nothing else."""
+        successes = np.bincount(self.codes, counts)
+        trials = np.bincount(self.codes, self.trials)
+        return np.flatnonzero(successes == 0), np.flatnonzero(successes == trials)
 
     def log_coefficients(self, counts: np.ndarray) -> float:
         """Return the sum of the logarithms of the binomial coefficients."""
