@@ -10,11 +10,25 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
-from trustlab.allocation import CorrectionStatus, TargetWarning, incentive_box
+from trustlab.allocation import CorrectionStatus, ModelTests, TargetWarning, incentive_box
 from trustlab.models.published import published_models
 
 SECOND = published_models()["2"]
 START, TARGET = (0.0, 0.35), (0.05, 0.4)
+
+
+def corrected(
+    start=START,
+    target=TARGET,
+    model=SECOND,
+    tests=1,
+    habit="following",
+    seed=0,
+    horizon=200,
+    **setting,
+):
+    corrector = tl.ThresholdCorrector(model, target, horizon=horizon)
+    return tl.run_correction(corrector, start, tests, habit, seed, ModelTests(**setting))
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +156,7 @@ def test_closed_loop_keeps_range_order_and_incentives(seed, decade, back):
 
 def test_following_is_the_model_under_moving_thresholds():
     """Oracle: (2.44) written out, with the corrections that were applied."""
-    run = tl.correct_pattern(SECOND, START, TARGET, tests=2, duration=300, c_b=1e-5)
+    run = corrected(tests=2, duration=300)
     for _, part in run.data.groupby("test"):
         r = 0.0
         p_r = 0.24
@@ -161,9 +175,7 @@ def test_following_is_the_model_under_moving_thresholds():
 
 def test_habits_differ_as_they_should():
     runs = {
-        habit: tl.correct_pattern(
-            SECOND, START, TARGET, tests=2, duration=900, habit=habit, lag=8.0, horizon=20
-        )
+        habit: corrected(tests=2, habit=habit, horizon=20, duration=900, lag=8.0)
         for habit in ("following", "lagging", "ignoring")
     }
     own = tl.simulate_allocation(SECOND, *START, 9000)
@@ -182,10 +194,7 @@ def test_habits_differ_as_they_should():
 
 def test_noise_is_seeded():
     one, two, other = (
-        tl.correct_pattern(
-            SECOND, START, TARGET, tests=1, duration=60, noise=1e-3, seed=seed, horizon=20
-        ).data["p_r"]
-        for seed in (1, 1, 2)
+        corrected(seed=seed, horizon=20, duration=60, noise=1e-3).data["p_r"] for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(one, two)
     assert (one != other).any()
@@ -213,9 +222,8 @@ def test_noise_is_seeded():
     ],
 )
 def test_bad_runs_are_refused(more, words):
-    arguments = {"start": START, "target": TARGET, "duration": 10.0} | more
     with pytest.raises(ValueError, match=words):
-        tl.correct_pattern(SECOND, **arguments)
+        corrected(**({"duration": 10.0} | more))
 
 
 def test_latency_histogram(corrector):
@@ -227,16 +235,18 @@ def test_latency_histogram(corrector):
 
 def test_the_pilot_warns_but_runs():
     with pytest.warns(TargetWarning):
-        run = tl.correct_pattern(
-            published_models()["pilot"], (0.02, 0.45), (0.15, 0.56), tests=1, duration=5
-        )
+        run = corrected((0.02, 0.45), (0.15, 0.56), published_models()["pilot"], duration=5)
     assert len(run.data) == 50
 
 
-def test_the_old_name_of_habit_warns():
-    settings = {"tests": 1, "duration": 60, "horizon": 20}
-    with pytest.warns(DeprecationWarning, match=r"correct_pattern\(habit=…\)"):
-        old = tl.correct_pattern(SECOND, START, TARGET, operator="ignoring", **settings)
-    new = tl.correct_pattern(SECOND, START, TARGET, habit="ignoring", **settings)
-    assert old.data["mode"].equals(new.data["mode"])
-    assert old.operator == "ignoring"
+def test_a_run_does_not_depend_on_an_earlier_one():
+    """The CasADi engine starts each search from its last plan, which a run forgets first."""
+    corrector = tl.ThresholdCorrector(SECOND, TARGET, c_b=1e-3, horizon=10, engine="casadi")
+    setting = ModelTests(duration=2.0)
+    runs = [tl.run_correction(corrector, START, tests=2, setting=setting).data for _ in range(2)]
+    np.testing.assert_array_equal(runs[0]["c_l"], runs[1]["c_l"])
+
+
+def test_what_is_no_corrector_is_refused():
+    with pytest.raises(ValueError, match="ThresholdCorrector"):
+        tl.run_correction(SECOND, START)

@@ -23,7 +23,7 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_outp
 
 import trustlab
 import trustlab as tl
-from trustlab.allocation.correction.tests_in_a_row import CorrectionRun
+from trustlab.allocation.correction.correction_run import CorrectionRun
 from trustlab.identification.regression import ArxResult
 from trustlab.models.html import as_html
 from trustlab.publishing import report_page

@@ -4,15 +4,21 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.testbeds import run_condition, run_correction
+from trustlab.testbeds import GroundRobotTests, run_condition
 from trustlab.testbeds.ground_robot.conditions import published_model, published_operator
 
 TARGET = (0.05, 0.4)
 
 
+def corrected(habit="following", tests=1, seed=3, c_b=1e-4, participant=2, **more):
+    corrector = tl.ThresholdCorrector(published_model(2), TARGET, c_b=c_b)
+    setting = GroundRobotTests(participant, **more)
+    return tl.run_correction(corrector, None, tests, habit, seed, setting)
+
+
 @pytest.fixture(scope="module")
 def run():
-    return run_correction(2, TARGET, tests=2, laps=3, c_b=1e-4, seed=3)
+    return corrected(tests=2, laps=3)
 
 
 def test_every_correction_is_the_corrector_s(run):
@@ -49,8 +55,7 @@ def test_suggestions_follow_the_moving_thresholds(run):
 
 def test_ignoring_leaves_the_operator_as_they_were_and_adopting_does_not():
     ignoring, adopting = (
-        run_correction(2, TARGET, habit=habit, tests=1, laps=4, c_b=1e-3, seed=5)
-        for habit in ("ignoring", "adopting")
+        corrected(habit, laps=4, c_b=1e-3, seed=5) for habit in ("ignoring", "adopting")
     )
     child = np.random.SeedSequence(5).spawn(1)[0]
     alone = run_condition("C1", published_operator(2), published_model(2), laps=4, seed=child)
@@ -62,9 +67,7 @@ def test_ignoring_leaves_the_operator_as_they_were_and_adopting_does_not():
 
 
 def test_same_seed_same_run():
-    one, two = (
-        run_correction("2", TARGET, habit="lagging", tests=1, laps=1, seed=9) for _ in range(2)
-    )
+    one, two = (corrected("lagging", laps=1, seed=9, participant="2") for _ in range(2))
     np.testing.assert_array_equal(one.data["p_r"], two.data["p_r"])
 
 
@@ -72,19 +75,26 @@ def test_same_seed_same_run():
     ("more", "words"),
     [
         ({"habit": "asleep"}, "following"),
-        ({"target": (0.4, 0.0)}, "below"),
-        ({"target": (0.0, 0.95)}, "Theorem 1"),
-        ({"start": (0.4, 0.0)}, "below"),
         ({"tests": 0}, "tests"),
         ({"laps": 0}, "laps"),
-        ({"c_b": 0.0}, "c_b"),
-        ({"horizon": 0}, "horizon"),
         ({"lag": -1.0}, "lag"),
         ({"seed": -3}, "seed"),
         ({"r0": 1.5}, "r0"),
         ({"participant": 9}, "no participant"),
+        ({"participant": published_operator(2)}, "start must be two numbers"),
     ],
 )
 def test_bad_arguments(more, words):
     with pytest.raises(ValueError, match=words):
-        run_correction(**({"participant": 2, "target": TARGET} | more))
+        corrected(**more)
+
+
+def test_the_compiled_loop_takes_the_exact_engine_and_the_printed_incentives_alone():
+    setting = GroundRobotTests(2, laps=1)
+    for more in ({"engine": "casadi"}, {"incentive": lambda r, p, c, a, b: (-0.5 * c, 0.5 * c)}):
+        corrector = tl.ThresholdCorrector(published_model(2), TARGET, horizon=5, **more)
+        with pytest.raises(ValueError, match="ModelTests"):
+            tl.run_correction(corrector, tests=1, setting=setting)
+        # The remedy that the error names.
+        model = tl.allocation.ModelTests(duration=1.0)
+        tl.run_correction(corrector, (0.0, 0.35), tests=1, setting=model)

@@ -1,5 +1,9 @@
 from .blending import BlendingStep as BlendingStep, OptimalBlending as OptimalBlending
 from .bound_failures import bound_failures as bound_failures
+from .correction.correction_run import (
+    CorrectionRun as CorrectionRun,
+    run_correction as run_correction,
+)
 from .correction.corrector import (
     TargetWarning as TargetWarning,
     ThresholdCorrector as ThresholdCorrector,
@@ -9,11 +13,12 @@ from .correction.incentive import (
     incentive_bounds as incentive_bounds,
     incentive_box as incentive_box,
 )
+from .correction.model_tests import ModelTests as ModelTests
 from .correction.online import OnlineCorrection as OnlineCorrection, OnlineStep as OnlineStep
 from .correction.plan import CorrectionPlan as CorrectionPlan, CorrectionStatus as CorrectionStatus
-from .correction.tests_in_a_row import (
-    CorrectionRun as CorrectionRun,
-    correct_pattern as correct_pattern,
+from .correction.setting import (
+    CorrectionSetting as CorrectionSetting,
+    CorrectionTest as CorrectionTest,
 )
 from .cycle.invariant_bounds import (
     InvariantBounds as InvariantBounds,

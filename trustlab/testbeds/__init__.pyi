@@ -7,7 +7,7 @@ from .ground_robot.conditions import (
     published_operator as published_operator,
     published_thresholds as published_thresholds,
 )
-from .ground_robot.correction_run import run_correction as run_correction
+from .ground_robot.correction_tests import GroundRobotTests as GroundRobotTests
 from .ground_robot.course import Course as Course
 from .ground_robot.pioneer import Pioneer as Pioneer
 from .guidance_comparison import (

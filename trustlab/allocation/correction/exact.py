@@ -431,6 +431,9 @@ class ExactEngine:
         self._unsearched()
         self._room = room
 
+    def reset(self) -> None:
+        """Forget nothing: no plan depends on an earlier one."""
+
     def _searched(self, r, p_r, lower, upper, mode):
         """Return cost, lower bound, number of sequences, status and TSC; `_room` has the plan."""
         # Written for speed: a plan takes about as long as passing its arguments.

@@ -6,10 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.correction.exact import SEARCHED, Workspace, search, unsearched_cost
+from trustlab.allocation.correction.corrector import ThresholdCorrector
+from trustlab.allocation.correction.exact import ExactEngine, Workspace, search, unsearched_cost
+from trustlab.allocation.correction.incentive import incentive_box
 from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.compiled import njit
-from trustlab.models.tsc import TscConstants, TscModel
+from trustlab.models.tsc import TscConstants
 
 # What is logged at each sample; NaN where nothing was planned.
 CORRECTED = np.dtype(
@@ -18,10 +20,8 @@ CORRECTED = np.dtype(
         ("upper", float),
         ("cost", float),
         ("bound", float),
-        (
-            "clipped",
-            bool,
-        ),  # performance lay outside the model's range, and its nearest end was used
+        # Performance lay outside the model's range, and its nearest end was used.
+        ("clipped", bool),
     ]
 )
 
@@ -42,27 +42,26 @@ class LoopCorrection(NamedTuple):
 
 
 def loop_correction(
-    tsc: TscModel,
-    start: tuple[float, float],
-    target: tuple[float, float],
-    c_b: float,
-    horizon: int,
+    corrector: ThresholdCorrector,
+    thresholds: tuple[float, float],
     samples: int,
     adopted: bool = False,
-    budget: int = SEARCHED,
 ) -> LoopCorrection:
-    """
-    Return what a loop of so many samples needs to correct thresholds from `start` towards `target`,
-    which the caller has checked.
-    """
+    """Return what a loop of so many samples needs to correct these thresholds."""
+    if not isinstance(corrector.engine, ExactEngine) or corrector.incentive is not incentive_box:
+        raise ValueError(
+            "a compiled loop corrects with the incentives (2.42) and the exact engine alone, got "
+            f"{corrector}; leave out engine= and incentive=, or take the model as the setting, "
+            "trustlab.allocation.ModelTests"
+        )
     return LoopCorrection(
         adopted=adopted,
-        constants=tuple(tsc.constants()),
-        c_b=float(c_b),
-        target=np.array(target, dtype=float),
-        budget=budget,
-        thresholds=np.array(start, dtype=float),
-        work=Workspace.of(horizon),
+        constants=tuple(corrector.tsc.constants()),
+        c_b=corrector.c_b,
+        target=np.array(corrector.target),
+        budget=corrector.engine.budget,
+        thresholds=np.array(thresholds),
+        work=Workspace.of(corrector.horizon),
         log=np.full(samples, np.array((np.nan, np.nan, np.nan, np.nan, False), CORRECTED)),
     )
 
@@ -74,11 +73,10 @@ def correct_thresholds(correction, k, r, p_r, mode):
     thresholds = correction.thresholds
     work = correction.work
     now = min(max(p_r, c.p_r_min), c.p_r_max)
-    problem, standard = (correction.constants, correction.c_b, correction.target), True
-    state, room = (
-        (thresholds, r, now, float(mode), standard),
-        (work.steps, work.thresholds, work.waiting, work.states),
-    )
+    standard = True  # incentives are those of (2.42)
+    problem = (correction.constants, correction.c_b, correction.target)
+    state = (thresholds, r, now, float(mode), standard)
+    room = (work.steps, work.thresholds, work.waiting, work.states)
     cost, bound, _, complete, _, _ = search(
         *problem, correction.budget, *state, *room, work.actions
     )
