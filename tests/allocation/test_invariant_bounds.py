@@ -208,3 +208,15 @@ def test_overshoot_grows_with_the_range_it_is_taken_over():
         for manual in (True, False):
             small = overshoot(manual, inner[0], inner[1], lower, c)
             assert overshoot(manual, outer[0], outer[1], lower, c) >= small - 1e-5 * abs(small)
+
+
+def test_bounds_that_exclude_nothing_say_so():
+    # An operator as quick as a sample: utilization goes from rest to full load in one phase.
+    robot = tl.RobotModel(a=0.99, p_min=0.2, p_max=0.5, p_h_max=0.4)
+    tsc = tl.TscModel(robot, tl.HumanModel(a=0.05, beta=0.6, p_min=0.39, p_max=0.4))
+    bounds = tl.invariant_bounds(tsc, -0.3, 0.3)
+    assert bounds.guaranteed
+    assert bounds.r_high - bounds.r_low > 0.98
+    assert "exclude next to nothing" in bounds.reason
+    slow = tl.published_models()["2"]
+    assert "exclude" not in tl.invariant_bounds(slow, 0.0, 0.35).reason

@@ -166,3 +166,18 @@ def test_the_plot_shows_rule_run_and_cycle(operators):
     assert ((cycle.get_ydata() > low - 1e-3) & (cycle.get_ydata() < high + 1e-3)).all()
     assert len(limit_cycle(operators["1"], 0.15, 0.9).plot().lines) == 3
     plt.close("all")
+
+
+def test_a_quick_operator_s_utilization_repeats_before_performance_does():
+    """Dwell times alternate although r repeats to 1e-9 within a few cycles. Oracle: simulation."""
+    p_h_max = 0.3081556230407075
+    robot = tl.RobotModel(0.9980992372861659, 0.12043107813136816, 0.41828420499603064, p_h_max)
+    human = tl.HumanModel(0.7770856095253732, 0.6176696259230177, 0.25891627050290766, p_h_max)
+    model = tl.TscModel(robot, human)
+    lower, upper = 0.40749046230221386, 0.4255255879747638
+    cycle = limit_cycle(model, lower, upper)
+    run = settled(model, lower, upper, 0)
+    assert run["r"].max() > 0.91
+    assert cycle.r_high == pytest.approx(run["r"].max(), abs=1e-9)
+    assert cycle.r_low == pytest.approx(run["r"].min(), abs=1e-9)
+    assert cycle.dwell_manual == (4, 5)

@@ -192,3 +192,41 @@ def test_a_measure_of_the_operator_that_is_negative_is_refused(operators, make_s
     session = make_session(operators["pilot"], switching, noise=0.003)
     with pytest.raises(IdentificationError, match="column p_h"):
         tl.fit_robot(session.with_columns(p_h=session["p_h"] - 1.0))
+
+
+def test_an_initial_state_at_its_bound_widens_the_intervals(operators, make_session):
+    """Oracle: fits with r0 held where the likelihood is nearly as great as at the bound."""
+    mode = np.repeat([1.0, 0.0] * 4, 1500)
+    run = operators["pilot"].simulate(mode, 0.04, 0.24)
+    rng = np.random.default_rng([6, 13])
+    columns = {name: run[name] + 0.02 * rng.normal(size=mode.size) for name in ("p_h", "p_r")}
+    frame = pd.DataFrame({"t": 0.1 * np.arange(mode.size), "mode": mode, **columns})
+    session = tl.Session(frame.set_index("t"), tl.Metadata(synthetic=True))
+    fit = tl.fit_tsc(session)
+    assert "r0 = 0, a rested operator" in fit.message
+
+    def deviance(fit):
+        return mode.size * sum(np.log(np.mean(fit.residuals(y)[0] ** 2)) for y in fit.outputs)
+
+    row = fit.table().loc["human_p_min"]
+    held = [tl.fit_tsc(session, fixed={"r0": r0}) for r0 in (0.0, 0.001, 0.004, 0.01, 0.02, 0.04)]
+    least = deviance(held[0])
+    assert deviance(fit) == pytest.approx(least, abs=1e-3)
+    likely = [each.table().loc["human_p_min"] for each in held if deviance(each) < least + 3.84]
+    assert len(likely) > 1
+    assert all(row["ci_low"] < each["value"] < row["ci_high"] for each in likely)
+    assert row["stderr"] > 1.2 * likely[0]["stderr"]
+
+
+def test_trials_without_a_change_of_mode_are_named(operators, make_session):
+    trials = [
+        make_session(operators["pilot"], np.full(100, share), noise=0.003, seed=seed)
+        for seed, share in enumerate((0.2, 0.4, 0.6, 0.8))
+    ]
+    with pytest.raises(IdentificationError, match="mode never changes within any of the 4 runs"):
+        tl.fit_tsc(trials)
+    long = [
+        make_session(operators["pilot"], np.full(9000, share), noise=0.001, r0=r0)
+        for share, r0 in ((1.0, 0.05), (0.0, 0.95))
+    ]
+    assert "Mode never changes within any of the 2 runs" in tl.fit_tsc(long).message

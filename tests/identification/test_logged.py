@@ -437,3 +437,18 @@ def test_ten_settings_cover_the_truth_or_say_that_they_do_not(settings):
         table = settings.by_parameter(rows.assign(setting=setting))
         good = table[(table["way"] != "before") & (table["successes"] >= 10)]
         assert (good["coverage"] >= 0.84).all(), (setting, good)
+
+
+def test_a_window_that_is_a_sample_off_is_named(operators):
+    """(2.4) taken literally sums W + 1 samples; the window named is the one that fits."""
+    mode = np.repeat([1.0, 0.0] * 3, [1500, 700, 1000, 900, 1200, 700])
+    run = operators["pilot"].simulate(mode, 0.2, 0.24)
+    rng = np.random.default_rng(0)
+    noisy = {y: run[y].to_numpy() + 0.003 * rng.normal(size=mode.size) for y in ("p_h", "p_r")}
+    means = {name: window_means(values, 101) for name, values in noisy.items()}
+    frame = pd.DataFrame({"t": 0.1 * np.arange(mode.size), "mode": mode, **means})
+    session = tl.Session(frame.set_index("t"), tl.Metadata(synthetic=True))
+    fit = tl.fit_tsc(session, window=10.0)
+    assert not fit.success
+    assert "give window=10.1" in fit.message
+    assert tl.fit_tsc(session, window=10.1).success

@@ -443,7 +443,8 @@ def test_tables_without_fault_are_read_by_the_compiled_reader(tmp_path, session,
 def test_no_warnings_and_no_shadowed_names(tmp_path, session):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        read_session(write_session(session, tmp_path / "a.csv"))
+        plausible = session.with_columns(p_r=np.full(len(session), 0.3))
+        read_session(write_session(plausible, tmp_path / "a.csv"))
     assert callable(tl.sessions.list_recipes)
     assert tl.sessions.recipe.__doc__.startswith("\nRecipes:")
 

@@ -556,3 +556,47 @@ def test_positions_come_from_the_log():
             RecipeError, match=r"robot_x: needs column 'robot_x', which is itself computed"
         ):
             Recipe.from_toml(text)
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_second", "name"),
+    [("ms", 1e3, "milliseconds"), ("us", 1e6, "microseconds"), ("ns", 1e9, "nanoseconds")],
+)
+def test_epochs_name_their_unit_and_the_remedy_works(tmp_path, unit, per_second, name):
+    t = 1.7e9 * per_second + 0.1 * per_second * np.arange(20)
+    rows = "".join(f"{x:.0f},{k % 2 * 4},0.3\n" for k, x in enumerate(t))
+    path = tmp_path / "a.csv"
+    path.write_text("t,trigger,p_r\n" + rows)
+    with pytest.warns(UserWarning, match=f'if these are {name}.*unit = "{unit}"'):
+        read_session(path, recipe=Recipe.from_toml(TABLE.format(unit="s")))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        session = read_session(path, recipe=Recipe.from_toml(TABLE.format(unit=unit)))
+    assert session.sample_time == pytest.approx(0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [("-0.1", "never negative"), ("35", 'unit = "%"'), ("1e26", "beyond any performance")],
+)
+def test_performance_out_of_scale_is_told(tmp_path, value, words):
+    path = tmp_path / "a.csv"
+    path.write_text(f"t,trigger,p_r\n0,0,30\n100,3,{value}\n200,3,30\n")
+    with pytest.warns(UserWarning, match=f"column p_r goes .*{words}"):
+        read_session(path, recipe=Recipe.from_toml(TABLE.format(unit="ms")))
+    per_cent = TABLE.replace('"p_r" }}', '"p_r", unit = "%" }}')
+    if value == "35":
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            session = read_session(path, recipe=Recipe.from_toml(per_cent.format(unit="ms")))
+        assert session["p_r"].max() == pytest.approx(0.35)
+
+
+def test_a_comment_before_the_names_is_skipped_on_request_only(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("# rig 3; evening\nt,trigger,p_r\n0,0,0.3\n100,3,0.3\n200,3,0.3\n")
+    plain = TABLE.format(unit="ms")
+    with pytest.raises(SessionError, match=r"found a comment .* skip_lines"):
+        read_session(path, recipe=Recipe.from_toml(plain))
+    skipping = plain.replace("[columns]", "[table]\nskip_lines = 1\n[columns]")
+    assert len(read_session(path, recipe=Recipe.from_toml(skipping))) == 3

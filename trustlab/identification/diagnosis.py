@@ -56,6 +56,9 @@ def remarks(estimate: Estimate) -> Iterator[str]:
         yield (
             f"The outputs are fitted as means over a moving window of {spans}, with noise {where}."
         )
+    trials = [run["mode"] for run in problem.runs if "mode" in problem.structure.inputs]
+    if len(trials) > 1 and all(np.ptp(mode) == 0.0 for mode in trials):
+        yield f"Mode never changes within any of the {len(trials)} runs."
     yield from _dropouts(problem)
     yield from _noise(estimate)
 
@@ -196,21 +199,28 @@ def _delay(estimate: Estimate) -> Iterator[str]:
 
 
 def _window(estimate: Estimate) -> Iterator[str]:
-    """Test whether the outputs are means over a window that nobody stated."""
+    """Test whether the outputs are means over a window not stated, or a sample off it."""
     problem = estimate.problem
-    if estimate.simple_p >= NOT_WHITE or any(run.window > 1 for run in problem.runs):
+    if estimate.simple_p >= NOT_WHITE:
         return
+    stated = max(run.window for run in problem.runs)
     deviance = problem.deviance(estimate.normal.squares)
     guess = dict(zip(problem.names, estimate.theta, strict=True))
     best = (0.0, 0.0)
-    for window in _candidate_windows(problem):
+    for window in _candidate_windows(problem) if stated == 1 else (stated - 1, stated + 1):
         runs = [replace(run, window=window) for run in problem.runs]
         for unwindow in (True, False):
             averaged = Problem(problem.structure, runs, guess, unwindow)
             valley = settle(averaged, estimate.theta, estimate.limits, False, rough=True)
             gain = deviance - valley.deviance
             best = max(best, (gain, window * problem.runs[0].sample_time))
-    if best[0] > GAIN:
+    if best[0] > GAIN and stated > 1:
+        yield (
+            f"The residuals are better explained by a window of {best[1]:g} s, a sample off the "
+            "one stated; the sum of (2.4), taken literally, has W + 1 samples: give "
+            f"window={best[1]:g}."
+        )
+    elif best[0] > GAIN:
         outputs = " and ".join(problem.structure.outputs)
         yield (
             f"The residuals are explained by a window of {best[1]:g} s, if the log has means over "

@@ -45,6 +45,9 @@ ROUGHLY: dict = {"tolerance": 0.1, "max_iterations": 40}
 SINGULAR = 1e-10
 """Smallest eigenvalue of a regular information matrix, scaled to unit diagonal."""
 
+LIKELY = 3.84
+"""Deviance above the least up to which a single parameter's value lies in its 95 % interval."""
+
 SWITCHES = 40
 """Switches of mode per session beyond which errors of their stamps are worked out for a sample."""
 
@@ -348,6 +351,8 @@ def _cause(problem: Problem) -> str:
         modes = joined(problem.runs, "mode")
         if np.ptp(modes) == 0.0:
             return f"mode never changes: it is {modes[0]:g} throughout"
+        if all(np.ptp(run["mode"]) == 0.0 for run in problem.runs):
+            return f"mode never changes within any of the {len(problem.runs)} runs"
     ranges = [
         f"{name} moves by {np.ptp(joined(problem.runs, name)):.3g}" for name in structure.outputs
     ]
@@ -476,11 +481,14 @@ def fit_problem(
     sandwiched = noise == "hac" or (noise in ("auto", "correlated") and p_value < NOT_WHITE)
     delay = _delay(valley, inverse, sandwiched)
     low, high = problem.ends(limits)
+    covariance = _covariance(valley, inverse, sandwiched, delay)
+    shift = _shift_by_states_at_bound(valley, limits)
+    covariance[np.ix_(valley.free, valley.free)] += np.outer(shift, shift) / LIKELY
     return Estimate(
         **vars(valley),
         limits=limits,
         fixed=low == high,
-        covariance=_covariance(valley, inverse, sandwiched, delay),
+        covariance=covariance,
         inverse=inverse,
         simple_p=simple_p,
         noise="correlated" if modelled else "hac" if sandwiched else "white",
@@ -505,6 +513,50 @@ def _covariance(valley: Valley, inverse: np.ndarray, sandwiched: bool, delay: De
     covariance[at_bound, :] = covariance[:, at_bound] = np.nan
     covariance[np.ix_(free, free)] = block
     return covariance
+
+
+def _shift_by_states_at_bound(valley: Valley, limits: Mapping) -> np.ndarray:
+    """
+    Return how far estimates move if initial states at a bound leave it as far as data allow.
+
+    These states are moved together, equally far in their search coordinates, and the rest is
+    estimated again (the profile of the likelihood), up to a deviance LIKELY above the least.
+    """
+    problem = valley.problem
+    places = np.flatnonzero(valley.search.at_bound)
+    places = places[places >= problem.shared]
+    if places.size == 0 or valley.free.size == 0 or valley.exact.all():
+        return np.zeros(valley.free.size)
+    low, high = (problem.to_search(end) for end in problem.ends(limits))
+    bound = problem.to_search(valley.theta)[places]
+    inwards = np.where(bound == low[places], 1.0, -1.0) * (high - low)[places]
+    inwards[~np.isfinite(inwards)] = 0.0
+    near, far = 1e-4, 1.0  # shares of the way to the other bound
+    likely = valley
+    for _ in range(7):
+        share = np.sqrt(near * far)
+        theta = problem.to_search(valley.theta)
+        theta[places] = bound + share * inwards
+        theta = problem.from_search(theta)
+        moved = _search(problem, theta, _holding(problem, limits, places, theta))
+        if moved.deviance < valley.deviance + LIKELY:
+            near, likely = share, moved
+        else:
+            far = share
+    problem.normal(valley.theta)
+    return (likely.theta - valley.theta)[valley.free]
+
+
+def _holding(problem: Problem, limits: Mapping, places: np.ndarray, theta: np.ndarray) -> dict:
+    """Return limits that hold some initial states, by their places, at values."""
+    low, high = problem.ends(limits)
+    low[places] = high[places] = theta[places]
+    states = problem.structure.names[problem.shared :]
+    held = {}
+    for j, name in enumerate(states):
+        of_runs = slice(problem.shared + j, None, problem.states)
+        held[name] = (low[of_runs], high[of_runs])
+    return {**limits, **held}
 
 
 def _meat(valley: Valley) -> np.ndarray:

@@ -17,6 +17,9 @@ from trustlab.models.tsc import TscModel
 # Samples through which polygons may be propagated, or twenty of the longest phases if that is more.
 POLYGON_EFFORT = 3_000_000
 
+# Width of bounds on utilization from which on they tell nothing.
+VACUOUS = 0.98
+
 
 @dataclass(frozen=True)
 class InvariantBounds:
@@ -163,19 +166,24 @@ def invariant_bounds(
     # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per
     # sample is far more than that.
     slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
+    # r falls in autonomous phases and rises in manual ones, so that its extremes are where these
+    # begin.
+    r_low = max(found.low - slack, 0.0)
+    r_high = min(found.autonomous_high + slack, 1.0)
+    reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
+    if not settled:
+        reason += ", the limit, and were still shrinking: more cycles give tighter bounds"
+    if r_high - r_low > VACUOUS:
+        reason += (
+            f"; but the bounds on utilization, {r_low:.3g} to {r_high:.3g}, exclude next to "
+            "nothing: more cells may narrow them, and limit_cycle shows the motion"
+        )
     return InvariantBounds(
         guaranteed=True,
-        reason=f"every trajectory keeps switching; sets of states nested over {done} cycles"
-        + (
-            ""
-            if settled
-            else ", the limit, and were still shrinking: more cycles give tighter bounds"
-        ),
+        reason=reason,
         cycles=done + 1,
-        # r falls in autonomous phases and rises in manual ones, so that its extremes are where
-        # these begin.
-        r_low=max(found.low - slack, 0.0),
-        r_high=min(found.autonomous_high + slack, 1.0),
+        r_low=r_low,
+        r_high=r_high,
         p_r_low=min(manual.p_r_low, autonomous.p_r_low) - slack,
         p_r_high=max(manual.p_r_high, autonomous.p_r_high) + slack,
         tsc_low=min(manual.tsc_low, lower - autonomous.overshoot) - slack,

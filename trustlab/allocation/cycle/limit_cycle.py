@@ -404,9 +404,12 @@ class Motions:
 def _period(rows: np.ndarray) -> int | None:
     """Return after how many cycles the recorded motion repeats."""
     r, dwell = rows["r"], rows[["manual", "autonomous"]]
+    # Of a quick operator r repeats within a few samples, long before P_r does.
+    p_r = rows["p_r"]
     for period in range(1, len(rows) // 3 + 1):
-        same = abs(r[period] - r[0]) < 1e-9 and (dwell[period:] == dwell[:-period]).all()
-        if same and np.abs(r[period:] - r[:-period]).max() < 1e-9:
+        same = abs(r[period] - r[0]) < REPEATED and (dwell[period:] == dwell[:-period]).all()
+        change = max(np.abs(x[period:] - x[:-period]).max() for x in (r, p_r)) if same else np.inf
+        if change < REPEATED:
             return period
     return None
 

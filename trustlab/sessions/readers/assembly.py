@@ -13,6 +13,7 @@ import pandas as pd
 from trustlab.models.checks import warn
 from trustlab.sessions.errors import RecipeError, SessionError, source_named
 from trustlab.sessions.metadata import Metadata, digest
+from trustlab.sessions.readers.doubts import warn_of_doubts
 from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.recipe import (
     STATES,
@@ -213,9 +214,7 @@ def assemble_session(
         # those alone are copied.
         table = {name: _writable(columns[name]) for name in names}
         frame = pd.DataFrame(table, index=pd.Index(_writable(t), name="t"), copy=False)
-        if t[-1] - t[0] >= 10.0 * (t.size - 1):  # nobody logs control that slowly
-            remedy = 'if these are milliseconds, a recipe says so: [time] unit = "ms"'
-            warn(f"{log.source}: samples are {t[1] - t[0]:g} s apart; {remedy}")
+        warn_of_doubts(log.source, t, table)
         return keep_table(frame, _metadata(log, recipe, values))
 
 

@@ -140,7 +140,10 @@ def _check_header(
     where: str,
 ) -> None:
     """Raise where the line of names shows that the table is written in another way."""
-    if not recipe and names[0].startswith("#"):
+    meant = (
+        [recipe.time.column, *(rule.column for rule in recipe.columns.values())] if recipe else []
+    )
+    if names[0].startswith("#") and names[0] not in meant:
         raise SessionError(
             f"{where}: found a comment instead of the names; skip it with [table] skip_lines"
         )
