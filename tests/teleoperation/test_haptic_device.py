@@ -86,7 +86,7 @@ def test_heaviest_device_of_the_preliminary_study():
     )
     counted = HapticDevice(mass=0.001, port_damping=0.2, **PRELIMINARY)
     assert counted.largest_mass() == pytest.approx(0.0125, rel=1e-12)
-    with pytest.raises(PassivityError, match=r"up to 0.009167 kg only, and it has 1 kg"):
+    with pytest.raises(PassivityError, match=r"up to 0.009166 kg only, and it has 1 kg"):
         HapticDevice(mass=1.0, **PRELIMINARY)
 
 

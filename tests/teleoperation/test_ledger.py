@@ -7,10 +7,18 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.interpolate import interp1d
 
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import Delay
-from trustlab.teleoperation.ports.ledger import WINDOW, EnergyLedger, accounts, read_wave
+from trustlab.teleoperation.ports.ledger import (
+    HOLD,
+    INTERPOLATED,
+    WINDOW,
+    EnergyLedger,
+    accounts,
+    read_wave,
+)
 from trustlab.teleoperation.ports.waves import Scattering
 
 T, N = 0.01, 4000
@@ -117,3 +125,21 @@ def test_a_ledger_needs_the_same_memory_after_a_million_packets():
     assert ledger.receive(number - 1, [1.0])
     # too old to be told from a duplicate: not booked, so that energy cannot be booked twice
     assert not ledger.receive(number - WINDOW, [1.0])
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.7])
+@pytest.mark.parametrize("seed", range(5))
+def test_other_read_outs_are_those_of_scipy(seed, gain):
+    """Oracle: SciPy's interpolators, over waves that are zero before the first and where lost."""
+    rng = np.random.default_rng([83, seed])
+    sent = rng.normal(size=(200, 3))
+    arrives = rng.random(200) > 0.2
+    samples = np.arange(-20, 200)
+    waves = np.vstack([np.zeros((20, 3)), sent * arrives[:, None]])
+    delays = rng.choice([0.0, 1.0, 2.5, 7.0], 200) + rng.choice([0.0, 1.0], 200) * rng.random(200)
+    out = np.empty(3)
+    for read_out, kind in ((INTERPOLATED, "linear"), (HOLD, "previous")):
+        oracle = interp1d(samples, waves, kind, axis=0)
+        for k in range(200):
+            read_wave(sent, arrives, k, delays[k], gain, read_out, T, accounts()[0], out)
+            np.testing.assert_allclose(out, gain * oracle(k - delays[k]), atol=1e-14)

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import between, finite_number, in_order, not_negative, of_class
+from trustlab.models.checks import (
+    between,
+    finite_number,
+    in_order,
+    not_negative,
+    of_class,
+    rounded_down,
+)
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
@@ -256,9 +263,9 @@ def _remedy(tsc: TscModel, limits: ThresholdLimits) -> str:
     if gap > 0.0:
         most = gap / 2.0 * (1.0 - tsc.robot.a) / tsc.b_T
         return (
-            f"δ_Ph = {limits.delta_p_h:.3g} is too large: below {most:.3g} they part; let "
-            "utilization change more slowly (a_r nearer to 1) or robot performance more quickly "
-            "(a_pr smaller)"
+            f"δ_Ph = {limits.delta_p_h:.3g} is too large: below {rounded_down(most):g} they part; "
+            "let utilization change more slowly (a_r nearer to 1) or robot performance more "
+            "quickly (a_pr smaller)"
         )
     return (
         "Even with δ_Ph = 0 they do not part: widen the range of robot performance (p_max − "

@@ -51,6 +51,18 @@ def did_you_mean(name: object, known: Iterable[object]) -> str:
     return f"; did you mean {words[close[0]]!r}?" if close else ""
 
 
+def rounded_up(value: float, digits: int = 3) -> float:
+    """Return a positive number with few digits, not below it: for a remedy that says "at least"."""
+    unit = 10.0 ** (math.floor(math.log10(value)) + 1 - digits)
+    return float(f"{math.ceil(value / unit) * unit:.{digits}g}")
+
+
+def rounded_down(value: float, digits: int = 3) -> float:
+    """Return a positive number with few digits, not above it: for a remedy that says "at most"."""
+    unit = 10.0 ** (math.floor(math.log10(value)) + 1 - digits)
+    return float(f"{math.floor(value / unit) * unit:.{digits}g}")
+
+
 def finite_number(name: str, value: Any) -> float:
     """Return one finite real number as a float; text, booleans and arrays are refused."""
     if type(value) is float and math.isfinite(value):  # as nearly always; what follows takes longer

@@ -87,3 +87,13 @@ def test_levels_that_are_numbers_stay_as_they_are(tmp_path):
         0.125,
         0.125,
     ]
+
+
+@pytest.mark.parametrize("ending", ["html", "tex", "docx"])
+@pytest.mark.parametrize("sign", ["\x00", "\x0b", "\x1f", "\x7f"])
+def test_control_characters_are_refused_by_every_writer(tmp_path, ending, sign):
+    table = pd.DataFrame({"mode": ["A", f"B{sign}"], "mean": [1.0, 2.0]})
+    with pytest.raises(ValueError, match=r"holds a control character.*rename the level or column"):
+        tl.report(table).write(tmp_path / f"a.{ending}")
+    assert not list(tmp_path.iterdir())
+    tl.report(table.replace(f"B{sign}", "B\tβ\n2")).write(tmp_path / f"a.{ending}")

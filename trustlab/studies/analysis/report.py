@@ -6,6 +6,7 @@ Word.
 import html
 import io
 import os
+import unicodedata
 from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,13 +132,14 @@ class StudyReport:
         Raises
         ------
         ValueError
-            If the ending is another one.
+            If the ending is another one, or a label holds a control character.
         """
         path = Path(path)
         kind = one_of(
             f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex", ".docx")
         )
         tables = {title: _printed(table, digits) for title, table in self.tables.items()}
+        _refuse_control_characters(self.text, tables)
         if kind == ".docx":
             _write_word(path, self, tables)
         else:
@@ -225,6 +227,17 @@ def _printed(table: pd.DataFrame, digits: int) -> pd.DataFrame:
     if len(texts) == 1 and texts.shape[1] > _WIDE:
         return texts.T.reset_index().set_axis(["statistic", "value"], axis=1)
     return texts
+
+
+def _refuse_control_characters(text: str, tables: dict[str, pd.DataFrame]) -> None:
+    """Refuse what neither XML nor LaTeX can hold, and what no reader could see."""
+    cells = [cell for table in tables.values() for cell in [*table, *table.to_numpy().ravel()]]
+    for words in [*cells, *tables, text]:
+        if any(unicodedata.category(sign) == "Cc" and sign not in "\n\t" for sign in words):
+            raise ValueError(
+                f"{words[:60]!r} holds a control character, which no document can show; rename "
+                "the level or column in the data"
+            )
 
 
 def _html(study: StudyReport, tables: dict[str, pd.DataFrame], figure: bool = True) -> str:

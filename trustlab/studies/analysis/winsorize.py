@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, finite_array, one_of, positive
+from trustlab.models.checks import did_you_mean, finite_array, one_of, positive, rounded_down
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.score_table import ScoreTable, read_scores
 from trustlab.studies.columns import labels_of
@@ -111,7 +111,7 @@ def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, f
         if k >= reach:
             raise ValueError(
                 f"{where}: none of {n} values can lie {k:g} standard deviations from their mean "
-                f'(at most {reach:.3g}); use a smaller k or outside="mad" or "iqr"'
+                f'(at most {rounded_down(reach):g}); use a smaller k or outside="mad" or "iqr"'
             )
         low = high = x.mean()
         spread = x.std(ddof=1)

@@ -5,7 +5,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, not_negative, positive, set_checked, whole_number
+from trustlab.models.checks import (
+    finite_array,
+    not_negative,
+    positive,
+    rounded_down,
+    rounded_up,
+    set_checked,
+    whole_number,
+)
 from trustlab.models.compiled import njit
 
 ROUNDING = 1e-12
@@ -181,11 +189,12 @@ class HapticDevice:
         set_checked(self, positive, "force_scaling")
         set_checked(self, not_negative, "port_damping")
         if self.require_passive and not self.is_passive:
-            most = self.largest_mass()
+            most = rounded_down(self.largest_mass(), 4)
+            damping = rounded_up(self._least_damping(), 4)
             raise PassivityError(
                 "the device is not r-passive: B ≥ MΛ and K + ΛB ≥ ΛMΛ (3.9)-(3.10) hold up to "
-                f"{most:.4g} kg only, and it has {np.diag(mass).max():.4g} kg; raise damping to "
-                f"{self._least_damping():.4g} N s/m, lower weight, or pass require_passive=False "
+                f"{most:g} kg only, and it has {np.diag(mass).max():.4g} kg; raise damping to "
+                f"{damping:g} N s/m, lower weight, or pass require_passive=False "
                 "to see it fail"
             )
 

@@ -53,25 +53,22 @@ def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out
     Read the wave that arrives in sample k, sent `delay` samples before, into `out`.
 
     sent, shape (N, n): waves by the sample they were sent in. arrives, shape (N,): whether they
-    arrive at all. account: a record of ACCOUNT, used by the "ledger" read-out alone.
+    arrive at all. account: a record of ACCOUNT, used by the "ledger" read-out alone. What was lost,
+    or not yet sent, is read as zero.
     """
     n = sent.shape[1]
     where = k - delay
     first = int(np.floor(where))
     part = where - first
     if read_out != LEDGER:
+        share = 1.0 if read_out == HOLD else 1.0 - part
         for i in range(n):
-            if first < 0 or not arrives[first]:
-                value = 0.0
-            elif read_out == HOLD:
-                value = sent[first, i]
-            else:
-                later = sent[first + 1, i] if part > 0.0 and arrives[first + 1] else 0.0
-                value = (1.0 - part) * sent[first, i] + part * later
-            out[i] = gain * value
-        if read_out == INTERPOLATED and first == -1 and part > 0.0:
-            for i in range(n):
-                out[i] = gain * part * sent[0, i] * (1.0 if arrives[0] else 0.0)
+            out[i] = 0.0
+            if first >= 0 and arrives[first]:
+                out[i] = share * sent[first, i]
+            if share < 1.0 and first >= -1 and arrives[first + 1]:
+                out[i] += part * sent[first + 1, i]
+            out[i] *= gain
         return
     while account.unbooked <= first:  # each packet is booked once, when it has arrived
         if arrives[account.unbooked]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, positive, set_checked
+from trustlab.models.checks import finite_array, finite_number, positive, rounded_up, set_checked
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.records import signal
 
@@ -226,7 +226,7 @@ class Course:
             if around / getattr(self, name) > most:
                 raise ValueError(
                     f"{name} = {getattr(self, name):g} m is too fine for a course of about "
-                    f"{around:.4g} m; it must be at least {around / most:.3g} m"
+                    f"{around:.4g} m; it must be at least {rounded_up(around / most):g} m"
                 )
         object.__setattr__(self, "corners", tuple(map(tuple, corners.tolist())))
         object.__setattr__(self, "_path", self._rounded(corners))

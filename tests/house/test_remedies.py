@@ -1,0 +1,107 @@
+"""What an error advises with a number works, and a little beside it fails."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import trustlab as tl
+from trustlab.allocation.limits import check_thresholds, threshold_limits
+from trustlab.models.checks import rounded_down, rounded_up
+from trustlab.studies.planning.covariances import conditions_from
+from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
+from trustlab.testbeds.ground_robot.course import Course
+
+NUMBER = r"([-+]?\d[\d.]*(?:e[-+]?\d+)?)"
+
+
+def advised(call, *patterns):
+    """Return the numbers that the call's error advises."""
+    with pytest.raises(ValueError) as refused:
+        call()
+    message = str(refused.value)
+    matches = [re.search(pattern.replace("#", NUMBER), message) for pattern in patterns]
+    assert all(matches), message
+    return [float(match[1]) for match in matches]
+
+
+@pytest.mark.parametrize("value", [1.0, 0.0123456, 99.96, 123456.0, 3e-7, 0.3, 1e300])
+@pytest.mark.parametrize("digits", [1, 3, 4])
+def test_rounding_to_the_safe_side(value, digits):
+    low, high = rounded_down(value, digits), rounded_up(value, digits)
+    assert low <= value * (1 + 1e-15)
+    assert high >= value * (1 - 1e-15)
+    assert high - low <= 1.01 * 10.0 ** (np.floor(np.log10(value)) + 1 - digits)
+
+
+def test_limits_part_below_the_advised_step():
+    rng = np.random.default_rng(97)
+    for _ in range(20):
+        h_min, r_min = rng.uniform(0.2, 0.5), rng.uniform(0.1, 0.2)
+        human = tl.HumanModel(rng.uniform(0.9, 0.999), rng.uniform(0.3, 0.8), h_min, 1.05 * h_min)
+        robot = tl.RobotModel(rng.uniform(0.9, 0.999), r_min, 4.0 * r_min, human.p_max)
+        model = tl.TscModel(robot, human)
+        (most,) = advised(
+            lambda m=model: check_thresholds(m, 0.0, 0.1, threshold_limits(m, 10.0)),
+            "below # they part",
+        )
+        assert threshold_limits(model, 0.999 * most).feasible
+        assert not threshold_limits(model, 1.01 * most).feasible
+
+
+def test_the_advised_resolution_of_a_course_is_accepted():
+    corners = np.array([[0.0, 0.0], [300.0, 7.0], [311.0, 213.0], [3.0, 207.0]])
+    for name in ("resolution", "post_spacing"):
+        (least,) = advised(lambda n=name: Course(corners, **{n: 1e-4}), "at least # m")
+        assert getattr(Course(corners, **{name: least}), name) == least
+        with pytest.raises(ValueError, match="too fine"):
+            Course(corners, **{name: 0.99 * least})
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_advised_mass_and_damping_of_a_device_are_passive(seed):
+    rng = np.random.default_rng([98, seed])
+    root = rng.normal(size=(3, 3))
+    mass = 2.0 * np.eye(3) + 0.2 * root @ root.T
+    settings = {"stiffness": rng.uniform(5.0, 50.0), "weight": rng.uniform(1.0, 3.0)}
+
+    def device(mass, damping):
+        return HapticDevice(mass=mass, damping=damping, dimensions=3, **settings)
+
+    most, least = advised(lambda: device(mass, 0.5), "up to # kg", "raise damping to # N s/m")
+    scale = most / np.diag(mass).max()
+    assert device(scale * mass, 0.5).is_passive
+    assert device(mass, least).is_passive
+    for weaker in ((1.01 * scale * mass, 0.5), (mass, 0.99 * least)):
+        with pytest.raises(PassivityError):
+            device(*weaker)
+
+
+def test_the_advised_number_of_participants_is_accepted():
+    names = ["A", "B", "C", "D"]
+    above, below = advised(lambda: tl.latin_square_design(names, 30, 0), "; # would", "or #")
+    for n in (above, below):
+        assert tl.latin_square_design(names, int(n), 0).participants[-1] == n
+
+
+def test_the_advised_number_of_subjects_gives_a_covariance():
+    rng = np.random.default_rng(0)
+    columns = tl.studies.StudyColumns("value", "condition", "subject")
+
+    def frame(n):
+        cells = pd.MultiIndex.from_product([range(n), list("ABCD")], names=["subject", "condition"])
+        return pd.DataFrame({"value": rng.normal(size=len(cells))}, cells).reset_index()
+
+    (least,) = advised(lambda: conditions_from(None, None, frame(4), columns), "needs at least #")
+    assert conditions_from(None, None, frame(int(least)), columns).covariance.shape == (4, 4)
+    with pytest.raises(ValueError, match="needs at least"):
+        conditions_from(None, None, frame(int(least) - 1), columns)
+
+
+def test_the_advised_spread_of_winsorizing_is_reached():
+    values = [0.0] * 9 + [1.0]
+    (most,) = advised(lambda: tl.winsorize(values, outside="sd", k=3.0, to="limit"), "at most #")
+    assert len(tl.winsorize(values, outside="sd", k=0.999 * most, to="limit").table()) == 1
+    with pytest.raises(ValueError, match="at most"):
+        tl.winsorize(values, outside="sd", k=1.01 * most, to="limit")
