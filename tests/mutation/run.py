@@ -1,7 +1,7 @@
 """
 Change operators, numbers and conditions one at a time, and see which changes no test notices.
 
-`python tests/mutation/run.py [module …] [--sample N] [--seed S]` with cosmic-ray installed; it works
+`python tests/mutation/run.py [module …] [--sample N] [--seed S]` needs cosmic-ray, and works
 in a copy of the repository. Prints every change that survives, but for those in `survivors.toml`,
 which says why each of them changes nothing that a test could see. Fails below 95 %.
 """
