@@ -20,10 +20,10 @@ counting = sys.modules[random_set.__module__]
 
 def test_invariant_bounds_are_tested_from_the_return_to_manual_control_on_from_which_they_hold():
     """
-    Child 306 of seed 5: its bounds hold from the 44th return on, and 12 time constants have 28.
+    Child 670 of seed 7: its bounds hold from the 53rd return on, and 12 time constants have 18.
     Oracle: the whole simulation.
     """
-    child = np.random.SeedSequence(5).spawn(307)[306]
+    child = np.random.SeedSequence(7).spawn(671)[670]
     rng = np.random.default_rng(child)
     model, lower, upper = random_set(rng)
     r0, longest = rng.random(), 1.0 / (1.0 - max(model.human.a, model.robot.a))

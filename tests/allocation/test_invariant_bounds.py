@@ -184,15 +184,17 @@ def extreme(rng):
 
 def test_no_trajectory_leaves_them_at_the_ends_of_what_is_allowed():
     checked = 0
-    for child in np.random.SeedSequence(77).spawn(1500):
+    for child in np.random.SeedSequence(77).spawn(800):
         rng = np.random.default_rng(child)
         model, lower, upper = extreme(rng)
-        bounds = invariant_bounds(model, lower, upper, cells=int(rng.choice([1, 4, 16])), cycles=6)
+        bounds = invariant_bounds(
+            model, lower, upper, cells=int(rng.choice([1, 16, 128])), cycles=9
+        )
         if bounds.guaranteed:
             found = leaves(bounds, model, lower, upper, rng)
             assert not found, (found, model, lower, upper, bounds)
             checked += found is not None
-    assert checked > 700
+    assert checked > 370
 
 
 def test_overshoot_grows_with_the_range_it_is_taken_over():

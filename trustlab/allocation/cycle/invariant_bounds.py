@@ -7,15 +7,11 @@ import math
 from dataclasses import dataclass
 
 from trustlab.allocation.cycle.phases import EFFORT, endless_phase
-from trustlab.allocation.cycle.polygons import REST, narrow
-from trustlab.allocation.cycle.propagation import ROUNDING, enclose, nest
+from trustlab.allocation.cycle.propagation import COARSE, ROUNDING, nest
 from trustlab.allocation.limits import check_thresholds, ranges_table, ranges_text
 from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
-
-# Samples through which polygons may be propagated, or twenty of the longest phases if that is more.
-POLYGON_EFFORT = 3_000_000
 
 # Width of bounds on utilization from which on they tell nothing.
 VACUOUS = 0.98
@@ -87,7 +83,7 @@ class InvariantBounds:
 
 
 def invariant_bounds(
-    tsc: TscModel, lower: float, upper: float, cells: int = 32, cycles: int = 200
+    tsc: TscModel, lower: float, upper: float, cells: int = 1024, cycles: int = 200
 ) -> InvariantBounds:
     """
     Bound utilization, robot performance and dwell times for every trajectory under rule (2.8).
@@ -95,10 +91,9 @@ def invariant_bounds(
     At a switch TSC equals its threshold up to the overshoot of one step, so that the state lies in
     an interval of r with an interval of TSC. Both are propagated through a manual and an autonomous
     phase in interval arithmetic; starting from r in [0, 1] the intervals nest, and their limit
-    encloses every trajectory after as many cycles. Once they stop shrinking they are cut into
-    polygons of r and P_r, which keep track of how the two move together. Where TSC tends to a limit
-    between the thresholds in one of the modes, trajectories that begin there never switch, and
-    nothing is guaranteed.
+    encloses every trajectory after as many cycles. Where they stop shrinking, r is cut into more
+    cells, each of which is propagated by itself. Where TSC tends to a limit between the thresholds
+    in one of the modes, trajectories that begin there never switch, and nothing is guaranteed.
 
     Parameters
     ----------
@@ -107,7 +102,8 @@ def invariant_bounds(
     lower, upper : float
         Thresholds TSC_l and TSC_u.
     cells : int
-        Into how many parts an interval of r is cut; more give tighter bounds and take longer.
+        Into how many cells an interval of r is cut at most; more give tighter bounds and take
+        longer.
     cycles : int
         Most cycles to follow; fewer give valid but wider bounds that hold sooner.
 
@@ -129,9 +125,9 @@ def invariant_bounds(
                                low     high
     quantity
     r                        0.757    0.783
-    P_r                      0.311    0.336
+    P_r                      0.310    0.336
     TSC                     -0.005    0.351
-    dwell time manual      217.000  218.000
+    dwell time manual      217.000  219.000
     dwell time autonomous   65.000   65.000
     """
     lower, upper = check_thresholds(tsc, lower, upper)
@@ -140,27 +136,16 @@ def invariant_bounds(
     if endless:
         return _trivial(tsc, endless)
     c = tsc.constants()
-    most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * cells))) + 100
-    # Coarse intervals first: polygons narrow them much faster than further cycles of intervals
-    # would.
-    found, _ = nest(lower, upper, c, cells, (cycles + 1) // 2, most, 0.05)
+    coarse = min(COARSE, cells)
+    most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
+    found, settled = nest(lower, upper, c, cells, cycles, most)
     done = found.code
-    more = 0
-    settled = True
-    if 0 < done < cycles - 1:
-        tighter, more = _narrowed(found, lower, upper, c, cells, cycles - done - 1, most)
-        settled = more < cycles - done - 1
-    if more:
-        found, done = tighter, done + more + 1
-    elif done > 0:
-        found, settled = nest(lower, upper, c, cells, cycles, most, 1e-3)
-        done = found.code
     if done < 0:
         phase = "a manual" if done == -1 else "an autonomous"
         return _trivial(
             tsc,
             f"every phase ends, but {phase} phase from some utilization was not shown to do so "
-            f"within {most} samples; fewer cells= allow longer phases",
+            f"within {most} samples; cells= below {coarse} allow longer phases",
         )
     manual, autonomous = found.manual, found.autonomous
     # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per
@@ -172,7 +157,8 @@ def invariant_bounds(
     r_high = min(found.autonomous_high + slack, 1.0)
     reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
     if not settled:
-        reason += ", the limit, and were still shrinking: more cycles give tighter bounds"
+        more = "more cycles give" if done == cycles else f"more than {EFFORT:.0e} samples would give"
+        reason += f" and were still shrinking: {more} tighter bounds"
     if r_high - r_low > VACUOUS:
         reason += (
             f"; but the bounds on utilization, {r_low:.3g} to {r_high:.3g}, exclude next to "
@@ -202,22 +188,3 @@ def _trivial(tsc: TscModel, reason: str) -> InvariantBounds:
     return InvariantBounds(
         False, reason, 0, 0.0, 1.0, tsc.robot.p_min, ceiling, *anything, *dwell, *dwell
     )
-
-
-def _narrowed(found, lower, upper, c, cells, cycles, most):
-    """
-    Narrow an enclosure with polygons; return it, and by how many cycles (0 where nothing was
-    gained).
-    """
-    # An autonomous phase follows a manual one of at least one sample, and has at most as many as
-    # the intervals leave room for.
-    low = max(found.low, (1.0 - c.a_r) * c.a_r**found.autonomous.dwell_high * (1.0 - 1e-9))
-    high = min(found.high, c.a_r + ROUNDING)
-    if low < REST or high >= 1.0 or high <= low:
-        return found, 0
-    budget = max(POLYGON_EFFORT, 20 * most)
-    low, high, over, more = narrow(
-        low, high, found.autonomous.overshoot, lower, upper, c, cells, cycles, most, budget
-    )
-    tighter = enclose(low, high, over, lower, upper, c, cells, most)
-    return (tighter, more) if more and tighter.code > 0 else (found, 0)

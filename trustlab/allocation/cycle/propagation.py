@@ -14,6 +14,12 @@ from trustlab.models.tsc import advance, human_at, human_range, tsc_at
 # By how much intervals are widened after each phase: far more than the rounding of the arithmetic.
 ROUNDING = 1e-12
 
+# Into how many cells intervals of utilization are cut at first, and by less than which share they
+# must shrink in a cycle for more cells to be tried; and, with most cells, for an end.
+COARSE = 32
+SHRINK = 0.02
+SETTLED = 1e-3
+
 # Nearer than this to rest or full load (2.6) is so steep that its one-step changes are bounded by
 # its range alone.
 STEEP = 1e-6
@@ -208,35 +214,41 @@ def enclose(low, high, over, lower, upper, c, cells, most):
     return Enclosure(1 if ends else -2, low, high, over, manual, last, autonomous)
 
 
-def nest(lower, upper, c, cells, cycles, most, shrink):
+def nest(lower, upper, c, cells, cycles, most):
     """
-    Shrink the utilizations with which manual phases begin from [0, 1] until a cycle shrinks them by
-    less than `shrink`.
-
-    Returns the enclosure, and whether it was settled so before the cycles or EFFORT ran out.
+    Shrink the utilizations with which manual phases begin from [0, 1], cycle by cycle.
 
     What encloses every trajectory after k cycles encloses it after k + 1 as well as its image does:
-    the intersection.
+    the intersection. Intervals are cut into COARSE cells at first, and into twice as many, up to
+    `cells`, whenever a cycle has shrunk them by less than SHRINK. Returns the enclosure, and
+    whether it had settled when the cycles or EFFORT ran out.
     """
     low = 0.0
     high = 1.0
-    left = EFFORT
-    settled = False
-    j = 0
     over = overshoot(False, 0.0, 1.0, lower, c)
-    for j in watched(range(cycles), "invariant bounds"):
-        found = enclose(low, high, over, lower, upper, c, cells, most)
-        if found.code < 0:
-            return found, False
-        after = found.autonomous
-        new_low, new_high = max(low, after.r_low - ROUNDING), min(high, after.r_high + ROUNDING)
-        settled = (high - low) - (new_high - new_low) <= shrink * (high - low) and j > 0
-        low = new_low
-        high = new_high
+    count = min(COARSE, cells)
+    effort = EFFORT
+    settled = False
+    done = 0
+    for _ in watched(range(cycles), "invariant bounds"):
+        cycle = enclose(low, high, over, lower, upper, c, count, most)
+        if cycle.code < 0:
+            return cycle, False
+        after = cycle.autonomous
+        next_low = max(low, after.r_low - ROUNDING)
+        next_high = min(high, after.r_high + ROUNDING)
+        shrunk = 1.0 - (next_high - next_low) / (high - low)
+        low = next_low
+        high = next_high
         over = min(over, after.overshoot)
-        left -= cells * (found.manual.dwell_high + after.dwell_high)
-        if settled or left < 0:
+        samples = cycle.manual.dwell_high + after.dwell_high
+        effort -= count * samples
+        done += 1
+        settled = shrunk <= SETTLED and count == cells and done > 1
+        if shrunk <= SHRINK:
+            count = min(2 * count, cells)
+        if settled or effort < count * samples:
             break
-    # Once more, so that all that is reported belongs to the utilizations found.
-    found = enclose(low, high, over, lower, upper, c, cells, most)
-    return (found._replace(code=j + 1), settled) if found.code > 0 else (found, False)
+    # Once more, so that all that is reported belongs to the last utilizations.
+    cycle = enclose(low, high, over, lower, upper, c, count, most)
+    return cycle._replace(code=done) if cycle.code > 0 else cycle, settled
