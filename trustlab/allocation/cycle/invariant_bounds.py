@@ -157,7 +157,9 @@ def invariant_bounds(
     r_high = min(found.autonomous_high + slack, 1.0)
     reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
     if not settled:
-        more = "more cycles give" if done == cycles else f"more than {EFFORT:.0e} samples would give"
+        more = (
+            "more cycles give" if done == cycles else f"more than {EFFORT:.0e} samples would give"
+        )
         reason += f" and were still shrinking: {more} tighter bounds"
     if r_high - r_low > VACUOUS:
         reason += (
