@@ -68,11 +68,13 @@ def taken():
             page.keyboard.down("ArrowUp")
             time.sleep(1.5)  # on the course, which a straight way soon leaves
             found["drive"] = page.locator("main").screenshot()
-            other = server.course("P02")
+            other = server.participation("P02")
             for step in other.steps:
                 if step.page.name == "nasa_tlx":
                     break
-                other.participant.add("page", page=step.index)  # as if P02 had come so far
+                other.participant.add(
+                    "page", page=step.index, name=step.page.name
+                )  # as if P02 had come so far
             second = browser.new_page(viewport=SIZE)
             second.goto(links["P02"])
             second.wait_for_selector("fieldset")

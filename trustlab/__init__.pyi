@@ -55,6 +55,7 @@ from .identification import (
     fit_tsc as fit_tsc,
 )
 from .live import (
+    DriveSettings as DriveSettings,
     LiveGroundRobot as LiveGroundRobot,
     LiveStudy as LiveStudy,
     LiveTracking as LiveTracking,

@@ -3,7 +3,6 @@ One physics: WebAssembly and numba give the same bits. Oracle: wasmtime, which s
 numba's machine code.
 """
 
-import hashlib
 import json
 import struct
 
@@ -15,6 +14,7 @@ from trustlab.live import build
 from trustlab.live.hand import HumanHand, scripted_drive
 from trustlab.live.noise import HASHED
 from trustlab.live.runs import Drive, commands_of, drive_config, driven, replay
+from trustlab.models.digest import digest
 from trustlab.models.portable import cos_sin
 from trustlab.testbeds import GroundRobot, run_condition
 from trustlab.testbeds.ground_robot.kernel import COLUMNS
@@ -140,8 +140,8 @@ def test_another_seed_is_seen():
 
 def test_file_and_sources_belong_together():
     stamp = json.loads(build.STAMP.read_text())
-    assert stamp["file"] == hashlib.sha256(build.WASM.read_bytes()).hexdigest()
-    assert stamp["sources"] == build.digest(), (
+    assert stamp["file"] == digest(build.WASM.read_bytes())
+    assert stamp["sources"] == build.sources_digest(), (
         "the tick's sources have changed since: run `make kernel` and commit its files"
     )
 
@@ -210,8 +210,8 @@ def test_the_source_counts_what_it_has_drawn():
     drive = Drive(configured("C1", 10.0, seed=3))
     for command in wobbling(100, 1):
         drive.step(*command)
-    assert drive.source["seed"] == 3
-    assert drive.source["drawn"] > 300
+    assert drive.world.source["seed"] == 3
+    assert drive.world.source["drawn"] > 300
     assert HASHED.itemsize == 16
 
 

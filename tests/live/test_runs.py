@@ -4,6 +4,10 @@ files written by hand.
 """
 
 import json
+import math
+import subprocess
+import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -64,6 +68,7 @@ def test_the_last_rows_of_a_torn_file_are_cut_off(driven, tmp_path):
     assert one.answer({"rows": sent[27:]})["have"] == 25, "a gap is not closed"
     with one.path.open("ab") as file:
         file.write(json.dumps(sent[25]).encode()[:40])
+    one.close()
     again = Attempt(tmp_path, "me", config)
     assert again.key == one.key
     assert again.rows == one.rows
@@ -71,8 +76,137 @@ def test_the_last_rows_of_a_torn_file_are_cut_off(driven, tmp_path):
     assert again.verified
     again.answer({"end": {"why": "complete"}})
     assert Attempt(tmp_path, "me", config).key != again.key
-    with pytest.raises(ValueError, match="a row is 17 numbers"):
-        again.answer({"rows": [[25, 0.0, "x"]]})
+    late = again.answer({"rows": sent[25:27]})
+    assert late == {"refused": "A row cannot be taken: the drive is over."}
+
+
+def begun(folder, config, rows, window="a"):
+    attempt = Attempt(folder, "me", config)
+    attempt.answer({"begin": True, "window": window})
+    sent = [[k, 100.0 * k, *row] for k, row in enumerate(rows.tolist())]
+    return attempt, sent
+
+
+def test_rows_that_no_drive_can_have_are_refused_in_words(driven, tmp_path):
+    config, rows, _ = driven
+    attempt, sent = begun(tmp_path, config, rows)
+    number, ms, mode, suggested, *rest = sent[0]
+    speed = COLUMNS.index("v_command") + 2
+    bad = {
+        "a row is 17 finite numbers": [
+            sent[0][:-1],
+            [number, ms, mode, suggested, *rest[:-1], "x"],
+            [number, ms, mode, suggested, *rest[:-1], math.nan],
+            [number, ms, mode, suggested, *rest[:-1], None],
+        ],
+        f"have numbers 0 to {config['samples'] - 1}": [
+            [config["samples"], *sent[0][1:]],
+            [-1, *sent[0][1:]],
+            [0.0, *sent[0][1:]],
+        ],
+        "mode cannot be 2": [[number, ms, 2, *sent[0][3:]]],
+        "suggested_mode cannot be 0.5": [[number, ms, mode, 0.5, *rest]],
+        "v_command cannot be 0.6": [[*sent[0][:speed], 0.6, *sent[0][speed + 1 :]]],
+    }
+    for words, faults in bad.items():
+        for row in faults:
+            answer = attempt.answer({"rows": [row], "window": "a"})
+            assert words in answer["refused"], (row, answer)
+    assert attempt.rows == []
+    assert attempt.answer({"rows": sent[:30], "window": "a"}) == {"have": 30}
+    assert attempt.verified
+
+
+def test_the_window_that_began_last_drives(driven, tmp_path):
+    """Two views of one widget: what the first sends later is refused, and the log stays whole."""
+    config, rows, _ = driven
+    attempt, sent = begun(tmp_path, config, rows, "first")
+    attempt.answer({"rows": sent[:20], "window": "first"})
+    assert len(attempt.answer({"begin": True, "window": "second"})["rows"]) == 20
+    other = [[k, ms, 1 - mode, *rest] for k, ms, mode, *rest in sent]
+    assert "another window" in attempt.answer({"rows": other[20:40], "window": "first"})["refused"]
+    assert "another window" in attempt.answer({"note": "x", "window": "first"})["refused"]
+    attempt.answer({"rows": sent[20:40], "window": "second"})
+    assert attempt.verified
+    assert attempt.session.metadata.more["pauses"] == []
+    attempt.close()
+    again = Attempt(tmp_path, "me", config)
+    assert again.answer({"rows": sent[40:50], "window": "second"}) == {"have": 50}, (
+        "rows on their way come back after a restart"
+    )
+
+
+def test_one_kernel_writes_a_drive(driven, tmp_path):
+    config, rows, _ = driven
+    attempt, sent = begun(tmp_path, config, rows)
+    assert Attempt.of(tmp_path, "me", config) is attempt, "the cell, run again"
+    assert Attempt.of(tmp_path, "you", config) is not attempt
+    script = (
+        "import json, sys\n"
+        "from trustlab.live.attempt import Attempt\n"
+        "config = json.loads(sys.stdin.read())\n"
+        "try:\n"
+        "    print(len(Attempt(sys.argv[1], 'me', config).rows))\n"
+        "except ValueError as error:\n"
+        "    print(error)\n"
+    )
+
+    def elsewhere():
+        return subprocess.run(
+            [sys.executable, "-c", script, str(tmp_path)],
+            input=json.dumps(config),
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+
+    attempt.answer({"rows": sent[:20], "window": "a"})
+    assert "is being driven in another kernel or notebook; shut that kernel down" in elsewhere()
+    attempt.answer({"rows": sent[20:40], "window": "a"})
+    assert attempt.verified
+    attempt.close()
+    assert elsewhere() == "40\n"
+
+
+def test_a_row_that_is_changed_on_the_disk_is_not_verified(driven, tmp_path):
+    config, rows, _ = driven
+    attempt, sent = begun(tmp_path, config, rows)
+    attempt.answer({"rows": sent[:30], "window": "a"})
+    assert attempt.verified
+    lines = attempt.path.read_text().splitlines(keepends=True)
+    stamp = [*lines[:11], lines[11].replace(" 900.0,", " 901.0,"), *lines[12:]]
+    assert stamp != lines
+    attempt.path.write_text("".join(stamp))
+    assert not attempt.verified, "the clock of a row, which no replay sees"
+    attempt.close()
+    assert not Attempt(tmp_path, "me", config).verified
+
+
+def test_a_full_disk_is_said_and_loses_nothing(driven, tmp_path, monkeypatch):
+    config, rows, _ = driven
+    attempt, sent = begun(tmp_path, config, rows)
+
+    def full(handle):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("os.fsync", full)
+        answer = attempt.answer({"rows": sent[:20], "window": "a"})
+        assert "cannot be saved (No space left on device)" in answer["trouble"]
+        assert "have" not in answer
+    assert attempt.answer({"rows": sent[:20], "window": "a"}) == {"have": 20}
+    attempt.close()
+    again = Attempt(tmp_path, "me", config)
+    assert again.rows == [row[2:] for row in sent[:20]]
+    assert again.verified
+
+
+def test_laps_that_are_over_before_anybody_may_switch(tmp_path):
+    with pytest.warns(UserWarning, match="take laps=2 or more"):
+        tl.LiveGroundRobot("C1", model=MODEL, laps=1, folder=tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tl.LiveGroundRobot("C1", model=MODEL, laps=2, folder=tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -222,7 +222,7 @@ def opened(browser, live, heard, script=""):
     page.on("pageerror", lambda error: faults.append(str(error)))
     files = {
         "": ("text/html", PAGE),
-        "widget.js": ("text/javascript", module_of("tracking.js")),
+        "widget.js": ("text/javascript", module_of("page.js", "rows.js", "tracking.js")),
         "config.json": ("application/json", json.dumps(live.config)),
     }
     for name, (kind, body) in files.items():

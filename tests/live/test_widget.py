@@ -20,6 +20,7 @@ from trustlab.live.build import WASM
 from trustlab.live.ground_robot import MODULES, module_of
 from trustlab.live.hand import HumanHand, scripted_drive
 from trustlab.live.runs import commands_of, drive_config, driven
+from trustlab.live.study.pages import read_words
 from trustlab.testbeds import Course
 from trustlab.testbeds.ground_robot.course import path_point
 from trustlab.testbeds.ground_robot.kernel import COLUMNS
@@ -70,7 +71,7 @@ class Notebook:
             "widget.js": ("text/javascript", module_of(*MODULES)),
             "given.json": (
                 "application/json",
-                json.dumps({"config": config, "key": self.attempt.key}),
+                json.dumps({"config": config | {"words": read_words()}, "key": self.attempt.key}),
             ),
             "kernel.wasm": ("application/wasm", WASM.read_bytes()),
         }
@@ -344,6 +345,7 @@ def test_rows_wait_for_a_kernel_that_restarts(browser, notebook):
     assert made > kept + 20
     one.page.wait_for_timeout(600)  # rows are handed to IndexedDB twice a second
     one.page.close()
+    one.attempt.close()
     again = notebook(config, context=context)
     assert again.attempt.key == one.attempt.key
     assert len(again.attempt.rows) == kept, "what was acknowledged is on the disk"

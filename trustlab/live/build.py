@@ -4,11 +4,10 @@
 The bits are the same because both come from one IR whose arithmetic IEEE 754 fixes: no library
 functions, no contraction to fused multiply-adds, no vectors. Needs llvmlite (numba's own
 dependency) and the linker `wasm-ld` of LLVM (Debian: package lld), or the package `ziglang`, which
-has one. The file is committed with a digest of its sources; `digest()` of a checkout tells whether
-they have parted.
+has one. The file is committed with a digest of its sources; `sources_digest()` of a checkout tells
+whether they have parted.
 """
 
-import hashlib
 import inspect
 import io
 import json
@@ -21,6 +20,8 @@ import tempfile
 import tokenize
 from pathlib import Path
 from typing import Any
+
+from trustlab.models.digest import digest
 
 STATIC = Path(__file__).parent / "static"
 WASM, STAMP = STATIC / "kernel.wasm", STATIC / "kernel.json"
@@ -35,14 +36,14 @@ GENERIC = {
 }
 
 
-def sources(function: Any, found: dict[str, str]) -> None:
+def sources(function: Any, texts: dict[str, str]) -> None:
     """
     Add the text of a compiled function, of those that it calls, and of the constants that they
     read, by name.
     """
     plain = getattr(function, "py_func", function)
     name = f"{plain.__module__}.{plain.__qualname__}"
-    if name in found:
+    if name in texts:
         return
     tokens = tokenize.generate_tokens(io.StringIO(inspect.getsource(plain)).readline)
     idle = {
@@ -50,39 +51,37 @@ def sources(function: Any, found: dict[str, str]) -> None:
         tokenize.STRING,
         tokenize.NL,
     }  # kernels hold no texts but their docstrings
-    found[name] = " ".join(token.string for token in tokens if token.type not in idle)
+    texts[name] = " ".join(token.string for token in tokens if token.type not in idle)
     for word in sorted(set(plain.__code__.co_names) & set(plain.__globals__)):
         value = plain.__globals__[word]
         if hasattr(value, "py_func"):
-            sources(value, found)
+            sources(value, texts)
         elif hasattr(value, "_fields"):
-            found[f"{name}.{word}"] = repr(value._fields)
+            texts[f"{name}.{word}"] = repr(value._fields)
         elif not callable(value) and not inspect.ismodule(value):
-            found[f"{name}.{word}"] = repr(value)
+            texts[f"{name}.{word}"] = repr(value)
 
 
-def digest() -> str:
+def sources_digest() -> str:
     """
     Return a digest of all that the WebAssembly file is made of: functions, constants, records and
     signatures.
     """
     from trustlab.live import noise, tick
 
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for function, _ in tick.ENTRIES.values():
-        sources(function, found)
+        sources(function, texts)
     for function in (
         noise.uniform,
         noise.normal,
     ):  # methods of a record there, so that no name leads to them
-        sources(function, found)
+        sources(function, texts)
     records = [
         repr(kind)
         for kind in (tick.TASK, tick.ROBOT, tick.FORCING, tick.STATE, tick.LOG, noise.HASHED)
     ]
-    return hashlib.sha256(
-        "\n".join(records + [f"{k} {v}" for k, v in sorted(found.items())]).encode()
-    ).hexdigest()
+    return digest(*records, *(f"{name} {text}" for name, text in sorted(texts.items())))
 
 
 def llvm_ir(name: str, function: Any, signature: Any) -> tuple[str, str]:
@@ -115,8 +114,8 @@ def linker() -> list[str]:
     """Return the command of a linker of WebAssembly."""
     from importlib.util import find_spec
 
-    if found := shutil.which("wasm-ld"):
-        return [found]
+    if path := shutil.which("wasm-ld"):
+        return [path]
     if find_spec("ziglang"):
         return [sys.executable, "-m", "ziglang", "wasm-ld"]
     raise SystemExit(
@@ -156,8 +155,8 @@ def build() -> None:
             "stack-size=65536",
         ]
         subprocess.run([*linker(), *options, *exports, *objects, "-o", str(WASM)], check=True)
-    file = hashlib.sha256(WASM.read_bytes()).hexdigest()
-    STAMP.write_text(json.dumps({"sources": digest(), "file": file}, indent=1) + "\n")
+    stamp = {"sources": sources_digest(), "file": digest(WASM.read_bytes())}
+    STAMP.write_text(json.dumps(stamp, indent=1) + "\n")
     print(f"{WASM.name}: {WASM.stat().st_size} bytes")
 
 

@@ -21,7 +21,7 @@ UNUSABLE = "do not use the numbers"
 LEVELS = ("human_p_min", "human_p_max", "robot_p_min", "robot_p_max")
 
 
-def fit_holding(session: Session, other: TscModel) -> FitResult:
+def fit_holding(session: Session, reference: TscModel) -> FitResult:
     """
     Identify a person's model from a drive, with what it leaves undetermined held at another model's
     values.
@@ -34,7 +34,7 @@ def fit_holding(session: Session, other: TscModel) -> FitResult:
     ----------
     session : Session
         The drive.
-    other : TscModel
+    reference : TscModel
         Whose values are held.
 
     Raises
@@ -43,31 +43,33 @@ def fit_holding(session: Session, other: TscModel) -> FitResult:
         If no level of performance remains that is the person's own.
     """
     known = {
-        f"{who}_{name}": value for who, own in asdict(other).items() for name, value in own.items()
+        f"{part}_{name}": value
+        for part, parameters in asdict(reference).items()
+        for name, value in parameters.items()
     }
-    held = {"r0": 0.0}
-    fit, weak, said = _fit(session, held)
-    while weak := [name for name in weak if name in known and name not in held]:
+    fixed = {"r0": 0.0}
+    fit, weak, said = _fit(session, fixed)
+    while weak := [name for name in weak if name in known and name not in fixed]:
         slow = [name for name in weak if name not in LEVELS]
-        held |= {name: known[name] for name in slow or weak}
-        fit, weak, said = _fit(session, held)
-    if fit is None or UNUSABLE in said or not set(LEVELS) - set(held):
+        fixed |= {name: known[name] for name in slow or weak}
+        fit, weak, said = _fit(session, fixed)
+    if fit is None or UNUSABLE in said or not set(LEVELS) - set(fixed):
         raise IdentificationError(
             f"{session.duration:.0f} s of this drive determine no level of performance, even with "
             "all else held at another model's values; drive longer (laps=8, as printed), in both "
             f"modes: {said}",
-            tuple(name for name in held if name != "r0"),
+            tuple(name for name in fixed if name != "r0"),
         )
     return fit
 
 
-def _fit(session: Session, held: dict[str, float]) -> tuple[FitResult | None, Sequence[str], str]:
+def _fit(session: Session, fixed: dict[str, float]) -> tuple[FitResult | None, Sequence[str], str]:
     """
-    Return a fit with some parameters held, the parameters that the drive does not determine even
+    Return a fit with some parameters fixed, the parameters that the drive does not determine even
     so, and what the fit says.
     """
     try:
-        fit = fit_tsc(session, fixed=held)
+        fit = fit_tsc(session, fixed=fixed)
     except IdentificationError as error:
         return None, error.parameters, str(error)
     return fit, list(fit.parameters.index[fit.parameters["status"].isin(UNDETERMINED)]), fit.message

@@ -11,7 +11,8 @@ from trustlab.allocation.correction.corrector import threshold_pair
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.live.attempt import Attempt
 from trustlab.live.build import STATIC, WASM
-from trustlab.live.runs import drive_config
+from trustlab.live.runs import drive_config, warn_if_too_short
+from trustlab.live.study.pages import read_words
 from trustlab.models.checks import flag, of_class, one_of
 from trustlab.models.extras import extra
 from trustlab.models.tsc import TscModel
@@ -27,7 +28,7 @@ with extra("live"):
     import traitlets
 
 
-MODULES = ("rows.js", "physics.js", "hands.js", "view.js", "drive.js", "widget.js")
+MODULES = ("page.js", "rows.js", "physics.js", "hands.js", "view.js", "drive.js", "widget.js")
 """The browser modules of the widget, each behind those that it imports."""
 
 
@@ -91,6 +92,8 @@ class LiveGroundRobot(anywidget.AnyWidget):
         easier.
     folder : str or Path
         Where rows are kept: each is on the disk before the browser forgets it.
+    language : {"en", "de"}
+        Language of what the widget says.
 
     Attributes
     ----------
@@ -114,7 +117,7 @@ class LiveGroundRobot(anywidget.AnyWidget):
     Examples
     --------
     >>> import trustlab as tl
-    >>> live = tl.LiveGroundRobot("C1", model=tl.published_models()["2"], laps=1, folder="live")
+    >>> live = tl.LiveGroundRobot("C1", model=tl.published_models()["2"], laps=2, folder="live")
     >>> live.attempt.rows
     []
     """
@@ -134,6 +137,7 @@ class LiveGroundRobot(anywidget.AnyWidget):
         seed: int = 0,
         show_map: bool = False,
         folder: str | Path = "live",
+        language: str = "en",
     ):
         one_of("condition", condition, CONDITIONS)
         model = of_class("model", model, TscModel)
@@ -142,13 +146,16 @@ class LiveGroundRobot(anywidget.AnyWidget):
         config = drive_config(
             condition, model, thresholds, laps, seed, map=flag("show_map", show_map)
         )
-        self.model, self.attempt = model, Attempt(folder, str(participant), config)
-        super().__init__(config=config, wasm=WASM.read_bytes(), key=self.attempt.key)
-        self.on_msg(
-            lambda _widget, said, _buffers: self.send(
-                {"id": said["id"]} | self.attempt.answer(said)
-            )
+        warn_if_too_short(config)
+        self.model, self.attempt = model, Attempt.of(folder, str(participant), config)
+        words = read_words(language)
+        super().__init__(
+            config=config | {"words": words}, wasm=WASM.read_bytes(), key=self.attempt.key
         )
+        self.on_msg(self._answer)
+
+    def _answer(self, _widget: Any, message: dict[str, Any], _buffers: Any) -> None:
+        self.send({"id": message["id"]} | self.attempt.answer(message))
 
     @property
     def session(self) -> Session:

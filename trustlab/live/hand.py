@@ -40,10 +40,10 @@ class Keys:
 
     def press(self, forward: int, left: int) -> np.ndarray:
         """Hold keys for one sample (−1, 0 or 1 each); return where the levers are then."""
-        for i, wanted in enumerate((forward, left)):
+        for i, target in enumerate((forward, left)):
             now = self.levers[i]
-            most = self.step["rise"] if abs(wanted) > abs(now) else self.step["fall"]
-            self.levers[i] = now + min(max(wanted - now, -most), most)
+            most = self.step["rise"] if abs(target) > abs(now) else self.step["fall"]
+            self.levers[i] = now + min(max(target - now, -most), most)
         return self.levers
 
 

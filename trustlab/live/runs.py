@@ -14,12 +14,15 @@ from trustlab.live.tick import (
     ROBOT,
     STATE,
     TASK,
+    Command,
+    Room,
+    World,
     begin_drive,
     course_of,
     drive_commands,
     tick,
 )
-from trustlab.models.checks import of_class, one_of, positive, shown, whole_number
+from trustlab.models.checks import of_class, one_of, positive, shown, warn, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Metadata, Session
 from trustlab.testbeds.deciding import (
@@ -202,6 +205,19 @@ def _samples(
     return samples
 
 
+def warn_if_too_short(config: Mapping[str, Any]) -> None:
+    """Warn where a drive's laps can be over before anybody may switch."""
+    task = config["task"]
+    length = config["path"][-1][2]
+    lap = length / config["robot"]["max_speed"]
+    if task["laps"] and task["laps"] * lap <= task["settling"]:
+        warn(
+            f"nobody may switch in the first {task['settling']:g} s, when the window of measured "
+            f"performance fills, and laps={task['laps']} can take {task['laps'] * lap:.0f} s: "
+            f"conditions would hardly differ; take laps={int(task['settling'] // lap) + 1} or more"
+        )
+
+
 class Drive:
     """A drive in Python, step by step: what a browser does, by numba."""
 
@@ -209,50 +225,39 @@ class Drive:
         self.config = config
         self.k = 0
         self.done = False
-        self.task, self.robot = (
+        task, robot = (
             np.array([tuple(config[name][field] for field in kind.names)], kind)[0]
             for name, kind in (("task", TASK), ("robot", ROBOT))
         )
-        self.path, self.posts = (np.array(config[name], dtype=float) for name in ("path", "posts"))
-        self.source = np.array([(config["seed"], 0)], HASHED)[0]
-        self.state, self.forcing = np.zeros(1, STATE)[0], np.zeros(1, FORCING)[0]
+        path, posts = (np.array(config[name], dtype=float) for name in ("path", "posts"))
+        source = np.array([(config["seed"], 0)], HASHED)[0]
+        self.world = World(task, robot, course_of(path, posts), source)
+        self.state, forcing = np.zeros(1, STATE)[0], np.zeros(1, FORCING)[0]
+        z_r, z_h = np.empty((2, config["samples"]))
+        self.room = Room(z_r, z_h, np.empty((len(posts), 4)), self.state, forcing)
         self.rows = np.empty((config["samples"], len(COLUMNS)))
         self._log = self.rows.view(LOG)[:, 0]
-        self._z_r, self._z_h = np.empty((2, config["samples"]))
-        self._found, self._course = np.empty((len(self.posts), 4)), course_of(self.path, self.posts)
-        begin_drive(self.task, self.robot, self._course, self.state, self.forcing)
+        begin_drive(task, robot, self.world.course, self.state, forcing)
 
-    def step(self, v: float, w: float, wanted: float) -> np.void:
-        """Drive for one sample under a command and a wanted mode; return its row."""
-        row, world = self._log[self.k], (self.task, self.robot, self._course, self.source)
-        room = (self._z_r, self._z_h, self._found, self.state, self.forcing)
+    def step(self, v: float, w: float, mode: float) -> np.void:
+        """Drive for one sample under a command and a mode that is wanted; return its row."""
+        row = self._log[self.k]
         # a float also where the mode is whole: else all would be compiled once more
-        self.done = (
-            bool(tick(self.k, v, w, float(wanted), *world, *room, row))
-            or self.k + 1 >= self.config["samples"]
-        )
+        done = tick(self.k, Command(v, w, float(mode)), self.world, self.room, row)
         self.k += 1
+        self.done = bool(done) or self.k >= self.config["samples"]
         return row
 
 
 def driven(config: Mapping[str, Any], commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the rows that commands, shape (N, 3), v, w and wanted mode, lead to, and when laps ended
-    [s].
+    Return the rows that commands, shape (N, 3), v, w and mode, lead to, and when laps ended [s].
     """
     drive = Drive(config)
     rows = np.empty((len(commands), len(COLUMNS)))
     lap_times = np.empty(max(config["task"]["laps"], 1000))
-    world = (
-        drive.task,
-        drive.robot,
-        drive.path,
-        drive.posts,
-        drive.source,
-        drive.state,
-        drive.forcing,
-    )
-    count, laps = drive_commands(commands, *world, rows.view(LOG)[:, 0], lap_times)
+    log = rows.view(LOG)[:, 0]
+    count, laps = drive_commands(commands, drive.world, drive.room, log, lap_times)
     return rows[:count], lap_times[:laps]
 
 

@@ -6,6 +6,8 @@ of the operator.
 (trustlab/live/build.py). Records that it shares with a browser consist of 8-byte fields alone.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numba import carray, from_dtype, types
 
@@ -39,6 +41,36 @@ FORCING = record(numbers="since")
 """Since when a forced suggestion stands that is not carried out yet [s]; −1 for none."""
 
 
+class Command(NamedTuple):
+    """What the person wants: speed [m/s], turn rate [rad/s], and a mode."""
+
+    v: float
+    w: float
+    mode: float
+
+
+class World(NamedTuple):
+    """What a drive takes place in: records of TASK and ROBOT, the course, and a source of noise."""
+
+    task: Any
+    robot: Any
+    course: Any
+    source: Any
+
+
+class Room(NamedTuple):
+    """
+    What a drive writes into: performances of each sample, posts that the scanner sees, and records
+    of STATE and FORCING.
+    """
+
+    z_r: Any
+    z_h: Any
+    posts: Any
+    state: Any
+    forcing: Any
+
+
 @njit
 def begin_drive(task, robot, course, state, forcing):
     """Put a robot on the course, rolling, the person rested and the mode the first one."""
@@ -52,41 +84,41 @@ def begin_drive(task, robot, course, state, forcing):
 
 
 @njit
-def decide(task, t, wanted, state, forcing):
+def decide(task, t, mode, state, forcing):
     """
-    Make the suggestion of the scheme; the person's wish decides, or a forced suggestion, a notice
-    later or as soon as accepted.
+    Make the suggestion of the scheme; the mode that the person wants decides, or a forced
+    suggestion, a notice later or as soon as accepted.
     """
     if t < task.settling:
         return
     if task.scheme != OWN and task.scheme != SCHEDULE:
         suggest(task, state)
     if not task.forced:
-        state.mode = 1 if wanted == 1.0 else 0
+        state.mode = 1 if mode == 1.0 else 0
     elif state.suggested < 0 or state.suggested == state.mode:
         forcing.since = -1.0
     else:
         forcing.since = t if forcing.since < 0.0 else forcing.since
-        if wanted == state.suggested or t - forcing.since >= task.notice:
+        if mode == state.suggested or t - forcing.since >= task.notice:
             state.mode, forcing.since = state.suggested, -1.0
 
 
 @njit
-def tick(k, v, w, wanted, task, robot, course, source, z_r, z_h, found, state, forcing, row):
-    """
-    Fill the row of sample k under a command (v, w) and a wanted mode, then move; return whether all
-    laps are done.
-    """
-    t = k * task.sample_time
+def tick(k, command, world, room, row):
+    """Fill the row of sample k under a command, then move; return whether all laps are done."""
+    task = world.task
+    robot = world.robot
+    course = world.course
+    state = room.state
     locate(course, k, row, state)
-    state.v_hand = min(max(v, 0.0), robot.max_speed)
-    state.w_hand = min(max(w, -robot.max_turn_rate), robot.max_turn_rate)
-    perform(task, k, z_r, z_h, row, state)
-    decide(task, t, wanted, state, forcing)
+    state.v_hand = min(max(command.v, 0.0), robot.max_speed)
+    state.w_hand = min(max(command.w, -robot.max_turn_rate), robot.max_turn_rate)
+    perform(task, k, room.z_r, room.z_h, row, state)
+    decide(task, k * task.sample_time, command.mode, state, room.forcing)
     enter(row, state)
     if 0 < task.laps <= state.laps:
         return 1
-    roll(robot, robot.anchor, task.sample_time, course, found, state, source)
+    roll(robot, robot.anchor, task.sample_time, course, room.posts, state, world.source)
     state.r = min(max(next_utilization(state.r, state.mode, task.a), 0.0), 1.0)
     return 0
 
@@ -102,26 +134,18 @@ def course_of(path, posts):
 
 
 @njit
-def drive_commands(commands, task, robot, path, posts, source, state, forcing, rows, lap_times):
+def drive_commands(commands, world, room, rows, lap_times):
     """
-    Drive by commands, shape (N, 3): v, w and wanted mode; fill N records of LOG and the times of
-    laps, return rows and laps.
+    Drive on from the beginning by commands, shape (N, 3): v, w and mode; fill N records of LOG and
+    the times of laps, return how many of each there are.
     """
-    course = course_of(path, posts)
-    z_r = np.empty(rows.size)
-    z_h = np.empty(rows.size)
-    found = np.empty((posts.shape[0], 4))
-    begin_drive(task, robot, course, state, forcing)
+    state = room.state
     for k in range(rows.size):
-        v = commands[k, 0]
-        w = commands[k, 1]
-        wanted = commands[k, 2]
         before = state.laps
-        done = tick(
-            k, v, w, wanted, task, robot, course, source, z_r, z_h, found, state, forcing, rows[k]
-        )
+        command = Command(commands[k, 0], commands[k, 1], commands[k, 2])
+        done = tick(k, command, world, room, rows[k])
         if before < state.laps <= lap_times.size:
-            lap_times[before] = k * task.sample_time
+            lap_times[before] = k * world.task.sample_time
         if done:
             return k + 1, state.laps
     return rows.size, state.laps
@@ -141,7 +165,7 @@ def tick_there(
     k,
     v,
     w,
-    wanted,
+    mode,
     task,
     robot,
     path,
@@ -152,17 +176,17 @@ def tick_there(
     source,
     z_r,
     z_h,
-    found,
+    seen,
     state,
     forcing,
     row,
 ):
     """Make one step in a browser's memory; return whether all laps are done."""
     course = course_there(path, pieces, posts, count, nothing)
-    records = carray(state, 1)[0], carray(forcing, 1)[0], carray(row, 1)[0]
-    world = carray(task, 1)[0], carray(robot, 1)[0], course, carray(source, 1)[0]
-    room = carray(z_r, k + 1), carray(z_h, k + 1), carray(found, (count, 4))
-    return tick(k, v, w, wanted, *world, *room, *records)
+    world = World(carray(task, 1)[0], carray(robot, 1)[0], course, carray(source, 1)[0])
+    sums = carray(z_r, k + 1), carray(z_h, k + 1)
+    room = Room(*sums, carray(seen, (count, 4)), carray(state, 1)[0], carray(forcing, 1)[0])
+    return tick(k, Command(v, w, mode), world, room, carray(row, 1)[0])
 
 
 def many_there(
@@ -178,7 +202,7 @@ def many_there(
     source,
     z_r,
     z_h,
-    found,
+    seen,
     state,
     forcing,
     rows,
@@ -190,16 +214,12 @@ def many_there(
     course = course_there(path, pieces, posts, gates, nothing)
     commands = carray(commands, (count, 3))
     log = carray(rows, count)
-    world = carray(task, 1)[0], carray(robot, 1)[0], course, carray(source, 1)[0]
-    room = (
-        carray(z_r, count),
-        carray(z_h, count),
-        carray(found, (gates, 4)),
-        carray(state, 1)[0],
-        carray(forcing, 1)[0],
-    )
+    world = World(carray(task, 1)[0], carray(robot, 1)[0], course, carray(source, 1)[0])
+    sums = carray(z_r, count), carray(z_h, count)
+    room = Room(*sums, carray(seen, (gates, 4)), carray(state, 1)[0], carray(forcing, 1)[0])
     for k in range(count):
-        if tick(k, commands[k, 0], commands[k, 1], commands[k, 2], *world, *room, log[k]):
+        command = Command(commands[k, 0], commands[k, 1], commands[k, 2])
+        if tick(k, command, world, room, log[k]):
             return k + 1
     return count
 

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trustlab.live.attempt import LATE
 from trustlab.live.ground_robot import module_of
 from trustlab.models.checks import between, finite_array, flag, not_negative, of_class
+from trustlab.models.digest import digest
 from trustlab.models.extras import extra
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Session
@@ -77,24 +79,49 @@ class HandDrivenLoop:
         self.elapsed = 0.0
         self.finished = False
         self.failed = False
+        self.window = ""
         late = max(round(task.camera_delay / self.sample_time), 1)
         self.pictures: deque = deque([(np.zeros(3), np.zeros(3))], maxlen=late + 1)
 
-    def hear(self, said: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the answer to a message: a hand's position with its time, a pause, or the end."""
-        if "hand" in said and not self.finished:
-            x, y = finite_array("hand", said["hand"], length=2)
+    def hear(self, message: Mapping[str, Any]) -> dict[str, Any]:
+        """
+        Return the answer to a message: the beginning, a hand's position with its time, a pause, or
+        the end.
+        """
+        window = str(message.get("window", ""))[:40]
+        if "begin" in message:
+            self.window = window
+            self._resume(message["begin"])
+        elif window != self.window:
+            return {"refused": LATE}
+        self._take(message)
+        return self._shown()
+
+    def _take(self, message: Mapping[str, Any]) -> None:
+        if "hand" in message and not self.finished:
+            x, y = finite_array("hand", message["hand"], length=2)
             if max(abs(x), abs(y)) > 1.0:
                 raise ValueError(f"hand lies in the square [-1, 1] × [-1, 1], got ({x:g}, {y:g})")
-            self._until(not_negative("time", said.get("time")))
+            self._until(not_negative("time", message.get("time")))
             # from now on: samples before this message had the hand of the message before
             self.hand = (float(x * self.reach[0]), float(y * self.reach[1]), 0.0)
-        elif "pause" in said and self.heard is not None:
-            self._note(f"paused: {str(said['pause'])[:200]}")
+        elif "pause" in message and self.heard is not None:
+            self._note(f"paused: {str(message['pause'])[:200]}")
             self.heard = None
-        elif "end" in said:
-            self._end(str(said["end"])[:200])
-        return self._shown()
+        elif "end" in message:
+            self._end(str(message["end"])[:200])
+
+    def _resume(self, messages: Any) -> None:
+        """
+        Fly again what a page has kept of a flight that this kernel does not know: the same messages
+        give the same samples, bit for bit.
+        """
+        if self.heard is not None or self.hands or not messages:
+            return
+        for message in messages:
+            self._take(message)
+        self._note("taken up again by a new kernel")
+        self.heard = None
 
     def _until(self, time: float) -> None:
         """Advance to a time of the page's clock, or take up again there after a pause."""
@@ -107,9 +134,9 @@ class HandDrivenLoop:
         if gap < 0.0:
             return self._note("paused: the page began anew")
         self.elapsed += gap
-        wanted = int(self.elapsed / self.sample_time + 1e-6)
+        due = int(self.elapsed / self.sample_time + 1e-6)
         try:
-            while len(self.hands) < min(wanted, self.samples):
+            while len(self.hands) < min(due, self.samples):
                 self._step()
         except (DivergenceError, PartError) as error:
             self.failed = True
@@ -183,13 +210,13 @@ def checked_scheme(scheme: str | Scheme) -> Scheme:
     """
     Return a scheme that a person can drive; MMI's α would be set by a simulated operator's hand.
     """
-    found = scheme_named(scheme)
-    if found.name == "MMI" and not isinstance(scheme, Scheme):
+    chosen = scheme_named(scheme)
+    if chosen.name == "MMI" and not isinstance(scheme, Scheme):
         raise ValueError(
             "in MMI the operator allocates by hand, which a live run has no key for: drive M, "
             "MI, TMIG, TMIS or OMI, or give a trustlab.Scheme of your own"
         )
-    return found
+    return chosen
 
 
 class LiveTracking(anywidget.AnyWidget):
@@ -260,7 +287,9 @@ class LiveTracking(anywidget.AnyWidget):
     The device moves on two horizontal axes. The third is held at zero: no climb is commanded, and
     the UAV starts at the target's height, which does not change. At the edge of the square the hand
     asks for twice the largest command of the study's simulated operators. The run pauses while the
-    page is hidden and where nothing was heard for 0.5 s. Needs the extra `trustlab[live]`.
+    page is hidden and where nothing was heard for 0.5 s. The page keeps what it has sent: after a
+    restart of the kernel, run the cell again and start, and the flight goes on where it was. Needs
+    the extra `trustlab[live]`.
 
     Examples
     --------
@@ -272,7 +301,7 @@ class LiveTracking(anywidget.AnyWidget):
     (0.49, True)
     """
 
-    _esm = module_of("tracking.js")
+    _esm = module_of("page.js", "rows.js", "tracking.js")
     config = traitlets.Dict().tag(sync=True)
 
     def __init__(
@@ -289,7 +318,7 @@ class LiveTracking(anywidget.AnyWidget):
         vibration: bool = False,
     ):
         settings = study_named(study)
-        given = {
+        arguments: dict[str, Any] = {
             "scheme": checked_scheme(scheme),
             "operator": Teleoperator(participant, reach=REACH[settings.study], noise=0.0),
             "study": settings,
@@ -299,26 +328,38 @@ class LiveTracking(anywidget.AnyWidget):
             "guard": guard,
             "delay": delay,
         }
-        self.vibration, self.run = flag("vibration", vibration), HandDrivenLoop(duration, given)
-        own = self.run
-        half = own.task.view if own.task.view < UNBOUNDED else own.task.size_x
-        length = own.samples * own.sample_time
-        super().__init__(config={"half": half, "duration": length, "vibration": self.vibration})
-        self.on_msg(
-            lambda _widget, said, _buffers: self.send({"id": said.get("id")} | self.hear(said))
-        )
+        self.vibration, self.run = flag("vibration", vibration), HandDrivenLoop(duration, arguments)
+        target = self.run.task
+        config = {
+            "half": target.view if target.view < UNBOUNDED else target.size_x,
+            "duration": self.run.samples * self.run.sample_time,
+            "vibration": self.vibration,
+            "key": f"flight/{digest(arguments['scheme'].name, self._settings(arguments))}",
+        }
+        super().__init__(config=config)
+        self.on_msg(self._answer)
 
-    def hear(self, said: Mapping[str, Any]) -> dict[str, Any]:
+    def _settings(self, arguments: Mapping[str, Any]) -> str:
+        """Return what a flight is recognized by after a restart of the kernel."""
+        rest = [value for name, value in arguments.items() if name not in ("scheme", "delay")]
+        delay = arguments["delay"]
+        return repr((rest, getattr(delay, "__qualname__", delay), self.run.samples))
+
+    def _answer(self, _widget: Any, message: dict[str, Any], _buffers: Any) -> None:
+        self.send({"id": message.get("id")} | self.hear(message))
+
+    def hear(self, message: Mapping[str, Any]) -> dict[str, Any]:
         """
         Take one message of the page and return the answer.
 
         Parameters
         ----------
-        said : mapping
-            {"hand": [x, y], "time": seconds} with the hand in [−1, 1] on each axis, {"pause": why}
-            or {"end": why}.
+        message : mapping
+            {"hand": [x, y], "time": seconds} with the hand in [−1, 1] on each axis, {"pause": why},
+            {"end": why}, or {"begin": messages} with those of a flight that a kernel which is gone
+            has heard. Each may have a "window": the one that began last flies.
         """
-        return self.run.hear(said)
+        return self.run.hear(message)
 
     @property
     def session(self) -> Session:

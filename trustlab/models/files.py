@@ -8,17 +8,19 @@ from pathlib import Path
 PARTIAL = ".partial-"
 
 
-def write_atomically(path: str | os.PathLike, content: bytes | str) -> None:
+def write_atomically(path: str | os.PathLike, content: bytes | str, mode: int = 0o666) -> None:
     """
     Write a file so that readers find it complete or as it was before, whenever the process stops.
 
-    The content is on the disk when this returns. Text is encoded as UTF-8.
+    The content is on the disk when this returns. Text is encoded as UTF-8. `mode` says who may read
+    and write the file, less what the process's umask takes away.
     """
     path = Path(path)
     data = content.encode() if isinstance(content, str) else content
     partial = path.with_name(f"{path.name}{PARTIAL}{os.getpid()}")
     try:
-        with partial.open("wb") as file:
+        handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode)
+        with os.fdopen(handle, "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())

@@ -306,7 +306,10 @@ def latin_square_design(
             f"{size}; {above} would do{f', or {below}' if below else ''}"
         )
         if whole_squares:
-            raise ValueError(text)
+            raise ValueError(
+                f"{text}; whole_squares=False takes {n} all the same, in a design that is not "
+                "balanced"
+            )
         warn(f"{text}; this design is not balanced")
     squares = -(-n // size)
     labels, *batches = spawned(seed, 1 + squares)

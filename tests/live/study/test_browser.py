@@ -92,7 +92,7 @@ def driving(context, url, rows=8):
 
 def on_disk(folder, code="P01", name="01-training.0"):
     whole, _, _ = (folder / code / f"{name}.jsonl").read_text().rpartition("\n")
-    numbers = [json.loads(line)[0] for line in whole.split("\n")[1:]]
+    numbers = [json.loads(line)[1][0] for line in whole.split("\n")[1:]]
     assert numbers == list(range(len(numbers)))
     return len(numbers)
 

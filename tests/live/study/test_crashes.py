@@ -54,7 +54,7 @@ def plant_torn_line(path, rng):
     """
     Add the beginning of another line, as a machine that loses power in mid-write would leave it.
     """
-    line = json.dumps([999, *[rng.random()] * (WIDTH + 1)])
+    line = json.dumps(["0" * 16, [999, *[rng.random()] * (WIDTH + 1)]])
     with path.open("a") as file:
         file.write(line[: rng.randrange(1, len(line))])
 
@@ -79,7 +79,8 @@ def kills(plan, client, count, seed):
         if killed < count:
             k = len(made)
             made += [
-                [j, 100.0 * j, *[rng.random()] * WIDTH] for j in range(k, k + rng.randrange(1, 8))
+                [j, 100.0 * j, 1, -1, *[0.4 * rng.random()] * (WIDTH - 2)]
+                for j in range(k, k + rng.randrange(1, 8))
             ]
         if killed < count and time.monotonic() > until:
             server.process.send_signal(signal.SIGKILL)  # not waited for: a request may be under way
@@ -100,15 +101,17 @@ def kills(plan, client, count, seed):
     return made, acknowledged, path
 
 
+def entries(path):
+    return [json.loads(line)[1] for line in path.read_text().splitlines()]
+
+
 def check(plan, client, count, seed):
     made, acknowledged, path = kills(plan, client, count, seed)
-    header, *lines = path.read_text().splitlines()
-    assert [json.loads(line) for line in lines] == made
+    header, *rows = entries(path)
+    assert rows == made
     assert acknowledged == len(made)
-    assert set(json.loads(header)) == {"condition", "source", "why", "config"}
-    events = [
-        json.loads(line) for line in (plan.folder / "P01" / "events.jsonl").read_text().splitlines()
-    ]
+    assert set(header) == {"condition", "source", "why", "config"}
+    events = entries(plan.folder / "P01" / "events.jsonl")
     torn = [event["file"] for event in events if event["kind"] == "torn"]
     assert torn.count("01-training.0.jsonl") >= count
     assert torn.count("events.jsonl") == count

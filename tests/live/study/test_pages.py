@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from trustlab.live.study.pages import AnswerError, Page, as_json, read_pages, steps_of
+from trustlab.live.study.pages import AnswerError, StudyPage, as_json, read_pages, steps_of
 from trustlab.studies.questionnaires.likert import SATISFACTION_ITEMS, TRUST_CHECKLIST
 from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES
 
@@ -108,7 +108,7 @@ def test_items_are_those_that_the_questionnaires_score():
 
 
 def test_own_pages_stand_where_they_say(toml):
-    pages = read_pages(toml(OWN))
+    pages = read_pages(files=toml(OWN))
     drive = ["drive", "ease", "nasa_tlx", "trust", "satisfaction"]
     course = [
         "consent",
@@ -128,7 +128,7 @@ def test_own_pages_stand_where_they_say(toml):
         ("games", 1, 5, False),
         ("late", 1, 5, True),
     ]
-    assert [Page.read(one) for one in as_json(pages)] == pages
+    assert [StudyPage.read(one) for one in as_json(pages)] == pages
 
 
 def test_no_page_names_a_condition():
@@ -137,7 +137,7 @@ def test_no_page_names_a_condition():
 
 
 def test_answers_that_a_page_takes(toml):
-    pages = {page.name: page for page in read_pages(toml(OWN))}
+    pages = {page.name: page for page in read_pages(files=toml(OWN))}
     hours = {"games": 5, "late": 1, "hand": "left"}
     assert pages["hours"].check(hours) == hours
     assert pages["last"].check({"words": "<script>"}) == {"words": "<script>"}
@@ -225,9 +225,9 @@ def test_answers_that_a_page_takes(toml):
 )
 def test_faults_of_a_file_are_named(toml, text, said):
     with pytest.raises(ValueError, match=said):
-        read_pages(toml(text))
+        read_pages(files=toml(text))
 
 
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(ValueError, match=r"no\.toml cannot be read: No such file"):
-        read_pages([tmp_path / "no.toml"])
+        read_pages(files=[tmp_path / "no.toml"])

@@ -43,7 +43,8 @@ def rehearsed(tmp_path_factory):
         "identification": [(1, 10.0), (0, 10.0)],
         "pages": folder / "pages.toml",
     }
-    plan = tl.LiveStudy(folder / "mystudy", ["C1", "C3"], 4, rehearsal=True, **short)
+    with pytest.warns(UserWarning, match="nobody may switch"):
+        plan = tl.LiveStudy(folder / "mystudy", ["C1", "C3"], 4, rehearsal=True, **short)
     take = participation.Participation.rows
 
     def changed(person, body):
@@ -75,7 +76,7 @@ def test_measures_are_those_of_the_files(rehearsed):
         assert row["position"] == rehearsed.plan.orders[code].index(condition) + 1
         assert row["synthetic"]
         events = [
-            json.loads(line)
+            json.loads(line)[1]
             for line in (rehearsed.plan.folder / code / "events.jsonl").read_text().splitlines()
         ]
         own = {
@@ -109,7 +110,10 @@ def test_answers_are_all_there_and_own_questionnaires_scored(rehearsed):
 def test_a_changed_bit_is_found_and_its_participant_left_out(rehearsed):
     left_out = rehearsed.exclusions()
     second = rehearsed.plan.orders["P01"][1]
-    assert left_out.values.tolist() == [["P01", second, "the replay of its commands differs"]]
+    name = "09-drive.0.jsonl"
+    reason = f"{name}: row 7 is not what its commands lead to"
+    assert left_out.values.tolist() == [["P01", second, reason]]
+    assert rehearsed.faults().values.tolist() == [["P01", name, reason]]
     assert set(rehearsed.complete()["participant"]) == {"P02", "P03", "P04"}
     assert "4 begun, 3 complete and verified" in rehearsed.summary()
     result = rehearsed.analysis("p_r")
@@ -154,6 +158,101 @@ def test_a_study_that_has_hardly_begun_can_be_read(make_plan):
     assert study.participants["pages_done"].tolist() == [0, 0, 0]
     with pytest.raises(ValueError, match="this study is for people"):
         plan.rehearse()
+
+
+# what is changed afterwards
+# --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A rehearsed study in which nothing is wrong."""
+    folder = tmp_path_factory.mktemp("studies") / "mystudy"
+    with pytest.warns(UserWarning, match="nobody may switch"):
+        plan = tl.LiveStudy(
+            folder,
+            ["C1", "C3"],
+            2,
+            rehearsal=True,
+            laps=1,
+            training=5.0,
+            identification=[(1, 5.0), (0, 5.0)],
+        )
+    plan.rehearse(seed=1)
+    return folder
+
+
+def verdict(folder):
+    """The files that reading names, by an error or as those that fail, and the drives verified."""
+    try:
+        study = tl.read_live_study(folder)
+        return set(study.faults()["file"]), int(study.measures["verified"].sum())
+    except ValueError as error:  # what cannot be read at all is refused by name
+        return {path.name for path in folder.rglob("*") if path.name in str(error)}, 0
+
+
+def changes_found(folder, count, seed):
+    """Change a bit at so many places of all files; each must be found, with its file's name."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    rng = np.random.default_rng(seed)
+    assert {path.suffix for path in files} == {".json", ".jsonl", ".csv"}
+    for number in range(count):
+        path = files[number % len(files)]
+        data = path.read_bytes()
+        changed = bytearray(data)
+        changed[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(changed)
+        names, verified = verdict(folder)
+        path.write_bytes(data)
+        assert path.name in names, (path.name, names)
+        # A drive under a condition does not rest on the rows of a training drive.
+        assert verified < 4 or "training" in path.name or "identification" in path.name
+    assert verdict(folder) == (set(), 4)
+
+
+def test_every_bit_that_is_changed_is_found(finished):
+    changes_found(finished, 16, seed=1)
+
+
+@pytest.mark.long
+def test_every_bit_that_is_changed_at_200_places_is_found(finished):
+    changes_found(finished, 200, seed=2)
+
+
+def test_rows_answers_tables_and_plans_that_are_rewritten_are_found(finished):
+    """Whole and readable files, each not as it was written."""
+    drive = next(finished.glob("P01/*-drive.0.csv"))
+    session = tl.read_session(drive)
+    better = session.data.assign(p_r=session.data["p_r"] + 0.05)
+    rows = drive.with_suffix(".jsonl")
+    lines = rows.read_text().splitlines(keepends=True)
+    events = finished / "P01" / "events.jsonl"
+    told = events.read_text().splitlines(keepends=True)
+    plan = json.loads((finished / "study.json").read_text())
+    happier = [line.replace('"comfort": ', '"comfort": 1') for line in told]
+    assert happier != told
+    cases = [
+        (drive, lambda: tl.write_session(tl.Session(better, session.metadata), drive)),
+        (drive, drive.unlink),
+        (rows, lambda: rows.write_text("".join(lines[:50] + lines[51:]))),
+        (rows, lambda: rows.write_text("".join(lines[:-1]))),
+        (rows, lambda: rows.write_text(next(finished.glob("P02/*-drive.0.jsonl")).read_text())),
+        (rows, rows.unlink),
+        (events, lambda: events.write_text("".join(happier))),
+        (events, lambda: events.write_text("".join(told[:3] + told[4:]))),
+        (finished / "study.json", None),
+    ]
+    for path, change in cases:
+        before = path.read_bytes()
+        if change is None:
+            path.write_text(json.dumps(plan | {"laps": 2}, indent=1))
+        else:
+            change()
+        names, verified = verdict(finished)
+        path.write_bytes(before)
+        assert path.name in names, (path.name, names)
+        assert verified < 4
+    assert verdict(finished) == (set(), 4)
 
 
 # the identification drive

@@ -20,7 +20,7 @@ CONSENT = {"page": 0, "answers": {"consent": True}}
 
 
 def rows(first, count):
-    return [[k, 100.0 * k, *[0.1 * k] * WIDTH] for k in range(first, first + count)]
+    return [[k, 100.0 * k, 1, -1, *[0.01 * k] * (WIDTH - 2)] for k in range(first, first + count)]
 
 
 def begun(client, url, tab="a"):
@@ -34,13 +34,15 @@ def begun(client, url, tab="a"):
 def on_disk(plan, code="P01", name="01-training.0"):
     path = plan.folder / code / f"{name}.jsonl"
     return (
-        [json.loads(line) for line in path.read_text().splitlines()[1:]] if path.exists() else None
+        [json.loads(line)[1] for line in path.read_text().splitlines()[1:]]
+        if path.exists()
+        else None
     )
 
 
 def events(plan, code="P01"):
     path = plan.folder / code / "events.jsonl"
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    return [json.loads(line)[1] for line in path.read_text().splitlines()] if path.exists() else []
 
 
 # who may ask
@@ -217,7 +219,7 @@ def test_answers_tell_browsers_to_run_and_fetch_nothing_else(served, client):
         assert headers["Cache-Control"] == "no-store"
         assert "ornado" not in headers["Server"]
     static = [
-        content.decode()
+        content.decode().replace('xmlns="http://www.w3.org/2000/svg"', "")
         for name, content in served.server.files.items()
         if not name.endswith(".wasm")
     ]
@@ -237,13 +239,13 @@ def test_the_participant_is_told_no_condition(served, client):
     page = next(step.index for step in served.plan.steps("P01") if step.page.name == "drive")
     participation = served.server.participation("P01")
     for index in range(1, page):
-        participation.participant.add("page", page=index)
+        participation.participant.add("page", page=index, name="x")
     answer = client(f"{url}/begin", {"page": page, "tab": "c"})
     assert answer.json["config"]["columns"]
     said += client(f"{url}/state").content + answer.content
     assert not re.search(rb"\bC[1-5]\b", said)
     header = (served.plan.folder / "P01" / f"{page:02d}-drive.0.jsonl").read_text().splitlines()[0]
-    assert json.loads(header)["condition"] == order[0]  # the lab knows
+    assert json.loads(header)[1]["condition"] == order[0]  # the lab knows
 
 
 # how much
@@ -267,7 +269,7 @@ def test_long_words_are_refused_with_the_item(served, client):
     participation = served.server.participation("P01")
     page = next(step for step in participation.steps if step.page.name == "satisfaction")
     for index in range(1, page.index):
-        participation.participant.add("page", page=index)
+        participation.participant.add("page", page=index, name="x")
     answers = {"satisfaction": 4, "comfort": 4, "control": 4, "remark": "x" * 1001}
     refused = client(served.links["P01"] + "/answers", {"page": page.index, "answers": answers})
     assert (refused.status, refused.json["error"]) == (400, "remark: this answer cannot be taken")
@@ -351,13 +353,19 @@ def test_a_disk_that_is_full_acknowledges_nothing(served, client, monkeypatch, c
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "fsync", full)
-        assert client(f"{url}/rows", own | {"rows": rows(0, 5)}).status == 500
-    assert "No space left" in caplog.text
+        assert client(f"{url}/rows", own | {"rows": rows(0, 5)}).status == 507
+        assert client(f"{url}/rows", own | {"rows": rows(0, 5)}).status == 507
+        seen = client(f"{served.server.experimenter}/state").json
+    assert "Nothing can be saved (No space left on device)" in seen["trouble"]
+    assert caplog.text.count("No space left") == 1, "one line however often it is tried"
+    assert "Traceback" not in caplog.text
     assert (
         read_tokens(served.plan.folder)["P01"] not in caplog.text
     )  # the log is no place for links
     assert client(f"{url}/rows", own | {"rows": rows(0, 5)}).json["have"] == 5
     assert on_disk(served.plan) == rows(0, 5)
+    assert client(f"{served.server.experimenter}/state").json["trouble"] == ""
+    assert "is saved again" in caplog.text
 
 
 def test_the_window_that_began_last_drives(served, client):
@@ -509,6 +517,7 @@ def test_nothing_about_a_person_is_kept_but_what_the_documentation_lists(served,
         "source",
         "row",
         "text",
+        "link",
     }
     words = "".join(path.read_text() for path in served.plan.folder.rglob("*") if path.is_file())
     assert not re.search(r"Mozilla|secret|10\.1\.2\.3|127\.0\.0\.1", words)

@@ -5,7 +5,7 @@
 // Nothing here knows where rows go.
 import { Hands, script } from "./hands.js";
 import { Physics } from "./physics.js";
-import { furnish } from "./view.js";
+import { furnish, refusal } from "./view.js";
 
 function wanting(config) {
   const ends = [];
@@ -56,7 +56,11 @@ export async function drive(root, config, wasm, on) {
       [forward, left] = scripted
         ? [scripted.forward, scripted.left]
         : hands.read(config.sample_time);
-    if (hands.toggles % 2) wanted = 1 - (row?.[0] ?? wanted);
+    if (hands.toggles % 2) {
+      const words = refusal(config, physics.k, row);
+      if (words) panel.explain(words);
+      else wanted = 1 - (row?.[0] ?? wanted);
+    }
     hands.toggles = 0;
     if (scripted && scripted.wanted !== null) wanted = scripted.wanted;
     const k = physics.k;

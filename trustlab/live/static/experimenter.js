@@ -1,14 +1,10 @@
 // The experimenter's page: who is where, once a second; restart a drive, add a note, end a
 // participation.
+import { element } from "./page.js";
+
 const base = location.pathname.replace(/\/$/, "");
 const main = document.querySelector("main"),
   trouble = document.getElementById("trouble");
-
-function element(name, properties = {}, ...children) {
-  const made = Object.assign(document.createElement(name), properties);
-  made.append(...children);
-  return made;
-}
 
 function complain(words) {
   trouble.textContent = words;
@@ -21,8 +17,9 @@ async function act(body) {
     body: JSON.stringify(body),
     headers: { "Content-Type": "application/json" },
   });
-  if (answer.ok) show(await answer.json());
-  else complain(`That could not be done: ${(await answer.json()).error}`);
+  if (answer.ok) return show(await answer.json());
+  const { error } = await answer.json().catch(() => ({}));
+  complain(`That could not be done: ${error ?? `error ${answer.status}`}`);
 }
 
 function buttons(who) {
@@ -141,9 +138,10 @@ async function watch() {
     try {
       const answer = await fetch(`${base}/state`, { signal: AbortSignal.timeout(5000) });
       if (answer.ok) {
-        show(await answer.json());
-        complain("");
-      }
+        const state = await answer.json();
+        show(state);
+        complain(state.trouble);
+      } else complain(`The server answers with error ${answer.status}; see its terminal.`);
     } catch {
       complain("The server does not answer.");
     }

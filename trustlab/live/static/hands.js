@@ -1,5 +1,5 @@
 // Who drives: hands on keyboard, gamepad, mouse or finger, or a script.
-import { clamp } from "./physics.js";
+import { clamp } from "./page.js";
 
 const KEYS = {
   ArrowUp: [0, 1],
@@ -22,6 +22,8 @@ export class Hands {
     this.source = "keyboard";
     this.toggles = 0;
     this.stop = new AbortController();
+    // Notebook 7 looks for shortcuts before this element hears of a key.
+    root.dataset.lmSuppressShortcuts = "true";
     const listen = (target, type, act, more = {}) =>
       target.addEventListener(type, act, { signal: this.stop.signal, ...more });
     listen(root, "keydown", (event) => {
@@ -74,7 +76,7 @@ export class Hands {
 
   // Where forward and left stand now, each in [−1, 1]; one call per sample.
   read(seconds) {
-    const pad = [...(navigator.getGamepads?.() ?? [])].find((one) => one?.connected);
+    const pad = [...(navigator.getGamepads?.() ?? [])].find((gamepad) => gamepad?.connected);
     if (pad) {
       const still = (x) => (Math.abs(x ?? 0) < 0.08 ? 0 : x);
       const axes = [-still(pad.axes[1]), -still(pad.axes[0])];

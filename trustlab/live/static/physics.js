@@ -1,7 +1,5 @@
 // The physics of a drive: the kernel in WebAssembly, a sample at a time.
 
-export const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
-
 // The kernel: numba's tick in WebAssembly, its records in memory by the layout that the
 // configuration states.
 export class Physics {

@@ -3,7 +3,7 @@
 // made, and what was logged. `send(rows)` gets the rows that are not yet acknowledged, at most 600
 // and in order, and returns how many rows (from 0 on, without a gap) are on the disk of the other
 // side, or a promise of that; undefined where it does not know, and then `acknowledged(n)` may be
-// called later.
+// called later. Without `send` rows are only kept, until they are dropped.
 
 const NAME = "trustlab-live",
   STORE = "rows",
@@ -97,7 +97,7 @@ export class Rows {
 
   async flush() {
     this.keep(); // not behind a sending that hangs
-    if (this.busy || !this.waiting.size) return;
+    if (!this.send || this.busy || !this.waiting.size) return;
     this.busy = true;
     try {
       const have = await this.send(this.next());

@@ -1,26 +1,31 @@
 // A participant's pages. What is shown next is the server's to say; words are set as text, never as
 // markup.
 import { drive } from "./drive.js";
+import { element, filled } from "./page.js";
 import { Rows } from "./rows.js";
 
 const base = location.pathname.replace(/\/$/, "");
 const main = document.querySelector("main"),
   trouble = document.getElementById("trouble");
+// What pages say, in the study's language; the server tells with the first page.
+let words = {
+  no_connection: "No connection. This page goes on by itself when the connection is back.",
+  fault: "The study's computer has made a mistake (error {status}). This page tries again.",
+  disk: "The study's computer cannot save at the moment. This page goes on by itself.",
+};
 // This window: one window drives at a time
 const tab = crypto.getRandomValues(new Uint32Array(3)).join("-");
 // For the experimenter's eyes, and for tests
 const status = (self.study = { page: null, kind: null, rows: 0, pending: 0 });
 
-function element(name, properties = {}, ...children) {
-  const made = Object.assign(document.createElement(name), properties);
-  made.append(...children);
-  return made;
+function complain(text) {
+  trouble.textContent = text;
+  trouble.hidden = !text;
 }
 
-function complain(words) {
-  trouble.textContent = words;
-  trouble.hidden = !words;
-}
+// Say that the server is in trouble: a full disk has a status of its own.
+const troubled = (code) =>
+  complain(code === 507 ? words.disk : filled(words.fault, { status: code }));
 
 const pause = (ms) => new Promise((ok) => setTimeout(ok, ms));
 
@@ -38,14 +43,13 @@ async function ask(what, body) {
         ...options,
         signal: AbortSignal.timeout(120000),
       });
-      if (answer.status < 500 && answer.status !== 429) {
+      if (answer.status >= 500) troubled(answer.status);
+      else if (answer.status !== 429) {
         complain("");
         return { status: answer.status, ...(await answer.json()) };
       }
     } catch {
-      complain(
-        "No connection. Nothing is lost; this page goes on by itself when the connection is back.",
-      );
+      complain(words.no_connection);
     }
     await pause(wait);
   }
@@ -55,19 +59,19 @@ function paragraphs(text) {
   return text
     .split(/\n\s*\n/)
     .filter(Boolean)
-    .map((words) => element("p", { textContent: words }));
+    .map((text) => element("p", { textContent: text }));
 }
 
 function scale(item) {
-  const box = element("div", {
-    className: (item.high - item.low) / item.step > 10 ? "scale fine" : "scale",
-  });
-  box.append(element("span", { className: "end", textContent: item.left }));
+  const fine = (item.high - item.low) / item.step > 10,
+    points = element("div", { className: "points" });
   for (let value = item.low; value <= item.high; value += item.step) {
     const input = element("input", { type: "radio", name: item.name, value, required: true });
-    box.append(element("label", {}, input, String(value)));
+    points.append(element("label", {}, input, String(value)));
   }
-  box.append(element("span", { className: "end", textContent: item.right }));
+  const end = (text) => element("span", { className: "end", textContent: text });
+  const box = element("div", { className: fine ? "scale fine" : "scale" });
+  box.append(end(item.left), points, end(item.right));
   return box;
 }
 
@@ -105,15 +109,15 @@ function field(item) {
 }
 
 function read(form, items) {
-  const given = new FormData(form);
+  const data = new FormData(form);
   const value = {
     scale: Number,
-    check: (words) => words !== null,
-    text: (words) => words,
-    choice: (words) => words,
+    check: (text) => text !== null,
+    text: (text) => text,
+    choice: (text) => text,
   };
   return Object.fromEntries(
-    items.map((item) => [item.name, value[item.kind](given.get(item.name))]),
+    items.map((item) => [item.name, value[item.kind](data.get(item.name))]),
   );
 }
 
@@ -126,7 +130,7 @@ function showForm(now) {
     ...paragraphs(now.text),
     ...now.items.map(field),
   );
-  const button = element("button", { textContent: "Next" });
+  const button = element("button", { textContent: words.next });
   form.append(button);
   main.replaceChildren(form);
   return new Promise((next) => {
@@ -136,7 +140,7 @@ function showForm(now) {
       const answer = await ask("answers", { page: now.page, answers: read(form, now.items) });
       button.disabled = false;
       if (answer.status === 200 || answer.status === 409) next();
-      else complain(`This could not be taken: ${answer.error}`);
+      else complain(filled(words.not_taken, { error: answer.error }));
     });
   });
 }
@@ -165,12 +169,15 @@ function delivery(code, page, attempt, window, stale, telemetry = () => ({})) {
     async (batch) => {
       status.pending = rows.pending();
       const answer = await post(batch, { signal: AbortSignal.timeout(5000) });
-      if (answer.status === 409) {
-        await rows.drop();
-        stale("This study goes on in another window. Close this one.");
+      if (answer.status >= 500) troubled(answer.status);
+      if ([400, 404, 409, 413].includes(answer.status)) {
+        const { error, window: elsewhere } = await answer.json().catch(() => ({}));
+        await rows.drop(); // sending them again would not help
+        if (answer.status === 409) stale(elsewhere ? words.other_window : "");
+        else stale(filled(words.stopped, { error: error ?? answer.status }));
       }
-      if ([400, 404, 413].includes(answer.status)) await rows.drop();
       if (!answer.ok) return undefined;
+      complain("");
       const { have, current } = await answer.json();
       if (!current) stale("");
       status.pending = 0;
@@ -190,7 +197,7 @@ async function bringLeft(code) {
 }
 
 async function showDrive(now) {
-  const go = element("button", { textContent: "Start" });
+  const go = element("button", { textContent: words.start });
   main.replaceChildren(element("h2", { textContent: now.title }), ...paragraphs(now.text), go);
   await new Promise((ok) => go.addEventListener("click", ok, { once: true }));
   const begun = await ask("begin", { page: now.page, tab });
@@ -233,7 +240,7 @@ async function showDrive(now) {
     }
     return;
   }
-  main.replaceChildren(element("p", { textContent: "Saving …" }));
+  main.replaceChildren(element("p", { textContent: words.saving }));
   await outcome.rows.drain();
   await ask("done", { ...about, rows: count, telemetry: telemetry() });
 }
@@ -248,13 +255,17 @@ async function run() {
             "This link leads to no study. Please ask the person who runs the study for yours.",
         }),
       );
+    words = now.words;
+    document.documentElement.lang = now.language;
     await bringLeft(now.code);
     Object.assign(status, { page: now.page, kind: now.kind, rows: 0 });
-    document.getElementById("rehearsal").hidden = !now.rehearsal;
+    const banner = document.getElementById("rehearsal");
+    banner.hidden = !now.rehearsal;
+    banner.textContent = words.rehearsal;
     const ended = now.kind === "end";
     document.getElementById("where").textContent = ended
       ? now.code
-      : `${now.code} · page ${now.page + 1} of ${now.pages}`;
+      : filled(words.where, { code: now.code, page: now.page + 1, pages: now.pages });
     if (ended)
       return main.replaceChildren(
         element("h2", { textContent: now.title }),
@@ -269,5 +280,5 @@ addEventListener("beforeunload", (event) => {
   if (status.pending) event.preventDefault();
 });
 run().catch((error) =>
-  complain(`This page cannot go on (${error.message}). Please tell the person who runs the study.`),
+  complain(filled(words.stopped ?? "This page cannot go on ({error}).", { error: error.message })),
 );

@@ -1,5 +1,8 @@
 // The UAV that follows a target: the hand goes to the kernel, and what the kernel answers is drawn.
-// No physics here.
+// No physics here. What was sent is kept in the browser until the flight is over, so that a kernel
+// that was restarted can fly it again.
+import { clamp, dress, element } from "./page.js";
+import { Rows } from "./rows.js";
 
 const STYLE = `
 .tl-track {
@@ -23,14 +26,10 @@ const SIZE = 480,
 const INNER = 0.7 * MIDDLE,
   ARROW = 70; // half the hand's square, within room for the longest arrow
 
-const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
-
-function element(tag, className = "", text = "") {
-  const made = document.createElement(tag);
-  made.className = className;
-  made.textContent = text;
-  return made;
-}
+const SILENT =
+  "The kernel does not answer, and the flight waits. If the kernel was restarted, run the cell " +
+  "again and start: the flight goes on where it was.";
+const PATIENCE = 2000; // how long an answer may take before the page says so [ms]
 
 // Where the hand is, in [−1, 1] on both axes; whichever of pointer and stick was used last. A hand
 // that lets go is in the middle.
@@ -63,7 +62,7 @@ class Hand {
   }
 
   get pad() {
-    return [...(navigator.getGamepads?.() ?? [])].find((one) => one?.connected);
+    return [...(navigator.getGamepads?.() ?? [])].find((gamepad) => gamepad?.connected);
   }
 
   read() {
@@ -189,32 +188,29 @@ function drawPad(g, hand, now, largest) {
 }
 
 function furnish(root) {
-  const sheet = new CSSStyleSheet(),
-    home = root.getRootNode();
-  sheet.replaceSync(STYLE);
-  home.adoptedStyleSheets = [...(home.adoptedStyleSheets ?? []), sheet];
+  dress(root, STYLE);
   root.className = "tl-track";
-  const picture = element("canvas", "picture"),
-    pad = element("canvas", "pad"),
-    below = element("div", "below");
-  for (const canvas of [picture, pad]) canvas.width = canvas.height = SIZE;
+  // A notebook's shortcuts are not for who flies.
+  root.dataset.lmSuppressShortcuts = "true";
+  const picture = element("canvas", { className: "picture", width: SIZE, height: SIZE }),
+    pad = element("canvas", { className: "pad", width: SIZE, height: SIZE }),
+    below = element("div", { className: "below" });
   picture.setAttribute("aria-label", "what the UAV's camera shows: the target as seen from above");
   pad.setAttribute(
     "aria-label",
     "the hand's square, with hand, simulated device, spring and force as visual cues",
   );
-  const button = element("button", "", "Start"),
-    status = element("span", "status"),
-    ledger = element("span", "ledger");
-  status.setAttribute("role", "status");
+  const button = element("button", { textContent: "Start" }),
+    status = element("span", { className: "status", role: "status" }),
+    ledger = element("span", { className: "ledger" });
   below.append(button, status, ledger);
-  const hint = element(
-    "div",
-    "hint",
-    "Move the pointer in the right square, a finger, or a gamepad's stick: the further from the " +
-      "middle, the faster the UAV flies. Keep the target (left, brown) on the cross. The green " +
-      "arrow is the guiding force that the simulated device would give: a visual cue.",
-  );
+  const hint = element("div", {
+    className: "hint",
+    textContent:
+      "Move the pointer in the right square, a finger, or a gamepad's stick: the further from " +
+      "the middle, the faster the UAV flies. Keep the target (left, brown) on the cross. The " +
+      "green arrow is the guiding force that the simulated device would give: a visual cue.",
+  });
   root.replaceChildren(picture, pad, below, hint);
   return {
     picture: picture.getContext("2d"),
@@ -238,11 +234,18 @@ function words(now, config, largest) {
   ];
 }
 
+// A message as it is kept, a row of numbers or of a word, and back.
+const row_of = ({ hand, time, pause }) => (hand ? [...hand, time] : [pause]);
+const message_of = ([, , ...values]) =>
+  values.length === 1 ? { pause: values[0] } : { hand: values.slice(0, 2), time: values[2] };
+
 function render({ model, el }) {
   const config = model.get("config"),
+    tab = crypto.getRandomValues(new Uint32Array(3)).join("-"), // one window flies at a time
     root = element("div"),
     leaving = new AbortController(),
-    signal = leaving.signal;
+    signal = leaving.signal,
+    kept = new Rows(config.key, null);
   el.append(root);
   const { picture, pad, cues, button, status, ledger } = furnish(root),
     hand = new Hand(pad, signal);
@@ -250,29 +253,54 @@ function render({ model, el }) {
     running = false,
     sent = 0,
     answered = 0,
+    heardAt = 0,
     timer = 0,
+    count = 0, // messages of this flight, those before a restart of the kernel included
     frames = 0,
     largest = 0.1; // the arrow's scale [N] grows with the forces
+
+  function send(message) {
+    try {
+      model.send({ id: ++sent, window: tab, ...message });
+    } catch {
+      // after a restart there is nobody to send to
+    }
+  }
+
+  // Send what the flight depends on, and keep it.
+  function fly(message) {
+    kept.add(count++, row_of(message));
+    send(message);
+  }
 
   // With too much unanswered the kernel is busy: the page falls silent, which the kernel takes as a
   // pause.
   function tell() {
-    if (!running || document.hidden || sent - answered >= MOST_UNANSWERED) return;
-    model.send({ id: ++sent, hand: hand.read(), time: performance.now() / 1000 });
+    if (!running || document.hidden) return;
+    if (performance.now() - heardAt > PATIENCE) status.textContent = SILENT;
+    if (sent - answered >= MOST_UNANSWERED) return;
+    fly({ hand: hand.read(), time: performance.now() / 1000 });
   }
 
-  function heard(said) {
-    answered = Math.max(answered, said.id ?? 0);
-    if (said.robot) {
-      now = said;
+  function end(message) {
+    running = false;
+    button.disabled = true;
+    status.textContent = message;
+  }
+
+  function heard(answer) {
+    answered = Math.max(answered, answer.id ?? 0);
+    heardAt = performance.now();
+    if (answer.robot) {
+      now = answer;
       largest = Math.max(largest, Math.hypot(...now.guide));
       [status.textContent, ledger.textContent] = words(now, config, largest);
       if (config.vibration && running) hand.rumble(Math.hypot(...now.guide) / largest);
     }
-    if (said.over) {
-      running = false;
-      button.disabled = true;
-      status.textContent = said.over;
+    if (answer.refused) end(answer.refused);
+    if (answer.over) {
+      end(answer.over);
+      kept.drop();
     }
   }
 
@@ -286,19 +314,27 @@ function render({ model, el }) {
     requestAnimationFrame(frame);
   }
 
+  async function begin() {
+    button.disabled = true;
+    await kept.ready;
+    const earlier = [...kept.waiting.values()].sort((a, b) => a[0] - b[0]);
+    count = earlier.length;
+    heardAt = performance.now();
+    running = true;
+    send({ begin: earlier.map(message_of) });
+    button.textContent = "Stop";
+    button.disabled = false;
+  }
+
   button.addEventListener(
     "click",
-    () => {
-      if (running) return model.send({ id: ++sent, end: "stopped by the person" });
-      running = true;
-      button.textContent = "Stop";
-    },
+    () => (running ? send({ end: "stopped by the person" }) : begin()),
     { signal },
   );
   document.addEventListener(
     "visibilitychange",
     () => {
-      if (document.hidden && running) model.send({ id: ++sent, pause: "the page is hidden" });
+      if (document.hidden && running) fly({ pause: "the page is hidden" });
     },
     { signal },
   );
@@ -309,8 +345,9 @@ function render({ model, el }) {
     leaving.abort();
     clearInterval(timer);
     model.off?.("msg:custom", heard);
-    if (running) model.send({ id: ++sent, pause: "the view was closed" });
+    if (running) fly({ pause: "the view was closed" });
     running = false;
+    kept.close();
   };
 }
 

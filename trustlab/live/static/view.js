@@ -1,5 +1,5 @@
 // What a driver sees: camera, gauges and panel.
-import { clamp } from "./physics.js";
+import { clamp, dress, element, filled, say } from "./page.js";
 
 export const STYLE = `
 .tl-drive {
@@ -30,19 +30,11 @@ export const STYLE = `
   background: rgba(255, 255, 255, .75); font-size: 1.3em; border-radius: 6px;
 }
 .tl-drive .away[hidden] { display: none; }
+@media (max-width: 700px) {
+  .tl-drive { grid-template-columns: minmax(0, 1fr); }
+  .tl-drive .suggestion { min-height: 3em; }
+}
 `;
-
-function element(tag, className = "", text = "") {
-  const made = document.createElement(tag);
-  made.className = className;
-  made.textContent = text;
-  return made;
-}
-
-// Words that stand there already would be laid out again.
-function say(place, words) {
-  if (place.textContent !== words) place.textContent = words;
-}
 
 // Make a canvas opaque and keep its pixels those of the screen: without a graphics card scaling
 // costs more than drawing.
@@ -68,7 +60,7 @@ function fitted(canvas, shape, resized, signal) {
 
 // What the robot's camera shows: gates of posts within range, over a floor with a grid for the eye
 // to hold on to.
-class Camera {
+export class Camera {
   constructor(canvas, config, signal) {
     Object.assign(this, {
       config,
@@ -96,7 +88,7 @@ class Camera {
   pose(time) {
     const past = this.past,
       i = Math.max(
-        past.findLastIndex((one) => one.k <= time),
+        past.findLastIndex((pose) => pose.k <= time),
         0,
       );
     const a = past[i],
@@ -195,7 +187,7 @@ class CourseMap {
 
 // P_r, P_h, r and TSC over the last minutes, each with its number; thresholds and best performance
 // as lines. Drawn five times a second.
-class Gauges {
+export class Gauges {
   constructor(canvas, config, signal) {
     this.canvas = canvas;
     this.stale = true;
@@ -207,19 +199,20 @@ class Gauges {
       },
       signal,
     );
-    const { task, columns } = config,
+    const { task, columns, words } = config,
       top = 1.25 * config.robot.max_speed;
     const tsc = task.scheme === 2 ? [task.lower, task.upper] : [];
     const shown = [
-      ["p_r", "robot P_r", 0, top, task.p_max ? [task.p_max] : []],
-      ["p_h", "you P_h", 0, top, []],
-      ["r", "how busy, r", 0, 1, []],
-      ["tsc", "trust, TSC", -1, 1, tsc],
+      ["p_r", words.gauge_robot, 0, top, task.p_max ? [task.p_max] : []],
+      ["p_h", words.gauge_person, 0, top, []],
+      ["r", words.gauge_utilization, 0, 1, []],
+      ["tsc", words.gauge_trust, Math.min(-1, ...tsc), Math.max(1, ...tsc), tsc],
     ];
     this.panels = shown
       .filter(([name]) => task.a_T || name !== "tsc")
       .map(([name, label, low, high, lines]) => ({
         at: columns.indexOf(name),
+        grows: name === "tsc", // TSC has no limits of its own
         label,
         low,
         high,
@@ -230,7 +223,12 @@ class Gauges {
 
   add(row) {
     for (const panel of this.panels) {
-      panel.past.push(row[panel.at]);
+      const value = row[panel.at];
+      panel.past.push(value);
+      if (panel.grows) {
+        panel.low = Math.min(panel.low, value);
+        panel.high = Math.max(panel.high, value);
+      }
       if (panel.past.length > 1800) panel.past.shift(); // three minutes
     }
     this.added = (this.added ?? 0) + 1;
@@ -269,75 +267,93 @@ class Gauges {
   }
 }
 
-const NAMES = ["AUTONOMOUS", "MANUAL"];
-
 // Why the panel suggests a mode, in words.
-function reason(config, suggested, row) {
-  const { task, columns } = config,
-    tsc = row[columns.indexOf("tsc")].toFixed(2),
-    p = row[columns.indexOf("p_r")].toFixed(2);
+export function reason(config, suggested, row) {
+  const { task, columns, words } = config;
+  const values = {
+    tsc: row[columns.indexOf("tsc")].toFixed(2),
+    p_r: row[columns.indexOf("p_r")].toFixed(2),
+    lower: task.lower.toFixed(2),
+    upper: task.upper.toFixed(2),
+    best: task.p_max.toFixed(2),
+  };
   if (task.scheme === 2)
-    return suggested
-      ? `trust has fallen: TSC ${tsc}, manual at ${task.lower.toFixed(2)}`
-      : `trust has risen: TSC ${tsc}, autonomous at ${task.upper.toFixed(2)}`;
-  return suggested
-    ? `the robot performs below its best: P_r ${p} of ${task.p_max.toFixed(2)} m/s`
-    : `the robot performs at its best: P_r ${p} m/s`;
+    return filled(suggested ? words.trust_has_fallen : words.trust_has_risen, values);
+  return filled(suggested ? words.below_its_best : words.at_its_best, values);
 }
 
-class Panel {
+// Why nobody may switch in this sample, in words; "" where they may.
+export function refusal(config, k, row) {
+  const { task, words } = config,
+    rest = task.settling - k * config.sample_time;
+  if (config.schedule) return words.by_itself;
+  if (rest > 0) {
+    const values = { seconds: Math.ceil(rest), settling: task.settling };
+    return filled(words.too_early, values);
+  }
+  const [mode, suggested] = row ?? [task.first_mode, -1];
+  return task.forced && (suggested < 0 || suggested === mode) ? words.only_suggested : "";
+}
+
+// How long the panel says why nothing was switched [ms].
+const EXPLAINED = 4000;
+
+export class Panel {
   constructor(root, config, toggle) {
+    const { words } = config;
     this.config = config;
-    this.mode = element("div", "mode");
-    this.suggestion = element("div", "suggestion");
+    this.explained = { words: "", until: 0 };
+    this.mode = element("div", { className: "mode" });
+    this.suggestion = element("div", { className: "suggestion" });
     this.suggestion.setAttribute("role", "status");
-    this.button = element("button", "", "Switch (space bar)");
+    this.button = element("button", { textContent: words.switch });
     this.button.addEventListener("click", () => {
       toggle();
       root.focus({ preventScroll: true });
     });
-    this.clock = element("div", "hint");
-    const hint = element(
-      "div",
-      "hint",
-      "Arrow keys or W A S D, a gamepad, or drag with mouse or finger. " +
-        "Stay between the posts, as fast as you can: red ones on your left.",
-    );
-    this.root = element("div", "panel");
+    this.clock = element("div", { className: "hint" });
+    const hint = element("div", { className: "hint", textContent: words.hint });
+    this.root = element("div", { className: "panel" });
     this.root.append(this.mode, this.button, this.suggestion, this.clock, hint);
+  }
+
+  // Say for some seconds why nothing was switched.
+  explain(words) {
+    this.explained = { words, until: performance.now() + EXPLAINED };
   }
 
   show(row, laps) {
     const [mode, suggested] = row,
-      { task } = this.config,
+      { task, words } = this.config,
+      names = [words.autonomous, words.manual],
       stands = suggested >= 0 && suggested !== mode;
-    say(this.mode, NAMES[mode]);
+    say(this.mode, names[mode]);
     this.mode.classList.toggle("autonomous", mode === 0);
     this.suggestion.classList.toggle("now", stands);
-    const said = stands
-      ? `${task.forced ? "Switching to" : "Suggested:"} ${NAMES[suggested]}. ` +
-        `${reason(this.config, suggested, row)}.`
-      : "";
-    say(this.suggestion, said);
-    say(this.clock, task.laps ? `Lap ${Math.min(laps + 1, task.laps)} of ${task.laps}` : "");
+    let text = performance.now() < this.explained.until ? this.explained.words : "";
+    if (stands) {
+      const lead = task.forced ? words.switching_to : words.suggested;
+      text = `${filled(lead, { mode: names[suggested] })} ${reason(this.config, suggested, row)}`;
+    }
+    say(this.suggestion, text);
+    const lap = Math.min(laps + 1, task.laps);
+    say(this.clock, task.laps ? filled(words.lap, { lap, laps: task.laps }) : "");
   }
 }
 
 export function furnish(root, config, toggle, signal) {
-  const sheet = new CSSStyleSheet(),
-    home = root.getRootNode();
-  sheet.replaceSync(STYLE);
-  home.adoptedStyleSheets = [...(home.adoptedStyleSheets ?? []), sheet];
+  const { words } = config;
+  dress(root, STYLE);
   root.classList.add("tl-drive");
   root.tabIndex = 0;
   const camera = element("canvas"),
     gauges = element("canvas"),
-    away = element("div", "away", "Paused: click here to go on");
+    away = element("div", { className: "away", textContent: words.paused });
   const panel = new Panel(root, config, toggle),
     front = element("div"),
-    below = element("div", "gauges");
-  camera.setAttribute("aria-label", "what the robot's camera shows");
-  gauges.setAttribute("aria-label", "performance, utilization and trust over the last minutes");
+    below = element("div", { className: "gauges" });
+  camera.setAttribute("aria-label", words.camera);
+  gauges.setAttribute("aria-label", words.gauges);
   away.hidden = true;
   front.append(camera);
   below.append(gauges);

@@ -1,21 +1,16 @@
 // The widget of a notebook: a start button, the drive, and its rows by the kernel's messages.
 // Behind the modules that it uses, in one.
 
-const SILENT =
-  "The kernel does not answer. Nothing is lost: what is driven waits in this browser. " +
-  "If the kernel was restarted, run the cell " +
-  "again; if that does not help, reload the page.";
-
 // Ask the kernel; the answer carries the number of the question. A kernel that is busy or gone
 // answers late or never.
 function asking(model) {
   const open = new Map();
   let last = 0;
-  model.on("msg:custom", (said) => {
-    open.get(said.id)?.(said);
-    open.delete(said.id);
+  model.on("msg:custom", (answer) => {
+    open.get(answer.id)?.(answer);
+    open.delete(answer.id);
   });
-  return (about) =>
+  return (message) =>
     new Promise((ok) => {
       const id = ++last;
       open.set(id, ok);
@@ -24,7 +19,7 @@ function asking(model) {
         ok({});
       }, 5000);
       try {
-        model.send({ id, ...about });
+        model.send({ id, ...message });
       } catch {
         ok({});
       } // after a restart there is nobody to send to
@@ -32,38 +27,73 @@ function asking(model) {
 }
 
 async function render({ model, el }) {
-  const ask = asking(model),
-    start = element("button", "", "Start driving"),
+  const key = model.get("key"),
+    words = model.get("config").words,
+    tab = crypto.getRandomValues(new Uint32Array(3)).join("-"), // one window drives at a time
+    ask = asking(model),
+    start = element("button", { textContent: words.start_driving }),
     root = element("div"),
-    trouble = element("p");
-  const rows = new Rows(model.get("key"), async (batch) => (await ask({ rows: batch })).have);
-  let driving = null;
+    trouble = element("p", { role: "alert" });
+  let driving = null,
+    rows = null;
   el.append(start, root, trouble);
+
+  function end(message) {
+    driving?.stop();
+    say(trouble, message);
+  }
+
+  // Rows of a window on their way to the kernel.
+  function delivery(name) {
+    const sending = new Rows(`${key}/${name}`, async (batch) => {
+      const answer = await ask({ window: name, rows: batch });
+      if (answer.refused) {
+        await sending.drop();
+        if (name === tab) end(answer.refused);
+      } else if (name === tab && driving)
+        say(trouble, answer.trouble ?? (sending.pending() > 100 ? words.silent : ""));
+      return answer.have;
+    });
+    return sending;
+  }
+
+  // Bring rows that a kernel which is gone did not take.
+  async function bringLeft() {
+    for (const left of await Rows.left(`${key}/`)) {
+      const sending = delivery(left.slice(key.length + 1));
+      await sending.ready;
+      for (let tries = 0; sending.pending() && tries < 50; tries += 1) {
+        await sending.flush();
+        await new Promise((ok) => setTimeout(ok, 100));
+      }
+      sending.close();
+    }
+  }
+
   async function begin() {
     start.disabled = true;
-    await rows.ready; // rows that a kernel which is gone did not take
-    for (let tries = 0; rows.pending() && tries < 50; tries += 1) {
-      await rows.flush();
-      await new Promise((ok) => setTimeout(ok, 100));
-    }
+    await bringLeft();
     let begun = {};
     while (!begun.rows) {
-      begun = await ask({ begin: true });
-      say(trouble, begun.rows ? "" : SILENT);
+      begun = await ask({ begin: true, window: tab });
+      say(trouble, begun.rows ? "" : (begun.trouble ?? words.silent));
     }
     const wasm = model.get("wasm"),
       bytes = new Uint8Array(wasm.buffer, wasm.byteOffset, wasm.byteLength);
     start.remove();
+    rows = delivery(tab);
     const on = {
       row(k, values) {
         rows.add(k, values);
-        say(trouble, rows.pending() > 100 ? SILENT : "");
+        if (rows.pending() > 100 && !trouble.textContent) say(trouble, words.silent);
       },
-      note: (note) => ask({ note }),
+      note: (note) => ask({ window: tab, note }),
       async end(summary) {
         await rows.drain();
-        await ask({ end: summary });
-        root.append(element("p", "", "The drive is over, and all its rows are saved."));
+        let answer = {};
+        while (answer.have === undefined && !answer.refused)
+          answer = await ask({ window: tab, end: summary });
+        if (!answer.refused) root.append(element("p", { textContent: words.over }));
       },
     };
     driving = await drive(root, { ...model.get("config"), rows: begun.rows }, bytes, on);
@@ -72,7 +102,7 @@ async function render({ model, el }) {
   start.addEventListener("click", begin);
   return () => {
     driving?.stop();
-    rows.close();
+    rows?.close();
   };
 }
 

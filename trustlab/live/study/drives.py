@@ -5,24 +5,27 @@ after the first a model.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from trustlab.live.chain import read_chain
 from trustlab.live.study.pages import Step
 from trustlab.live.study.plan import Plan
-from trustlab.live.study.store import Participant
+from trustlab.live.study.store import file_origin
 from trustlab.models.checks import of_class
+from trustlab.models.digest import digest
 from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
 from trustlab.testbeds.deciding import WINDOW
+from trustlab.testbeds.ground_robot.course import Course
+from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
 FROM_FIT = "own drive"
 FROM_PART = "own drive in part"
@@ -35,7 +38,7 @@ KERNEL = Path(__file__).parents[1] / "static" / "kernel.wasm"
 
 def kernel_digest() -> str:
     """Return the digest of the physics that browsers run."""
-    return hashlib.sha256(KERNEL.read_bytes()).hexdigest() if KERNEL.exists() else "none"
+    return digest(KERNEL.read_bytes()) if KERNEL.exists() else "none"
 
 
 def model_of(content: Mapping[str, Any]) -> TscModel:
@@ -52,8 +55,8 @@ def drive_seed(plan: Plan, code: str, step: Step, attempt: int) -> int:
     """
     Return the seed of an attempt: a child of the study's seed by participant, page and attempt.
     """
-    who = list(plan.orders).index(code)
-    child = np.random.SeedSequence(plan.content["seed"], spawn_key=(who, step.index, attempt))
+    key = (list(plan.orders).index(code), step.index, attempt)
+    child = np.random.SeedSequence(plan.content["seed"], spawn_key=key)
     return int(child.generate_state(1)[0])
 
 
@@ -105,12 +108,19 @@ def drive_of(
     from trustlab.live.runs import drive_config
 
     length: dict[str, Any] = {"laps": content["laps"]}
+    course, robot = content["course"], content["robot"]
+    place: dict[str, Any] = {
+        "course": None if course is None else Course(**course),
+        "robot": None if robot is None else Pioneer(**robot),
+    }
     if condition == "training":
         length = {"seconds": content["training"]}
     elif condition == "identification":
         length = {"schedule": [tuple(phase) for phase in content["identification"]]}
     model, thresholds = model_of(known["model"]), tuple(known["thresholds"])
-    config = drive_config(condition, model=model, thresholds=thresholds, seed=seed, **length)
+    config = drive_config(
+        condition, model=model, thresholds=thresholds, seed=seed, **length, **place
+    )
     if content["rehearsal"]:
         speed, wobble = np.random.default_rng(seed).uniform([0.7, 0.05], [1.0, 0.3]).tolist()
         config |= {"clock": "accelerated", "hand": {"speed": speed, "wobble": wobble}}
@@ -135,11 +145,12 @@ def drive_settings(
     }
 
 
-def shown_config(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a browser needs of a drive's settings: nothing that names the condition."""
-    return {
-        name: value for name, value in config.items() if name not in ("condition", "participant")
-    }
+def shown_config(plan: Plan, config: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    Return what a browser needs of a drive: its settings without the condition's name, and words.
+    """
+    settings = {name: value for name, value in config.items() if name != "condition"}
+    return settings | {"words": plan.content["words"]}
 
 
 def at_its_end(config: Mapping[str, Any], session: Session) -> bool:
@@ -150,39 +161,62 @@ def at_its_end(config: Mapping[str, Any], session: Session) -> bool:
     )
 
 
+class Driven(NamedTuple):
+    """An attempt as its file of rows holds it, and what is wrong with the file: "" if nothing."""
+
+    header: dict[str, Any]
+    stamps: np.ndarray
+    values: np.ndarray
+    links: list[str]
+    fault: str
+
+
+def read_attempt(plan: Plan, code: str, name: str) -> Driven:
+    """Return an attempt, its rows compared with a replay of their commands."""
+    from trustlab.live.runs import replay
+
+    path = plan.folder / code / f"{name}.jsonl"
+    reading = read_chain(path, file_origin(plan.digest, code, name))
+    if not reading.entries:
+        return Driven({}, np.empty(0), np.empty((0, 0)), reading.links, reading.fault)
+    header, *rows = reading.entries
+    try:
+        table = np.array(rows, dtype=float).reshape(len(rows), 2 + len(header["config"]["columns"]))
+    except (TypeError, ValueError, KeyError):
+        damage = reading.fault or f"{path.name}: it does not hold a drive"
+        return Driven({}, np.empty(0), np.empty((0, 0)), reading.links, damage)
+    fault = reading.fault
+    if rows and not fault:  # a changed file is not worth a replay
+        same = replay(header["config"], table[:, 2:])
+        if same is not True:
+            fault = f"{path.name}: row {same} is not what its commands lead to"
+    return Driven(header, table[:, 1], table[:, 2:], reading.links, fault)
+
+
 def session_of_attempt(
-    plan: Plan,
-    participant: Participant,
-    step: Step,
-    attempt: int,
-    notes: Iterable[Mapping[str, Any]],
+    plan: Plan, code: str, step: Step, attempt: int, notes: Iterable[Mapping[str, Any]]
 ) -> Session:
     """
     Return an attempt's session, replayed from its commands; its metadata hold the verdict, the log
     period and the pauses.
     """
-    from trustlab.live.runs import replay, session_of
+    from trustlab.live.runs import session_of
 
-    name = attempt_name(step, attempt)
-    header, table = participant.header(name), np.array(participant.rows(name), dtype=float)
-    assert header is not None
-    stamps, values = table[:, 1], table[:, 2:]
-    period = np.diff(stamps) / 1000.0
+    driven = read_attempt(plan, code, attempt_name(step, attempt))
+    period = np.diff(driven.stamps) / 1000.0
     facts = {
         "position": step.position,
         "page": step.index,
         "attempt": attempt,
-        "verified": replay(header["config"], values) is True,
+        "verified": driven.fault == "",
         "kernel": plan.content["kernel"],
-        "thresholds_from": header["source"],
+        "thresholds_from": driven.header["source"],
         "period_median": float(np.median(period)),
         "period_max": float(period.max()),
         "performance_window": WINDOW,
         "pauses": [f"row {note['row']}: {note['text']}" for note in notes],
-    }
-    who = {
-        "participant": participant.code,
-        "condition": header["condition"],
+        "participant": code,
+        "condition": driven.header["condition"],
         "synthetic": plan.rehearsal,
     }
-    return session_of(header["config"], values, **who, **facts)
+    return session_of(driven.header["config"], driven.values, **facts)

@@ -3,61 +3,29 @@
 import json
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from trustlab.allocation.limits import check_thresholds, threshold_limits
+from trustlab.live.runs import warn_if_too_short
 from trustlab.live.study.drives import drive_of, kernel_digest
-from trustlab.live.study.pages import as_json, read_pages
+from trustlab.live.study.pages import as_json, read_pages, read_words
 from trustlab.live.study.participation import Participation
-from trustlab.live.study.plan import FORMAT, Plan
+from trustlab.live.study.plan import FORMAT, Plan, content_digest
 from trustlab.live.study.rehearsal import rehearse
+from trustlab.live.study.settings import DriveSettings, drive_settings_of
 from trustlab.live.study.store import delete_participant
 from trustlab.models.checks import (
-    finite_number,
     flag,
-    of_class,
     one_of,
-    positive,
     shown,
     spawned,
     whole_number,
 )
 from trustlab.models.html import as_html
-from trustlab.models.tsc import TscModel
 from trustlab.studies.designs import latin_square_design
 from trustlab.testbeds.deciding import CONDITIONS
-from trustlab.testbeds.ground_robot.conditions import published_model, published_thresholds
-
-IDENTIFICATION = ((1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0))
-"""
-Modes of the identification drive and how long each lasts [s]: Section 2.2.2's manual, autonomous
-and mixed phases, in 17 minutes.
-"""
-
-STAND_IN = "2"
-"""
-The printed participant whose model and thresholds stand in where an identification drive says too
-little.
-"""
-
-
-def _schedule(phases: Any) -> list[list[float]]:
-    """Return the phases of the identification drive, checked: each of the modes must be driven."""
-    if not isinstance(phases, Sequence) or not all(
-        isinstance(p, Sequence) and len(p) == 2 for p in phases
-    ):
-        raise ValueError(f"identification must be a list of (mode, seconds), got {shown(phases)}")
-    checked = [
-        [whole_number("a mode of identification", m, 0, 1), positive("its seconds", s)]
-        for m, s in phases
-    ]
-    if {mode for mode, _ in checked} != {0, 1}:
-        raise ValueError("identification must have phases of both modes, 1 manual and 0 autonomous")
-    return checked
 
 
 class LiveStudy(Plan):
@@ -82,23 +50,19 @@ class LiveStudy(Plan):
     seed : int
         Seed of the orders and of every drive.
     pages : path-like or sequence of path-like
-        TOML files that change pages, leave some out, or add pages and questionnaires of your own.
-    laps : int
-        Laps of each drive under a condition; 8 as printed.
-    training : float
-        Length of the training drive [s].
-    identification : sequence of (int, float)
-        Mode (1 manual, 0 autonomous) and length [s] of each phase of the identification drive.
-    model : TscModel, optional
-        What stands in for a participant's own model where the identification drive does not
-        determine it; that of the printed participant 2 by default.
-    thresholds : (float, float), optional
-        TSC_l and TSC_u that go with `model`; those of Table 2.2 by default.
+        TOML files that change words and pages, leave some out, or add pages and questionnaires of
+        your own.
+    drives : DriveSettings, optional
+        Length of the drives, course, robot and stand-in model.
+    language : {"en", "de"}
+        Language of everything that participants see.
     whole_squares : bool
         Whether to refuse a number of participants that does not fill whole Latin squares.
     rehearsal : bool
         Whether scripted hands drive, on an accelerated clock: for trying the study out. Everything
         is labelled synthetic.
+    **settings : object
+        Settings of `drives` by name: `laps=4`, for example.
 
     Raises
     ------
@@ -123,47 +87,40 @@ class LiveStudy(Plan):
         seed: int = 0,
         *,
         pages: str | os.PathLike | Sequence[str | os.PathLike] = (),
-        laps: int = 8,
-        training: float = 120.0,
-        identification: Sequence[tuple[int, float]] = IDENTIFICATION,
-        model: TscModel | None = None,
-        thresholds: tuple[float, float] | None = None,
+        drives: DriveSettings | None = None,
+        language: str = "en",
         whole_squares: bool = True,
         rehearsal: bool = False,
+        **settings: Any,
     ):
-        if (model is None) != (thresholds is None):
-            raise ValueError("model and thresholds belong together; give both or neither")
-        model = published_model(STAND_IN) if model is None else of_class("model", model, TscModel)
-        lower, upper = published_thresholds(STAND_IN) if thresholds is None else thresholds
-        check_thresholds(model, lower, upper, threshold_limits(model, 0.0))
+        drives = drive_settings_of(drives, settings)
         for condition in conditions:
             one_of("condition", condition, CONDITIONS)
         codes = _codes(participants)
         design = latin_square_design(
             conditions, codes, seed, whole_squares=flag("whole_squares", whole_squares)
         )
-        files = [pages] if isinstance(pages, str | os.PathLike) else pages
+        files = [
+            Path(path) for path in ([pages] if isinstance(pages, str | os.PathLike) else pages)
+        ]
         content: dict[str, Any] = {
             "format": FORMAT,
             "kernel": kernel_digest(),
             "conditions": list(conditions),
             "seed": design.seed,
             "rehearsal": flag("rehearsal", rehearsal),
-            "laps": whole_number("laps", laps, most=1000),
-            "training": positive("training", training),
-            "identification": _schedule(identification),
-            "stand_in": {
-                "model": asdict(model),
-                "thresholds": [finite_number("TSC_l", lower), finite_number("TSC_u", upper)],
-            },
+            **drives.as_json(),
             "orders": {code: list(order) for code, *order in design.table().itertuples()},
-            "pages": as_json(read_pages(map(Path, files))),
+            "language": language,
+            "words": read_words(language, files),
+            "pages": as_json(read_pages(language, files)),
         }
         # What cannot be driven is refused now.
-        for condition in ("training", "identification", *conditions):
-            drive_of(content, condition, content["stand_in"], seed=0)
-        # The content as it will be read again.
-        super().__init__(Path(folder).absolute(), json.loads(json.dumps(content)))
+        names = ("training", "identification", *conditions)
+        configs = [drive_of(content, name, content["stand_in"], seed=0) for name in names]
+        warn_if_too_short(configs[-1])
+        content = json.loads(json.dumps(content))  # as it will be read again
+        super().__init__(Path(folder).absolute(), content | {"digest": content_digest(content)})
         self.freeze()
 
     def delete(self, code: str) -> None:

@@ -10,9 +10,16 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from trustlab.models.checks import did_you_mean, shown, whole_number
+from trustlab.models.checks import did_you_mean, one_of, shown, whole_number
 
-OWN = Path(__file__).with_name("pages.toml")
+LANGUAGES = {
+    path.stem: path for path in sorted((Path(__file__).parents[1] / "words").glob("*.toml"))
+}
+"""The files of words that come with the package."""
+
+WORDS = "words"
+"""The table of such a file that holds messages; each of the others is a page."""
+
 LONGEST_ANSWER = 1000
 """Characters that a participant may write in one answer."""
 
@@ -20,9 +27,10 @@ SECTIONS = ("start", "each", "end")
 KINDS = ("form", "drive", "end")
 ITEMS = ("scale", "choice", "text", "check")
 SCORED = ("nasa_tlx", "trust", "satisfaction", "likert")
+HOLE = re.compile(r"\{(\w+)\}")
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 FIXED = ("training", "identification", "drive", "debriefing")
-"""Pages whose kind is a part of the study's course."""
+"""Pages whose kind the study fixes."""
 
 
 class AnswerError(ValueError):
@@ -61,7 +69,7 @@ class Item:
 
 
 @dataclass(frozen=True)
-class Page:
+class StudyPage:
     """
     One page: a form with any number of items, a drive, or the end.
 
@@ -91,7 +99,7 @@ class Page:
         return {item.name: answers[item.name] for item in self.items}
 
     @classmethod
-    def read(cls, content: Mapping[str, Any]) -> "Page":
+    def read(cls, content: Mapping[str, Any]) -> "StudyPage":
         """Return a page from what `asdict` made of it."""
         items = tuple(
             Item(**{**item, "choices": tuple(item["choices"])}) for item in content["items"]
@@ -102,11 +110,11 @@ class Page:
 @dataclass(frozen=True)
 class Step:
     """
-    A page at its place in a participant's course: of which condition and at which position, for
-    those of a drive.
+    A page at its place in a participant's way through the study: of which condition and at which
+    position, for those of a drive.
     """
 
-    page: Page
+    page: StudyPage
     index: int
     condition: str | None = None
     position: int | None = None
@@ -117,7 +125,7 @@ class Step:
         return f"{self.index:02d}-{self.page.name}"
 
 
-def _whole(where: str, table: Mapping[str, Any], allowed: Iterable[str]) -> None:
+def _known(where: str, table: Mapping[str, Any], allowed: Iterable[str]) -> None:
     for key in table:
         if key not in allowed:
             raise ValueError(
@@ -135,11 +143,10 @@ def _item(where: str, table: Any, page: Mapping[str, Any]) -> Item:
     if not isinstance(table, Mapping) or not {"name", "text"} <= set(table):
         raise ValueError(f"{where}: an item needs a name and a text, got {shown(table)}")
     where = f"{where}, item {table['name']!r}"
-    _whole(where, table, allowed)
-    given = {
-        key: page[key] for key in ("low", "high", "step", "left", "right") if key in page
-    } | dict(table)
-    item = Item(**given | {"choices": tuple(given.get("choices", ()))})
+    _known(where, table, allowed)
+    common = {key: page[key] for key in ("low", "high", "step", "left", "right") if key in page}
+    settings = common | dict(table)
+    item = Item(**settings | {"choices": tuple(settings.get("choices", ()))})
     if not isinstance(item.name, str) or not NAME.fullmatch(item.name):
         raise ValueError(
             f"{where}: a name has small letters, digits and _, at most 40, and begins with a letter"
@@ -185,7 +192,7 @@ PAGE_KEYS = (
 PLACES = ("before", "after", "skip")
 
 
-def _page(where: str, name: str, table: Mapping[str, Any]) -> Page:
+def _page(where: str, name: str, table: Mapping[str, Any]) -> StudyPage:
     """Return a page from its table in a TOML file."""
     for key in ("title", "text"):
         if not isinstance(table.get(key), str) or not table[key].strip():
@@ -205,32 +212,58 @@ def _page(where: str, name: str, table: Mapping[str, Any]) -> Page:
             f"{where}: a scored page has items on one scale, got {sorted(scales) or 'none'}"
         )
     text = re.sub(r"(?<!\n)\n(?!\n)", " ", table["text"].strip())
-    return Page(name, table["title"], text, table["section"], kind, scored, items)
+    return StudyPage(name, table["title"], text, table["section"], kind, scored, items)
 
 
-def _tables(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the tables of a TOML file of pages, their names and keys checked."""
+def _content(path: Path) -> dict[str, Any]:
+    """Return what a TOML file holds."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ValueError(f"the pages in {path} cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise ValueError(f"{path} is no TOML file in UTF-8: {error}") from None
+    if not isinstance(content.get(WORDS, {}), dict):
+        raise ValueError(f"{path}: {WORDS!r} must be a table, [{WORDS}]")
+    return content
+
+
+def _tables(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the pages of a TOML file, their names and keys checked."""
+    content = {name: table for name, table in _content(path).items() if name != WORDS}
     for name, table in content.items():
         if not isinstance(table, dict) or not NAME.fullmatch(name):
             raise ValueError(
                 f"{path}: {name!r} must be a table, [name], in small letters, digits and _"
             )
-        _whole(f"{path}, [{name}]", table, (*PAGE_KEYS, *PLACES))
+        _known(f"{path}, [{name}]", table, (*PAGE_KEYS, *PLACES))
     return content
 
 
-def read_pages(files: Iterable[Path] = ()) -> list[Page]:
+def read_words(language: str = "en", files: Iterable[Path] = ()) -> dict[str, str]:
+    """Return the messages of a language, as the files change them."""
+    words = dict(_content(LANGUAGES[one_of("language", language, LANGUAGES)])[WORDS])
+    for path in files:
+        changes = _content(path).get(WORDS, {})
+        _known(f"{path}, [{WORDS}]", changes, words)
+        for name, text in changes.items():
+            holes = set(HOLE.findall(words[name]))
+            if not isinstance(text, str) or not set(HOLE.findall(text)) <= holes:
+                filled = ", ".join(sorted(holes)) or "nothing"
+                raise ValueError(
+                    f"{path}, [{WORDS}]: {name} must be words, in which {filled} can be filled in; "
+                    f"got {shown(text)}"
+                )
+        words |= changes
+    return words
+
+
+def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPage]:
     """
-    Return the pages of a study: the package's own, as the files change them, add to them and leave
-    some out.
+    Return the pages of a study: those of a language, as the files change them, add to them and
+    leave some out.
     """
-    tables = _tables(OWN)
+    tables = _tables(LANGUAGES[one_of("language", language, LANGUAGES)])
     for path in files:
         for name, table in _tables(path).items():
             where = f"{path}, [{name}]"
@@ -261,14 +294,14 @@ def read_pages(files: Iterable[Path] = ()) -> list[Page]:
     return [_page(f"[{name}]", name, table) for name, table in tables.items()]
 
 
-def steps_of(pages: Iterable[Page], order: Iterable[str]) -> list[Step]:
+def steps_of(pages: Iterable[StudyPage], order: Iterable[str]) -> list[Step]:
     """
-    Return a participant's course: the start, what belongs to each condition of their order, and the
-    end.
+    Return a participant's way through the study: the start, what belongs to each condition of their
+    order, and the end.
     """
     pages, order = list(pages), list(order)
     by_section = {name: [page for page in pages if page.section == name] for name in SECTIONS}
-    course: list[tuple[Page, str | None, int | None]] = [
+    course: list[tuple[StudyPage, str | None, int | None]] = [
         (page, None, None) for page in by_section["start"]
     ]
     for position, condition in enumerate(order, 1):
@@ -285,6 +318,6 @@ def steps_of(pages: Iterable[Page], order: Iterable[str]) -> list[Step]:
     ]
 
 
-def as_json(pages: Iterable[Page]) -> list[dict[str, Any]]:
+def as_json(pages: Iterable[StudyPage]) -> list[dict[str, Any]]:
     """Return pages as plain values for `study.json`."""
     return [asdict(page) for page in pages]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from trustlab.live.rows import check_row, is_number
 from trustlab.live.study.drives import (
     at_its_end,
     attempt_name,
@@ -19,16 +20,12 @@ from trustlab.live.study.drives import (
 from trustlab.live.study.pages import LONGEST_ANSWER, AnswerError, Step
 from trustlab.live.study.plan import Plan
 from trustlab.live.study.progress import Progress, progress_of
+from trustlab.models.digest import digest
+from trustlab.sessions.errors import SessionError
 from trustlab.sessions.writers import write_session
-
-MOST_ROWS = 300_000
-"""Rows of one attempt: more than eight hours."""
 
 MOST_NOTES = 500
 """Notes of one participant."""
-
-
-LARGEST = 1e15
 
 
 class RefusedError(ValueError):
@@ -40,14 +37,6 @@ class RefusedError(ValueError):
     def __init__(self, why: str, **facts: Any):
         super().__init__(why)
         self.facts = facts
-
-
-def _is_number(x: Any) -> bool:
-    """
-    Whether a value is a finite number of a size that any measure has; a whole number in JSON may
-    have any number of digits.
-    """
-    return type(x) in (int, float) and -LARGEST <= x <= LARGEST
 
 
 def _whole(body: dict[str, Any], name: str, most: int = 10**6) -> int:
@@ -71,7 +60,7 @@ class Participation:
         self.plan, self.code = plan, code
         self.participant = plan.participant(code)
         self.steps = plan.steps(code)
-        self.widths: dict[str, int] = {}
+        self.configs: dict[str, dict[str, Any]] = {}
         self.seen: float | None = None
         self.telemetry: dict[str, float] = {}
 
@@ -95,6 +84,8 @@ class Participation:
             "page": page,
             "pages": len(self.steps) - 1,
             "rehearsal": self.plan.rehearsal,
+            "language": self.plan.content["language"],
+            "words": self.plan.content["words"],
             **words,
         }
 
@@ -128,10 +119,11 @@ class Participation:
             header = drive_settings(self.plan, self.code, step, attempt, now.model)
             self.participant.open_attempt(name, header)
         rows = self.participant.rows(name)
-        self.participant.add("begin", page=step.index, attempt=attempt, tab=tab, rows=len(rows))
+        facts = {"rows": len(rows), "link": self.participant.link(name)}
+        self.participant.add("begin", page=step.index, attempt=attempt, tab=tab, **facts)
         return {
             "attempt": attempt,
-            "config": shown_config(header["config"]),
+            "config": shown_config(self.plan, header["config"]),
             "rows": [values for _, _, *values in rows],
         }
 
@@ -140,40 +132,42 @@ class Participation:
         page, attempt = _whole(body, "page", len(self.steps) - 1), _whole(body, "attempt")
         now, step = self.progress, self.steps[page]
         if now.tabs.get((page, attempt)) != _words(body, "tab", 40):
-            raise RefusedError("another window drives")
+            raise RefusedError("another window drives", window=True)
         return now, step, attempt, attempt_name(step, attempt)
 
     def rows(self, body: dict[str, Any]) -> dict[str, Any]:
         """Take rows of a drive; also those of an attempt that was restarted meanwhile."""
         self.seen = time.time()
         now, step, attempt, name = self._attempt(body)
+        rows = self._checked(name, body.get("rows"))
+        have = self.participant.count(name)
         if step.index in now.done and now.attempt(step.index) == attempt:
-            return {"have": self.participant.count(name), "current": False}
-        have = self.participant.take(name, self._checked(name, body.get("rows")))
+            if any(number >= have for number, *_ in rows):
+                raise RefusedError("this drive is over", page=now.page(len(self.steps)))
+            return {"have": have, "current": False}
+        have = self.participant.take(name, rows)
         self.telemetry = _numbers(body.get("telemetry"))
         current = now.page(len(self.steps)) == step.index and now.attempt(step.index) == attempt
         return {"have": have, "current": current}
 
     def _checked(self, name: str, rows: Any) -> list[list[float]]:
-        """Return rows that are a number, a time in ms, and a number for each column."""
-        if name not in self.widths:
-            self.widths[name] = 2 + len((self.participant.header(name) or {})["config"]["columns"])
-        width = self.widths[name]
-        if not isinstance(rows, list) or self.participant.count(name) + len(rows) > MOST_ROWS:
-            raise AnswerError(f"rows must be a list, {MOST_ROWS} in all")
-        for row in rows:
-            if not isinstance(row, list) or len(row) != width or not all(map(_is_number, row)):
-                raise AnswerError(f"a row has {width} finite numbers")
-            number, *_ = row
-            if type(number) is not int:
-                raise AnswerError("a row begins with its number")
+        """Return rows that a drive may have: a number, a time in ms, and each column's value."""
+        if not isinstance(rows, list):
+            raise AnswerError("rows must be a list")
+        if name not in self.configs:
+            self.configs[name] = (self.participant.header(name) or {})["config"]
+        try:
+            for row in rows:
+                check_row(self.configs[name], row)
+        except ValueError as error:
+            raise AnswerError(str(error)) from None
         return rows
 
     def note(self, body: dict[str, Any]) -> dict[str, Any]:
         """Take a note of the page: a pause, the focus lost."""
         _, step, attempt, _ = self._attempt(body)
         if len(self.progress.notes) < MOST_NOTES:
-            row = _whole(body, "row", MOST_ROWS)
+            row = _whole(body, "row")
             self.participant.add(
                 "note",
                 source="page",
@@ -198,17 +192,26 @@ class Participation:
             for note in now.notes
             if note.get("page") == step.index and note.get("attempt") == attempt
         ]
-        session = session_of_attempt(self.plan, self.participant, step, attempt, notes)
+        session = session_of_attempt(self.plan, self.code, step, attempt, notes)
         if not at_its_end(self.participant.header(name)["config"], session):
             raise RefusedError("this drive is not at its end", have=have)
-        write_session(session, self.participant.folder / f"{name}.csv")
+        table = self.participant.folder / f"{name}.csv"
+        try:
+            write_session(session, table)
+        except SessionError as error:
+            raise error.__cause__ or error from None
         if step.page.name == "identification":
             self.participant.add(
                 "model", page=step.index, attempt=attempt, **identified(self.plan, session)
             )
-        verified = session.metadata.more["verified"]
-        facts = {"condition": step.condition, "position": step.position, "verified": verified}
-        facts["telemetry"] = _numbers(body.get("telemetry"))
+        facts = {
+            "condition": step.condition,
+            "position": step.position,
+            "verified": session.metadata.more["verified"],
+            "telemetry": _numbers(body.get("telemetry")),
+            "link": self.participant.link(name),
+            "csv": digest(table.read_bytes()),
+        }
         self.participant.add(
             "page", page=step.index, name=step.page.name, attempt=attempt, rows=have, **facts
         )
@@ -224,7 +227,12 @@ class Participation:
         name = attempt_name(step, now.attempt(page))
         if step.page.kind != "drive" or self.participant.header(name) is None:
             raise AnswerError(f"page {page} is no drive that was begun")
-        self.participant.add("restart", page=page)
+        self.participant.add(
+            "restart",
+            page=page,
+            attempt=now.attempt(page),
+            link=self.participant.link(name),
+        )
 
     def experimenter_note(self, body: dict[str, Any]) -> None:
         """Add a note of the experimenter's."""
@@ -281,5 +289,5 @@ def _numbers(telemetry: Any) -> dict[str, float]:
     """Return what a page tells of its own speed: at most ten finite numbers."""
     if not isinstance(telemetry, dict):
         return {}
-    kept = {name: x for name, x in list(telemetry.items())[:10] if _is_number(x)}
-    return {name[:20]: float(x) for name, x in kept.items()}
+    numbers = {name: x for name, x in list(telemetry.items())[:10] if is_number(x)}
+    return {name[:20]: float(x) for name, x in numbers.items()}

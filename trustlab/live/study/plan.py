@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from trustlab.live.study.pages import Page, Step, steps_of
+from trustlab.live.chain import sync_folder
+from trustlab.live.study.pages import Step, StudyPage, steps_of
 from trustlab.live.study.store import (
     PLAN,
     Participant,
     deleted_codes,
     make_tokens,
-    sync_folder,
-    write_whole,
 )
 from trustlab.models.checks import one_of
+from trustlab.models.digest import digest
+from trustlab.models.files import write_atomically
 
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,6 +58,14 @@ class Plan:
         """
         plan = cls.__new__(cls)
         Plan.__init__(plan, Path(folder).absolute(), read_plan(Path(folder)))
+        try:
+            for code in plan.orders:
+                plan.steps(code)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(
+                f"{plan.folder / PLAN} was changed after it was frozen, and does not hold a plan "
+                f"any more ({error!r}); restore it from a copy"
+            ) from None
         return plan
 
     def freeze(self) -> None:
@@ -63,6 +73,8 @@ class Plan:
         if (self.folder / PLAN).exists():
             frozen = read_plan(self.folder)
             changed = [key for key in self.content if frozen.get(key) != self.content[key]]
+            if changed and changed != ["digest"]:
+                changed.remove("digest")
             if changed:
                 raise ValueError(
                     f"{self.folder} holds a frozen plan with other {', '.join(changed)}; open it "
@@ -80,7 +92,18 @@ class Plan:
             (self.folder / code).mkdir(parents=True, exist_ok=True)
         make_tokens(self.folder, self.orders)
         sync_folder(self.folder)
-        write_whole(self.folder / PLAN, json.dumps(self.content, indent=1) + "\n")
+        write_atomically(self.folder / PLAN, json.dumps(self.content, indent=1) + "\n")
+        sync_folder(self.folder)
+
+    @property
+    def digest(self) -> str:
+        """The digest that the plan was frozen with; every file of the study is linked to it."""
+        return self.content["digest"]
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with `study.json`: "" if it is as it was frozen."""
+        return "" if self.digest == content_digest(self.content) else f"{PLAN}: it was changed"
 
     @property
     def orders(self) -> dict[str, list[str]]:
@@ -93,17 +116,17 @@ class Plan:
         return self.content["rehearsal"]
 
     @cached_property
-    def _pages(self) -> list[Page]:
-        return [Page.read(page) for page in self.content["pages"]]
+    def _pages(self) -> list[StudyPage]:
+        return [StudyPage.read(page) for page in self.content["pages"]]
 
     @property
-    def pages(self) -> list[Page]:
+    def pages(self) -> list[StudyPage]:
         """The pages in their order, each once."""
         return list(self._pages)
 
     def steps(self, code: str) -> list[Step]:
         """
-        Return a participant's course, page by page.
+        Return a participant's way through the study, page by page.
 
         Parameters
         ----------
@@ -121,11 +144,17 @@ class Plan:
         code : str
             The participant.
         """
-        return Participant(self.folder / one_of("participant", code, self.orders))
+        return Participant(self.folder / one_of("participant", code, self.orders), self.digest)
 
     def deleted(self) -> list[str]:
         """Return the codes of the participants who were deleted."""
         return deleted_codes(self.folder)
+
+
+def content_digest(content: Mapping[str, Any]) -> str:
+    """Return the digest of all that a plan holds."""
+    rest = {name: value for name, value in content.items() if name != "digest"}
+    return digest(json.dumps(rest, sort_keys=True))
 
 
 def read_plan(folder: Path) -> dict[str, Any]:
@@ -136,10 +165,13 @@ def read_plan(folder: Path) -> dict[str, Any]:
             f"there is no {PLAN} in {folder}: no live study was planned there; make one with "
             "trustlab.LiveStudy"
         )
-    content = json.loads(file.read_text(encoding="utf-8"))
-    if content.get("format") != FORMAT:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        version = content.get("format")
+    except (ValueError, AttributeError) as error:
+        raise ValueError(f"{file} was damaged: {error}; restore it from a copy") from None
+    if version != FORMAT or "digest" not in content:
         raise ValueError(
-            f"{file} has format {content.get('format')!r}; this version of trustlab "
-            f"reads format {FORMAT}"
+            f"{file} has format {version!r}; this version of trustlab reads format {FORMAT}"
         )
     return content

@@ -14,10 +14,11 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.study.drives import attempt_name
-from trustlab.live.study.pages import Page, Step
+from trustlab.live.study.pages import Step, StudyPage
 from trustlab.live.study.plan import Plan
-from trustlab.live.study.progress import Progress, progress_of
-from trustlab.live.study.store import EVENTS, read_lines
+from trustlab.live.study.progress import Progress
+from trustlab.live.study.records import Fault, Record, faults_of, read_record
+from trustlab.live.study.store import EVENTS, PLAN
 from trustlab.models.checks import one_of
 from trustlab.models.html import as_html
 from trustlab.sessions.readers import read_session
@@ -72,12 +73,8 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     """
     plan = Plan.open(folder)
     deleted = plan.deleted()
-    events = {
-        code: read_lines(plan.folder / code / EVENTS) for code in plan.orders if code not in deleted
-    }
-    return RecordedStudy(
-        plan, {code: progress_of(own) for code, own in events.items()}, tuple(deleted)
-    )
+    records = {code: read_record(plan, code) for code in plan.orders if code not in deleted}
+    return RecordedStudy(plan, records, tuple(deleted))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +86,20 @@ class RecordedStudy:
     ----------
     plan : Plan
         The frozen plan.
-    progress : dict of str to Progress
-        Where each participant is, by code.
+    records : dict of str to Record
+        What each participant's events say, by code.
     deleted : tuple of str
         Codes of the participants who were deleted.
     """
 
     plan: Plan
-    progress: dict[str, Progress]
+    records: dict[str, Record]
     deleted: tuple[str, ...]
+
+    @property
+    def progress(self) -> dict[str, Progress]:
+        """Where each participant is, by code."""
+        return {code: record.progress for code, record in self.records.items()}
 
     @property
     def origin(self) -> str:
@@ -113,10 +115,39 @@ class RecordedStudy:
 
     @cached_property
     def _sessions(self) -> list[Session]:
+        sessions = []
+        for code, step, event in self._finished("drive"):
+            name = attempt_name(step, event["attempt"])
+            session = read_session(self.plan.folder / code / f"{name}.csv")
+            sessions.append(session.with_metadata(verified=not self._faults_of(code, name)))
+        return sessions
+
+    @cached_property
+    def _faults(self) -> list[Fault]:
         return [
-            read_session(self.plan.folder / code / f"{attempt_name(step, event['attempt'])}.csv")
-            for code, step, event in self._finished("drive")
+            fault for code in self.records for fault in faults_of(self.plan, self.records[code])
         ]
+
+    def _faults_of(self, code: str, name: str) -> list[Fault]:
+        """Return what is wrong with the files that an attempt rests on."""
+        files = (f"{name}.jsonl", f"{name}.csv", f"{EVENTS}.jsonl", PLAN)
+        return [fault for fault in self._faults if fault.code == code and fault.file in files]
+
+    def faults(self) -> pd.DataFrame:
+        """
+        Return which files are not as the study wrote them.
+
+        Every line is linked to the lines before it and to the plan, every drive is replayed from
+        its commands, and every table of a session is compared with its digest. A drive is
+        `verified` if nothing is wrong with its rows, its table, its participant's events and the
+        plan.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns participant, file, fault; no rows if nothing was changed.
+        """
+        return pd.DataFrame(self._faults, columns=["participant", "file", "fault"])
 
     def sessions(self) -> list[Session]:
         """Return the sessions of all drives under a condition, the last attempt of each."""
@@ -174,7 +205,7 @@ class RecordedStudy:
         rows = []
         forms = [page.name for page in self.plan.pages if page.kind == "form"]
         for code, step, event in self._finished(*forms):
-            who = (
+            place = (
                 code,
                 np.nan if step.position is None else step.position,
                 step.condition,
@@ -183,7 +214,7 @@ class RecordedStudy:
             for item, answer in event["answers"].items():
                 words = isinstance(answer, str)
                 rows.append(
-                    (*who, item, np.nan if words else float(answer), answer if words else "")
+                    (*place, item, np.nan if words else float(answer), answer if words else "")
                 )
         columns = [*KEYS, "page", "item", "answer", "text"]
         return (
@@ -195,18 +226,20 @@ class RecordedStudy:
     def scores(self) -> dict[str, ScaleScores]:
         """
         Return the scores of every questionnaire that is scored and answered, by the name of its
-        page.
+        page; answers in a file that was changed are not scored.
         """
         answers = self.answers()
-        found = {}
+        changed = [code for code, record in self.records.items() if record.fault]
+        answers = answers[~answers["participant"].isin(changed)]
+        scores = {}
         for page in self.plan.pages:
             items = [item.name for item in page.items if item.kind == "scale"]
-            own = answers[(answers["page"] == page.name) & answers["item"].isin(items)]
-            if page.scored and not own.empty:
-                found[page.name] = _score(
-                    page, own.astype({"condition": str}), page.section == "each"
+            rows = answers[(answers["page"] == page.name) & answers["item"].isin(items)]
+            if page.scored and not rows.empty:
+                scores[page.name] = _score(
+                    page, rows.astype({"condition": str}), page.section == "each"
                 )
-        return found
+        return scores
 
     @property
     def measures(self) -> pd.DataFrame:
@@ -214,12 +247,12 @@ class RecordedStudy:
         The measures of every finished drive under a condition, and the scores of the questionnaires
         after it.
 
-        A row per drive: participant, position, condition, synthetic, attempt, verified (whether the
-        replay of its commands gave the same bits), thresholds_from, period_median and period_max
-        [s] of the log, pauses; the measures of `run_condition` (p_r, p_h, r, tsc, path_error,
-        speed, manual_share, switches, laps, duration, lap_time, suggestions, followed_percent);
-        tlx_raw, trust_mean, satisfaction_mean and whatever other questionnaires score, NaN where
-        they are not answered yet.
+        A row per drive: participant, position, condition, synthetic, attempt, verified (whether a
+        replay of its commands gives the same bits and its files are as they were written),
+        thresholds_from, period_median and period_max [s] of the log, pauses; the measures of
+        `run_condition` (p_r, p_h, r, tsc, path_error, speed, manual_share, switches, laps,
+        duration, lap_time, suggestions, followed_percent); tlx_raw, trust_mean, satisfaction_mean
+        and whatever other questionnaires score, NaN where they are not answered yet.
         """
         rows = []
         for session in self._sessions:
@@ -251,7 +284,7 @@ class RecordedStudy:
                 )
         return self._labelled(table)
 
-    def _page(self, name: str) -> Page:
+    def _page(self, name: str) -> StudyPage:
         return next(page for page in self.plan.pages if page.name == name)
 
     def exclusions(self) -> pd.DataFrame:
@@ -261,21 +294,23 @@ class RecordedStudy:
         Returns
         -------
         pandas.DataFrame
-            Columns participant, condition, reason: drives that are not finished or whose replay
-            differs, and the participants who are left out with them, as every condition is needed
-            of each.
+            Columns participant, condition, reason: drives that are not finished or have a
+            file with a fault, and the participants who are left out with them, as every condition
+            is needed of each.
         """
         rows = []
         there = {
-            (s.metadata.participant, s.metadata.condition): s.metadata.more["verified"]
-            for s in self._sessions
+            (code, step.condition): "; ".join(
+                fault.fault for fault in self._faults_of(code, attempt_name(step, event["attempt"]))
+            )
+            for code, step, event in self._finished("drive")
         }
-        for code in self.progress:
+        for code in self.records:
             for condition in self.plan.orders[code]:
                 if (code, condition) not in there:
                     rows.append((code, condition, "not driven to its end"))
-                elif not there[code, condition]:
-                    rows.append((code, condition, "the replay of its commands differs"))
+                elif there[code, condition]:
+                    rows.append((code, condition, there[code, condition]))
         return pd.DataFrame(rows, columns=["participant", "condition", "reason"])
 
     def complete(self) -> pd.DataFrame:
@@ -379,7 +414,7 @@ class RecordedStudy:
         from trustlab.live.study.report import write_report
 
         page = self.plan.folder / "report.html" if path is None else Path(path)
-        return write_report(self.plan.folder, list(self.progress), page)
+        return write_report(self.plan.folder, list(self.records), page)
 
     def table(self) -> pd.DataFrame:
         """Return `measures`."""
@@ -394,7 +429,7 @@ class RecordedStudy:
         return f"RecordedStudy({self.plan.folder.name!r}: {self.summary()})"
 
 
-def _score(page: Page, answers: pd.DataFrame, per_condition: bool) -> ScaleScores:
+def _score(page: StudyPage, answers: pd.DataFrame, per_condition: bool) -> ScaleScores:
     """Return the scores of one questionnaire from its answers, one to a row."""
     where: dict[str, Any] = {"subject": "participant", "item": "item", "response": "answer"}
     where["condition"] = "condition" if per_condition else None

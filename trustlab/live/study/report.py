@@ -9,7 +9,8 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from trustlab.live.study.store import EVENTS, PLAN, write_whole
+from trustlab.live.study.store import EVENTS, PLAN
+from trustlab.models.files import write_atomically
 from trustlab.publishing.provenance import Checkout, file_digest, provenance
 
 NOTEBOOK = Path(__file__).with_name("report.ipynb")
@@ -36,7 +37,7 @@ def write_report(folder: Path, codes: list[str], path: Path) -> Path:
         file.relative_to(folder).as_posix(): file_digest(file)
         for file in [
             folder / PLAN,
-            *(folder / code / EVENTS for code in codes),
+            *(folder / code / f"{EVENTS}.jsonl" for code in codes),
             *sorted(folder.glob("*/*.csv")),
         ]
     }
@@ -51,5 +52,5 @@ def write_report(folder: Path, codes: list[str], path: Path) -> Path:
     alone = page.replace(
         '<a href="index.html">← All reports</a>', "<span></span>", 1
     )  # there are no others beside it
-    write_whole(path.absolute(), alone)
+    write_atomically(path.absolute(), alone)
     return path

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Self
 
+from trustlab.live.chain import check_writable, hold
 from trustlab.live.study.drives import kernel_digest
 from trustlab.live.study.pages import AnswerError
 from trustlab.live.study.participation import Participation, RefusedError
@@ -40,6 +41,7 @@ TYPES = {
     ".css": "text/css",
     ".wasm": "application/wasm",
     ".html": "text/html",
+    ".svg": "image/svg+xml",
 }
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 LARGEST_BODY = 400_000
@@ -113,12 +115,12 @@ class Base(tornado.web.RequestHandler):
 
     def holder(self, token: str) -> str:
         """Return whose link this is; an unknown one is as if the page did not exist."""
-        found = self.served.holder(token)
-        if found is None:
+        holder = self.served.holder(token)
+        if holder is None:
             raise tornado.web.HTTPError(404)
-        if not self.served.buckets.setdefault(found, Bucket()).take():
+        if not self.served.buckets.setdefault(holder, Bucket()).take():
             raise tornado.web.HTTPError(429)
-        return found
+        return holder
 
     def body(self) -> dict[str, Any]:
         """Return the request's body, an object in JSON without NaN and infinities."""
@@ -155,6 +157,7 @@ class Base(tornado.web.RequestHandler):
     def log_exception(self, kind: Any, value: Any, traceback: Any) -> None:
         """Log a mistake of ours, without the address of the request, which is somebody's link."""
         if not isinstance(value, tornado.web.HTTPError):
+            self.served.mistakes += 1
             tornado.log.app_log.error(
                 "a request could not be answered", exc_info=(kind, value, traceback)
             )
@@ -191,18 +194,18 @@ class ParticipantPage(Base):
 class ParticipantRequest(Base):
     """What a participant's page asks and tells."""
 
-    async def get(self, token: str, what: str) -> None:
+    async def get(self, token: str, request: str) -> None:
         """Answer with the page to show."""
-        if what != "state":
+        if request != "state":
             raise tornado.web.HTTPError(405)
         await self.reply(token, lambda participation: participation.state())
 
-    async def post(self, token: str, what: str) -> None:
+    async def post(self, token: str, request: str) -> None:
         """Take answers, rows, notes and the end of a drive."""
-        if what == "state":
+        if request == "state":
             raise tornado.web.HTTPError(405)
         body = self.body()
-        await self.reply(token, lambda participation: getattr(participation, what)(body))
+        await self.reply(token, lambda participation: getattr(participation, request)(body))
 
     async def reply(self, token: str, work: Callable[[Participation], dict[str, Any]]) -> None:
         """
@@ -215,6 +218,12 @@ class ParticipantRequest(Base):
         async with self.served.locks.setdefault(code, asyncio.Lock()):
             try:
                 self.write(await asyncio.to_thread(lambda: work(self.served.participation(code))))
+                if self.request.method == "POST":
+                    self.served.saved()
+            except OSError as error:
+                self.served.not_saved(error)
+                self.set_status(507)
+                self.finish({"error": "the disk is full"})
             except AnswerError as error:
                 self.set_status(400)
                 self.finish({"error": str(error)})
@@ -238,14 +247,14 @@ class ExperimenterPage(Base):
 class ExperimenterRequest(Base):
     """What the experimenter's page asks and tells."""
 
-    async def get(self, token: str, what: str) -> None:
+    async def get(self, token: str, request: str) -> None:
         """Answer with where everybody is."""
-        self.allow(token, what == "state")
+        self.allow(token, request == "state")
         self.write(await asyncio.to_thread(self.served.overview))
 
-    async def post(self, token: str, what: str) -> None:
+    async def post(self, token: str, request: str) -> None:
         """Restart a drive, add a note, or end a participation."""
-        self.allow(token, what == "act")
+        self.allow(token, request == "act")
         body = self.body()
         code, action = body.get("participant"), body.get("action")
         if code not in self.served.present() or action not in ("restart", "note", "end"):
@@ -258,6 +267,11 @@ class ExperimenterRequest(Base):
             except AnswerError as error:
                 self.set_status(400)
                 self.finish({"error": str(error)})
+                return
+            except OSError as error:
+                self.served.not_saved(error)
+                self.set_status(507)
+                self.finish({"error": f"nothing can be saved: {self.served.disk}"})
                 return
         self.write(await asyncio.to_thread(self.served.overview))
 
@@ -302,6 +316,10 @@ class StudyServer:
                 f"of trustlab has {kernel_digest()[:16]}: its drives would not compare; go on "
                 "with the version it was begun with"
             )
+        if plan.fault:
+            raise ValueError(
+                f"{plan.fault} after it was frozen: restore it from a copy before it is served"
+            )
         self.plan = plan
         self.address = address
         self.port = whole_number("port", port, 0, 65535)
@@ -311,13 +329,13 @@ class StudyServer:
             try:
                 self.tls.load_cert_chain(certificate, key)
             except OSError as error:  # ssl.SSLError is one
-                given = (
+                files = (
                     f"certificate {str(certificate)!r} and key {str(key)!r}"
                     if key
                     else f"certificate {str(certificate)!r}"
                 )
                 raise ValueError(
-                    f"{given} cannot be used for TLS ({error}); give files in PEM format, the key "
+                    f"{files} cannot be used for TLS ({error}); give files in PEM format, the key "
                     "without a password"
                 ) from error
         self.names = tuple(names)
@@ -334,6 +352,8 @@ class StudyServer:
         self.thread: threading.Thread | None = None
         self.started = threading.Event()
         self.fault: BaseException | None = None
+        self.disk = ""
+        self.mistakes = 0
 
     def holder(self, token: str) -> str | None:
         """
@@ -343,11 +363,11 @@ class StudyServer:
         at = tokens_path(self.plan.folder).stat().st_mtime_ns
         if at != self.tokens_at:
             self.tokens, self.tokens_at = read_tokens(self.plan.folder), at
-        found = None
-        for name, own in self.tokens.items():  # every one is compared: the time taken tells nothing
-            if secrets.compare_digest(own.encode(), token.encode()):
-                found = name
-        return found
+        holder = None
+        for name, known in self.tokens.items():  # all are compared: the time taken tells nothing
+            if secrets.compare_digest(known.encode(), token.encode()):
+                holder = name
+        return holder
 
     def participation(self, code: str) -> Participation:
         """Return a participant's participation, read from the disk the first time."""
@@ -364,6 +384,35 @@ class StudyServer:
         gone = self.plan.deleted()
         return [code for code in self.plan.orders if code not in gone]
 
+    def saved(self) -> None:
+        """Note that something was written again after a time when nothing could be."""
+        if self.disk:
+            self.disk = ""
+            tornado.log.app_log.error("what people do is saved again")
+
+    def not_saved(self, error: OSError) -> None:
+        """Note that nothing can be written; the log gets one line until it can."""
+        if not self.disk:
+            self.disk = error.strerror or str(error)
+            tornado.log.app_log.error("what people do cannot be saved: %s", self.disk)
+
+    @property
+    def trouble(self) -> str:
+        """What the experimenter must know of the server itself."""
+        parts = []
+        if self.disk:
+            parts.append(
+                f"Nothing can be saved ({self.disk}): make room on the disk of "
+                f"{self.plan.folder.name}. Nothing is lost; participants' pages wait, and go on by "
+                "themselves."
+            )
+        if self.mistakes:
+            parts.append(
+                f"{self.mistakes} requests could not be answered because of a mistake in the "
+                "server; its terminal shows which."
+            )
+        return " ".join(parts)
+
     def overview(self) -> dict[str, Any]:
         """Return what the experimenter's page shows."""
         rows = [
@@ -374,6 +423,7 @@ class StudyServer:
             "study": self.plan.folder.name,
             "rehearsal": self.plan.rehearsal,
             "deleted": len(self.plan.deleted()),
+            "trouble": self.trouble,
             "people": rows,
         }
 
@@ -451,16 +501,13 @@ class StudyServer:
 
     def __enter__(self) -> Self:
         """Begin to serve; one server per study."""
-        import fcntl
-
-        self.hold = os.open(self.plan.folder, os.O_RDONLY)
-        try:
-            fcntl.flock(self.hold, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(self.hold)
+        for code in self.present():
+            check_writable(self.plan.folder / code)
+        self.hold = hold(self.plan.folder)
+        if self.hold is None:
             raise ValueError(
                 f"{self.plan.folder} is being served already, by another process or notebook"
-            ) from None
+            )
         self.holder("")
         self.thread = threading.Thread(target=self._run, name="live study", daemon=True)
         self.thread.start()

@@ -1,0 +1,129 @@
+"""How long people drive in a study, where, and whose model stands in for theirs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from trustlab.allocation.limits import check_thresholds, threshold_limits
+from trustlab.models.checks import finite_number, of_class, positive, shown, whole_number
+from trustlab.models.tsc import TscModel
+from trustlab.testbeds.ground_robot.conditions import published_model, published_thresholds
+from trustlab.testbeds.ground_robot.course import Course
+from trustlab.testbeds.ground_robot.pioneer import Pioneer
+
+IDENTIFICATION = ((1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0))
+"""
+Modes of the identification drive and how long each lasts [s]: Section 2.2.2's manual, autonomous
+and mixed phases, in 17 minutes.
+"""
+
+STAND_IN = "2"
+"""
+The printed participant whose model and thresholds stand in where an identification drive says too
+little.
+"""
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """
+    The drives of a live study: their length, the course, the robot, and the stand-in model.
+
+    `LiveStudy` takes these settings as keywords, or a `DriveSettings` as `drives`.
+
+    Parameters
+    ----------
+    laps : int
+        Laps of each drive under a condition; 8 as printed.
+    training : float
+        Length of the training drive [s].
+    identification : sequence of (int, float)
+        Mode (1 manual, 0 autonomous) and length [s] of each phase of the identification drive.
+    model : TscModel, optional
+        What stands in for a participant's own model where the identification drive does not
+        determine it; that of the printed participant 2 by default.
+    thresholds : (float, float), optional
+        TSC_l and TSC_u that go with `model`; those of Table 2.2 by default.
+    course : Course, optional
+        The course; that of the ground robot's testbed by default.
+    robot : Pioneer, optional
+        The robot; by default that of the testbed, not faster than 0.5 m/s.
+
+    Raises
+    ------
+    ValueError
+        If a value is not understood.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import trustlab as tl
+    >>> drives = tl.DriveSettings(laps=4, training=60.0)
+    >>> folder = tempfile.mkdtemp() + "/rehearsal"
+    >>> tl.LiveStudy(folder, ["C1", "C3"], 4, drives=drives, rehearsal=True)
+    LiveStudy('rehearsal': 4 participants, C1, C3)
+    """
+
+    laps: int = 8
+    training: float = 120.0
+    identification: Sequence[tuple[int, float]] = IDENTIFICATION
+    model: TscModel | None = None
+    thresholds: tuple[float, float] | None = None
+    course: Course | None = None
+    robot: Pioneer | None = None
+
+    def __post_init__(self):
+        if (self.model is None) != (self.thresholds is None):
+            raise ValueError("model and thresholds belong together; give both or neither")
+        if self.course is not None:
+            of_class("course", self.course, Course)
+        if self.robot is not None:
+            of_class("robot", self.robot, Pioneer)
+        self.as_json()
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the settings as plain values for `study.json`."""
+        return {
+            "laps": whole_number("laps", self.laps, most=1000),
+            "training": positive("training", self.training),
+            "identification": _schedule(self.identification),
+            "stand_in": self._stand_in(),
+            "course": None if self.course is None else _fields(self.course),
+            "robot": None if self.robot is None else _fields(self.robot),
+        }
+
+    def _stand_in(self) -> dict[str, Any]:
+        model, thresholds = self.model, self.thresholds
+        if model is None:
+            model, thresholds = published_model(STAND_IN), published_thresholds(STAND_IN)
+        of_class("model", model, TscModel)
+        lower, upper = thresholds
+        check_thresholds(model, lower, upper, threshold_limits(model, 0.0))
+        limits = [finite_number("TSC_l", lower), finite_number("TSC_u", upper)]
+        return {"model": asdict(model), "thresholds": limits}
+
+
+def drive_settings_of(drives: DriveSettings | None, changes: Mapping[str, Any]) -> DriveSettings:
+    """Return a user's settings of drives: an object, keywords, or an object changed by them."""
+    settings = DriveSettings() if drives is None else of_class("drives", drives, DriveSettings)
+    return replace(settings, **changes)
+
+
+def _fields(settings: Course | Pioneer) -> dict[str, Any]:
+    """Return what a course or a robot was made from."""
+    return {name: value for name, value in asdict(settings).items() if not name.startswith("_")}
+
+
+def _schedule(phases: Any) -> list[list[float]]:
+    """Return the phases of the identification drive, checked: each of the modes must be driven."""
+    if not isinstance(phases, Sequence) or not all(
+        isinstance(p, Sequence) and len(p) == 2 for p in phases
+    ):
+        raise ValueError(f"identification must be a list of (mode, seconds), got {shown(phases)}")
+    checked = [
+        [whole_number("a mode of identification", m, 0, 1), positive("its seconds", s)]
+        for m, s in phases
+    ]
+    if {mode for mode, _ in checked} != {0, 1}:
+        raise ValueError("identification must have phases of both modes, 1 manual and 0 autonomous")
+    return checked
