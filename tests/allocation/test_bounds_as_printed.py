@@ -188,7 +188,7 @@ def test_signs_of_a3_and_infinite_dwell_times(operators):
     assert first.r_high == 1.0
     low = steady_state_bounds(operators["1"], -0.694, 0.3, delta_tsc=0.0022)
     assert low.p_r_low == operators["1"].robot.p_min
-    assert low.dwell_autonomous == math.inf
+    assert low.dwell_autonomous_high == math.inf
     assert low.r_low == 0.0
     assert utilization_as_printed(0.999, math.inf, math.inf, 0.0) == (1.0, 1.0)
 
@@ -275,7 +275,8 @@ def test_the_plot_shows_what_dwell_times_are_derived_from(operators):
     # (2.16): after τ_da samples, rounded down, P_r has fallen from P_ru to P_rl but for the part of
     # a sample.
     at = np.interp(
-        [0.1 * bounds.dwell_autonomous, 0.1 * bounds.dwell_autonomous + 0.1], *curve.get_data()
+        [0.1 * bounds.dwell_autonomous_high, 0.1 * bounds.dwell_autonomous_high + 0.1],
+        *curve.get_data(),
     )
     assert at[0] >= bounds.p_r_low >= at[1]
     # (2.33): the bounds are the least and the greatest utilization of the two periodic motions.

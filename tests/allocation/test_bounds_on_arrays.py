@@ -103,7 +103,7 @@ def test_bounds_are_the_equations(parameters, with_gain):
     rise = v["b_pr"] * v["P_h_max"] / (1.0 - v["a_pr"]) if with_gain else None
     p = performance_as_printed(constants(v), v["TSC_l"], v["TSC_u"], v["delta_TSC"], rise)
     r = utilization_as_printed(
-        v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous
+        v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous_high
     )
     expected = bounds(v, rise if with_gain else v["P_r_max"] - v["P_r_min"])
     for ours, theirs in zip((p.p_r_low, p.p_r_high, *r), expected, strict=True):

@@ -92,7 +92,7 @@ def test_lemmas_3_and_4_longest_dwell_times(sets, data):
     _, _, tail, bounds = settled(sets, data)
     edges = np.flatnonzero(np.diff(tail["mode"])) + 1
     lengths, who = np.diff(edges), tail["mode"].to_numpy()[edges[:-1]]
-    assert lengths[who == 0].max() <= bounds.dwell_autonomous
+    assert lengths[who == 0].max() <= bounds.dwell_autonomous_high
     assert lengths[who == 1].max() <= bounds.dwell_manual_high
 
 
@@ -110,7 +110,7 @@ def test_control_dwell_times_of_a_narrower_band_are_too_short(random_model):
         quarter = 0.25 * (upper - lower)
         bounds = steady_state_bounds(model, lower + quarter, upper - quarter, delta_tsc=0.0)
         lengths, who = np.diff(edges), tail["mode"].to_numpy()[edges[:-1]]
-        longer += lengths[who == 0].max(initial=0) > bounds.dwell_autonomous
+        longer += lengths[who == 0].max(initial=0) > bounds.dwell_autonomous_high
         longer += lengths[who == 1].max(initial=0) > bounds.dwell_manual_high
     assert longer > 5
 

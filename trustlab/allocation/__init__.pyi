@@ -39,6 +39,7 @@ from .parameter_sweep import (
 )
 from .rules import PerformanceRule as PerformanceRule, ThresholdRule as ThresholdRule
 from .simulation import simulate_allocation as simulate_allocation
+from .steady_ranges import SteadyRanges as SteadyRanges
 from .steady_state import (
     SteadyStateBounds as SteadyStateBounds,
     steady_state_bounds as steady_state_bounds,

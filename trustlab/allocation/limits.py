@@ -18,10 +18,8 @@ from trustlab.models.checks import (
     rounded_down,
 )
 from trustlab.models.html import as_html
+from trustlab.models.human import next_utilization
 from trustlab.models.tsc import TscConstants, TscModel
-
-# Rows of tables of ranges, and how the fields with their ends begin.
-RANGES = {"r": "r", "P_r": "p_r", "TSC": "tsc"}
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def step_bounds(tsc: TscModel, r_low: float = 0.05, r_high: float = 0.95) -> Ste
     best = 0.0
     for mode in (0.0, 1.0):
         for _ in range(6):
-            after = np.clip(human.a * grid + human.b * mode, 0.0, 1.0)
+            after = np.clip(next_utilization.py_func(grid, mode, human.a), 0.0, 1.0)
             change = np.abs(human.performance(after) - human.performance(grid))
             k = int(np.argmax(change))
             best = max(best, float(change[k]))
@@ -204,29 +202,6 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> Threshold
         delta_p_h = step_bounds(tsc).delta_p_h
     lower, upper = limits_as_printed(tsc.constants(), not_negative("delta_p_h", delta_p_h))
     return ThresholdLimits(float(lower), float(upper), float(delta_p_h))
-
-
-def ranges_table(result: Any, dwell_manual: tuple, dwell_autonomous: tuple) -> pd.DataFrame:
-    """
-    Return the ranges of r, P_r and TSC that a result has, and those of dwell times, one row each.
-    """
-    rows = {
-        name: (getattr(result, f"{it}_low"), getattr(result, f"{it}_high"))
-        for name, it in RANGES.items()
-    }
-    rows |= {"dwell time manual": dwell_manual, "dwell time autonomous": dwell_autonomous}
-    return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high"]).rename_axis(
-        "quantity"
-    )
-
-
-def ranges_text(result: Any) -> str:
-    """Return the ranges of r, P_r and TSC that a result has, in a line."""
-    ends = {
-        name: (getattr(result, f"{it}_low"), getattr(result, f"{it}_high"))
-        for name, it in RANGES.items()
-    }
-    return ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in ends.items())
 
 
 def check_thresholds(

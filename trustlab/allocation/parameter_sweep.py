@@ -191,10 +191,7 @@ def cycle_at(
     except ValueError as error:
         nothing = dict.fromkeys(QUANTITIES, math.nan)
         return {"exists": False, **nothing, "reason": f"not defined: {error}"}
-    measures = {name: getattr(cycle, name) for name in QUANTITIES if hasattr(cycle, name)}
-    for name in ("dwell_manual", "dwell_autonomous"):
-        low, high = getattr(cycle, name) or (math.nan, math.nan)
-        measures |= {f"{name}_low": float(low), f"{name}_high": float(high)}
+    measures = {name: float(getattr(cycle, name)) for name in QUANTITIES}
     return {"exists": cycle.exists} | measures | {"reason": cycle.reason}
 
 

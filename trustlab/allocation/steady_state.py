@@ -10,22 +10,25 @@ from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.allocation.cycle.phases import longest_phase
 from trustlab.allocation.limits import (
     check_thresholds,
-    ranges_table,
-    ranges_text,
     step_bounds,
     threshold_limits,
 )
 from trustlab.allocation.simulation import simulate_allocation
+from trustlab.allocation.steady_ranges import SteadyRanges
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between
-from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
 
-@dataclass(frozen=True)
-class SteadyStateBounds:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SteadyStateBounds(SteadyRanges):
     """
     The dissertation's bounds on the switched system in steady state.
+
+    TSC is bounded by TSC_l − δ_TSC and TSC_u + δ_TSC (2.14), robot performance by P_rl and P_ru
+    (2.15), utilization by r_l and r_u (2.33). Dwell times in the manual mode lie between τ_dml
+    (2.20) and τ_dmu (2.21), infinite where P_ru cannot be reached; in the autonomous mode they are
+    at most τ_da (2.16), infinite where P_rl is P_r,min; all in samples.
 
     The bounds on utilization do not hold in general. For the upper one the text inserts the longest
     autonomous dwell time where the shortest would be needed; for the lower one the shortest manual
@@ -34,56 +37,14 @@ class SteadyStateBounds:
 
     Parameters
     ----------
-    tsc_low, tsc_high : float
-        TSC_l − δ_TSC and TSC_u + δ_TSC (2.14).
-    p_r_low, p_r_high : float
-        P_rl and P_ru (2.15).
-    dwell_autonomous : float
-        τ_da (2.16), in samples; infinite where P_rl is P_r,min.
-    dwell_manual_low, dwell_manual_high : float
-        τ_dml (2.20) and τ_dmu (2.21), in samples; infinite where P_ru cannot be reached.
-    r_low, r_high : float
-        r_l and r_u (2.33).
     delta_tsc : float
         δ_TSC that was used.
-    model : TscModel
-        The model.
-    lower, upper : float
-        Thresholds TSC_l and TSC_u.
     """
 
-    tsc_low: float
-    tsc_high: float
-    p_r_low: float
-    p_r_high: float
-    dwell_autonomous: float
-    dwell_manual_low: float
-    dwell_manual_high: float
-    r_low: float
-    r_high: float
     delta_tsc: float
-    model: TscModel | None = None
-    lower: float = math.nan
-    upper: float = math.nan
 
-    def _repr_html_(self) -> str:
-        return as_html(f"Bounds as printed, δ_TSC = {self.delta_tsc:.3g}", self.table())
-
-    def __repr__(self) -> str:
-        return f"SteadyStateBounds({ranges_text(self)}, delta_tsc={self.delta_tsc:.3g})"
-
-    def table(self):
-        """
-        Return the bounds as a table.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Index `quantity` (r, P_r, TSC, dwell time manual, dwell time autonomous); columns low,
-            high.
-        """
-        manual = self.dwell_manual_low, self.dwell_manual_high
-        return ranges_table(self, manual, (math.nan, self.dwell_autonomous))
+    def _qualified(self) -> str:
+        return f"delta_tsc={self.delta_tsc:.3g}"
 
     def plot(self, sample_time: float = 0.1):
         """
@@ -99,71 +60,59 @@ class SteadyStateBounds:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (3,)
         """
-        robot, human = self.model.robot, self.model.human
-        dwells = (self.dwell_autonomous, self.dwell_manual_low, self.dwell_manual_high)
-        steps = np.arange(2 * max((d for d in dwells if math.isfinite(d)), default=500.0))
         axes = axes_or_new(columns=3, figsize=(10, 3.4))
-
-        def approach(axis, start, goal, dwell, color, label):
-            axis.plot(
-                steps * sample_time,
-                goal + (start - goal) * robot.a**steps,
-                color=color,
-                label=label,
-            )
-            if math.isfinite(dwell):
-                axis.axvline(dwell * sample_time, color=color, ls="--")
-
-        approach(
-            axes[0], self.p_r_high, robot.p_min, self.dwell_autonomous, "C0", r"$\tau_{da}$ dashed"
-        )
-        best, least = robot.steady_state(1.0, human.p_max), robot.steady_state(1.0, human.p_min)
-        approach(
-            axes[1],
-            self.p_r_low,
-            best,
-            self.dwell_manual_low,
-            "C0",
-            r"greatest $P_h$, $\tau_{dml}$",
-        )
-        approach(
-            axes[1], self.p_r_low, least, self.dwell_manual_high, "C1", r"least $P_h$, $\tau_{dmu}$"
-        )
-        for axis, title in zip(
-            axes, ("autonomous, from $P_{ru}$", "manual, from $P_{rl}$"), strict=False
-        ):
-            for bound in (self.p_r_low, self.p_r_high):
-                axis.axhline(bound, color="0.5", lw=0.8)
-            axis.set(xlabel="dwell time [s]", ylabel="robot performance $P_r$", title=title)
-        settled = longest_phase(self.model.constants())
-        run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)
-        axes[2].plot(np.arange(4000) * sample_time, run["r"].iloc[settled:], label="r under (2.8)")
-        # The bounds are those of two periodic motions, one of each dwell time in the manual mode.
-        for bound, manual, low, label in (
-            (self.r_low, self.dwell_manual_low, True, r"period $\tau_{dml} + \tau_{da}$, to $r_l$"),
-            (
-                self.r_high,
-                self.dwell_manual_high,
-                False,
-                r"period $\tau_{dmu} + \tau_{da}$, to $r_u$",
-            ),
-        ):
-            color = "C1" if low else "C2"
-            axes[2].axhline(bound, color=color, ls="--", lw=0.8)
-            if math.isfinite(manual) and math.isfinite(self.dwell_autonomous):
-                mode = np.resize(
-                    np.repeat([1.0, 0.0], [int(manual), int(self.dwell_autonomous)]), 4001
-                )
-                start = bound if low else bound * human.a**self.dwell_autonomous
-                r, _ = human.simulate(mode, start)
-                axes[2].plot(
-                    np.arange(4000) * sample_time, r[:4000], color=color, lw=1, label=label
-                )
-        axes[2].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
-        axes[2].set(xlabel="time [s]", ylabel="utilization r", title="utilization in steady state")
+        self._plot_performance(axes[:2], sample_time)
+        self._plot_utilization(axes[2], sample_time)
         for axis in axes:
             axis.legend(fontsize="small")
         return axes
+
+    def _plot_performance(self, axes, sample_time: float) -> None:
+        """Plot how robot performance passes from one of its bounds towards the other."""
+        robot, human = self.model.robot, self.model.human
+        best = robot.steady_state(1.0, human.p_max)
+        worst = robot.steady_state(1.0, human.p_min)
+        tau_da = self.dwell_autonomous_high
+        tau_dml, tau_dmu = self.dwell_manual
+        finite = [dwell for dwell in (tau_da, tau_dml, tau_dmu) if math.isfinite(dwell)]
+        steps = np.arange(2 * max(finite, default=500.0))
+        for axis, start, goal, dwell, color, label in (
+            (axes[0], self.p_r_high, robot.p_min, tau_da, "C0", r"$\tau_{da}$ dashed"),
+            (axes[1], self.p_r_low, best, tau_dml, "C0", r"greatest $P_h$, $\tau_{dml}$"),
+            (axes[1], self.p_r_low, worst, tau_dmu, "C1", r"least $P_h$, $\tau_{dmu}$"),
+        ):
+            p_r = goal + (start - goal) * robot.a**steps
+            axis.plot(steps * sample_time, p_r, color=color, label=label)
+            if math.isfinite(dwell):
+                axis.axvline(dwell * sample_time, color=color, ls="--")
+        titles = ("autonomous, from $P_{ru}$", "manual, from $P_{rl}$")
+        for axis, title in zip(axes, titles, strict=True):
+            for bound in (self.p_r_low, self.p_r_high):
+                axis.axhline(bound, color="0.5", lw=0.8)
+            axis.set(xlabel="dwell time [s]", ylabel="robot performance $P_r$", title=title)
+
+    def _plot_utilization(self, axis, sample_time: float) -> None:
+        """Plot utilization under (2.8), and the periodic motions behind its bounds."""
+        human = self.model.human
+        settled = longest_phase(self.model.constants())
+        time = np.arange(4000) * sample_time
+        run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)
+        axis.plot(time, run["r"].iloc[settled:], label="r under (2.8)")
+        rest = self.dwell_autonomous_high
+        lowest = self.r_high * human.a**rest if math.isfinite(rest) else math.nan
+        for bound, start, manual, color, label in (
+            (self.r_low, self.r_low, self.dwell_manual_low, "C1", r"\tau_{dml}"),
+            (self.r_high, lowest, self.dwell_manual_high, "C2", r"\tau_{dmu}"),
+        ):
+            axis.axhline(bound, color=color, ls="--", lw=0.8)
+            if math.isfinite(manual) and math.isfinite(rest):
+                mode = np.resize(np.repeat([1.0, 0.0], [int(manual), int(rest)]), time.size)
+                r, _ = human.simulate(mode, start)
+                end = "r_l" if color == "C1" else "r_u"
+                label = rf"period ${label} + \tau_{{da}}$, to ${end}$"
+                axis.plot(time, r, color=color, lw=1, label=label)
+        axis.axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
+        axis.set(xlabel="time [s]", ylabel="utilization r", title="utilization in steady state")
 
 
 class PerformanceRange(NamedTuple):
@@ -173,7 +122,7 @@ class PerformanceRange(NamedTuple):
 
     p_r_low: np.ndarray
     p_r_high: np.ndarray
-    dwell_autonomous: np.ndarray
+    dwell_autonomous_high: np.ndarray
     dwell_manual_low: np.ndarray
     dwell_manual_high: np.ndarray
 
@@ -273,8 +222,8 @@ def steady_state_bounds(
         delta_tsc = step_bounds(tsc, *visited).delta_tsc
     delta_tsc = between("delta_tsc", delta_tsc, 0.0, 2.0)  # TSC lies in [−1, 1]
     robot = tsc.robot
-    found = performance_as_printed(tsc.constants(), lower, upper, delta_tsc)
-    numbers = {name: float(value) for name, value in found._asdict().items()}
+    bounds = performance_as_printed(tsc.constants(), lower, upper, delta_tsc)
+    numbers = {name: float(value) for name, value in bounds._asdict().items()}
     p_low, p_high = numbers["p_r_low"], numbers["p_r_high"]
     if not p_low < p_high:
         raise ValueError(
@@ -282,16 +231,17 @@ def steady_state_bounds(
             f"gives P_rl = {p_low:.4g} and P_ru = {p_high:.4g} within [{robot.p_min}, "
             f"{robot.p_max}]; move them towards each other's middle"
         )
-    dwells = found.dwell_manual_low, found.dwell_manual_high, found.dwell_autonomous
+    dwells = bounds.dwell_manual_low, bounds.dwell_manual_high, bounds.dwell_autonomous_high
     r_low, r_high = utilization_as_printed(tsc.human.a, *dwells)
     return SteadyStateBounds(
+        model=tsc,
+        lower=lower,
+        upper=upper,
+        reason=f"Bounds as printed, δ_TSC = {delta_tsc:.3g}",
         tsc_low=lower - delta_tsc,
         tsc_high=upper + delta_tsc,
         **numbers,
         r_low=float(r_low),
         r_high=float(r_high),
         delta_tsc=delta_tsc,
-        model=tsc,
-        lower=lower,
-        upper=upper,
     )

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 
 from trustlab.allocation.cycle.phases import EFFORT, endless_phase
 from trustlab.allocation.cycle.propagation import COARSE, ROUNDING, nest
-from trustlab.allocation.limits import check_thresholds, ranges_table, ranges_text
+from trustlab.allocation.limits import check_thresholds
+from trustlab.allocation.steady_ranges import SteadyRanges
 from trustlab.models.checks import whole_number
-from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 
 # Width of bounds on utilization from which on they tell nothing.
 VACUOUS = 0.98
 
 
-@dataclass(frozen=True)
-class InvariantBounds:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class InvariantBounds(SteadyRanges):
     """
     Bounds for every trajectory under rule (2.8), whatever its initial state.
 
@@ -29,57 +29,16 @@ class InvariantBounds:
     ----------
     guaranteed : bool
         Whether every trajectory is shown to keep switching within these bounds; where not, they are
-        the trivial ones.
-    reason : str
-        What was shown; where the rule stops switching, from which state.
+        the trivial ones, and `reason` says from which state the rule stops switching.
     cycles : int
         After how many returns to manual control the bounds hold.
-    r_low, r_high : float
-        Utilization.
-    p_r_low, p_r_high : float
-        Robot performance.
-    tsc_low, tsc_high : float
-        TSC; beyond the thresholds by the overshoot of one step.
-    dwell_manual_low, dwell_manual_high : float
-        Consecutive samples under manual control.
-    dwell_autonomous_low, dwell_autonomous_high : float
-        Consecutive samples under autonomous control.
     """
 
     guaranteed: bool
-    reason: str
     cycles: int
-    r_low: float
-    r_high: float
-    p_r_low: float
-    p_r_high: float
-    tsc_low: float
-    tsc_high: float
-    dwell_manual_low: float
-    dwell_manual_high: float
-    dwell_autonomous_low: float
-    dwell_autonomous_high: float
 
-    def _repr_html_(self) -> str:
-        return as_html(self.reason, self.table())
-
-    def __repr__(self) -> str:
-        return (
-            f"InvariantBounds(guaranteed={self.guaranteed}, {ranges_text(self)}, "
-            f"cycles={self.cycles})"
-        )
-
-    def table(self):
-        """
-        Return the bounds as a table.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Index `quantity`; columns low, high.
-        """
-        manual = self.dwell_manual_low, self.dwell_manual_high
-        return ranges_table(self, manual, (self.dwell_autonomous_low, self.dwell_autonomous_high))
+    def _qualified(self) -> str:
+        return f"guaranteed={self.guaranteed}, cycles={self.cycles}"
 
 
 def invariant_bounds(
@@ -134,7 +93,7 @@ def invariant_bounds(
     cells, cycles = whole_number("cells", cells), whole_number("cycles", cycles)
     endless = endless_phase(tsc, lower, upper)
     if endless:
-        return _trivial(tsc, endless)
+        return _trivial(tsc, lower, upper, endless)
     c = tsc.constants()
     coarse = min(COARSE, cells)
     most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
@@ -144,6 +103,8 @@ def invariant_bounds(
         phase = "a manual" if done == -1 else "an autonomous"
         return _trivial(
             tsc,
+            lower,
+            upper,
             f"every phase ends, but {phase} phase from some utilization was not shown to do so "
             f"within {most} samples; cells= below {coarse} allow longer phases",
         )
@@ -167,6 +128,9 @@ def invariant_bounds(
             "nothing: more cells may narrow them, and limit_cycle shows the motion"
         )
     return InvariantBounds(
+        model=tsc,
+        lower=lower,
+        upper=upper,
         guaranteed=True,
         reason=reason,
         cycles=done + 1,
@@ -183,10 +147,23 @@ def invariant_bounds(
     )
 
 
-def _trivial(tsc: TscModel, reason: str) -> InvariantBounds:
+def _trivial(tsc: TscModel, lower: float, upper: float, reason: str) -> InvariantBounds:
     """Return the bounds that hold where phases are not known to end."""
-    ceiling = float(tsc.robot.steady_state(1.0, tsc.human.p_max))
-    anything, dwell = (-math.inf, math.inf), (1.0, math.inf)
     return InvariantBounds(
-        False, reason, 0, 0.0, 1.0, tsc.robot.p_min, ceiling, *anything, *dwell, *dwell
+        model=tsc,
+        lower=lower,
+        upper=upper,
+        guaranteed=False,
+        reason=reason,
+        cycles=0,
+        r_low=0.0,
+        r_high=1.0,
+        p_r_low=tsc.robot.p_min,
+        p_r_high=float(tsc.robot.steady_state(1.0, tsc.human.p_max)),
+        tsc_low=-math.inf,
+        tsc_high=math.inf,
+        dwell_manual_low=1.0,
+        dwell_manual_high=math.inf,
+        dwell_autonomous_low=1.0,
+        dwell_autonomous_high=math.inf,
     )

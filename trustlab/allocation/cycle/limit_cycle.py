@@ -7,12 +7,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from trustlab.allocation.cycle import phases
-from trustlab.allocation.limits import check_thresholds, ranges_table, ranges_text
+from trustlab.allocation.limits import check_thresholds
+from trustlab.allocation.steady_ranges import SteadyRanges
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import whole_number
-from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
 # Cycles that are recorded of a motion that does not repeat, if they are no more than EFFORT
@@ -30,33 +31,24 @@ REPEATED = 1e-9
 EVEN = (0.7548776662466927, 0.5698402909980532)
 
 
-@dataclass(frozen=True)
-class LimitCycle:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LimitCycle(SteadyRanges):
     """
     The steady motion under rule (2.8).
 
     With switching at whole samples TSC overshoots a threshold by a part of a step, so that the
-    motion may repeat only after several cycles or never exactly; extremes and dwell times are then
-    those of all the cycles recorded.
+    motion may repeat only after several cycles or never exactly; ranges are then those of all the
+    cycles recorded, NaN without a cycle.
 
     Parameters
     ----------
     exists : bool
-        Whether the rule keeps switching, from some start at least.
+        Whether the rule keeps switching, from some start at least; where not, `reason` says what
+        happens.
     always : bool
         Whether it keeps switching from every start: false where there are states from which a mode
         stays for ever, which the limits of TSC in either mode tell exactly, and where a simulated
         start stopped.
-    reason : str
-        What happens where it does not; else how the cycle was found.
-    r_low, r_high : float
-        Range of utilization; NaN without a cycle, as all below.
-    p_r_low, p_r_high : float
-        Range of robot performance.
-    tsc_low, tsc_high : float
-        Range of TSC, overshoot included.
-    dwell_manual, dwell_autonomous : tuple of int
-        Least and greatest number of consecutive samples in each mode.
     period : int or None
         After how many cycles the motion repeats; None where it does not within the cycles followed,
         or where motions of different period coexist.
@@ -67,31 +59,15 @@ class LimitCycle:
         Mean utilization as manual phases begin.
     mean_r, mean_p_r : float
         Time averages of utilization and robot performance.
-    model : TscModel
-        The model.
-    lower, upper : float
-        Thresholds TSC_l and TSC_u.
     """
 
     exists: bool
-    reason: str
-    r_low: float = math.nan
-    r_high: float = math.nan
-    p_r_low: float = math.nan
-    p_r_high: float = math.nan
-    tsc_low: float = math.nan
-    tsc_high: float = math.nan
-    dwell_manual: tuple[int, int] | None = None
-    dwell_autonomous: tuple[int, int] | None = None
+    always: bool = False
     period: int | None = None
     motions: int = 0
     r_manual: float = math.nan
     mean_r: float = math.nan
     mean_p_r: float = math.nan
-    always: bool = False
-    model: TscModel | None = None
-    lower: float = math.nan
-    upper: float = math.nan
 
     @functools.cached_property
     def slope(self) -> float:
@@ -131,15 +107,15 @@ class LimitCycle:
         """Whether the slope of the return map is below 1 in size."""
         return abs(self.slope) < 1.0
 
-    def _repr_html_(self) -> str:
-        return as_html(self.reason, self.table())
-
     def __repr__(self) -> str:
         if not self.exists:
             return f"LimitCycle(exists=False, reason={self.reason!r})"
-        return f"LimitCycle({ranges_text(self)}, always={self.always})"
+        return super().__repr__()
 
-    def table(self):
+    def _qualified(self) -> str:
+        return f"always={self.always}"
+
+    def table(self) -> pd.DataFrame:
         """
         Return ranges and means.
 
@@ -148,13 +124,9 @@ class LimitCycle:
         pandas.DataFrame
             Index `quantity`; columns low, high, mean.
         """
-        manual, autonomous = (
-            pair or (math.nan, math.nan) for pair in (self.dwell_manual, self.dwell_autonomous)
-        )
+        table = super().table()
         means = {"r": self.mean_r, "P_r": self.mean_p_r}
-        return ranges_table(self, manual, autonomous).assign(
-            mean=lambda table: table.index.map(means).astype(float)
-        )
+        return table.assign(mean=table.index.map(means).astype(float))
 
     def plot(self, axes=None):
         """
@@ -267,7 +239,7 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
         settled = tsc.value(p_r, tsc.human.performance(min(max(r, 0.0), 1.0)))
         stays = f"stays {mode}: TSC settles at {settled:.4f} without {side} = {target:.4f}"
     if not found:
-        return LimitCycle(False, stays, model=tsc, lower=lower, upper=upper)
+        return LimitCycle(exists=False, reason=stays, model=tsc, lower=lower, upper=upper)
     rows = np.concatenate([motion.rows for motion in found])
     seen = [motion.seen for motion in found]
     periods = {motion.period for motion in found}
@@ -292,8 +264,10 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
         p_r_high=max(one.p_r_high for one in seen),
         tsc_low=min(one.tsc_low for one in seen),
         tsc_high=max(one.tsc_high for one in seen),
-        dwell_manual=(int(rows["manual"].min()), int(rows["manual"].max())),
-        dwell_autonomous=(int(rows["autonomous"].min()), int(rows["autonomous"].max())),
+        dwell_manual_low=int(rows["manual"].min()),
+        dwell_manual_high=int(rows["manual"].max()),
+        dwell_autonomous_low=int(rows["autonomous"].min()),
+        dwell_autonomous_high=int(rows["autonomous"].max()),
         period=period,
         motions=len(found),
         r_manual=float(rows["r"].mean()),

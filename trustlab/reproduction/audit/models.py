@@ -68,7 +68,7 @@ def bounds(v: dict) -> dict[str, np.ndarray]:
     rise = v["b_pr"] * v["P_h_max"] / (1.0 - v["a_pr"]) if "b_pr" in v else None
     p = performance_as_printed(constants(v), v["TSC_l"], v["TSC_u"], v["delta_TSC"], rise)
     r = utilization_as_printed(
-        v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous
+        v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous_high
     )
     r_low, r_high = (np.where(p.p_r_low < p.p_r_high, x, np.nan) for x in r)
     return {"P_rl": p.p_r_low, "P_ru": p.p_r_high, "r_l": r_low, "r_u": r_high}
