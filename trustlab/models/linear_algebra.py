@@ -250,10 +250,12 @@ def matrix_exponential(a):
         norm *= 0.5
         scaled *= 0.5
         squarings += 1
+    alone = (1, size, size)
+    scaled = scaled.reshape(alone)
     whole = np.eye(size)
     # 0.5¹⁸/18! is below a unit in the last place.
     for order in range(18, 0, -1):
-        whole = np.eye(size) + products(scaled[None], whole[None])[0] / order
+        whole = np.eye(size) + products(scaled, whole.reshape(alone))[0] / order
     for _ in range(squarings):
-        whole = products(whole[None], whole[None])[0]
+        whole = products(whole.reshape(alone), whole.reshape(alone))[0]
     return whole
