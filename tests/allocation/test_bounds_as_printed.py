@@ -288,3 +288,42 @@ def test_the_plot_shows_what_dwell_times_are_derived_from(operators):
     assert (low.min(), high.max()) == pytest.approx((bounds.r_low, bounds.r_high), abs=1e-9)
     assert len(manual.lines) == 6 - math.isinf(bounds.dwell_manual_high)
     plt.close("all")
+
+
+def test_greatest_steps_are_those_of_every_state():
+    """
+    Oracle: (2.1), (2.3) and (2.5) written out on a grid of states; an operator better than the
+    robot's model supposes drives P_r above its upper end.
+    """
+    r = np.linspace(0.05, 0.95, 200_001)
+    for beta, p_h_max in ((0.3, 0.5), (0.74, 0.4602), (0.6, 0.7)):
+        model = tl.TscModel(
+            tl.RobotModel(0.99, 0.24, 0.39, 0.5), tl.HumanModel(0.995, beta, 0.35, p_h_max)
+        )
+        p_h = 0.35 + (p_h_max - 0.35) * shape(r, beta)
+        change = max(
+            np.abs(0.35 + (p_h_max - 0.35) * shape(0.995 * r + 0.005 * mode, beta) - p_h).max()
+            for mode in (0, 1)
+        )
+        highest = max(0.39, 0.24 + model.robot.b * p_h_max / 0.01)
+        steps = step_bounds(model)
+        assert steps.delta_p_h == pytest.approx(change, rel=1e-4)
+        assert steps.delta_p_r == pytest.approx(0.01 * (highest - 0.24), rel=1e-12)
+        assert steps.delta_p_h >= change * (1 - 1e-12)
+
+
+def shape(r, beta):
+    """The curve of (2.5), from 0 at the ends to 1 at β."""
+    return (r / beta) ** beta * ((1 - r) / (1 - beta)) ** (1 - beta)
+
+
+def test_thresholds_at_their_limits_are_outside(operators):
+    limits = threshold_limits(operators["pilot"], 0.0)
+    assert limits.contains(np.nextafter(limits.lower, 1.0), np.nextafter(limits.upper, -1.0))
+    assert not limits.contains(limits.lower, 0.0)
+    assert not limits.contains(0.0, limits.upper)
+    assert not limits.contains(0.1, 0.1)
+    assert not type(limits)(0.1, 0.1, 0.0).feasible
+    for r_low, r_high in ((-0.1, 1.0), (0.0, 1.1)):
+        with pytest.raises(ValueError, match=r"r_(low|high) must"):
+            step_bounds(operators["pilot"], r_low, r_high)

@@ -208,3 +208,19 @@ def test_arguments_come_in_the_same_order_for_every_rule():
     assert (
         PerformanceRule(0.24, 0.39).step(0.1, 0.39) == ThresholdRule(-0.1, 0.1).step(0.1, 0.39) == 0
     )
+
+
+def test_ends_of_arguments_of_rules(operators):
+    """Modes are 0 or 1, a tolerance stays below 0.1, and a run begins in the manual mode."""
+    for mode in (-1, 2):
+        with pytest.raises(ValueError, match="mode must"):
+            ThresholdRule(0.0, 0.3, mode=mode)
+        with pytest.raises(ValueError, match="mode must"):
+            simulate_allocation(operators["2"], rule=Says(1), steps=1, mode=mode)
+    with pytest.raises(ValueError, match=r"below 0\.1"):
+        PerformanceRule(0.24, 0.39, tolerance=0.1)
+    assert ThresholdRule(0.0, 0.3).mode == 1
+    keeps = simulate_allocation(operators["2"], rule=Says(None), steps=1)
+    assert keeps["mode"].tolist() == [1]
+    # Between 0.9 and 1 − tolerance of the range, Algorithm 2 says nothing: the mode is kept.
+    assert PerformanceRule(0.0, 1.0, tolerance=0.01).step(tsc=0.0, p_r=0.95) is None

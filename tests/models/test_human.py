@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import trustlab as tl
+from trustlab.models.human import yerkes_dodson
 
 betas = st.floats(0.02, 0.98)
 
@@ -78,3 +79,20 @@ def test_utilization_outside_the_unit_interval_is_refused():
         human.performance([0.2, 1.01])
     with pytest.raises(ValueError, match="must lie"):
         human.performance(float("nan"))
+
+
+def test_values_at_and_beyond_the_ends():
+    """The compiled curve is flat at and beyond the ends; the method refuses and names the first."""
+    for r in (-0.5, 0.0, 1.0, 1.5):
+        assert yerkes_dodson(r, 0.7) == 0.0
+    human = tl.HumanModel(0.999, 0.7, 0.39, 0.46)
+    assert isinstance(human.performance(0.7), float)
+    assert human.performance(np.array([[0.7, 0.2]])).shape == (1, 2)
+    with pytest.raises(ValueError, match=r"got 1\.25$"):
+        human.performance([0.5, 1.25, -3.0])
+
+
+def test_an_operator_begins_rested():
+    human = tl.HumanModel(0.999, 0.7, 0.39, 0.46)
+    r, _ = human.simulate(np.zeros(3))
+    np.testing.assert_array_equal(r, 0.0)

@@ -117,3 +117,9 @@ def test_steep_logistic_scaling_is_the_step():
 def test_bad_input_is_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_the_least_steepness_of_a_logistic_scale():
+    assert LogisticScaling(0.05, 1.0).steepness == LogisticScaling(0.05, 1.0, 10.0).steepness == 10
+    with pytest.raises(ValueError, match="at least 10"):
+        LogisticScaling(0.05, 1.0, 9.999)
