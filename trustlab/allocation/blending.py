@@ -84,10 +84,10 @@ def best_share(weights, states, low, high):
 @njit
 def _chebyshev(series, x):
     """Return Σ c_m T_m(x) by Clenshaw's recurrence."""
-    one = two = 0.0
+    last = before_last = 0.0
     for m in range(series.size - 1, 0, -1):
-        one, two = 2.0 * x * one - two + series[m], one
-    return x * one - two + series[0]
+        last, before_last = 2.0 * x * last - before_last + series[m], last
+    return x * last - before_last + series[0]
 
 
 @dataclass(frozen=True)
@@ -285,37 +285,34 @@ class OptimalBlending:
         """
         states = self._states(u_h, u_a, e, rate, acceleration)
         alpha, cost = best_share(self.weights, states, self.alpha_min, self.alpha_max)
-        held = BlendingStep(
+        constant = BlendingStep(
             alpha, cost, (alpha,), "global minimum for a share held over the horizon"
         )
-        if self.intervals == 1:
-            return held
-        return self._solve(states, held)
+        return constant if self.intervals == 1 else self._varied(states, constant)
 
-    def _states(self, *given) -> np.ndarray:
+    def _states(self, *signals) -> np.ndarray:
         names = ("u_h", "u_a", "e", "rate", "acceleration")
         columns = [
-            finite_array(name, value, length=3) for name, value in zip(names, given, strict=True)
+            finite_array(name, value, length=3) for name, value in zip(names, signals, strict=True)
         ]
         return np.array(columns).T.copy()
 
-    def _solve(self, states: np.ndarray, held: BlendingStep) -> BlendingStep:
+    def _varied(self, states: np.ndarray, constant: BlendingStep) -> BlendingStep:
+        """Return the optimum where α may change within the horizon, never worse than constant."""
         if self._program is None:
             self._program = self._build()
         n = self.intervals
-        found = self._program(
-            x0=np.full(n, held.alpha), lbx=self.alpha_min, ubx=self.alpha_max, p=states.ravel()
-        )
-        shares, cost = np.asarray(found["x"]).ravel(), float(found["f"])
-        said = self._program.stats()["return_status"]
-        if not np.isfinite(shares).all() or not cost <= held.cost * (1.0 + 1e-9):
-            return BlendingStep(
-                held.alpha, held.cost, held.shares * n, f"{said}; the held share is kept"
-            )
-        shares = np.clip(
-            shares, self.alpha_min, self.alpha_max
-        )  # bounds are met to the solver's tolerance
-        return BlendingStep(float(shares[0]), cost, tuple(shares.tolist()), said)
+        start = np.full(n, constant.alpha)
+        solution = self._program(x0=start, lbx=self.alpha_min, ubx=self.alpha_max, p=states.ravel())
+        shares = np.asarray(solution["x"]).ravel()
+        cost = float(solution["f"])
+        status = self._program.stats()["return_status"]
+        if not np.isfinite(shares).all() or not cost <= constant.cost * (1.0 + 1e-9):
+            status = f"{status}; the held share is kept"
+            return BlendingStep(constant.alpha, constant.cost, constant.shares * n, status)
+        # Bounds are met to the solver's tolerance.
+        shares = np.clip(shares, self.alpha_min, self.alpha_max)
+        return BlendingStep(float(shares[0]), cost, tuple(shares.tolist()), status)
 
     def _build(self):
         """Return the bilinear program: flow and cost of each interval are polynomials in its α."""
@@ -341,7 +338,7 @@ class OptimalBlending:
 
 def _series_at(terms: list, x):
     """Return Σ c_m T_m(x) for CasADi symbols by Clenshaw's recurrence."""
-    one = two = 0
+    last = before_last = 0
     for term in terms[:0:-1]:
-        one, two = 2 * x * one - two + term, one
-    return x * one - two + terms[0]
+        last, before_last = 2 * x * last - before_last + term, last
+    return x * last - before_last + terms[0]

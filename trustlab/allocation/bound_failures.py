@@ -122,8 +122,9 @@ def bound_failures(sets: int = 20_000, seed: int = 0, invariant: int = 0) -> pd.
     sets = whole_number("sets", sets, most=10**6)
     invariant = whole_number("invariant", invariant, least=0, most=sets)
     root = np.random.SeedSequence(whole_number("seed", seed, least=0))
-    left, kept = np.zeros(len(TESTED), int), 0
-    while kept < sets:
+    left = np.zeros(len(TESTED), int)
+    counted = 0
+    while counted < sets:
         rng = np.random.default_rng(root.spawn(1)[0])
         model, lower, upper = random_set(rng)
         longest = 1.0 / (1.0 - max(model.human.a, model.robot.a))
@@ -144,13 +145,13 @@ def bound_failures(sets: int = 20_000, seed: int = 0, invariant: int = 0) -> pd.
         )
         left[:4] += outside(run, printed)
         left[4] += np.ptp(run["mode"].to_numpy()) == 0.0
-        if kept < invariant:
+        if counted < invariant:
             bounds = invariant_bounds(model, lower, upper, cells=16)
             # Where cycles are long or transients slow, the bounds begin to hold after more than
             # `settling` samples.
             below, above, p_r, _ = outside(steady_run(*start, recorded, bounds.cycles), bounds)
             left[5:] += below or above, p_r
-        kept += 1
+        counted += 1
     table = pd.DataFrame(
         {"sets": [sets] * 5 + [invariant] * 2, "left": left}, index=pd.Index(TESTED, name="bound")
     )

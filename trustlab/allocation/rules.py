@@ -187,8 +187,8 @@ class PerformanceRule:
         p_r = finite_number("p_r, which Algorithm 2 needs,", p_r)
         if tsc is not None:
             finite_number("tsc (unused by Algorithm 2)", tsc)
-        found = int(performance_suggestion(p_r, self.p_min, self.p_max, self.tolerance))
-        return None if found < 0 else found
+        mode = int(performance_suggestion(p_r, self.p_min, self.p_max, self.tolerance))
+        return None if mode < 0 else mode
 
 
 def begun(rule: object, mode: int | None) -> tuple[Any, int]:
@@ -209,14 +209,14 @@ def begun(rule: object, mode: int | None) -> tuple[Any, int]:
             f"or None (keep the mode), as ThresholdRule and PerformanceRule have; got {kind}"
         )
     rule = deepcopy(rule)
-    own = whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
-    mode = own if mode is None else whole_number("mode", mode, least=0, most=1)
-    if hasattr(rule, "mode") and mode != own:
+    present = whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
+    mode = present if mode is None else whole_number("mode", mode, least=0, most=1)
+    if hasattr(rule, "mode") and mode != present:
         try:
             rule.mode = mode
         except AttributeError as error:
             raise ValueError(
-                f"rule.mode is {own} and cannot be set to mode={mode}: {error}; leave mode= out"
+                f"rule.mode is {present} and cannot be set to mode={mode}: {error}; leave mode= out"
             ) from None
     return rule, mode
 
@@ -227,16 +227,12 @@ def decision(rule: Any, where: str, tsc: float, p_r: float) -> int | None:
     """
     here = f"at {where}, with TSC = {tsc:.6g} and P_r = {p_r:.6g}"
     try:
-        wanted = rule.step(tsc=tsc, p_r=p_r)
+        mode = rule.step(tsc=tsc, p_r=p_r)
     except Exception as error:
         raise ValueError(f"rule.step failed {here}: {type(error).__name__}: {error}") from error
-    if wanted is None:
+    if mode is None:
         return None
-    if isinstance(wanted, bool | np.bool_):
-        return int(wanted)
-    return whole_number(
-        f"what rule.step returns (1 manual, 0 autonomous, None to keep the mode) {here}",
-        wanted,
-        0,
-        1,
-    )
+    if isinstance(mode, bool | np.bool_):
+        return int(mode)
+    name = f"what rule.step returns (1 manual, 0 autonomous, None to keep the mode) {here}"
+    return whole_number(name, mode, least=0, most=1)

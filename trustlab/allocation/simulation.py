@@ -118,13 +118,14 @@ def simulate_allocation(
         tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0),
     )
     columns = dict(zip(("r", "p_r", "p_h", "tsc", "mode"), np.empty((5, steps)), strict=True))
-    if type(rule) not in (ThresholdRule, PerformanceRule):
+    numbers = None
+    if type(rule) is ThresholdRule:
+        numbers = (rule.lower, rule.upper, -1.0)
+    elif type(rule) is PerformanceRule:
+        numbers = (rule.p_min, rule.p_max, rule.tolerance)
+    if numbers is None:
         _ask_step_by_step(rule, mode, start, tsc.constants(), **columns)
     else:
-        own = type(rule) is ThresholdRule
-        numbers = (
-            (rule.lower, rule.upper, -1.0) if own else (rule.p_min, rule.p_max, rule.tolerance)
-        )
         simulate_rule(*start, float(mode), *numbers, tsc.constants(), *columns.values())
     return pd.DataFrame(columns, copy=False)
 
@@ -142,9 +143,9 @@ def _ask_step_by_step(rule, now, start, c, r, p_r, p_h, tsc, mode):
         stretch = r[part], p_r[part], p_h[part], tsc[part], mode[part]
         simulate_rule(r[first], p_r[first], float(now), -np.inf, np.inf, -1.0, c, *stretch)
         while decided < min(first + AHEAD, r.size):
-            wanted = decision(rule, f"step {decided}", float(tsc[decided]), float(p_r[decided]))
+            choice = decision(rule, f"step {decided}", float(tsc[decided]), float(p_r[decided]))
             decided += 1
-            if wanted not in (None, now):
-                mode[decided - 1] = now = wanted
+            if choice not in (None, now):
+                mode[decided - 1] = now = choice
                 break
         first = decided - 1

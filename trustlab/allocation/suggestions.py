@@ -93,14 +93,14 @@ def suggestion_episodes(t, mode, suggested, deadline):
             broken = False
         elif mode[k] != before or suggested[k] == before:
             broken = True
-    found = []
+    rows = []
     for i in range(len(first)):
         start = first[i]
-        wanted = suggested[first[i]]
+        suggestion = suggested[start]
         delay = np.nan
         stop = first[i + 1] if i + 1 < len(first) else t.size
         for k in range(start, stop):
-            if mode[k] == wanted:
+            if mode[k] == suggestion:
                 delay = t[k] - t[start]
                 break
         if delay <= deadline + 1e-9:
@@ -109,5 +109,5 @@ def suggestion_episodes(t, mode, suggested, deadline):
             state = NOT_FOLLOWED
         else:
             state = WITHDRAWN if t[-1] - t[start] >= deadline else OPEN
-        found.append((t[start], wanted, delay, state))
-    return found
+        rows.append((t[start], suggestion, delay, state))
+    return rows

@@ -239,14 +239,15 @@ def _beside_limits(tsc: TscModel, lower: float, upper: float, limits: ThresholdL
     """
     Say where a pair lies relative to the limits of the search and to those at the model's own δ_Ph.
     """
-    own = threshold_limits(tsc)
-    if own.contains(lower, upper):
+    model_limits = threshold_limits(tsc)
+    if model_limits.contains(lower, upper):
         return (
-            f" Limits searched: {limits}. The pair also keeps those at the model's own δ_Ph: {own}."
+            f" Limits searched: {limits}. The pair also keeps those at the model's own δ_Ph: "
+            f"{model_limits}."
         )
     return (
         f" Limits searched: {limits}. Theorem 1 does not cover the pair at the model's own δ_Ph: "
-        f"{own}. Whether it keeps switching is seen from its cycle, not from the limits."
+        f"{model_limits}. Whether it keeps switching is seen from its cycle, not from the limits."
     )
 
 

@@ -218,9 +218,10 @@ def _apart(
         spread = sd * np.sqrt((n - 1) / rng.chisquare(n - 1, draws))
         numbers += [mean, sd]
         drawn += [mean + spread * rng.standard_normal(draws) / np.sqrt(n), spread]
-    found = (drawn[2] - drawn[0]) / (drawn[1] + drawn[3])
-    low, high = np.quantile(found, [0.025, 0.975])
-    return separation(*numbers), float(low), float(high), float((found <= 1.0).mean())
+    draws_of_ratio = (drawn[2] - drawn[0]) / (drawn[1] + drawn[3])
+    low, high = np.quantile(draws_of_ratio, [0.025, 0.975])
+    together = float((draws_of_ratio <= 1.0).mean())
+    return separation(*numbers), float(low), float(high), together
 
 
 def _summarise(

@@ -133,7 +133,7 @@ class CasadiEngine:
         # The second now, not when the first fails: setting it up takes longer than a sample of a
         # run that waits for a plan.
         self._programs = [
-            CorrectionProgram(model, one) for one in dict.fromkeys((solver, "fatrop"))
+            CorrectionProgram(model, name) for name in dict.fromkeys((solver, "fatrop"))
         ]
         smooth = "ipopt" if solver == "ipopt" else "fatrop"
         self._smooth = CorrectionProgram(model, smooth, width) if width else None
@@ -165,13 +165,13 @@ class CasadiEngine:
         """
         state = np.array([r, p_r, upper, lower, mode], dtype=float)
         now = Situation(state, self._model.allowed(upper, lower), [])
-        found = self._search(now)
+        best = self._search(now)
         message = "; ".join(dict.fromkeys(now.reasons))
-        if found is not None:
-            total = found.cost * self._model.c_b**2
-            plan = self._plan(state, found.inputs, CorrectionStatus.CONVERGED, message, total)
-            if self._repeats(plan, found):
-                self._last = np.hstack([found.w[:, 1:], found.w[:, -1:]])
+        if best is not None:
+            total = best.cost * self._model.c_b**2
+            plan = self._plan(state, best.inputs, CorrectionStatus.CONVERGED, message, total)
+            if self._repeats(plan, best):
+                self._last = np.hstack([best.w[:, 1:], best.w[:, -1:]])
                 return plan
             message = (
                 "the compiled model does not reproduce the run that the corrections were found in"
@@ -191,30 +191,31 @@ class CasadiEngine:
             )
             return None
         free = now.allowed if model.extras.any else None
-        found, seen = [], guess
+        settled: list[HardRun] = []
+        candidate = guess
         for _ in range(ROUNDS):
             after = self._solved(guess, free, now)
             if after is None:
-                if seen is guess and not self._sound(guess):
+                if candidate is guess and not self._sound(guess):
                     return None
                 break
             if self._sound(after):
                 if np.array_equal(after.mode, guess.mode):
-                    found.append(after)
+                    settled.append(after)
                     break
-                seen = min(seen, after, key=self._rank)
+                candidate = min(candidate, after, key=self._rank)
             guess = after
         if self._smooth is not None:
-            w, reason = self._smooth.solve(seen, now.state[-1], now.allowed)
+            w, reason = self._smooth.solve(candidate, now.state[-1], now.allowed)
             if w is None:
                 now.reasons.append(f"smoothed switch: {reason}")
             else:
-                found += self._settled(model.run(now.state, w, now.allowed), now)
-        found = found or self._settled(seen, now)
-        if not found:
+                settled += self._settled(model.run(now.state, w, now.allowed), now)
+        settled = settled or self._settled(candidate, now)
+        if not settled:
             now.reasons.append("no mode sequence settled")
             return None
-        return self._with_switches_held(min(found, key=self._rank), now)
+        return self._with_switches_held(min(settled, key=self._rank), now)
 
     def _first(self, now: Situation) -> HardRun:
         """Return the best candidate: the last plan, the fastest way to the target, or holding."""
@@ -223,8 +224,8 @@ class CasadiEngine:
         if self._last is not None:
             runs.append(self._model.run(state, self._last, now.allowed))
         if self._model.extras.any:
-            held = np.broadcast_to(state[2:4, None], now.allowed.shape)
-            runs.append(self._model.run(state, straight, held))
+            still = np.broadcast_to(state[2:4, None], now.allowed.shape)
+            runs.append(self._model.run(state, straight, still))
         return min(runs, key=self._rank)
 
     def _straight(self, state) -> np.ndarray:
@@ -287,18 +288,19 @@ class CasadiEngine:
         for _ in range(TRIALS):
             trial = best
             for k, row in self._moved_switches(best):
-                held, stay = now.allowed.copy(), MARGIN * model.c_b
+                cell = now.allowed.copy()
+                margin = MARGIN * model.c_b
                 # Up to step k the threshold stays on the side of TSC(k) on which it is now.
                 if state[2 + row] < best.tsc[k]:
-                    held[1, row, :k] = np.minimum(held[1, row, :k], best.tsc[k] - stay)
+                    cell[1, row, :k] = np.minimum(cell[1, row, :k], best.tsc[k] - margin)
                 else:
-                    held[0, row, :k] = np.maximum(held[0, row, :k], best.tsc[k] + stay)
-                run = model.run(state, best.w if model.extras.any else self._straight(state), held)
+                    cell[0, row, :k] = np.maximum(cell[0, row, :k], best.tsc[k] + margin)
+                run = model.run(state, best.w if model.extras.any else self._straight(state), cell)
                 trial = min(trial, run, key=self._rank)
-            found = self._settled(trial, now) if trial is not best else []
-            if not found or found[0].cost >= best.cost:
+            settled = self._settled(trial, now) if trial is not best else []
+            if not settled or settled[0].cost >= best.cost:
                 return best
-            best = found[0]
+            best = settled[0]
         return best
 
     def _moved_switches(self, run: HardRun) -> list[tuple[int, int]]:
@@ -335,14 +337,14 @@ class CasadiEngine:
             **run,
         )
 
-    def _repeats(self, plan: CorrectionPlan, found: HardRun) -> bool:
+    def _repeats(self, plan: CorrectionPlan, run: HardRun) -> bool:
         """
         Return whether the compiled model repeats the run that was judged, so that (2.41) holds at
         the plan's own states.
         """
         paths = np.stack([plan.r, plan.p_r, plan.upper, plan.lower])
-        same = np.abs(paths - found.states) <= 1e-9 * self._model.units[:, None]
-        return bool(same.all()) and np.array_equal(plan.mode, found.mode)
+        same = np.abs(paths - run.states) <= 1e-9 * self._model.units[:, None]
+        return bool(same.all()) and np.array_equal(plan.mode, run.mode)
 
 
 def _deciding(run: HardRun) -> np.ndarray:

@@ -12,18 +12,28 @@ from typing import Any
 import numpy as np
 
 from trustlab.allocation.correction.incentive import incentive_box
-from trustlab.models.tsc import TscModel
+from trustlab.models.human import next_utilization
+from trustlab.models.robot import next_performance
+from trustlab.models.tsc import TscModel, tsc_at
 
 # Utilization below which (2.6) is taken as P_h,min; its second derivative is still finite there.
 TINY = 1e-100
 
-# Solvers by name: sequential quadratic programming on PIQP or HPIPM, or the interior-point methods
-# fatrop and IPOPT.
-SOLVERS = ("piqp", "hpipm", "fatrop", "ipopt")
-
 TOLERANCE = 1e-8
 QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False}
 QUIET_SQP = {"print_header": False, "print_iteration": False, "print_status": False}
+
+# Solvers by name: interior-point methods for the program as it is, and sequential quadratic
+# programming with an interior-point method for each quadratic program.
+INTERIOR: dict[str, dict] = {
+    "fatrop": {"print_level": 0, "tol": TOLERANCE},
+    "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_wall_time": 2.0},
+}
+SEQUENTIAL: dict[str, dict] = {
+    "piqp": {"piqp": {"max_iter": 60}},
+    "hpipm": {"hpipm.mode": "robust", "hpipm.iter_max": 60},
+}
+SOLVERS = (*SEQUENTIAL, *INTERIOR)
 
 # How far, in units of c_b, thresholds may leave their intervals in the program; the hard run clips
 # them.
@@ -57,9 +67,9 @@ class Extras:
             "extra_constraints": self.constraints,
             "incentive": self.incentive,
         }
-        for name, given in functions.items():
-            if not callable(given) and (given is not None or name == "incentive"):
-                raise ValueError(f"{name} must be a function, got {type(given).__name__}")
+        for name, function in functions.items():
+            if not callable(function) and (function is not None or name == "incentive"):
+                raise ValueError(f"{name} must be a function, got {type(function).__name__}")
 
     @property
     def any(self) -> bool:
@@ -138,8 +148,8 @@ class CorrectionModel:
         if extras.cost is not None:
             cost = _scalar(symbol, "extra_cost", self._call("extra_cost", extras.cost, x, u, k))
         if extras.constraints is not None:
-            given = self._call("extra_constraints", extras.constraints, x, u, k)
-            parts = given if isinstance(given, list | tuple) else [given]
+            rows = self._call("extra_constraints", extras.constraints, x, u, k)
+            parts = rows if isinstance(rows, list | tuple) else [rows]
             rows = ca.vertcat(*(_column(symbol, "extra_constraints", part) for part in parts))
             if rows.numel() == 0:
                 raise ValueError(
@@ -236,40 +246,51 @@ class CorrectionModel:
         bell = ca.if_else(ca.fmin(rest, load) > TINY, ca.exp(bell), 0.0)
         return (human.p_max - human.p_min) * bell + human.p_min
 
+    def motion(self, x, mode_at: Callable):
+        """
+        Return r and P_r one step later (2.44), mode and TSC.
+
+        Parameters
+        ----------
+        x : casadi.SX or casadi.MX
+            r, P_r, TSC_u and TSC_l.
+        mode_at : callable
+            mode_at(tsc), the mode at this TSC.
+        """
+        robot = self.tsc.robot
+        p_h = self.performance(x[0])
+        tsc = tsc_at.py_func(x[1], p_h, self.tsc.constants())
+        mode = mode_at(tsc)
+        r = next_utilization.py_func(x[0], mode, self.tsc.human.a)
+        p_r = next_performance.py_func(x[1], p_h, mode, robot.a, robot.b, robot.p_min)
+        return r, p_r, mode, tsc
+
     def _rule(self):
         """
         Return (state and mode before; w and where thresholds may go; k) → (state and mode after;
-        what was seen).
+        corrections, TSC, added cost, greatest constraint, bounds of the corrections).
         """
         import casadi as ca
 
         symbol = self.symbol
-        robot = self.tsc.robot
-        human = self.tsc.human
         state = symbol.sym("state", 5)
-        given = symbol.sym("given", 6)
+        inputs = symbol.sym("inputs", 6)
         k = symbol.sym("k")
         x, before = state[:-1], state[-1]
-        p_h = self.performance(x[0])
-        tsc = self.tsc.a_T * x[1] - self.tsc.b_T * p_h
-        mode = ca.if_else(tsc >= x[2], 0.0, ca.if_else(tsc <= x[3], 1.0, before))
+        r, p_r, mode, tsc = self.motion(
+            x, lambda tsc: ca.if_else(tsc >= x[2], 0.0, ca.if_else(tsc <= x[3], 1.0, before))
+        )
         _, _, low, high = self.added(x, ca.DM.zeros(2), k)
         # A threshold that is already outside its interval is held there, so that corrections stay
         # within (2.41).
-        least, most = ca.fmin(given[2:4], x[2:]), ca.fmax(given[4:6], x[2:])
-        moved = ca.fmin(ca.fmax(x[2:] + low + given[:2] * (high - low), least), most)
+        least, most = ca.fmin(inputs[2:4], x[2:]), ca.fmax(inputs[4:6], x[2:])
+        moved = ca.fmin(ca.fmax(x[2:] + low + inputs[:2] * (high - low), least), most)
         u = moved - x[2:]
         cost, rows, _, _ = self.added(x, u, k)
         worst = ca.mmax(rows) if self.constraints else symbol(-1.0)
-        after = ca.vertcat(
-            human.a * x[0] + human.b * mode,
-            robot.a * x[1] + (1.0 - robot.a) * robot.p_min + mode * robot.b * p_h,
-            moved,
-            mode,
-        )
-        return ca.Function(
-            "rule", [state, given, k], [after, ca.vertcat(u, tsc, cost, worst, low, high)]
-        )
+        after = ca.vertcat(r, p_r, moved, mode)
+        outputs = ca.vertcat(u, tsc, cost, worst, low, high)
+        return ca.Function("rule", [state, inputs, k], [after, outputs])
 
     def steepness(self, run: HardRun) -> float:
         """
@@ -318,29 +339,27 @@ class CorrectionModel:
         allowed : numpy.ndarray, shape (2, 2, N)
             The intervals of the thresholds, see `allowed`.
         """
-        given = np.concatenate([w, allowed[0], allowed[1]])
-        states, seen = (
-            np.asarray(value) for value in self._over_horizon(state, given, self._steps)
-        )
+        inputs = np.concatenate([w, allowed[0], allowed[1]])
+        run = self._over_horizon(state, inputs, self._steps)
+        states, outputs = (np.asarray(value) for value in run)
+        corrections = outputs[:2]
+        tsc, added, worst, low, high = outputs[2:]
         error = (states[2:4] - self.zero[2:, None]) / self.c_b
         base = float(np.sum(error * error))
-        low, high = seen[5], seen[6]
         width = high - low
-        used = np.where(width > 0.0, (seen[:2] - low) / np.where(width > 0.0, width, 1.0), 0.0)
-        cost = base + float(seen[3].sum())
-        finite, apart = (
-            np.isfinite(states).all() and np.isfinite(cost),
-            (states[3] < states[2]).all(),
-        )
+        shares = np.where(width > 0.0, (corrections - low) / np.where(width > 0.0, width, 1.0), 0.0)
+        cost = base + float(added.sum())
+        finite = np.isfinite(states).all() and np.isfinite(cost)
+        apart = (states[3] < states[2]).all()
         return HardRun(
             states=np.hstack([state[:4, None], states[:4]]),
             mode=states[4],
-            tsc=seen[2],
-            inputs=seen[:2],
-            w=np.clip(used, 0.0, 1.0),
+            tsc=tsc,
+            inputs=corrections,
+            w=np.clip(shares, 0.0, 1.0),
             cost=cost,
-            size=base + float(np.abs(seen[3]).sum()),
-            worst=float(seen[4].max()),
+            size=base + float(np.abs(added).sum()),
+            worst=float(worst.max()),
             sound=bool(finite and apart and (low <= 0.0).all() and (high >= 0.0).all()),
         )
 
@@ -407,7 +426,6 @@ class CorrectionProgram:
         self.model = model
         self.solver = solver
         self.width = width
-        self.plain = not model.extras.any and not width
         self.size = size = 5 if width else 4
         n = model.horizon
         symbol = model.symbol
@@ -423,19 +441,23 @@ class CorrectionProgram:
         begins = now - start
         for k in range(n):
             w, after = symbol.sym(f"w_{k}", 2), symbol.sym(f"x_{k + 1}", size)
-            to, price, held = stage(now, w, modes[k], k)
+            reached, added, constraints = stage(now, w, modes[k], k)
             unknowns += [w, after]
-            equations = [after - to, begins] if k == 0 else [after - to]
-            rows += [*equations, held]
-            equal += [True] * (size * len(equations)) + [False] * held.numel()
-            cost += rho * (price + after[2] ** 2 + after[3] ** 2)
+            equations = [after - reached, begins] if k == 0 else [after - reached]
+            rows += [*equations, constraints]
+            equal += [True] * (size * len(equations)) + [False] * constraints.numel()
+            cost += rho * (added + after[2] ** 2 + after[3] ** 2)
             now = after
-        given = ca.vertcat(start, modes, rho)
-        program = {"x": ca.vertcat(*unknowns), "p": given, "f": cost, "g": ca.vertcat(*rows)}
-        method = solver if solver in ("fatrop", "ipopt") else "sqpmethod"
-        self._solver = ca.nlpsol(
-            "correction", method, program, _options(solver, equal, self.plain, 60 if width else 100)
-        )
+        program = {
+            "x": ca.vertcat(*unknowns),
+            "p": ca.vertcat(start, modes, rho),
+            "f": cost,
+            "g": ca.vertcat(*rows),
+        }
+        convex = not model.extras.any and not width
+        options = _options(solver, equal, convex, iterations=60 if width else 100)
+        method = solver if solver in INTERIOR else "sqpmethod"
+        self._solver = ca.nlpsol("correction", method, program, options)
         self._least_rows = np.where(equal, 0.0, -np.inf)
         first = size + (size + 2) * np.arange(n)
         self._at_w = first[None, :] + np.arange(2)[:, None]
@@ -451,20 +473,21 @@ class CorrectionProgram:
         """
         import casadi as ca
 
-        model, symbol = self.model, self.model.symbol
-        tsc = model.tsc
-        robot = model.tsc.robot
-        human = model.tsc.human
+        model = self.model
+        symbol = model.symbol
         c_b = model.c_b
         z, w = symbol.sym("z", self.size), symbol.sym("w", 2)
-        mode, k = symbol.sym("mode"), symbol.sym("k")
+        given_mode, k = symbol.sym("mode"), symbol.sym("k")
         x = model.zero + model.units * z[:4]
-        p_h = model.performance(z[0])
-        manual = mode
-        if self.width:
-            level = tsc.a_T * x[1] - tsc.b_T * p_h
-            up, down = _sigmoid((level - x[2]) / self.width), _sigmoid((x[3] - level) / self.width)
-            manual = (1.0 - up) * (down + (1.0 - down) * z[4])
+
+        def mode_at(tsc):
+            if not self.width:
+                return given_mode
+            up = _sigmoid((tsc - x[2]) / self.width)
+            down = _sigmoid((x[3] - tsc) / self.width)
+            return (1.0 - up) * (down + (1.0 - down) * z[4])
+
+        r, p_r, mode, _ = model.motion(x, mode_at)
         _, _, low, high = model.added(x, ca.DM.zeros(2), k)
         u = low + w * (high - low)
         cost, rows, _, _ = model.added(x, u, k)
@@ -472,14 +495,9 @@ class CorrectionProgram:
         if model.extras.any:  # thresholds must not cross; with (2.43) alone they never do
             apart = (model.target[1] - model.target[0]) / c_b
             rows = ca.vertcat(rows, (thresholds[1] - thresholds[0] - apart + 1e-3) / apart)
-        gain = robot.b / (robot.p_max - robot.p_min)
-        after = [
-            human.a * z[0] + human.b * manual,
-            robot.a * z[1] + manual * gain * p_h,
-            thresholds,
-        ]
-        after = ca.vertcat(*after, manual) if self.width else ca.vertcat(*after)
-        return ca.Function("stage", [z, w, mode, k], [after, cost, rows])
+        after = [r, (p_r - model.zero[1]) / model.units[1], thresholds]
+        after += [mode] if self.width else []
+        return ca.Function("stage", [z, w, given_mode, k], [ca.vertcat(*after), cost, rows])
 
     def solve(
         self, guess: HardRun, mode: float, thresholds: np.ndarray | None = None
@@ -513,14 +531,13 @@ class CorrectionProgram:
             least, most = least.copy(), most.copy()
             z = (thresholds - model.zero[None, 2:, None]) / model.c_b
             least[self._at_x[2:4, 1:]], most[self._at_x[2:4, 1:]] = z[0] - SLACK, z[1] + SLACK
-        given = np.concatenate(
-            [start[self._at_x[:, 0]], guess.mode, [1.0 / model.steepness(guess)]]
-        )
+        rho = 1.0 / model.steepness(guess)
+        parameters = np.concatenate([start[self._at_x[:, 0]], guess.mode, [rho]])
         try:
             # No initial multipliers: sqpmethod does not check complementarity and would stop at the
             # guess if given old ones.
-            found = self._solver(
-                x0=start, p=given, lbx=least, ubx=most, lbg=self._least_rows, ubg=0.0
+            solution = self._solver(
+                x0=start, p=parameters, lbx=least, ubx=most, lbg=self._least_rows, ubg=0.0
             )
             stats = self._solver.stats()
         except RuntimeError as error:
@@ -529,7 +546,7 @@ class CorrectionProgram:
             if "basic_string" in reason:
                 reason = "a quadratic program within it has no solution"
             return None, f"{self.solver}: {reason}"
-        x = np.asarray(found["x"]).ravel()
+        x = np.asarray(solution["x"]).ravel()
         if not stats["success"]:
             return None, f"{self.solver}: {stats.get('return_status', 'no success')}"
         if not np.isfinite(x).all():
@@ -543,30 +560,18 @@ def _sigmoid(y):
     return 0.5 * (1.0 + ca.tanh(0.5 * y))
 
 
-def _options(solver: str, equal: list[bool], plain: bool, most: int) -> dict:
+def _options(solver: str, equal: list[bool], convex: bool, iterations: int) -> dict:
     """Return a solver's options: no output, tolerances, and the structure of the program."""
-    if solver == "fatrop":
-        options = {"print_level": 0, "tol": TOLERANCE, "max_iter": most}
-        return QUIET | {"structure_detection": "auto", "equality": equal, "fatrop": options}
-    if solver == "ipopt":
-        return QUIET | {
-            "ipopt": {
-                "print_level": 0,
-                "sb": "yes",
-                "tol": TOLERANCE,
-                "max_iter": most,
-                "max_wall_time": 2.0,
-            }
-        }
-    inner = (
-        {"hpipm.mode": "robust", "hpipm.iter_max": 60}
-        if solver == "hpipm"
-        else {"piqp": {"max_iter": 60}}
-    )
-    options = QUIET | QUIET_SQP | {"qpsol": solver, "qpsol_options": QUIET | inner, "max_iter": 15}
+    if solver in INTERIOR:
+        options = QUIET | {solver: INTERIOR[solver] | {"max_iter": iterations}}
+        if solver == "fatrop":
+            options |= {"structure_detection": "auto", "equality": equal}
+        return options
+    inner = QUIET | SEQUENTIAL[solver]
+    options = QUIET | QUIET_SQP | {"qpsol": solver, "qpsol_options": inner, "max_iter": 15}
     # For given modes (2.43) is one convex quadratic program: full steps, where a line search would
     # stall on rounding.
-    return options | ({"max_iter_ls": 0} if plain else {"convexify_strategy": "eigen-clip"})
+    return options | ({"max_iter_ls": 0} if convex else {"convexify_strategy": "eigen-clip"})
 
 
 class _UntraceableError(Exception):
@@ -589,11 +594,8 @@ def _column(symbol, name: str, value):
         if isinstance(value, bool):
             raise TypeError
         return ca.vec(symbol(value))
-    except (
-        NotImplementedError,
-        TypeError,
-        RuntimeError,
-    ):  # what CasADi raises for a value it cannot convert
+    # These are raised by CasADi for a value that it cannot convert.
+    except (NotImplementedError, TypeError, RuntimeError):
         raise ValueError(
             f"{name} must return a CasADi expression or a number, got {type(value).__name__}"
         ) from None

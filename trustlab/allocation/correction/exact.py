@@ -241,7 +241,7 @@ def search_within(incentive, problem, budget, r0, p0, before, room):
     height = 0
     k = 0
     complete = True
-    held = False
+    holds = False
     fresh = True
     while True:
         # Forward from step k to the end: where both modes are possible, the threshold moves and the
@@ -283,7 +283,7 @@ def search_within(incentive, problem, budget, r0, p0, before, room):
                     rising = sign[j] > 0
                     closed = (j == UPPER) == rising
                     theta = sign[j] * tsc[k]
-                    if held:
+                    if holds:
                         mode[k] = 0.0 if rising else 1.0
                         hold[j, k] = theta
                         most[j, k] = min(most[j, k], theta)
@@ -304,7 +304,7 @@ def search_within(incentive, problem, budget, r0, p0, before, room):
                 for j in (LOWER, UPPER):
                     total += (goal[j] - most[j, k]) ** 2
                 spent[k] = total
-            held, fresh = False, True
+            holds, fresh = False, True
             searched += 1
             k += 1
         plain = True
@@ -351,7 +351,7 @@ def search_within(incentive, problem, budget, r0, p0, before, room):
             searched += 1 + (n - i) // 16
             if ahead < enough:
                 k = i
-                held = True
+                holds = True
                 fresh = False
                 break
         if k < 0:

@@ -97,8 +97,8 @@ def invariant_bounds(
     c = tsc.constants()
     coarse = min(COARSE, cells)
     most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
-    found, settled = nest(lower, upper, c, cells, cycles, most)
-    done = found.code
+    enclosure, settled = nest(lower, upper, c, cells, cycles, most)
+    done = enclosure.code
     if done < 0:
         phase = "a manual" if done == -1 else "an autonomous"
         return _trivial(
@@ -108,14 +108,14 @@ def invariant_bounds(
             f"every phase ends, but {phase} phase from some utilization was not shown to do so "
             f"within {most} samples; cells= below {coarse} allow longer phases",
         )
-    manual, autonomous = found.manual, found.autonomous
+    manual, autonomous = enclosure.manual, enclosure.autonomous
     # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per
     # sample is far more than that.
     slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
     # r falls in autonomous phases and rises in manual ones, so that its extremes are where these
     # begin.
-    r_low = max(found.low - slack, 0.0)
-    r_high = min(found.autonomous_high + slack, 1.0)
+    r_low = max(enclosure.low - slack, 0.0)
+    r_high = min(enclosure.autonomous_high + slack, 1.0)
     reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
     if not settled:
         more = (

@@ -14,7 +14,7 @@ from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.steady_ranges import SteadyRanges
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import whole_number
-from trustlab.models.tsc import TscConstants, TscModel
+from trustlab.models.tsc import TscModel
 
 # Cycles that are recorded of a motion that does not repeat, if they are no more than EFFORT
 # samples.
@@ -217,74 +217,61 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     """
     lower, upper = check_thresholds(tsc, lower, upper)
     starts = whole_number("starts", starts)
-    c = tsc.constants()
-    motions, followed = Motions(c, lower, upper), 0
-    for r, p_r in phases.watched(
-        _initial_states(tsc, lower, starts, motions), "limit cycle", starts + 1
-    ):
-        if motions.spent > phases.EFFORT:
+    search = Motions(tsc, lower, upper)
+    followed = 0
+    states = _initial_states(tsc, lower, starts, search)
+    for r, p_r in phases.watched(states, "limit cycle", starts + 1):
+        if search.spent > phases.EFFORT:
             break
-        motions.follow(r, p_r)
+        search.follow(r, p_r)
         followed += 1
-    found, stopped = motions.found, motions.stopped
+    if not search.motions:
+        return LimitCycle(exists=False, reason=search.stays(), model=tsc, lower=lower, upper=upper)
     endless = phases.endless_phase(tsc, lower, upper)
-    stays = ""
-    if stopped:
-        code, r, p_r = stopped[0]
-        mode, target, side = (
-            ("manual", upper, "rising to TSC_u")
-            if code == -1
-            else ("autonomous", lower, "falling to TSC_l")
-        )
-        settled = tsc.value(p_r, tsc.human.performance(min(max(r, 0.0), 1.0)))
-        stays = f"stays {mode}: TSC settles at {settled:.4f} without {side} = {target:.4f}"
-    if not found:
-        return LimitCycle(exists=False, reason=stays, model=tsc, lower=lower, upper=upper)
-    rows = np.concatenate([motion.rows for motion in found])
-    seen = [motion.seen for motion in found]
-    periods = {motion.period for motion in found}
-    period = periods.pop() if len(periods) == 1 else None
-    how = _how(found, rows, period)
-    if stopped:
-        how += f"; but from {len(stopped)} of {followed} starts it {stays}"
+    reason = search.summary()
+    if search.stopped:
+        reason += f"; but from {len(search.stopped)} of {followed} starts it {search.stays()}"
     elif endless:
-        how += f"; but {endless}"
+        reason += f"; but {endless}"
     if followed < starts + 1:
-        how += (
+        reason += (
             f"; {followed} of {starts + 1} starts were simulated, in about {phases.EFFORT:.0e} "
             "samples"
         )
+    rows = np.concatenate([motion.rows for motion in search.motions])
+    extremes = [motion.extremes for motion in search.motions]
     return LimitCycle(
         exists=True,
-        reason=how,
-        always=not stopped and not endless,
+        reason=reason,
+        always=not search.stopped and not endless,
         r_low=float(rows["r"].min()),
         r_high=float(rows["r_switch"].max()),
-        p_r_low=min(one.p_r_low for one in seen),
-        p_r_high=max(one.p_r_high for one in seen),
-        tsc_low=min(one.tsc_low for one in seen),
-        tsc_high=max(one.tsc_high for one in seen),
+        p_r_low=min(ends.p_r_low for ends in extremes),
+        p_r_high=max(ends.p_r_high for ends in extremes),
+        tsc_low=min(ends.tsc_low for ends in extremes),
+        tsc_high=max(ends.tsc_high for ends in extremes),
         dwell_manual_low=int(rows["manual"].min()),
         dwell_manual_high=int(rows["manual"].max()),
         dwell_autonomous_low=int(rows["autonomous"].min()),
         dwell_autonomous_high=int(rows["autonomous"].max()),
-        period=period,
-        motions=len(found),
+        period=search.period,
+        motions=len(search.motions),
         r_manual=float(rows["r"].mean()),
-        mean_r=float(np.mean([one.sum_r / one.samples for one in seen])),
-        mean_p_r=float(np.mean([one.sum_p_r / one.samples for one in seen])),
+        mean_r=float(np.mean([ends.sum_r / ends.samples for ends in extremes])),
+        mean_p_r=float(np.mean([ends.sum_p_r / ends.samples for ends in extremes])),
         model=tsc,
         lower=lower,
         upper=upper,
     )
 
 
-def _initial_states(tsc: TscModel, lower: float, starts: int, motions: Motions):
+def _initial_states(tsc: TscModel, lower: float, starts: int, search: Motions):
     """
     Yield r and P_r as manual phases begin: at β, at rest, spread over [0, 1], and then near the
     motions found by then.
     """
-    human, spread = tsc.human, starts // 8
+    human = tsc.human
+    spread = starts // 8
     step = tsc.a_T * (1.0 - tsc.robot.a) * (tsc.robot.p_max - tsc.robot.p_min)
 
     def at(r, below):
@@ -294,14 +281,15 @@ def _initial_states(tsc: TscModel, lower: float, starts: int, motions: Motions):
     yield 0.0, tsc.robot.p_min
     for j in range(2, starts + 1):
         along_r, along_tsc = (j * part % 1.0 for part in EVEN)
-        if j <= spread or not motions.found or motions.stopped:
+        if j <= spread or not search.motions or search.stopped:
             yield at(along_r, along_tsc * step)
             continue
         # Coexisting motions differ by a step or less in r and in overshoot, so that starts from all
         # over [0, 1] hardly ever tell them apart: after a transient these are all at the same few
         # states.
-        r = np.concatenate([motion.rows["r"] for motion in motions.found])
-        over = max(lower - min(motion.seen.tsc_low for motion in motions.found), 0.2 * step)
+        r = np.concatenate([motion.rows["r"] for motion in search.motions])
+        deepest = min(motion.extremes.tsc_low for motion in search.motions)
+        over = max(lower - deepest, 0.2 * step)
         low, high = max(r.min() - human.b, 0.0), min(r.max() + human.b, 1.0)
         yield at(low + along_r * (high - low), along_tsc * 1.2 * over)
 
@@ -309,70 +297,101 @@ def _initial_states(tsc: TscModel, lower: float, starts: int, motions: Motions):
 @dataclass(frozen=True, eq=False)
 class Motion:
     """
-    One steady motion: rows of `CYCLE`, extremes and sums over its samples, and after how many
-    cycles it repeats, if it does.
+    A steady motion: rows of `CYCLE`, extremes and sums over its samples, and after how many cycles
+    it repeats, if it does.
     """
 
     rows: np.ndarray
-    seen: phases.Seen
+    extremes: phases.Seen
     period: int | None
 
-    def same(self, other: Motion) -> bool:
+    def same(self, motion: Motion) -> bool:
         """Return whether two motions that repeat are the same."""
-        if self.period is None or self.period != other.period:
+        if self.period is None or self.period != motion.period:
             return False
-        return abs(self.rows["r"].min() - other.rows["r"].min()) < 1e-8
+        return abs(self.rows["r"].min() - motion.rows["r"].min()) < 1e-8
 
     def passes(self, r: float, p_r: float) -> bool:
-        """
-        Return whether a motion that does not repeat comes near a state; in 2,000 cycles it does so
-        near all of its own.
-        """
-        return bool((np.maximum(abs(self.rows["r"] - r), abs(self.rows["p_r"] - p_r)) < 2e-5).any())
+        """Return whether a motion comes near a state, in r and P_r, as a manual phase begins."""
+        distance = np.maximum(abs(self.rows["r"] - r), abs(self.rows["p_r"] - p_r))
+        return bool((distance < 2e-5).any())
 
 
 class Motions:
     """The steady motions under one pair of thresholds, and the starts from which a mode stays."""
 
-    def __init__(self, c: TscConstants, lower: float, upper: float):
-        self.found: list[Motion] = []
+    def __init__(self, tsc: TscModel, lower: float, upper: float):
+        self.motions: list[Motion] = []
         self.stopped: list[tuple[int, float, float]] = []
-        self.most, self.spent = phases.longest_phase(c), 0.0
-        self._system = lower, upper, c
+        self.spent = 0.0
+        self._tsc = tsc
+        self._system = lower, upper, tsc.constants()
+        self._longest = phases.longest_phase(tsc.constants())
         self._repeating = np.empty(0, phases.CYCLE)
 
     def follow(self, r: float, p_r: float) -> None:
         """Simulate until transients have decayed, and keep the motion if it is new."""
-        known = (
-            np.ascontiguousarray(self._repeating["r"]),
-            np.ascontiguousarray(self._repeating["p_r"]),
-        )
+        states = [np.ascontiguousarray(self._repeating[name]) for name in ("r", "p_r")]
         code, r, p_r, samples = phases.settle(
-            r, p_r, *self._system, self.most, self.most, *known, REPEATED
+            r, p_r, *self._system, self._longest, self._longest, *states, REPEATED
         )
         self.spent += samples
         if code < 0:
             self.stopped.append((code, r, p_r))
-        if code != 0 or any(
-            motion.passes(r, p_r) for motion in self.found if motion.period is None
-        ):
+        # In 2,000 cycles a motion that does not repeat comes near all of its own states.
+        endless = [motion for motion in self.motions if motion.period is None]
+        if code != 0 or any(motion.passes(r, p_r) for motion in endless):
             return
-        rows, seen = phases.record(r, p_r, *self._system, FEWEST_CYCLES, self.most)
+        motion = self._recorded(r, p_r)
+        if not any(earlier.same(motion) for earlier in self.motions):
+            self.motions.append(motion)
+            if motion.period is not None:
+                self._repeating = np.concatenate([self._repeating, motion.rows])
+
+    def _recorded(self, r: float, p_r: float) -> Motion:
+        """Record a motion from one of its states: a period, or as many cycles as may be."""
+        rows, extremes = phases.record(r, p_r, *self._system, FEWEST_CYCLES, self._longest)
         period = _period(rows)
         if period is None:
-            cycles = min(
-                MOST_CYCLES, max(FEWEST_CYCLES, int(phases.EFFORT / seen.samples * FEWEST_CYCLES))
-            )
-            rows, seen = phases.record(r, p_r, *self._system, cycles, self.most)
+            affordable = int(phases.EFFORT / extremes.samples * FEWEST_CYCLES)
+            cycles = min(MOST_CYCLES, max(FEWEST_CYCLES, affordable))
+            rows, extremes = phases.record(r, p_r, *self._system, cycles, self._longest)
             period = _period(rows)
-            self.spent += seen.samples
+            self.spent += extremes.samples
         if period is not None:
-            rows, seen = phases.record(r, p_r, *self._system, period, self.most)
-        motion = Motion(rows, seen, period)
-        if not any(own.same(motion) for own in self.found):
-            self.found.append(motion)
-            if period is not None:
-                self._repeating = np.concatenate([self._repeating, rows])
+            rows, extremes = phases.record(r, p_r, *self._system, period, self._longest)
+        return Motion(rows, extremes, period)
+
+    @property
+    def period(self) -> int | None:
+        """After how many cycles the motions repeat, if it is the same for all of them."""
+        periods = {motion.period for motion in self.motions}
+        return periods.pop() if len(periods) == 1 else None
+
+    def stays(self) -> str:
+        """Return which mode stays from the first start from which one does, and why."""
+        lower, upper, _ = self._system
+        code, r, p_r = self.stopped[0]
+        settled = self._tsc.value(p_r, self._tsc.human.performance(min(max(r, 0.0), 1.0)))
+        if code == -1:
+            return (
+                f"stays manual: TSC settles at {settled:.4f} without rising to TSC_u = {upper:.4f}"
+            )
+        return (
+            f"stays autonomous: TSC settles at {settled:.4f} without falling to TSC_l = {lower:.4f}"
+        )
+
+    def summary(self) -> str:
+        """Return a sentence on what the starts settle to."""
+        if len(self.motions) > 1:
+            periods = ", ".join(str(motion.period or "without") for motion in self.motions)
+            return (
+                f"{len(self.motions)} motions coexist, one overshoot apart (periods {periods}); "
+                "ranges enclose all of them"
+            )
+        if self.period:
+            return f"repeats after {self.period} cycle(s)"
+        return f"does not repeat within {len(self.motions[0].rows)} cycles"
 
 
 def _period(rows: np.ndarray) -> int | None:
@@ -386,20 +405,3 @@ def _period(rows: np.ndarray) -> int | None:
         if change < REPEATED:
             return period
     return None
-
-
-def _how(found: list[Motion], rows: np.ndarray, period: int | None) -> str:
-    """Return a sentence on what the starts settle to."""
-    if len(found) > 1:
-        listed = ", ".join(
-            "without" if motion.period is None else str(motion.period) for motion in found
-        )
-        return (
-            f"{len(found)} motions coexist, one overshoot apart (periods {listed}); ranges "
-            "enclose all of them"
-        )
-    return (
-        f"repeats after {period} cycle(s)"
-        if period
-        else f"does not repeat within {len(rows)} cycles"
-    )

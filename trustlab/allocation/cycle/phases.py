@@ -111,14 +111,14 @@ def endless_phase(tsc: TscModel, lower: float, upper: float) -> str:
     return ""
 
 
-def watched(steps: Iterable, what: str, total: int | None = None) -> Any:
+def watched(steps: Iterable, task: str, total: int | None = None) -> Any:
     """
     Return steps of a long computation, with a progress bar on a terminal once it has taken two
     seconds.
     """
     from tqdm import tqdm
 
-    return tqdm(steps, what, total, leave=False, delay=2.0, disable=None)
+    return tqdm(steps, task, total, leave=False, delay=2.0, disable=None)
 
 
 @njit

@@ -104,12 +104,16 @@ def overshoot(manual, low, high, threshold, c):
         chord_low = (human_at(after_low, c) - human_at(low, c)) / step_low
         chord_high = (human_at(after_high, c) - human_at(high, c)) / step_high
         shortest, longest = min(step_low, step_high), max(step_low, step_high)
-        one, other = np.inf, -np.inf
+        chord_least = np.inf
+        chord_most = -np.inf
         for chord in (chord_low, chord_high):
             for length in (shortest, longest):
-                one, other = min(one, chord * length), max(other, chord * length)
-        slack = 1e-6 * max(abs(one), abs(other))  # differences of neighbouring values cancel digits
-        least, most = max(least, one - slack), min(most, other + slack)
+                chord_least = min(chord_least, chord * length)
+                chord_most = max(chord_most, chord * length)
+        # Differences of neighbouring values cancel digits.
+        slack = 1e-6 * max(abs(chord_least), abs(chord_most))
+        least = max(least, chord_least - slack)
+        most = min(most, chord_most + slack)
     if manual:
         over = base + max(slope * p_low, slope * p_high) - c.b_T * least
     else:
@@ -186,12 +190,12 @@ def phase_image(manual, low, high, start, over, target, c, cells, most):
     tsc_low = start - over if manual else start
     tsc_high = start if manual else start + over
     for k in range(cells):
-        one = low + (high - low) * k / cells
-        other = low + (high - low) * (k + 1) / cells
-        ends, own = propagate(manual, one, other, tsc_low, tsc_high, target, c, most)
+        left = low + (high - low) * k / cells
+        right = low + (high - low) * (k + 1) / cells
+        ends, part = propagate(manual, left, right, tsc_low, tsc_high, target, c, most)
         if not ends:
             return False, NO_IMAGE
-        image = united(image, own)
+        image = united(image, part)
     return True, image
 
 
