@@ -46,6 +46,7 @@ from .identification import (
     LinearForm as LinearForm,
     LogSettings as LogSettings,
     Parameter as Parameter,
+    Prior as Prior,
     Structure as Structure,
     arx as arx,
     fit as fit,
@@ -53,6 +54,7 @@ from .identification import (
     fit_robot as fit_robot,
     fit_transfer_function as fit_transfer_function,
     fit_tsc as fit_tsc,
+    sample_posterior as sample_posterior,
 )
 from .live import (
     DriveSettings as DriveSettings,

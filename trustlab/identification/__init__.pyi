@@ -1,6 +1,9 @@
 from .fit_result import FitResult as FitResult
 from .fitting import fit as fit
 from .human import fit_human as fit_human
+from .posterior.priors import Prior as Prior
+from .posterior.result import Posterior as Posterior
+from .posterior.sampling import sample_posterior as sample_posterior
 from .regression import ArxResult as ArxResult, arx as arx
 from .robot import fit_robot as fit_robot
 from .runs import LogSettings as LogSettings

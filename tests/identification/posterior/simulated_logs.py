@@ -1,0 +1,119 @@
+"""Logs of people drawn from the prior, or of the printed ones, with noise of three kinds."""
+
+import numpy as np
+import pandas as pd
+
+import trustlab as tl
+from trustlab.identification.posterior.likelihood import H_NOISE, P_NOISE, STATES
+from trustlab.identification.posterior.priors import as_prior, transformed
+from trustlab.identification.posterior.sampling import prior_thetas, target_of
+
+STEP = 0.1
+WINDOW = 100.0
+# Standard deviations of white and slow noise per sample, and the time constant [s].
+NOISE = {"white": (0.005, 0.0, 1.0), "slow": (0.0, 0.005, 5.0), "means": (0.0, 0.005, 5.0)}
+
+
+def switching(rng, size, switches=3):
+    """A mode that begins manual and changes at random times, in long logs at least 30 s apart."""
+    least = min(300, size // 10)
+    while True:
+        times = np.sort(rng.integers(least, size - least, switches))
+        if (np.diff(times) > least).all():
+            return (np.searchsorted(times, np.arange(size), side="right") % 2 == 0) * 1.0
+
+
+def first_order(rng, size, deviation, seconds):
+    """First-order noise, written as its recursion."""
+    phi = np.exp(-STEP / seconds)
+    shocks = rng.normal(0.0, deviation * np.sqrt(1.0 - phi**2), size)
+    values = np.empty(size)
+    values[0] = rng.normal(0.0, deviation)
+    for k in range(1, size):
+        values[k] = phi * values[k - 1] + shocks[k]
+    return values
+
+
+def with_noise(rng, run, noises, window=0.0):
+    """A session of a simulated run, noise (white, slow, seconds) by output added, then averaged."""
+    columns = {}
+    for name, (white, slow, seconds) in noises.items():
+        values = run[name].to_numpy() + rng.normal(0.0, max(white, 1e-12), len(run))
+        values = values + first_order(rng, len(run), slow, seconds)
+        if window:
+            count = round(window / STEP)
+            sums = np.cumsum(values)
+            sums[count:] -= sums[:-count].copy()
+            values = sums / np.minimum(np.arange(1, len(run) + 1), count)
+        columns[name] = values
+    frame = pd.DataFrame({"t": STEP * np.arange(len(run)), "mode": run["mode"], **columns})
+    return tl.Session(
+        frame.set_index("t"), tl.Metadata(synthetic=True, more={"performance_window": window})
+    )
+
+
+def model_of(theta):
+    """The model of the first seven parameters, and its initial states."""
+    human_time, odds, h_min, h_span, robot_time, p_min, p_span = theta[:7]
+    top = h_min + np.exp(h_span)
+    human = tl.HumanModel(
+        np.exp(-STEP / np.exp(human_time)), 1.0 / (1.0 + np.exp(-odds)), h_min, top
+    )
+    robot = tl.RobotModel(np.exp(-STEP / np.exp(robot_time)), p_min, p_min + np.exp(p_span), top)
+    return (
+        tl.TscModel(robot, human),
+        1.0 / (1.0 + np.exp(-theta[STATES])),
+        p_min + theta[STATES + 1],
+    )
+
+
+def run_of(rng, tsc, r0, p_r0, loop, size):
+    """A run in open loop, or under thresholds within the limits."""
+    if loop == "open":
+        return tsc.simulate(switching(rng, size), r0, p_r0)
+    limits = tl.threshold_limits(tsc, 0.0)
+    span = limits.upper - limits.lower
+    lower, upper = limits.lower + 0.3 * span, limits.lower + 0.75 * span
+    return tl.simulate_allocation(tsc, lower, upper, size, r0, p_r0)
+
+
+def any_target():
+    """A target that holds the weak prior, of a session that does not matter."""
+    t = STEP * np.arange(100)
+    frame = pd.DataFrame({"mode": t > 5.0, "p_h": 0.4, "p_r": 0.3}, index=pd.Index(t, name="t"))
+    log = tl.LogSettings()
+    from trustlab.identification.runs import read_runs
+
+    session = tl.Session(frame.astype(float), tl.Metadata(synthetic=True))
+    return target_of(read_runs(session, "mode", "p_h", "p_r", log=log), as_prior("weak"), log)
+
+
+def drawn_case(rng, kind, loop="open", minutes=10.0):
+    """A session of a person drawn from the prior, noise too, and the true θ."""
+    size = int(minutes * 600)
+    while True:
+        theta = prior_thetas(any_target(), 1, rng)[0]
+        tsc, r0, p_r0 = model_of(theta)
+        if loop == "open" or tl.threshold_limits(tsc, 0.0).feasible:
+            break
+    run = run_of(rng, tsc, r0, p_r0, loop, size)
+    noises = {
+        name: (*np.exp(theta[place : place + 2]), np.exp(theta[place + 2]))
+        for name, place in (("p_h", H_NOISE), ("p_r", P_NOISE))
+    }
+    return with_noise(rng, run, noises, WINDOW if kind == "means" else 0.0), theta
+
+
+def printed_case(rng, kind, loop="open", minutes=10.0, who="pilot"):
+    """A session of a printed person, and the true θ (that of noise is not used)."""
+    tsc = tl.published_models()[who]
+    r0 = 0.02 + 0.28 * rng.random()
+    run = run_of(rng, tsc, r0, tsc.robot.p_min, loop, int(minutes * 600))
+    session = with_noise(
+        rng, run, dict.fromkeys(("p_h", "p_r"), NOISE[kind]), WINDOW if kind == "means" else 0.0
+    )
+    theta = np.full(STATES + 2, np.nan)
+    theta[:7] = transformed([tsc])[0]
+    theta[STATES] = np.log(r0 / (1.0 - r0))
+    theta[STATES + 1] = 0.0
+    return session, theta

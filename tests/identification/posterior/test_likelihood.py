@@ -1,0 +1,156 @@
+"""
+The likelihood and its coordinates.
+
+Oracles: SciPy's multivariate normal density with the covariance of the samples written out and
+averaged; the models' own simulation, sample by sample; finite differences for the Jacobian.
+"""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import trustlab as tl
+from trustlab.identification.posterior import likelihood as kernel
+from trustlab.identification.posterior.blocks import blocks_of
+from trustlab.identification.posterior.coordinates import (
+    Target,
+    density,
+    from_theta,
+    log_prior,
+    to_thetas,
+)
+from trustlab.identification.posterior.priors import as_prior, prior_of, transformed
+from trustlab.identification.posterior.sampling import prior_thetas, target_of
+from trustlab.identification.runs import read_runs
+
+from . import simulated_logs
+
+
+def target_and_runs(rng, minutes=(1.0, 0.7), **settings):
+    """A target of short runs of people drawn from the prior; the θ of the first."""
+    log = tl.LogSettings(**settings)
+    cases = [simulated_logs.drawn_case(rng, "white", minutes=each) for each in minutes]
+    runs = read_runs([session for session, _ in cases], "mode", "p_h", "p_r", log=log)
+    return target_of(runs, as_prior("weak"), log), runs, cases[0][1]
+
+
+def dense_covariance(white, slow, seconds, samples, blocks, step=0.1):
+    """The covariance of block means of white plus first-order noise, written out."""
+    t = step * np.arange(samples * blocks)
+    covariance = slow**2 * np.exp(-np.abs(t[:, None] - t) / seconds) + white**2 * np.eye(t.size)
+    means = np.kron(np.eye(blocks), np.full(samples, 1.0 / samples))
+    return means @ covariance @ means.T
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_kalman_filter_gives_the_dense_density(seed):
+    rng = np.random.default_rng(seed)
+    white, slow, seconds = np.exp(rng.normal([-5.0, -5.0, 1.0], 1.0))
+    errors = 0.01 * rng.standard_normal(40)
+    noise = kernel.block_noise(white, slow, np.exp(-0.1 / seconds), 10)
+    covariance = dense_covariance(white, slow, seconds, 10, 40)
+    value = kernel.prediction_error_density(errors, noise, np.empty(40))
+    expected = stats.multivariate_normal(cov=covariance).logpdf(errors)
+    assert value == pytest.approx(expected, rel=1e-9)
+    known = rng.random(40) < 0.7
+    holes = np.where(known, errors, np.nan)
+    value = kernel.prediction_error_density(holes, noise, np.empty(40))
+    expected = stats.multivariate_normal(cov=covariance[np.ix_(known, known)]).logpdf(errors[known])
+    assert value == pytest.approx(expected, rel=1e-9)
+    # Negative control: correlation within a block that is forgotten between blocks.
+    apart = noise._replace(both=0.0)
+    assert kernel.prediction_error_density(errors, apart, np.empty(40)) != pytest.approx(
+        expected, rel=1e-6
+    )
+
+
+def test_block_means_are_those_of_the_models():
+    rng = np.random.default_rng(5)
+    target, runs, _ = target_and_runs(rng)
+    for theta in prior_thetas(target, 20, rng):
+        means = kernel.simulate(theta, target.blocks)
+        tsc, _, _ = simulated_logs.model_of(theta)
+        for i, run in enumerate(runs):
+            place = kernel.STATES + 2 * i
+            r0 = 1.0 / (1.0 + np.exp(-theta[place]))
+            sampled = tsc.simulate(run["mode"], r0, theta[kernel.P_MIN] + theta[place + 1])
+            blocks = slice(*target.blocks.first_block[i : i + 2])
+            for j, name in enumerate(("p_h", "p_r")):
+                count = run.size // 10
+                expected = sampled[name].to_numpy()[: 10 * count].reshape(count, 10).mean(axis=1)
+                # (2.6) at the mean utilization of a block of a second; at rest its slope is
+                # infinite.
+                span = tsc.human.p_max - tsc.human.p_min
+                np.testing.assert_allclose(means[j, blocks], expected, atol=0.02 * span)
+                assert np.abs(means[j, blocks] - expected).mean() < 1e-3 * span
+
+
+def test_the_density_is_likelihood_times_prior():
+    rng = np.random.default_rng(6)
+    target, _, theta = target_and_runs(rng, minutes=(1.0,))
+    x = from_theta(theta, target)
+    np.testing.assert_allclose(to_thetas(x[None], target)[0], theta, atol=1e-12)
+    errors = target.blocks.measured - kernel.simulate(theta, target.blocks)
+    expected = 0.0
+    for j, place in enumerate((kernel.H_NOISE, kernel.P_NOISE)):
+        white, slow, seconds = np.exp(theta[place : place + 3])
+        covariance = dense_covariance(white, slow, seconds, 10, errors.shape[1])
+        expected += stats.multivariate_normal(cov=covariance).logpdf(errors[j])
+    normals = stats.norm(target.mean, target.deviation)
+    free = target.free
+    prior = normals.logpdf(theta)[free].sum() + np.log(target.deviation[free]).sum()
+    prior += 0.5 * free.size * np.log(2.0 * np.pi)
+    assert density(x, target) == pytest.approx(expected + prior, rel=1e-9)
+
+
+def test_a_prior_of_correlated_parameters_has_its_density():
+    rng = np.random.default_rng(7)
+    target, _, theta = target_and_runs(rng, minutes=(1.0,))
+    values = transformed(tl.published_models().values())
+    root = rng.standard_normal((7, 7))
+    covariance = root @ root.T + np.eye(7)
+    prior = prior_of(values.mean(axis=0), covariance)
+    mean, deviation, whitening = prior.vectors(1)
+    target = Target(target.blocks, mean, deviation, mean, whitening, target.free)
+    rest = mean.copy()
+    rest[:7] = theta[:7]
+    expected = stats.multivariate_normal(mean[:7], covariance)
+    difference = log_prior(rest, target) - log_prior(mean, target)
+    assert difference == pytest.approx(
+        expected.logpdf(theta[:7]) - expected.logpdf(mean[:7]), rel=1e-9
+    )
+
+
+def test_coordinates_have_unit_jacobian():
+    target, _, theta = target_and_runs(np.random.default_rng(8), minutes=(1.0,))
+    x = from_theta(theta, target)
+    columns = []
+    for k in range(x.size):
+        step = np.zeros(x.size)
+        step[k] = 1e-6
+        ends = to_thetas(np.array([x + step, x - step]), target)[:, target.free]
+        columns.append((ends[0] - ends[1]) / 2e-6 / target.deviation[target.free])
+    assert np.linalg.det(np.array(columns)) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_delay_shifts_what_is_simulated():
+    target, _, theta = target_and_runs(np.random.default_rng(9), minutes=(1.0,), mode_delay=True)
+    assert kernel.DELAY in target.free
+    values = kernel.simulate(theta, target.blocks)[1]
+    out = np.empty(values.size)
+    kernel.shifted(values, 0, values.size, 1.0, out)
+    np.testing.assert_array_equal(out[1:], values[:-1])
+    kernel.shifted(values, 0, values.size, 0.25, out)
+    np.testing.assert_allclose(out[1:], 0.75 * values[1:] + 0.25 * values[:-1], rtol=1e-12)
+
+
+def test_windows_are_undone_before_means_are_taken():
+    rng = np.random.default_rng(10)
+    run = tl.published_models()["pilot"].simulate(simulated_logs.switching(rng, 3000), 0.1, 0.24)
+    noises = {"p_h": (0.003, 0.0, 1.0), "p_r": (0.003, 0.0, 1.0)}
+    made = {}
+    for window in (0.0, 100.0):
+        session = simulated_logs.with_noise(np.random.default_rng(1), run, noises, window)
+        runs = read_runs(session, "mode", "p_h", "p_r", log=tl.LogSettings())
+        made[window] = blocks_of(runs).measured
+    np.testing.assert_allclose(made[0.0], made[100.0], atol=1e-10)

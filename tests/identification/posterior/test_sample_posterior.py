@@ -1,0 +1,244 @@
+"""
+Draws of the posterior.
+
+Oracles: people drawn from the prior, whose ranks among the draws are uniform (Talts et al. 2018,
+simulation-based calibration); the fit where data tell everything; SciPy's generalized Pareto
+distribution; moments of known densities.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+import trustlab as tl
+from trustlab.identification.posterior.coordinates import to_thetas
+from trustlab.identification.posterior.draws import MODEL, physical
+from trustlab.identification.posterior.ensemble import ensemble_sample
+from trustlab.identification.posterior.importance import (
+    pareto_fit,
+    resampled,
+    smoothed,
+)
+from trustlab.identification.posterior.sampler import proposals, sample_target
+
+from . import simulated_logs
+
+
+def ranks(cases, **settings):
+    """The share of draws below the truth, by case and parameter of the model."""
+    rows = []
+    for seed, (session, theta) in enumerate(cases):
+        posterior = tl.sample_posterior(session, seed=seed, **settings)
+        truth = physical(theta[None], 0.1).iloc[0]
+        known = [name for name in posterior.draws if np.isfinite(truth[name])]
+        rows.append((posterior.draws[known] < truth[known]).mean())
+    return pd.DataFrame(rows)
+
+
+def covered(table, level=0.95):
+    """The share of the seven parameters' intervals that hold the truth."""
+    return (abs(table[list(MODEL)] - 0.5) <= 0.5 * level).to_numpy().mean()
+
+
+# --- calibration ----------------------------------------------------------------------------------
+
+
+def test_ranks_of_people_drawn_from_the_prior():
+    rng = np.random.default_rng(21)
+    cases = [simulated_logs.drawn_case(rng, "white", minutes=5.0) for _ in range(5)]
+    table = ranks(cases)
+    assert covered(table) > 0.85
+    # Ranks of one log are not independent: as if each had one.
+    assert abs(table.to_numpy().mean() - 0.5) < 4.0 * np.sqrt(1.0 / 12.0 / len(cases))
+
+
+def test_slow_noise_taken_for_white_fails():
+    """Negative control: a likelihood that is wrong covers far too seldom, and says so."""
+    rng = np.random.default_rng(22)
+    cases = [simulated_logs.printed_case(rng, "slow", minutes=5.0) for _ in range(3)]
+    no_slow_noise = tl.Prior(slow=(1e-4, 0.1), slow_time=(8.0, 0.1))
+    assert covered(ranks(cases)) > 0.85
+    assert covered(ranks(cases, prior=no_slow_noise)) < 0.7
+    posterior = tl.sample_posterior(cases[0][0], prior=no_slow_noise)
+    assert not posterior.reliable
+    assert "No noise of a white and a first-order part explains" in posterior.message
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["white", "slow", "means"])
+def test_three_hundred_sets_of_the_prior(kind):
+    """Ranks are uniform for every parameter, noise too: χ² in ten bins, p > .01."""
+    rng = np.random.default_rng([23, len(kind)])
+    table = ranks(simulated_logs.drawn_case(rng, kind) for _ in range(300))
+    for name, column in table.items():
+        counts = np.histogram(column, 10, (0.0, 1.0 + 1e-9))[0]
+        assert stats.chisquare(counts).pvalue > 0.01, name
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("loop", ["open", "closed"])
+@pytest.mark.parametrize("kind", ["white", "slow", "means"])
+def test_a_hundred_logs_of_a_printed_person(kind, loop):
+    rng = np.random.default_rng([24, len(kind), len(loop)])
+    table = ranks(simulated_logs.printed_case(rng, kind, loop) for _ in range(100))
+    assert covered(table) >= 0.92
+
+
+# --- what it agrees with --------------------------------------------------------------------------
+
+
+def test_a_long_log_agrees_with_its_fit():
+    session = tl.read_session("data/sessions/pilot.csv")
+    fit = tl.fit_tsc(session).table()
+    posterior = tl.sample_posterior(session)
+    table = posterior.table()
+    for name in ("human_a", "human_beta", "human_p_max", "robot_a", "robot_p_min", "robot_p_max"):
+        apart = abs(table.loc[name, "mean"] - fit.loc[name, "value"])
+        assert apart < 2.0 * fit.loc[name, "stderr"], name
+        assert table.loc[name, "sd"] == pytest.approx(fit.loc[name, "stderr"], rel=0.5), name
+    assert posterior.reliable
+    assert (table.loc[list(MODEL), "narrower"] > 0.98).all()
+    assert isinstance(posterior.models[0], tl.TscModel)
+    assert posterior.models[0].human.beta == posterior.draws["human_beta"].iloc[0]
+
+
+@pytest.mark.long
+def test_walkers_agree_with_weights():
+    session, _ = simulated_logs.printed_case(np.random.default_rng(25), "white", minutes=5.0)
+    posterior = tl.sample_posterior(session)
+    target = posterior.target
+    rng = np.random.default_rng(0)
+    sampled = sample_target(target, rng)
+    begin = resampled(sampled.sample, 200, rng)
+    walkers = ensemble_sample(target, begin, proposals(sampled.tops), rng)
+    by_walkers = physical(to_thetas(walkers.points, target), 0.1)
+    for name in MODEL:
+        mean, sd = posterior.draws[name].mean(), posterior.draws[name].std()
+        assert by_walkers[name].mean() == pytest.approx(mean, abs=0.25 * sd), name
+        assert by_walkers[name].std() == pytest.approx(sd, rel=0.3), name
+
+
+def test_the_tail_of_weights_is_a_pareto_distribution():
+    rng = np.random.default_rng(26)
+    for shape in (0.2, 0.6, 1.0):
+        excess = np.sort(stats.genpareto(shape).rvs(4000, random_state=rng))
+        estimate, scale = pareto_fit(excess)
+        assert estimate == pytest.approx(shape, abs=0.08)
+        assert scale == pytest.approx(1.0, rel=0.1)
+    # Weights of a normal density under one that is narrower have k = 1 − (narrow/wide)².
+    x = 0.5 * rng.standard_normal(20_000)
+    assert smoothed(stats.norm().logpdf(x) - stats.norm(scale=0.5).logpdf(x))[1] > 0.6
+    x = 1.5 * rng.standard_normal(20_000)
+    assert smoothed(stats.norm().logpdf(x) - stats.norm(scale=1.5).logpdf(x))[1] < 0.3
+
+
+# --- what it takes and says -----------------------------------------------------------------------
+
+
+def test_the_seed_decides():
+    session, _ = simulated_logs.printed_case(np.random.default_rng(27), "white", minutes=3.0)
+    first, again, changed = (tl.sample_posterior(session, n=200, seed=s) for s in (1, 1, 2))
+    pd.testing.assert_frame_equal(first.draws, again.draws)
+    assert not first.draws.equals(changed.draws)
+    assert len(first) == 200
+
+
+def test_what_a_short_log_leaves_open_is_left_to_the_prior():
+    session, _ = simulated_logs.printed_case(np.random.default_rng(28), "slow", minutes=3.0)
+    posterior = tl.sample_posterior(session)
+    assert "mostly to the prior" in posterior.message
+    table = posterior.table()
+    assert table.loc["human_beta", "narrower"] < 0.6
+    assert list(table) == ["mean", "sd", "ci_low", "ci_high", "narrower", "k_hat"]
+    axes = posterior.plot()
+    assert axes.shape == (3, 3)
+    assert "synthetic" in axes[0, 0].figure.get_suptitle()
+    plt.close("all")
+    narrower = tl.sample_posterior(session, prior="published").table()
+    assert narrower.loc["human_beta", "sd"] < table.loc["human_beta", "sd"]
+
+
+def test_a_refused_fit_points_here_and_this_answers():
+    rng = np.random.default_rng(29)
+    session, _ = simulated_logs.printed_case(rng, "slow")
+    fit = tl.fit_tsc(session)
+    assert not fit.success
+    assert "trustlab.sample_posterior" in fit.message
+    assert tl.sample_posterior(session).k_hat <= 0.7
+
+
+def test_dropouts_are_left_out():
+    session, _ = simulated_logs.printed_case(np.random.default_rng(30), "white", minutes=5.0)
+    p_h = session["p_h"].copy()
+    p_h[1000:1030] = 0.0
+    clean, damaged = (
+        tl.sample_posterior(each).draws["human_p_max"]
+        for each in (session, session.with_columns(p_h=p_h))
+    )
+    assert damaged.mean() == pytest.approx(clean.mean(), abs=clean.std())
+    spoiled = tl.sample_posterior(session.with_columns(p_h=p_h), robust=False)
+    assert spoiled.draws["p_h_slow"].mean() > 0.02
+
+
+def test_a_delay_is_drawn():
+    rng = np.random.default_rng(31)
+    session, _ = simulated_logs.printed_case(rng, "white", minutes=5.0)
+    late = session.with_columns(mode=np.r_[session["mode"][10:], np.full(10, session["mode"][-1])])
+    draws = tl.sample_posterior(late, mode_delay=True).draws["mode_delay"]
+    assert draws.mean() == pytest.approx(1.0, abs=4.0 * draws.std() + 0.1)
+    assert "mode_delay" not in tl.sample_posterior(late).draws
+
+
+def test_runs_share_parameters_and_keep_their_beginnings():
+    rng = np.random.default_rng(32)
+    sessions = [simulated_logs.printed_case(rng, "white", minutes=3.0)[0] for _ in range(2)]
+    both = tl.sample_posterior(sessions)
+    alone = tl.sample_posterior(sessions[0])
+    assert {"r0[0]", "r0[1]", "p_r0[0]", "p_r0[1]"} <= set(both.draws)
+    assert both.table().loc["robot_p_max", "sd"] < alone.table().loc["robot_p_max", "sd"]
+
+
+def test_what_is_not_understood_is_refused():
+    session, _ = simulated_logs.printed_case(np.random.default_rng(33), "white", minutes=1.0)
+    for arguments, words in (
+        ({"prior": "strong"}, "weak"),
+        ({"prior": 3}, "Prior"),
+        ({"n": 10}, "n must"),
+        ({"windo": 3.0}, "windo"),
+    ):
+        with pytest.raises((ValueError, TypeError), match=words):
+            tl.sample_posterior(session, **arguments)
+    with pytest.raises(tl.IdentificationError, match="mode never changes"):
+        tl.sample_posterior(session.with_columns(mode=np.ones(len(session))))
+    with pytest.raises(tl.IdentificationError, match="too short"):
+        tl.sample_posterior(
+            session.with_columns(mode=np.arange(len(session)) % 2).between(3.0, 8.0)
+        )
+    for stated, words in (((1.0,), "pair"), ((-1.0, 0.5), "median"), ((1.0, 0.0), "spread")):
+        with pytest.raises(ValueError, match=words):
+            tl.Prior(human_time_constant=stated)
+    with pytest.raises(ValueError, match="correlation"):
+        tl.Prior(correlation=np.eye(3))
+    far = session.with_columns(p_h=session["p_h"] + 3.0)
+    with pytest.raises(tl.IdentificationError, match="far from what the prior expects"):
+        tl.sample_posterior(far)
+    stated = tl.Prior(human_p_min=(3.4, 0.1))
+    assert tl.sample_posterior(far, prior=stated).draws["human_p_max"].mean() > 3.0
+    above = tl.sample_posterior(session.with_columns(p_h=session["p_h"] + 0.6))
+    assert "far from what the prior expects" in above.message
+
+
+def test_the_table_of_the_page_is_that_of_the_code():
+    """docs/concepts/priors.md states the weak prior's numbers."""
+    from pathlib import Path
+
+    page = (Path(__file__).parents[3] / "docs" / "concepts" / "priors.md").read_text()
+    table = tl.Prior().table()
+    rows = [line.split("|")[1:-1] for line in page.splitlines() if line.startswith("| ")]
+    stated = [[cell.strip().replace("−", "-") for cell in row] for row in rows[2:15]]
+    assert len(stated) == len(table)
+    for cells, (name, row) in zip(stated, table.iterrows(), strict=True):
+        for cell, value in zip(cells[1:4], row, strict=True):
+            assert float(cell) == pytest.approx(value, rel=0.06, abs=0.005), (name, cells)

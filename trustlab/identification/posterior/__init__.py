@@ -1,0 +1,3 @@
+"""
+What a log says of a person, as draws: priors, likelihood, coordinates, sampling, populations.
+"""

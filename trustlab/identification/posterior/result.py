@@ -1,0 +1,195 @@
+"""The posterior of one person as draws: tables, models, plots, and a sentence."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+
+from trustlab.identification.posterior.coordinates import Target
+from trustlab.identification.posterior.draws import MODEL, tsc_models
+from trustlab.identification.posterior.likelihood import SHARED, simulate
+from trustlab.identification.posterior.plots import plot_posterior
+from trustlab.identification.posterior.priors import Prior
+from trustlab.identification.posterior.sampler import MOST_K
+from trustlab.models.checks import open_unit
+from trustlab.models.html import as_html
+from trustlab.models.tsc import TscModel
+
+# Width of an interval, as a share of the prior's, up to which data count as telling the value.
+DETERMINED = 0.5
+
+# p value below which residuals speak against the noise model.
+NOT_WHITE = 1e-3
+
+# Distance from the prior's mean, in its standard deviations, from which on it is in doubt.
+UNEXPECTED = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """
+    What a log says of a person and a robot, as equally likely draws of all parameters.
+
+    Parameters
+    ----------
+    draws : pandas.DataFrame
+        One row per draw: parameters as `fit_tsc` names them, time constants [s], initial states of
+        each run, and the noise of each output: standard deviations per sample of its white and its
+        slow part, and the time constant [s] of the latter.
+    prior_draws : pandas.DataFrame
+        Draws of the prior, with the same columns.
+    prior : Prior
+        The prior.
+    k_hat : float
+        Shape of the tail of the importance weights; above 0.7, or infinite, the draws are not to be
+        trusted. 0 for walkers that moved for long enough.
+    effective : float
+        How many independent draws the sample is worth.
+    method : {"importance", "adapted mixture", "ensemble", "population"}
+        How it was made.
+    whiteness : dict of float
+        p value of the Ljung–Box test of each output's prediction errors, at the mean of the draws.
+    labels : tuple of str
+        The runs.
+    synthetic : bool
+        Whether any of the data were simulated.
+    thetas : numpy.ndarray
+        The draws in unbounded coordinates.
+    target : Target
+        The data as the likelihood reads them.
+    """
+
+    draws: pd.DataFrame
+    prior_draws: pd.DataFrame
+    prior: Prior
+    k_hat: float
+    effective: float
+    method: str
+    whiteness: dict[str, float]
+    labels: tuple[str, ...]
+    synthetic: bool
+    thetas: np.ndarray
+    target: Target
+
+    how_to_get = "trustlab.sample_posterior(sessions) returns one"
+
+    def __len__(self) -> int:
+        return len(self.draws)
+
+    @cached_property
+    def models(self) -> list[TscModel]:
+        """One `TscModel` per draw."""
+        return tsc_models(self.draws)
+
+    @property
+    def reliable(self) -> bool:
+        """Whether the draws may be trusted and the noise model fits the residuals."""
+        return self.k_hat <= MOST_K and min(self.whiteness.values()) >= NOT_WHITE
+
+    def table(self, level: float = 0.95) -> pd.DataFrame:
+        """
+        Return every parameter's posterior, and how much narrower than the prior it is.
+
+        Parameters
+        ----------
+        level : float
+            Level of the intervals, in (0, 1).
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `parameter`; columns mean, sd, ci_low, ci_high, narrower (1 less the width of the
+            interval over that of the prior's) and k_hat.
+
+        Raises
+        ------
+        ValueError
+            If `level` is outside (0, 1).
+        """
+        level = open_unit("level", level)
+        ends = [0.5 - 0.5 * level, 0.5 + 0.5 * level]
+        low, high = self.draws.quantile(ends).to_numpy()
+        prior_low, prior_high = self.prior_draws.quantile(ends).to_numpy()
+        columns = {
+            "mean": self.draws.mean(),
+            "sd": self.draws.std(),
+            "ci_low": low,
+            "ci_high": high,
+            "narrower": 1.0 - (high - low) / (prior_high - prior_low),
+            "k_hat": self.k_hat,
+        }
+        return pd.DataFrame(columns).rename_axis("parameter")
+
+    @cached_property
+    def message(self) -> str:
+        """What these data determine, what they leave to the prior, and what to doubt."""
+        table = self.table().loc[list(MODEL)]
+        told = table[table["narrower"] >= 1.0 - DETERMINED]
+        open_ = [name for name in MODEL if name not in told.index]
+        values = [
+            f"{name} {row['mean']:.3g} ({row['ci_low']:.3g} to {row['ci_high']:.3g})"
+            for name, row in told.iterrows()
+        ]
+        sentences = []
+        if values:
+            sentences.append(f"These data determine {', '.join(values)}.")
+        if open_:
+            sentences.append(f"They leave {', '.join(open_)} mostly to the prior.")
+        sentences += self._doubts()
+        return " ".join(sentences)
+
+    def _doubts(self) -> list[str]:
+        """Return reasons not to trust the draws."""
+        doubts = []
+        if not self.k_hat <= MOST_K:
+            doubts.append(
+                "The draws are not to be trusted: no proposal fits the posterior; record more, or "
+                "state a narrower prior."
+            )
+        for output, p in self.whiteness.items():
+            if p < NOT_WHITE:
+                doubts.append(
+                    f"No noise of a white and a first-order part explains {output} (Ljung–Box p = "
+                    f"{p:.2g}): intervals may be too narrow."
+                )
+        apart = (self.thetas[:, :SHARED].mean(axis=0) - self.target.centre[:SHARED]) / (
+            self.target.deviation[:SHARED]
+        )
+        if np.abs(apart).max() > UNEXPECTED:
+            doubts.append(
+                "The data lie far from what the prior expects; if your measure has another unit or "
+                "scale, state prior=trustlab.Prior(…)."
+            )
+        return doubts
+
+    def simulated(self, most: int = 200) -> np.ndarray:
+        """
+        Return block means of P_h and P_r that draws simulate, shape (draws, 2, blocks).
+
+        Parameters
+        ----------
+        most : int
+            Draws to simulate.
+        """
+        return np.array([simulate(theta, self.target.blocks) for theta in self.thetas[:most]])
+
+    def plot(self):
+        """
+        Plot marginals beside the prior, and measured performance with the band of fitted curves.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes
+            Seven marginals, then human and robot performance of the first run.
+        """
+        return plot_posterior(self)
+
+    def __repr__(self) -> str:
+        return (
+            f"Posterior({len(self)} draws, k_hat={self.k_hat:.2g}, {self.method}: {self.message})"
+        )
+
+    def _repr_html_(self) -> str:
+        origin = " Synthetic data." if self.synthetic else ""
+        return as_html(self.message + origin, self.table(), title=f"Posterior, {len(self)} draws")

@@ -1,0 +1,94 @@
+"""From a target to a weighted sample: tops, proposals, adaptation, walkers where these fail."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from trustlab.identification.posterior.coordinates import Target
+from trustlab.identification.posterior.ensemble import ensemble_sample
+from trustlab.identification.posterior.importance import (
+    Part,
+    Sample,
+    fitted_mixture,
+    importance_sample,
+    resampled,
+)
+from trustlab.identification.posterior.search import Top, climb, starting_points
+
+# Draws of the prior that starts are chosen from, and starts.
+DRAWS = 150
+STARTS = 3
+
+# A sample is good where k̂ is at most this and it is worth at least so many independent draws.
+MOST_K = 0.7
+FEWEST = 300.0
+
+# Points that are weighed first, and in each round of adaptation; parts of the mixtures of rounds.
+POINTS = 4000
+MORE_POINTS = 8000
+ROUNDS = (1, 3, 3, 5)
+
+
+class Sampled(NamedTuple):
+    """A weighted sample, how it was made, and the maxima that were seen."""
+
+    sample: Sample
+    method: str
+    tops: list[Top]
+
+
+def good(sample: Sample) -> bool:
+    """Return whether weights may be trusted as far as they tell."""
+    return sample.k_hat <= MOST_K and sample.effective >= FEWEST
+
+
+def tops_of(target: Target, rng: np.random.Generator) -> list[Top]:
+    """Return the maxima that ascents from several starts reach, the highest first."""
+    climbed = [climb(x, target) for x in starting_points(target, rng, DRAWS, STARTS)]
+    apart: list[Top] = []
+    for top in sorted(climbed, key=lambda top: -top.value):
+        if top.value > climbed[0].value - 12.0 and all(_apart(top, t) for t in apart):
+            apart.append(top)
+    return apart
+
+
+def _apart(top: Top, higher: Top) -> bool:
+    """Return whether a maximum lies outside of a higher one's hill."""
+    distance = top.x - higher.x
+    return bool(distance @ np.linalg.solve(higher.covariance, distance) > 4.0)
+
+
+def proposals(tops: list[Top]) -> list[Part]:
+    """Return a part for each maximum, and a wide one along the weakest directions."""
+    highest = tops[0]
+    parts = []
+    for top in tops:
+        _, log_volume = np.linalg.slogdet(top.covariance)
+        weight = np.exp(top.value - highest.value + 0.5 * log_volume)
+        parts.append(Part(weight, top.x, 1.15 * top.covariance))
+    values, vectors = np.linalg.eigh(highest.covariance)
+    values[-3:] = np.maximum(np.minimum(6.0 * values[-3:], 1.5), values[-3:])
+    total = sum(part.weight for part in parts)
+    return [*parts, Part(0.3 * total, highest.x, (vectors * values) @ vectors.T)]
+
+
+def sample_target(target: Target, rng: np.random.Generator, points: int = POINTS) -> Sampled:
+    """Sample a posterior; proposals are adapted where weights are bad, and walkers come last."""
+    tops = tops_of(target, rng)
+    parts = proposals(tops)
+    wide = Part(0.1, parts[-1].centre, parts[-1].scale)
+    sample = best = importance_sample(target, parts, rng, points)
+    method = "importance"
+    for count in ROUNDS:
+        if good(best):
+            break
+        adapted = [*fitted_mixture(best, count, rng), wide]
+        sample = importance_sample(target, adapted, rng, max(points, MORE_POINTS))
+        method = "adapted mixture"
+        if sample.effective > best.effective or good(sample):
+            best = sample
+            parts = adapted
+    if not good(best):
+        method = "ensemble"
+        best = ensemble_sample(target, resampled(best, 400, rng), parts, rng)
+    return Sampled(best, method, tops)
