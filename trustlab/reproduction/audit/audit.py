@@ -15,20 +15,20 @@ from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import shown
 from trustlab.reproduction.audit.catalogue import printed_numbers, why_unchecked
 from trustlab.reproduction.audit.joint_consistency import joint_rows
-from trustlab.reproduction.audit.models import model_checks
+from trustlab.reproduction.audit.remarks import relation_checks, remarks
 from trustlab.reproduction.audit.sample_moments import sample_checks
-from trustlab.reproduction.audit.statements import claim_checks, setting_checks, statement_checks
+from trustlab.reproduction.audit.statements import claim_checks, statement_checks
 from trustlab.reproduction.audit.statistics import study_checks
 from trustlab.reproduction.audit.verdict import VERDICTS, Remark, Row, rows_of
 from trustlab.reproduction.published import published_folder
 
 MAKERS = (
-    model_checks,
+    relation_checks,
+    remarks,
     study_checks,
     sample_checks,
     claim_checks,
     statement_checks,
-    setting_checks,
     joint_rows,
 )
 
@@ -72,8 +72,10 @@ def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     """
     numbers = printed_numbers(changes)
     rows = [row for maker in MAKERS for row in rows_of(maker(numbers), numbers)]
-    # A number counts as checked if a row has its id, or continues it after a slash.
-    checked = {start for row in rows for start in _ancestors(row.id)}
+    # A number counts as checked if a row has its id, or continues it after a slash; to be printed
+    # twice is no check.
+    checks = [row.id for row in rows if not row.id.endswith("/duplicate")]
+    checked = {start for id in checks for start in _ancestors(id)}
     rows += rows_of([Remark(id, why_unchecked(id)) for id in numbers if id not in checked], numbers)
     differ = {row.id for row in rows if row.verdict == "differs"}
     rows = [_resting(row, differ) for row in rows]

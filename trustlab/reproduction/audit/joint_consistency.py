@@ -9,7 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS
-from trustlab.reproduction.audit.models import PERFORMANCE, bounds, limits, upper_limit_check
+from trustlab.reproduction.audit.equations import (
+    LIMIT_INPUTS,
+    PERFORMANCE,
+    bounds,
+    limits,
+)
+from trustlab.reproduction.audit.remarks import related
 from trustlab.reproduction.audit.verdict import NOTHING, Numbers, Row, listing, row_about
 
 LIMITS = ("TSC_lb", "TSC_ub", "b_pr")
@@ -117,12 +123,12 @@ class JointCheck:
 
 
 def _limit_row(numbers: Numbers, p: str) -> Row:
-    inputs = {name: f"table_2.1/{name}/{p}" for name in (*PERFORMANCE, "a_pr", "delta_P_h")}
+    inputs = {name: f"table_2.1/{name}/{p}" for name in LIMIT_INPUTS}
     outputs = {name: f"table_2.1/{name}/{p}" for name in LIMITS}
     gain = numbers[outputs["b_pr"]].value
     with_gain = (lambda v: limits(v | {"b_pr": gain}), limits)  # b_pr as printed, then by (2.3)
     check = JointCheck(numbers, inputs, outputs, with_gain)
-    if upper_limit_check(p).row(numbers).verdict == "differs":
+    if related(f"table_2.1/TSC_ub/{p}", numbers).row(numbers).verdict == "differs":
         return check.described("not checkable", "TSC_ub alone does not follow; see its own row.")
     return check.row(_finer_rate)
 

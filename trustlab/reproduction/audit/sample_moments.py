@@ -9,7 +9,6 @@ import numpy as np
 
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, study_names
 from trustlab.reproduction.audit.verdict import (
-    Check,
     Finding,
     Formula,
     Numbers,
@@ -89,15 +88,11 @@ def _sd(measure: str, mean: str) -> Possible | Remark:
     least, most = MEASURES["scales"][measure]
     inputs = {"M": mean, "n": _size(measure)}
 
-    def between_ends(v: dict) -> np.ndarray:
-        return np.sqrt(
-            np.maximum(v["n"] / (v["n"] - 1.0) * (v["M"] - least) * (most - v["M"]), 0.0)
-        )
-
     text = f"√(n/(n − 1) (M − {least:g})({most:g} − M)), all scores at the ends of the scale"
-    greatest = Formula(text, inputs, between_ends)
+    expression = f"sqrt(max(n / (n - 1.0) * (M - {least}) * ({most} - M), 0.0))"
     if math.isinf(most):
-        greatest = Formula("M √n, all but one score 0", inputs, lambda v: v["M"] * np.sqrt(v["n"]))
+        text, expression = "M √n, all but one score 0", "M * sqrt(n)"
+    greatest = Formula.of(expression, inputs, text=text)
     return Possible(sd, Formula.of("0", {}), greatest)
 
 
@@ -201,8 +196,8 @@ def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Pos
         return Remark(id, f"Measured; a share between 0 and 1. {forced}")
 
     def mean_of(end: str) -> Formula:
-        ids = {f"{name}_{end},{p}": f"table_2.1/{name}_{end}/{p}" for p in PARTICIPANTS}
-        return Formula(f"mean of {name}_{end} of Table 2.1", ids, _mean)
+        ids = {f"x_{p}": f"table_2.1/{name}_{end}/{p}" for p in PARTICIPANTS}
+        return Formula.of("mean(x)", ids, text=f"mean of {name}_{end} of Table 2.1")
 
     top, _, _ = mean_of("max").range(numbers)
     if numbers[id].value >= top:
@@ -213,30 +208,15 @@ def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Pos
     return Possible(id, mean_of("min"), mean_of("max"), forced)
 
 
-def _mean(v: dict) -> np.ndarray:
-    return np.mean(list(v.values()), axis=0)
-
-
-def _followed(condition: str, numbers: Numbers) -> list[Check | Remark]:
-    """
-    Return the checks of a row of Table 2.6: mean and SD of the five participants, and their counts.
-    """
-    ids = {f"x_{p}": f"table_2.6/{condition}/{p}" for p in PARTICIPANTS}
-
-    def sd_of(v: dict, ddof: int) -> np.ndarray:
-        return np.std(list(v.values()), axis=0, ddof=ddof)
-
-    sample = Formula("SD of the five", ids, lambda v: sd_of(v, 1), "divided by n − 1")
-    population = Formula("SD of the five", ids, lambda v: sd_of(v, 0), "divided by n")
-    checks: list[Check | Remark] = [
-        Check(f"table_2.6/{condition}/mean", Formula("mean of the five", ids, _mean)),
-        Check(f"table_2.6/{condition}/sd", sample, (population,)),
-    ]
-    for id in ids.values():
+def _followed(condition: str, numbers: Numbers) -> list[Remark]:
+    """Return remarks on the shares of Table 2.6: the simplest counts that give them."""
+    remarks = []
+    for p in PARTICIPANTS:
+        id = f"table_2.6/{condition}/{p}"
         ratio = simplest_ratio(numbers[id])
         simplest = f"; simplest is {ratio.numerator} of {ratio.denominator}" if ratio else ""
-        checks.append(Remark(id, f"Counts of suggestions are not printed{simplest}."))
-    return checks
+        remarks.append(Remark(id, f"Counts of suggestions are not printed{simplest}."))
+    return remarks
 
 
 def sample_checks(numbers: Numbers) -> list[Finding]:

@@ -10,14 +10,15 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
+from trustlab.reproduction.audit.arithmetic import evaluate
 from trustlab.reproduction.printed_number import PrintedNumber
 
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
 Numbers = Mapping[str, PrintedNumber]
-Compute = Callable[..., Any]  # of a dict of arrays, an array
+Compute = Callable[[Mapping[str, np.ndarray]], Any]
+SYMBOL = re.compile(r"[^\W\d]\w*")
 Span = tuple[float, float, float]
 NOTHING = (np.nan, np.nan, np.nan)
 
@@ -75,16 +76,16 @@ class Formula:
     """
     A way to compute one printed number from others.
 
-    `text` is the formula as one reads it; `inputs` maps symbols to ids of printed numbers;
-    `compute` takes the symbols as arrays and returns an array; `label` names the convention, or
-    says what an explanation assumes. `changed` has symbols put in place of printed values, without
-    rounding (the change that an explanation tries); `as_printed` names symbols that are used with
-    the printed digits as they stand.
+    `expression` is what `arithmetic.evaluate` takes; `inputs` maps its symbols to ids of printed
+    numbers; `text` is the formula as one reads it; `label` names the convention, or says what an
+    explanation assumes. `changed` has symbols put in place of printed values, without rounding (the
+    change that an explanation tries); `as_printed` names symbols that are used with the printed
+    digits as they stand.
     """
 
-    text: str
+    expression: str
     inputs: Mapping[str, str]
-    compute: Compute
+    text: str
     label: str = ""
     changed: Mapping[str, float] = field(default_factory=dict)
     as_printed: tuple[str, ...] = ()
@@ -94,23 +95,20 @@ class Formula:
         cls, expression: str, ids: Mapping[str, str], label: str = "", text: str = ""
     ) -> "Formula":
         """
-        Return the formula of an arithmetic expression, with those of `ids` that it names as inputs.
+        Return the formula of an expression, with those of `ids` that it names as inputs.
 
         The text is the expression set as in print, unless given, so that what is shown is what is
         computed.
         """
-        symbols = dict.fromkeys(re.findall(r"[^\W\d]\w*", expression))
-        inputs = {symbol: ids[symbol] for symbol in symbols if symbol in ids}
-        shown = (
-            re.sub(r"abs\(([^()]*)\)", r"|\1|", expression).replace(" * ", " ").replace(") (", ")(")
-        )
-        shown = shown.replace(" / ", "/").replace("-", "−").replace(" % ", " modulo ")
-        return cls(
-            text or shown,
-            inputs,
-            lambda v: pd.eval(expression, engine="python", local_dict=v),
-            label,
-        )
+        inputs: dict[str, str] = {}
+        for name in dict.fromkeys(SYMBOL.findall(expression)):
+            family = [symbol for symbol in ids if symbol.startswith(f"{name}_")]
+            inputs |= {symbol: ids[symbol] for symbol in ([name] if name in ids else family)}
+        return cls(expression, inputs, text or _as_in_print(expression), label)
+
+    def compute(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the value of the formula at arrays of its inputs."""
+        return evaluate(self.expression, values)
 
     def range(self, numbers: Numbers) -> Span:
         """
@@ -132,6 +130,14 @@ class Formula:
         _, low, high = self.range(numbers)
         least, most = number.compatible
         return low <= most and high >= least
+
+
+def _as_in_print(expression: str) -> str:
+    """Return an expression without signs of multiplication, and with bars for magnitudes."""
+    text = re.sub(r"abs\(([^()]*)\)", r"|\1|", expression)
+    for code, sign in ((" * ", " "), (") (", ")("), (" / ", "/"), ("-", "−"), (" % ", " modulo ")):
+        text = text.replace(code, sign)
+    return text
 
 
 def reach(compute: Compute, middle: Mapping[str, float], half: Mapping[str, float]) -> Span:
