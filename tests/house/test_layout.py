@@ -23,7 +23,7 @@ MOST_TOKENS = {
     "models": 10_600,
     "operators": 3_500,
     "publishing": 12_000,
-    "reproduction": 41_500,
+    "reproduction": 39_500,
     "sessions": 29_000,
     "studies": 50_000,
     "teleoperation": 30_500,

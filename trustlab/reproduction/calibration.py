@@ -102,13 +102,13 @@ class Calibration:
         for name, (low, high) in self.priors.items():
             values = self.posterior[name]
             contraction = 1.0 - 12.0 * values.var() / (high - low) ** 2
-            found = (
+            posterior = (
                 values.median(),
                 *values.quantile([0.025, 0.975]),
                 contraction,
                 name in self.extrapolated,
             )
-            rows.append((name, low, high, *found))
+            rows.append((name, low, high, *posterior))
         names = [
             "assumption",
             "prior_low",
@@ -160,14 +160,14 @@ class Calibration:
             scale = np.maximum(values.std(axis=0), 1e-12)
             tree = KDTree(values / scale)
             nearest = tree.query(np.array([effect.printed for effect in chosen]) / scale)[0]
-            others = tree.query(values / scale, 2)[0][:, 1]
+            between_studies = tree.query(values / scale, 2)[0][:, 1]
             rows.append(
                 (
                     " ".join(measures),
                     len(chosen),
                     nearest,
-                    np.median(others),
-                    (others >= nearest).mean(),
+                    np.median(between_studies),
+                    (between_studies >= nearest).mean(),
                 )
             )
         return pd.DataFrame(rows, columns=["measures", "effects", "nearest", "typical", "share"])
@@ -189,12 +189,12 @@ class Calibration:
         """
         share = between("share", share, 0.0, 1.0)
         for size in range(len(self.measures), 0, -1):
-            found = [self.given(*measures) for measures in combinations(self.measures, size)]
+            candidates = [self.given(*measures) for measures in combinations(self.measures, size)]
             shares = [
-                -1.0 if one.extrapolated else float(one.reach()["share"].iloc[-1]) for one in found
+                -1.0 if c.extrapolated else float(c.reach()["share"].iloc[-1]) for c in candidates
             ]
             if max(shares) >= share:
-                return found[int(np.argmax(shares))]
+                return candidates[int(np.argmax(shares))]
         raise ValueError(
             f"no measure of {self.study} is within reach of simulated studies, at a share of "
             f"{share:g}"
@@ -287,7 +287,7 @@ class Calibration:
         ValueError
             If the effect or an assumption is unknown.
         """
-        known = {found.id: found for found in self.observed}
+        known = {candidate.id: candidate for candidate in self.observed}
         measured = known[one_of("effect", effect, known)]
         u, v = (
             self.simulations[one_of("an assumption", name, self.priors)].to_numpy()
@@ -314,13 +314,10 @@ class Calibration:
     @property
     def words(self) -> str:
         """What this is, in a line."""
-        studies, given = (
-            self.settings["simulations"],
-            ", ".join(UNITS.get(name, name) for name in self.measures),
-        )
+        measures = ", ".join(UNITS.get(name, name) for name in self.measures)
         return (
-            f"{self.study}: {studies} simulated studies of {self.settings['n']} operators, "
-            f"given {given}"
+            f"{self.study}: {self.settings['simulations']} simulated studies of "
+            f"{self.settings['n']} operators, given {measures}"
         )
 
     def _repr_html_(self) -> str:
@@ -529,7 +526,7 @@ def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple
         raise ValueError(
             f"priors must map at least one assumption to (low, high), got {priors!r:.60}"
         )
-    found = {}
+    ranges = {}
     for name, pair in priors.items():
         try:
             low, high = pair
@@ -537,10 +534,10 @@ def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple
             raise ValueError(
                 f"the prior of {name} must be two numbers, low and high, got {pair!r:.60}"
             ) from None
-        found[name] = in_order(f"the prior's low end of {name}", low, "its high end", high)
+        ranges[name] = in_order(f"the prior's low end of {name}", low, "its high end", high)
     for end in (0, 1):
-        checked_assumptions({name: pair[end] for name, pair in found.items()})
-    return found
+        checked_assumptions({name: pair[end] for name, pair in ranges.items()})
+    return ranges
 
 
 def prior_draws(
@@ -604,16 +601,16 @@ def posterior_sample(
     )  # of the observed effects, which are zero here: the first row of coefficients
     away = (summaries - coefficients[0]) / np.maximum(summaries.std(axis=0), 1e-12)
     distance = np.sqrt((away**2).sum(axis=1))
-    kept = np.argsort(distance, kind="stable")[
+    nearest = np.argsort(distance, kind="stable")[
         : max(round(accepted * len(theta)), LEAST_PER_SUMMARY * (len(low) + 1))
     ]
-    weight = 1.0 - (distance[kept] / (distance[kept].max() * (1.0 + 1e-9))) ** 2
-    design = np.column_stack([np.ones(kept.size), away[kept]])
+    weight = 1.0 - (distance[nearest] / (distance[nearest].max() * (1.0 + 1e-9))) ** 2
+    design = np.column_stack([np.ones(nearest.size), away[nearest]])
     root = np.sqrt(weight)[:, None]
-    slopes = np.linalg.lstsq(root * design, root * theta[kept], rcond=None)[0][1:]
-    moved = theta[kept] - away[kept] @ slopes
+    slopes = np.linalg.lstsq(root * design, root * theta[nearest], rcond=None)[0][1:]
+    moved = theta[nearest] - away[nearest] @ slopes
     rng = np.random.default_rng([seed, 0x706F7374])
-    chosen = rng.choice(kept.size, size=4 * kept.size, p=weight / weight.sum())
+    chosen = rng.choice(nearest.size, size=4 * nearest.size, p=weight / weight.sum())
     beyond = (away.min(axis=0) > 0.0) | (away.max(axis=0) < 0.0)
     return pd.DataFrame(
         low + (high - low) * special.ndtr(moved[chosen]), columns=drawn.columns

@@ -17,13 +17,13 @@ from trustlab.reproduction.printed_number import ROUNDINGS, half_unit, printed_d
 Compute = Callable[[dict[str, float]], Mapping[str, float]]
 
 
-def matching_digits(ours: float, printed: str) -> int:
+def matching_digits(value: float, printed: str) -> int:
     """
     Return how many significant digits of a printed number ours has, counted from the first.
 
     Parameters
     ----------
-    ours : float
+    value : float
         The value found here.
     printed : str
         The number as printed, trailing zeros kept; it cannot match in more digits than it has.
@@ -35,27 +35,29 @@ def matching_digits(ours: float, printed: str) -> int:
         significant digits.
     """
     target = printed_decimal(printed)
-    if not np.isfinite(ours):
+    if not np.isfinite(value):
         return 0
-    value = Decimal(float(ours))
+    exact = Decimal(float(value))
     if target == 0:
-        return int(rounds_to(ours, target))
+        return int(rounds_to(value, target))
     for digits in range(len(target.as_tuple().digits), 0, -1):
         unit = Decimal(1).scaleb(target.adjusted() - digits + 1)
-        if any(value.quantize(unit, rule) == target.quantize(unit, rule) for rule in ROUNDINGS):
+        if any(exact.quantize(unit, rule) == target.quantize(unit, rule) for rule in ROUNDINGS):
             return digits
     return 0
 
 
 def compare(
-    ours: Mapping[str, float], printed: Mapping[str, str], stderr: Mapping[str, float] | None = None
+    values: Mapping[str, float],
+    printed: Mapping[str, str],
+    stderr: Mapping[str, float] | None = None,
 ) -> pd.DataFrame:
     """
     Put our values beside the printed ones.
 
     Parameters
     ----------
-    ours : mapping of str to float
+    values : mapping of str to float
         Values found here, by quantity.
     printed : mapping of str to str
         Values as printed, by the same quantities; it is an error if one side lacks any.
@@ -86,14 +88,14 @@ def compare(
     printed_digits            3           2
     verdict          reproduced  reproduced
     """
-    if set(ours) != set(printed):
-        only = sorted(set(ours) ^ set(printed))
+    if set(values) != set(printed):
+        only = sorted(set(values) ^ set(printed))
         raise ValueError(
             "both sides must have the same quantities; only on one side: "
             f"{', '.join(map(str, only))}"
         )
     rows = []
-    for name, value in ours.items():
+    for name, value in values.items():
         target = printed_decimal(printed[name])
         text = printed[name].strip()
         error = float((stderr or {}).get(name, np.nan))
@@ -127,25 +129,27 @@ def _printed_values(name: str, values: Mapping[str, str]) -> dict[str, str]:
         raise ValueError(
             f"{name} must map names to numbers as printed, got {type(values).__name__}"
         )
-    found = dict(values.items())
-    if not found:
+    texts = dict(values.items())
+    if not texts:
         raise ValueError(f"{name} must hold at least one number as printed, got none")
-    for text in found.values():
+    for text in texts.values():
         printed_decimal(text)
-    return found
+    return texts
 
 
-def _outputs(compute: Compute, inputs: Mapping[str, float], wanted: list) -> Mapping[str, float]:
-    """Return what `compute` gives, or say which of the wanted outputs it does not give."""
+def _outputs(compute: Compute, inputs: Mapping[str, float], names: list) -> Mapping[str, float]:
+    """Return what `compute` gives, or say which of the outputs named it does not give."""
     if not callable(compute):
         raise ValueError(
             f"compute must be a function of a dictionary of inputs, got {type(compute).__name__}"
         )
-    found = compute(dict(inputs))
-    for name in wanted:
-        if name not in found:
-            raise ValueError(f"compute returns {', '.join(map(str, found))}, but no {shown(name)}")
-    return found
+    outputs = compute(dict(inputs))
+    for name in names:
+        if name not in outputs:
+            raise ValueError(
+                f"compute returns {', '.join(map(str, outputs))}, but no {shown(name)}"
+            )
+    return outputs
 
 
 def recompute(
@@ -194,13 +198,11 @@ def recompute(
     if len(inputs) <= 12:
         points = np.concatenate([points, np.array(list(product((-1.0, 1.0), repeat=len(inputs))))])
     exact = _outputs(compute, dict(zip(inputs, centre.tolist(), strict=True)), list(outputs))
-    found = [exact]
+    points_computed = [exact]
     for point in points:
         with contextlib.suppress(ValueError):
-            found.append(compute(dict(zip(inputs, centre + half * point, strict=True))))
-    span = (
-        pd.DataFrame([{name: own[name] for name in outputs} for own in found]).agg(["min", "max"]).T
-    )
+            points_computed.append(compute(dict(zip(inputs, centre + half * point, strict=True))))
+    span = pd.DataFrame(points_computed)[list(outputs)].agg(["min", "max"]).T
     table = compare({name: exact[name] for name in outputs}, outputs).assign(
         low=span["min"], high=span["max"]
     )
@@ -258,10 +260,10 @@ def smallest_change(
         unit = 2.0 * half_unit(text)
         for k in sorted(range(-units, units + 1), key=abs):
             try:
-                found = compute(middle | {name: middle[name] + k * unit})[output]
+                value = compute(middle | {name: middle[name] + k * unit})[output]
             except ValueError:
                 continue
-            if abs(found - target) <= reach:
+            if abs(value - target) <= reach:
                 rows.append((name, text, middle[name] + k * unit, k))
                 break
     table = pd.DataFrame(rows, columns=["input", "printed", "needed", "units"])

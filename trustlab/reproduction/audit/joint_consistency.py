@@ -42,7 +42,7 @@ class JointCheck:
         """Return the inputs as printed."""
         return {name: np.asarray(self.numbers[id].value) for name, id in self.inputs.items()}
 
-    def misfit(self, found: Mapping[str, np.ndarray], names: tuple[str, ...] = ()) -> np.ndarray:
+    def misfit(self, computed: Mapping[str, np.ndarray], names: tuple[str, ...] = ()) -> np.ndarray:
         """
         Return by how many half units the worst output lies beyond its rounding; 0 where all round
         as printed.
@@ -50,7 +50,7 @@ class JointCheck:
         worst = np.asarray(0.0)
         for name in names or self.outputs:
             number = self.numbers[self.outputs[name]]
-            miss = np.maximum(np.abs(found[name] - number.value) / number.half - 1.0, 0.0)
+            miss = np.maximum(np.abs(computed[name] - number.value) / number.half - 1.0, 0.0)
             worst = np.maximum(
                 worst, np.where(np.isnan(miss), FARTHEST, np.minimum(miss, FARTHEST))
             )
@@ -138,11 +138,11 @@ def _finer_rate(check: JointCheck) -> str:
     rate, (compute, _) = check.numbers[check.inputs["a_pr"]], check.readings
     for k in sorted(range(-5, 6), key=abs):
         a_pr = rate.value + k * 10.0 ** -(rate.decimals + 1)
-        found = compute(check.at_printed() | {"a_pr": np.asarray(a_pr)})
-        if check.misfit(found, ("TSC_lb", "TSC_ub")) == 0.0:
+        computed = compute(check.at_printed() | {"a_pr": np.asarray(a_pr)})
+        if check.misfit(computed, ("TSC_lb", "TSC_ub")) == 0.0:
             return (
                 f"Both limits follow from a_pr = {a_pr:.{rate.decimals + 1}f} (printed: "
-                f"{rate.printed}), from which (2.3) gives b_pr = {float(found['b_pr']):.2g}."
+                f"{rate.printed}), from which (2.3) gives b_pr = {float(computed['b_pr']):.2g}."
             )
     return ""
 
@@ -162,8 +162,8 @@ def _bound_row(numbers: Numbers, p: str, limits_fit: bool) -> Row:
 
     def compute(v: dict, rise_from_gain: bool) -> dict:
         with_gain = v | {"b_pr": gain}
-        found = bounds(with_gain if rise_from_gain else v)
-        return found | limits(with_gain) if limits_fit else found
+        computed = bounds(with_gain if rise_from_gain else v)
+        return computed | limits(with_gain) if limits_fit else computed
 
     # c of (2.20) as it is, then as b_pr P_h/(1 − a_pr) with b_pr as printed.
     readings = (lambda v: compute(v, False)), (lambda v: compute(v, True))

@@ -57,16 +57,16 @@ def simplest_ratio(number: PrintedNumber, most: int = 60) -> Fraction | None:
 
 def _measures(numbers: Numbers) -> dict[str, dict[str, str]]:
     """Return, per measure, condition to id of its mean."""
-    found: dict[str, dict[str, str]] = {}
+    measures: dict[str, dict[str, str]] = {}
     for id in numbers:
         table, _, rest = id.partition("/")
         if table in ("table_2.4", "table_2.5", "table_3.1") and id.endswith("_mean"):
             condition, column = rest.split("/")
-            found.setdefault(f"{table}/{column.removesuffix('_mean')}", {})[condition] = id
+            measures.setdefault(f"{table}/{column.removesuffix('_mean')}", {})[condition] = id
     for name in study_names(numbers):
         start = f"{name}/mean."
-        found[name] = {id.removeprefix(start): id for id in numbers if id.startswith(start)}
-    return found
+        measures[name] = {id.removeprefix(start): id for id in numbers if id.startswith(start)}
+    return measures
 
 
 def _size(measure: str) -> str:
@@ -161,12 +161,12 @@ def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Nu
         counts = [rule.removesuffix(" items") for rule in fitting]
         fit, tried = f" {', '.join(counts[:4])} items", f"up to {MOST_ITEMS} items"
         fewest = float(counts[0]) if counts else math.nan
-    found = (
+    fits = (
         f"All means are whole points for{fit}"
         if fitting
         else f"Not all means are whole points for {tried}"
     )
-    reason, expected = f"{unknown} {found}.", _expected_items(measure)
+    reason, expected = f"{unknown} {fits}.", _expected_items(measure)
     if expected and expected[0] not in fitting:
         reason = f"Suspicious: not {expected[0]} ({expected[1]}). {reason}"
     formula = "mean × respondents × items is a whole number"

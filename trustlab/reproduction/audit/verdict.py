@@ -163,11 +163,11 @@ def reach(compute: Compute, middle: Mapping[str, float], half: Mapping[str, floa
     for i, name in enumerate(names):
         values[name] = middle[name] + half[name] * points[:, i]
     with np.errstate(all="ignore"):
-        found = np.broadcast_to(np.asarray(compute(values), dtype=float), (len(points),))
-    known = found[~np.isnan(found)]
+        reached = np.broadcast_to(np.asarray(compute(values), dtype=float), (len(points),))
+    known = reached[~np.isnan(reached)]
     if known.size == 0:
         return np.nan, np.nan, np.nan
-    return float(found[0]), float(known.min()), float(known.max())
+    return float(reached[0]), float(known.min()), float(known.max())
 
 
 def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
@@ -224,8 +224,9 @@ class Check:
                 f"{result}; from {show(low, number, 2)} to {show(high, number, 2)} as the printed "
                 f"inputs vary within their rounding, which takes in the printed {number.printed}."
             )
-            if found := self._explained(numbers, least, most):
-                reason = f"Suspicious: {reason} {found}"
+            explanation = self._explained(numbers, least, most)
+            if explanation:
+                reason = f"Suspicious: {reason} {explanation}"
         else:
             verdict = "not checkable" if self.binding else "differs"
             reason = f"{self._missed(number, ways)} {self._explained(numbers, least, most)}".strip()

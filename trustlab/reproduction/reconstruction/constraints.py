@@ -84,10 +84,10 @@ def _omnibus(study: PublishedStudy) -> list[Constraint]:
     """Return the constraints of F and what follows from it, of epsilon and of sphericity."""
     n = study.n
     k = study.k
-    found = []
+    rows = []
 
     def add(name: str, kind: str, interval: Interval, text: str) -> None:
-        found.append(Constraint(name, kind, 0, *interval, text))
+        rows.append(Constraint(name, kind, 0, *interval, text))
 
     for name, text in study.anova.items():
         low, high = printed_interval(text)
@@ -117,21 +117,21 @@ def _omnibus(study: PublishedStudy) -> list[Constraint]:
             _chi2_interval(f"<{ALPHA}", n, k),
             "sphericity violated, p < 0.05",
         )
-    return found
+    return rows
 
 
 def _t_test(study: PublishedStudy) -> list[Constraint]:
     """Return the constraints of a paired t and its p."""
-    found = []
+    rows = []
     for name, text in study.t_test.items():
         if name == "t":
             high, low = (
                 math.log(2.0 * special.stdtr(study.n - 1, -t)) for t in size_interval(text)
             )
-            found.append(Constraint("t_test.t", "log_p", 0, low, high, text))
+            rows.append(Constraint("t_test.t", "log_p", 0, low, high, text))
         elif name == "p":
-            found.append(Constraint("t_test.p", "log_p", 0, *log_interval(text), text))
-    return found
+            rows.append(Constraint("t_test.p", "log_p", 0, *log_interval(text), text))
+    return rows
 
 
 def size_interval(text: str) -> Interval:
@@ -154,7 +154,7 @@ def _pairwise(study: PublishedStudy, p_adjust: str) -> list[Constraint]:
         named[study.pair(name)] = (name, -math.inf, math.log(ALPHA), "significant")
     silent = study.listed_only or not named
     pairs = list(zip(*(index.tolist() for index in pair_indices(study.k)), strict=True))
-    found = []
+    rows = []
     for q, (i, j) in enumerate(pairs):
         if (i, j) in named:
             name, low, high, text = named[i, j]
@@ -169,8 +169,8 @@ def _pairwise(study: PublishedStudy, p_adjust: str) -> list[Constraint]:
         if p_adjust != "holm":  # the others invert pair by pair
             kind = "log_p"
             low, high = (_unadjusted(x, p_adjust, len(pairs)) for x in (low, high))
-        found.append(Constraint(f"pairs.{name}", kind, q, low, high, text))
-    return found
+        rows.append(Constraint(f"pairs.{name}", kind, q, low, high, text))
+    return rows
 
 
 def _unadjusted(log_p: float, p_adjust: str, m: int) -> float:
@@ -200,18 +200,18 @@ def constraints(study: PublishedStudy, p_adjust: str = "bonferroni") -> list[Con
     """
     of_class("study", study, PublishedStudy, _named_study(study) if isinstance(study, str) else "")
     one_of("p_adjust", p_adjust, ADJUSTMENTS)
-    found = []
+    rows = []
     for q, condition in enumerate(study.conditions):
         for kind, printed in (("mean", study.mean), ("sd", study.sd)):
             if condition in printed:
                 text = printed[condition]
-                found.append(
+                rows.append(
                     Constraint(f"{kind}.{condition}", kind, q, *printed_interval(text), text)
                 )
-    return [*found, *_omnibus(study), *_t_test(study), *_pairwise(study, p_adjust)]
+    return [*rows, *_omnibus(study), *_t_test(study), *_pairwise(study, p_adjust)]
 
 
-def select(found: Iterable[Constraint], without: Iterable[str]) -> list[Constraint]:
+def select(listed: Iterable[Constraint], without: Iterable[str]) -> list[Constraint]:
     """
     Return the constraints that are not left out, by name ("anova.F", "mean.C2") or group
     ("mauchly", "pairs").
@@ -220,14 +220,14 @@ def select(found: Iterable[Constraint], without: Iterable[str]) -> list[Constrai
         raise ValueError(
             f'without must be a list of names, such as ("mauchly", "pairs"), got {without!r}'
         )
-    found, without = list(found), tuple(without)
-    known = {s.name for s in found} | {s.name.split(".")[0] for s in found}
+    listed, without = list(listed), tuple(without)
+    known = {s.name for s in listed} | {s.name.split(".")[0] for s in listed}
     for name in without:
         if name not in known:
             raise ValueError(
                 f"without: {name!r} is not among its statistics {', '.join(sorted(known))}"
             )
-    return [s for s in found if s.name not in without and s.name.split(".")[0] not in without]
+    return [s for s in listed if s.name not in without and s.name.split(".")[0] not in without]
 
 
 def _largest_agreement(group: Sequence[Constraint]) -> list[Constraint]:
@@ -247,10 +247,10 @@ def arithmetic_conflicts(study: PublishedStudy) -> dict[str, str]:
     freedom, Mauchly's p against its chi-square. Of numbers that disagree, the fewest are named; of
     two, the one that is computed from the other.
     """
-    found = {s.name: s for s in constraints(study)}
+    by_name = {s.name: s for s in constraints(study)}
     conflicts, ranges = {}, {}
     for kind, (label, names) in COMPARED.items():
-        group = [found[name] for name in names if name in found]
+        group = [by_name[name] for name in names if name in by_name]
         if not group:
             continue
         agreeing = _largest_agreement(group)

@@ -54,10 +54,10 @@ class Verdict:
 
 
 def moment_problem(
-    study: PublishedStudy, found: Sequence[Constraint], p_adjust: str
+    study: PublishedStudy, rows: Sequence[Constraint], p_adjust: str
 ) -> MomentProblem:
     """Return constraints of a study as a system of inequalities."""
-    return MomentProblem(found, study.n, study.k, p_adjust, study.corrected, study.scale)
+    return MomentProblem(rows, study.n, study.k, p_adjust, study.corrected, study.scale)
 
 
 def decide(
@@ -228,16 +228,16 @@ def prepared(
     Return the constraints that are to hold as a problem, and the reasons for those that are left
     out.
     """
-    found = constraints(study, p_adjust)
-    kept = select(found, without)
-    reasons = {s.name: "left out on request" for s in found if s not in kept}
+    printed = constraints(study, p_adjust)
+    rows = select(printed, without)
+    reasons = {s.name: "left out on request" for s in printed if s not in rows}
     reasons |= {
         name: why for name, why in arithmetic_conflicts(study).items() if name not in reasons
     }
-    kept = [s for s in kept if s.name not in reasons]
-    if not kept:
+    rows = [s for s in rows if s.name not in reasons]
+    if not rows:
         raise ValueError(f"without: nothing of {study.name} is left")
-    return moment_problem(study, kept, p_adjust), reasons
+    return moment_problem(study, rows, p_adjust), reasons
 
 
 def generator(seed: int) -> np.random.Generator:
@@ -246,7 +246,7 @@ def generator(seed: int) -> np.random.Generator:
 
 
 def _less(problem: MomentProblem, name: str) -> MomentProblem:
-    return replace(problem, found=[s for s in problem.found if s.name != name])
+    return replace(problem, constraints=[s for s in problem.constraints if s.name != name])
 
 
 def _holds(problem: MomentProblem, rng: np.random.Generator) -> bool:
@@ -279,7 +279,7 @@ def _smallest_conflict(
     def conflicting(fewer: MomentProblem) -> bool:
         return proves_infeasible(fewer, branches) if proved else not _holds(fewer, rng)
 
-    order, best = sorted(problem.found, key=rank), problem
+    order, best = sorted(problem.constraints, key=rank), problem
     orders = [
         order,
         order[::-1],
@@ -287,13 +287,13 @@ def _smallest_conflict(
     ]
     quick = proved and branches == 1  # otherwise one order is all there is time for
     for order in orders if quick else orders[:1]:
-        kept = problem
+        subset = problem
         for s in order:
-            fewer = _less(kept, s.name)
-            if fewer.found and conflicting(fewer):
-                kept = fewer
-        best = min(best, kept, key=lambda p: len(p.found))
-    return tuple(s.name for s in best.found)
+            fewer = _less(subset, s.name)
+            if fewer.constraints and conflicting(fewer):
+                subset = fewer
+        best = min(best, subset, key=lambda p: len(p.constraints))
+    return tuple(s.name for s in best.constraints)
 
 
 def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) -> pd.DataFrame:

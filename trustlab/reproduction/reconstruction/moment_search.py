@@ -60,7 +60,7 @@ class MomentProblem:
     and standard deviation are held to what `scale` allows.
     """
 
-    found: Sequence[Constraint]
+    constraints: Sequence[Constraint]
     n: int
     k: int
     p_adjust: str = "none"
@@ -70,13 +70,15 @@ class MomentProblem:
     @cached_property
     def _cells(self) -> list[Constraint]:
         """Printed means and standard deviations."""
-        return [s for s in self.found if s.kind in ("mean", "sd") and np.isfinite(s.high - s.low)]
+        return [
+            s for s in self.constraints if s.kind in ("mean", "sd") and np.isfinite(s.high - s.low)
+        ]
 
     @cached_property
     def rows(self) -> list[Constraint]:
         """The constraints, and what the scale says where they do not already imply it."""
         printed = {(s.kind, s.index): (s.low, s.high) for s in self._cells}
-        rows, (low, high) = list(self.found), self.scale
+        rows, (low, high) = list(self.constraints), self.scale
         bounded = np.isfinite([low, high]).all()
         for i in range(self.k):
             mean, sd = (
@@ -111,8 +113,8 @@ class MomentProblem:
 
         def size(s: Constraint) -> float:
             end = s.low if np.isfinite(s.low) else s.high
-            own = {"mean": spread, "sd": max(end, 0.01 * spread), "spread": spread**2}
-            return own.get(s.kind, 1.0 if s.kind.startswith("log") else max(abs(end), 1e-3))
+            sizes = {"mean": spread, "sd": max(end, 0.01 * spread), "spread": spread**2}
+            return sizes.get(s.kind, 1.0 if s.kind.startswith("log") else max(abs(end), 1e-3))
 
         return np.array([size(s) for s in self.rows])
 
@@ -261,7 +263,9 @@ class MomentProblem:
             return set(centre)
         first, second = pair_indices(self.k)
         differ = [
-            s.index for s in self.found if s.kind in ("log_p", "log_adjusted_p") and s.high < 0.0
+            s.index
+            for s in self.constraints
+            if s.kind in ("log_p", "log_adjusted_p") and s.high < 0.0
         ]
         pairs = [{int(first[q]), int(second[q])} for q in differ]
         return {
@@ -276,7 +280,7 @@ class MomentProblem:
         Return which share of the variances F leaves to vary between conditions, shape (B, 1, 1); 1
         unless it is small.
         """
-        f_ratio = max((s.low for s in self.found if s.kind == "f_ratio"), default=0.0)
+        f_ratio = max((s.low for s in self.constraints if s.kind == "f_ratio"), default=0.0)
         error = self.n * mean.var(axis=1, ddof=1) / max(f_ratio, 1e-300)
         share = error / (sd**2).mean(axis=1)
         return np.where(share < 0.02, np.maximum(share, 1e-12), 1.0)[:, None, None]
@@ -374,11 +378,11 @@ class MomentProblem:
             damped = normal + (damping[active, None] * (diagonal + floor))[:, :, None] * identity
             slope = products(transposed(jacobian), residual[..., None])[..., 0]
             trial = x[active] + solutions(damped, -slope)
-            found, slopes = self._residuals(trial, margin, width)
-            better = np.nan_to_num((found**2).sum(axis=1), nan=np.inf) < cost
+            moved, slopes = self._residuals(trial, margin, width)
+            better = np.nan_to_num((moved**2).sum(axis=1), nan=np.inf) < cost
             x[active[better]] = trial[better]
             # Less damping after a step that helps, as near a solution the full Gauss-Newton step is
             # best.
             damping[active] = np.maximum(damping[active] * np.where(better, 0.2, 5.0), 1e-10)
-            residual[better], jacobian[better] = found[better], slopes[better]
+            residual[better], jacobian[better] = moved[better], slopes[better]
         return x

@@ -57,12 +57,6 @@ class MomentStatistics:
         return np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
 
     @cached_property
-    def correlation(self) -> np.ndarray:
-        """Correlations of all pairs, shape (B, pairs)."""
-        i, j = pair_indices(self.k)
-        return self.covariance[:, i, j] / (self.sd[:, i] * self.sd[:, j])
-
-    @cached_property
     def _centred(self) -> np.ndarray:
         rows = self.covariance - self.covariance.mean(axis=-1, keepdims=True)
         return rows - rows.mean(axis=-2, keepdims=True)
@@ -145,17 +139,6 @@ class MomentStatistics:
         by_covariance = np.zeros((B, k, k, k))
         by_covariance[:, range(k), range(k), range(k)] = 0.5 / self.sd
         return np.zeros((B, k, k)), by_covariance
-
-    @property
-    def gradient_correlation(self) -> tuple[np.ndarray, np.ndarray]:
-        """The gradients of the correlations of all pairs."""
-        i, j = pair_indices(self.k)
-        rows, sd = np.arange(i.size), self.sd
-        by_covariance = np.zeros((*self.correlation.shape, self.k, self.k))
-        by_covariance[:, rows, i, i] = -0.5 * self.correlation / sd[:, i] ** 2
-        by_covariance[:, rows, j, j] = -0.5 * self.correlation / sd[:, j] ** 2
-        by_covariance[:, rows, i, j] = by_covariance[:, rows, j, i] = 0.5 / (sd[:, i] * sd[:, j])
-        return np.zeros((*self.correlation.shape, self.k)), by_covariance
 
     @property
     def gradient_f_ratio(self) -> tuple[np.ndarray, np.ndarray]:

@@ -5,12 +5,11 @@ All printed statistics of a one-way within-subject study are functions of the me
 covariance matrix. A reconstruction therefore finds these moments first (`moment_search`), with
 every statistic within its rounding, and then draws n subjects with exactly these moments inside the
 scale of the measure (`sample_with_moments`). The values are continuous: they do not follow the
-steps of a questionnaire. They are not measurements, and everything made from them says so. What is
-not printed can have several values: `feasible_ranges` says which.
+steps of a questionnaire. They are not measurements, and everything made from them says so.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -27,7 +26,6 @@ from trustlab.reproduction.reconstruction.constraints import (
     size_interval,
 )
 from trustlab.reproduction.reconstruction.feasibility import (
-    MARGINS,
     Verdict,
     decide,
     feasibility,
@@ -35,16 +33,11 @@ from trustlab.reproduction.reconstruction.feasibility import (
     prepared,
 )
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
-from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
-from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
 from trustlab.studies.analysis.batch import bonferroni, holm, repeated_measures_batch
 
 NOTE = "Reconstructed data: not measurements, but values that have the printed statistics."
 # The mark that every table made from such data carries in its `attrs`.
 RECONSTRUCTED = {"reconstructed": True, "note": NOTE}
-
-# Every end is attained this far inside the printed intervals, as a share of their half-widths.
-INSIDE = 0.02
 
 
 class ReconstructionError(ValueError):
@@ -68,11 +61,6 @@ class Reconstruction:
         The data, one row per subject.
     left_out : mapping of str to str
         Printed statistics that these data need not have, with the reason.
-    verdict : Verdict
-        All solutions found with this seed; the data have the moments of the first that fits the
-        scale.
-    problem : MomentProblem
-        What the moments had to satisfy.
     """
 
     study: PublishedStudy
@@ -80,8 +68,6 @@ class Reconstruction:
     seed: int
     values: np.ndarray
     left_out: Mapping[str, str]
-    verdict: Verdict = field(repr=False)
-    problem: MomentProblem = field(repr=False)
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -108,41 +94,15 @@ class Reconstruction:
             (recomputed from the data), agrees, left_out (the reason; empty where the statistic had
             to hold). Pairwise p-values are adjusted.
         """
-        ours = reanalyse(self.values, self.study, self.p_adjust)
+        again = reanalyse(self.values, self.study, self.p_adjust)
         rows = []
         for s in constraints(self.study, self.p_adjust):
-            value, reason = ours[s.name], self.left_out.get(s.name, "")
+            value, reason = again[s.name], self.left_out.get(s.name, "")
             rows.append((s.name, s.text, *printed_ends(s), value, agrees(s, value), reason))
         columns = ["statistic", "printed", "low", "high", "reconstructed", "agrees", "left_out"]
         table = pd.DataFrame(rows, columns=columns).set_index("statistic")
         table.attrs = dict(RECONSTRUCTED)
         return table
-
-    def ranges(self) -> pd.DataFrame:
-        """
-        Return the range of each unprinted quantity over data that have all printed statistics.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Index quantity: means and standard deviations that are not printed, and all
-            correlations; columns low, high (both attained by solutions; the true range is at least
-            as wide), proved_low, proved_high (of means: beyond these it is proved that no data have
-            what is printed; NaN otherwise), reconstructed.
-        """
-        names = self.study.conditions
-        ranges = feasible_ranges(self.problem, generator(self.seed), names)
-        ours: dict[str, float] = {}
-        for i, name in enumerate(names):
-            ours |= {
-                f"mean.{name}": self.values[:, i].mean(),
-                f"sd.{name}": self.values[:, i].std(ddof=1),
-            }
-            for j, other in enumerate(names):
-                ours[f"correlation.{name}-{other}"] = np.corrcoef(self.values[:, [i, j]].T)[0, 1]
-        ranges["reconstructed"] = [float(ours[name]) for name in ranges.index]
-        ranges.attrs = dict(RECONSTRUCTED)
-        return ranges
 
     def _repr_html_(self) -> str:
         return as_html(NOTE, self.table())
@@ -252,7 +212,7 @@ def reconstruct_study(
             "have a solution's means and covariances; try another seed, or leave out a standard "
             "deviation"
         )
-    result = Reconstruction(study, candidate, int(seed), values, left_out, verdict, problem)
+    result = Reconstruction(study, candidate, int(seed), values, left_out)
     table = result.table()
     wrong = table.index[~table["agrees"] & (table["left_out"] == "")]
     if len(wrong):
@@ -285,11 +245,11 @@ def _remedied(
         name = next(iter((*reversed(result.remedies), *reversed(result.conflict))), None)
         if name is None:
             break
-        others = ", ".join(x for x in result.conflict if x != name)
+        against = ", ".join(x for x in result.conflict if x != name)
         reasons[name] = (
-            f"cannot hold together with {others}"
+            f"cannot hold together with {against}"
             if result.conflict_proved
-            else f"no data were found that have it together with {others} (not proved impossible)"
+            else f"no data were found that have it together with {against} (not proved impossible)"
         )
         names.append(name)
     raise ReconstructionError(
@@ -319,18 +279,18 @@ def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[
     """
     names = study.conditions
     result = repeated_measures_batch(values[None])
-    ours, pairs = result.study(0), result.pairwise
-    factor, p = (ours["epsilon_gg"], ours["p_gg"]) if study.corrected else (1.0, ours["p"])
-    found = {f"mean.{c}": x for c, x in zip(names, result.mean[0], strict=True)}
-    found |= {f"sd.{c}": x for c, x in zip(names, result.sd[0], strict=True)}
-    found |= {"anova.F": ours["F"], "anova.p": p, "anova.eta2": ours["eta2_partial"]}
-    found |= {"anova.df1": factor * ours["df1"], "anova.df2": factor * ours["df2"]}
-    found |= {"epsilon": ours["epsilon_gg"], "mauchly.chi2": ours["mauchly_chi2"]}
-    found |= {"mauchly.p": ours["mauchly_p"], "mauchly.violated": ours["mauchly_p"]}
-    found |= {"t_test.t": pairs.t[0, 0], "t_test.p": pairs.p[0, 0], "t_test.df": pairs.df}
+    omnibus, pairs = result.study(0), result.pairwise
+    factor, p = (omnibus["epsilon_gg"], omnibus["p_gg"]) if study.corrected else (1.0, omnibus["p"])
+    analysed = {f"mean.{c}": x for c, x in zip(names, result.mean[0], strict=True)}
+    analysed |= {f"sd.{c}": x for c, x in zip(names, result.sd[0], strict=True)}
+    analysed |= {"anova.F": omnibus["F"], "anova.p": p, "anova.eta2": omnibus["eta2_partial"]}
+    analysed |= {"anova.df1": factor * omnibus["df1"], "anova.df2": factor * omnibus["df2"]}
+    analysed |= {"epsilon": omnibus["epsilon_gg"], "mauchly.chi2": omnibus["mauchly_chi2"]}
+    analysed |= {"mauchly.p": omnibus["mauchly_p"], "mauchly.violated": omnibus["mauchly_p"]}
+    analysed |= {"t_test.t": pairs.t[0, 0], "t_test.p": pairs.p[0, 0], "t_test.df": pairs.df}
     for a, b, value in zip(pairs.a, pairs.b, adjusted(pairs.p[0], p_adjust), strict=True):
-        found[f"pairs.{names[a]}-{names[b]}"] = found[f"pairs.{names[b]}-{names[a]}"] = value
-    return {name: float(value) for name, value in found.items()}
+        analysed[f"pairs.{names[a]}-{names[b]}"] = analysed[f"pairs.{names[b]}-{names[a]}"] = value
+    return {name: float(value) for name, value in analysed.items()}
 
 
 def printed_ends(s: Constraint) -> tuple[float, float]:
@@ -399,108 +359,3 @@ def _with_moments(values: np.ndarray, mean: np.ndarray, factor: np.ndarray) -> n
     whitened = polar_factor(projected)
     whitened = whitened - whitened.mean(axis=0)
     return mean + np.sqrt(n - 1.0) * products(whitened[None], transposed(factor)[None])[0]
-
-
-def feasible_ranges(
-    problem: MomentProblem, rng: np.random.Generator, conditions: tuple[str, ...]
-) -> pd.DataFrame:
-    """
-    Return the lowest and highest value found of every quantity that is not printed.
-
-    Each quantity in turn is pushed outwards from the solutions in which it is most extreme, while
-    all constraints hold; the step grows after success and shrinks after failure. Every solution
-    found also serves the other quantities, and the whole round is made twice. Both ends are
-    attained by solutions, so that the true range is at least as wide. Beyond proved_low and
-    proved_high (for means; NaN otherwise) it is proved that no data have the printed statistics.
-    """
-    printed = {(s.kind, s.index) for s in problem.found}
-    wanted = {  # name: kind, index and size of the statistic
-        f"{kind}.{name}": (kind, i, problem.typical[1])
-        for i, name in enumerate(conditions)
-        for kind in ("mean", "sd")
-        if (kind, i) not in printed
-    }
-    for q, (i, j) in enumerate(zip(*pair_indices(problem.k), strict=True)):
-        wanted[f"correlation.{conditions[i]}-{conditions[j]}"] = "correlation", q, 1.0
-    pool = _Pool(problem, decide(problem, rng, branches=0).moments)
-    for margin in MARGINS:
-        pool.add(pool.solutions(problem.search(*problem.starts(48, rng), margin)))
-    rows = {}
-    for _ in range(2):
-        for name, what in wanted.items():
-            rows[name] = [pool.push(*what, upwards) for upwards in (False, True)]
-    for name, (kind, i, _) in wanted.items():
-        low, high = rows[name]
-        rows[name] += _proved(problem, i, low, high) if kind == "mean" else [np.nan, np.nan]
-    table = pd.DataFrame.from_dict(
-        rows, orient="index", columns=["low", "high", "proved_low", "proved_high"]
-    )
-    return table.rename_axis("quantity")
-
-
-def _proved(problem: MomentProblem, i: int, low: float, high: float, steps: int = 8) -> list[float]:
-    """
-    Return bounds on a mean that is not printed, beyond which it is proved that nothing is feasible;
-    by bisection.
-    """
-    bounds = []
-    for attained, end in zip((low, high), problem.scale, strict=True):
-        outside = end
-        for _ in range(steps if np.isfinite(end) else 0):
-            middle = 0.5 * (attained + outside)
-            beyond = Constraint("beyond", "mean", i, min(middle, end), max(middle, end), "")
-            if proves_infeasible(replace(problem, found=[*problem.found, beyond]), branches=12):
-                outside = middle
-            else:
-                attained = middle
-        bounds.append(outside)
-    return bounds
-
-
-class _Pool:
-    """The solutions found so far."""
-
-    def __init__(self, problem: MomentProblem, moments: Moments) -> None:
-        self.problem = problem
-        self.mean = moments.mean
-        self.factor = moments.factor
-
-    def solutions(self, moments: Moments) -> Moments:
-        """Return the solutions among some candidates."""
-        return moments.select(self.problem.violation(moments.mean, moments.factor) <= 0.0)
-
-    def add(self, solutions: Moments) -> None:
-        """Keep some solutions."""
-        self.mean = np.concatenate([self.mean, solutions.mean])
-        self.factor = np.concatenate([self.factor, solutions.factor])
-
-    def push(self, kind: str, index: int, size: float, upwards: bool, rounds: int = 14) -> float:
-        """Push one quantity outwards until no step succeeds, and return its value there."""
-        sign, step = (1.0 if upwards else -1.0), 0.1 * size
-
-        def reached(mean: np.ndarray, factor: np.ndarray) -> np.ndarray:
-            return sign * getattr(self.problem.statistics(mean, factor), kind)[:, index]
-
-        value = reached(self.mean, self.factor)
-        furthest = np.argsort(-value)[:4]
-        mean = self.mean[furthest]
-        factor = self.factor[furthest]
-        best = float(value.max())
-        for _ in range(rounds):
-            target = best + step
-            ends = (target, np.inf) if upwards else (-np.inf, -target)
-            pushed = Constraint("pushed", kind, index, *ends, "")
-            problem = replace(self.problem, found=[*self.problem.found, pushed])
-            tried = problem.search(mean, factor, INSIDE, stages=(0.0,), enough=2, iterations=40)
-            moved = self.solutions(tried)
-            value = reached(moved.mean, moved.factor).max(initial=-np.inf)
-            if value <= best:
-                step *= 0.35
-                if step < 1e-3 * size:
-                    break
-                continue
-            self.add(moved)
-            mean = np.concatenate([moved.mean, mean])[:4]
-            factor = np.concatenate([moved.factor, factor])[:4]
-            best, step = float(value), 1.7 * step
-        return sign * best

@@ -22,27 +22,27 @@ from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
 from trustlab.studies.analysis.sphericity import mauchly_factor
 
 
-def _cells(found: Sequence[Constraint], kind: str, k: int, default: Interval) -> np.ndarray:
+def _cells(constraints: Sequence[Constraint], kind: str, k: int, default: Interval) -> np.ndarray:
     """
     Return the intervals of a kind of statistic, shape (k, 2); where several bound one, their
     intersection.
     """
     bounds = np.tile(np.array(default, dtype=float), (k, 1))
-    for s in found:
+    for s in constraints:
         if s.kind == kind:
             bounds[s.index] = max(bounds[s.index, 0], s.low), min(bounds[s.index, 1], s.high)
     return bounds
 
 
-def _raw_intervals(found: Sequence[Constraint], pairs: int, p_adjust: str) -> np.ndarray:
+def _raw_intervals(constraints: Sequence[Constraint], pairs: int, p_adjust: str) -> np.ndarray:
     """
     Return the least and greatest logarithm of each pair's unadjusted p; for Holm over all orders of
     ties.
     """
-    bounds = _cells(found, "log_p", pairs, (-np.inf, 0.0))
+    bounds = _cells(constraints, "log_p", pairs, (-np.inf, 0.0))
     if p_adjust != "holm":
         return bounds
-    low, high = _cells(found, "log_adjusted_p", pairs, (-np.inf, np.inf)).T
+    low, high = _cells(constraints, "log_adjusted_p", pairs, (-np.inf, np.inf)).T
     # A pair's place in the order lies between the number of pairs surely before it and of those
     # surely behind.
     first = 1 + (high[None, :] < low[:, None]).sum(axis=1)
@@ -68,13 +68,16 @@ class _Relaxation:
     """The linear programme: maximise the depth behind all planes; columns q, V, depth."""
 
     def __init__(self, problem: MomentProblem) -> None:
-        found = problem.found
+        constraints = problem.constraints
         n = problem.n
         k = problem.k
         scale = problem.scale
         self.k, self.n = k, n
         self.i, self.j = pair_indices(k)
-        mean, sd = _cells(found, "mean", k, scale), _cells(found, "sd", k, (0.0, np.inf))
+        mean, sd = (
+            _cells(constraints, "mean", k, scale),
+            _cells(constraints, "sd", k, (0.0, np.inf)),
+        )
         self.empty = bool((mean[:, 0] > mean[:, 1]).any() or (sd[:, 0] > sd[:, 1]).any())
         _, spread = problem.typical
         self.size = spread**2  # the unit of the unknowns
@@ -83,16 +86,16 @@ class _Relaxation:
             middle = np.clip(0.5 * sum(scale), mean[:, 0], mean[:, 1])
             largest = (middle - scale[0]) * (scale[1] - middle) * n / (n - 1)
             self.q[:, 1] = np.minimum(self.q[:, 1], largest)
-        log_p = _raw_intervals(found, len(self.i), problem.p_adjust)
+        log_p = _raw_intervals(constraints, len(self.i), problem.p_adjust)
         self.variance = self._difference_variances(mean, log_p)
         self.trace = (0.0, np.inf)
-        f_low, f_high = _cells(found, "f_ratio", 1, (0.0, np.inf))[0]
+        f_low, f_high = _cells(constraints, "f_ratio", 1, (0.0, np.inf))[0]
         if np.isfinite(mean).all() and not self.empty:
             least, most = _spread_of_means(mean)
             self.trace = n * least / f_high, (n * most / f_low if f_low > 0.0 else np.inf)
             self.empty |= f_low > f_high
-        self.epsilon = _cells(found, "epsilon", 1, (1.0 / (k - 1), 1.0))[0]
-        chi2 = _cells(found, "chi2", 1, (0.0, np.inf))[0]
+        self.epsilon = _cells(constraints, "epsilon", 1, (1.0 / (k - 1), 1.0))[0]
+        chi2 = _cells(constraints, "chi2", 1, (0.0, np.inf))[0]
         self.log_w = -chi2[1] / mauchly_factor(n, k) if k > 2 else -np.inf
         self.empty |= self.epsilon[0] > self.epsilon[1] or chi2[0] > chi2[1]
 
@@ -153,9 +156,9 @@ class _Relaxation:
         """
         k = self.k
         S = self.covariance(x)
-        found = []
+        planes = []
         value, vector = np.linalg.eigh(S)
-        found += [
+        planes += [
             -self.row(np.outer(v, v)) for e, v in zip(value, vector.T, strict=True) if e < -1e-9
         ]
         P = np.eye(k) - 1.0 / k
@@ -164,7 +167,7 @@ class _Relaxation:
         if self.epsilon[0] > 1.0 / (k - 1) and size > 0.0:
             limit = 1.0 / np.sqrt((k - 1) * self.epsilon[0])
             if size > trace * limit + 1e-9:
-                found.append(self.row(centred / size - limit * P))
+                planes.append(self.row(centred / size - limit * P))
         if np.isfinite(self.log_w) and trace > 1e-6 * np.abs(x[:-1]).max():
             # 11'/k turns the eigenvalue 0 of PSP into 1, so that the determinant is that of the
             # contrasts.
@@ -174,8 +177,8 @@ class _Relaxation:
             if log_w < self.log_w - 1e-9:
                 B = P @ (vector / value) @ vector.T @ P
                 root = np.exp((self.log_w - np.log(value).sum()) / (k - 1))
-                found.append(self.row(root * P - B))
-        return [row / np.linalg.norm(row) for row in found]
+                planes.append(self.row(root * P - B))
+        return [row / np.linalg.norm(row) for row in planes]
 
 
 def proves_infeasible(problem: MomentProblem, branches: int = 80) -> bool:
@@ -186,11 +189,11 @@ def proves_infeasible(problem: MomentProblem, branches: int = 80) -> bool:
     themselves; False is inconclusive. At most `branches` relaxations are solved: the widest
     interval of a mean is halved until each part is refuted.
     """
-    found, k = list(problem.found), problem.k
+    constraints, k = list(problem.constraints), problem.k
     if np.isfinite(problem.scale).all():
-        found += [Constraint("scale", "mean", i, *problem.scale, "") for i in range(k)]
-    others = [s for s in found if s.kind != "mean"]
-    open_parts = [_cells(found, "mean", k, (-np.inf, np.inf))]
+        constraints += [Constraint("scale", "mean", i, *problem.scale, "") for i in range(k)]
+    apart = [s for s in constraints if s.kind != "mean"]
+    open_parts = [_cells(constraints, "mean", k, (-np.inf, np.inf))]
     for _ in range(branches):
         if not open_parts:
             return True
@@ -201,7 +204,7 @@ def proves_infeasible(problem: MomentProblem, branches: int = 80) -> bool:
             for i, (low, high) in enumerate(box)
             if bounded[i]
         ]
-        if _refuted(_Relaxation(replace(problem, found=[*others, *means]))):
+        if _refuted(_Relaxation(replace(problem, constraints=[*apart, *means]))):
             continue
         width = np.where(bounded, box[:, 1] - box[:, 0], 0.0)
         i = int(np.argmax(width))
