@@ -1,8 +1,8 @@
 """
-The widgets in JupyterLab itself: its page, its shortcuts, its kernel that is asked in mid-run and
-restarted.
+The widgets in JupyterLab and Notebook 7 themselves: their pages, their shortcuts, their kernel that
+is asked in mid-run and restarted.
 
-Oracle: numba's replay of what was logged, the rows that the page has made, and JupyterLab's own
+Oracle: numba's replay of what was logged, the rows that the page has made, and the notebook's own
 list of cells.
 """
 
@@ -16,8 +16,13 @@ from pathlib import Path
 
 import pytest
 
+import trustlab as tl
+from trustlab.live.hand import IdealHand, scripted_drive
+from trustlab.live.runs import drive_config, replay
+
 pytestmark = pytest.mark.long
 pytest.importorskip("jupyterlab", reason="JupyterLab is not installed")
+pytest.importorskip("notebook", reason="Notebook 7 is not installed")
 
 DRIVE = """import trustlab as tl
 live = tl.LiveGroundRobot("C1", model=tl.published_models()["2"], laps=1)
@@ -40,13 +45,28 @@ CELL = """async (i) => {
   await jupyterapp.commands.execute("notebook:run-cell");
   return cell.model.executionCount !== null;
 }"""
+FLOWN = "(document.querySelector('.tl-track')?.drawn?.now.t ?? -1)"
 MADE = "document.querySelector('.tl-drive')?.driving?.physics.k ?? -1"
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory):
-    """JupyterLab's address and its folder."""
-    home = tmp_path_factory.mktemp("lab")
+def compiled(tmp_path_factory):
+    """
+    Compile, here and once, what the notebooks' kernels will find on disk: on a fresh machine it
+    takes longer than a page waits.
+    """
+    live = tl.LiveTracking("TMIG", seed=0, task=tl.TrackingTask(view=1.0))
+    for k in range(3):
+        live.hear({"hand": [0.1, 0.0], "time": k / 30})
+    assert live.verified
+    config = drive_config("C1", tl.published_models()["2"], laps=1)
+    assert replay(config, scripted_drive(config, IdealHand(config))[0][:20]) is True
+
+
+@pytest.fixture(scope="module", params=["lab", "notebook"])
+def lab(request, compiled, tmp_path_factory):
+    """The application's name and address, and its folder."""
+    home = tmp_path_factory.mktemp(request.param)
     own = {f"JUPYTER_{name}_DIR": str(home / name) for name in ("CONFIG", "DATA", "RUNTIME")}
     root = str(Path(__file__).parents[2])
     environment = os.environ | own | {"IPYTHONDIR": str(home / "ipython"), "PYTHONPATH": root}
@@ -57,7 +77,8 @@ def lab(tmp_path_factory):
         "--expose-app-in-browser",
         f"--ServerApp.root_dir={home}",
     ]
-    command = [sys.executable, "-m", "jupyterlab", *options, "--IdentityProvider.token=secret"]
+    module = {"lab": "jupyterlab", "notebook": "notebook"}[request.param]
+    command = [sys.executable, "-m", module, *options, "--IdentityProvider.token=secret"]
     with (home / "log").open("w") as log:
         server = subprocess.Popen(command, cwd=home, env=environment, stdout=log, stderr=log)
     try:
@@ -69,17 +90,17 @@ def lab(tmp_path_factory):
                 break
             assert server.poll() is None, (home / "log").read_text()
             time.sleep(0.1)
-        yield f"http://127.0.0.1:{found[1]}", home
+        yield request.param, f"http://127.0.0.1:{found[1]}", home
     finally:
         server.terminate()
         server.wait(30)
 
 
 class Opened:
-    """A notebook that is open in JupyterLab."""
+    """A notebook that is open in JupyterLab or Notebook 7."""
 
     def __init__(self, browser, lab, name, cells):
-        address, home = lab
+        application, address, home = lab
         notebook = {
             "nbformat": 4,
             "nbformat_minor": 5,
@@ -95,7 +116,8 @@ class Opened:
         self.page.on(
             "console", lambda said: self.faults.append(said.text) if said.type == "error" else None
         )
-        self.page.goto(f"{address}/lab/tree/{name}.ipynb?token=secret&reset")
+        path = {"lab": "lab/tree", "notebook": "notebooks"}[application]
+        self.page.goto(f"{address}/{path}/{name}.ipynb?token=secret&reset")
         self.page.wait_for_selector(".jp-Notebook .jp-Cell", timeout=60_000)
         self.page.wait_for_function(
             f"jupyterapp.shell.currentWidget?.context?.path === '{name}.ipynb'"
@@ -105,6 +127,7 @@ class Opened:
             "jupyterapp.shell.currentWidget.sessionContext.session?.kernel?.status === 'idle'",
             timeout=60_000,
         )
+        self.faults.clear()  # what the application says of itself as it starts
 
     def run(self, i):
         """Run a cell; JupyterLab, when it is not ready yet, runs nothing and says nothing."""
@@ -232,9 +255,9 @@ def test_a_flight_in_jupyterlab(browser, lab):
     one.run(0)
     page.click(".tl-track button", timeout=60_000)
     box = page.locator(".tl-track canvas.pad").bounding_box()
-    for share in (0.5, 0.6, 0.7, 0.75):
+    for i, share in enumerate((0.5, 0.6, 0.7, 0.75)):
         page.mouse.move(box["x"] + share * box["width"], box["y"] + 0.4 * box["height"])
-        page.wait_for_timeout(800)
+        page.wait_for_function(f"{FLOWN} > {0.5 * i + 0.5}")
     samples, verified, furthest, _ = one.asked(1)
     assert int(samples) > 100
     assert verified == "True"
@@ -242,12 +265,31 @@ def test_a_flight_in_jupyterlab(browser, lab):
     one.asked(2)  # a kernel that is busy
     page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
     page.wait_for_timeout(1000)
-    assert int(one.asked(1)[0]) > int(samples)
-    page.click("text=Stop")
+    before = int(one.asked(1)[0])
+    assert before > int(samples)
+    cells = one.cells()
+    page.focus(".tl-track button")
+    for key in ("x", "d", "d", "0", "0"):
+        page.keyboard.press(key)
     page.wait_for_timeout(300)
+    assert one.cells() == cells, "keys are no shortcuts of the notebook's"
+    flown = page.evaluate(FLOWN)
+    page.evaluate("jupyterapp.commands.execute('kernelmenu:restart'); 0")
+    page.click("dialog button.jp-mod-accept")
+    page.wait_for_function(
+        "document.querySelector('.tl-track .status').textContent.includes('does not answer')"
+    )
+    one.run(0)
+    page.wait_for_function("document.querySelector('.tl-track button').textContent === 'Start'")
+    page.click(".tl-track button")
+    page.wait_for_function(f"{FLOWN} > {flown} + 0.5")
+    assert int(one.asked(1)[0]) > before, "the flight goes on where it was"
+    page.click(".tl-track >> text=Stop")
+    page.wait_for_function("document.querySelector('.tl-track button').disabled")
     _, verified, _, notes = one.asked(1)
     print(f"a flight in JupyterLab: {notes}")
     assert verified == "True"
+    assert "taken up again by a new kernel" in notes
     assert "stopped by the person" in notes
     assert one.faults == []
     page.close()

@@ -15,6 +15,7 @@ import pytest
 import trustlab as tl
 from trustlab.live.ground_robot import module_of
 from trustlab.live.tracking import LiveTracking
+from trustlab.testbeds import uav_tracking
 
 HOME = "https://tracking.test/"
 PAGE = """<!doctype html><meta charset="utf-8"><div id="place"></div><script type="module">
@@ -144,6 +145,66 @@ def test_pauses_are_noted_and_do_not_count():
     assert answer["over"] == notes[-1]
     assert live.session.metadata.more["verified"] is True
     assert live.session.metadata.more["finished"] is True
+
+
+class Interrupted:
+    """NumPy, in which a step of another thread falls into every call."""
+
+    def __init__(self, loop):
+        self.loop = loop
+
+    def __getattr__(self, name):
+        if name in ("round", "empty", "arange"):
+            self.loop._advance(self.loop._done + 1)
+        return getattr(np, name)
+
+
+def test_a_session_is_whole_while_another_thread_steps(monkeypatch):
+    """A notebook's kernel hears in a thread of its own while a cell asks for the session."""
+    live = tl.LiveTracking("M", seed=0)
+    flown(live, 1.0)
+    loop = live.run.loop
+    before = loop._done
+    with monkeypatch.context() as patched:
+        patched.setattr(uav_tracking, "np", Interrupted(loop))
+        session = loop.session
+    assert loop._done > before
+    assert len(session) == before
+    assert session.data.equals(loop.session.data.iloc[:before])
+
+
+def test_a_flight_is_flown_again_by_another_kernel():
+    """The page sends what it has kept: the same bits, and the flight goes on."""
+    sent = [{"hand": [math.sin(k / 9), 0.2], "time": k / 30} for k in range(90)]
+    sent.insert(40, {"pause": "the page is hidden"})
+    first = tl.LiveTracking("TMIG", seed=0)
+    first.hear({"begin": [], "window": "a"})
+    for message in sent:
+        first.hear(message | {"window": "a"})
+    again = tl.LiveTracking("TMIG", seed=0)
+    assert again.config["key"] == first.config["key"]
+    assert tl.LiveTracking("TMIG", seed=1).config["key"] != first.config["key"]
+    answer = again.hear({"begin": sent, "window": "b"})
+    assert answer["t"] == first.run.loop.t
+    assert again.session.data.equals(first.session.data)
+    assert "taken up again" in again.session.metadata.more["notes"][-1]
+    for message in sent:
+        again.hear(message | {"window": "b"})
+    assert len(again.session) > 1.9 * len(first.session)
+    assert again.verified
+    before = len(again.session)
+    again.hear({"begin": sent, "window": "c"})
+    assert len(again.session) == before, "a kernel that knows the flight does not fly it again"
+
+
+def test_the_window_that_began_last_flies():
+    live = tl.LiveTracking("M", seed=0)
+    for window in "ab":
+        live.hear({"begin": [], "window": window})
+    assert (
+        "another window" in live.hear({"hand": [1.0, 0.0], "time": 0.0, "window": "a"})["refused"]
+    )
+    assert live.run.heard is None
 
 
 def test_a_run_can_be_stopped():

@@ -32,7 +32,7 @@ SHORT = Course(((0, 0), (4, 0), (4, 4), (0, 4)), radius=1.9)
 
 PAGE = """<!doctype html><meta charset="utf-8"><div id="place"></div><script type="module">
 import widget, { Physics, drive } from "./widget.js";
-Object.assign(window, { Physics, drive });
+Object.assign(window, { Physics, drive, widget });
 const given = await (await fetch("./given.json")).json();
 given.wasm = new DataView(await (await fetch("./kernel.wasm")).arrayBuffer());
 const heard = [];
@@ -44,7 +44,7 @@ const model = {
     if (answer) heard.forEach((act) => act(JSON.parse(answer)));
   },
 };
-window.given = given;
+Object.assign(window, { given, model });
 widget.render({ model, el: document.getElementById("place") });
 </script>"""
 NOW = """() => { const d = document.querySelector('.tl-drive').driving, p = d.physics;
@@ -191,6 +191,66 @@ def test_the_pictures_keep_the_pixels_of_the_screen(notebook):
             "c.clientWidth, c.parentElement.clientWidth])"
         )
         assert [own == shown == room for own, shown, room in sizes] == [True, True], sizes
+    assert one.faults == []
+
+
+def test_the_space_bar_says_why_it_does_nothing(notebook):
+    words = read_words()
+    cases = {
+        "Nobody can switch in the first 100 s": configured("C1"),
+        words["by_itself"]: drive_config("identification", MODEL, schedule=[(1, 60.0), (0, 60.0)]),
+    }
+    forced = configured("C5")
+    forced["task"]["settling"] = 0.0
+    forced["task"]["p_max"] = 9.0  # the robot stays below its best: manual is suggested, and on
+    cases[words["only_suggested"]] = forced
+    for text, config in cases.items():
+        one = notebook(config)
+        one.start()
+        one.page.keyboard.press("Space")
+        one.page.wait_for_function(
+            "(text) => document.querySelector('.tl-drive .suggestion').textContent.includes(text)",
+            arg=text,
+        )
+        assert one.page.evaluate("document.querySelector('.tl-drive').driving.row[0]") == 1
+        one.page.close()
+
+
+def test_a_drive_fits_a_phone_and_keeps_its_style_where_it_is_made_before_it_is_attached(notebook):
+    one = notebook(configured())
+    one.page.set_viewport_size({"width": 390, "height": 844})
+    one.start()
+    assert one.page.evaluate("document.querySelector('.tl-drive canvas').clientWidth") > 330
+    styled = one.page.evaluate("""async () => {
+      const { dress } = await import("./widget.js");
+      const root = document.createElement("p");
+      dress(root, "p { outline: 3px solid rgb(1, 2, 3); }");
+      document.body.append(root);
+      for (let n = 0; n < 3; n += 1) await new Promise((ok) => requestAnimationFrame(ok));
+      return getComputedStyle(root).outlineColor;
+    }""")
+    assert styled == "rgb(1, 2, 3)"
+    assert one.faults == []
+
+
+def test_of_two_views_of_a_widget_the_last_one_drives(notebook):
+    one = notebook(configured())
+    one.start()
+    one.until(lambda: len(one.attempt.rows) > 5, 10)
+    one.page.evaluate("""() => {
+      const place = document.createElement("div");
+      place.id = "second";
+      document.body.append(place);
+      widget.render({ model, el: place });
+    }""")
+    one.page.click("#second >> text=Start driving")
+    one.page.wait_for_function("document.querySelector('#second .tl-drive')?.driving")
+    one.page.wait_for_function(
+        "document.querySelector('#place').textContent.includes('goes on in another window')"
+    )
+    before = len(one.attempt.rows)
+    one.until(lambda: len(one.attempt.rows) > before + 10, 10)
+    assert one.attempt.verified
     assert one.faults == []
 
 

@@ -5,6 +5,7 @@ acknowledged, by one writer.
 
 import json
 import os
+import threading
 import weakref
 from collections.abc import Mapping
 from pathlib import Path
@@ -44,6 +45,8 @@ class Attempt:
     def __init__(self, folder: str | Path, participant: str, config: Mapping[str, Any]):
         self.participant = participant
         self.config = config
+        # A notebook's kernel may answer in one thread and show a session in another.
+        self.lock = threading.RLock()
         header = {"participant": participant, "config": config}
         self.digest = digest(json.dumps(header, sort_keys=True))[:12]
         Path(folder).mkdir(parents=True, exist_ok=True)
@@ -117,18 +120,18 @@ class Attempt:
         window = str(message.get("window", ""))[:40]
         if "begin" not in message and window != self.window:
             return {"refused": LATE}
-        try:
-            new = self._entries(message, window)
-        except ValueError as error:
-            return {"refused": f"A row cannot be taken: {error}."}
-        try:
-            self.chain.append(new)
-        except OSError as error:
-            return {"trouble": FULL.format(error=error.strerror or error)}
-        for entry in new:
-            self._take(entry)
-        rows = {"rows": self.rows} if "begin" in message else {}
-        return {"have": len(self.rows), **rows}
+        with self.lock:
+            try:
+                new = self._entries(message, window)
+                self.chain.append(new)
+            except ValueError as error:
+                return {"refused": f"A row cannot be taken: {error}."}
+            except OSError as error:
+                return {"trouble": FULL.format(error=error.strerror or error)}
+            for entry in new:
+                self._take(entry)
+            rows = {"rows": list(self.rows)} if "begin" in message else {}
+            return {"have": len(self.rows), **rows}
 
     def _entries(self, message: Mapping[str, Any], window: str) -> list[Any]:
         """Return what a message adds to the file."""
@@ -157,26 +160,30 @@ class Attempt:
         Whether all rows so far are, bit for bit, what numba computes from their commands, and the
         file is as it was written.
         """
-        if not self.rows or self.chain.read().fault:
-            return False
-        return replay(self.config, np.array(self.rows, dtype=float)) is True
+        with self.lock:
+            rows = np.array(self.rows, dtype=float)
+            if not self.rows or self.chain.read().fault:
+                return False
+        return replay(self.config, rows) is True
 
     @property
     def session(self) -> Session:
         """What has been driven so far."""
-        period = np.diff(self.stamps) / 1000.0
-        facts = {
-            "verified": self.verified,
-            "finished": self.finished,
-            "file": self.path.name,
-            "pauses": list(self.notes),
-        }
+        with self.lock:
+            period = np.diff(self.stamps) / 1000.0
+            rows = np.array(self.rows, dtype=float)
+            facts = {
+                "verified": self.verified,
+                "finished": self.finished,
+                "file": self.path.name,
+                "pauses": list(self.notes),
+            }
         if period.size:
             facts["period_median"] = float(np.median(period))
             facts["period_max"] = float(period.max())
         return session_of(
             self.config,
-            np.array(self.rows, dtype=float).reshape(-1, len(self.config["columns"])),
+            rows.reshape(-1, len(self.config["columns"])),
             participant=self.participant,
             **facts,
         )

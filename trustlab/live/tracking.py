@@ -3,6 +3,7 @@
 in the kernel.
 """
 
+import threading
 from collections import deque
 from collections.abc import Mapping
 from typing import Any
@@ -80,6 +81,8 @@ class HandDrivenLoop:
         self.finished = False
         self.failed = False
         self.window = ""
+        # A notebook's kernel may hear in one thread and show a session in another.
+        self.lock = threading.RLock()
         late = max(round(task.camera_delay / self.sample_time), 1)
         self.pictures: deque = deque([(np.zeros(3), np.zeros(3))], maxlen=late + 1)
 
@@ -89,13 +92,14 @@ class HandDrivenLoop:
         the end.
         """
         window = str(message.get("window", ""))[:40]
-        if "begin" in message:
-            self.window = window
-            self._resume(message["begin"])
-        elif window != self.window:
-            return {"refused": LATE}
-        self._take(message)
-        return self._shown()
+        with self.lock:
+            if "begin" in message:
+                self.window = window
+                self._resume(message["begin"])
+            elif window != self.window:
+                return {"refused": LATE}
+            self._take(message)
+            return self._shown()
 
     def _take(self, message: Mapping[str, Any]) -> None:
         if "hand" in message and not self.finished:
@@ -187,8 +191,9 @@ class HandDrivenLoop:
         """What has been logged so far, and the hand that each sample had."""
         if len(self.hands) < 2:
             raise ValueError("a session has at least two samples; wait until 0.02 s are flown")
-        hands = np.array(self.hands, dtype=float)
-        data = self.loop.session.data.iloc[: len(hands)]
+        with self.lock:
+            hands = np.array(self.hands, dtype=float)
+            data = self.loop.session.data
         return data.assign(**{name: hands[:, i] for i, name in enumerate(HAND)})
 
     @property

@@ -452,10 +452,11 @@ class TeleoperationLoop:
     @property
     def session(self) -> Session:
         """The run so far: every signal and every port's energy, labelled synthetic."""
-        t = np.round(self.sample_time * np.arange(self._done), 9)
-        log, table = self._table[: self._done], np.empty((self._done, len(COLUMNS)), order="F")
+        done = self._done  # once: another thread may step meanwhile, as in a notebook
+        t = np.round(self.sample_time * np.arange(done), 9)
+        log, table = self._table[:done], np.empty((done, len(COLUMNS)), order="F")
         # rows become columns a stretch at a time, which the cache holds
-        for first in range(0, self._done, 512):
+        for first in range(0, done, 512):
             table[first : first + 512] = log[first : first + 512]
         data = pd.DataFrame(table, index=pd.Index(t, name="t"), columns=COLUMNS, copy=False)
         replaced = [

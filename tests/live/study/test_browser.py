@@ -18,6 +18,7 @@ import pytest
 import trustlab as tl
 from tests.live.conftest import OPTIONS
 from tests.live.study.test_crashes import Server, plant_torn_line
+from trustlab.live.study import participation
 from trustlab.live.study.server import StudyServer
 from trustlab.live.study.store import read_tokens
 
@@ -339,6 +340,74 @@ def test_what_the_experimenter_does_reaches_the_page(served, browser, client):
     client(act, {"participant": "P01", "action": "end"})
     until(page, "document.querySelector('h2')?.textContent === 'Thank you'")
     assert page.faults == []
+
+
+def full(*_):
+    raise OSError(28, "No space left on device")
+
+
+def test_a_full_disk_is_said_on_both_pages_and_loses_nothing(served, browser, monkeypatch):
+    experimenter = opened(browser.new_context(), served.server.experimenter)
+    page = driving(browser.new_context(), served.links["P01"])
+    with monkeypatch.context() as patched:
+        patched.setattr("os.fsync", full)
+        until(page, "!trouble.hidden && trouble.textContent.includes('cannot save')")
+        until(experimenter, "trouble.textContent.includes('No space left on device')")
+        made = page.evaluate("self.study.rows")
+    until(page, "trouble.hidden")
+    until(experimenter, "trouble.hidden")
+    assert wait_for_rows(served.plan.folder, made) >= made
+    assert page.faults == []
+
+
+def test_a_mistake_of_the_server_is_said_on_both_pages(served, browser, monkeypatch):
+    experimenter = opened(browser.new_context(), served.server.experimenter)
+    page = driving(browser.new_context(), served.links["P01"])
+    with monkeypatch.context() as patched:
+        patched.setattr(participation.Participation, "rows", lambda *_: 1 / 0)
+        until(page, "trouble.textContent.includes('(error 500)')")
+        until(experimenter, "trouble.textContent.includes('could not be answered')")
+    until(page, "trouble.hidden")
+    with monkeypatch.context() as patched:
+        patched.setattr(served.server, "overview", lambda: 1 / 0)
+        until(experimenter, "trouble.textContent.includes('error 500')")
+
+
+def test_a_page_whose_rows_cannot_be_stops(served, browser, monkeypatch):
+    page = driving(browser.new_context(), served.links["P01"])
+    asked = []
+
+    def refuse(config, row):
+        asked.append(row)
+        raise ValueError("row 9: mode cannot be 7")
+
+    monkeypatch.setattr(participation, "check_row", refuse)
+    until(page, "document.querySelector('main').textContent.includes('mode cannot be 7')")
+    before = len(asked)
+    time.sleep(1.5)
+    assert len(asked) == before, "it is not sent again"
+    assert page.faults == []
+
+
+def test_pages_fit_a_phone(served, browser):
+    context = browser.new_context(viewport={"width": 390, "height": 844})
+    missing = []
+    context.on("response", lambda answer: missing.append(answer.url) if answer.status > 399 else 0)
+    own = served.server.participation("P01")
+    for name in ("nasa_tlx", "trust"):
+        step = next(step for step in own.steps if step.page.name == name)
+        for index in range(step.index):
+            if index not in own.progress.done:
+                own.participant.add("page", page=index, name="x", answers={}, attempt=0)
+        page = opened(context, served.links["P01"])
+        next_page(page)
+        rows = page.evaluate(
+            "[...document.querySelectorAll('.points')].map((points) => new Set("
+            "[...points.querySelectorAll('input')].map((input) => input.offsetTop)).size)"
+        )
+        assert set(rows) == {1}, "a scale stays on one line"
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert missing == []
 
 
 def test_the_pages_can_be_used_by_keyboard_and_screen_reader(served, browser):

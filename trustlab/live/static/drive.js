@@ -24,9 +24,9 @@ export async function drive(root, config, wasm, on) {
     paused = null,
     last = performance.now(),
     behind = 0,
-    frames = [],
-    stamps = [],
     timer = 0;
+  const frames = [],
+    stamps = [];
   const hands = new Hands(root, config.ramp, () => running && on.note("focus lost: keys released"));
   const hand = config.hand ? script(config.hand, config, physics) : null,
     leaving = new AbortController();

@@ -1,5 +1,5 @@
 // Who drives: hands on keyboard, gamepad, mouse or finger, or a script.
-import { clamp } from "./page.js";
+import { clamp, keepKeys } from "./page.js";
 
 const KEYS = {
   ArrowUp: [0, 1],
@@ -22,8 +22,7 @@ export class Hands {
     this.source = "keyboard";
     this.toggles = 0;
     this.stop = new AbortController();
-    // Notebook 7 looks for shortcuts before this element hears of a key.
-    root.dataset.lmSuppressShortcuts = "true";
+    keepKeys(root);
     const listen = (target, type, act, more = {}) =>
       target.addEventListener(type, act, { signal: this.stop.signal, ...more });
     listen(root, "keydown", (event) => {

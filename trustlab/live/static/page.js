@@ -18,6 +18,12 @@ export function filled(text, values) {
   return text.replace(/\{(\w+)\}/g, (hole, name) => values[name] ?? hole);
 }
 
+// Notebooks look for shortcuts before an element hears of a key, but not for elements that say so:
+// an x would cut the cell. The element that has the focus must say it itself.
+export function keepKeys(...focusable) {
+  for (const part of focusable) part.dataset.lmSuppressShortcuts = "true";
+}
+
 // Give an element's document, or its shadow root, a style sheet; an element that is not attached
 // yet has none that could take it.
 export function dress(root, css) {

@@ -59,7 +59,7 @@ function paragraphs(text) {
   return text
     .split(/\n\s*\n/)
     .filter(Boolean)
-    .map((text) => element("p", { textContent: text }));
+    .map((part) => element("p", { textContent: part }));
 }
 
 function scale(item) {
@@ -113,8 +113,8 @@ function read(form, items) {
   const value = {
     scale: Number,
     check: (text) => text !== null,
-    text: (text) => text,
-    choice: (text) => text,
+    text: String,
+    choice: String,
   };
   return Object.fromEntries(
     items.map((item) => [item.name, value[item.kind](data.get(item.name))]),

@@ -1,7 +1,7 @@
 // The UAV that follows a target: the hand goes to the kernel, and what the kernel answers is drawn.
 // No physics here. What was sent is kept in the browser until the flight is over, so that a kernel
 // that was restarted can fly it again.
-import { clamp, dress, element } from "./page.js";
+import { clamp, dress, element, keepKeys } from "./page.js";
 import { Rows } from "./rows.js";
 
 const STYLE = `
@@ -190,8 +190,6 @@ function drawPad(g, hand, now, largest) {
 function furnish(root) {
   dress(root, STYLE);
   root.className = "tl-track";
-  // A notebook's shortcuts are not for who flies.
-  root.dataset.lmSuppressShortcuts = "true";
   const picture = element("canvas", { className: "picture", width: SIZE, height: SIZE }),
     pad = element("canvas", { className: "pad", width: SIZE, height: SIZE }),
     below = element("div", { className: "below" });
@@ -203,6 +201,7 @@ function furnish(root) {
   const button = element("button", { textContent: "Start" }),
     status = element("span", { className: "status", role: "status" }),
     ledger = element("span", { className: "ledger" });
+  keepKeys(button);
   below.append(button, status, ledger);
   const hint = element("div", {
     className: "hint",

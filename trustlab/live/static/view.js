@@ -1,5 +1,5 @@
 // What a driver sees: camera, gauges and panel.
-import { clamp, dress, element, filled, say } from "./page.js";
+import { clamp, dress, element, filled, keepKeys, say } from "./page.js";
 
 export const STYLE = `
 .tl-drive {
@@ -307,6 +307,7 @@ export class Panel {
     this.suggestion = element("div", { className: "suggestion" });
     this.suggestion.setAttribute("role", "status");
     this.button = element("button", { textContent: words.switch });
+    keepKeys(this.button);
     this.button.addEventListener("click", () => {
       toggle();
       root.focus({ preventScroll: true });

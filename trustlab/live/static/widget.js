@@ -1,5 +1,7 @@
 // The widget of a notebook: a start button, the drive, and its rows by the kernel's messages.
-// Behind the modules that it uses, in one.
+import { drive } from "./drive.js";
+import { element, keepKeys, say } from "./page.js";
+import { Rows } from "./rows.js";
 
 // Ask the kernel; the answer carries the number of the question. A kernel that is busy or gone
 // answers late or never.
@@ -36,6 +38,7 @@ async function render({ model, el }) {
     trouble = element("p", { role: "alert" });
   let driving = null,
     rows = null;
+  keepKeys(start);
   el.append(start, root, trouble);
 
   function end(message) {
