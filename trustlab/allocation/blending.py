@@ -1,7 +1,4 @@
-"""
-Optimal mixed initiative (OMI, Appendix A): the share α that trades tracking error against departing
-from the operator.
-"""
+"""Optimal mixed initiative (OMI, Appendix A): a share α that weighs error against departure."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -51,7 +48,8 @@ def best_share(weights, states, low, high):
     for m in range(terms - 1, 0, -1):
         slope[m - 1] = slope[m + 1] + 2.0 * m * series[m]
     slope[0] *= 0.5
-    best, least = low, _chebyshev(series, 2.0 * low - 1.0)
+    best = low
+    least = _chebyshev(series, 2.0 * low - 1.0)
     cost = _chebyshev(series, 2.0 * high - 1.0)
     if cost < least:
         best, least = high, cost
@@ -76,7 +74,8 @@ def best_share(weights, states, low, high):
                     b = middle
             cost = _chebyshev(series, a + b - 1.0)
             if cost < least:
-                best, least = 0.5 * (a + b), cost
+                best = 0.5 * (a + b)
+                least = cost
         left, at_left = right, at_right
     return best, least
 
@@ -115,8 +114,9 @@ class BlendingStep:
 
 class OptimalBlending:
     """
-    The allocation of Appendix A: α minimises ∫ 200‖e‖² + (1 − α)²‖u_a − u_h‖² dτ over a short
-    horizon, (A.3).
+    The allocation of Appendix A: the share α that minimises (A.3) over a short horizon.
+
+    The cost is ∫ 200‖e‖² + (1 − α)²‖u_a − u_h‖² dτ.
 
     Every axis has the states u_h (held), u_a (following its PD law), e and its derivatives; u = α
     u_h + (1 − α) u_a drives the vehicle. For α held over the horizon the cost is, up to rounding, a
@@ -200,7 +200,8 @@ class OptimalBlending:
         numpy.ndarray, shape (5, 5)
             The state's derivative is A(α) times the state; an axis of order one has no fifth state.
         """
-        model, (p, d) = self.vehicle[axis], self.gains[axis]
+        model = self.vehicle[axis]
+        (p, d) = self.gains[axis]
         a = np.zeros((5, 5))
         a[1, 3] = p
         a[2, 3] = 1.0
@@ -209,7 +210,8 @@ class OptimalBlending:
             a[1, 4] = d
             a[3, 4] = 1.0
             a[4, 0], a[4, 1] = pull
-            a[4, 3], a[4, 4] = -model.denominator[1], -model.denominator[0]
+            a[4, 3] = -model.denominator[1]
+            a[4, 4] = -model.denominator[0]
         else:
             a[3, 0], a[3, 1] = pull
             a[3, 3] = -model.denominator[0]
@@ -218,8 +220,9 @@ class OptimalBlending:
 
     def _series(self, length: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return flow and cost over a time in which α is held as Chebyshev series in α, shape (3,
-        DEGREE + 1, 5, 5) each.
+        Return flow and cost over a time in which α is held, as Chebyshev series in α.
+
+        Both have the shape (3, DEGREE + 1, 5, 5).
         """
         count = DEGREE + 1
         nodes = np.array([cos_sin(np.pi * (k + 0.5) / count)[0] for k in range(count)])
@@ -230,7 +233,8 @@ class OptimalBlending:
         values = np.empty((2, 3, DEGREE + 1, 5, 5))
         for axis in range(3):
             for k, alpha in enumerate(0.5 * (nodes + 1.0)):
-                a, q = self.matrix(axis, alpha), np.zeros((5, 5))
+                a = self.matrix(axis, alpha)
+                q = np.zeros((5, 5))
                 q[2, 2] = self.error_weight
                 difference = np.array([1.0, -1.0, 0.0, 0.0, 0.0])
                 q += self.deviation_weight * (1.0 - alpha) ** 2 * np.outer(difference, difference)
@@ -318,7 +322,8 @@ class OptimalBlending:
         """Return the bilinear program: flow and cost of each interval are polynomials in its α."""
         import casadi
 
-        alphas, p = casadi.MX.sym("alpha", self.intervals), casadi.MX.sym("p", 15)
+        alphas = casadi.MX.sym("alpha", self.intervals)
+        p = casadi.MX.sym("p", 15)
         flow, weight = self._series(self.horizon / self.intervals)
         cost = 0
         for axis in range(3):

@@ -1,7 +1,4 @@
-"""
-How often the printed steady-state bounds are violated, and whether switching goes on, over random
-parameter sets.
-"""
+"""How often random parameter sets violate the printed bounds or stop switching."""
 
 import numpy as np
 import pandas as pd
@@ -48,8 +45,9 @@ def steady_run(
     returns: int = 0,
 ) -> pd.DataFrame:
     """
-    Simulate rule (2.8) from `r0` in the manual mode and return so many `recorded` samples, and the
-    one before them.
+    Simulate rule (2.8) from `r0` in the manual mode and return its last samples.
+
+    They are so many `recorded` samples and the one before them.
 
     They begin once `settling` samples, and as many `returns` to manual control, have passed.
     """
@@ -74,8 +72,10 @@ def random_set(rng: np.random.Generator) -> tuple[TscModel, float, float]:
     """
     of_class("rng", rng, np.random.Generator, "numpy.random.default_rng(0) makes one")
     while True:
-        h_min, r_min = rng.uniform(0.2, 0.5), rng.uniform(0.1, 0.4)
-        h_max, r_max = h_min * (1.0 + rng.uniform(0.02, 0.5)), r_min * (1.0 + rng.uniform(0.1, 1.0))
+        h_min = rng.uniform(0.2, 0.5)
+        r_min = rng.uniform(0.1, 0.4)
+        h_max = h_min * (1.0 + rng.uniform(0.02, 0.5))
+        r_max = r_min * (1.0 + rng.uniform(0.1, 1.0))
         human = HumanModel(
             1.0 - 10.0 ** rng.uniform(-3.3, -1.7), rng.uniform(0.3, 0.95), h_min, h_max
         )
@@ -91,8 +91,9 @@ def random_set(rng: np.random.Generator) -> tuple[TscModel, float, float]:
 
 def bound_failures(sets: int = 20_000, seed: int = 0, invariant: int = 0) -> pd.DataFrame:
     """
-    Count, over random parameter sets that meet the conditions of Theorem 1, how often each printed
-    bound is violated.
+    Count how often each printed bound is violated, over random parameter sets.
+
+    All sets meet the conditions of Theorem 1.
 
     Every set is drawn by `random_set`, simulated until transients have decayed and then for at
     least a whole cycle, and kept if its thresholds lie within (2.9)-(2.10) with the δ_Ph of that
@@ -128,7 +129,8 @@ def bound_failures(sets: int = 20_000, seed: int = 0, invariant: int = 0) -> pd.
         rng = np.random.default_rng(root.spawn(1)[0])
         model, lower, upper = random_set(rng)
         longest = 1.0 / (1.0 - max(model.human.a, model.robot.a))
-        settling, recorded = int(SETTLING * longest), int(RECORDED * longest)
+        settling = int(SETTLING * longest)
+        recorded = int(RECORDED * longest)
         start = model, lower, upper, rng.random(), settling
         run = steady_run(*start, recorded)
         # Less than a cycle may hide the largest steps; a motion that stays in one mode has none.
@@ -161,8 +163,9 @@ def bound_failures(sets: int = 20_000, seed: int = 0, invariant: int = 0) -> pd.
 
 def outside(run: pd.DataFrame, bounds: SteadyStateBounds | InvariantBounds) -> list[bool]:
     """
-    Return whether a run (but its first sample) leaves bounds by more than `TOLERANCE`: r below, r
-    above, P_r, TSC.
+    Return whether a run leaves bounds: r below, r above, P_r, TSC.
+
+    Its first sample does not count, nor does less than `TOLERANCE`.
     """
     left = []
     for name in ("r", "p_r", "tsc"):

@@ -1,7 +1,4 @@
-"""
-Limits within which thresholds keep switching, (2.9)-(2.10) and Theorem 1, and the largest one-step
-changes in them.
-"""
+"""Limits within which thresholds keep switching, (2.9)-(2.10), and largest one-step changes."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -64,9 +61,11 @@ def step_bounds(tsc: TscModel, r_low: float = 0.05, r_high: float = 0.95) -> Ste
         If `tsc` is not a `TscModel`, or the range is not within [0, 1].
     """
     of_class("tsc", tsc, TscModel)
-    low, high = between("r_low", r_low, 0.0, 1.0), between("r_high", r_high, 0.0, 1.0)
+    low = between("r_low", r_low, 0.0, 1.0)
+    high = between("r_high", r_high, 0.0, 1.0)
     in_order("r_low", low, "r_high", high)
-    human, robot = tsc.human, tsc.robot
+    human = tsc.human
+    robot = tsc.robot
     grid = np.linspace(low, high, 4001)
     best = 0.0
     for mode in (0.0, 1.0):
@@ -207,10 +206,7 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> Threshold
 def check_thresholds(
     tsc: TscModel, lower: float, upper: float, limits: ThresholdLimits | None = None
 ) -> tuple[float, float]:
-    """
-    Return two thresholds as floats if they are finite, in order, and, where limits are given,
-    strictly between them.
-    """
+    """Return two thresholds as floats if they are finite, in order, and within limits, if given."""
     of_class("tsc", tsc, TscModel)
     lower, upper = in_order("lower", lower, "upper", upper)
     if limits is None:

@@ -160,7 +160,8 @@ def varied_model(tsc: TscModel, values: Mapping[str, float]) -> TscModel:
     for name, value in values.items():
         part, _, field = one_of("what is varied", name, PARAMETERS).partition(".")
         parts[part][field] = value
-    robot, human = tsc.robot, tsc.human
+    robot = tsc.robot
+    human = tsc.human
     if (
         "p_max" in parts["human"]
         and "p_h_max" not in parts["robot"]
@@ -181,11 +182,9 @@ def cycle_at(
     seed: object,
     **values: float,
 ) -> dict:
-    """
-    Return the measures of one steady cycle, the task of a campaign; it needs no seed, as the cycle
-    is exact.
-    """
-    lower, upper = values.pop("lower", lower), values.pop("upper", upper)
+    """Return the measures of one steady cycle: the task of a campaign, which needs no seed."""
+    lower = values.pop("lower", lower)
+    upper = values.pop("upper", upper)
     try:
         cycle = limit_cycle(varied_model(tsc, values), lower, upper, starts)
     except ValueError as error:
@@ -205,8 +204,7 @@ def sweep(
     **campaign: Any,
 ) -> Sweep:
     """
-    Map performance, utilization and dwell times of the steady cycle over thresholds and model
-    parameters.
+    Map performance, utilization and dwell times of the cycle over thresholds and parameters.
 
     Parameters
     ----------
@@ -221,7 +219,7 @@ def sweep(
     starts : int
         As in `limit_cycle`: 1 is the quick setting, one motion per point.
     **campaign : object
-        n_jobs, out, cluster, executor, progress and fresh, as in `run_campaign`.
+        n_jobs, out, executor, progress and fresh, as in `run_campaign`.
 
     Returns
     -------
@@ -294,7 +292,7 @@ def cycle_sensitivity(
     quantities : tuple of str
         Keys of `QUANTITIES`.
     **options : object
-        seed, level and resamples, as in `sobol_indices`; n_jobs, out, cluster, executor, progress
+        seed, level and resamples, as in `sobol_indices`; n_jobs, out, executor, progress
         and fresh, as in `run_campaign`.
 
     Returns

@@ -1,7 +1,4 @@
-"""
-Rules that say who should drive, step by step: by thresholds of TSC (2.8), by performance (Algorithm
-2), or a user's own.
-"""
+"""Rules that allocate control: thresholds of TSC (2.8), Algorithm 2, or a user's own."""
 
 from copy import deepcopy
 from dataclasses import dataclass
@@ -28,8 +25,9 @@ PERFORMANCE_TOLERANCE = 0.05
 @njit
 def performance_suggestion(p_r, p_min, p_max, tolerance=PERFORMANCE_TOLERANCE):
     """
-    Return what Algorithm 2 suggests: 0 near P_max, 1 up to P_min + 0.9(P_max − P_min), −1 (nothing)
-    between.
+    Return what Algorithm 2 suggests: 0 near P_max, 1 at low performance, −1 (nothing) between.
+
+    Performance is low up to P_min + 0.9(P_max − P_min).
     """
     if p_r >= p_max - tolerance * (p_max - p_min):
         return 0
@@ -41,8 +39,7 @@ def performance_suggestion(p_r, p_min, p_max, tolerance=PERFORMANCE_TOLERANCE):
 @dataclass
 class ThresholdRule:
     """
-    Manual when TSC has fallen to TSC_l, autonomous when it has risen to TSC_u, unchanged between,
-    equation (2.8).
+    Rule (2.8): manual once TSC falls to TSC_l, autonomous once it rises to TSC_u.
 
     Thresholds and mode may be assigned while the rule runs, with the same checks as at the
     beginning; `move` changes both thresholds at once.
@@ -130,8 +127,9 @@ class ThresholdRule:
 @dataclass(frozen=True)
 class PerformanceRule:
     """
-    Suggest autonomous at P_r = P_max, manual at P_r ≤ P_min + 0.9 (P_max − P_min), else nothing
-    (Algorithm 2).
+    Algorithm 2: autonomous at P_r = P_max, manual where P_r is low, else nothing.
+
+    P_r is low up to P_min + 0.9 (P_max − P_min).
 
     Parameters
     ----------

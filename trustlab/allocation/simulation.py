@@ -28,8 +28,9 @@ AHEAD = 256
 @njit
 def simulate_rule(start_r, start_p_r, mode, lower, upper, tolerance, c, r, p_r, p_h, tsc, modes):
     """
-    Fill five columns with the model under a rule; the mode follows from TSC and P_r of the same
-    sample.
+    Fill five columns with the model under a rule.
+
+    The mode follows from TSC and P_r of the same sample.
 
     `lower` and `upper` are the thresholds of (2.8); with a `tolerance` of 0 or more they are P_min
     and P_max of Algorithm 2.
@@ -132,8 +133,9 @@ def simulate_allocation(
 
 def _ask_step_by_step(rule, now, start, c, r, p_r, p_h, tsc, mode):
     """
-    Fill five columns as a rule in Python decides; the model is simulated ahead in the present mode,
-    and again after a switch.
+    Fill five columns as a rule in Python decides.
+
+    The model is simulated ahead in the present mode, and again after a switch.
     """
     r[0], p_r[0] = start
     # The first sample of a stretch is already decided but for that of the whole run.

@@ -48,8 +48,7 @@ class SteadyStateBounds(SteadyRanges):
 
     def plot(self, sample_time: float = 0.1):
         """
-        Plot what the dwell times are derived from, and utilization in steady state, as in Figs.
-        2.5, 2.6 and 2.7.
+        Plot dwell times and utilization in steady state, as in Figs. 2.5, 2.6 and 2.7.
 
         Parameters
         ----------
@@ -69,7 +68,8 @@ class SteadyStateBounds(SteadyRanges):
 
     def _plot_performance(self, axes, sample_time: float) -> None:
         """Plot how robot performance passes from one of its bounds towards the other."""
-        robot, human = self.model.robot, self.model.human
+        robot = self.model.robot
+        human = self.model.human
         best = robot.steady_state(1.0, human.p_max)
         worst = robot.steady_state(1.0, human.p_min)
         tau_da = self.dwell_autonomous_high
@@ -224,7 +224,8 @@ def steady_state_bounds(
     robot = tsc.robot
     bounds = performance_as_printed(tsc.constants(), lower, upper, delta_tsc)
     numbers = {name: float(value) for name, value in bounds._asdict().items()}
-    p_low, p_high = numbers["p_r_low"], numbers["p_r_high"]
+    p_low = numbers["p_r_low"]
+    p_high = numbers["p_r_high"]
     if not p_low < p_high:
         raise ValueError(
             f"the thresholds ({lower:g}, {upper:g}) leave no range of robot performance: (2.15) "

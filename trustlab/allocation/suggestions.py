@@ -14,8 +14,9 @@ FOLLOWED, NOT_FOLLOWED, WITHDRAWN, OPEN = range(4)
 
 def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFrame:
     """
-    Return the suggestions that were shown, each from its first appearance, and whether they were
-    followed (Table 2.6).
+    Return the suggestions that were shown, and whether they were followed (Table 2.6).
+
+    Each counts from its first appearance.
 
     A suggestion is shown while `suggested_mode` is 0 or 1 and not the mode there is; one that comes
     back within the deadline, while the mode stayed and the aid did not agree with it, is the same
@@ -71,10 +72,12 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
 @njit
 def suggestion_episodes(t, mode, suggested, deadline):
     """
-    Return start, suggested mode, delay until it was taken (or NaN) and state of every suggestion,
-    as `followed_suggestions`.
+    Return start, mode, delay until it was taken (or NaN) and state of every suggestion.
+
+    States are those of `followed_suggestions`.
     """
-    first, last = list(range(0)), list(range(0))
+    first = list(range(0))
+    last = list(range(0))
     # Whether the mode has changed, or the aid has agreed with it, since the last one was shown
     broken = False
     for k in range(t.size):

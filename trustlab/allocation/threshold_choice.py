@@ -56,22 +56,17 @@ class ThresholdChoice:
 
     @property
     def model_limits(self) -> ThresholdLimits:
-        """
-        `threshold_limits(model)`: TSC_lb and TSC_ub at the δ_Ph that the model itself gives,
-        narrower.
-        """
+        """`threshold_limits(model)`: TSC_lb and TSC_ub at the model's own δ_Ph, narrower."""
         return threshold_limits(self.model)
 
     def front(self) -> pd.DataFrame:
-        """
-        Return the Pareto front: pairs that no other beats in both mean performance and mean
-        utilization.
-        """
+        """Return the Pareto front: pairs beaten by no pair in performance and utilization."""
         return self.candidates[self.candidates["on_front"]].sort_values("mean_r", ignore_index=True)
 
     def table(self) -> pd.DataFrame:
         """Return the ranges of the steady motion and the bounds for every trajectory."""
-        cycle, bounds = self.cycle.table(), self.bounds.table()
+        cycle = self.cycle.table()
+        bounds = self.bounds.table()
         return cycle.assign(bound_low=bounds["low"], bound_high=bounds["high"])
 
     def _repr_html_(self) -> str:
@@ -87,8 +82,7 @@ class ThresholdChoice:
 
     def plot(self):
         """
-        Plot mean performance and utilization over the feasible triangle, the choice, and the Pareto
-        front.
+        Plot mean performance and utilization over feasible pairs, the choice, and the front.
 
         Returns
         -------
@@ -112,7 +106,8 @@ class ThresholdChoice:
             )
             axis.legend(loc="lower right", fontsize="small")
             axis.figure.colorbar(points, ax=axis)
-        trade_off, means = axes[2], ("mean_r", "mean_p_r")
+        trade_off = axes[2]
+        means = ("mean_r", "mean_p_r")
         trade_off.plot(
             *means, "-", data=self.front(), color="C1", lw=1.5, zorder=4, label="Pareto front"
         )
@@ -129,8 +124,7 @@ def choose_thresholds(
     tsc: TscModel | FitResult, delta_p_h: float = 0.0, margin: float = 0.1, points: int = 24
 ) -> ThresholdChoice:
     """
-    Choose thresholds as Algorithm 1 asks: utilization encloses β, performance comes near its
-    greatest.
+    Choose thresholds by Algorithm 1: utilization encloses β, performance is near its best.
 
     All pairs of a grid within the limits, less a margin, are followed to their steady cycle. Among
     those whose range of utilization encloses β the one with the greatest highest performance is
@@ -221,7 +215,8 @@ def choose_thresholds(
             f"{tsc.human.beta:g}; this one comes nearest, within {gap[best]:.3f}. Allow a smaller "
             "margin for more."
         )
-    lower, upper = float(table.loc[best, "lower"]), float(table.loc[best, "upper"])
+    lower = float(table.loc[best, "lower"])
+    upper = float(table.loc[best, "upper"])
     cycle = limit_cycle(tsc, lower, upper)
     bounds = invariant_bounds(tsc, lower, upper)
     message += _beside_limits(tsc, lower, upper, limits)
@@ -252,10 +247,7 @@ def _beside_limits(tsc: TscModel, lower: float, upper: float, limits: ThresholdL
 
 
 def _front(cost: np.ndarray, gain: np.ndarray) -> np.ndarray:
-    """
-    Return which points no other has with less cost and at least the gain, or more gain at no more
-    cost.
-    """
+    """Return the points that no other point beats in both cost and gain."""
     order = np.lexsort((-gain, cost))
     best_before = np.maximum.accumulate(np.r_[-np.inf, gain[order]])[:-1]
     front = np.empty(cost.size, dtype=bool)

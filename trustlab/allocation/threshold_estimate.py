@@ -1,7 +1,4 @@
-"""
-Estimates of an operator's thresholds from their switches (Table 2.3), and relative performance
-(2.39).
-"""
+"""Estimates of thresholds from an operator's switches (Table 2.3); relative performance (2.39)."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -198,7 +195,8 @@ def separation(lower_mean: float, lower_sd: float, upper_mean: float, upper_sd: 
     ValueError
         If a number is not finite, an SD is negative, or both are 0.
     """
-    low, high = finite_number("lower_mean", lower_mean), finite_number("upper_mean", upper_mean)
+    low = finite_number("lower_mean", lower_mean)
+    high = finite_number("upper_mean", upper_mean)
     spread = not_negative("lower_sd", lower_sd) + not_negative("upper_sd", upper_sd)
     return (high - low) / positive("lower_sd + upper_sd", spread)
 
@@ -209,12 +207,14 @@ def _apart(
     """
     Return the separation of two groups of switches, its 95 % interval, and p that it is 1 or less.
     """
-    numbers, drawn = [], []
+    numbers = []
+    drawn = []
     for values in (groups["lower"], groups["upper"]):
         n = values.size
         if n < 2 or not values.std() > 0.0:
             return np.nan, np.nan, np.nan, np.nan
-        mean, sd = values.mean(), values.std(ddof=1)
+        mean = values.mean()
+        sd = values.std(ddof=1)
         spread = sd * np.sqrt((n - 1) / rng.chisquare(n - 1, draws))
         numbers += [mean, sd]
         drawn += [mean + spread * rng.standard_normal(draws) / np.sqrt(n), spread]
@@ -257,8 +257,9 @@ def _summarise(
 
 def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) -> float:
     """
-    Return mean robot performance as a percentage of its range, (mean P_r − P_min)/(P_max − P_min) ·
-    100 (2.39).
+    Return mean robot performance as a percentage of its range, (2.39).
+
+    It is (mean P_r − P_min)/(P_max − P_min) · 100.
 
     Parameters
     ----------

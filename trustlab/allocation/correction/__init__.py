@@ -1,4 +1,1 @@
-"""
-Real-time correction of an operator's thresholds, (2.40)-(2.44): incentives, engines, and closed
-loops.
-"""
+"""Real-time correction of an operator's thresholds, (2.40)-(2.44)."""

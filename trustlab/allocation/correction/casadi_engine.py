@@ -1,24 +1,22 @@
 """
-The general engine of the correction: nonlinear model predictive control by multiple shooting with
-CasADi.
+The general engine of the correction: nonlinear model predictive control with CasADi.
 
 The hard switch (2.8) makes the program piecewise smooth: it is smooth within one mode sequence. The
 engine moves from one sequence to the next and judges every plan by a run under the hard switch,
 never by the cost that a solver reports.
 
 1. The candidates are the last plan shifted by one step, the fastest way to the target, and holding
-the thresholds. 2. The program is solved for the mode sequence of the best candidate, its solution
-is run under (2.8), and so on until the
-   sequence repeats. For (2.43) alone this ends at clipping, from any start: corrections depend on
-   earlier modes only, so that each round gets at least one more switch right.
+   the thresholds.
+2. The program is solved for the mode sequence of the best candidate, its solution is run under
+   (2.8), and so on until the sequence repeats. For (2.43) alone this ends at clipping, from any
+   start: corrections depend on earlier modes only, so that each round gets at least one more switch
+   right.
 3. Where a switch within the horizon happens, or fails to, only because a threshold was moved,
-holding it back is tried; if
-   that is cheaper, the program is solved with the thresholds confined to where (2.8) produces those
-   modes.
+   holding it back is tried; if that is cheaper, the program is solved with the thresholds confined
+   to where (2.8) produces those modes.
 4. With a positive `switch_width`, a program with a smoothed switch is solved as well; its mode
-sequence is treated as in 3.
-   Costs of r, P_r or the mode need it: for a given mode sequence these do not depend on the
-   corrections.
+   sequence is then treated in the same way. Costs of r, P_r or the mode need it: for a given mode
+   sequence these do not depend on the corrections.
 
 The plan is a local optimum, to the solver's tolerance, among the corrections that produce its mode
 sequence. That no other sequence is cheaper is not proved: `cost_lower_bound` is NaN. engine="exact"
@@ -61,8 +59,9 @@ FEASIBLE = 1e-5
 
 class Situation(NamedTuple):
     """
-    Where a plan begins: r, P_r, TSC_u, TSC_l and the mode before; where thresholds may go; why
-    solvers failed.
+    Where a plan begins, where its thresholds may go, and why solvers failed.
+
+    `state` is r, P_r, TSC_u, TSC_l and the mode before.
     """
 
     state: np.ndarray
@@ -128,7 +127,8 @@ class CasadiEngine:
             width = not_negative("switch_width", switch_width)
         solver = one_of("solver", "piqp" if solver is None else solver, SOLVERS)
         self.horizon = horizon
-        self._tsc, self._target = tsc, (target_lower, target_upper)
+        self._tsc = tsc
+        self._target = (target_lower, target_upper)
         self._model = model = CorrectionModel(tsc, self._target, c_b, horizon, extras)
         # The second now, not when the first fails: setting it up takes longer than a sample of a
         # run that waits for a plan.
@@ -151,8 +151,9 @@ class CasadiEngine:
 
     def solve(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
         """
-        Return the plan from this state; if no solver succeeds, the thresholds are held and the
-        status says so.
+        Return the plan from this state.
+
+        Where no solver succeeds, the thresholds are held and the status says so.
 
         Parameters
         ----------
@@ -183,7 +184,8 @@ class CasadiEngine:
 
     def _search(self, now: Situation) -> HardRun | None:
         """Return the best plan that a solver found, or None."""
-        model, guess = self._model, self._first(now)
+        model = self._model
+        guess = self._first(now)
         if not guess.sound:
             now.reasons.append(
                 "the model or the added functions give values that are not finite, or incentives "
@@ -219,7 +221,8 @@ class CasadiEngine:
 
     def _first(self, now: Situation) -> HardRun:
         """Return the best candidate: the last plan, the fastest way to the target, or holding."""
-        state, straight = now.state, self._straight(now.state)
+        state = now.state
+        straight = self._straight(now.state)
         runs = [self._model.run(state, straight, now.allowed)]
         if self._last is not None:
             runs.append(self._model.run(state, self._last, now.allowed))
@@ -243,8 +246,9 @@ class CasadiEngine:
         self, guess: HardRun, thresholds: np.ndarray | None, now: Situation
     ) -> HardRun | None:
         """
-        Solve for the modes of `guess` and return the hard run of the solution, from the first
-        solver that succeeds.
+        Return the hard run of a solution for the modes of `guess`.
+
+        The first solver that succeeds gives it.
         """
         for program in self._programs:
             w, reason = program.solve(guess, now.state[-1], thresholds)
@@ -269,7 +273,8 @@ class CasadiEngine:
 
     def _cell(self, run: HardRun, allowed: np.ndarray) -> np.ndarray:
         """Return where thresholds may go so that (2.8) produces the modes of `run`."""
-        cell, margin = allowed.copy(), MARGIN * self._model.c_b
+        cell = allowed.copy()
+        margin = MARGIN * self._model.c_b
         mode = run.mode[1:]
         tsc = run.tsc[1:]
         row = _deciding(run)
@@ -284,7 +289,8 @@ class CasadiEngine:
         """
         Return the best plan after trying to hold a threshold back where that changes a switch.
         """
-        model, state = self._model, now.state
+        model = self._model
+        state = now.state
         for _ in range(TRIALS):
             trial = best
             for k, row in self._moved_switches(best):
@@ -304,10 +310,7 @@ class CasadiEngine:
         return best
 
     def _moved_switches(self, run: HardRun) -> list[tuple[int, int]]:
-        """
-        Return the steps at which (2.8) decides differently than under the current thresholds, and
-        which threshold decides.
-        """
+        """Return steps at which moved thresholds change what (2.8) decides, and which do."""
         row = _deciding(run)
         now = run.states[2 + row, 0]
         then = run.states[2 + row, np.arange(1, self.horizon)]
@@ -338,10 +341,7 @@ class CasadiEngine:
         )
 
     def _repeats(self, plan: CorrectionPlan, run: HardRun) -> bool:
-        """
-        Return whether the compiled model repeats the run that was judged, so that (2.41) holds at
-        the plan's own states.
-        """
+        """Return whether the compiled model repeats a run, so that (2.41) holds for it."""
         paths = np.stack([plan.r, plan.p_r, plan.upper, plan.lower])
         same = np.abs(paths - run.states) <= 1e-9 * self._model.units[:, None]
         return bool(same.all()) and np.array_equal(plan.mode, run.mode)
@@ -349,7 +349,8 @@ class CasadiEngine:
 
 def _deciding(run: HardRun) -> np.ndarray:
     """
-    Return which threshold decides at steps 1 … N − 1: TSC_u (0) after the manual mode, TSC_l (1)
-    after the autonomous one.
+    Return which threshold decides at steps 1 … N − 1.
+
+    It is TSC_u (0) after the manual mode and TSC_l (1) after the autonomous one.
     """
     return (run.mode[:-1] == 0.0).astype(int)

@@ -1,7 +1,4 @@
-"""
-The correction (2.43)-(2.44) in CasADi: one step with the user's additions, the hard rule (2.8), and
-the nonlinear program.
-"""
+"""The correction (2.43)-(2.44) in CasADi: one step, runs under the rule (2.8), and the program."""
 
 from __future__ import annotations
 
@@ -132,10 +129,7 @@ class CorrectionModel:
         self._steps = np.arange(horizon, dtype=float)[None, :]
 
     def _added(self):
-        """
-        Return (x, u, k) → (cost over c_b², scaled constraints, c̲, c̄), x and u in the user's
-        units.
-        """
+        """Return (x, u, k) → (cost over c_b², scaled constraints, c̲, c̄), in the user's units."""
         import casadi as ca
 
         symbol = self.symbol
@@ -144,7 +138,8 @@ class CorrectionModel:
         x = symbol.sym("x", 4)
         u = symbol.sym("u", 2)
         k = symbol.sym("k")
-        cost, rows = symbol(0), symbol(0, 1)
+        cost = symbol(0)
+        rows = symbol(0, 1)
         if extras.cost is not None:
             cost = _scalar(symbol, "extra_cost", self._call("extra_cost", extras.cost, x, u, k))
         if extras.constraints is not None:
@@ -195,10 +190,7 @@ class CorrectionModel:
             ) from error
 
     def _row_sizes(self, slopes) -> np.ndarray:
-        """
-        Return the greatest change of each constraint per scaled unknown, so that one tolerance
-        suits them all.
-        """
+        """Return each constraint's greatest change per scaled unknown, for one tolerance."""
         size = 0.0
         for x in self._places():
             by_x, by_u = (np.abs(np.asarray(value)) for value in slopes(x, [0.0, 0.0], 0))
@@ -220,7 +212,8 @@ class CorrectionModel:
             for name, value in zip(names, values, strict=True):
                 if not np.isfinite(value).all():
                     raise ValueError(f"{name} gives {value.ravel()} {where}; it must be finite")
-            low, high = float(values[2][0, 0]), float(values[3][0, 0])
+            low = float(values[2][0, 0])
+            high = float(values[3][0, 0])
             if not -self.c_b * (1.0 + 1e-9) <= low <= 0.0 <= high <= self.c_b * (1.0 + 1e-9):
                 raise ValueError(
                     f"incentive gives [{low:g}, {high:g}] {where}; as in (2.41), it must bound "
@@ -239,7 +232,8 @@ class CorrectionModel:
         import casadi as ca
 
         human = self.tsc.human
-        rest, load = ca.fmax(r, TINY), ca.fmax(1.0 - r, TINY)
+        rest = ca.fmax(r, TINY)
+        load = ca.fmax(1.0 - r, TINY)
         bell = human.beta * ca.log(rest / human.beta) + (1.0 - human.beta) * ca.log(
             load / (1.0 - human.beta)
         )
@@ -267,8 +261,10 @@ class CorrectionModel:
 
     def _rule(self):
         """
-        Return (state and mode before; w and where thresholds may go; k) → (state and mode after;
-        corrections, TSC, added cost, greatest constraint, bounds of the corrections).
+        Return the hard rule (2.8) and one step of (2.44) as a function.
+
+        It maps state and mode before, w and where thresholds may go, and k to state and mode after,
+        and to corrections, TSC, added cost, greatest constraint and bounds of the corrections.
         """
         import casadi as ca
 
@@ -276,14 +272,16 @@ class CorrectionModel:
         state = symbol.sym("state", 5)
         inputs = symbol.sym("inputs", 6)
         k = symbol.sym("k")
-        x, before = state[:-1], state[-1]
+        x = state[:-1]
+        before = state[-1]
         r, p_r, mode, tsc = self.motion(
             x, lambda tsc: ca.if_else(tsc >= x[2], 0.0, ca.if_else(tsc <= x[3], 1.0, before))
         )
         _, _, low, high = self.added(x, ca.DM.zeros(2), k)
         # A threshold that is already outside its interval is held there, so that corrections stay
         # within (2.41).
-        least, most = ca.fmin(inputs[2:4], x[2:]), ca.fmax(inputs[4:6], x[2:])
+        least = ca.fmin(inputs[2:4], x[2:])
+        most = ca.fmax(inputs[4:6], x[2:])
         moved = ca.fmin(ca.fmax(x[2:] + low + inputs[:2] * (high - low), least), most)
         u = moved - x[2:]
         cost, rows, _, _ = self.added(x, u, k)
@@ -294,8 +292,9 @@ class CorrectionModel:
 
     def steepness(self, run: HardRun) -> float:
         """
-        Return the greatest slope of the cost over c_b² with respect to a correction, at least 1:
-        the scale of the objective.
+        Return the scale of the objective: the greatest slope of the cost, at least 1.
+
+        The slope is that of the cost over c_b² with respect to a correction.
 
         Parameters
         ----------
@@ -313,8 +312,9 @@ class CorrectionModel:
 
     def allowed(self, upper: float, lower: float) -> np.ndarray:
         """
-        Return the intervals of TSC_u and TSC_l, from their values now to their targets: least, then
-        greatest, at each step.
+        Return where TSC_u and TSC_l may go: least, then greatest, at each step.
+
+        Each keeps between its value now and its target.
 
         Parameters
         ----------
@@ -399,8 +399,7 @@ class HardRun:
 
 class CorrectionProgram:
     """
-    Multiple shooting over the horizon: the states at every step are unknowns, the model (2.44)
-    holds between them.
+    Multiple shooting: the states at every step are unknowns, between which (2.44) holds.
 
     With `width` 0 the modes are given, one per step; r and P_r then follow from them whatever the
     corrections, and the solution is exact for that mode sequence. With a positive width the mode is
@@ -440,7 +439,8 @@ class CorrectionProgram:
         cost = 0
         begins = now - start
         for k in range(n):
-            w, after = symbol.sym(f"w_{k}", 2), symbol.sym(f"x_{k + 1}", size)
+            w = symbol.sym(f"w_{k}", 2)
+            after = symbol.sym(f"x_{k + 1}", size)
             reached, added, constraints = stage(now, w, modes[k], k)
             unknowns += [w, after]
             equations = [after - reached, begins] if k == 0 else [after - reached]
@@ -464,7 +464,8 @@ class CorrectionProgram:
         states = first[None, :] + 2 + np.arange(size)[:, None]
         self._at_x = np.hstack([np.arange(size)[:, None], states])
         count = self._at_x.size + self._at_w.size
-        self._least, self._most = np.full(count, -np.inf), np.full(count, np.inf)
+        self._least = np.full(count, -np.inf)
+        self._most = np.full(count, np.inf)
         self._least[self._at_w], self._most[self._at_w] = 0.0, 1.0
 
     def _stage(self):
@@ -476,8 +477,10 @@ class CorrectionProgram:
         model = self.model
         symbol = model.symbol
         c_b = model.c_b
-        z, w = symbol.sym("z", self.size), symbol.sym("w", 2)
-        given_mode, k = symbol.sym("mode"), symbol.sym("k")
+        z = symbol.sym("z", self.size)
+        w = symbol.sym("w", 2)
+        given_mode = symbol.sym("mode")
+        k = symbol.sym("k")
         x = model.zero + model.units * z[:4]
 
         def mode_at(tsc):
@@ -503,8 +506,7 @@ class CorrectionProgram:
         self, guess: HardRun, mode: float, thresholds: np.ndarray | None = None
     ) -> tuple[np.ndarray | None, str]:
         """
-        Solve from a guess; return the corrections as shares of what (2.41) allows, or None and the
-        reason.
+        Solve from a guess; return shares of what (2.41) allows, or None and the reason.
 
         Parameters
         ----------
@@ -526,11 +528,14 @@ class CorrectionProgram:
         start[self._at_w] = guess.w
         if self.width:
             start[self._at_x[4]] = np.r_[mode, guess.mode]
-        least, most = self._least, self._most
+        least = self._least
+        most = self._most
         if thresholds is not None:
-            least, most = least.copy(), most.copy()
+            least = least.copy()
+            most = most.copy()
             z = (thresholds - model.zero[None, 2:, None]) / model.c_b
-            least[self._at_x[2:4, 1:]], most[self._at_x[2:4, 1:]] = z[0] - SLACK, z[1] + SLACK
+            least[self._at_x[2:4, 1:]] = z[0] - SLACK
+            most[self._at_x[2:4, 1:]] = z[1] + SLACK
         rho = 1.0 / model.steepness(guess)
         parameters = np.concatenate([start[self._at_x[:, 0]], guess.mode, [rho]])
         try:

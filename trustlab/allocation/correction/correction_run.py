@@ -1,7 +1,4 @@
-"""
-Corrections over several consecutive tests, as in Fig. 2.18: one loop over tests, each of which runs
-on the model or on a testbed.
-"""
+"""Corrections over several consecutive tests, as in Fig. 2.18, on the model or on a testbed."""
 
 from dataclasses import dataclass
 from string import ascii_lowercase
@@ -66,7 +63,8 @@ class CorrectionRun:
             r, manual_share (means), switches, held (samples without a plan), largest_gap (of all
             plans, relative), latency_median, latency_p99 [s].
         """
-        data, tests = self.data, self.data.groupby("test", sort=True)
+        data = self.data
+        tests = self.data.groupby("test", sort=True)
         table = pd.DataFrame(
             {side: (data[side] + data[c]).groupby(data["test"]).last() for side, c in SIDES}
         )
@@ -80,10 +78,8 @@ class CorrectionRun:
             data["cost"] > 0.0, 1.0
         )
         table["largest_gap"] = gap.groupby(data["test"]).max()
-        table["latency_median"], table["latency_p99"] = (
-            tests["latency"].median(),
-            tests["latency"].quantile(0.99),
-        )
+        table["latency_median"] = tests["latency"].median()
+        table["latency_p99"] = tests["latency"].quantile(0.99)
         return table.reset_index()
 
     def plot(self, target: tuple[float, float] | None = None):

@@ -27,10 +27,7 @@ ENGINES: dict[str, Any] = {"exact": ExactEngine, "casadi": CasadiEngine}
 
 
 class TargetWarning(UserWarning):
-    """
-    Target thresholds lie outside the limits of Theorem 1, yet simulations under them keep
-    switching.
-    """
+    """Target thresholds lie outside the limits of Theorem 1, yet simulations keep switching."""
 
 
 class ThresholdCorrector:
@@ -169,10 +166,7 @@ def check_mode(mode: int) -> int:
 
 
 def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, float]:
-    """
-    Return target thresholds as floats if the rule keeps switching under them; warn where Theorem 1
-    does not apply.
-    """
+    """Return target thresholds if the rule keeps switching under them; warn outside Theorem 1."""
     lower, upper = threshold_pair("target", target)
     limits = threshold_limits(tsc)
     if limits.contains(lower, upper):
@@ -204,6 +198,7 @@ def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:
         raise ValueError(
             f"{name} must be two numbers, lower and upper, got {shown(pair)}"
         ) from None
-    low, high = f"the lower {name}", f"the upper {name}"
+    low = f"the lower {name}"
+    high = f"the upper {name}"
     in_order(low, lower, high, upper)
     return between(low, lower, -1.0, 1.0), between(high, upper, -1.0, 1.0)

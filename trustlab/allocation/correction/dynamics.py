@@ -9,10 +9,7 @@ from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc
 
 
 def suggestion_now(tsc: float, lower: float, upper: float) -> int:
-    """
-    Return what Algorithm 3 suggests: 0 autonomous where TSC ≥ TSC_u, 1 manual where TSC ≤ TSC_l,
-    else −1, nothing.
-    """
+    """Return what Algorithm 3 suggests: 0 from TSC_u on, 1 up to TSC_l, else −1, nothing."""
     return threshold_mode.py_func(tsc, lower, upper, -1)
 
 
@@ -21,8 +18,9 @@ def follow_actions(
     c, target_lower, target_upper, actions_l, actions_u, r, p_r, lower, upper, mode, before
 ):
     """
-    Fill r, p_r, lower, upper (N + 1) and mode (N) from their first entries and the actions; return
-    the cost (2.43).
+    Fill r, p_r, lower, upper (N + 1) and mode (N) from the actions; return the cost (2.43).
+
+    All but the modes have their first entries already.
 
     `before` is the mode before the first sample.
     """

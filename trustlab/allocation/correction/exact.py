@@ -14,33 +14,29 @@ autonomous mode. Hence a mode sequence is produced by exactly those paths that s
 TSC(k) at some steps ("held") and are above it at others ("moved").
 
 1. Paths with bounded steps under bounds x(k) ≤ h(k) are closed under the pointwise maximum. So one
-path is above all
-   others at every step: tighten h backwards by the greatest step back, then go forward by the
-   greatest step that h allows. It is nearest to the target at every step, so that it minimizes
-   every term of (2.43) at once; and if it violates a bound from below, so does every path. Without
-   bounds h it is clipping: (target − threshold) clipped to the box.
+   path is above all others at every step: tighten h backwards by the greatest step back, then go
+   forward by the greatest step that h allows. It is nearest to the target at every step, so that it
+   minimizes every term of (2.43) at once; and if it violates a bound from below, so does every
+   path. Without bounds h it is clipping: (target − threshold) clipped to the box.
 2. With modes up to k − 1 given, the values that a threshold can have at step k form an interval,
-computed step by step.
-   Where TSC(k) lies outside it, the mode is certain; where inside, there are two branches. Depth
-   first, the search visits every mode sequence that the corrections can produce, clipping first. If
-   there is no second branch, all admissible corrections have the same mode sequence, clipping is
-   optimal and the gap is 0.
+   computed step by step. Where TSC(k) lies outside it, the mode is certain; where inside, there are
+   two branches. Depth first, the search visits every mode sequence that the corrections can
+   produce, clipping first. If there is no second branch, all admissible corrections have the same
+   mode sequence, clipping is optimal and the gap is 0.
 3. A branch is pruned when its bound is not below the cost of the best plan. The bound is the cost
-so far and that of paths
-   which from then on move at the rate that the autonomous mode for ever would allow (rising), or
-   the manual mode at the operator's best (falling): the bounds (2.42) fall in utilization and
-   performance, which are extreme there.
+   so far and that of paths which from then on move at the rate that the autonomous mode for ever
+   would allow (rising), or the manual mode at the operator's best (falling): the bounds (2.42) fall
+   in utilization and performance, which are extreme there.
 4. That TSC_l stays below TSC_u couples the thresholds only when both rise or both fall, and the
-pointwise maximum still
-   exists: TSC_u is not limited by TSC_l when both rise, nor TSC_l by TSC_u when both fall.
+   pointwise maximum still exists: TSC_u is not limited by TSC_l when both rise, nor TSC_l by TSC_u
+   when both fall.
 5. Where a held threshold must stay strictly away from TSC(k), the minimum is not attained: the plan
-keeps a margin of
-   1e-9 c_b, between 1e-15 and 1e-12, and the lower bound is the cost without the margin.
+   keeps a margin of 1e-9 c_b, between 1e-15 and 1e-12, and the lower bound is the cost without the
+   margin.
 6. If the budget of steps runs out, the rest is bounded by boxes: one rectangle per mode encloses
-all reachable r and P_r,
-   cut by the thresholds' range at each switch; the rates in its best corner bound the cost. The
-   bound is valid for any horizon, but the boxes grow wide over many switches: beyond some 1,000
-   steps the gap says little about how good the plan is.
+   all reachable r and P_r, cut by the thresholds' range at each switch; the rates in its best
+   corner bound the cost. The bound is valid for any horizon, but the boxes grow wide over many
+   switches: beyond some 1,000 steps the gap says little about how good the plan is.
 
 The lower bound holds up to rounding, about 1e-12 of the cost.
 """
@@ -90,8 +86,9 @@ class Workspace(NamedTuple):
 @njit
 def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
     """
-    Fill z from z[0] with the path that is greatest at every step, given z(k) ≤ hold(k) and steps in
-    [low, high]; return its cost.
+    Fill z with the path that is greatest at every step, from z[0]; return its cost.
+
+    Paths keep z(k) ≤ hold(k) and have steps in [low, high].
 
     The threshold is seen as rising. `hold` is tightened in place.
     """
@@ -101,7 +98,8 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
         back = -low[k] if sign > 0 else high[k]
         if hold[k + 1] + back < hold[k]:
             hold[k] = hold[k + 1] + back
-    cost, now = 0.0, z[0]
+    cost = 0.0
+    now = z[0]
     for k in range(n):
         back, forth = (-low[k], high[k]) if sign > 0 else (high[k], -low[k])
         limit = goal if hold[k + 1] >= goal else hold[k + 1] - margin
@@ -127,10 +125,7 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
 
 @njit
 def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions, strict):
-    """
-    Fill the best paths of both thresholds for one mode sequence; return cost and whether (2.8)
-    brings it about.
-    """
+    """Fill both best paths for one mode sequence; return cost and whether it results."""
     n = z.shape[1] - 1
     # Copied one by one, here and below: assigning arrays takes seconds to compile.
     for j in (LOWER, UPPER):
@@ -151,7 +146,8 @@ def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions
     if not strict:
         return cost, True
     for k in range(1, n + 1):
-        lower, upper = sign[LOWER] * z[LOWER, k], sign[UPPER] * z[UPPER, k]
+        lower = sign[LOWER] * z[LOWER, k]
+        upper = sign[UPPER] * z[UPPER, k]
         if lower >= upper:
             return cost, False
         if k == n:
@@ -207,8 +203,9 @@ def problem_of(constants, c_b, target, start, standard):
 @njit(inline="always")
 def search_within(incentive, problem, budget, r0, p0, before, room):
     """
-    Search the mode sequences from r0, p0, the thresholds `start` and the mode before; fill the
-    room's states and actions.
+    Search the mode sequences and fill the room's states and actions.
+
+    The search begins at r0, p0, the thresholds `start` and the mode before.
 
     `incentive` is compiled and bounds the corrections; `budget` is how many times N steps may be
     searched. Returns the cost, a lower bound of the cost of what was searched (for the rest see
@@ -267,7 +264,8 @@ def search_within(incentive, problem, budget, r0, p0, before, room):
                         standard or (-c_b - slack <= a <= slack and -slack <= b <= c_b + slack)
                     ):
                         return np.inf, -np.inf, sequences, False, tsc[0], False
-                    low[k], high[k] = min(a, 0.0), max(b, 0.0)
+                    low[k] = min(a, 0.0)
+                    high[k] = max(b, 0.0)
                 if k == 0:
                     if tsc[0] >= start[UPPER]:
                         mode[0] = 0.0
@@ -290,7 +288,8 @@ def search_within(incentive, problem, budget, r0, p0, before, room):
                     else:
                         can_hold = least[j, k] <= theta if closed else least[j, k] < theta
                         can_move = most[j, k] > theta if closed else most[j, k] >= theta
-                        hold[LOWER, k], hold[UPPER, k] = goal[LOWER], goal[UPPER]
+                        hold[LOWER, k] = goal[LOWER]
+                        hold[UPPER, k] = goal[UPPER]
                         if can_move:
                             mode[k] = 1.0 if rising else 0.0
                             if can_hold:
@@ -315,7 +314,8 @@ def search_within(incentive, problem, budget, r0, p0, before, room):
         searched += n // 2
         # Without the margin: the least cost, attained or not. With it: a plan whose modes (2.8)
         # certainly produces.
-        now, meets = np.inf, True
+        now = np.inf
+        meets = True
         for attempt in range(1 if plain else 2):
             gap = margin if attempt == 1 else 0.0
             now, meets = best_paths(
@@ -329,7 +329,8 @@ def search_within(incentive, problem, budget, r0, p0, before, room):
                 best_r[i] = r[i]
                 best_p[i] = p[i]
                 best_mode[i] = mode[i]
-                best_lower[i], best_upper[i] = sign[LOWER] * z[LOWER, i], sign[UPPER] * z[UPPER, i]
+                best_lower[i] = sign[LOWER] * z[LOWER, i]
+                best_upper[i] = sign[UPPER] * z[UPPER, i]
             for j in (LOWER, UPPER):
                 for i in range(n):
                     plan[j, i] = trial[j, i]
@@ -365,7 +366,8 @@ def unsearched_cost(constants, c_b, target, start, standard, steps, thresholds, 
     problem = problem_of(constants, c_b, target, start, standard)
     # The first step with an untried mode: up to it all sequences agree; everything after it is
     # bounded as a whole.
-    first, n = waiting[0], steps.shape[1] - 1
+    first = waiting[0]
+    n = steps.shape[1] - 1
     path = np.empty((2, n + 1))
     reachable(problem, first, steps, thresholds[1], path)
     rest = 0.0
@@ -377,8 +379,7 @@ def unsearched_cost(constants, c_b, target, start, standard, steps, thresholds, 
 
 class ExactEngine:
     """
-    Branch and bound over the mode sequences; the head of this module says how it works and why it
-    is exact.
+    Branch and bound over the mode sequences; the module's head says why it is exact.
 
     Parameters
     ----------
@@ -418,9 +419,11 @@ class ExactEngine:
         incentive=incentive_box,
         budget=SEARCHED,
     ):
-        self.horizon, self.budget = horizon, whole_number("budget", budget, most=1_000_000)
+        self.horizon = horizon
+        self.budget = whole_number("budget", budget, most=1_000_000)
         self._problem = tuple(tsc.constants()), float(c_b), np.array([target_lower, target_upper])
-        self._start, self._standard = np.empty(2), incentive is incentive_box
+        self._start = np.empty(2)
+        self._standard = incentive is incentive_box
         self._search = search if self._standard else _search_with(incentive, tsc, c_b)
         room = Workspace.of(horizon)
         # One step, after which nothing is left, compiles what a plan can need, so that no plan of a
@@ -460,10 +463,7 @@ class ExactEngine:
         )
 
     def decide(self, *state):
-        """
-        Return c_l, c_u, cost, its lower bound and status of the plan that `solve` returns, but no
-        plan.
-        """
+        """Return c_l, c_u, cost, lower bound and status of the plan of `solve`, but no plan."""
         cost, bound, _, status, _ = self._searched(*state)
         return *self._room.actions[:, 0].tolist(), cost, bound, status
 

@@ -83,11 +83,13 @@ def correct_thresholds(correction, k, r, p_r, mode):
     if not complete:
         bound = min(bound, unsearched_cost(*problem, thresholds, standard, *room[:3]))
     row = correction.log[k]
-    row.lower, row.upper = thresholds[LOWER], thresholds[UPPER]
+    row.lower = thresholds[LOWER]
+    row.upper = thresholds[UPPER]
     row.cost = cost
     row.bound = bound
     row.clipped = now != p_r
-    c_l, c_u = work.actions[LOWER, 0], work.actions[UPPER, 0]
+    c_l = work.actions[LOWER, 0]
+    c_u = work.actions[UPPER, 0]
     thresholds[LOWER] += c_l
     thresholds[UPPER] += c_u
     return c_l, c_u

@@ -118,7 +118,8 @@ def incentive_bounds(
     performance = np.clip(performance, robot.p_min, robot.p_max)
     low, high = incentive_box(load, performance, c_b, robot.p_min, robot.p_max)
     # Thresholds may always be held; rounding must not exclude that.
-    low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+    low = np.minimum(low, 0.0)
+    high = np.maximum(high, 0.0)
     return (low, high) if np.ndim(low) else (float(low), float(high))
 
 

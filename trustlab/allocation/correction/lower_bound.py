@@ -30,8 +30,9 @@ class Problem(NamedTuple):
 @njit
 def future_cost(problem, first, n, r, p, low, high, mode, at, enough):
     """
-    Bound the cost from step `first` to n from below, the thresholds being at most `at` at step
-    `first` (seen as rising).
+    Bound the cost from step `first` to n from below.
+
+    The thresholds are at most `at` at step `first` (seen as rising).
 
     r, P_r and the box [low, high] are those of step `first`, where the mode is `mode`. Stops as
     soon as the bound reaches `enough`.
@@ -50,9 +51,12 @@ def future_cost(problem, first, n, r, p, low, high, mode, at, enough):
     p_most = p
     # The P_h that adds least and most to P_r. It adds nothing in the autonomous mode, so that 0
     # bounds both unless P_h changes sign.
-    worst, finest = min(c.p_h_min, 0.0), max(c.p_h_max, 0.0)
-    z_lower, z_upper = at[LOWER], at[UPPER]
-    up, down = high, -low
+    worst = min(c.p_h_min, 0.0)
+    finest = max(c.p_h_max, 0.0)
+    z_lower = at[LOWER]
+    z_upper = at[UPPER]
+    up = high
+    down = -low
     for _ in range(first + 1, n + 1):
         z_lower = min(z_lower + (up if sign[LOWER] > 0 else down), goal[LOWER])
         z_upper = min(z_upper + (up if sign[UPPER] > 0 else down), goal[UPPER])
@@ -74,8 +78,9 @@ def future_cost(problem, first, n, r, p, low, high, mode, at, enough):
 @njit
 def reachable(problem, first, steps, most, path):
     """
-    Fill `path` with how far thresholds can have moved from step `first` to n, whatever the modes,
-    from boxes that enclose r and P_r.
+    Fill `path` with how far thresholds can have moved from step `first` to n, in any mode.
+
+    Boxes enclose r and P_r.
 
     There is one box for each mode of the step before. At each step (2.8) splits a box into the part
     that stays in its mode and the part that switches, for thresholds anywhere between their start
@@ -88,9 +93,11 @@ def reachable(problem, first, steps, most, path):
     near = np.empty(2)
     for j in (LOWER, UPPER):
         near[j] = most[j, first - 1]
-    up, down = high[first - 1], -low[first - 1]
+    up = high[first - 1]
+    down = -low[first - 1]
     boxes, nexts = np.empty(2, BOX), np.empty(2, BOX)  # by mode, as are those alive
-    alive, lives = np.zeros(2, np.bool_), np.zeros(2, np.bool_)
+    alive = np.zeros(2, np.bool_)
+    lives = np.zeros(2, np.bool_)
     m = int(mode[first - 1])
     alive[m] = True
     boxes[m].r_low = boxes[m].r_high = r[first]
@@ -115,11 +122,13 @@ def reachable(problem, first, steps, most, path):
                 up, down = c_b, c_b
             # The threshold that decides, TSC_l in the autonomous mode and TSC_u in the manual one,
             # lies between these.
-            x_low, x_high = sign[m] * start[m], sign[m] * near[m]
+            x_low = sign[m] * start[m]
+            x_high = sign[m] * near[m]
             if x_low > x_high:
                 x_low, x_high = x_high, x_low
             for to in range(2):
-                p_low, p_high = b.p_low, b.p_high
+                p_low = b.p_low
+                p_high = b.p_high
                 # The autonomous mode requires TSC above TSC_l, or at least TSC_u; the manual mode
                 # the converse.
                 if to == 0:
@@ -134,8 +143,10 @@ def reachable(problem, first, steps, most, path):
                 p_high = next_performance(p_high, h_high, to, c.a_pr, c.b_pr, c.p_r_min)
                 after = nexts[to]
                 if lives[to]:
-                    r_low, r_high = min(after.r_low, r_low), max(after.r_high, r_high)
-                    p_low, p_high = min(after.p_low, p_low), max(after.p_high, p_high)
+                    r_low = min(after.r_low, r_low)
+                    r_high = max(after.r_high, r_high)
+                    p_low = min(after.p_low, p_low)
+                    p_high = max(after.p_high, p_high)
                 after.r_low = r_low
                 after.r_high = r_high
                 after.p_low = p_low

@@ -60,8 +60,7 @@ class OnlineStep:
 
 class OnlineCorrection:
     """
-    Algorithm 3, sample by sample: suggestions from measured performance, while the thresholds are
-    being corrected.
+    Algorithm 3, sample by sample: suggestions while the thresholds are being corrected.
 
     Parameters
     ----------
@@ -103,7 +102,8 @@ class OnlineCorrection:
     ):
         self.corrector = of_class("corrector", corrector, ThresholdCorrector)
         self.lower, self.upper = threshold_pair("start", start)
-        self.mode, self.r = check_mode(mode), between("r", r, 0.0, 1.0)
+        self.mode = check_mode(mode)
+        self.r = between("r", r, 0.0, 1.0)
         self._nearest = one_of("outside", outside, ("hold", "nearest")) == "nearest"
         self._c = corrector.tsc.constants()
         self._steps: list[OnlineStep] = []
@@ -131,7 +131,8 @@ class OnlineCorrection:
             was.
         """
         began = perf_counter()
-        p_r, p_h = measured("p_r", p_r), measured("p_h", p_h)
+        p_r = measured("p_r", p_r)
+        p_h = measured("p_h", p_h)
         now = (
             self.mode
             if mode is None or (isinstance(mode, float) and mode != mode)
@@ -140,7 +141,8 @@ class OnlineCorrection:
         c = self._c
         lower = self.lower
         upper = self.upper
-        suggestion, status = -1, CorrectionStatus.MISSING
+        suggestion = -1
+        status = CorrectionStatus.MISSING
         c_l = 0.0
         c_u = 0.0
         cost = math.nan
@@ -165,7 +167,8 @@ class OnlineCorrection:
         self.upper = upper + c_u
         self.mode = now
         self.r = min(max(next_utilization.py_func(r, now, c.a_r), 0.0), 1.0)
-        sample, latency = len(self._steps), perf_counter() - began
+        sample = len(self._steps)
+        latency = perf_counter() - began
         step = OnlineStep(
             sample, suggestion, tsc, lower, upper, c_l, c_u, r, cost, bound, status, latency
         )

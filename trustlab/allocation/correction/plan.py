@@ -1,7 +1,4 @@
-"""
-The result of a correction: the actions, their predicted effect, and a bound on how far from optimal
-they are.
-"""
+"""A planned correction: actions, predicted effect, and a bound on their distance from optimal."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -126,10 +123,7 @@ class CorrectionPlan:
 
     @property
     def gap(self) -> float:
-        """
-        Cost − cost_lower_bound: by how much another plan that keeps to the same intervals can be
-        cheaper, at most.
-        """
+        """Cost − cost_lower_bound: by how much a plan in the same intervals can be cheaper."""
         return self.cost - self.cost_lower_bound
 
     @property

@@ -1,7 +1,4 @@
-"""
-Bounds on the switched system that hold for every trajectory: sets of states propagated round the
-cycle.
-"""
+"""Bounds that hold for every trajectory: sets of states propagated round the cycle."""
 
 import math
 from dataclasses import dataclass
@@ -90,7 +87,8 @@ def invariant_bounds(
     dwell time autonomous   65.000   65.000
     """
     lower, upper = check_thresholds(tsc, lower, upper)
-    cells, cycles = whole_number("cells", cells), whole_number("cycles", cycles)
+    cells = whole_number("cells", cells)
+    cycles = whole_number("cycles", cycles)
     endless = endless_phase(tsc, lower, upper)
     if endless:
         return _trivial(tsc, lower, upper, endless)
@@ -108,7 +106,8 @@ def invariant_bounds(
             f"every phase ends, but {phase} phase from some utilization was not shown to do so "
             f"within {most} samples; cells= below {coarse} allow longer phases",
         )
-    manual, autonomous = enclosure.manual, enclosure.autonomous
+    manual = enclosure.manual
+    autonomous = enclosure.autonomous
     # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per
     # sample is far more than that.
     slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING

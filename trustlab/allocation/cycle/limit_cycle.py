@@ -71,10 +71,7 @@ class LimitCycle(SteadyRanges):
 
     @functools.cached_property
     def slope(self) -> float:
-        """
-        Slope of the return map of r without overshoot at `r_manual`; below 1 in size the cycle
-        attracts.
-        """
+        """Slope of the return map of r without overshoot; below 1 in size the cycle attracts."""
         reach = max(1e-4 * min(self.r_manual, 1.0 - self.r_manual), 1e-12)
         around = np.array([max(self.r_manual - reach, 0.0), min(self.r_manual + reach, 1.0)])
         after = self._returned(around)
@@ -82,10 +79,7 @@ class LimitCycle(SteadyRanges):
 
     @functools.cached_property
     def unique(self) -> bool:
-        """
-        Whether the return map of r without overshoot has exactly one fixed point on a grid of [0,
-        1].
-        """
+        """Whether the return map of r without overshoot has one fixed point on a grid of [0, 1]."""
         ends = np.geomspace(1e-15, 0.015, 16)
         grid = np.r_[ends, np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - ends[::-1]]
         gap = self._returned(grid) - grid
@@ -130,8 +124,7 @@ class LimitCycle(SteadyRanges):
 
     def plot(self, axes=None):
         """
-        Plot rule (2.8) on the plane of utilization and robot performance, with a run from near
-        rest, as in Fig. 2.4.
+        Plot rule (2.8) over utilization and robot performance, with a run, as in Fig. 2.4.
 
         Parameters
         ----------
@@ -144,13 +137,12 @@ class LimitCycle(SteadyRanges):
         """
         from trustlab.allocation.simulation import simulate_allocation
 
-        model, robot = self.model, self.model.robot
+        model = self.model
+        robot = self.model.robot
         axes = axes_or_new(axes, figsize=(7, 4.2))
         margin = 0.2 * (robot.p_max - robot.p_min)
-        r, p_r = (
-            np.linspace(0, 1, 300),
-            np.linspace(robot.p_min - margin, robot.p_max + margin, 200),
-        )
+        r = np.linspace(0, 1, 300)
+        p_r = np.linspace(robot.p_min - margin, robot.p_max + margin, 200)
         p_h = model.human.performance(r)
         levels = axes.contourf(
             r, p_r, model.value(p_r[:, None], p_h[None, :]), 12, cmap="Greys", alpha=0.5
@@ -161,7 +153,8 @@ class LimitCycle(SteadyRanges):
             axes.plot(r, line, "--", lw=1.5, label=f"{label} = {value:g}")
         settled = phases.longest_phase(model.constants())
         run = simulate_allocation(model, self.lower, self.upper, 2 * settled, r0=0.1)
-        first, last = run.iloc[: settled // 2], run.iloc[settled:]
+        first = run.iloc[: settled // 2]
+        last = run.iloc[settled:]
         axes.plot(first["r"], first["p_r"], lw=0.6, color="C2", label="from near rest")
         if self.exists:
             axes.plot(last["r"], last["p_r"], lw=2, color="C3", label="steady cycle")
@@ -267,8 +260,9 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
 
 def _initial_states(tsc: TscModel, lower: float, starts: int, search: Motions):
     """
-    Yield r and P_r as manual phases begin: at β, at rest, spread over [0, 1], and then near the
-    motions found by then.
+    Yield r and P_r as manual phases begin.
+
+    They are at β, at rest, spread over [0, 1], and then near the motions found by then.
     """
     human = tsc.human
     spread = starts // 8
@@ -290,16 +284,14 @@ def _initial_states(tsc: TscModel, lower: float, starts: int, search: Motions):
         r = np.concatenate([motion.rows["r"] for motion in search.motions])
         deepest = min(motion.extremes.tsc_low for motion in search.motions)
         over = max(lower - deepest, 0.2 * step)
-        low, high = max(r.min() - human.b, 0.0), min(r.max() + human.b, 1.0)
+        low = max(r.min() - human.b, 0.0)
+        high = min(r.max() + human.b, 1.0)
         yield at(low + along_r * (high - low), along_tsc * 1.2 * over)
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """
-    A steady motion: rows of `CYCLE`, extremes and sums over its samples, and after how many cycles
-    it repeats, if it does.
-    """
+    """A steady motion: rows of `CYCLE`, extremes and sums, and its period in cycles, if any."""
 
     rows: np.ndarray
     extremes: phases.Seen
@@ -396,7 +388,8 @@ class Motions:
 
 def _period(rows: np.ndarray) -> int | None:
     """Return after how many cycles the recorded motion repeats."""
-    r, dwell = rows["r"], rows[["manual", "autonomous"]]
+    r = rows["r"]
+    dwell = rows[["manual", "autonomous"]]
     # Of a quick operator r repeats within a few samples, long before P_r does.
     p_r = rows["p_r"]
     for period in range(1, len(rows) // 3 + 1):

@@ -1,7 +1,4 @@
-"""
-The model under rule (2.8), one phase after another: samples under one mode from a switch to the
-next.
-"""
+"""The model under rule (2.8), one phase after another: from one switch to the next."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -48,10 +45,7 @@ NOTHING = Seen(np.inf, -np.inf, np.inf, -np.inf, 0.0, 0.0, 0.0)
 
 
 def longest_phase(c) -> int:
-    """
-    Return a number of samples after which a phase that has not ended never will: e⁻⁵⁰ of the
-    transient is left.
-    """
+    """Return after how many samples a phase never ends: e⁻⁵⁰ of the transient is left."""
     slowest = 1.0 / (1.0 - max(c.a_r, c.a_pr))
     if not 50.0 * slowest < EFFORT:
         raise ValueError(
@@ -63,11 +57,9 @@ def longest_phase(c) -> int:
 
 
 def resampled(tsc: TscModel) -> TscModel:
-    """
-    Return the model at a longer sample time where its time constants are very long, else the model
-    itself.
-    """
-    robot, human = tsc.robot, tsc.human
+    """Return the model, at a longer sample time where its time constants are very long."""
+    robot = tsc.robot
+    human = tsc.human
     times = sorted(1.0 / (1.0 - a) for a in (robot.a, human.a))
     m = int(min(times[1] / COARSE, times[0] / FEW))
     if m < 2:
@@ -80,14 +72,14 @@ def resampled(tsc: TscModel) -> TscModel:
 
 def endless_phase(tsc: TscModel, lower: float, upper: float) -> str:
     """
-    Return from where one mode stays for ever under rule (2.8); nothing where every phase ends,
-    whatever its first state.
+    Return from where one mode stays for ever under rule (2.8); nothing where none does.
 
     In the autonomous mode r → 0 and P_r → P_r,min, so that TSC tends to a limit: it falls to a
     TSC_l above the limit from everywhere, and to one below it, or at it, never from r = 0 and P_r ≥
     P_r,min. In the manual mode likewise, with r → 1.
     """
-    robot, human = tsc.robot, tsc.human
+    robot = tsc.robot
+    human = tsc.human
     slack = 1e-12 / (1.0 - robot.a)  # rounding stalls P_r so near its limit
     rest = float(tsc.value(robot.p_min, human.p_min))
     if lower <= rest + slack:
@@ -112,10 +104,7 @@ def endless_phase(tsc: TscModel, lower: float, upper: float) -> str:
 
 
 def watched(steps: Iterable, task: str, total: int | None = None) -> Any:
-    """
-    Return steps of a long computation, with a progress bar on a terminal once it has taken two
-    seconds.
-    """
+    """Return the steps of a computation, on a terminal with a progress bar after two seconds."""
     from tqdm import tqdm
 
     return tqdm(steps, task, total, leave=False, delay=2.0, disable=None)
@@ -152,8 +141,9 @@ def phase(manual, r, p_r, lower, upper, c, most, seen):
 @njit
 def settle(r, p_r, lower, upper, c, steps, most, known_r, known_p_r, near):
     """
-    Simulate whole cycles, manual phase first, for about `steps` samples or until r and P_r come
-    `near` a known state.
+    Simulate whole cycles, manual phase first, until transients have decayed.
+
+    This takes about `steps` samples, or ends once r and P_r come `near` a known state.
 
     Returns −1 or −2 if a manual or an autonomous phase never ends, 1 at a known state, else 0; r
     and P_r; and the samples.
@@ -207,8 +197,9 @@ def record(r, p_r, lower, upper, c, cycles, most):
 @njit
 def return_map(r, lower, upper, c, most):
     """
-    Return utilization one cycle later if thresholds are met exactly, between samples; NaN if a
-    phase never ends.
+    Return utilization one cycle later if thresholds are met exactly, between samples.
+
+    NaN if a phase never ends.
 
     Without overshoot TSC equals its threshold at a switch, which fixes P_r: the cycle is a smooth
     map of r alone.

@@ -1,7 +1,4 @@
-"""
-Intervals of states propagated round the cycle in interval arithmetic, for bounds that hold for
-every trajectory.
-"""
+"""Interval arithmetic round the cycle: bounds that hold for every trajectory."""
 
 from typing import NamedTuple
 
@@ -26,10 +23,7 @@ STEEP = 1e-6
 
 
 class PhaseImage(NamedTuple):
-    """
-    What bounds one phase: states at its end, overshoot of its threshold, dwell time, and all its
-    samples.
-    """
+    """Bounds of a phase: states at its end, overshoot of its threshold, dwell time, samples."""
 
     r_low: float
     r_high: float
@@ -43,10 +37,7 @@ class PhaseImage(NamedTuple):
 
 
 class Enclosure(NamedTuple):
-    """
-    Bounds on one cycle: utilization and overshoot as either phase begins, and the images of both
-    phases.
-    """
+    """Bounds of a cycle: utilization and overshoot as phases begin, and images of both phases."""
 
     # −1 or −2: a manual or an autonomous phase may never end; else how many cycles were followed
     code: int
@@ -80,16 +71,17 @@ def united(a, b):
 @njit
 def overshoot(manual, low, high, threshold, c):
     """
-    Bound by how much TSC can pass a threshold in the step that meets it, from utilizations in [low,
-    high].
+    Bound by how much TSC can pass a threshold in the step that meets it, from r in [low, high].
 
     One step from TSC = threshold changes TSC by this much; from further back it passes by less.
     """
     mode = 1.0 if manual else 0.0
     p_low, p_high = human_range(low, high, c)
-    after_low, after_high = advance(low, 0.0, 0.0, mode, c)[0], advance(high, 0.0, 0.0, mode, c)[0]
+    after_low = advance(low, 0.0, 0.0, mode, c)[0]
+    after_high = advance(high, 0.0, 0.0, mode, c)[0]
     next_low, next_high = human_range(after_low, after_high, c)
-    rest, gain = 1.0 - c.a_pr, c.b_pr / (1.0 - c.a_pr)
+    rest = 1.0 - c.a_pr
+    gain = c.b_pr / (1.0 - c.a_pr)
     # With P_r = (threshold + b_T P_h)/a_T put into (2.3), and (2.1) taken before and after the
     # step, ΔTSC = rest (a_T (P_min + M gain P_h) − threshold − b_T P_h) − b_T (P_h(after) − P_h):
     # linear in P_h but for the last term.
@@ -98,12 +90,15 @@ def overshoot(manual, low, high, threshold, c):
     # P_h(after) − P_h is at most what any two values of either range differ by. Away from the steep
     # ends it is bounded better: (2.6) is concave, so every one-step chord has a slope between those
     # of the chords at the ends of the range.
-    least, most = next_low - p_high, next_high - p_low
+    least = next_low - p_high
+    most = next_high - p_low
     if (manual and 1.0 - high > STEEP) or (not manual and low > STEEP):
-        step_low, step_high = abs(after_low - low), abs(after_high - high)
+        step_low = abs(after_low - low)
+        step_high = abs(after_high - high)
         chord_low = (human_at(after_low, c) - human_at(low, c)) / step_low
         chord_high = (human_at(after_high, c) - human_at(high, c)) / step_high
-        shortest, longest = min(step_low, step_high), max(step_low, step_high)
+        shortest = min(step_low, step_high)
+        longest = max(step_low, step_high)
         chord_least = np.inf
         chord_most = -np.inf
         for chord in (chord_low, chord_high):
@@ -132,7 +127,8 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
     """
     mode = 1.0 if manual else 0.0
     p_low, p_high = human_range(low, high, c)
-    p_r_low, p_r_high = (tsc_low + c.b_T * p_low) / c.a_T, (tsc_high + c.b_T * p_high) / c.a_T
+    p_r_low = (tsc_low + c.b_T * p_low) / c.a_T
+    p_r_high = (tsc_high + c.b_T * p_high) / c.a_T
     least_p = np.inf
     most_p = -np.inf
     least_tsc = np.inf
@@ -145,8 +141,10 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
     last_low = low
     last_high = high
     for n in range(most):
-        t_low, t_high = tsc_at(p_r_low, p_high, c), tsc_at(p_r_high, p_low, c)
-        least_p, most_p = min(least_p, p_r_low), max(most_p, p_r_high)
+        t_low = tsc_at(p_r_low, p_high, c)
+        t_high = tsc_at(p_r_high, p_low, c)
+        least_p = min(least_p, p_r_low)
+        most_p = max(most_p, p_r_high)
         # At the first sample the interval of TSC given is better than what those of P_r and P_h say
         # about it.
         least_tsc = min(least_tsc, max(t_low, tsc_low) if n == 0 else t_low)
@@ -157,8 +155,10 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
                 before_low = last_low
                 before_high = last_high
             if first > 0:
-                end_low, end_high = min(end_low, low), max(end_high, high)
-                before_low, before_high = min(before_low, last_low), max(before_high, last_high)
+                end_low = min(end_low, low)
+                end_high = max(end_high, high)
+                before_low = min(before_low, last_low)
+                before_high = max(before_high, last_high)
             if (manual and t_low >= target) or (not manual and t_high <= target):
                 over = overshoot(manual, before_low, before_high, target, c)
                 image = PhaseImage(
@@ -183,8 +183,9 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
 @njit
 def phase_image(manual, low, high, start, over, target, c, cells, most):
     """
-    Propagate [low, high] through one phase cell by cell, TSC beginning within `over` beyond
-    `start`; as `propagate`.
+    Propagate [low, high] through one phase cell by cell, as `propagate`.
+
+    TSC begins within `over` beyond `start`.
     """
     image = NO_IMAGE
     tsc_low = start - over if manual else start
@@ -202,8 +203,9 @@ def phase_image(manual, low, high, start, over, target, c, cells, most):
 @njit
 def enclose(low, high, over, lower, upper, c, cells, most):
     """
-    Propagate r in [low, high] with overshoot up to `over` as a manual phase begins through one
-    cycle.
+    Propagate r in [low, high], as a manual phase begins, through one cycle.
+
+    TSC begins within `over` below TSC_l.
     """
     first_phase = (
         cells > 0
@@ -211,7 +213,8 @@ def enclose(low, high, over, lower, upper, c, cells, most):
     ends, manual = phase_image(first_phase, low, high, lower, over, upper, c, cells, most)
     if not ends:
         return Enclosure(-1, low, high, over, NO_IMAGE, 1.0, NO_IMAGE)
-    first, last = max(manual.r_low - ROUNDING, 0.0), min(manual.r_high + ROUNDING, 1.0)
+    first = max(manual.r_low - ROUNDING, 0.0)
+    last = min(manual.r_high + ROUNDING, 1.0)
     ends, autonomous = phase_image(
         not first_phase, first, last, upper, manual.overshoot, lower, c, cells, most
     )
