@@ -25,7 +25,7 @@ MOST_TOKENS = {
     "publishing": 12_000,
     "reproduction": 39_500,
     "sessions": 29_000,
-    "studies": 50_000,
+    "studies": 50_500,
     "teleoperation": 30_500,
     "testbeds": 32_000,
     "trustlab": 500,

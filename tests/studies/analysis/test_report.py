@@ -3,7 +3,9 @@ The Results section: oracle, the numbers of the analysis; files are read again b
 readers.
 """
 
+import dataclasses
 import io
+from pathlib import Path
 
 import docx
 import matplotlib as mpl
@@ -12,8 +14,10 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
+from trustlab.studies.analysis.report import _printed
 
 mpl.use("Agg")
+PILOT = Path(__file__).parents[3] / "data" / "sessions" / "pilot.csv"
 
 
 def frame_of(synthetic=False):
@@ -97,3 +101,57 @@ def test_control_characters_are_refused_by_every_writer(tmp_path, ending, sign):
         tl.report(table).write(tmp_path / f"a.{ending}")
     assert not list(tmp_path.iterdir())
     tl.report(table.replace(f"B{sign}", "B\tβ\n2")).write(tmp_path / f"a.{ending}")
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return tl.fit_tsc(tl.read_session(PILOT))
+
+
+def test_estimates_have_the_digits_of_their_errors(fit):
+    """Oracle: two significant digits of the standard error, written out."""
+    printed = _printed(fit.table(), 2).set_index("parameter")
+    for name, row in fit.table().iterrows():
+        decimals = 1 - int(np.floor(np.log10(row["stderr"])))
+        assert printed.loc[name, "standard error"] == f"{row['stderr']:.{decimals}f}"
+        assert printed.loc[name, "value"] == f"{row['value']:.{decimals}f}"
+
+
+def test_small_differences_are_not_rounded_away():
+    frame = frame_of().assign(error=lambda f: 1e-4 * f["error"])
+    small = tl.report(frame, dv="error", within=["scheme", "task"], subject="who")
+    for row in _printed(small.tables["Pairwise comparisons of task"], 2).to_dict("records"):
+        ends = [float(row[f"95% CI {end}"].replace("−", "-")) for end in ("low", "high")]
+        assert ends[0] < ends[1]
+
+
+def test_fits_by_participant_are_one_table(fit, tmp_path):
+    failed = dataclasses.replace(fit, success=False, message="no optimum was found")
+    study = tl.report({"P1": fit, "P2": failed})
+    assert study.text == (
+        "P2: The fit failed, and its estimates are not to be used: no optimum was found"
+    )
+    (table,) = study.tables.values()
+    assert table["of"].tolist() == ["P1", "P2"]
+    estimate, error = table.loc[0, "human_beta"].split(" ± ")
+    row = fit.table().loc["human_beta"]
+    assert float(estimate) == pytest.approx(row["value"], abs=float(error))
+    assert float(error) == pytest.approx(row["stderr"], rel=0.05)
+    assert len(study.table()) == 2 * len(fit.table())
+    text = study.write(tmp_path / "fits.tex").read_text()
+    assert r"$\pm$" in text
+    assert "human beta" in text
+
+
+def test_a_failed_fit_says_so_first(fit):
+    failed = dataclasses.replace(fit, success=False, message="no optimum was found")
+    assert tl.report(failed).text.startswith("The fit failed")
+    assert "Fit result" in tl.report(failed)._repr_html_()
+
+
+def test_heads_are_words_and_mathematics(tmp_path):
+    frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    study = tl.report(frame, dv="value", within="condition", subject="subject")
+    text = study.write(tmp_path / "results.tex").read_text()
+    for head in ("mean difference", r"$\eta_p^2$", r"$p_\mathrm{Holm}$", "$df_1$", "95\\% CI low"):
+        assert head in text

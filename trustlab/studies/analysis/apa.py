@@ -74,17 +74,52 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
         Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values, columns a, b and condition
         hold labels and stay.
     digits : int
-        Decimals of all other numbers.
+        Least number of decimals. Estimates have as many as show two digits of their standard error,
+        or else of the interval's half width or the standard deviation; other columns as many as
+        show two digits of a typical number.
     """
     frame = frame.copy()
-    for name in frame.select_dtypes("float").columns.difference(
-        ["a", "b", "condition"], sort=False
-    ):
-        p_value = name == "p" or name.startswith(("p_", "mauchly_p"))
-        shown = [apa_p(v) if p_value else apa_number(v, digits) for v in frame[name]]
-        texts = [text.removeprefix("p ").removeprefix("= ") for text in shown]
-        frame[name] = np.where(frame[name].isna(), "", texts)
+    columns = frame.select_dtypes("float").columns.difference(["a", "b", "condition"], sort=False)
+    by_error = _decimals_by_error(frame, digits)
+    for name in columns:
+        values = frame[name].to_numpy()
+        if name == "p" or name.startswith(("p_", "mauchly_p")):
+            texts = [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
+        else:
+            decimals = by_error if name in _ESTIMATES else _decimals_of(values, digits)
+            texts = [
+                apa_number(value, int(count))
+                for value, count in zip(values, np.resize(decimals, len(values)), strict=True)
+            ]
+        frame[name] = np.where(np.isnan(values), "", texts)
     return frame
+
+
+# Columns in the unit of what was measured, and how wide each estimate's error is.
+_LOW, _HIGH = ("ci_low", "95% CI low"), ("ci_high", "95% CI high")
+_SPREADS = ("sd", "SD")
+_ESTIMATES = {"value", "estimate", "mean", "M", "mean_difference", "stderr", "se"}
+_ESTIMATES |= {*_LOW, *_HIGH, *_SPREADS}
+
+
+def _decimals_by_error(frame: pd.DataFrame, digits: int) -> np.ndarray:
+    """Return the decimals of each row's estimates: rows with a standard error differ in unit."""
+    for name in ("stderr", "se"):
+        if name in frame:
+            return np.array([_decimals_of(np.array([error]), digits) for error in frame[name]])
+    for low, high in zip(_LOW, _HIGH, strict=True):
+        if low in frame and high in frame:
+            return np.array([_decimals_of((frame[high] - frame[low]).to_numpy() / 2.0, digits)])
+    spread = [frame[name].to_numpy() for name in _SPREADS if name in frame]
+    return np.array([_decimals_of(spread[0] if spread else np.zeros(0), digits)])
+
+
+def _decimals_of(values: np.ndarray, digits: int) -> int:
+    """Return the decimals that show two digits of a typical number, at least `digits`."""
+    sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    if not sizes.size:
+        return digits
+    return int(np.clip(1 - np.floor(np.log10(np.median(sizes))), digits, 12))
 
 
 def _df(value: float) -> str:

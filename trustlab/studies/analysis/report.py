@@ -6,8 +6,9 @@ Word.
 import html
 import io
 import os
+import re
 import unicodedata
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,11 +35,31 @@ _LATEX = str.maketrans(
         "×": r"$\times$",
         "²": "$^2$",
         "η": r"$\eta$",
+        "±": r"$\pm$",
         "ε": r"$\varepsilon$",
         "χ": r"$\chi$",
         "≥": r"$\geq$",
     }
 )
+# Heads of columns in LaTeX's mathematics; others are written in words.
+_MATHEMATICS = {
+    "ηp²": r"$\eta_p^2$",
+    "ηG²": r"$\eta_G^2$",
+    "d_z": "$d_z$",
+    "df1": "$df_1$",
+    "df2": "$df_2$",
+    "p (Holm)": r"$p_\mathrm{Holm}$",
+    "p (Bonferroni)": r"$p_\mathrm{Bonferroni}$",
+} | {name: f"${name}$" for name in ("F", "M", "SD", "df", "n", "p", "t")}
+# Words for columns of results.
+_WORDS = {
+    "ci_low": "95% CI low",
+    "ci_high": "95% CI high",
+    "stderr": "standard error",
+    "se": "standard error",
+    "p_holm": "p (Holm)",
+    "p_bonferroni": "p (Bonferroni)",
+}
 # Columns beyond which a table of one row is printed as a column.
 _WIDE = 8
 # Columns of a section's tables, and what they are called there.
@@ -123,7 +144,8 @@ class StudyReport:
         path : path-like
             Ends in .html, .tex (a fragment that needs booktabs) or .docx.
         digits : int
-            Decimals; p-values have three.
+            Least number of decimals: estimates have as many as their errors ask for; p-values have
+        three.
 
         Returns
         -------
@@ -161,9 +183,9 @@ def report(
 
     Parameters
     ----------
-    frame : pandas.DataFrame or result
+    frame : pandas.DataFrame, result or dict of results
         Long table. Without `dv`: a result of this package with `.table()`, or a table of results,
-        as it is.
+        as it is; or results by name, as fits by participant, which become one table.
     dv, within, subject : hashable
         Columns, as for `repeated_measures`.
     **options : object
@@ -186,6 +208,8 @@ def report(
     >>> study.result.n, study.result.k
     (36, 5)
     """
+    if isinstance(frame, Mapping):
+        return _side_by_side(frame)
     result = frame if dv is None else repeated_measures(frame, dv, within, subject, **options)
     if isinstance(result, RepeatedMeasures):
         return _section(result)
@@ -195,11 +219,53 @@ def report(
             f"{type(frame).__name__}"
         )
     table = result if isinstance(result, pd.DataFrame) else result.table()
-    title = "Results" if table is result else type(result).__name__
-    text = result.apa() if hasattr(result, "apa") else ""
-    return StudyReport(
-        result, text, {title: table}, getattr(result, "origin", "") or table.attrs.get("origin", "")
+    title = "Results" if table is result else _words_of(type(result).__name__)
+    return StudyReport(result, _sentences(result), {title: table}, _origin(result, table))
+
+
+def _side_by_side(results: Mapping[Hashable, Any]) -> StudyReport:
+    """Return results of one kind as one table, a row for each: estimates with standard errors."""
+    if not results:
+        raise ValueError("frame is an empty dict: give results by name")
+    tables = {name: result.table() for name, result in results.items()}
+    rows = {name: table.reset_index() for name, table in tables.items()}
+    whole = (
+        pd.concat(rows, names=["of"]).reset_index(level="of").drop(columns="index", errors="ignore")
     )
+    whole = whole.reset_index(drop=True)
+    origins = {_origin(result, tables[name]) for name, result in results.items()} - {""}
+    text = " ".join(
+        f"{name}: {_sentences(result)}" for name, result in results.items() if _sentences(result)
+    )
+    title, printed = "Results", whole
+    if {"parameter", "value", "stderr"} <= set(whole):
+        title = "Estimates ± standard errors"
+        texts = _printed(whole[["of", "parameter", "value", "stderr"]], 2)
+        errors = texts[_WORDS["stderr"]].replace("", "–")
+        texts["cell"] = texts["value"] + " ± " + errors
+        by_result = texts.groupby("of", sort=False)
+        columns = {name: part.set_index("parameter")["cell"] for name, part in by_result}
+        printed = pd.DataFrame(columns).T.rename_axis("of")
+        printed = printed.reset_index().rename_axis(columns=None)
+    return StudyReport(whole, text, {title: printed}, ", ".join(origins))
+
+
+def _sentences(result: Any) -> str:
+    """Return what a result says of itself: its sentences, or that a fit failed, and why."""
+    if hasattr(result, "apa"):
+        return result.apa()
+    if getattr(result, "success", True):
+        return ""
+    return f"The fit failed, and its estimates are not to be used: {result.message}"
+
+
+def _origin(result: Any, table: pd.DataFrame) -> str:
+    return getattr(result, "origin", "") or table.attrs.get("origin", "")
+
+
+def _words_of(name: str) -> str:
+    """Return a class's name in words: "FitResult" is "Fit result"."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).capitalize()
 
 
 def _section(result: RepeatedMeasures) -> StudyReport:
@@ -224,6 +290,7 @@ def _printed(table: pd.DataFrame, digits: int) -> pd.DataFrame:
     named = table.reset_index() if table.index.names != [None] else table
     texts = apa_table(named.rename(columns=str).rename_axis(columns=None), digits)
     texts = texts.astype(object).where(texts.notna(), "").map(str)
+    texts = texts.rename(columns=lambda name: _WORDS.get(name, name))
     if len(texts) == 1 and texts.shape[1] > _WIDE:
         return texts.T.reset_index().set_axis(["statistic", "value"], axis=1)
     return texts
@@ -257,15 +324,18 @@ def _latex(study: StudyReport, tables: dict[str, pd.DataFrame]) -> str:
         import jinja2  # noqa: F401  what pandas writes LaTeX with
     parts = [study.text.translate(_LATEX)]
     for title, table in tables.items():
-        cells = table.rename(columns=lambda name: str(name).translate(_LATEX)).map(
-            lambda cell: cell.translate(_LATEX)
-        )
+        cells = table.rename(columns=_latex_head).map(lambda cell: cell.translate(_LATEX))
         parts.append(
             cells.to_latex(
                 index=False, escape=False, caption=_caption(study, title).translate(_LATEX)
             )
         )
     return "\n\n".join(parts)
+
+
+def _latex_head(name: str) -> str:
+    """Return the head of a column, in mathematics where it is a symbol, else in words."""
+    return _MATHEMATICS.get(name, str(name).replace("_", " ").translate(_LATEX))
 
 
 def _write_word(path: Path, study: StudyReport, tables: dict[str, pd.DataFrame]) -> None:
