@@ -118,9 +118,10 @@ def test_estimates_have_the_digits_of_their_errors(fit):
 
 
 def test_small_differences_are_not_rounded_away():
-    frame = frame_of().assign(error=lambda f: 1e-4 * f["error"])
-    small = tl.report(frame, dv="error", within=["scheme", "task"], subject="who")
-    for row in _printed(small.tables["Pairwise comparisons of task"], 2).to_dict("records"):
+    frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    frame["value"] *= 1e-5
+    small = tl.report(frame, dv="value", within="condition", subject="subject")
+    for row in _printed(small.tables["Pairwise comparisons"], 2).to_dict("records"):
         ends = [float(row[f"95% CI {end}"].replace("−", "-")) for end in ("low", "high")]
         assert ends[0] < ends[1]
 
