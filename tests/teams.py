@@ -13,6 +13,7 @@ def picked(kind, options):
 
 def simulate_team(graph, policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0, **options):
     settings = options.pop("settings", TeamSettings())
+    options.setdefault("performance", "random")  # theorems hold whoever is trusted
     channel, trial = picked(TeamChannel, options), picked(TeamTrial, options)
     if isinstance(settings, TeamSettings):
         changed = {"channel": TeamChannel(**channel)} | picked(TeamSettings, options)

@@ -133,6 +133,7 @@ from .teleoperation import (
     tune_transparency as tune_transparency,
 )
 from .testbeds import (
+    TeamLoop as TeamLoop,
     TeleoperationLoop as TeleoperationLoop,
     TrackingTask as TrackingTask,
     run_condition as run_condition,

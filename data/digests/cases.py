@@ -179,7 +179,9 @@ SAME_BITS = {
     ).table(),
     "simulated_answers": lambda: list(tl.simulated_answers(flights()[1], seed=0).values()),
     "channel_run": channel,
-    "simulate_team": lambda: tl.simulate_team(nx.cycle_graph(4), seed=0).positions,
+    "simulate_team": lambda: (
+        tl.simulate_team(nx.cycle_graph(4), seed=0, performance="random").positions
+    ),
     "run_campaign": campaign,
     "parameter_draws": lambda: pd.DataFrame(
         tl.parameter_draws(50, seed=1, beta=(0.6, 0.8), laps=[4, 8])

@@ -26,8 +26,8 @@ MOST_TOKENS = {
     "reproduction": 39_500,
     "sessions": 29_000,
     "studies": 50_500,
-    "teleoperation": 30_500,
-    "testbeds": 32_000,
+    "teleoperation": 31_800,
+    "testbeds": 34_500,
     "trustlab": 500,
 }
 MOST_TOKENS_A_LINE = 9.6

@@ -161,6 +161,7 @@ def session():
 
 class Policy:
     title = NAME
+    uses_trust = False
 
     def leaders(self, trust, robots, step, dwell, rng):
         return np.zeros(len(trust), int)

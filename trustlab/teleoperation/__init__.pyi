@@ -34,7 +34,6 @@ from .ports.waves import Scattering as Scattering
 from .team.graphs import (
     GraphError as GraphError,
     algebraic_connectivity as algebraic_connectivity,
-    scaled_settings as scaled_settings,
     team_graph as team_graph,
 )
 from .team.leader_policies import (
@@ -45,9 +44,11 @@ from .team.leader_policies import (
     MostTrusted as MostTrusted,
     RandomLeaders as RandomLeaders,
 )
+from .team.performance import Motion as Motion
 from .team.settings import (
     TeamChannel as TeamChannel,
     TeamOperator as TeamOperator,
+    TeamRobot as TeamRobot,
     TeamSettings as TeamSettings,
     TeamTrial as TeamTrial,
 )

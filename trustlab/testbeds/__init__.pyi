@@ -19,7 +19,10 @@ from .populations import (
     TeleoperatorPopulation as TeleoperatorPopulation,
     following_operator as following_operator,
 )
-from .robot_team import simulate_team as simulate_team
+from .robot_team import (
+    TeamLoop as TeamLoop,
+    simulate_team as simulate_team,
+)
 from .team_run import TeamRun as TeamRun
 from .teleoperation_measures import (
     plot_alpha as plot_alpha,

@@ -3,17 +3,19 @@ A team of robots led to a goal by one operator through whichever of them leads: 
 simulated task.
 """
 
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import between, finite_array, of_class, spawned
-from trustlab.models.trust import trust_run
+from trustlab.models.checks import between, finite_array, finite_number, of_class, spawned
+from trustlab.models.trust import trust_run, trust_step
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.filters import WaveFilter, passivity_margin
+from trustlab.teleoperation.loop.parts import View
 from trustlab.teleoperation.loop.settings import DivergenceError, PartError
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.records import filled, log_of, robot_numbers, signal
@@ -26,6 +28,7 @@ from trustlab.teleoperation.team.leader_policies import (
     is_live,
     policy_named,
 )
+from trustlab.teleoperation.team.performance import Motion, measure_named, measured
 from trustlab.teleoperation.team.settings import (
     TeamChannel,
     TeamOperator,
@@ -36,6 +39,10 @@ from trustlab.testbeds.team_run import TeamRun
 
 NOTE = "simulated team and operator"
 DECISION = 0.1
+# How long a drifting robot's velocity takes to be forgotten [s].
+DRIFT_TIME = 5.0
+# A live hand is taken to be at most so far away [m], where its grip has long reached its limit.
+FARTHEST_HAND = 1e6
 # Numbers that a run may record.
 LARGEST = 200_000_000
 
@@ -49,6 +56,7 @@ def simulate_team(
     operator: TeamOperator | None = None,
     settings: TeamSettings | None = None,
     trial: TeamTrial | None = None,
+    performance: str | Callable = "motion",
 ) -> TeamRun:
     """
     Simulate robots on a graph, (4.19)-(4.24), whose leader an operator steers to a goal.
@@ -76,12 +84,14 @@ def simulate_team(
         own), which returns the number of the leader; or a method `leaders(trust, robots, step,
         dwell, rng)`, called once: `trust` is (4.1) in every robot at every decision, shape (M, N);
         `robots` their N names; `step` the time between decisions [s]; `dwell` τ_min [s]; `rng` a
-        numpy.random.Generator; it returns M numbers. Each leads for τ_min at least, unless it
-        leaves the team.
+        numpy.random.Generator; it returns M numbers. Measured trust is not known before the run:
+        such a policy has `uses_trust = False`, or runs with performance="random". Each leads for
+        τ_min at least, unless it leaves the team: a wish to switch waits until then.
     goal : array_like, shape (3,)
         r_q [m], known to the operator alone.
     seed : int or numpy.random.SeedSequence
-        Streams for the start, the robots' performance and the policy are spawned from it.
+        Streams for the start, performance at random, the policy and robots' faults are spawned from
+        it.
     duration : float
         Length [s]; large teams move slowly, for one robot is driven and all are moved.
     operator : TeamOperator, optional
@@ -90,6 +100,13 @@ def simulate_team(
         Device, scattering, trust and gains, the channel with its delays and filters, and τ_min.
     trial : TeamTrial, optional
         Time steps, start, a force added to the hand's, and what is recorded.
+    performance : {"motion", "tracking", "cohesion", "packets", "random"} or callable
+        What trust (4.1) in a robot comes from, at every decision. "tracking": how well it moves as
+        (4.22) asks. "motion": likewise, the leader's times the packets that arrived. "cohesion":
+        how near it is to the mean of those it sees. "packets": those of the leader that arrived.
+        "random": drawn, which says nothing of the robot, for tests of what holds whoever leads. Or
+        f(motion) → one number from 0 to 1 per robot, NaN where there is nothing to judge by, so
+        that trust stays; see `Motion`.
 
     Returns
     -------
@@ -113,59 +130,423 @@ def simulate_team(
     >>> ring = nx.cycle_graph(4)
     >>> run = tl.simulate_team(ring, policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0)
     >>> run.converged, round(run.time_to_goal)
-    (True, 71)
+    (True, 69)
     """
-    policy = policy_named(policy)
-    operator = TeamOperator() if operator is None else of_class("operator", operator, TeamOperator)
-    settings = TeamSettings() if settings is None else of_class("settings", settings, TeamSettings)
-    trial = TeamTrial() if trial is None else of_class("trial", trial, TeamTrial)
-    names, graphs = graphs_in_time(graph, trial.require_connected)
-    goal = finite_array("goal", goal, length=3)
-    count = _samples(duration, trial, len(names))
-    ends = settings.per_robot("scattering", len(names))
-    channel, T = settings.channel, trial.sample_time
-    rate = max(end.max_delay_rate for end in ends)
-    delays = delays_in_samples(channel.delays, rate, channel.read_out, count, T)
-    times = _times(settings, float(delays.max() * T), T)
-    streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
-    start, inner, pushed = _start(trial, len(names), count, streams[0])
-    distance = start - goal
-    plan = _plan(graphs, settings, len(names), duration, count, T, streams[1])
-    budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2) + np.sum(inner**2)))
-    title, filtering = _filters(channel, float(np.mean([end.b for end in ends])))
-    numbers = filled(
-        kernel.NUMBERS,
-        **_numbers(settings, operator),
-        **filtering,
-        sample_time=T,
-        gain=float(np.sqrt(1.0 - rate)),
-        push=operator.stiffness(times["vision_delay"]),
-        budget=budget,
-        reserve=operator.reserve * budget,
-        vision=round(times["vision_delay"] / T),
-        error_range=max(float(np.linalg.norm(distance, axis=1).max()), trial.tolerance),
-    )
-    leading = Leading(policy, graphs, names, plan, times["min_dwell"], streams[2])
-    team = Team(numbers, _robots(settings, ends, T), graphs, plan, settings, goal, leading)
-    data, coordinates = team.run(_memory(delays, pushed, distance, inner), trial.samples_per_row)
-    t = data.index.to_numpy()
-    trust = plan.trust[_intervals(t, plan.step, len(plan.trust))]
-    facts: dict = {"policy": policy.title, "filter": title}
-    facts |= {name: numbers[name].item() for name in ("k12", "k21")}
-    facts |= {"seed": str(seed), "read_out": channel.read_out} | times
-    facts |= {name: numbers[name].item() for name in ("sample_time", "push")} | {"note": NOTE}
-    return TeamRun(
-        names,
-        graphs[0].adjacency,
-        goal,
-        data,
-        coordinates.transpose(0, 2, 1) + goal,
-        trust,
-        budget,
-        trial.tolerance,
-        facts,
-        tuple((round(T * first, 9), graphs[number].adjacency) for first, number in plan.changes),
-    )
+    return TeamLoop(
+        graph, policy, goal, seed, duration, operator, settings, trial, performance
+    ).run()
+
+
+@dataclass(eq=False)
+class TeamLoop:
+    """
+    A team and its operator (Fig. 4.1), stepped or run.
+
+    Parameters
+    ----------
+    graph : networkx.Graph, networkx.DiGraph, array_like or dict
+        Who sees whom; this and what follows as of `simulate_team`.
+    policy : {"most_trusted", "hysteresis", "sequence", "random"}, LivePolicy or LeaderPolicy
+        Who leads.
+    goal : array_like, shape (3,)
+        r_q [m].
+    seed : int or numpy.random.SeedSequence
+        Of all that is drawn.
+    duration : float
+        How long the loop may run [s]: delays and whatever is random are drawn for this time.
+    operator : TeamOperator, optional
+        Who holds the device.
+    settings : TeamSettings, optional
+        Device, scattering, trust, robots, gains and channel.
+    trial : TeamTrial, optional
+        Time steps, start, added force and recording.
+    performance : {"motion", "tracking", "cohesion", "packets", "random"} or callable
+        What trust in a robot comes from.
+
+    Attributes
+    ----------
+    state
+        The state after the last sample: every signal and energy of `TeamRun.table()`, by name.
+    robots : tuple
+        Names.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood, before anything runs.
+
+    Examples
+    --------
+    >>> import networkx as nx
+    >>> import trustlab as tl
+    >>> loop = tl.TeamLoop(nx.cycle_graph(4), seed=0, duration=20.0)
+    >>> state = loop.step(hand=(0.01, 0.02, 0.0), leader=2)
+    >>> loop.leader, round(loop.t, 3)
+    (2, 0.001)
+    >>> loop.run().converged
+    False
+    """
+
+    graph: object
+    policy: str | LeaderPolicy | LivePolicy = "most_trusted"
+    goal: object = (1.0, 2.0, 0.5)
+    seed: int | np.random.SeedSequence = 0
+    duration: float = 300.0
+    operator: TeamOperator | None = None
+    settings: TeamSettings | None = None
+    trial: TeamTrial | None = None
+    performance: str | Callable = "motion"
+
+    def __post_init__(self):
+        policy, self._measure = policy_named(self.policy), measure_named(self.performance)
+        self._operator = _settings_of("operator", self.operator, TeamOperator)
+        self._settings = _settings_of("settings", self.settings, TeamSettings)
+        self._trial = _settings_of("trial", self.trial, TeamTrial)
+        self.robots, self._graphs = graphs_in_time(self.graph, self._trial.require_connected)
+        self._goal = finite_array("goal", self.goal, length=3)
+        streams = [np.random.default_rng(child) for child in spawned(self.seed, 4)]
+        count = _samples(self.duration, self._trial, len(self.robots))
+        self._begin(count, streams[0])
+        models = self._settings.per_robot("human_to_robot", len(self.robots))
+        self._decay = np.array([model.decay(max(DECISION, self._T)) for model in models])
+        self._gain = np.array([model.b / model.a for model in models])
+        self._low = np.array([model.t_min for model in models])
+        self._span = np.array([model.t_max for model in models]) - self._low
+        plan = _plan(
+            self._graphs,
+            self._settings,
+            len(self.robots),
+            self.duration,
+            count,
+            self._T,
+            streams[1],
+        )
+        known = self._measure is None
+        if not known:
+            plan.trust[:] = np.nan
+            plan.trust[0] = self._trust_of(np.full(len(self.robots), 0.5))
+        self._plan = plan
+        self._faults = _faults(
+            self._settings.per_robot("robots", len(self.robots)), plan, streams[3]
+        )
+        self._leading = Leading(
+            policy, self._graphs, self.robots, plan, self._times["min_dwell"], streams[2], known
+        )
+        # decisions that depend on what happens are taken one by one, others at a stretch
+        self._careful = not known or self._leading.live or self._faults is not None
+        self._reserve(count)
+
+    def _begin(self, count: int, rng) -> None:
+        """Set numbers, ends and memory."""
+        settings, trial = self._settings, self._trial
+        size = len(self.robots)
+        self._T = T = trial.sample_time
+        ends, channel = settings.per_robot("scattering", size), settings.channel
+        rate = max(end.max_delay_rate for end in ends)
+        delays = delays_in_samples(channel.delays, rate, channel.read_out, count, T)
+        self._times = times = _times(settings, float(delays.max() * T), T)
+        start, inner, pushed = _start(trial, size, count, rng)
+        distance, operator = start - self._goal, self._operator
+        budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2) + np.sum(inner**2)))
+        self._title, filtering = _filters(channel, float(np.mean([end.b for end in ends])))
+        self._numbers = filled(
+            kernel.NUMBERS,
+            **_numbers(settings, operator),
+            **filtering,
+            sample_time=T,
+            gain=float(np.sqrt(1.0 - rate)),
+            push=operator.stiffness(times["vision_delay"]),
+            budget=budget,
+            reserve=operator.reserve * budget,
+            vision=round(times["vision_delay"] / T),
+            error_range=max(float(np.linalg.norm(distance, axis=1).max()), trial.tolerance),
+        )
+        self._ends = _robots(settings, ends, T)
+        self._memory = _memory(delays, pushed, distance, inner)
+
+    @property
+    def t(self) -> float:
+        """Time that has been simulated [s]."""
+        return self._done * self._T
+
+    @property
+    def leader(self) -> Hashable:
+        """Name of the robot that leads; None before the first sample."""
+        return None if self._leading.leader is None else self.robots[self._leading.leader]
+
+    @property
+    def trust(self) -> np.ndarray:
+        """Human-to-robot trust (4.1) in every robot at the last decision, shape (N,)."""
+        return self._plan.trust[self._plan.decision[max(self._done - 1, 0)]].copy()
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Where the robots are [m], shape (N, 3); NaN where they are not in the team."""
+        if self._formation is None:
+            return self._memory.w.T + self._goal
+        return np.where(self._graph.present[:, None], self._read("positions"), np.nan)
+
+    def step(self, hand=None, leader: Hashable = None) -> View:
+        """
+        Advance one sample and return the state.
+
+        Parameters
+        ----------
+        hand : array_like, shape (3,), optional
+            Where a live hand pulls the device to [m], with the operator's `grip` and at most with
+            the force `reach`; the simulated operator's hand when not given.
+        leader : optional
+            Name of the robot that leads from the next decision on in which the present leader has
+            led for τ_min, until another is named or it leaves the team; the policy's when none was
+            named.
+
+        Returns
+        -------
+        View
+            `state`, the same object in every step. `state.copy()` stays as it is.
+
+        Raises
+        ------
+        ValueError
+            If the loop is at its end, `hand` is not finite, or the robot cannot lead.
+        DivergenceError
+            If the run grows without bound.
+        """
+        if self._done == len(self._plan.decision):
+            raise ValueError(
+                f"the loop ends at t = {self.t:g} s; make it with a longer duration than "
+                f"{self.duration:g} s"
+            )
+        if hand is not None:
+            place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
+            self._memory.samples["hand"][self._done] = place
+        if leader is not None:
+            self._leading.name(leader, self._plan.decision[self._done])
+        self._advance(self._done + 1)
+        return self.state
+
+    def run(self, until: float | None = None) -> TeamRun:
+        """
+        Advance until a time and return the run so far.
+
+        Parameters
+        ----------
+        until : float, optional
+            The time [s], counted from the start; the loop's whole duration when not given.
+
+        Returns
+        -------
+        TeamRun
+            Up to the duration as of `simulate_team`, bit for bit.
+
+        Raises
+        ------
+        ValueError
+            If the loop is already beyond that time, or does not last so long.
+        DivergenceError
+            If the run grows without bound.
+        """
+        most = len(self._plan.decision)
+        stop = most if until is None else round(finite_number("until", until) / self._T)
+        if not max(self._done, 1) <= stop <= most:
+            raise ValueError(
+                f"until must lie between t = {self.t:g} s, where the loop is, and its duration "
+                f"of {self.duration:g} s, got {until}"
+            )
+        self._advance(stop)
+        return self._result()
+
+    def _reserve(self, count: int) -> None:
+        """Make room for the log."""
+        self._every = self._trial.samples_per_row
+        rows = -(-count // self._every)
+        self._table, self._log = log_of(kernel.LOG, rows)
+        self._coordinates = np.empty((rows, 3, len(self.robots)))
+        self._states = np.zeros(1, kernel.STATE)
+        self._row = self._states.view(float)[: self._table.shape[1]]
+        self.state = View(self._states, kernel.LOG)
+        self._done = self._decided = 0
+        self._formation: Any = None
+        self._graph: Any = None
+        self._failure: DivergenceError | None = None
+        self._before: Any = None
+        self._formations: list[tuple[int, kernel.Formation, TeamGraph]] = []
+        self._share = np.full(len(self.robots), 0.5)
+        plan = self._plan
+        stops = np.diff(plan.decision if self._careful else plan.graph[plan.decision])
+        stops = np.flatnonzero(stops) + 1
+        if self._measure is not None:
+            stops = np.union1d(stops, stops - 1)  # the last sample shows how robots move
+        self._stops = np.append(stops[stops > 0], count)
+
+    def _advance(self, stop: int) -> None:
+        """Do the samples before `stop`, from pause to pause."""
+        if self._failure is not None:
+            raise self._failure
+        while self._done < stop:
+            first = self._done
+            self._prepare(first, stop)
+            last = min(stop, int(self._stops[np.searchsorted(self._stops, first, side="right")]))
+            self._done, block = kernel.run_team(
+                self._numbers,
+                self._formation,
+                self._ends,
+                self._memory,
+                first,
+                last,
+                self._every,
+                self._states,
+                self._row,
+                self._table,
+                self._coordinates,
+            )
+            if block >= 0:
+                self._failure = DivergenceError(
+                    f"the team diverged at t = {(self._done - 1) * self._T:g} s in the "
+                    f"{kernel.BLOCKS[block]}; push less, switch the scattering with the leader, "
+                    "or use a filter that is passive"
+                )
+                raise self._failure
+
+    def _prepare(self, k: int, stop: int) -> None:
+        """Do what has to be done before sample `k`: judge, regroup, choose who leads."""
+        decisions, d = self._plan.decision, int(self._plan.decision[k])
+        begins = k == 0 or decisions[k - 1] != d
+        if begins:
+            if self._measure is not None and d > 0:
+                self._judge(d, k)
+            graph = self._graphs[self._plan.graph[d]]
+            if graph is not self._graph:
+                self._regroup(graph, k)
+        last = d if self._careful else int(decisions[stop - 1])
+        if self._decided <= last:
+            self._decide(self._decided, last)
+        if self._measure is not None and (k + 1 == len(decisions) or decisions[k + 1] != d):
+            self._before = self._memory.w.copy(), self._memory.z.copy()
+
+    def _decide(self, first: int, last: int) -> None:
+        """Choose who leads from decision `first` to `last`, and what its robots' faults do."""
+        plan, memory = self._plan, self._memory
+        since = np.searchsorted(plan.decision, first)
+        until = np.searchsorted(plan.decision, last, side="right")
+        where = partial(self._read, "positions")
+        leaders = [self._leading.choose(d, d * plan.step, where) for d in range(first, last + 1)]
+        leads = memory.samples["lead"]
+        leads[since:until] = np.array(leaders)[plan.decision[since:until] - first]
+        switched = self._settings.channel.switch_scattering
+        memory.samples["head"][since:until] = leads[since:until] if switched else leads[0]
+        self._decided = last + 1
+        if self._faults is not None:
+            faults = self._faults
+            arrives = faults.draws[:, since:until] >= faults.loss[leads[since:until]]
+            memory.arrives[:, since:until] = arrives
+            if faults.drifting.size:
+                into = self._formation.into[faults.drifting]
+                memory.blown[:] = multiplied(faults.drift[first], into)
+
+    def _judge(self, d: int, k: int) -> None:
+        """Step trust (4.1) by the performance that is measured at decision `d`."""
+        plan, samples = self._plan, self._memory.samples
+        since = np.searchsorted(plan.decision, plan.decision[k - 1])
+        now = Motion(
+            d * plan.step,
+            int(samples["lead"][k - 1]),
+            self._graph.present,
+            self._graph.adjacency,
+            self._settings.lead_gain * samples["sent"][k - 1],
+            float(self._memory.arrives[0, since:k].mean()),
+            self._read,
+        )
+        performance = measured(self._measure, now)
+        # (4.1); trust stays where there is nothing to judge by
+        later = trust_step.py_func(self._share, performance, self._decay, self._gain)
+        self._share = np.where(np.isnan(performance), self._share, later)
+        plan.trust[d] = self._trust_of(self._share)
+
+    def _trust_of(self, share: np.ndarray) -> np.ndarray:
+        """Return trust from shares of its range."""
+        return self._low + self._span * share
+
+    def _read(self, name: str = "positions") -> np.ndarray:
+        """Return what is measured of the robots' motion by name, shape (N, 3)."""
+        team = self._formation
+        w, z = self._memory.w, self._memory.z
+        if name == "positions":
+            return multiplied(w, team.vectors.T).T + self._goal
+        w_before, z_before = self._before
+        if name == "velocities":
+            return multiplied((w - w_before) / self._T, team.vectors.T).T
+        q, zeta = 0.5 * (w + w_before), 0.5 * (z + z_before)
+        if team.directed:
+            asked = multiplied(zeta, team.laplacian) - multiplied(q, team.laplacian.T)
+        else:
+            asked = team.values * (zeta - q)
+        out = multiplied(asked, team.into.T).T
+        sample = self._memory.samples[self._done - 1]
+        out[sample["lead"]] += self._settings.lead_gain * sample["sent"]
+        return out
+
+    def _regroup(self, graph: TeamGraph, k: int) -> None:
+        """
+        Carry the robots over to the next graph's basis; what V_fs gains or loses by the links is
+        booked as their supply.
+        """
+        settings, memory = self._settings, self._memory
+        before = self._formation
+        speeds = np.array([robot.speed for robot in settings.per_robot("robots", len(self.robots))])
+        after = formation_on(graph, settings.coupling, 0.5 * self._T, speeds)
+        if before is not None:
+            stored, _ = kernel.storages(before, memory.w, memory.z)
+        for coordinates in (memory.w, memory.z):
+            places = coordinates if before is None else multiplied(coordinates, before.vectors.T)
+            coordinates[:] = multiplied(places, after.into)
+        if before is not None:
+            gained = kernel.storages(after, memory.w, memory.z)[0] - stored
+            self.state.supply_links += settings.force_gain / settings.lead_gain * gained
+        self._formation, self._graph = after, graph
+        self._formations.append((k, after, graph))
+
+    def _result(self) -> TeamRun:
+        """Return the run so far."""
+        every, T = self._every, self._T
+        plan = self._plan
+        rows = -(-self._done // every)
+        distances, table = self._coordinates[:rows].copy(), self._table[:rows].copy()
+        ends = [first for first, _, _ in self._formations[1:]] + [self._done]
+        for (first, formation, graph), last in zip(self._formations, ends, strict=True):
+            recorded = slice(-(-first // every), -(-last // every))
+            # one product of matrices, not one per row: NumPy takes forty times as long for these
+            flat = distances[recorded].reshape(-1, len(self.robots))
+            flat[:] = multiplied(flat, formation.vectors.T)
+            distances[recorded, :, ~graph.present] = np.nan  # not in the team, nowhere
+        table.view(kernel.LOG)[:, 0]["leader"] += self._goal
+        t = pd.Index(np.round(T * every * np.arange(rows), 9), name="t")
+        numbers, channel = self._numbers, self._settings.channel
+        measure = self._measure
+        named = getattr(measure, "__name__", repr(measure)) if callable(measure) else "random"
+        facts: dict = {"policy": self._leading.policy.title, "filter": self._title}
+        facts |= {name: numbers[name].item() for name in ("k12", "k21")}
+        facts |= {"seed": str(self.seed), "read_out": channel.read_out} | self._times
+        facts |= {name: numbers[name].item() for name in ("sample_time", "push")} | {"note": NOTE}
+        facts |= {"performance": named, "waits": self._leading.waits}
+        changes = self._formations[1:]
+        return TeamRun(
+            self.robots,
+            self._graphs[0].adjacency,
+            self._goal,
+            pd.DataFrame(table, index=t, columns=list(kernel.COLUMNS)),
+            distances.transpose(0, 2, 1) + self._goal,
+            plan.trust[_intervals(t.to_numpy(), plan.step, len(plan.trust))],
+            numbers["budget"].item(),
+            self._trial.tolerance,
+            facts,
+            tuple((round(T * first, 9), graph.adjacency) for first, _, graph in changes),
+        )
+
+
+def _settings_of(name: str, value, kind):
+    """Return settings of a class, the usual ones where there are none."""
+    return kind() if value is None else of_class(name, value, kind)
 
 
 class Plan(NamedTuple):
@@ -176,20 +557,34 @@ class Plan(NamedTuple):
     graph: np.ndarray  # number of the graph at each decision, shape (M,)
     trust: np.ndarray  # human-to-robot, (4.1), at each decision, shape (M, N)
 
-    @property
-    def changes(self) -> list[tuple[int, int]]:
-        """From which sample on another graph holds, and its number."""
-        numbers = self.graph[self.decision]
-        return [(int(k), int(numbers[k])) for k in np.flatnonzero(np.diff(numbers)) + 1]
 
-    def spans(self, live: bool) -> list[tuple[int, int]]:
-        """
-        Return from which sample to which the kernel runs at a stretch: to the next change of the
-        graph, or the next decision of a live policy.
-        """
-        until = self.decision if live else self.graph[self.decision]
-        stops = np.flatnonzero(np.diff(until)) + 1
-        return list(pairwise([0, *stops.tolist(), len(self.decision)]))
+class Faults(NamedTuple):
+    """
+    What is drawn of robots that lose packets, uniform numbers (2, K), or drift, (M, 3, n).
+
+    `loss`, shape (N,): probabilities. `drifting`, shape (n,): numbers of robots.
+    """
+
+    loss: np.ndarray
+    draws: np.ndarray
+    drifting: np.ndarray
+    drift: np.ndarray
+
+
+def _faults(robots: tuple, plan: Plan, rng) -> Faults | None:
+    """Return what is drawn of faulty robots; None where all are faultless but for their speed."""
+    loss = np.array([robot.loss for robot in robots])
+    drift = np.array([robot.drift for robot in robots])
+    drifting = np.flatnonzero(drift)
+    if not loss.any() and not drifting.size:
+        return None
+    draws = rng.random((2, len(plan.decision)))
+    # a first-order process of this root mean square from the start on
+    noise = drift[drifting] * rng.normal(size=(len(plan.graph), 3, drifting.size))
+    keep = float(np.exp(-plan.step / DRIFT_TIME))
+    for d in range(1, len(noise)):
+        noise[d] = keep * noise[d - 1] + np.sqrt(1.0 - keep**2) * noise[d]
+    return Faults(loss, draws, drifting, noise)
 
 
 def _plan(graphs: list[TeamGraph], settings, robots: int, duration, count, T, rng) -> Plan:
@@ -202,89 +597,6 @@ def _plan(graphs: list[TeamGraph], settings, robots: int, duration, count, T, rn
     return Plan(step, _intervals(np.arange(count) * T, step, most), graph, trust)
 
 
-class Team(NamedTuple):
-    """A team as the kernel runs it from change to change of its graph."""
-
-    numbers: np.void
-    robots: np.ndarray
-    graphs: list[TeamGraph]
-    plan: Plan
-    settings: TeamSettings
-    goal: np.ndarray
-    leading: "Leading"
-
-    def run(self, memory: kernel.Memory, every: int) -> tuple[pd.DataFrame, np.ndarray]:
-        """
-        Return what is logged, a row every `every` samples, and where the robots are from the goal.
-        """
-        T, plan = self.numbers["sample_time"].item(), self.plan
-        rows = -(-len(plan.decision) // every)
-        table, log = log_of(kernel.LOG, rows)
-        distances, states = np.empty((rows, 3, len(self.robots))), np.zeros(1, kernel.STATE)
-        row = states.view(float)[: table.shape[1]]
-        formation = graph = None
-        leads, heads = memory.samples["lead"], memory.samples["head"]
-        live = is_live(self.leading.policy)
-        if not live:
-            leads[:] = self.leading.ahead()[plan.decision]
-        for first, last in plan.spans(live):
-            decision = plan.decision[first]
-            if self.graphs[plan.graph[decision]] is not graph:
-                graph = self.graphs[plan.graph[decision]]
-                formation = self._regroup(formation, graph, memory, states[0])
-            if live:
-                where = partial(_positions, formation, memory, self.goal)
-                leads[first:last] = self.leading.choose(decision, first * T, where)
-            switched = self.settings.channel.switch_scattering
-            heads[first:last] = leads[first:last] if switched else leads[0]
-            done, block = kernel.run_team(
-                self.numbers,
-                formation,
-                self.robots,
-                memory,
-                first,
-                last,
-                every,
-                states,
-                row,
-                table,
-                distances,
-            )
-            if block >= 0:
-                raise DivergenceError(
-                    f"the team diverged at t = {(done - 1) * T:g} s in the "
-                    f"{kernel.BLOCKS[block]}; push less, switch the scattering with the leader, "
-                    "or use a filter that is passive"
-                )
-            recorded = slice(-(-first // every), -(-last // every))
-            # one product of matrices, not one per row: NumPy takes forty times as long for these
-            flat = distances[recorded].reshape(-1, len(self.robots))
-            flat[:] = multiplied(flat, formation.vectors.T)
-            distances[recorded, :, ~graph.present] = np.nan  # not in the team, nowhere
-        log["leader"] += self.goal
-        t = pd.Index(np.round(T * every * np.arange(rows), 9), name="t")
-        return pd.DataFrame(table, index=t, columns=list(kernel.COLUMNS)), distances
-
-    def _regroup(
-        self, before: kernel.Formation | None, graph: TeamGraph, memory, state
-    ) -> kernel.Formation:
-        """
-        Carry the robots over to the next graph's basis; what V_fs gains or loses by the links is
-        booked as their supply.
-        """
-        h = 0.5 * self.numbers["sample_time"].item()
-        after = formation_on(graph, self.settings.coupling, h)
-        if before is not None:
-            stored, _ = kernel.storages(before, memory.w, memory.z)
-        for coordinates in (memory.w, memory.z):
-            places = coordinates if before is None else multiplied(coordinates, before.vectors.T)
-            coordinates[:] = multiplied(places, after.vectors)
-        if before is not None:
-            gained = kernel.storages(after, memory.w, memory.z)[0] - stored
-            state["supply_links"] += self.settings.force_gain / self.settings.lead_gain * gained
-        return after
-
-
 def _memory(delays, pushed, distance, zeta) -> kernel.Memory:
     """
     Return what a run remembers, at its start; w and z are positions until the first formation gives
@@ -292,6 +604,7 @@ def _memory(delays, pushed, distance, zeta) -> kernel.Memory:
     """
     samples, arrives = np.zeros(len(pushed), kernel.SAMPLE), np.ones((2, len(pushed)), bool)
     samples["pushed"] = pushed
+    samples["hand"] = np.nan
     return kernel.Memory(
         samples,
         delays,
@@ -301,13 +614,9 @@ def _memory(delays, pushed, distance, zeta) -> kernel.Memory:
         np.zeros((len(pushed), 3)),
         distance.T.copy(),
         zeta.T.copy(),
+        np.zeros((3, len(distance))),
         np.full(len(distance), 0.5),
     )
-
-
-def _positions(team: kernel.Formation, memory: kernel.Memory, goal: np.ndarray) -> np.ndarray:
-    """Return where the robots are now [m], shape (N, 3)."""
-    return multiplied(memory.w, team.vectors.T).T + goal
 
 
 def _start(
@@ -363,7 +672,7 @@ def _numbers(settings: TeamSettings, operator: TeamOperator) -> dict:
     """Return the settings of device and operator that the kernel takes as they are."""
     names = ("mass", "damping", "stiffness", "weight", "steepness", "lead_gain", "force_gain")
     numbers = {name: getattr(settings, name) for name in names}
-    numbers |= {name: getattr(operator, name) for name in ("reach", "drag", "guarded")}
+    numbers |= {name: getattr(operator, name) for name in ("reach", "drag", "guarded", "grip")}
     return numbers | {"read_out": READ_OUTS[settings.channel.read_out]}
 
 
@@ -404,12 +713,13 @@ def _trust(settings: TeamSettings, size: int, count: int, step: float, rng) -> n
 
 class Leading:
     """
-    Who leads since when, as a policy says it, checked: before the run, or at one decision after the
-    other while it goes on.
+    Who leads since when, as a policy says it, checked, one decision after the other.
+
+    `known` says whether trust is known before the run, so that a policy may be asked then.
     """
 
     def __init__(
-        self, policy, graphs: list[TeamGraph], names: tuple, plan: Plan, dwell: float, rng
+        self, policy, graphs: list[TeamGraph], names: tuple, plan: Plan, dwell, rng, known: bool
     ):
         self.policy = policy
         self.graphs = graphs
@@ -417,29 +727,72 @@ class Leading:
         self.plan = plan
         self.dwell = dwell
         self.rng = rng
-        self.leader = None
-        self.since = None
-        self.memory = {}
+        self.leader: int | None = None
+        self.since = 0.0
+        self.memory: dict = {}
+        self.waits = 0  # decisions at which a wish to switch had to wait
+        self._named: int | None = None
+        ahead = callable(getattr(policy, "leaders", None))
+        self.live = is_live(policy) and not (ahead and known)
+        if self.live:
+            return
+        if not known and getattr(policy, "uses_trust", True):
+            raise ValueError(
+                f"the policy {policy.title!r} is asked before the run, when measured trust is not "
+                "known: give it a method leader(now) in place of leaders(…), set uses_trust = "
+                'False if it takes no trust, or pass performance="random"'
+            )
+        self._ahead = self._asked_ahead(known)
 
-    def ahead(self) -> np.ndarray:
+    def _asked_ahead(self, known: bool) -> np.ndarray:
         """Return the leader at each decision as the policy says it before the run."""
         plan = self.plan
         present = np.array([graph.present for graph in self.graphs])[plan.graph]
-        trust = np.where(present, plan.trust, -np.inf)
+        trust = np.where(present, plan.trust if known else 0.5, -np.inf)
         try:
             leaders = self.policy.leaders(trust, self.names, plan.step, self.dwell, self.rng)
         except Exception as error:
             raise self._raised(error) from error
-        chosen = robot_numbers(
+        return robot_numbers(
             "the policy's answer, one leader per decision,", leaders, len(trust), len(self.names)
         )
-        for d in np.flatnonzero(np.diff(chosen, prepend=-1) | np.diff(plan.graph, prepend=-1)):
-            self._lead(chosen[d], d * plan.step, self.graphs[plan.graph[d]])
-        return chosen
 
-    def choose(self, d: int, t: float, where) -> int:
-        """Return the leader from decision number `d` on, asking a live policy."""
+    def name(self, robot: Hashable, d: int) -> None:
+        """Let the operator name who leads, in place of the policy."""
         graph = self.graphs[self.plan.graph[d]]
+        able = [self.names[i] for i in np.flatnonzero(graph.present & graph.may_lead)]
+        if robot not in able:
+            raise ValueError(f"leader must be one of {able}, got {robot!r}")
+        self._named = self.names.index(robot)
+
+    def choose(self, d: int, t: float, where: Callable) -> int:
+        """Return the leader from decision number `d` on."""
+        graph = self.graphs[self.plan.graph[d]]
+        able = graph.present & graph.may_lead
+        if self._named is not None and not able[self._named]:
+            self._named = None
+        if self._named is not None:
+            number = self._named
+        else:
+            number = self._asked(d, t, graph, where) if self.live else int(self._ahead[d])
+        picks = f"at t = {t:g} s the policy picks robot {self.names[number]!r}, which"
+        if not graph.present[number]:
+            raise ValueError(f"{picks} is not in the team then")
+        if not graph.may_lead[number]:
+            raise ValueError(
+                f"{picks} not all others see, directly or through others, so that it cannot lead "
+                f"them; who can: {[self.names[i] for i in np.flatnonzero(graph.may_lead)]}"
+            )
+        if number == self.leader:
+            return number
+        if self.leader is not None and able[self.leader] and t - self.since < self.dwell - 1e-6:
+            self.waits += 1
+            return self.leader
+        self.leader, self.since = number, t
+        return number
+
+    def _asked(self, d: int, t: float, graph: TeamGraph, where: Callable) -> int:
+        """Return whom a live policy picks."""
         trust = np.where(graph.present, self.plan.trust[d], -np.inf)
         now = Decision(
             t,
@@ -457,42 +810,13 @@ class Leading:
             answer = self.policy.leader(now)
         except Exception as error:
             raise self._raised(error, f", at t = {t:g} s") from error
-        number = robot_numbers(
-            f"the policy's answer at t = {t:g} s", [answer], 1, len(self.names)
-        ).item()
-        self._lead(number, t, graph)
-        return number
+        name = f"the policy's answer at t = {t:g} s"
+        return robot_numbers(name, [answer], 1, len(self.names)).item()
 
     def _raised(self, error: Exception, when: str = "") -> PartError:
         """Return the error of a policy that raised one."""
         raised = f"raised {type(error).__name__}: {error}"
         return PartError(f"the leader policy {self.policy.title!r} {raised}{when}")
-
-    def _lead(self, leader, t, graph: TeamGraph) -> None:
-        """
-        Let a robot lead; it must be there, be seen by all, and take over from one that has led for
-        τ_min.
-        """
-        picks = f"at t = {t:g} s the policy picks robot {self.names[leader]!r}, which"
-        if not graph.present[leader]:
-            raise ValueError(f"{picks} is not in the team then")
-        if not graph.may_lead[leader]:
-            raise ValueError(
-                f"{picks} not all others see, directly or through others, so that it cannot lead "
-                f"them; who can: {[self.names[i] for i in np.flatnonzero(graph.may_lead)]}"
-            )
-        if leader == self.leader:
-            return
-        if (
-            self.leader is not None
-            and graph.present[self.leader]
-            and t - self.since < self.dwell - 1e-6
-        ):
-            raise ValueError(
-                f"the policy switches at t = {t:g} s, less than min_dwell = {self.dwell:g} s "
-                "after the switch before"
-            )
-        self.leader, self.since = leader, t
 
 
 def _filters(channel: TeamChannel, impedance: float) -> tuple[str, dict]:

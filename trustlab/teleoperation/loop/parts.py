@@ -348,11 +348,12 @@ class View:
     are Python's, which raise where they are divided by zero, as in compiled functions.
     """
 
-    def __init__(self, states: np.ndarray):
+    def __init__(self, states: np.ndarray, kind: np.dtype = SHARED):
         self.__dict__["_fields"] = {
-            name: states[name][0] if SHARED[name].shape else states[name] for name in SHARED.names
+            name: states[name][0] if kind[name].shape else states[name] for name in kind.names
         }
         self.__dict__["_states"] = states
+        self.__dict__["_kind"] = kind
 
     def __getitem__(self, name: str):
         field = self._fields[name]
@@ -371,4 +372,4 @@ class View:
 
     def copy(self) -> "View":
         """Return the state as it is now, which later samples do not change."""
-        return View(self._states.copy())
+        return View(self._states.copy(), self._kind)

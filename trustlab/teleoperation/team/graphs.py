@@ -4,15 +4,13 @@ one step on them.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_number, positive
+from trustlab.models.checks import finite_number
 from trustlab.models.linear_algebra import products, symmetric_eigen
 from trustlab.teleoperation.team.kernel import Formation
-from trustlab.teleoperation.team.settings import TeamSettings
 
 # Robots up to which a team has the same bits on every machine; Jacobi's rotations take too long for
 # more.
@@ -204,51 +202,6 @@ def algebraic_connectivity(graph) -> float:
     return float(max(values[1], 0.0))
 
 
-def scaled_settings(
-    graph, within: float = 200.0, settings: TeamSettings | None = None
-) -> TeamSettings:
-    """
-    Return settings whose gains bring a team to its goal within a given time, whatever its size.
-
-    A leader that is held at the goal draws the others there at the least eigenvalue μ of c L
-    without the leader's row and column, and (4.22) at half of that. 1/μ is at most the sum of the
-    effective resistances to the leader, N L⁺_ii + tr L⁺, over c: it grows as N on graphs with short
-    paths (small worlds, random graphs), as N² on a ring. The coupling c makes this bound within/12;
-    the leader's gain is g = min(N, 2 c d), with the least degree d, so that it moves the mean and
-    yet runs only metres ahead; the force's gain is 1/g. Enough in simulation on rings, paths,
-    complete graphs and small worlds of 4 to 1,000 robots. A ring of 1,000 gets a coupling above a
-    thousand per second, more than robots can follow: no law that moves by differences to neighbours
-    alone is quick there, and shortcuts are the remedy.
-
-    Parameters
-    ----------
-    graph : networkx.Graph or array_like, shape (N, N)
-        As in `team_graph`, undirected and connected.
-    within : float
-        Time to the goal [s].
-    settings : TeamSettings, optional
-        Settings from which the others are taken.
-
-    Raises
-    ------
-    GraphError
-        If the graph is directed or not connected.
-    """
-    adjacency = team_graph(graph)[1]
-    if (adjacency != adjacency.T).any():
-        raise GraphError(
-            "gains are known for undirected graphs only: give lead_gain, force_gain and coupling"
-        )
-    size, within = len(adjacency), positive("within", within)
-    inverse = np.linalg.pinv(laplacian(adjacency), hermitian=True)
-    slowest = size * inverse.diagonal().max() + np.trace(inverse)
-    coupling = 12.0 / within * slowest
-    gain = min(float(size), 2.0 * coupling * adjacency.sum(axis=1).min())
-    return replace(
-        settings or TeamSettings(), coupling=coupling, lead_gain=gain, force_gain=1.0 / gain
-    )
-
-
 def multiplied(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """Return rows times a team's matrix (N, N), in a fixed order if it is small."""
     if len(matrix) > MOST_IN_FIXED_ORDER:
@@ -265,21 +218,28 @@ def _eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values[0], vectors[0]
 
 
-def formation_on(graph: TeamGraph, coupling: float, h: float) -> Formation:
+def formation_on(
+    graph: TeamGraph, coupling: float, h: float, speeds: np.ndarray | None = None
+) -> Formation:
     """
-    Return what one step of the midpoint rule of length 2h needs of a graph; a directed one must
-    damp its differences.
+    Return what one step of the midpoint rule of length 2h needs of a graph and its robots' speeds,
+    shape (N,), 1 by default; a directed graph must damp its differences.
     """
-    L, none = coupling * laplacian(graph.adjacency), np.empty((0, 0))
-    size = len(L)
+    size, none = len(graph.adjacency), np.empty((0, 0))
+    root = np.ones(size) if speeds is None else np.sqrt(speeds)
+    L = root[:, None] * (coupling * laplacian(graph.adjacency)) * root
     if not graph.directed:
-        values, vectors = _eigen(L)
+        values, basis = _eigen(L)
         # the least eigenvalue is 0; rounding may make it negative, which would let the mean drift
-        values, vectors = np.maximum(values, 0.0), np.ascontiguousarray(vectors)
+        values = np.maximum(values, 0.0)
+        vectors = np.ascontiguousarray(root[:, None] * basis)
+        into = np.ascontiguousarray(basis / root[:, None])
         # (I + hL + h²L²) of the midpoint rule is diagonal in the eigenbasis
         solve = 1.0 / (1.0 + h * values + h * h * values**2)
         stiffness = h * (vectors**2 * (values * solve)).sum(axis=1)
-        return Formation(False, values, vectors, solve, none, none, none, none, none, stiffness)
+        return Formation(
+            False, values, vectors, into, solve, none, none, none, none, none, stiffness
+        )
     growth = np.linalg.eigvals(np.block([[-L, L.T], [-L, np.zeros_like(L)]])).real.max()
     if growth > 1e-7 * np.abs(L).max():
         raise GraphError(
@@ -289,8 +249,18 @@ def formation_on(graph: TeamGraph, coupling: float, h: float) -> Formation:
         )
     solved = np.linalg.inv(np.eye(size) + h * L + h * h * L.T @ L)
     inner = np.ascontiguousarray(h * solved @ L.T)
-    felt, felt_inner = L @ solved, L @ inner
-    stiffness = h * felt.diagonal().copy()
+    felt, felt_inner = root[:, None] * (L @ solved), root[:, None] * (L @ inner)
+    stiffness = h * felt.diagonal() * root
     return Formation(
-        True, np.empty(0), np.eye(size), np.empty(0), L, solved, inner, felt, felt_inner, stiffness
+        True,
+        np.empty(0),
+        np.diag(root),
+        np.diag(1.0 / root),
+        np.empty(0),
+        L,
+        solved,
+        inner,
+        felt,
+        felt_inner,
+        stiffness,
     )

@@ -43,14 +43,17 @@ COLUMNS = columns_of(LOG)
 CARRIED = (
     "device_velocity middle near_velocity near_force far_velocity far_force filtered_l filtered_r"
 )
-# Looked up or worked out before each end is solved: error as the operator sees it, added force,
-# waves, force at rest.
-ARRIVED = "error pushed v_l v_r open_force"
+# Looked up or worked out before each end is solved: error as the operator sees it, what the hand
+# pulls along (this error, or the way to where a live hand is), added force, waves, force at rest.
+ARRIVED = "error aside pushed v_l v_r open_force"
 # The operator's end, affine in what is still unknown: r_m = yielded + mobility · push, f_m = offset
 # + resistance · r_m.
 SIGNALS = "u_l u_r yielded mobility offset resistance channel_force aim"
-# Powers of this sample [W], and what is dissipated in it.
-POWERS = "seen_power near_power far_power hand_power device_power device_loss team_loss error_loss"
+# The hand's spring [N/m], powers of this sample [W], and what is dissipated in it.
+POWERS = (
+    "spring seen_power near_power far_power hand_power device_power device_loss team_loss "
+    "error_loss"
+)
 WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=POWERS)
 # What both ends read and leave; it begins with the row of the log, so that energies since the start
 # stand there alone.
@@ -63,7 +66,7 @@ ROBOT = record(numbers="b beta_min beta_max decay gain t_min t_max")
 # Device, filters, operator and how delays are read; see `TeamSettings` and `TeamOperator`.
 NUMBERS = record(
     numbers=(
-        "sample_time mass damping stiffness weight gain cutoff k12 k21 push reach drag budget "
+        "sample_time mass damping stiffness weight gain cutoff k12 k21 push grip reach drag budget "
         "reserve error_range steepness lead_gain force_gain"
     ),
     counts="read_out filtering vision",
@@ -76,15 +79,18 @@ class Formation(NamedTuple):
     The robots on their graph, for one step of the midpoint rule: q = (I + hL + h²LᵀL)⁻¹ (q₀ + hLᵀζ₀
     + h g D r_s).
 
-    Undirected graphs are diagonal in the eigenbasis of L: `values` and `vectors`, shapes (N,) and
-    (N, N), and `solve`, shape (N,). A directed graph has no such basis: `laplacian`, `solved` =
-    (I + hL + h²LᵀL)⁻¹ and `inner` = h · solved · Lᵀ, shape (N, N), and `felt`, `felt_inner` = L
-    times these, from which the leader's force at rest is one row; `vectors` is then the identity.
+    Robots of speeds S, (4.22) with S before every right side, are such a team as well: in q = √S w,
+    ζ = √S z, with √S L √S for L and √S D for D. Undirected graphs are diagonal in the eigenbasis of
+    L: `values`, shape (N,); `vectors` and `into`, shape (N, N), for q = vectors · w, w = intoᵀ q;
+    and `solve`, shape (N,). A directed graph has no such basis: `laplacian`, `solved` = (I + hL +
+    h²LᵀL)⁻¹ and `inner` = h · solved · Lᵀ, shape (N, N), and `felt`, `felt_inner` = √S L times
+    these, from which the leader's force at rest is one row; `vectors` is then √S.
     """
 
     directed: bool
     values: np.ndarray
     vectors: np.ndarray
+    into: np.ndarray
     solve: np.ndarray
     laplacian: np.ndarray
     solved: np.ndarray
@@ -95,10 +101,10 @@ class Formation(NamedTuple):
 
 
 # What a run keeps of each sample: the robot that leads, and the one for which the operator's end of
-# the channel is set (the same, unless that end fails to switch); force added to the hand's,
-# velocity sent to the leader, and its distance to the goal; dissipation and storage of the error
-# system.
-SAMPLE = record(vectors="pushed sent seen", numbers="lost stored", counts="lead head")
+# the channel is set (the same, unless that end fails to switch); force added to the hand's, where a
+# live hand wants the device to be (NaN without one), velocity sent to the leader, and its distance
+# to the goal; dissipation and storage of the error system.
+SAMPLE = record(vectors="pushed hand sent seen", numbers="lost stored", counts="lead head")
 
 
 class Memory(NamedTuple):
@@ -107,8 +113,8 @@ class Memory(NamedTuple):
 
     samples, shape (K,): records of SAMPLE. delays, arrives, shape (2, K): in samples, and whether
     waves arrive. accounts: `ledger.accounts()`. waves u_l, u_r, shape (K, 3). w, z, shape (3, N):
-    the robots' distance to the goal and ζ in the eigenbasis. trust, shape (N,): in the operator,
-    (4.2).
+    the robots' distance to the goal and ζ in the eigenbasis. blown, shape (3, N): velocity [m/s]
+    that drives robots beside (4.22), in the eigenbasis. trust, shape (N,): in the operator, (4.2).
     """
 
     samples: np.ndarray
@@ -119,6 +125,7 @@ class Memory(NamedTuple):
     u_r: np.ndarray
     w: np.ndarray
     z: np.ndarray
+    blown: np.ndarray
     trust: np.ndarray
 
 
@@ -193,9 +200,11 @@ def look(n, k, now, past, state):
     Set what the operator sees, the leader of `vision` samples ago and what it was told to do;
     return the operator's performance as the robots judge it.
     """
-    in_sight = k >= n.vision
+    in_sight, live = k >= n.vision, not np.isnan(now.hand[0])
+    state.spring = n.grip if live else n.push
     for i in range(3):
         state.error[i] = -past.seen[i] if in_sight else 0.0  # r_q − y_h(t − T), (4.26)
+        state.aside[i] = now.hand[i] - state.device[i] if live else state.error[i]
         state.pushed[i] = now.pushed[i]
     state.seen_power = dot(past.sent, state.error) if in_sight else 0.0
     if in_sight and n.push > 0.0:
@@ -271,8 +280,8 @@ def operator_side(n, rig, end, spendable, state):
 def reach_out(n, rig, end, loaded, spendable, state):
     """Set what the hand aims at, how device, filter and channel yield, and the share pushed."""
     device, filters = rig.device, rig.filters
-    pushing = n.push * np.sqrt(dot(state.error, state.error))
-    stiffness = n.push * min(1.0, n.reach / pushing) if pushing > 0.0 else 0.0
+    pushing = state.spring * np.sqrt(dot(state.aside, state.aside))
+    stiffness = state.spring * min(1.0, n.reach / pushing) if pushing > 0.0 else 0.0
     admittance = device.lever / device.inertia
     pull = stir = 0.0
     for i in range(3):
@@ -290,7 +299,7 @@ def reach_out(n, rig, end, loaded, spendable, state):
             state.beta * end.b * filters.gate / loaded
         )
         under = 1.0 + admittance * (state.resistance[i] + n.drag)
-        state.aim[i] = stiffness * state.error[i]
+        state.aim[i] = stiffness * state.aside[i]
         state.mobility[i] = admittance / under
         free = haptic.free_output(device, state.device[i], state.device_velocity[i], 0.0)
         state.yielded[i] = (
@@ -381,7 +390,7 @@ def force_at_rest(team, lead, h, w, z, i):
 
 
 @njit(error_model="numpy", forceinline=True, _nrt=False)
-def move_undirected(n, team, w, z, state):
+def move_undirected(n, team, w, z, blown, state):
     """Step (4.22) in the eigenbasis; set the leader's place at the midpoint, and what is lost."""
     h, lead = 0.5 * n.sample_time, int(state.number)
     state.team_loss = state.error_loss = 0.0
@@ -391,7 +400,8 @@ def move_undirected(n, team, w, z, state):
         for j in range(w.shape[1]):
             value = team.values[j]
             # (4.22): q̇ = Lᵀζ − L q + D r_s, ζ̇ = −L q
-            q = team.solve[j] * (w[i, j] + h * (value * z[i, j] + team.vectors[lead, j] * drive))
+            driven = team.vectors[lead, j] * drive + blown[i, j]
+            q = team.solve[j] * (w[i, j] + h * (value * z[i, j] + driven))
             w[i, j] = 2.0 * q - w[i, j]
             z[i, j] -= 2.0 * h * value * q
             at += team.vectors[lead, j] * q
@@ -403,18 +413,20 @@ def move_undirected(n, team, w, z, state):
 
 
 @njit(error_model="numpy")
-def move_directed(n, team, w, z, state):
-    """Do the same on a directed graph, where w and z are the robots' own q and ζ."""
+def move_directed(n, team, w, z, blown, state):
+    """Do the same on a directed graph, where w and z are q and ζ of each robot over √S."""
     h, lead = 0.5 * n.sample_time, int(state.number)
+    root = team.vectors[lead, lead]
     state.team_loss = state.error_loss = 0.0
     for i in range(3):
-        drive = n.lead_gain * state.r_s[i]
-        q = team.solved @ w[i] + team.inner @ z[i] + h * drive * team.solved[:, lead]  # (4.22)
+        drive = n.lead_gain * root * state.r_s[i]
+        start = w[i] + h * blown[i]
+        q = team.solved @ start + team.inner @ z[i] + h * drive * team.solved[:, lead]  # (4.22)
         pulled = team.laplacian @ q
         for j in range(q.size):  # numba would compile an assignment of whole rows for two seconds
             w[i, j] = 2.0 * q[j] - w[i, j]
             z[i, j] -= 2.0 * h * pulled[j]
-        state.leader[i] = q[lead]
+        state.leader[i] = root * q[lead]
         state.team_loss += n.force_gain / n.lead_gain * np.dot(pulled, pulled)
         state.error_loss += np.dot(q, pulled) / n.lead_gain
 
@@ -514,9 +526,9 @@ def run_team(n, team, robots, memory, first, last, every, states, row, table, co
         if k % every == 0:
             record_places(memory, k // every, coordinates)
         if team.directed:
-            move_directed(n, team, w, z, state)
+            move_directed(n, team, w, z, memory.blown, state)
         else:
-            move_undirected(n, team, w, z, state)
+            move_undirected(n, team, w, z, memory.blown, state)
         block = finish(n, memory, k, every, state, row, table)
         if block >= 0:
             return k + 1, block

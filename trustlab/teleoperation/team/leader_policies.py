@@ -92,8 +92,10 @@ class LivePolicy(Protocol):
 
 class LeaderPolicy(Protocol):
     """
-    Anything with a `title` and a method `leaders`, called once, before the run: trust (4.1) does
-    not depend on who leads.
+    Anything with a `title` and a method `leaders`, called once, before the run.
+
+    Measured trust is not known then: only a policy with `uses_trust = False` can be asked, which
+    then sees trust of 0.5 in all.
     """
 
     title: str
@@ -187,6 +189,21 @@ class MostTrusted:
             out[k] = leader
         return out
 
+    def leader(self, now: Decision) -> int:
+        """
+        Return the number of the robot that leads from now on.
+
+        Parameters
+        ----------
+        now : Decision
+            Time, trust, who is present, who leads since when.
+        """
+        best = int(np.argmax(now.trust))
+        if now.leader is None:
+            return best
+        better = now.trust[best] > now.trust[now.leader] + self.margin
+        return best if now.free and better else now.leader
+
 
 @dataclass(frozen=True)
 class GivenSequence:
@@ -207,14 +224,14 @@ class GivenSequence:
     ------
     ValueError
         If a robot follows itself, times do not fit the robots, or both `times` and `every` are
-        given; later, in `leaders`, if a robot does not exist, and in `simulate_team`, as for every
-        policy, if one leads for less than τ_min.
+        given; later, in `leaders`, if a robot does not exist.
     """
 
     robots: Sequence[Hashable] | None = None
     times: Sequence[float] | None = None
     every: float | None = None
     title: ClassVar[str] = "given sequence"
+    uses_trust: ClassVar[bool] = False
 
     def __post_init__(self):
         if self.robots is not None:
@@ -295,6 +312,7 @@ class RandomLeaders:
 
     waiting: float = 1.0
     title: ClassVar[str] = "arbitrary random"
+    uses_trust: ClassVar[bool] = False
 
     def __post_init__(self):
         set_checked(self, not_negative, "waiting")

@@ -3,7 +3,7 @@ Settings of a team under one operator: its blocks, its channel, how a run is mad
 operator of (4.30).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from trustlab.teleoperation.filters import (
 from trustlab.teleoperation.ports.device import HapticDevice
 from trustlab.teleoperation.ports.ledger import READ_OUTS
 from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.team.graphs import GraphError, laplacian, team_graph
 
 # Filters by name, and their cutoff [rad/s].
 FILTERS = ("none", "corrected", "waves", "printed")
@@ -162,8 +163,46 @@ def _trust(rate: float, ratio: float = 1.0) -> TrustModel:
     return TrustModel(rate, ratio * rate)
 
 
+@dataclass(frozen=True)
+class TeamRobot:
+    """
+    What one robot makes of (4.22): a faultless one by default.
+
+    Slow robots and lost packets leave the team passive: Lemmas 6 and 7 and Theorem 6 hold, with V_e
+    in which a robot of speed s counts 1/s times. A robot that drifts is a source of energy; nothing
+    is promised with one in the team.
+
+    Parameters
+    ----------
+    speed : float
+        s in (0, 1], by which the right sides of (4.22) are multiplied: a robot of speed 0.1 does in
+        ten seconds what others do in one. As a leader it reports s times the force.
+    drift : float
+        Root mean square, on each axis, of a velocity that it has besides [m/s]: at random, and
+        forgotten within some 5 s.
+    loss : float
+        Probability that a packet to it or from it does not arrive while it leads; 1 is deaf.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    """
+
+    speed: float = 1.0
+    drift: float = 0.0
+    loss: float = 0.0
+
+    def __post_init__(self):
+        set_checked(self, positive, "speed")
+        set_checked(self, not_negative, "drift", "loss")
+        between("speed", self.speed, 0.0, 1.0)
+        between("loss", self.loss, 0.0, 1.0)
+
+
 # Settings that may differ from robot to robot, and their classes.
 PER_ROBOT: dict[str, Any] = {
+    "robots": TeamRobot,
     "scattering": Scattering,
     "human_to_robot": TrustModel,
     "robot_to_human": TrustModel,
@@ -181,7 +220,7 @@ class TeamSettings:
     answer to that: ζ̇ = −c L q, q̇ = c Lᵀζ − c L q + g D r_s and f_s = φ c DᵀL q, with the coupling
     c, the leader's gain g and the force's gain φ. For any positive three the port stays passive,
     with V_fs φ/g and V_e/g as storages, so that Lemmas 6 and 7 and Theorem 6 hold as before. See
-    `scaled_settings`.
+    `scaled`.
 
     Parameters
     ----------
@@ -193,10 +232,12 @@ class TeamSettings:
         (4.1), one for all robots or one per robot; performance between 0 and 1.
     robot_to_human : TrustModel or sequence of TrustModel
         (4.2), likewise.
+    robots : TeamRobot or sequence of TeamRobot
+        How well robots do what they should, one for all or one per robot.
     steepness : float
         s of the scaling β(T_rh), as in (3.5); at least 10.
     performance_time : float
-        How long a robot's simulated performance lasts before it is drawn anew, on average [s].
+        How long a performance at random lasts before it is drawn anew, on average [s].
     lead_gain : float
         g, how many times the velocity at its port the leader drives; 1 as printed.
     force_gain : float
@@ -227,6 +268,7 @@ class TeamSettings:
     )
     human_to_robot: TrustModel | tuple[TrustModel, ...] = field(default_factory=lambda: _trust(0.1))
     robot_to_human: TrustModel | tuple[TrustModel, ...] = field(default_factory=lambda: _trust(0.1))
+    robots: TeamRobot | tuple[TeamRobot, ...] = field(default_factory=TeamRobot)
     steepness: float = 10.0
     performance_time: float = 15.0
     lead_gain: float = 1.0
@@ -263,13 +305,57 @@ class TeamSettings:
         """Return the haptic device, checked for r-passivity."""
         return HapticDevice(self.mass, self.damping, self.stiffness, self.weight)
 
+    @classmethod
+    def scaled(
+        cls, graph, within: float = 200.0, settings: "TeamSettings | None" = None
+    ) -> "TeamSettings":
+        """
+        Return settings whose gains bring a team to its goal within a given time, whatever its size.
+
+        A leader that is held at the goal draws the others there at the least eigenvalue μ of c L
+        without the leader's row and column, and (4.22) at half of that. 1/μ is at most the sum of
+        the effective resistances to the leader, N L⁺_ii + tr L⁺, over c: it grows as N on graphs
+        with short paths (small worlds, random graphs), as N² on a ring. The coupling c makes this
+        bound within/12; the leader's gain is g = min(N, 2 c d), with the least degree d, so that it
+        moves the mean and yet runs only metres ahead; the force's gain is 1/g. Enough in simulation
+        on rings, paths, complete graphs and small worlds of 4 to 1,000 robots. A ring of 1,000 gets
+        a coupling above a thousand per second, more than robots can follow: no law that moves by
+        differences to neighbours alone is quick there, and shortcuts are the remedy.
+
+        Parameters
+        ----------
+        graph : networkx.Graph or array_like, shape (N, N)
+            As in `team_graph`, undirected and connected.
+        within : float
+            Time to the goal [s].
+        settings : TeamSettings, optional
+            Settings from which the others are taken.
+
+        Raises
+        ------
+        GraphError
+            If the graph is directed or not connected.
+        """
+        adjacency = team_graph(graph)[1]
+        if (adjacency != adjacency.T).any():
+            raise GraphError(
+                "gains are known for undirected graphs only: give lead_gain, force_gain and "
+                "coupling"
+            )
+        size, within = len(adjacency), positive("within", within)
+        inverse = np.linalg.pinv(laplacian(adjacency), hermitian=True)
+        slowest = size * inverse.diagonal().max() + np.trace(inverse)
+        coupling = 12.0 / within * slowest
+        gain = min(float(size), 2.0 * coupling * adjacency.sum(axis=1).min())
+        return replace(settings or cls(), coupling=coupling, lead_gain=gain, force_gain=1.0 / gain)
+
     def per_robot(self, name: str, count: int) -> tuple:
         """
         Return a setting as one entry per robot.
 
         Parameters
         ----------
-        name : {"scattering", "human_to_robot", "robot_to_human"}
+        name : {"scattering", "human_to_robot", "robot_to_human", "robots"}
             Which.
         count : int
             How many robots there are.
@@ -326,6 +412,8 @@ class TeamOperator:
         Push less over long delays, κ/(1 + κ_T T) with the rate κ_T = `cautious`, as people do.
     cautious : float
         κ_T [1/s].
+    grip : float
+        Of a live hand, which pulls the device to a place [N/m].
 
     Raises
     ------
@@ -341,11 +429,12 @@ class TeamOperator:
     guarded: bool = True
     slow_down: bool = True
     cautious: float = 2.0
+    grip: float = 100.0
 
     def __post_init__(self):
         set_checked(self, flag, "guarded", "slow_down")
         set_checked(self, positive, "reach", "budget")
-        set_checked(self, not_negative, "push", "reserve", "cautious")
+        set_checked(self, not_negative, "push", "reserve", "cautious", "grip")
         # a hand that drives (negative drag) is active: allowed only where nothing is promised of
         # V_h
         set_checked(self, not_negative if self.guarded else finite_number, "drag")
