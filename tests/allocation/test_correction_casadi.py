@@ -12,7 +12,7 @@ import pytest
 
 import trustlab as tl
 from trustlab.allocation.correction.casadi_engine import CasadiEngine
-from trustlab.allocation.correction.casadi_problem import SOLVERS
+from trustlab.allocation.correction.casadi_program import SOLVERS
 from trustlab.allocation.correction.dynamics import simulate_correction
 from trustlab.allocation.correction.exact import ExactEngine
 from trustlab.allocation.correction.incentive import incentive_bounds, incentive_box

@@ -29,13 +29,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.correction.casadi_problem import (
-    SOLVERS,
-    CorrectionModel,
-    CorrectionProgram,
-    Extras,
-    HardRun,
-)
+from trustlab.allocation.correction.casadi_additions import Extras
+from trustlab.allocation.correction.casadi_model import CorrectionModel, HardRun
+from trustlab.allocation.correction.casadi_program import SOLVERS, CorrectionProgram
 from trustlab.allocation.correction.dynamics import simulate_correction, suggestion_now
 from trustlab.allocation.correction.incentive import incentive_box
 from trustlab.allocation.correction.plan import CorrectionPlan, CorrectionStatus
@@ -138,6 +134,7 @@ class CasadiEngine:
         smooth = "ipopt" if solver == "ipopt" else "fatrop"
         self._smooth = CorrectionProgram(model, smooth, width) if width else None
         self._adds = extra_cost is not None
+        self._extended = extras.any
         self._last: np.ndarray | None = None
 
     def reset(self) -> None:
@@ -192,7 +189,7 @@ class CasadiEngine:
                 "that exclude 0, at a predicted state"
             )
             return None
-        free = now.allowed if model.extras.any else None
+        free = now.allowed if self._extended else None
         settled: list[HardRun] = []
         candidate = guess
         for _ in range(ROUNDS):
@@ -226,7 +223,7 @@ class CasadiEngine:
         runs = [self._model.run(state, straight, now.allowed)]
         if self._last is not None:
             runs.append(self._model.run(state, self._last, now.allowed))
-        if self._model.extras.any:
+        if self._extended:
             still = np.broadcast_to(state[2:4, None], now.allowed.shape)
             runs.append(self._model.run(state, straight, still))
         return min(runs, key=self._rank)
@@ -301,7 +298,7 @@ class CasadiEngine:
                     cell[1, row, :k] = np.minimum(cell[1, row, :k], best.tsc[k] - margin)
                 else:
                     cell[0, row, :k] = np.maximum(cell[0, row, :k], best.tsc[k] + margin)
-                run = model.run(state, best.w if model.extras.any else self._straight(state), cell)
+                run = model.run(state, best.w if self._extended else self._straight(state), cell)
                 trial = min(trial, run, key=self._rank)
             settled = self._settled(trial, now) if trial is not best else []
             if not settled or settled[0].cost >= best.cost:
