@@ -2,8 +2,9 @@
 Testbeds behind one protocol, the runs of conditions C1–C5 on two of them, and their names.
 """
 
+import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, ClassVar, Protocol
 
@@ -11,7 +12,14 @@ import numpy as np
 import pandas as pd
 
 from trustlab.allocation.rules import begun
-from trustlab.models.checks import finite_number, not_negative, of_class, one_of, whole_number
+from trustlab.models.checks import (
+    finite_number,
+    not_negative,
+    of_class,
+    one_of,
+    shown,
+    whole_number,
+)
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, checked_assumptions, person_of
 from trustlab.sessions.session import Session
@@ -136,6 +144,9 @@ class ConditionTestbed:
         operator's r0, 0 unless assumed otherwise.
     population : OperatorPopulation, optional
         From whom operators are drawn.
+    rules : mapping of str to callable, optional
+        Conditions of one's own by name: what makes the rule that gives the modes, called for each
+        run, as `make()` or, where it takes an argument, as `make(model)` with the operator's model.
 
     Raises
     ------
@@ -154,8 +165,19 @@ class ConditionTestbed:
 
     rest: float | None = None
     population: OperatorPopulation | None = None
+    rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
+        for name, make in self.rules.items():
+            if name in KNOWN:
+                raise ValueError(f"rules: {name!r} is a condition of the dissertation; rename it")
+            if not callable(make):
+                raise ValueError(
+                    f"rules: {name!r} must be what makes a rule, as a class or "
+                    "lambda: ThresholdRule(0.0, 0.3), so that no run begins in the state of "
+                    f"another; got {shown(make)}"
+                )
+        object.__setattr__(self, "conditions", (*KNOWN, *self.rules))
         if self.rest is not None:
             not_negative("rest", self.rest)
         if self.population is not None:
@@ -212,10 +234,39 @@ class ConditionTestbed:
             As for `run_condition`.
         """
         operator, model, default = person_of(person)
+        if condition in self.rules:
+            make = self.rules[condition]
+            rule = make(model) if inspect.signature(make).parameters else make()
+            return self.run_rule(rule, operator, model, condition, seed)
         task, thresholds = deciding.task_for(
             condition, operator, model, None, default, self.e_max, self.laps
         )
         return self.result(task, operator, model, thresholds, condition, seed)
+
+    def run_rule(
+        self, rule: Any, operator: Operator, model: TscModel, condition: str, seed: Seed
+    ) -> ConditionRun:
+        """
+        Run one session in which a rule gives the modes.
+
+        Parameters
+        ----------
+        rule : object
+            With a method `step(tsc=…, p_r=…)`; the run works on a copy.
+        operator, model, condition, seed : object
+            Who drives, and what the metadata say of it.
+        """
+        rule, mode = begun(rule, None)
+        task = deciding.task_of(
+            deciding.SCHEDULE,
+            self.e_max,
+            False,
+            self.laps,
+            model=model,
+            first_mode=mode,
+            r0=operator.r0,
+        )
+        return self.result(task, operator, model, None, condition, seed, rule)
 
     def next_session(self, person: Person, run: ConditionRun) -> Person:
         """
@@ -636,23 +687,12 @@ def run_condition(
         task, thresholds = deciding.task_for(
             condition, operator, model, thresholds, default, bed.e_max, bed.laps
         )
-    else:
-        if condition is not None or thresholds is not None:
-            raise ValueError(
-                "condition and thresholds have no effect beside rule=, which decides; leave them "
-                "out"
-            )
-        rule, mode = begun(rule, None)
-        condition = f"rule {type(rule).__name__}"
-        task = deciding.task_of(
-            deciding.SCHEDULE,
-            bed.e_max,
-            False,
-            bed.laps,
-            model=model,
-            first_mode=mode,
-            r0=operator.r0,
+        run = bed.result(task, operator, model, thresholds, condition, seed)
+    elif condition is not None or thresholds is not None:
+        raise ValueError(
+            "condition and thresholds have no effect beside rule=, which decides; leave them out"
         )
-    run = bed.result(task, operator, model, thresholds, condition, seed, rule)
+    else:
+        run = bed.run_rule(rule, operator, model, f"rule {type(rule).__name__}", seed)
     deciding.warn_if_too_short(run.log.size * SAMPLE_TIME)
     return run

@@ -16,6 +16,7 @@ from scipy import stats
 import trustlab as tl
 from trustlab.allocation.limits import threshold_limits
 from trustlab.campaign import CampaignError, CampaignWarning
+from trustlab.operators.ground_robot import person_of
 from trustlab.studies import CampaignOptions
 from trustlab.studies.planning import virtual_study as one_participant
 from trustlab.testbeds import GroundRobot, OperatorPopulation, TeleoperatorPopulation, UavTracking
@@ -527,3 +528,55 @@ def test_a_fresh_study_takes_the_place_of_an_earlier_one(tmp_path):
             seed=3,
             campaign=CampaignOptions(other_versions=["scipy"]),
         )
+
+
+class Alternating:
+    """A rule with a memory: every 200 calls it changes the mode, if TSC or P_r let it."""
+
+    mode = 1
+
+    def __init__(self, model=None):
+        self.calls = 0
+        self.lower = 0.0 if model is None else model.robot.p_min
+
+    def step(self, *, tsc, p_r):
+        self.calls += 1
+        return int(self.calls // 200 % 2 == 0) if p_r > self.lower else None
+
+
+def test_own_rules_beside_printed_conditions(tmp_path):
+    """Oracle: `run_condition` with the same rule, operator and seed; each run has a new rule."""
+    conditions = ["C1", "C3", ("alternating", Alternating)]
+    study = tl.virtual_study(n=6, conditions=conditions, laps=2, seed=4, out=tmp_path / "study")
+    assert study.conditions == ("C1", "C3", "alternating")
+    rows = study.measures.set_index(["participant", "condition"])
+    bed = tl.testbeds.GroundRobot(laps=2, rules={"alternating": Alternating})
+    person = bed.people(6, None, 4).iloc[2].to_dict()
+    for seed in (0, 1):
+        run = bed.run("alternating", person, seed)
+        operator, model, _ = person_of(person)
+        alone = tl.run_condition(
+            participant=operator, model=model, rule=Alternating(model), laps=2, seed=seed
+        )
+        assert run.measures == alone.measures
+    plain = tl.virtual_study(n=6, conditions=["C1", "C3"], laps=2, seed=4)
+    assert (rows.xs("alternating", level="condition")["switches"] > 2).all()
+    assert set(plain.names) == set(study.names)
+    again = tl.virtual_study(n=6, conditions=conditions, laps=2, seed=4, out=tmp_path / "study")
+    pd.testing.assert_frame_equal(again.measures, study.measures)
+    assert study.table()["n"].max() == 6
+
+
+@pytest.mark.parametrize(
+    ("pair", "message"),
+    [
+        (("C4", Alternating), "'C4' is a condition of the dissertation"),
+        (("mine", Alternating()), "must be what makes a rule"),
+        (("mine", "C4"), "must be what makes a rule"),
+    ],
+)
+def test_own_rules_that_cannot_be_run_are_named(pair, message):
+    with pytest.raises(ValueError, match=message):
+        tl.virtual_study(n=6, conditions=["C1", "C2", pair], laps=2)
+    with pytest.raises(ValueError, match="of two; make two studies"):
+        tl.virtual_study(n=6, conditions=["M", "MI", ("mine", Alternating)])

@@ -4,7 +4,7 @@ like a lab's.
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -24,7 +24,7 @@ from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeat
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.planning.settings import USUAL_CAMPAIGN, CampaignOptions
 from trustlab.testbeds.deciding import warn_if_too_short
-from trustlab.testbeds.testbed import TESTBEDS, Testbed, named_testbed
+from trustlab.testbeds.testbed import TESTBEDS, ConditionTestbed, Testbed, named_testbed
 
 # Where the measures come from, for headers and captions.
 ORIGIN = "simulated operators"
@@ -228,7 +228,7 @@ class VirtualStudy:
 def virtual_study(
     design: str | LatinSquareDesign = "latin_square",
     n: int | None = None,
-    conditions: Sequence[str] | None = None,
+    conditions: Sequence[str | tuple[str, Callable]] | None = None,
     seed: int = 0,
     *,
     testbed: str | Testbed | None = None,
@@ -254,10 +254,11 @@ def virtual_study(
         Participants; they must fill whole squares, or, for an odd number of conditions, half of the
         last one, which leaves carry-over unbalanced. As many as the dissertation's study invited,
         or the next whole squares.
-    conditions : sequence of str, optional
+    conditions : sequence of str or (str, callable), optional
         C1 to C5 and the controls "own" and "random" of `run_condition` (ground robot, or a UAV that
         follows a leader), or M, MI, MMI, TMIG, TMIS, OMI (teleoperation of a UAV); those of the
-        dissertation's study by default.
+        dissertation's study by default. A pair ("mine", make) is a rule of one's own beside C1 to
+        C5, made for each run by `make()`, or by `make(model)` of the operator's model.
     seed : int
         Of the design, of the people and of all runs. With the same seed, the people of a smaller
         study are the first of a larger one.
@@ -308,7 +309,8 @@ def virtual_study(
     """
     seed = whole_number("seed", seed, least=0)
     of_class("campaign", campaign, CampaignOptions)
-    bed, conditions = _fitting(testbed, _named(conditions, design), laps)
+    names, rules = _own_rules(conditions)
+    bed, conditions = _fitting(testbed, _named(names, design), rules, laps)
     design = _designed(design, n, conditions, seed, bed.printed_n)
     people = bed.people(len(design.participants), assumptions, seed)
     folder = None if out is None else Folder(out, design, flag("fresh", campaign.fresh))
@@ -354,6 +356,17 @@ def _warn_of_idle_sessions(study: VirtualStudy) -> None:
         warn("nobody switched in any session: the conditions differ by noise only")
 
 
+def _own_rules(conditions: Any) -> tuple[Any, dict[str, Callable]]:
+    """Return the names of conditions, and what makes the rules of those given as pairs."""
+    if not isinstance(conditions, list | tuple):
+        return conditions, {}
+    pairs = [item for item in conditions if isinstance(item, tuple) and len(item) == 2]
+    rules = dict(pairs)
+    if len(rules) < len(pairs):
+        raise ValueError(f"conditions: each rule needs a name of its own, got {list(rules)}")
+    return [item[0] if item in pairs else item for item in conditions], rules
+
+
 def _named(conditions: Any, design: object) -> tuple[str, ...] | None:
     """Return the conditions of the argument or the design; None where neither has them."""
     if conditions is not None and not isinstance(conditions, list | tuple | pd.Index | pd.Series):
@@ -370,26 +383,36 @@ def _named(conditions: Any, design: object) -> tuple[str, ...] | None:
 
 
 def _fitting(
-    testbed: str | Testbed | None, names: tuple[str, ...] | None, laps: int | None
+    testbed: str | Testbed | None,
+    names: tuple[str, ...] | None,
+    rules: Mapping[str, Callable],
+    laps: int | None,
 ) -> tuple[Testbed, tuple[str, ...]]:
-    """Return the testbed and the conditions that it runs."""
+    """Return the testbed, with rules of the user's own, and the conditions that it runs."""
     if isinstance(testbed, str):
         one_of("testbed", testbed, TESTBEDS)
     if testbed is None or isinstance(testbed, str):
         if names is not None:
-            testbed = _testbed_with(names, testbed)
-        bed = named_testbed("ground_robot" if testbed is None else testbed, laps)
-    else:
-        bed = named_testbed(testbed, laps)
-        for name in names or ():
-            one_of("condition", name, bed.conditions)
+            testbed = _testbed_with(names, rules, testbed)
+        testbed = "ground_robot" if testbed is None else testbed
+    bed = named_testbed(testbed, laps)
+    if rules:
+        of_class("testbed", bed, ConditionTestbed, "whose modes a rule can give")
+        bed = replace(bed, rules={**bed.rules, **rules})
+    for name in names or ():
+        one_of("condition", name, bed.conditions)
     return bed, bed.printed_conditions if names is None else names
 
 
-def _testbed_with(names: tuple[str, ...], testbed: str | None) -> str:
+def _testbed_with(
+    names: tuple[str, ...], rules: Mapping[str, Callable], testbed: str | None
+) -> str:
     """Return the name of the testbed that runs these conditions, the one asked for if any."""
     kinds: Mapping[str, Any] = TESTBEDS
-    groups = {name: kind.conditions for name, kind in kinds.items()}
+    groups = {
+        name: (*kind.conditions, *rules) if issubclass(kind, ConditionTestbed) else kind.conditions
+        for name, kind in kinds.items()
+    }
     known = list(dict.fromkeys(condition for group in groups.values() for condition in group))
     for name in names:
         one_of("condition", name, known)
