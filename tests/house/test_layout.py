@@ -25,7 +25,7 @@ MOST_TOKENS = {
     "publishing": 12_000,
     "reproduction": 39_500,
     "sessions": 29_000,
-    "studies": 50_500,
+    "studies": 51_000,
     "teleoperation": 31_800,
     "testbeds": 34_500,
     "trustlab": 500,
