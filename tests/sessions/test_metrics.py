@@ -1,5 +1,7 @@
 """(2.4), (2.7), Section 2.4.2 and (3.26)-(3.27) against plain loops and printed values."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -187,3 +189,23 @@ def test_a_window_longer_than_the_log_is_told():
     session = tl.Session(pd.DataFrame(columns, index=0.1 * np.arange(50)))
     with pytest.warns(UserWarning, match=r"lasts 4\.9 s, less than the window of 100 s"):
         session.with_performance()
+
+
+def test_commands_that_rest_while_the_robot_drives_are_told():
+    """Half of the autonomous samples at rest is the limit; manual rests and noise are no cause."""
+    t = 0.1 * np.arange(2000)
+    mode = (t // 20 % 2).astype(float)
+    columns = {"mode": mode, "path_error": 0.1, "step_distance": 0.02, "w_command": 0.0}
+    noise = np.random.default_rng(0).uniform(-5e-3, 5e-3, t.size)
+
+    def computed(command):
+        frame = pd.DataFrame({**columns, "v_command": command}, index=t)
+        return tl.Session(frame).with_performance(window=10.0)
+
+    with pytest.warns(UserWarning, match=r"zero in 100 % of the autonomous phases.*fit_robot"):
+        computed(0.2 * mode + noise)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        computed(np.full(t.size, 0.2))
+        computed(np.zeros(t.size))
+        computed(np.where((mode == 0) & (t % 10 < 4.5), 0.0, 0.2))

@@ -9,6 +9,9 @@ from trustlab.models.checks import array_between, finite_array, mode_array, one_
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.metadata import Metadata
 
+# Commands below this are none [m/s, rad/s]: a stick at rest is not quite at zero.
+IDLE = 1e-2
+
 
 def window_mean(values: np.ndarray, sample_time: float, window: float) -> np.ndarray:
     """
@@ -236,6 +239,7 @@ def with_performance(
             session["step_distance"], session["path_error"], session.sample_time, e_max
         )
         p_h = manoeuvring(session["v_command"], session["w_command"], session["path_error"], e_max)
+        _warn_of_idle_commands(session)
         equations = "(2.4), (2.7)"
     elif e_max is None or u_max is None:
         raise ValueError(f"measure {measure!r} needs e_max [m] and u_max (unit of the commands)")
@@ -261,6 +265,22 @@ def with_performance(
     return session.with_columns(p_r=p_r, p_h=p_h).with_metadata(
         performance=note, performance_window=float(window)
     )
+
+
+def _warn_of_idle_commands(session) -> None:
+    """Warn where nothing was commanded while the robot drove: P_h would follow the mode."""
+    if "mode" not in session:
+        return
+    idle = (np.abs(session["v_command"]) < IDLE) & (np.abs(session["w_command"]) < IDLE)
+    autonomous = session["mode"] < 0.5
+    if autonomous.any() and idle[autonomous].mean() > 0.5 > idle[~autonomous].mean():
+        warn(
+            f"{session.label}: the operator's commands are zero in "
+            f"{100 * idle[autonomous].mean():.0f} % of the autonomous phases. (2.7) asks for what "
+            "the operator commands while the robot drives; without it P_h only repeats the mode, "
+            "and a fit says β → 1. Log the stick throughout and ask operators to go on steering, "
+            "or fit the robot alone (fit_robot)"
+        )
 
 
 def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
