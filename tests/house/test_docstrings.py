@@ -56,6 +56,8 @@ def undocumented(source, exported):
         for node in body:
             if not isinstance(node, (ast.FunctionDef, ast.ClassDef)) or node.name.startswith("_"):
                 continue
+            if any(ast.unparse(d) == "overload" for d in node.decorator_list):
+                continue
             doc = ast.get_docstring(node)
             name = f"{inside}{node.name}"
             if not inside and node.name not in exported:

@@ -20,11 +20,13 @@ from .correction.setting import (
     CorrectionSetting as CorrectionSetting,
     CorrectionTest as CorrectionTest,
 )
+from .cycle.intervals import RangeIntervals as RangeIntervals
 from .cycle.invariant_bounds import (
     InvariantBounds as InvariantBounds,
     invariant_bounds as invariant_bounds,
 )
 from .cycle.limit_cycle import LimitCycle as LimitCycle, limit_cycle as limit_cycle
+from .decision.posterior_choice import PosteriorChoice as PosteriorChoice
 from .limits import (
     StepBounds as StepBounds,
     ThresholdLimits as ThresholdLimits,

@@ -8,8 +8,16 @@ import pandas as pd
 from trustlab.allocation.cycle.invariant_bounds import InvariantBounds, invariant_bounds
 from trustlab.allocation.cycle.limit_cycle import LimitCycle, limit_cycle
 from trustlab.allocation.cycle.phases import resampled, watched
+from trustlab.allocation.decision.posterior_choice import (
+    PosteriorChoice,
+    check_objective,
+    choose_under_posterior,
+    objective_of,
+)
+from trustlab.allocation.decision.steady import survey
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
 from trustlab.identification.fit_result import FitResult
+from trustlab.identification.posterior.result import Posterior
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_number, of_class, warn, whole_number
 from trustlab.models.html import as_html
@@ -121,8 +129,14 @@ class ThresholdChoice:
 
 
 def choose_thresholds(
-    tsc: TscModel | FitResult, delta_p_h: float = 0.0, margin: float = 0.1, points: int = 24
-) -> ThresholdChoice:
+    tsc: TscModel | FitResult | Posterior,
+    delta_p_h: float = 0.0,
+    margin: float = 0.1,
+    points: int | None = None,
+    objective: str | float = "peak",
+    confidence: float = 0.95,
+    enclose_beta: bool = True,
+) -> ThresholdChoice | PosteriorChoice:
     """
     Choose thresholds by Algorithm 1: utilization encloses β, performance is near its best.
 
@@ -132,21 +146,32 @@ def choose_thresholds(
 
     Parameters
     ----------
-    tsc : TscModel or FitResult
+    tsc : TscModel, FitResult or Posterior
         The model, or a fit of one by `fit_tsc`: where its `success` is False, a warning and the
-        choice give its `message`.
+        choice give its `message`. Of a posterior (`sample_posterior`) every draw is followed, and
+        pairs are offered that do what is asked with a probability of `confidence`.
     delta_p_h : float
         δ_Ph for the limits that the search keeps to. 0 takes them as TSC settles; whether a pair
         keeps switching is then seen from its cycle. This is not the default of `threshold_limits`,
         see Notes.
     margin : float
         Distance to keep from either limit, as a share of TSC_ub − TSC_lb, in (0, 0.5).
-    points : int
-        Grid points along each threshold, 4 to 500.
+    points : int, optional
+        Grid points along each threshold, 4 to 500; 24, and 14 for a posterior, when not given.
+    objective : {"peak", "mean"} or float
+        What is to be great among the pairs that enclose β: "peak", the highest robot performance,
+        as printed; "mean", mean robot performance; or a weight w in [0, 1] for w · robot
+        performance + (1 − w) · human performance, both mean and in points of (2.39). For the
+        printed people the peak costs 9 to 27 points of mean robot performance, and puts β at the
+        edge of the range.
+    confidence : float
+        For a posterior: the probability that a pair must have to be offered, in (0, 1).
+    enclose_beta : bool
+        For a posterior: whether the steady utilization must enclose β.
 
     Returns
     -------
-    ThresholdChoice
+    ThresholdChoice or, for a posterior, PosteriorChoice
 
     Raises
     ------
@@ -170,13 +195,19 @@ def choose_thresholds(
     >>> round(choice.lower, 3), round(choice.upper, 3)
     (-0.057, 0.439)
     """
+    if isinstance(tsc, Posterior):
+        return choose_under_posterior(tsc, confidence, objective, enclose_beta, points or 14)
+    check_objective(objective)
     if isinstance(tsc, FitResult):
-        choice = choose_thresholds(of_class("tsc", tsc.model, TscModel), delta_p_h, margin, points)
-        if tsc.success:
-            return choice
-        doubt = f"Thresholds of a model whose fit has success = False: {tsc.message}"
-        warn(doubt)
-        return replace(choice, message=f"{doubt} {choice.message}")
+        model = of_class("tsc", tsc.model, TscModel)
+        return _doubted(tsc, _chosen(model, delta_p_h, margin, points or 24, objective))
+    return _chosen(tsc, delta_p_h, margin, 24 if points is None else points, objective)
+
+
+def _chosen(
+    tsc: TscModel, delta_p_h: float, margin: float, points: int, objective: str | float
+) -> ThresholdChoice:
+    """Return the best pair of a grid for a model."""
     of_class("tsc", tsc, TscModel)
     margin = finite_number("margin", margin)
     if not 0.0 < margin < 0.5:
@@ -202,10 +233,10 @@ def choose_thresholds(
     table["on_front"] = _front(table["mean_r"].to_numpy(), table["mean_p_r"].to_numpy())
     inside = table[table["encloses_beta"]]
     if not inside.empty:
-        best = inside.sort_values(["p_r_high", "mean_p_r"], ascending=False, kind="stable").index[0]
+        best = _best(tsc, inside, objective)
         message = (
             "Utilization encloses β; of all pairs for which it does, this one reaches the "
-            "highest performance."
+            f"{REACHED.get(str(objective), 'greatest weighted performance')}."
         )
     else:
         gap = np.maximum(tsc.human.beta - table["r_high"], table["r_low"] - tsc.human.beta)
@@ -228,6 +259,27 @@ def choose_thresholds(
     return ThresholdChoice(
         lower, upper, cycle, bounds, limits, not inside.empty, message, table, tsc
     )
+
+
+def _doubted(fit: FitResult, choice: ThresholdChoice) -> ThresholdChoice:
+    """Return a choice with the doubts of the fit that the model comes from."""
+    if fit.success:
+        return choice
+    doubt = f"Thresholds of a model whose fit has success = False: {fit.message}"
+    warn(doubt)
+    return replace(choice, message=f"{doubt} {choice.message}")
+
+
+REACHED = {"peak": "highest performance", "mean": "greatest mean performance"}
+
+
+def _best(tsc: TscModel, table: pd.DataFrame, objective: str | float):
+    """Return the row of a table of pairs with the greatest objective."""
+    if isinstance(objective, str):
+        order = ["p_r_high", "mean_p_r"] if objective == "peak" else ["mean_p_r", "p_r_high"]
+        return table.sort_values(order, ascending=False, kind="stable").index[0]
+    motions = survey([tsc], table[["lower", "upper"]].to_numpy())
+    return table.index[int(np.argmax(objective_of(motions, [tsc], objective)[0]))]
 
 
 def _beside_limits(tsc: TscModel, lower: float, upper: float, limits: ThresholdLimits) -> str:

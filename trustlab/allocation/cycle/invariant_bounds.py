@@ -2,16 +2,22 @@
 
 import math
 from dataclasses import dataclass
+from typing import overload
 
+from trustlab.allocation.cycle.intervals import RangeIntervals, over_draws
 from trustlab.allocation.cycle.phases import EFFORT, endless_phase
 from trustlab.allocation.cycle.propagation import COARSE, ROUNDING, nest
 from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.steady_ranges import SteadyRanges
+from trustlab.identification.posterior.result import Posterior
 from trustlab.models.checks import whole_number
 from trustlab.models.tsc import TscModel
 
 # Width of bounds on utilization from which on they tell nothing.
 VACUOUS = 0.98
+
+# Cells for each draw of a posterior, whose spread outweighs what more of them would gain.
+CELLS_OF_DRAWS = 64
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -38,9 +44,19 @@ class InvariantBounds(SteadyRanges):
         return f"guaranteed={self.guaranteed}, cycles={self.cycles}"
 
 
+@overload
 def invariant_bounds(
-    tsc: TscModel, lower: float, upper: float, cells: int = 1024, cycles: int = 200
-) -> InvariantBounds:
+    tsc: TscModel, lower: float, upper: float, cells: int = ..., cycles: int = ...
+) -> InvariantBounds: ...
+
+
+@overload
+def invariant_bounds(
+    tsc: Posterior, lower: float, upper: float, cells: int = ..., cycles: int = ...
+) -> RangeIntervals: ...
+
+
+def invariant_bounds(tsc, lower, upper, cells=1024, cycles=200):
     """
     Bound utilization, robot performance and dwell times for every trajectory under rule (2.8).
 
@@ -53,8 +69,9 @@ def invariant_bounds(
 
     Parameters
     ----------
-    tsc : TscModel
-        The model.
+    tsc : TscModel or Posterior
+        The model; or a posterior (`sample_posterior`), of which 200 draws are bounded, in at most
+        64 cells each.
     lower, upper : float
         Thresholds TSC_l and TSC_u.
     cells : int
@@ -65,7 +82,7 @@ def invariant_bounds(
 
     Returns
     -------
-    InvariantBounds
+    InvariantBounds or, for a posterior, RangeIntervals
 
     Raises
     ------
@@ -86,6 +103,11 @@ def invariant_bounds(
     dwell time manual      217.000  219.000
     dwell time autonomous   65.000   65.000
     """
+    if isinstance(tsc, Posterior):
+        cells = min(cells, CELLS_OF_DRAWS)
+        return over_draws(
+            tsc.models, lambda each: invariant_bounds(each, lower, upper, cells), "guaranteed"
+        )
     lower, upper = check_thresholds(tsc, lower, upper)
     cells = whole_number("cells", cells)
     cycles = whole_number("cycles", cycles)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 import pandas as pd
 
 from trustlab.allocation.cycle import phases
+from trustlab.allocation.cycle.intervals import RangeIntervals, over_draws
 from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.steady_ranges import SteadyRanges
+from trustlab.identification.posterior.result import Posterior
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import whole_number
 from trustlab.models.tsc import TscModel
@@ -163,7 +166,17 @@ class LimitCycle(SteadyRanges):
         return axes
 
 
-def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> LimitCycle:
+@overload
+def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = ...) -> LimitCycle: ...
+
+
+@overload
+def limit_cycle(
+    tsc: Posterior, lower: float, upper: float, starts: int = ...
+) -> RangeIntervals: ...
+
+
+def limit_cycle(tsc, lower, upper, starts=48):
     """
     Find the steady cycle of rule (2.8).
 
@@ -174,8 +187,9 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
 
     Parameters
     ----------
-    tsc : TscModel
-        The model.
+    tsc : TscModel or Posterior
+        The model; or a posterior (`sample_posterior`), of which 200 draws are followed, each from β
+        and from rest.
     lower, upper : float
         Thresholds TSC_l and TSC_u.
     starts : int
@@ -184,7 +198,7 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
 
     Returns
     -------
-    LimitCycle
+    LimitCycle or, for a posterior, RangeIntervals
         With `exists` False where the rule stops switching from every start, and why; `always` False
         where it does from some, and `reason` says from which.
 
@@ -208,6 +222,8 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     >>> cycle.exists, round(cycle.mean_p_r, 3)
     (True, 0.325)
     """
+    if isinstance(tsc, Posterior):
+        return over_draws(tsc.models, lambda each: limit_cycle(each, lower, upper, 1), "exists")
     lower, upper = check_thresholds(tsc, lower, upper)
     starts = whole_number("starts", starts)
     search = Motions(tsc, lower, upper)

@@ -1,0 +1,3 @@
+"""
+Decisions under uncertainty, and the optimum of all switching policies.
+"""
