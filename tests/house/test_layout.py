@@ -16,7 +16,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # Code tokens by room: comments, docstrings and layout are not counted. A limit is raised with what
 # a room takes on, and lowered with what it loses; it is no reason to pack.
 MOST_TOKENS = {
-    "allocation": 35_500,
+    "allocation": 40_500,
     "campaign": 11_000,
     "identification": 42_500,
     "live": 29_500,
