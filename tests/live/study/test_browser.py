@@ -342,6 +342,29 @@ def test_what_the_experimenter_does_reaches_the_page(served, browser, client):
     assert page.faults == []
 
 
+def test_a_study_in_german_and_a_participant_who_declines(make_plan, browser):
+    plan = make_plan(language="de")
+    with StudyServer(plan) as server:
+        page = opened(browser.new_context(), server.links()["P01"])
+        next_page(page)
+        assert page.evaluate("document.documentElement.lang") == "de"
+        assert "dauert etwa" in page.inner_text("#duration")
+        assert page.inner_text("form button") == "Weiter"
+        questions = []
+        page.on("dialog", lambda dialog: (questions.append(dialog.message), dialog.accept()))
+        page.click("text=Ich nehme nicht teil")
+        until(page, "document.querySelector('h2')?.textContent.includes('beendet')")
+        assert "Möchten Sie nicht teilnehmen?" in questions[0]
+        assert page.locator("#withdraw button").count() == 0
+        assert page.faults == []
+        driver = driving(browser.new_context(), server.links()["P02"])
+        assert driver.inner_text(".tl-drive .mode") == "VON HAND"
+        driver.on("dialog", lambda dialog: dialog.accept())
+        driver.click("text=Teilnahme beenden")
+        until(driver, "document.querySelector('h2')?.textContent.includes('beendet')")
+    assert tl.read_live_study(plan.folder).participants["withdrawn"].tolist() == [True, True, False]
+
+
 def full(*_):
     raise OSError(28, "No space left on device")
 

@@ -7,7 +7,17 @@ import re
 
 import pytest
 
-from trustlab.live.study.pages import AnswerError, StudyPage, as_json, read_pages, steps_of
+from trustlab.live.study.drives import item_order
+from trustlab.live.study.pages import (
+    HOLE,
+    LANGUAGES,
+    AnswerError,
+    StudyPage,
+    as_json,
+    read_pages,
+    read_words,
+    steps_of,
+)
 from trustlab.studies.questionnaires.likert import SATISFACTION_ITEMS, TRUST_CHECKLIST
 from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES
 
@@ -231,3 +241,79 @@ def test_faults_of_a_file_are_named(toml, text, said):
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(ValueError, match=r"no\.toml cannot be read: No such file"):
         read_pages(files=[tmp_path / "no.toml"])
+
+
+def test_every_language_has_the_same_messages_pages_and_items():
+    english = read_words("en")
+    pages = read_pages("en")
+    assert set(LANGUAGES) == {"de", "en"}
+    for language in LANGUAGES:
+        words = read_words(language)
+        assert list(words) == list(english)
+        for name, text in words.items():
+            assert set(HOLE.findall(text)) == set(HOLE.findall(english[name])), name
+        for page, model in zip(read_pages(language), pages, strict=True):
+            assert (page.name, page.kind, page.section, page.scored) == (
+                model.name,
+                model.kind,
+                model.section,
+                model.scored,
+            )
+            shapes = [
+                [(i.name, i.kind, i.low, i.high, i.step, i.reversed) for i in p.items]
+                for p in (page, model)
+            ]
+            assert shapes[0] == shapes[1]
+    with pytest.raises(ValueError, match="language must be one of 'de', 'en'"):
+        read_pages("fr")
+
+
+def test_messages_are_changed_by_name(toml):
+    files = toml('[words]\nnext = "Continue"\nlap = "{lap}!"\n')
+    assert read_words(files=files)["next"] == "Continue"
+    assert read_pages(files=files) == read_pages()
+    for text, says in (
+        ('[words]\nnxt = "x"\n', "no 'nxt'; did you mean 'next'"),
+        ("[words]\nnext = 3\n", "next must be words"),
+        ('[words]\nlap = "{round}"\n', "in which lap, laps can be filled in"),
+        ('words = "x"\n', "'words' must be a table"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            read_words(files=toml(text))
+
+
+CHECKED = """
+[about]
+after = "consent"
+title = "You"
+text = "About you."
+shuffled = true
+items = [
+    {name = "why", kind = "text", text = "Why?", required = true},
+    {name = "attention", text = "Mark 3 here.", expected = 3},
+    {name = "a", text = "A"}, {name = "b", text = "B"}, {name = "c", text = "C"},
+]
+"""
+
+
+def test_words_may_be_required_and_attention_checked(toml):
+    page = next(page for page in read_pages(files=toml(CHECKED)) if page.name == "about")
+    answers = {"why": "so", "attention": 5, "a": 1, "b": 1, "c": 1}
+    assert page.check(answers) == answers
+    with pytest.raises(AnswerError, match="why: this answer cannot be taken"):
+        page.check(answers | {"why": " "})
+    with pytest.raises(ValueError, match=r"item 'attention': expected = 9 is no answer to it"):
+        read_pages(files=toml(CHECKED.replace("expected = 3", "expected = 9")))
+    with pytest.raises(ValueError, match="shuffled"):
+        read_pages(files=toml(CHECKED.replace("shuffled = true", "shuffled = 1")))
+
+
+def test_everybody_gets_shuffled_items_in_an_order_of_their_own(toml, make_plan):
+    plan = make_plan(pages=toml(CHECKED))
+    orders = {}
+    for code in plan.orders:
+        step = next(step for step in plan.steps(code) if step.page.name == "about")
+        orders[code] = [item.name for item in item_order(plan, code, step)]
+        assert orders[code] == [item.name for item in item_order(plan, code, step)]
+        assert sorted(orders[code]) == sorted(item.name for item in step.page.items)
+    assert len({tuple(order) for order in orders.values()}) > 1

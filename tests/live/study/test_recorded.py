@@ -3,7 +3,9 @@ What comes out of a study. Oracles: the files themselves, summed by hand; a bit 
 its way must be found.
 """
 
+import io
 import json
+import zipfile
 
 import numpy as np
 import pandas as pd
@@ -158,6 +160,34 @@ def test_a_study_that_has_hardly_begun_can_be_read(make_plan):
     assert study.participants["pages_done"].tolist() == [0, 0, 0]
     with pytest.raises(ValueError, match="this study is for people"):
         plan.rehearse()
+
+
+def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, tmp_path):
+    """Oracle: the tables themselves, and the keys that the Data Package standard asks for."""
+    path = rehearsed.export(tmp_path / "data.zip")
+    archive = zipfile.ZipFile(path)
+    package = json.loads(archive.read("datapackage.json"))
+    assert "scripted hands, no person took part" in package["description"]
+    measures = pd.read_parquet(io.BytesIO(archive.read("measures.parquet")))
+    pd.testing.assert_frame_equal(measures, rehearsed.measures, check_dtype=False)
+    samples = pd.read_csv(io.BytesIO(archive.read("samples.csv")))
+    drive = samples[(samples["participant"] == "P02") & (samples["condition"] == "C3")]
+    session = next(
+        s
+        for s in rehearsed.sessions()
+        if (s.metadata.participant, s.metadata.condition) == ("P02", "C3")
+    )
+    np.testing.assert_array_equal(drive["p_r"], session["p_r"])
+    for resource in package["resources"]:
+        table = pd.read_csv(io.BytesIO(archive.read(resource["path"])))
+        fields = resource["schema"]["fields"]
+        assert [field["name"] for field in fields] == list(table)
+        assert all(field["description"] for field in fields), resource["name"]
+    by_name = {field["name"]: field for field in package["resources"][2]["schema"]["fields"]}
+    assert by_name["p_r"]["unit"] == "m/s"
+    assert by_name["verified"]["type"] == "boolean"
+    items = pd.read_csv(io.BytesIO(archive.read("items.csv")))
+    assert "The robot is deceptive." in set(items["words"])
 
 
 # what is changed afterwards

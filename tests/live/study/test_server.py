@@ -3,13 +3,16 @@ What a server must refuse, and what it must not lose; asked over sockets, withou
 the files on the disk.
 """
 
+import io
 import json
 import os
 import re
 import stat
+import zipfile
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import trustlab as tl
@@ -465,6 +468,58 @@ def test_the_experimenter_sees_adds_and_ends(served, client):
     table = tl.read_live_study(served.plan.folder).participants.set_index("participant")
     assert table.loc["P01", "ended"]
     assert table.loc["P01", "notes"] == note["text"]
+
+
+def test_people_decline_and_withdraw(served, client):
+    decliner, leaver = served.links["P01"], served.links["P02"]
+    assert client(f"{decliner}/withdraw", {}).json["title"] == "You have stopped"
+    own = begun(client, leaver)
+    client(f"{leaver}/rows", own | {"rows": rows(0, 5)})
+    client(f"{leaver}/withdraw", {})
+    client(f"{leaver}/withdraw", {})
+    assert client(f"{leaver}/rows", own | {"rows": rows(5, 5)}).json["current"] is False
+    assert client(f"{leaver}/state").json["kind"] == "end"
+    ends = [event for event in events(served.plan, "P02") if event["kind"] == "end"]
+    assert [event["source"] for event in ends] == ["participant"]
+    table = tl.read_live_study(served.plan.folder).participants.set_index("participant")
+    assert table["withdrawn"].to_dict() == {"P01": True, "P02": True, "P03": False}
+    seen = client(served.server.experimenter + "/state").json["people"]
+    assert [person["withdrawn"] for person in seen] == [True, True, False]
+
+
+def test_the_length_of_the_study_is_told_beforehand(served, client):
+    """10 s, 40 s and two laps of 87 s at full speed, and two sets of questionnaires."""
+    minutes = client(served.links["P01"] + "/state").json["minutes"]
+    drives = (10 + 40 + 2 * 1.5 * 87) / 60
+    forms = 14 * 0.5 + (1 + 2 * 22) * 0.1
+    assert minutes % 5 == 0
+    assert drives + forms - 2 < minutes < drives + forms + 5
+
+
+def test_everything_is_exported_as_a_zip_with_a_dictionary(served, client):
+    url = served.links["P01"]
+    begun(client, url)
+    answer = client(served.server.experimenter + "/export")
+    assert (answer.status, answer.headers["Content-Type"]) == (200, "application/zip")
+    archive = zipfile.ZipFile(io.BytesIO(answer.content))
+    package = json.loads(archive.read("datapackage.json"))
+    names = [resource["name"] for resource in package["resources"]]
+    assert names == [
+        "participants",
+        "answers",
+        "measures",
+        "samples",
+        "items",
+        "exclusions",
+        "faults",
+    ]
+    assert {f"{name}.{kind}" for name in names for kind in ("csv", "parquet")} < set(
+        archive.namelist()
+    )
+    people = pd.read_parquet(io.BytesIO(archive.read("participants.parquet")))
+    assert people["pages_done"].tolist() == [1, 0, 0]
+    assert client(url + "/export").status == 404
+    assert client(f"{served.base}/experimenter/{'x' * 22}/export").status == 404
 
 
 def test_who_is_deleted_while_the_study_is_served_is_gone(served, client):

@@ -88,7 +88,8 @@ function update(who) {
   order.textContent = who.order.join(" ");
   const number = who.page < who.pages ? `${who.page + 1} of ${who.pages}: ` : "";
   const condition = who.condition ? ` (${who.condition})` : "";
-  page.textContent = `${number}${who.title}${condition}${who.ended ? ", ended" : ""}`;
+  const end = who.withdrawn ? ", withdrawn" : who.ended ? ", ended" : "";
+  page.textContent = `${number}${who.title}${condition}${end}`;
   seen.textContent = away;
   seen.className = away === "here" ? "" : "away";
   drive.textContent =
@@ -113,6 +114,7 @@ function show(state) {
   document.getElementById("about").textContent =
     `${state.people.length} participants.${gone} ` +
     "This page and the links on it are for the experimenter only.";
+  document.getElementById("export").href = `${base}/export`;
   const rows = state.people.map(update),
     table = main.querySelector("tbody");
   if (table?.childElementCount === rows.length) return;

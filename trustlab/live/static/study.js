@@ -84,7 +84,13 @@ function field(item) {
   if (item.kind === "scale") box.append(scale(item));
   else if (item.kind === "text")
     box.append(
-      element("textarea", { name: item.name, maxLength: 1000, rows: 3, ariaLabel: item.text }),
+      element("textarea", {
+        name: item.name,
+        maxLength: 1000,
+        rows: 3,
+        ariaLabel: item.text,
+        required: item.required,
+      }),
     );
   else if (item.kind === "check")
     box.append(
@@ -131,6 +137,11 @@ function showForm(now) {
     ...now.items.map(field),
   );
   const button = element("button", { textContent: words.next });
+  if (now.page === 0) {
+    const values = { pages: now.pages, minutes: now.minutes };
+    const text = filled(words.duration, values);
+    form.querySelector("h2").after(element("p", { id: "duration", textContent: text }));
+  }
   form.append(button);
   main.replaceChildren(form);
   return new Promise((next) => {
@@ -245,6 +256,22 @@ async function showDrive(now) {
   await ask("done", { ...about, rows: count, telemetry: telemetry() });
 }
 
+// The way out, on every page: before the first one is done it means not to take part at all.
+function offerWithdrawal(now) {
+  const place = document.getElementById("withdraw"),
+    [text, question] =
+      now.page === 0 ? [words.decline, words.decline_sure] : [words.withdraw, words.withdraw_sure];
+  const button = element("button", { className: "quiet", type: "button", textContent: text });
+  button.addEventListener("click", async () => {
+    if (!confirm(question)) return;
+    button.disabled = true;
+    await ask("withdraw", {});
+    status.pending = 0; // rows that are on their way do not keep anybody
+    location.reload();
+  });
+  place.replaceChildren(...(now.kind === "end" ? [] : [button]));
+}
+
 async function run() {
   for (;;) {
     const now = await ask("state");
@@ -266,6 +293,7 @@ async function run() {
     document.getElementById("where").textContent = ended
       ? now.code
       : filled(words.where, { code: now.code, page: now.page + 1, pages: now.pages });
+    offerWithdrawal(now);
     if (ended)
       return main.replaceChildren(
         element("h2", { textContent: now.title }),

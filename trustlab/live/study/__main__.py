@@ -34,13 +34,15 @@ def main(words: list[str] | None = None) -> int:
         metavar="CODE",
         help="delete a participant: folder, link, and reports made with their data",
     )
+    add("--export", action="store_true", help="write report-data.zip, everything as tables")
     add("--report", action="store_true", help="write report.html instead of serving")
     options = parser.parse_args(words)
     try:
-        if options.report:
+        if options.report or options.export:
             from trustlab.live.study.recorded import read_live_study
 
-            print(read_live_study(options.folder).report())
+            study = read_live_study(options.folder)
+            print(study.export() if options.export else study.report())
             return 0
         new = not (Path(options.folder) / PLAN).exists()
         plan = (

@@ -5,6 +5,7 @@ after the first a model.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.chain import read_chain
-from trustlab.live.study.pages import Step
+from trustlab.live.study.pages import Item, Step
 from trustlab.live.study.plan import Plan
 from trustlab.live.study.store import file_origin
 from trustlab.models.checks import of_class
@@ -58,6 +59,34 @@ def drive_seed(plan: Plan, code: str, step: Step, attempt: int) -> int:
     key = (list(plan.orders).index(code), step.index, attempt)
     child = np.random.SeedSequence(plan.content["seed"], spawn_key=key)
     return int(child.generate_state(1)[0])
+
+
+def item_order(plan: Plan, code: str, step: Step) -> list[Item]:
+    """Return a page's items as a participant sees them: in an order of their own if shuffled."""
+    items = list(step.page.items)
+    if step.page.shuffled:
+        rng = np.random.default_rng(drive_seed(plan, code, step, 0))
+        items = [items[i] for i in rng.permutation(len(items))]
+    return items
+
+
+FORM_MINUTES = 0.5
+ITEM_MINUTES = 0.1
+"""Time that people need for a page and for an item on it [min]."""
+
+
+def planned_minutes(plan: Plan) -> int:
+    """Return how long a participation takes, with drives at two thirds of the largest speed."""
+    minutes = 0.0
+    for step in plan.steps(next(iter(plan.orders))):
+        minutes += FORM_MINUTES + ITEM_MINUTES * len(step.page.items)
+        if step.page.kind == "drive":
+            condition = step.condition or step.page.name
+            config = drive_of(plan.content, condition, plan.content["stand_in"], seed=0)
+            speed = config["robot"]["max_speed"] * 2.0 / 3.0
+            laps = config["task"]["laps"] * config["path"][-1][2] / speed
+            minutes += (laps or config["samples"] * config["sample_time"]) / 60.0
+    return 5 * math.ceil(minutes / 5.0)
 
 
 def stand_in(plan: Plan, why: str, detail: str = "") -> dict[str, Any]:

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from trustlab.models.checks import did_you_mean, one_of, shown, whole_number
+from trustlab.models.checks import did_you_mean, flag, one_of, shown, whole_number
 
 LANGUAGES = {
     path.stem: path for path in sorted((Path(__file__).parents[1] / "words").glob("*.toml"))
@@ -41,7 +41,9 @@ class AnswerError(ValueError):
 class Item:
     """
     One question: `low` to `high` in steps for a scale, `choices` for a choice, at most 1,000
-    characters for a text.
+    characters for a text, which may be left empty unless it is `required`.
+
+    An item with an `expected` answer checks attention.
     """
 
     name: str
@@ -54,6 +56,8 @@ class Item:
     right: str = ""
     choices: tuple[str, ...] = ()
     reversed: bool = False
+    required: bool = False
+    expected: Any = None
 
     def check(self, answer: Any) -> None:
         """Refuse an answer that this item does not allow."""
@@ -64,6 +68,7 @@ class Item:
         else:
             fits = isinstance(answer, str) and len(answer) <= LONGEST_ANSWER and "\0" not in answer
             fits = fits and (self.kind == "text" or answer in self.choices)
+            fits = fits and not (self.required and not answer.strip())
         if not fits:
             raise AnswerError(f"{self.name}: this answer cannot be taken")
 
@@ -74,7 +79,8 @@ class StudyPage:
     One page: a form with any number of items, a drive, or the end.
 
     `section` says whether it comes once at the start, after each drive, or once at the end;
-    `scored` how its items are scored.
+    `scored` how its items are scored; `shuffled` whether everybody gets them in an order of their
+    own.
     """
 
     name: str
@@ -84,6 +90,7 @@ class StudyPage:
     kind: str = "form"
     scored: str = ""
     items: tuple[Item, ...] = ()
+    shuffled: bool = False
 
     def check(self, answers: Any) -> dict[str, Any]:
         """
@@ -173,6 +180,14 @@ def _item(where: str, table: Any, page: Mapping[str, Any]) -> Item:
             raise ValueError(
                 f"{where}: step {item.step} does not lead from low {item.low} to high {item.high}"
             )
+    flag(f"{where}: required", item.required)
+    if item.expected is not None:
+        try:
+            item.check(item.expected)
+        except AnswerError:
+            raise ValueError(
+                f"{where}: expected = {shown(item.expected)} is no answer to it"
+            ) from None
     return item
 
 
@@ -183,6 +198,7 @@ PAGE_KEYS = (
     "section",
     "scored",
     "items",
+    "shuffled",
     "low",
     "high",
     "step",
@@ -212,7 +228,8 @@ def _page(where: str, name: str, table: Mapping[str, Any]) -> StudyPage:
             f"{where}: a scored page has items on one scale, got {sorted(scales) or 'none'}"
         )
     text = re.sub(r"(?<!\n)\n(?!\n)", " ", table["text"].strip())
-    return StudyPage(name, table["title"], text, table["section"], kind, scored, items)
+    shuffled = flag(f"{where}: shuffled", table.get("shuffled", False))
+    return StudyPage(name, table["title"], text, table["section"], kind, scored, items, shuffled)
 
 
 def _content(path: Path) -> dict[str, Any]:

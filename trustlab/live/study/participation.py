@@ -6,6 +6,7 @@ does to it.
 from __future__ import annotations
 
 import time
+from functools import cached_property
 from typing import Any
 
 from trustlab.live.rows import check_row, is_number
@@ -14,6 +15,8 @@ from trustlab.live.study.drives import (
     attempt_name,
     drive_settings,
     identified,
+    item_order,
+    planned_minutes,
     session_of_attempt,
     shown_config,
 )
@@ -64,6 +67,11 @@ class Participation:
         self.seen: float | None = None
         self.telemetry: dict[str, float] = {}
 
+    @cached_property
+    def minutes(self) -> int:
+        """How long the participation takes [min]."""
+        return planned_minutes(self.plan)
+
     @property
     def progress(self) -> Progress:
         """Where the participant is: nothing but the events decides."""
@@ -75,10 +83,13 @@ class Participation:
         page = self.progress.page(len(self.steps))
         shown = self.steps[page].page
         items = [
-            {key: value for key, value in vars(item).items() if key != "reversed"}
-            for item in shown.items
+            {key: value for key, value in vars(item).items() if key not in ("reversed", "expected")}
+            for item in item_order(self.plan, self.code, self.steps[page])
         ]
         words = {"kind": shown.kind, "title": shown.title, "text": shown.text, "items": items}
+        if self.progress.withdrawn:
+            messages = self.plan.content["words"]
+            words |= {"title": messages["withdrawn_title"], "text": messages["withdrawn"]}
         return {
             "code": self.code,
             "page": page,
@@ -86,6 +97,7 @@ class Participation:
             "rehearsal": self.plan.rehearsal,
             "language": self.plan.content["language"],
             "words": self.plan.content["words"],
+            "minutes": self.minutes,
             **words,
         }
 
@@ -217,6 +229,13 @@ class Participation:
         )
         return self.state()
 
+    def withdraw(self, body: dict[str, Any]) -> dict[str, Any]:
+        """End the participation at the participant's own wish: before it begins, or later."""
+        if not self.progress.ended:
+            page = self.progress.page(len(self.steps))
+            self.participant.add("end", source="participant", page=page)
+        return self.state()
+
     # the experimenter's
     # ----------------------------------------------------------------------------------------------
 
@@ -270,6 +289,7 @@ class Participation:
             "rows": self.participant.count(name) if driving else None,
             "seconds_ago": None if self.seen is None else round(time.time() - self.seen, 1),
             "ended": now.ended,
+            "withdrawn": now.withdrawn,
             "telemetry": self.telemetry if driving else {},
             "model": model.get("source", ""),
             "why": model.get("why", ""),

@@ -22,7 +22,9 @@ class Progress:
     model : dict or None
         Model and thresholds from the identification drive, or what stands in for them.
     ended : bool
-        Whether the experimenter has ended the participation.
+        Whether the participation was ended.
+    withdrawn : bool
+        Whether the participant did that.
     notes : list of dict
         What the experimenter, or the page, has noted.
     """
@@ -32,6 +34,7 @@ class Progress:
     tabs: dict[tuple[int, int], str] = field(default_factory=dict)
     model: dict[str, Any] | None = None
     ended: bool = False
+    withdrawn: bool = False
     notes: list[dict[str, Any]] = field(default_factory=list)
 
     def page(self, pages: int) -> int:
@@ -66,6 +69,7 @@ def progress_of(events: Iterable[Mapping[str, Any]]) -> Progress:
                 now.model = dict(event)
             case "end":
                 now.ended = True
+                now.withdrawn |= event.get("source") == "participant"
             case "note" | "torn":
                 now.notes.append(dict(event))
     return now

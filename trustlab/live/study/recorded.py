@@ -4,6 +4,7 @@ analysis.
 """
 
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.study.drives import attempt_name
+from trustlab.live.study.export import items_of, samples_of, write_export
 from trustlab.live.study.pages import Step, StudyPage
 from trustlab.live.study.plan import Plan
 from trustlab.live.study.progress import Progress
@@ -159,7 +161,8 @@ class RecordedStudy:
         Where everybody is.
 
         A row per participant who was not deleted: participant, order, pages_done, pages, drives
-        (finished, of those under a condition), complete, ended, model (where model and thresholds
+        (finished, of those under a condition), complete, ended, withdrawn, attention (checks of
+        attention that were answered otherwise than expected), model (where model and thresholds
         come from), why (they stand in), restarts, notes.
         """
         rows = []
@@ -176,6 +179,8 @@ class RecordedStudy:
                     "drives": done,
                     "complete": len(now.done) == len(steps) - 1,
                     "ended": now.ended,
+                    "withdrawn": now.withdrawn,
+                    "attention": self._inattentive(code),
                     "model": model.get("source", ""),
                     "why": model.get("why", ""),
                     "restarts": sum(now.attempts.values()),
@@ -185,6 +190,16 @@ class RecordedStudy:
                 }
             )
         return self._labelled(pd.DataFrame(rows))
+
+    def _inattentive(self, code: str) -> int:
+        """Return how many attention checks a participant answered otherwise than expected."""
+        count = 0
+        for step in self.plan.steps(code):
+            answers = self.records[code].progress.done.get(step.index, {}).get("answers", {})
+            for item in step.page.items:
+                checked = item.expected is not None and item.name in answers
+                count += checked and answers[item.name] != item.expected
+        return count
 
     def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
         """Say of a table where its numbers come from, where no person took part."""
@@ -415,6 +430,42 @@ class RecordedStudy:
 
         page = self.plan.folder / "report.html" if path is None else Path(path)
         return write_report(self.plan.folder, list(self.records), page)
+
+    def export(self, path: str | os.PathLike | None = None) -> Path:
+        """
+        Write everything as one zip: participants, answers, measures, samples of every drive, items,
+        exclusions and faults, each as CSV and Parquet, and a data dictionary.
+
+        Parameters
+        ----------
+        path : path-like, optional
+            Where; `report-data.zip` in the study's folder when not given. Deleting a participant
+            removes it there, and only there.
+
+        Returns
+        -------
+        pathlib.Path
+            The zip. Its `datapackage.json` says of each column what it means, its type and its
+            unit, in the form of a Frictionless Data Package.
+        """
+        tables = {
+            "participants": self.participants,
+            "answers": self.answers(),
+            "measures": self.measures,
+            "samples": samples_of(self._sessions),
+            "items": items_of(self.plan.pages),
+            "exclusions": self.exclusions(),
+            "faults": self.faults(),
+        }
+        about = {
+            "name": re.sub(r"[^a-z0-9._-]", "-", self.plan.folder.name.lower()),
+            "title": f"Live study {self.plan.folder.name}",
+            "description": self.summary(),
+            "profile": "tabular-data-package",
+        }
+        target = self.plan.folder / "report-data.zip" if path is None else Path(path)
+        write_export(target, tables, about)
+        return target
 
     def table(self) -> pd.DataFrame:
         """Return `measures`."""

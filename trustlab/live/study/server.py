@@ -14,6 +14,7 @@ import json
 import os
 import secrets
 import ssl
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -248,9 +249,25 @@ class ExperimenterRequest(Base):
     """What the experimenter's page asks and tells."""
 
     async def get(self, token: str, request: str) -> None:
-        """Answer with where everybody is."""
-        self.allow(token, request == "state")
+        """Answer with where everybody is, or with everything as a zip."""
+        self.allow(token, request in ("state", "export"))
+        if request == "export":
+            return await self.export()
         self.write(await asyncio.to_thread(self.served.overview))
+
+    async def export(self) -> None:
+        """Answer with everything that was recorded, as a zip."""
+        # Only here: a server that comes back after a crash needs no analysis.
+        from trustlab.live.study.recorded import read_live_study
+
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "data.zip"
+            folder_of_study = self.served.plan.folder
+            await asyncio.to_thread(lambda: read_live_study(folder_of_study).export(path))
+            self.set_header("Content-Type", "application/zip")
+            name = f'attachment; filename="{folder_of_study.name}.zip"'
+            self.set_header("Content-Disposition", name.encode("ascii", "replace"))
+            self.write(path.read_bytes())
 
     async def post(self, token: str, request: str) -> None:
         """Restart a drive, add a note, or end a participation."""
@@ -454,14 +471,14 @@ class StudyServer:
         tokens.
         """
         token = r"([A-Za-z0-9_-]{22})"
-        asked = "state|answers|begin|rows|note|done"
+        asked = "state|answers|begin|rows|note|done|withdraw"
         return tornado.web.Application(
             [
                 (r"/static/([a-z_]+\.[a-z]+)", Static),
                 (rf"/p/{token}", ParticipantPage),
                 (rf"/p/{token}/({asked})", ParticipantRequest),
                 (rf"/experimenter/{token}", ExperimenterPage),
-                (rf"/experimenter/{token}/(state|act)", ExperimenterRequest),
+                (rf"/experimenter/{token}/(state|act|export)", ExperimenterRequest),
             ],
             default_handler_class=Missing,
             log_function=lambda handler: None,

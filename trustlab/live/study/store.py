@@ -165,7 +165,8 @@ def delete_participant(folder: Path, code: str) -> None:
         # Renamed first, so that no row arrives in a folder that is half gone.
         home.rename(gone := folder / f".{code}.going")
         shutil.rmtree(gone)
-    for report in folder.glob("report*.html"):  # it shows this participant's numbers
+    # They show this participant's numbers.
+    for report in (*folder.glob("report*.html"), *folder.glob("report*.zip")):
         report.unlink()
     sync_folder(folder)
 
