@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import lru_cache
 
 import numpy as np
 from scipy import optimize, special
@@ -20,6 +21,7 @@ from trustlab.models.checks import of_class, one_of
 from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy, published_studies
 from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
+from trustlab.reproduction.reconstruction.readings import Reading, readings
 from trustlab.studies.analysis.sphericity import mauchly_p_value
 
 # Adjustments of pairwise p-values for the number of comparisons.
@@ -80,7 +82,15 @@ def _chi2_interval(text: str, n: int, k: int) -> Interval:
     return quantile(high) if high < 1.0 else 0.0, quantile(low) if low > 0.0 else math.inf
 
 
-def _omnibus(study: PublishedStudy) -> list[Constraint]:
+def _f_interval(text: str, study: PublishedStudy, epsilon: float) -> Interval:
+    """Return the F whose p, at degrees of freedom corrected by an ε, rounds to the printed one."""
+    df1 = epsilon * (study.k - 1)
+    low, high = (min(max(p, 0.0), 1.0) for p in printed_interval(text))
+    least, most = special.fdtri(df1, df1 * (study.n - 1), 1.0 - np.array([high, low]))
+    return float(least), float(most)
+
+
+def _omnibus(study: PublishedStudy, reading: Reading) -> list[Constraint]:
     """Return the constraints of F and what follows from it, of epsilon and of sphericity."""
     n = study.n
     k = study.k
@@ -99,8 +109,11 @@ def _omnibus(study: PublishedStudy) -> list[Constraint]:
             )
             add("anova.eta2", "f_ratio", (low, high), text)
         elif name == "p":
-            add("anova.p", "log_anova_p", log_interval(text), text)
-        elif study.corrected:
+            if reading.rounded is None:
+                add("anova.p", "log_anova_p", log_interval(text), text)
+            else:
+                add("anova.p", "f_ratio", _f_interval(text, study, reading.rounded), text)
+        elif reading.df and reading.rounded is None:
             plain = (k - 1) if name == "df1" else (k - 1) * (n - 1)
             add(f"anova.{name}", "epsilon", (low / plain, high / plain), text)
     if study.epsilon:
@@ -110,7 +123,7 @@ def _omnibus(study: PublishedStudy) -> list[Constraint]:
         add("mauchly.chi2", "chi2", printed_interval(chi2), chi2)
     if p:
         add("mauchly.p", "chi2", _chi2_interval(p, n, k), p)
-    elif study.corrected and not chi2:
+    elif study.corrected and (reading.df or reading.p) and not chi2:
         add(
             "mauchly.violated",
             "chi2",
@@ -189,17 +202,20 @@ def _named_study(name: str) -> str:
     return f"a printed one is published_studies()[{near!r}]"
 
 
-def constraints(study: PublishedStudy, p_adjust: str = "bonferroni") -> list[Constraint]:
+def constraints(
+    study: PublishedStudy, p_adjust: str = "bonferroni", reading: Reading | None = None
+) -> list[Constraint]:
     """
     Return one constraint per printed number: means, standard deviations, F and its companions,
     sphericity, pairs.
 
     A pair without a p-value was reported as not significant, p > 0.05, unless the study's
-    `listed_only` is set; a printed epsilon without a test of sphericity implies that the test was
-    significant.
+    `listed_only` is set; a correction without a test of sphericity implies that the test was
+    significant. The reading is that of `reading_of` unless given.
     """
     of_class("study", study, PublishedStudy, _named_study(study) if isinstance(study, str) else "")
     one_of("p_adjust", p_adjust, ADJUSTMENTS)
+    reading = reading_of(study) if reading is None else reading
     rows = []
     for q, condition in enumerate(study.conditions):
         for kind, printed in (("mean", study.mean), ("sd", study.sd)):
@@ -208,7 +224,25 @@ def constraints(study: PublishedStudy, p_adjust: str = "bonferroni") -> list[Con
                 rows.append(
                     Constraint(f"{kind}.{condition}", kind, q, *printed_interval(text), text)
                 )
-    return [*rows, *_omnibus(study), *_t_test(study), *_pairwise(study, p_adjust)]
+    return [*rows, *_omnibus(study, reading), *_t_test(study), *_pairwise(study, p_adjust)]
+
+
+@lru_cache(maxsize=64)
+def reading_of(study: PublishedStudy) -> Reading:
+    """Return the reading under which least contradicts by arithmetic; of several the most usual."""
+    return min(readings(study), key=lambda reading: len(arithmetic_conflicts(study, reading)))
+
+
+def degrees(study: PublishedStudy) -> list[Constraint]:
+    """Return the printed degrees of freedom that no mean and no covariance changes."""
+    moving = {s.name for s in constraints(study)}
+    rows = []
+    for test in ("mauchly", "anova", "t_test"):
+        for name, text in getattr(study, test).items():
+            if name.startswith("df") and f"{test}.{name}" not in moving:
+                interval = printed_interval(text)
+                rows.append(Constraint(f"{test}.{name}", "degrees", 0, *interval, text))
+    return rows
 
 
 def select(listed: Iterable[Constraint], without: Iterable[str]) -> list[Constraint]:
@@ -239,7 +273,7 @@ def _largest_agreement(group: Sequence[Constraint]) -> list[Constraint]:
     return max(([s for s in group if s.low <= end <= s.high] for end in ends), key=len)
 
 
-def arithmetic_conflicts(study: PublishedStudy) -> dict[str, str]:
+def arithmetic_conflicts(study: PublishedStudy, reading: Reading | None = None) -> dict[str, str]:
     """
     Return the printed numbers that contradict others, by name with the reason.
 
@@ -247,7 +281,9 @@ def arithmetic_conflicts(study: PublishedStudy) -> dict[str, str]:
     freedom, Mauchly's p against its chi-square. Of numbers that disagree, the fewest are named; of
     two, the one that is computed from the other.
     """
-    by_name = {s.name: s for s in constraints(study)}
+    of_class("study", study, PublishedStudy)
+    reading = reading_of(study) if reading is None else reading
+    by_name = {s.name: s for s in constraints(study, reading=reading)}
     conflicts, ranges = {}, {}
     for kind, (label, names) in COMPARED.items():
         group = [by_name[name] for name in names if name in by_name]
@@ -264,26 +300,27 @@ def arithmetic_conflicts(study: PublishedStudy) -> dict[str, str]:
                     f"{believed} needs {low:.6g} to {high:.6g}"
                 )
     if "p" in study.anova and "f_ratio" in ranges:
-        p = _p_of_f(study, ranges["f_ratio"], ranges.get("epsilon"))
+        p = _p_of_f(study, ranges["f_ratio"], ranges.get("epsilon"), reading)
         conflicts |= _contradicted(
             "anova.p", study.anova["p"], p, "F and its degrees of freedom give"
         )
     if {"t", "p"} <= set(study.t_test):
         p = 2.0 * special.stdtr(study.n - 1, -np.array(size_interval(study.t_test["t"])))
         conflicts |= _contradicted("t_test.p", study.t_test["p"], p, "t gives")
-    return conflicts | _wrong_degrees(study)
+    return conflicts | _wrong_degrees(study, reading)
 
 
 def _p_of_f(
-    study: PublishedStudy, f_ratio: tuple[float, float], epsilon: tuple | None
+    study: PublishedStudy, f_ratio: Interval, epsilon: Interval | None, reading: Reading
 ) -> np.ndarray:
-    """
-    Return p at the ends of the intervals of F and, where degrees of freedom are corrected, of
-    epsilon.
-    """
-    d, least = study.k - 1, 1.0 / (study.k - 1)
-    factor = np.clip(epsilon or (least, 1.0), least, 1.0) if study.corrected else np.ones(2)
-    df = d * factor[:, None]
+    """Return p at the ends of the intervals of F and, where p is corrected, of epsilon."""
+    least = 1.0 / (study.k - 1)
+    factor = np.ones(2)
+    if reading.rounded is not None:
+        factor *= reading.rounded
+    elif reading.p:
+        factor = np.clip(epsilon or (least, 1.0), least, 1.0)
+    df = (study.k - 1) * factor[:, None]
     return special.fdtrc(df, df * (study.n - 1), np.maximum(f_ratio, 0.0))
 
 
@@ -298,14 +335,27 @@ def _contradicted(name: str, text: str, p: np.ndarray, source: str) -> dict[str,
     return {name: f"{name} = {text}, but {source} {p.min():.4g} to {p.max():.4g}"}
 
 
-def _wrong_degrees(study: PublishedStudy) -> dict[str, str]:
-    """Return degrees of freedom that follow from n and k and are printed otherwise."""
-    n = study.n
-    k = study.k
+def _wrong_degrees(study: PublishedStudy, reading: Reading) -> dict[str, str]:
+    """Return degrees of freedom that follow from n, k and the reading and are printed otherwise."""
+    n, k = study.n, study.k
+    factor = 1.0 if reading.rounded is None else reading.rounded
+    follows = {"df1": ("k − 1", k - 1), "df2": ("(k − 1)(n − 1)", (k - 1) * (n - 1))}
     conflicts = {}
-    df2, df = study.anova.get("df2"), study.t_test.get("df")
-    if df2 and not study.corrected and float(df2) != (k - 1) * (n - 1):
-        conflicts["anova.df2"] = f"anova.df2 = {df2}, but (k − 1)(n − 1) = {(k - 1) * (n - 1)}"
+    for name, (formula, plain) in follows.items():
+        text = study.anova.get(name)
+        if text is None or (reading.df and reading.rounded is None):
+            continue
+        low, high = printed_interval(text)
+        if low <= factor * plain <= high:
+            continue
+        by = "" if reading.rounded is None else f"{factor:g} "
+        conflicts[f"anova.{name}"] = (
+            f"anova.{name} = {text}, but {by}{formula} = {factor * plain:g}"
+        )
+        people = float(text) / (k - 1) + 1.0
+        if name == "df2" and factor == 1.0 and people == round(people):
+            conflicts["anova.df2"] += f" for n = {n}; it belongs to n = {people:g}"
+    df = study.t_test.get("df")
     if df and float(df) != n - 1:
         conflicts["t_test.df"] = f"t_test.df = {df}, but n − 1 = {n - 1}"
     return conflicts

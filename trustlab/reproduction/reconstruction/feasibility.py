@@ -10,20 +10,26 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import whole_number
+from trustlab.models.html import as_html
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import (
     ADJUSTMENTS,
     Constraint,
     arithmetic_conflicts,
     constraints,
+    degrees,
+    reading_of,
     select,
 )
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
+from trustlab.reproduction.reconstruction.readings import ONLY_P, fitting_epsilon
 from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
 
 # How far inside the printed intervals solutions are sought, as shares of their half-widths, one
 # after the other.
 MARGINS = (0.3, 0.1, 0.02)
+
+REQUESTED = "left out on request"
 
 # What the deletion filter leaves out first: numbers that follow from others, or that rarely matter.
 LEAST_MISSED = (
@@ -57,7 +63,8 @@ def moment_problem(
     study: PublishedStudy, rows: Sequence[Constraint], p_adjust: str
 ) -> MomentProblem:
     """Return constraints of a study as a system of inequalities."""
-    return MomentProblem(rows, study.n, study.k, p_adjust, study.corrected, study.scale)
+    corrected = reading_of(study).p
+    return MomentProblem(rows, study.n, study.k, p_adjust, corrected, study.scale)
 
 
 def decide(
@@ -106,10 +113,9 @@ class Feasibility:
         The study.
     p_adjust : str
         How the printed pairwise p-values were taken to be adjusted.
-    feasible : bool
-        Whether one data set can have them all.
     status : {"solved", "proved", "not found"}
-        A solution was found; it is proved that there is none; or none was found from many starts.
+        Of what is not left out: a solution was found; it is proved that there is none; or none was
+        found from many starts.
     conflict : tuple of str
         The smallest set found of statistics that cannot hold together. Without any one of them this
         is no longer proved (if `conflict_proved`), or a solution was found (otherwise). Empty when
@@ -130,7 +136,6 @@ class Feasibility:
 
     study: PublishedStudy
     p_adjust: str
-    feasible: bool
     status: str
     conflict: tuple[str, ...]
     conflict_proved: bool
@@ -142,23 +147,64 @@ class Feasibility:
     def __bool__(self) -> bool:
         return self.feasible
 
+    @property
+    def feasible(self) -> bool:
+        """Whether one data set can have everything that is printed; False if any is left out."""
+        return self.rest_feasible and not self.left_out
+
+    @property
+    def rest_feasible(self) -> bool:
+        """Whether one data set can have all that is not left out."""
+        return self.status == "solved"
+
+    @property
+    def reading(self) -> str:
+        """How p and the degrees of freedom of F were read: what was corrected by ε."""
+        return reading_of(self.study).words
+
+    @property
+    def epsilon(self) -> tuple[float, float] | None:
+        """Least and greatest ε with which a corrected p fits F; None where none does."""
+        return fitting_epsilon(self.study)
+
+    @property
+    def message(self) -> str:
+        """The answer in words: what contradicts what, and the reading with its ε."""
+        outcome = {"solved": "can", "proved": "cannot", "not found": "could not be found to"}
+        subject = "The rest" if self.left_out else "All that is printed"
+        parts = [f"Left out: {reason}." for reason in self._contradictions()]
+        requested = [name for name, why in self.left_out.items() if why == REQUESTED]
+        parts += [f"Left out on request: {', '.join(requested)}."] if requested else []
+        parts.append(f"{subject} {outcome[self.status]} hold together.")
+        parts += [f"In conflict: {', '.join(self.conflict)}."] if self.conflict else []
+        if {"F", "p"} <= set(self.study.anova) and self.study.k > 2:
+            parts.append(f"Read as {self.reading}.")
+            doubtful = reading_of(self.study) == ONLY_P or "anova.p" in self.left_out
+            if self.epsilon and doubtful:
+                low, high = self.epsilon
+                parts.append(f"A corrected p fits F with ε from {low:.3f} to {high:.3f}.")
+        return " ".join(parts)
+
+    def _contradictions(self) -> list[str]:
+        return [why for why in self.left_out.values() if why != REQUESTED]
+
     def table(self) -> pd.DataFrame:
         """
         Return what is printed: index statistic; columns printed, low, high (of the statistic
-        itself), in_conflict, remedy.
+        itself), in_conflict, remedy, left_out (the reason, or empty).
         """
         rows = []
-        for s in constraints(self.study, self.p_adjust):
-            if s.name in self.left_out:
-                continue
+        for s in [*constraints(self.study, self.p_adjust), *degrees(self.study)]:
             low, high = s.low, s.high
             if s.kind.startswith("log"):
                 low, high = float(np.exp(low)), float(np.exp(min(high, 0.0)))
-            rows.append(
-                (s.name, s.text, low, high, s.name in self.conflict, s.name in self.remedies)
-            )
-        columns = ["statistic", "printed", "low", "high", "in_conflict", "remedy"]
+            marks = s.name in self.conflict, s.name in self.remedies
+            rows.append((s.name, s.text, low, high, *marks, self.left_out.get(s.name, "")))
+        columns = ["statistic", "printed", "low", "high", "in_conflict", "remedy", "left_out"]
         return pd.DataFrame(rows, columns=columns).set_index("statistic")
+
+    def _repr_html_(self) -> str:
+        return as_html(self.message, self.table())
 
 
 def feasibility(
@@ -202,22 +248,22 @@ def feasibility(
     Examples
     --------
     >>> import trustlab as tl
-    >>> found = tl.feasibility(tl.published_studies()["uav.tlx"], explain=False)
-    >>> found.feasible
-    True
+    >>> answer = tl.feasibility(tl.published_studies()["uav.tlx"], explain=False)
+    >>> answer.feasible, answer.left_out
+    (True, {})
     """
     problem, left_out = prepared(study, p_adjust, without)
     rng = generator(seed)
     verdict = decide(problem, rng)
-    feasible = verdict.status == "solved"
+    solved = verdict.status == "solved"
     conflict: tuple[str, ...] = ()
     remedies: tuple[str, ...] = ()
     proved = explain and verdict.status == "proved"
-    if not feasible and explain:
+    if not solved and explain:
         conflict = _smallest_conflict(problem, proved, rng)
         remedies = tuple(name for name in conflict if _holds(_less(problem, name), rng))
     violation = float(verdict.moments.violation[0])
-    outcome = feasible, verdict.status, conflict, proved, remedies
+    outcome = verdict.status, conflict, proved, remedies
     return Feasibility(study, p_adjust, *outcome, left_out, violation, verdict)
 
 
@@ -229,12 +275,13 @@ def prepared(
     out.
     """
     printed = constraints(study, p_adjust)
+    printed += degrees(study)
     rows = select(printed, without)
-    reasons = {s.name: "left out on request" for s in printed if s not in rows}
+    reasons = {s.name: REQUESTED for s in printed if s not in rows}
     reasons |= {
         name: why for name, why in arithmetic_conflicts(study).items() if name not in reasons
     }
-    rows = [s for s in rows if s.name not in reasons]
+    rows = [s for s in rows if s.name not in reasons and s.kind != "degrees"]
     if not rows:
         raise ValueError(f"without: nothing of {study.name} is left")
     return moment_problem(study, rows, p_adjust), reasons
@@ -311,16 +358,16 @@ def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) ->
     Returns
     -------
     pandas.DataFrame
-        Index study, p_adjust; columns feasible, status (solved, proved, not found), violation (of
-        the closest candidate, in half-widths of printed intervals), left_out.
+        Index study, p_adjust; columns feasible (nothing left out), rest_feasible (of what is not
+        left out), status (solved, proved, not found), violation (of the closest candidate, in
+        half-widths of printed intervals), left_out.
     """
     rows = []
     for name, study in studies.items():
         for p_adjust in ADJUSTMENTS:
             result = feasibility(study, p_adjust, seed=seed, explain=False)
             left_out = ", ".join(result.left_out)
-            rows.append(
-                (name, p_adjust, result.feasible, result.status, result.violation, left_out)
-            )
-    columns = ["study", "p_adjust", "feasible", "status", "violation", "left_out"]
+            possible = result.feasible, result.rest_feasible
+            rows.append((name, p_adjust, *possible, result.status, result.violation, left_out))
+    columns = ["study", "p_adjust", "feasible", "rest_feasible", "status", "violation", "left_out"]
     return pd.DataFrame(rows, columns=columns).set_index(["study", "p_adjust"])

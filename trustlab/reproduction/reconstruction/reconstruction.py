@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
 from trustlab.models.html import as_html
 from trustlab.models.linear_algebra import polar_factor, products, transposed
@@ -23,6 +24,8 @@ from trustlab.reproduction.reconstruction.constraints import (
     ALPHA,
     Constraint,
     constraints,
+    degrees,
+    reading_of,
     size_interval,
 )
 from trustlab.reproduction.reconstruction.feasibility import (
@@ -96,7 +99,7 @@ class Reconstruction:
         """
         again = reanalyse(self.values, self.study, self.p_adjust)
         rows = []
-        for s in constraints(self.study, self.p_adjust):
+        for s in [*constraints(self.study, self.p_adjust), *degrees(self.study)]:
             value, reason = again[s.name], self.left_out.get(s.name, "")
             rows.append((s.name, s.text, *printed_ends(s), value, agrees(s, value), reason))
         columns = ["statistic", "printed", "low", "high", "reconstructed", "agrees", "left_out"]
@@ -239,7 +242,7 @@ def _remedied(
     reasons: dict[str, str] = {}
     for _ in range(4):
         result = feasibility(study, p_adjust, names, seed)
-        if result.feasible:
+        if result.rest_feasible:
             problem, left_out = prepared(study, p_adjust, names)
             return problem, result.verdict, left_out | reasons
         name = next(iter((*reversed(result.remedies), *reversed(result.conflict))), None)
@@ -274,18 +277,25 @@ def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[
     Return the statistics of data, shape (n, k), under the names of a study's constraints, in the
     units in which they are printed.
 
-    The study names the conditions and says whether degrees of freedom are corrected; Mauchly's p
-    has the second-order term.
+    The study names the conditions; whether degrees of freedom and p are corrected says its reading.
+    Mauchly's p has the second-order term.
     """
     names = study.conditions
     result = repeated_measures_batch(values[None])
     omnibus, pairs = result.study(0), result.pairwise
-    factor, p = (omnibus["epsilon_gg"], omnibus["p_gg"]) if study.corrected else (1.0, omnibus["p"])
+    reading = reading_of(study)
+    factor = omnibus["epsilon_gg"] if reading.df else 1.0
+    p = omnibus["p_gg"] if reading.p else omnibus["p"]
+    if reading.rounded is not None:
+        factor = reading.rounded
+        df1 = factor * omnibus["df1"]
+        p = special.fdtrc(df1, df1 * (len(values) - 1), omnibus["F"])
     analysed = {f"mean.{c}": x for c, x in zip(names, result.mean[0], strict=True)}
     analysed |= {f"sd.{c}": x for c, x in zip(names, result.sd[0], strict=True)}
     analysed |= {"anova.F": omnibus["F"], "anova.p": p, "anova.eta2": omnibus["eta2_partial"]}
     analysed |= {"anova.df1": factor * omnibus["df1"], "anova.df2": factor * omnibus["df2"]}
     analysed |= {"epsilon": omnibus["epsilon_gg"], "mauchly.chi2": omnibus["mauchly_chi2"]}
+    analysed |= {"mauchly.df": study.k * (study.k - 1) // 2 - 1}
     analysed |= {"mauchly.p": omnibus["mauchly_p"], "mauchly.violated": omnibus["mauchly_p"]}
     analysed |= {"t_test.t": pairs.t[0, 0], "t_test.p": pairs.p[0, 0], "t_test.df": pairs.df}
     for a, b, value in zip(pairs.a, pairs.b, adjusted(pairs.p[0], p_adjust), strict=True):
