@@ -225,7 +225,7 @@ def losses(folder: Path) -> Iterator[dict[str, Any]]:
         page = driving(browser.new_context(), served.links["P03"])
         served.kill()
         with (folder / "P03" / "01-training.0.jsonl").open("a") as file:
-            file.write("[31, 3141.5, 0.1")
+            file.write('["0123456789abcdef", [31, 3141.5, 0.1')
         time.sleep(15.0)
         made = page.evaluate("self.study.rows")
         served.start()
@@ -296,7 +296,8 @@ def load(folder: Path, people: int = PEOPLE, seconds: float = SECONDS) -> dict[s
         await asyncio.sleep(after)
         made, due = 0, time.perf_counter()
         while made < 10 * seconds:
-            rows = [[k, 100.0 * k, *[0.123456789012345] * COLUMNS] for k in range(made, made + 5)]
+            values = [1, -1, *[0.123456789012345] * (COLUMNS - 2)]
+            rows = [[k, 100.0 * k, *values] for k in range(made, made + 5)]
             began = time.perf_counter()
             answer = await send(
                 client, f"{url}/rows", {"page": 1, "attempt": 0, "tab": "a", "rows": rows}
@@ -364,7 +365,7 @@ def browsers(folder: Path, people: int = DRIVERS, seconds: float = DRIVE) -> dic
         browser.close()
     periods, lost = [], 0
     for path in folder.glob("*/01-training.0.jsonl"):
-        table = np.array([json.loads(line) for line in path.read_text().splitlines()[1:]])
+        table = np.array([json.loads(line)[1] for line in path.read_text().splitlines()[1:]])
         periods += (np.diff(table[:, 1]) / 1e3).tolist()
         lost += round(10 * seconds) - len(table)
     return {"periods": periods, "fps": fps, "memory_mb": memory, "lost": lost}
