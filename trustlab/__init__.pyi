@@ -27,6 +27,7 @@ from .allocation import (
     incentive_bounds as incentive_bounds,
     invariant_bounds as invariant_bounds,
     limit_cycle as limit_cycle,
+    optimal_allocation as optimal_allocation,
     relative_performance as relative_performance,
     run_correction as run_correction,
     simulate_allocation as simulate_allocation,

@@ -26,6 +26,10 @@ from .cycle.invariant_bounds import (
     invariant_bounds as invariant_bounds,
 )
 from .cycle.limit_cycle import LimitCycle as LimitCycle, limit_cycle as limit_cycle
+from .decision.optimum import (
+    OptimalAllocation as OptimalAllocation,
+    optimal_allocation as optimal_allocation,
+)
 from .decision.posterior_choice import PosteriorChoice as PosteriorChoice
 from .limits import (
     StepBounds as StepBounds,

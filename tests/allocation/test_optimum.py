@@ -1,0 +1,155 @@
+"""
+The best of all switching rules.
+
+Oracles: relative value iteration on utilization and robot performance; rules at random, simulated;
+every pattern by simulation; quadrature.
+"""
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+import trustlab as tl
+from trustlab.allocation.decision.optimum import certificate, integral_of_performance
+
+NAMES = ("pilot", "1", "2", "3", "4", "5")
+
+
+def earned(tsc, run, weight):
+    """Points of a run, by (2.39)."""
+    of_robot = tl.relative_performance(run["p_r"], tsc.robot.p_min, tsc.robot.p_max)
+    of_human = tl.relative_performance(run["p_h"], tsc.human.p_min, tsc.human.p_max)
+    return weight * of_robot + (1.0 - weight) * of_human
+
+
+def value_iteration(tsc, weight, step=20, sizes=(161, 41), sweeps=1500):
+    """The gain of r and P_r on a grid, linear between, decisions every two seconds."""
+    human, robot = tsc.human, tsc.robot
+    r = np.linspace(0.0, 1.0, sizes[0])
+    p = np.linspace(robot.p_min, robot.p_max, sizes[1])
+    a_r, a_p = human.a**step, robot.a**step
+    p_h = human.performance(r)
+    reward = weight * (p - robot.p_min) / (robot.p_max - robot.p_min)
+    share = (p_h - human.p_min) / (human.p_max - human.p_min)
+    reward = 100.0 * (reward[None, :] + (1.0 - weight) * share[:, None])
+    values = np.zeros(sizes)
+    moves = []
+    for mode in (0.0, 1.0):
+        to_r = (a_r * r + (1.0 - a_r) * mode) * (sizes[0] - 1)
+        i = np.minimum(to_r.astype(int), sizes[0] - 2)
+        # Over the step P_h is that of the utilization halfway.
+        middle = human.performance(human.a ** (step / 2) * r + (1 - human.a ** (step / 2)) * mode)
+        goal = robot.p_min + mode * robot.b / (1.0 - robot.a) * middle
+        to_p = a_p * p[None, :] + (1.0 - a_p) * goal[:, None]
+        to_p = (to_p - robot.p_min) / (robot.p_max - robot.p_min) * (sizes[1] - 1)
+        j = np.clip(to_p.astype(int), 0, sizes[1] - 2)
+        moves.append((i[:, None], (to_r - i)[:, None], j, to_p - j))
+    low = high = 0.0
+    for _ in range(sweeps):
+        after = []
+        for i, u, j, v in moves:
+            below = (1 - v) * values[i, j] + v * values[i, j + 1]
+            above = (1 - v) * values[i + 1, j] + v * values[i + 1, j + 1]
+            after.append((1 - u) * below + u * above)
+        new = reward + np.maximum(*after)
+        low, high = (new - values).min(), (new - values).max()
+        values = new - new[0, 0]
+        if high - low < 0.02:
+            break
+    return low, high
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_printed_models_are_certified(operators, name):
+    tsc = operators[name]
+    for weight in (0.5, 1.0):
+        best = tl.optimal_allocation(tsc, weight=weight, min_dwell=0.0)
+        assert 0.0 <= best.gap < 0.1
+        # The bound is the greatest f(r), but for terms of second order in a step.
+        r = np.linspace(0.0, 1.0, 4001)
+        p_h = tsc.human.performance(r)
+        gain = tsc.robot.b / (1.0 - tsc.robot.a) / (tsc.robot.p_max - tsc.robot.p_min)
+        human = (p_h - tsc.human.p_min) / (tsc.human.p_max - tsc.human.p_min)
+        f = 100.0 * (weight * gain * r * p_h + (1.0 - weight) * human)
+        assert best.upper_bound == pytest.approx(f.max(), abs=0.06)
+        assert best.r_star == pytest.approx(r[f.argmax()], abs=0.01)
+
+
+@pytest.mark.parametrize(("name", "weight"), [("2", 0.5), ("4", 1.0)])
+def test_value_iteration_agrees(operators, name, weight):
+    low, high = value_iteration(operators[name], weight)
+    best = tl.optimal_allocation(operators[name], weight=weight, min_dwell=0.0)
+    assert high - low < 0.3
+    assert best.value == pytest.approx(0.5 * (low + high), abs=0.3)
+
+
+def test_no_rule_exceeds_the_bound(operators):
+    rng = np.random.default_rng(3)
+    tsc = operators["2"]
+    bounds = {weight: certificate(tsc, weight, 1.0)[0] for weight in (0.0, 0.5, 1.0)}
+    for _ in range(12):
+        lengths = rng.integers(1, 3000, 400)
+        share = rng.random()
+        lengths[1::2] = np.maximum(1, lengths[1::2] * share).astype(int)
+        mode = np.resize(np.repeat(np.resize([1.0, 0.0], lengths.size), lengths), 120_000)
+        run = tsc.simulate(mode, 0.5).iloc[20_000:]
+        for weight, bound in bounds.items():
+            assert earned(tsc, run, weight) < bound
+    # Negative control: what holding r* earns is above a bound that is a point lower.
+    run = tsc.simulate(np.resize(np.repeat([1.0, 0.0], [35, 4]), 120_000), 0.9).iloc[20_000:]
+    assert earned(tsc, run, 0.5) > bounds[0.5] - 1.0
+
+
+def test_a_pattern_is_what_simulation_says_and_none_is_better(operators):
+    tsc = operators["4"]
+    best = tl.optimal_allocation(tsc, weight=0.5, min_dwell=15.0)
+    manual, autonomous = best.pattern
+    assert min(best.pattern) >= 150
+    mode = np.resize(np.repeat([1.0, 0.0], [manual, autonomous]), 40 * (manual + autonomous))
+    run = tsc.simulate(mode, best.r_low).iloc[-10 * (manual + autonomous) :]
+    assert earned(tsc, run, 0.5) == pytest.approx(best.value, abs=1e-3)
+    assert run["r"].mean() == pytest.approx(best.mean_r, abs=1e-4)
+    assert run["p_r"].mean() == pytest.approx(best.mean_p_r, abs=1e-5)
+    assert run["r"].max() == pytest.approx(best.r_high, abs=1e-3)
+    for first, second in ((150, 150), (manual + 60, autonomous), (manual, autonomous + 10)):
+        mode = np.resize(np.repeat([1.0, 0.0], [first, second]), 60_000)
+        assert earned(tsc, tsc.simulate(mode, 0.8).iloc[-20_000:], 0.5) < best.value + 0.05
+    lower, upper = best.thresholds
+    cycle = tl.limit_cycle(tsc, lower, upper, starts=1)
+    assert min(cycle.dwell_manual[0], cycle.dwell_autonomous[0]) >= 149
+    assert best.threshold_value <= best.upper_bound
+    run = tl.simulate_allocation(tsc, lower, upper, 90_000, r0=0.8).iloc[40_000:]
+    assert earned(tsc, run, 0.5) == pytest.approx(best.threshold_value, abs=0.3)
+
+
+def test_less_work_is_allowed_and_costs(operators):
+    free = tl.optimal_allocation(operators["2"])
+    spared = tl.optimal_allocation(operators["2"], max_mean_r=0.6)
+    assert spared.mean_r <= 0.6 < free.mean_r
+    assert spared.value < free.value
+    assert 0.0 <= spared.gap < 1.0
+    assert spared.upper_bound < free.upper_bound
+    assert list(free.table()["value"])[:2] == [free.value, free.upper_bound]
+
+
+def test_the_integral_is_that_of_performance(operators):
+    tsc = operators["3"]
+    for r in (0.1, 0.5, 0.97):
+        expected = integrate.quad(tsc.human.performance, 0.0, r)[0]
+        assert integral_of_performance(tsc, np.array([r])).item() == pytest.approx(
+            expected, abs=1e-9
+        )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"weight": 1.2}, "weight"),
+        ({"min_dwell": -1.0}, "min_dwell"),
+        ({"max_mean_r": 1.0}, "max_mean_r"),
+        ({"max_mean_r": 0.001}, "greater max_mean_r"),
+    ],
+)
+def test_what_is_not_understood_is_refused(operators, arguments, words):
+    with pytest.raises(ValueError, match=words):
+        tl.optimal_allocation(operators["2"], **arguments)

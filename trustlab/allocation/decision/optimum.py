@@ -1,0 +1,333 @@
+"""
+The best of all rules that switch control, with a certificate.
+
+In the long run mean P_r = P_min + b/(1 − a) · mean(M P_h), by (2.3), so that P_r drops out; and by
+(2.5) M = r + (r(k + 1) − r)/(1 − a_r), so that mean(M P_h) is the mean of r P_h(r) and of a sum
+that all but telescopes. What a rule earns is therefore the mean of a function f of utilization
+alone. No rule exceeds the greatest f; holding r there, by a threshold on utilization, attains it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import optimize, special
+
+from trustlab.allocation.decision.steady import Motions, grid_of_pairs, points, steady, survey
+from trustlab.allocation.limits import threshold_limits
+from trustlab.models.checks import between, not_negative, of_class, open_unit, positive
+from trustlab.models.compiled import njit
+from trustlab.models.html import as_html
+from trustlab.models.tsc import TscModel, human_at
+
+# Utilizations at which the certificate is evaluated.
+GRID = 20_001
+
+# The longest phase of a pattern, in time constants of utilization and in least dwell times.
+LONGEST = 4.0
+MOST_DWELLS = 40
+
+# Pairs of thresholds on TSC, the best of a coarse survey, that are followed sample by sample.
+FOLLOWED = 25
+
+
+@dataclass(frozen=True, eq=False)
+class OptimalAllocation:
+    """
+    The best pattern of switching, and how far any rule could exceed it.
+
+    Parameters
+    ----------
+    value : float
+        What the pattern earns, in points of (2.39).
+    upper_bound : float
+        What no rule exceeds, with any dwell times.
+    r_star : float
+        Utilization at which the bound is attained without dwell times.
+    pattern : tuple of int
+        Samples of manual and of autonomous control, in turn.
+    r_low, r_high : float
+        Utilization at the beginning and at the end of manual phases: thresholds on utilization that
+        make the pattern.
+    mean_r, mean_p_r : float
+        Mean utilization and robot performance.
+    thresholds : tuple of float or None
+        The best thresholds on TSC, (2.8), that keep the dwell time and the limit of mean r; None
+        where no pair does.
+    threshold_value : float
+        What they earn; NaN where there are none.
+    weight : float
+        Weight of robot performance.
+    """
+
+    value: float
+    upper_bound: float
+    r_star: float
+    pattern: tuple[int, int]
+    r_low: float
+    r_high: float
+    mean_r: float
+    mean_p_r: float
+    thresholds: tuple[float, float] | None
+    threshold_value: float
+    weight: float
+
+    @property
+    def gap(self) -> float:
+        """How far any rule could exceed the pattern, in points."""
+        return self.upper_bound - self.value
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the results as a table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `quantity`; column value.
+        """
+        rows = {
+            "value": self.value,
+            "upper bound": self.upper_bound,
+            "gap": self.gap,
+            "r*": self.r_star,
+            "mean r": self.mean_r,
+            "mean P_r": self.mean_p_r,
+            "value of thresholds on TSC": self.threshold_value,
+        }
+        table = pd.DataFrame.from_dict(rows, orient="index", columns=["value"])
+        return table.rename_axis("quantity")
+
+    def __repr__(self) -> str:
+        return (
+            f"OptimalAllocation(value={self.value:.2f}, upper_bound={self.upper_bound:.2f}, "
+            f"r_star={self.r_star:.3f}, pattern={self.pattern})"
+        )
+
+    def _repr_html_(self) -> str:
+        manual, autonomous = self.pattern
+        words = f"{manual} samples manual and {autonomous} autonomous in turn"
+        return as_html(words, self.table(), title="Optimal allocation")
+
+
+def optimal_allocation(
+    tsc: TscModel,
+    weight: float = 0.5,
+    min_dwell: float = 15.0,
+    max_mean_r: float | None = None,
+    sample_time: float = 0.1,
+) -> OptimalAllocation:
+    """
+    Find the best of all switching rules, and a bound that certifies it.
+
+    What is to be great is weight · robot performance + (1 − weight) · human performance, both mean
+    in the long run and in per cent of their ranges (2.39).
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    weight : float
+        Weight of robot performance, in [0, 1].
+    min_dwell : float
+        Least time in either mode [s]; 0 for none.
+    max_mean_r : float, optional
+        Greatest mean utilization, in (0, 1); any when not given.
+    sample_time : float
+        Step of the model [s].
+
+    Returns
+    -------
+    OptimalAllocation
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or no pattern keeps `max_mean_r`.
+
+    Notes
+    -----
+    The bound is the greatest drift-corrected gain over 20,001 utilizations and both modes, and
+    holds for every rule, random or with memory. The gap is what dwell times cost, at most; without
+    any it is next to nothing.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> best = tl.optimal_allocation(tl.published_models()["2"], weight=1.0, min_dwell=0.0)
+    >>> round(best.upper_bound, 1), best.gap < 0.1
+    (95.7, True)
+    """
+    of_class("tsc", tsc, TscModel)
+    weight = between("weight", weight, 0.0, 1.0)
+    least = max(
+        1, round(not_negative("min_dwell", min_dwell) / positive("sample_time", sample_time))
+    )
+    limit = 1.0 if max_mean_r is None else open_unit("max_mean_r", max_mean_r)
+    upper_bound, r_star = certificate(tsc, weight, limit)
+    pattern = _best_pattern(tsc, weight, least, limit)
+    manual, autonomous = pattern
+    value, mean_r, mean_p_r, low = _earned(tsc, weight, manual, autonomous)
+    thresholds, threshold_value = _best_thresholds(tsc, weight, least, limit)
+    return OptimalAllocation(
+        value=value,
+        upper_bound=upper_bound,
+        r_star=r_star,
+        pattern=pattern,
+        r_low=low,
+        r_high=1.0 - (1.0 - low) * tsc.human.a**manual,
+        mean_r=mean_r,
+        mean_p_r=mean_p_r,
+        thresholds=thresholds,
+        threshold_value=threshold_value,
+        weight=weight,
+    )
+
+
+# --- the certificate ------------------------------------------------------------------------------
+
+
+def _scales(tsc: TscModel, weight: float) -> tuple[float, float]:
+    """Return points per unit of mean(M P_h), and per unit of mean P_h above its least."""
+    robot, human = tsc.robot, tsc.human
+    of_robot = 100.0 * weight * robot.b / ((1.0 - robot.a) * (robot.p_max - robot.p_min))
+    return of_robot, 100.0 * (1.0 - weight) / (human.p_max - human.p_min)
+
+
+def integral_of_performance(tsc: TscModel, r: np.ndarray) -> np.ndarray:
+    """Return the integral of P_h, (2.6), from 0 to r: an incomplete beta function."""
+    human = tsc.human
+    beta = human.beta
+    top = beta**beta * (1.0 - beta) ** (1.0 - beta)
+    area = special.beta(beta + 1.0, 2.0 - beta) * special.betainc(beta + 1.0, 2.0 - beta, r) / top
+    return human.p_min * r + (human.p_max - human.p_min) * area
+
+
+def certificate(tsc: TscModel, weight: float, limit: float) -> tuple[float, float]:
+    """
+    Return what no rule exceeds, and the utilization where that is attained.
+
+    For any function φ of r no rule earns more than the greatest g(r, M) + φ(r') − φ(r), r' being
+    the next utilization: summed over time φ cancels. With φ = −κ ∫P_h dr what is left is f(r), and
+    second-order terms. A limit of mean r enters with a price, which only loosens the bound.
+    """
+    of_robot, of_human = _scales(tsc, weight)
+    ends = np.geomspace(1e-9, 1e-3, 200)
+    r = np.unique(np.r_[0.0, ends, np.linspace(0.0, 1.0, GRID), 1.0 - ends, 1.0])
+    p_h = tsc.human.performance(r)
+    area = integral_of_performance(tsc, r)
+    kappa = of_robot / (1.0 - tsc.human.a)
+    gains = []
+    for mode in (0.0, 1.0):
+        after = tsc.human.a * r + (1.0 - tsc.human.a) * mode
+        change = integral_of_performance(tsc, after) - area
+        gains.append(of_robot * mode * p_h - kappa * change)
+    best = np.maximum(*gains) + of_human * (p_h - tsc.human.p_min)
+
+    def bound(price: float) -> float:
+        return float((best - price * (r - limit)).max())
+
+    price = 0.0
+    if r[int(np.argmax(best))] > limit:
+        price = float(optimize.minimize_scalar(bound, bounds=(0.0, 1e4), method="bounded").x)
+    return bound(price), float(r[int(np.argmax(best - price * (r - limit)))])
+
+
+# --- patterns -------------------------------------------------------------------------------------
+
+
+@njit
+def earn(c, manual, autonomous, of_robot, of_human):
+    """Return points, mean r and mean(M P_h) of a pattern in steady state, and r as it begins."""
+    whole = c.a_r ** (manual + autonomous)
+    begin = (1.0 - c.a_r**manual) * c.a_r**autonomous / (1.0 - whole)
+    r = begin
+    sum_r = 0.0
+    driven = 0.0
+    sum_p_h = 0.0
+    for k in range(manual + autonomous):
+        mode = 1.0 if k < manual else 0.0
+        p_h = human_at(r, c)
+        sum_r += r
+        driven += mode * p_h
+        sum_p_h += p_h
+        r = c.a_r * r + (1.0 - c.a_r) * mode
+    samples = manual + autonomous
+    value = (of_robot * driven + of_human * (sum_p_h - samples * c.p_h_min)) / samples
+    return value, sum_r / samples, driven / samples, begin
+
+
+@njit
+def best_of(c, manuals, autonomous, of_robot, of_human, limit):
+    """Return the best of two lists of dwell times that keeps a limit of mean r; (0, 0) for none."""
+    best = -np.inf
+    chosen = (0, 0)
+    for first in manuals:
+        for second in autonomous:
+            value, mean_r, _, _ = earn(c, first, second, of_robot, of_human)
+            if value > best and mean_r <= limit:
+                best = value
+                chosen = (first, second)
+    return chosen
+
+
+def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tuple[int, int]:
+    """Return samples of manual and autonomous control: first coarsely, then to the sample."""
+    c = tsc.constants()
+    scales = _scales(tsc, weight)
+    longest = max(MOST_DWELLS * least, LONGEST / (1.0 - tsc.human.a)) if least > 1 else 1000
+    coarse = np.unique(np.round(np.geomspace(least, longest, 36)).astype(int))
+    manual, autonomous = best_of(c, coarse, coarse, *scales, limit)
+    if manual == 0:
+        raise ValueError(
+            f"no pattern with phases of at least {least} samples keeps mean r at most {limit:g}; "
+            "allow a greater max_mean_r or shorter phases"
+        )
+    # The longer phase sets the ratio, to the sample; the shorter one stays near its least.
+    step = max(1, int(0.07 * max(manual, autonomous)))
+    near = [np.arange(max(least, n - step), n + step + 1) for n in (manual, autonomous)]
+    fine = [values[:: max(1, values.size // 80)] for values in near]
+    manual, autonomous = best_of(c, *fine, *scales, limit)
+    near = [np.arange(max(least, n - 2), n + 3) for n in (manual, autonomous)]
+    manual, autonomous = best_of(c, *near, *scales, limit)
+    return int(manual), int(autonomous)
+
+
+def _earned(
+    tsc: TscModel, weight: float, manual: int, autonomous: int
+) -> tuple[float, float, float, float]:
+    """Return points, mean r, mean P_r and the least r of a pattern."""
+    scales = _scales(tsc, weight)
+    value, mean_r, driven, begin = earn(tsc.constants(), manual, autonomous, *scales)
+    mean_p_r = tsc.robot.p_min + tsc.robot.b / (1.0 - tsc.robot.a) * driven
+    return float(value), float(mean_r), float(mean_p_r), float(begin)
+
+
+def _best_thresholds(
+    tsc: TscModel, weight: float, least: int, limit: float
+) -> tuple[tuple[float, float] | None, float]:
+    """Return the best pair of thresholds on TSC that keeps dwell time and mean r."""
+    limits = threshold_limits(tsc, 0.0)
+    low = min(limits.lower, limits.upper)
+    high = max(limits.lower, limits.upper)
+    span = max(high - low, 1e-6)
+    pairs = grid_of_pairs(low + 0.01 * span, high - 0.01 * span, 40)
+    motions = survey([tsc], pairs)
+    able = _able(motions, least, limit)
+    values = np.where(able, points(motions, [tsc], weight)[0], -np.inf)
+    best: tuple[tuple[float, float] | None, float] = (None, float("nan"))
+    for k in np.argsort(-values, kind="stable")[:FOLLOWED]:
+        exact = steady(tsc.constants(), *pairs[k])
+        if not able[k] or exact.dwell < least or not exact.mean_r <= limit:
+            continue
+        column = Motions(*(np.array([[value]]) for value in exact))
+        value = float(points(column, [tsc], weight).item())
+        if best[0] is None or value > best[1]:
+            best = ((float(pairs[k, 0]), float(pairs[k, 1])), value)
+    return best
+
+
+def _able(motions: Motions, least: int, limit: float) -> np.ndarray:
+    """Return which pairs keep switching, about the least dwell time, and the limit of mean r."""
+    long = motions.dwell[0] >= 0.9 * least
+    return motions.switches[0] & long & (motions.mean_r[0] <= limit)
