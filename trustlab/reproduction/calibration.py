@@ -29,6 +29,7 @@ from trustlab.campaign.run import run_campaign, where_to_run
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between, in_order, one_of, whole_number
 from trustlab.models.digest import source_digest as digest_of
+from trustlab.models.files import write_atomically
 from trustlab.models.html import as_html
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.reproduction import effects_simulated
@@ -476,12 +477,12 @@ def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> No
         "study": calibration.study,
         "priors": calibration.priors,
         "settings": calibration.settings,
+        "origin": "simulated operators",
+        "source_digest": source_digest(),
     }
-    about |= {"origin": "simulated operators", "source_digest": source_digest()}
-    (place / f"{calibration.study}.json").write_text(
-        json.dumps(about, indent=1) + "\n", encoding="utf-8"
-    )
-    calibration.simulations.to_csv(place / f"{calibration.study}.csv", index=False)
+    path = place / calibration.study
+    write_atomically(f"{path}.json", json.dumps(about, indent=1) + "\n")
+    write_atomically(f"{path}.csv", calibration.simulations.to_csv(index=False))
 
 
 def read_calibration(study: str, folder: str | os.PathLike) -> Calibration:

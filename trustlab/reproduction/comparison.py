@@ -1,7 +1,4 @@
-"""
-Computed numbers beside printed ones: matching digits, ranges within rounding, and the least change
-that explains.
-"""
+"""Computed numbers beside printed ones: digits, ranges, and the least change that explains."""
 
 import contextlib
 from collections.abc import Callable, Mapping
@@ -160,8 +157,7 @@ def recompute(
     seed: int = 0,
 ) -> pd.DataFrame:
     """
-    Recompute printed outputs from printed inputs, and their ranges when every input varies within
-    its rounding.
+    Recompute printed outputs from printed inputs, and their ranges within rounding.
 
     Parameters
     ----------

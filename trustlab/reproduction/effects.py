@@ -1,10 +1,6 @@
-"""
-Every effect that the dissertation prints or claims of people and robots, and what the printed
-models alone predict.
-"""
+"""Effects that the dissertation prints or claims, and what the printed models alone predict."""
 
 import math
-import tomllib
 from collections.abc import Iterator
 from decimal import Decimal
 from functools import cache
@@ -16,17 +12,14 @@ import pandas as pd
 from trustlab.allocation.rules import PerformanceRule
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.reproduction.printed_number import printed_decimal, printed_interval
-from trustlab.reproduction.published import published_folder, published_models, published_table
+from trustlab.reproduction.published import published_facts, published_models, published_table
 from trustlab.reproduction.published_study import published_studies
 
 COLUMNS = ["id", "where", "measure", "contrast", "printed", "low", "high", "p"]
 
 
 class Effect(NamedTuple):
-    """
-    One effect: a difference of two conditions' means in one study, printed in the unit of the
-    measure.
-    """
+    """One effect: a difference of two conditions' means, in the unit of the measure."""
 
     id: str
     where: str
@@ -48,7 +41,7 @@ class Effect(NamedTuple):
 @cache
 def effects() -> tuple[Effect, ...]:
     """Return all effects that data/published/effects.toml lists."""
-    listed = tomllib.loads((published_folder() / "effects.toml").read_text(encoding="utf-8"))
+    listed = published_facts("effects")
     return (
         *_of_tables(listed["tables"]),
         *_of_studies(listed["studies"]),
@@ -57,10 +50,7 @@ def effects() -> tuple[Effect, ...]:
 
 
 def _difference(after: str, before: str) -> tuple[float, float, float]:
-    """
-    Return the difference of two printed numbers, and the least and greatest that rounding leaves
-    room for.
-    """
+    """Return the difference of two printed numbers, and its ends within their rounding."""
     (low, high), (lowest, highest) = printed_interval(after), printed_interval(before)
     exact: Decimal = printed_decimal(after) - printed_decimal(before)
     return float(exact), low - highest, high - lowest
@@ -150,8 +140,7 @@ STEPS = 200_000
 
 def model_effects() -> pd.DataFrame:
     """
-    Return what the printed models alone predict of every effect: steady motions under (2.8) and
-    Algorithm 2.
+    Return what the printed models predict of every effect, by (2.8) and Algorithm 2.
 
     For the five participants of Section 2.4.1, (2.1)-(2.6) with the numbers of Table 2.1 are run
     under the thresholds captured in C1 (Table 2.3), under those suggested in C3 (Table 2.2), and

@@ -1,7 +1,4 @@
-"""
-Every printed effect in simulated people, under named assumptions about them; and all three kinds in
-one figure.
-"""
+"""Every printed effect in simulated people, under named assumptions about them."""
 
 import math
 import warnings
@@ -124,10 +121,7 @@ def simulated_effects(
 
 
 def effects_of(study: str | None) -> list[Effect]:
-    """
-    Return the effects of a study, of all that were printed of the people on the ground robot, or
-    all.
-    """
+    """Return the effects of a study, of all studies on the ground robot, or all."""
     if study is None:
         return list(effects())
     one_of("only", study, [*dict.fromkeys([*ALLOCATION.values(), *ALLOCATION, *TELEOPERATION])])
@@ -137,10 +131,7 @@ def effects_of(study: str | None) -> list[Effect]:
 def _measured(
     place: str, assumed: dict[str, float], n: int, seed: int, n_jobs: int | None
 ) -> pd.DataFrame:
-    """
-    Return the measures of a study: participant (the operator's number), condition and a column per
-    measure.
-    """
+    """Return a study's measures by participant (the operator's number) and condition."""
     if place in TELEOPERATION:
         return _teleoperated(place, n, seed, n_jobs)
     n = len(CONDITIONS) * math.ceil(n / len(CONDITIONS))
@@ -209,10 +200,7 @@ def teleoperate(
 def _compared(
     effect: Effect, measures: pd.DataFrame
 ) -> tuple[float, float, int, float, object, str]:
-    """
-    Return the mean difference, its standard error, over how many, p, whether it agrees, and why
-    there is none.
-    """
+    """Return mean difference, standard error, count, p, agreement, and why there is none."""
     if effect.measure not in measures:
         return math.nan, math.nan, 0, math.nan, pd.NA, SILENT
     names = {"index": "participant", "columns": "condition", "values": effect.measure}
@@ -237,8 +225,7 @@ def _compared(
 
 def plot_effects(study: str, simulated: Mapping[str, pd.DataFrame]) -> np.ndarray:
     """
-    Plot the effects of a study, a panel per measure: as printed, as the models predict, and as
-    simulated.
+    Plot a study's effects, a panel per measure: printed, predicted and simulated.
 
     Parameters
     ----------

@@ -1,7 +1,4 @@
-"""
-Mean robot performance against mean utilization times human performance, to which (2.3) and (2.5)
-tie it.
-"""
+"""Mean P_r against mean utilization times human performance: (2.3) and (2.5) tie them."""
 
 from dataclasses import dataclass
 
@@ -21,8 +18,7 @@ UAV = {"p_r": "uav.robot_performance", "p_h": "uav.human_performance", "r": "uav
 @dataclass(frozen=True, eq=False)
 class PerformanceLine:
     """
-    The line P_r = intercept + slope · r P_h through the means of C2 to C5, and how far from it C1
-    lies.
+    The line P_r = intercept + slope · r P_h through C2 to C5, and how far off C1 lies.
 
     In the steady cycle of (2.3) and (2.5) mean P_r = P_r,min + (P_r,max − P_r,min)/P_h,max · mean
     of M P_h with mean M = mean r, so that no pair of thresholds can raise mean P_r at equal r P_h.

@@ -2,18 +2,17 @@
 
 import math
 import re
-import tomllib
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, ROUND_HALF_UP, Decimal, InvalidOperation
 
 from trustlab.models.checks import shown
-from trustlab.models.published import published_folder
+from trustlab.reproduction.published import published_facts
 
 # Both conventions for a 5 that is rounded off; which one a printed number followed is not known.
 ROUNDINGS = (ROUND_HALF_EVEN, ROUND_HALF_UP)
 
 # Printed words that stand for a number or a rank.
-WORDS = tomllib.loads((published_folder() / "words.toml").read_text(encoding="utf-8"))
+WORDS = published_facts("words")
 
 
 def _parsed(text: str, name: str) -> tuple[str, Decimal]:
@@ -116,8 +115,9 @@ class PrintedNumber:
     @property
     def half(self) -> float:
         """
-        Half a unit of the last printed digit; 0 for counts and words that stand for a number, NaN
-        for other words.
+        Half a unit of the last printed digit; 0 for counts.
+
+        Words that stand for a number have 0, other words NaN.
         """
         value = self._decimal()
         if self.exact or self.is_word:

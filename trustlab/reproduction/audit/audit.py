@@ -1,13 +1,8 @@
-"""
-All checks together: one table with a row per printed number, in the order in which they are
-printed.
-"""
+"""All checks together: one table with a row per printed number, in their order."""
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import astuple, fields, replace
-from functools import cache
 
 import pandas as pd
 
@@ -20,7 +15,7 @@ from trustlab.reproduction.audit.sample_moments import sample_checks
 from trustlab.reproduction.audit.statements import claim_checks, statement_checks
 from trustlab.reproduction.audit.statistics import study_checks
 from trustlab.reproduction.audit.verdict import VERDICTS, Remark, Row, rows_of
-from trustlab.reproduction.published import published_folder
+from trustlab.reproduction.published import published_facts
 
 MAKERS = (
     relation_checks,
@@ -35,8 +30,7 @@ MAKERS = (
 
 def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     """
-    Recompute every printed number that depends on other printed numbers, and say whether it follows
-    from them.
+    Recompute every printed number that follows from others, and judge whether it does.
 
     Every input varies within half a unit of its last printed digit; the range of the result decides
     the verdict.
@@ -111,12 +105,6 @@ def _ancestors(id: str) -> list[str]:
 COLOURS = dict(zip(VERDICTS, ("C2", "C5", "C1", "#bbbbbb"), strict=True))
 
 
-@cache
-def parts() -> dict[str, list[str]]:
-    """Return the parts of the dissertation, and how the places of their numbers begin."""
-    return tomllib.loads((published_folder() / "parts.toml").read_text(encoding="utf-8"))
-
-
 def part_of(where: str) -> str:
     """
     Return the part of the dissertation that a printed number belongs to.
@@ -131,7 +119,7 @@ def part_of(where: str) -> str:
     ValueError
         If the place is in no part.
     """
-    for part, starts in parts().items():
+    for part, starts in published_facts("parts").items():
         if where.startswith(tuple(starts)):
             return part
     raise ValueError(f"no part of the dissertation for {shown(where)}")
@@ -200,8 +188,7 @@ def plot_ranges(rows: pd.DataFrame, ax=None):
 
 def plot_slips(rows: pd.DataFrame, ax=None):
     """
-    Draw how far printed numbers lie outside their ranges within rounding, in half-widths of the
-    range.
+    Draw how far printed numbers lie outside their ranges, in half-widths of the range.
 
     Parameters
     ----------

@@ -75,8 +75,7 @@ def _studies() -> Iterator[PrintedNumber]:
 
 def claims() -> Iterator[tuple[PrintedNumber, str, str, str]]:
     """
-    Return the rows of claims.csv: each claim, how it is read, and the ids of the means after and
-    before.
+    Return each claim of claims.csv, its reading, and the ids of the means after and before.
 
     Readings: "relative", a change in % of the mean before; "points", a difference on a scale from 0
     to 100; "share", one of shares between 0 and 1; "range", a difference in % of the range of robot
@@ -108,17 +107,13 @@ def _reasons() -> list[tuple[str, str]]:
 
 
 def why_unchecked(id: str) -> str:
-    """
-    Return why an isolated number cannot be checked: the reason of the first matching pattern of
-    unchecked.csv.
-    """
+    """Return why a number cannot be checked: the first pattern of unchecked.csv that matches."""
     return next(reason for pattern, reason in _reasons() if fnmatchcase(id, pattern))
 
 
 def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, PrintedNumber]:
     """
-    Return every printed number by id: Tables 2.1-2.6 and 3.1, the studies, the claims and the
-    statements.
+    Return every printed number by id: tables, studies, claims and statements.
 
     `changes` puts other values in place of printed ones, by id.
     """

@@ -1,7 +1,4 @@
-"""
-Whether all limits and bounds of one participant can come from one set of parameters, in Tables 2.1
-and 2.2.
-"""
+"""Whether one set of parameters can give a participant's limits and bounds (Tables 2.1, 2.2)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -43,10 +40,7 @@ class JointCheck:
         return {name: np.asarray(self.numbers[id].value) for name, id in self.inputs.items()}
 
     def misfit(self, computed: Mapping[str, np.ndarray], names: tuple[str, ...] = ()) -> np.ndarray:
-        """
-        Return by how many half units the worst output lies beyond its rounding; 0 where all round
-        as printed.
-        """
+        """Return by how many half units the worst output lies beyond its rounding, or 0."""
         worst = np.asarray(0.0)
         for name in names or self.outputs:
             number = self.numbers[self.outputs[name]]
@@ -58,8 +52,7 @@ class JointCheck:
 
     def least_misfit(self, **fixed: float) -> float:
         """
-        Search the box of rounding for the parameters that miss least, by every reading; `fixed`
-        inputs do not vary.
+        Search the box of rounding, but for `fixed` inputs, for the parameters that miss least.
         """
         least = FARTHEST
         for compute in self.readings:
@@ -148,10 +141,7 @@ def _finer_rate(check: JointCheck) -> str:
 
 
 def _bound_row(numbers: Numbers, p: str, limits_fit: bool) -> Row:
-    """
-    Return the row of Table 2.2, together with the limits of Table 2.1 where these fit by
-    themselves.
-    """
+    """Return the row of Table 2.2, with the limits of Table 2.1 where these fit by themselves."""
     inputs = {name: f"table_2.1/{name}/{p}" for name in (*PERFORMANCE, "a_pr", "a_r", "delta_TSC")}
     inputs |= {name: f"table_2.2/{name}/{p}" for name in ("TSC_l", "TSC_u")}
     outputs = {name: f"table_2.2/{name}/{p}" for name in BOUNDS}
@@ -194,10 +184,7 @@ def _other_thresholds(check: JointCheck) -> str:
 
 
 def joint_rows(numbers: Numbers) -> list[Row]:
-    """
-    Return, for every participant, whether the limits of Table 2.1 and the bounds of Table 2.2 fit
-    together.
-    """
+    """Return whether limits and bounds fit together, two rows for every participant."""
     rows = []
     for p in PARTICIPANTS:
         limit_row = _limit_row(numbers, p)

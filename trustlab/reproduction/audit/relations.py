@@ -1,11 +1,9 @@
 """The relations of data/published/relations.toml, each with its ids for a set of numbers."""
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,12 +11,7 @@ import numpy as np
 from trustlab.reproduction.audit.arithmetic import FUNCTIONS, evaluate
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, conditions_of, study_names
 from trustlab.reproduction.audit.verdict import SYMBOL, Check, Formula, Numbers, Possible
-from trustlab.reproduction.published import published_folder
-
-
-@cache
-def _listed() -> dict:
-    return tomllib.loads((published_folder() / "relations.toml").read_text(encoding="utf-8"))
+from trustlab.reproduction.published import published_facts
 
 
 def _contexts(row: Mapping, numbers: Numbers) -> Iterator[dict]:
@@ -60,7 +53,7 @@ def _filled(value: Any, context: Mapping) -> Any:
 
 def _ids(row: Mapping, context: Mapping, numbers: Numbers) -> dict[str, str]:
     """Return symbol to id of what a row's formulas name and numbers have."""
-    listed = _listed()
+    listed = published_facts("relations")
     folder, _, _ = row["number"].rpartition("/")
     group = next((key for key in ("p", "study") if key in context), "")
     places = listed["places"].get(group, [f"{folder}/{{symbol}}"])
@@ -154,7 +147,7 @@ def relations(numbers: Numbers, pattern: str = "*") -> Iterator[Check | Possible
     """
     texts = {id: number.printed for id, number in numbers.items()}
     for kind, made in (("follows", _check), ("allows", _range)):
-        for listed in _listed()[kind]:
+        for listed in published_facts("relations")[kind]:
             for context in _contexts(listed, numbers):
                 number = listed["number"].format_map(context)
                 applies = number in numbers and _applies(listed, context, numbers)

@@ -1,7 +1,6 @@
 """The audit of printed means and SDs: what scales, sample sizes and whole points leave possible."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from fractions import Fraction
 
@@ -20,17 +19,18 @@ from trustlab.reproduction.audit.verdict import (
     show,
 )
 from trustlab.reproduction.printed_number import PrintedNumber
-from trustlab.reproduction.published import published_folder
+from trustlab.reproduction.published import published_facts
 
-MEASURES = tomllib.loads((published_folder() / "measures.toml").read_text(encoding="utf-8"))
+MEASURES = published_facts("measures")
 TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].items()}
 MOST_ITEMS = 40
 
 
 def attainable(number: PrintedNumber, units: Fraction) -> float:
     """
-    Return the mean nearest to a printed one that whole points can have, NaN if none rounds to it
-    (the GRIM test).
+    Return the mean nearest to a printed one that whole points can have (the GRIM test).
+
+    NaN if none rounds to it.
 
     `units` are whole points per unit of the scale: respondents × items for ratings in steps of 1.
     """
@@ -42,10 +42,7 @@ def attainable(number: PrintedNumber, units: Fraction) -> float:
 
 
 def simplest_ratio(number: PrintedNumber, most: int = 60) -> Fraction | None:
-    """
-    Return a percentage's simplest ratio of whole numbers with a denominator up to `most`, None if
-    there is none.
-    """
+    """Return a percentage's simplest ratio with a denominator up to `most`, or None."""
     least, top = number.compatible
     for denominator in range(1, most + 1):
         below = math.floor(number.value * denominator / 100)
@@ -114,10 +111,7 @@ def _expected_items(measure: str) -> tuple[str, str] | None:
 
 
 def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Remark | Row]:
-    """
-    Return, for a questionnaire, a remark per mean and one row on the number of items or rule of
-    scoring.
-    """
+    """Return a questionnaire's remarks, one per mean, and a row on its items or its scoring."""
     rules = TLX_RULES
     if _kind(measure) != "tlx":
         rules = {f"{items} items": Fraction(items) for items in range(1, MOST_ITEMS + 1)}
@@ -147,8 +141,9 @@ def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Rem
 
 def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Numbers) -> Row:
     """
-    Return which numbers of items, or rules of scoring, all means fit; not checkable, as neither is
-    printed.
+    Return which numbers of items, or rules of scoring, all means fit.
+
+    Not checkable, as neither is printed.
     """
     kind = _kind(measure)
     fewest = math.nan

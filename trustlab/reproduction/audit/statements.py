@@ -72,10 +72,7 @@ def _relative(after: str, before: str) -> Formula:
 
 
 def _by_range(number: str, after: str, before: str) -> Check:
-    """
-    Return the check of a difference of two robot performances in % of the range, or relative to the
-    first.
-    """
+    """Return the check of a difference in % of the range of P_r, or relative to the first."""
     ids = {
         "after": after,
         "before": before,
@@ -91,10 +88,7 @@ def _by_range(number: str, after: str, before: str) -> Check:
 
 
 def _in_points(number: str, after: str, before: str, scale: float, numbers: Numbers) -> Check:
-    """
-    Return the check of a difference times `scale`, which is 100 for shares, or of a relative
-    change.
-    """
+    """Return the check of a difference times `scale`, 100 for shares, or of a relative change."""
     relative = _relative(after, before)
     label = (
         "difference in units of the measure, printed as %" if scale == 1.0 else "percentage points"

@@ -1,7 +1,4 @@
-"""
-The audit of the printed studies beyond single relations: duplicates, and how pairwise p-values
-were adjusted.
-"""
+"""What the audit says of studies as a whole: duplicates, and how p-values were adjusted."""
 
 from itertools import combinations
 
@@ -127,10 +124,7 @@ def _distance(first: PrintedNumber, second: PrintedNumber) -> tuple[float, float
 
 
 def _sum_of_variances(name: str, numbers: Numbers, times: float) -> tuple[float, float]:
-    """
-    Return least and greatest sum of the variances of all differences, where p-values were
-    multiplied by `times`.
-    """
+    """Return least and greatest sum of the differences' variances, for p multiplied by `times`."""
     n = numbers[f"{name}/n"].value
     least = most = 0.0
 

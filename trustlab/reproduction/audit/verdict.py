@@ -1,7 +1,4 @@
-"""
-How a verdict is made: a formula of printed numbers, its range within their rounding, and what is
-printed.
-"""
+"""How a verdict is made: a formula of printed numbers, its range, and what is printed."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -171,10 +168,7 @@ def reach(compute: Compute, middle: Mapping[str, float], half: Mapping[str, floa
 
 
 def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
-    """
-    Return a number with as many decimals as a printed one, and `more`; with four significant digits
-    without one.
-    """
+    """Return a number with the decimals of a printed one, and `more`; or 4 significant digits."""
     if not np.isfinite(value):
         return str(value)
     if like is None or np.isnan(like.half) or like.half == 0.0:
@@ -306,10 +300,7 @@ class Possible:
 
 @dataclass(frozen=True)
 class Remark:
-    """
-    A printed number that no other number determines, with the reason it cannot be checked or what
-    is odd about it.
-    """
+    """A printed number that no other determines: why it cannot be checked, or what is odd."""
 
     number: str
     reason: str

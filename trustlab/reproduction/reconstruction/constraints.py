@@ -1,6 +1,5 @@
 """
-What a printed study implies about its data: one interval per printed number, for a statistic of
-means and covariance.
+What a printed study implies about means and covariance: an interval per printed number.
 
 A pair's p may be printed unadjusted or adjusted for the m = k(k − 1)/2 comparisons: Bonferroni m p,
 Šidák 1 − (1 − p)^m, Holm the running maximum of (m − l + 1) p_(l). Each printed p is an interval,
@@ -42,8 +41,7 @@ COMPARED = {
 @dataclass(frozen=True)
 class Constraint:
     """
-    One printed number as an interval: `low` to `high` of the statistic `kind` of means and
-    covariance.
+    One printed number: `low` to `high` of the statistic `kind` of means and covariance.
 
     `kind` is a statistic of `MomentStatistics`, or "log_adjusted_p" or "spread" of `MomentProblem`;
     `index` says which condition or pair, where there are several; `name` is for example "anova.F"
@@ -65,10 +63,7 @@ def log_interval(text: str) -> Interval:
 
 
 def _chi2_interval(text: str, n: int, k: int) -> Interval:
-    """
-    Return the chi-squares whose p by Mauchly's test, with its second-order term, rounds to the
-    printed one.
-    """
+    """Return the χ² whose p by Mauchly's test, to second order, rounds to the printed one."""
     low, high = printed_interval(text)
 
     def quantile(p: float) -> float:
@@ -149,8 +144,7 @@ def _t_test(study: PublishedStudy) -> list[Constraint]:
 
 def size_interval(text: str) -> Interval:
     """
-    Return the interval of the magnitude of a printed number; which condition comes first is not
-    printed.
+    Return the interval of a printed number's magnitude: which condition is first is not printed.
     """
     low, high = printed_interval(text)
     return (0.0 if low < 0.0 < high else min(abs(low), abs(high))), max(abs(low), abs(high))
@@ -206,8 +200,7 @@ def constraints(
     study: PublishedStudy, p_adjust: str = "bonferroni", reading: Reading | None = None
 ) -> list[Constraint]:
     """
-    Return one constraint per printed number: means, standard deviations, F and its companions,
-    sphericity, pairs.
+    Return a constraint per printed number that means and covariance decide.
 
     A pair without a p-value was reported as not significant, p > 0.05, unless the study's
     `listed_only` is set; a correction without a test of sphericity implies that the test was
@@ -246,10 +239,7 @@ def degrees(study: PublishedStudy) -> list[Constraint]:
 
 
 def select(listed: Iterable[Constraint], without: Iterable[str]) -> list[Constraint]:
-    """
-    Return the constraints that are not left out, by name ("anova.F", "mean.C2") or group
-    ("mauchly", "pairs").
-    """
+    """Return the constraints that are not left out by name, "anova.F", or group, "pairs"."""
     if isinstance(without, str):
         raise ValueError(
             f'without must be a list of names, such as ("mauchly", "pairs"), got {without!r}'
@@ -325,10 +315,7 @@ def _p_of_f(
 
 
 def _contradicted(name: str, text: str, p: np.ndarray, source: str) -> dict[str, str]:
-    """
-    Return the conflict of a printed p with those computed at the ends of other intervals, if there
-    is one.
-    """
+    """Return the conflict of a printed p with those at the ends of other intervals, if any."""
     low, high = printed_interval(text)
     if p.min() <= high and p.max() >= low:
         return {}

@@ -1,7 +1,4 @@
-"""
-Whether the numbers printed for a study can belong to one data set, and if not, which of them
-conflict.
-"""
+"""Whether a study's printed numbers can belong to one data set, and what conflicts if not."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -190,8 +187,10 @@ class Feasibility:
 
     def table(self) -> pd.DataFrame:
         """
-        Return what is printed: index statistic; columns printed, low, high (of the statistic
-        itself), in_conflict, remedy, left_out (the reason, or empty).
+        Return what is printed, what it allows, and its part in a conflict.
+
+        Index statistic; columns printed, low, high (of the statistic itself), in_conflict, remedy,
+        left_out (the reason, or empty).
         """
         rows = []
         for s in [*constraints(self.study, self.p_adjust), *degrees(self.study)]:
@@ -215,8 +214,7 @@ def feasibility(
     explain: bool = True,
 ) -> Feasibility:
     """
-    Determine whether the numbers printed for a study can belong to one data set, and if not, which
-    of them conflict.
+    Determine whether printed numbers can belong to one data set, and if not, what conflicts.
 
     Feasibility is shown by means and a covariance matrix that have all statistics within rounding;
     infeasibility is proved by a linear relaxation wherever that suffices (`status`). The conflict
@@ -270,10 +268,7 @@ def feasibility(
 def prepared(
     study: PublishedStudy, p_adjust: str, without: Iterable[str]
 ) -> tuple[MomentProblem, dict[str, str]]:
-    """
-    Return the constraints that are to hold as a problem, and the reasons for those that are left
-    out.
-    """
+    """Return the constraints that are to hold, and the reasons for those that are left out."""
     printed = constraints(study, p_adjust)
     printed += degrees(study)
     rows = select(printed, without)
@@ -345,8 +340,7 @@ def _smallest_conflict(
 
 def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) -> pd.DataFrame:
     """
-    Determine under which adjustments of pairwise p-values each study's printed numbers can belong
-    to one data set.
+    Determine under which adjustments of p-values the numbers of each study can hold together.
 
     Parameters
     ----------

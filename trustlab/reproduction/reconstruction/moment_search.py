@@ -1,6 +1,7 @@
 """
-Means and covariance that have all printed statistics: damped least squares on interval violations,
-from many starts at once.
+Means and covariance that have all printed statistics, by damped least squares.
+
+The squares are of violations of intervals; many starts are taken at once.
 
 Every operation has a fixed order, so that the same seed finds the same solution on every machine.
 
@@ -29,8 +30,7 @@ OPEN_UNIT = 0.05
 @dataclass(frozen=True, eq=False)
 class Moments:
     """
-    Candidate means (B, k) and factors G (B, k, k), lower triangular, of covariances GG', best
-    first.
+    Candidate means (B, k) and lower triangular factors G (B, k, k) of GG', best first.
 
     `violation`, shape (B,), is the largest violation of a constraint in half-widths, 0 where all
     hold.
@@ -127,10 +127,7 @@ class MomentProblem:
 
     @cached_property
     def unit(self) -> np.ndarray:
-        """
-        Unit of violation, one per row: half the interval's width, or a share of `size` where it is
-        open.
-        """
+        """Unit of violation per row: half the interval, or a share of `size` where it is open."""
         with np.errstate(invalid="ignore"):
             half = 0.5 * (self.high - self.low)
         unit = np.where(
@@ -160,8 +157,9 @@ class MomentProblem:
 
     def values(self, stats: MomentStatistics) -> tuple[np.ndarray, ...]:
         """
-        Return every row's statistic, (B, rows), and its gradients by means, (B, rows, k), and
-        covariance, (B, rows, k, k).
+        Return every row's statistic and its gradients by means and covariance.
+
+        Shapes (B, rows), (B, rows, k) and (B, rows, k, k).
         """
         kinds = list(dict.fromkeys(s.kind for s in self.rows))
         blocks = [self._kind(stats, kind) for kind in kinds]
@@ -185,8 +183,7 @@ class MomentProblem:
 
     def _spread(self, stats: MomentStatistics) -> tuple[np.ndarray, ...]:
         """
-        Return S_ii(n − 1)/n − (m − low)(high − m): positive where no values within the scale have
-        these moments.
+        Return S_ii(n − 1)/n − (m − low)(high − m): positive where the scale has no such values.
         """
         low, high = self.scale
         k = self.k
@@ -200,8 +197,9 @@ class MomentProblem:
 
     def _holm(self, stats: MomentStatistics) -> tuple[np.ndarray, ...]:
         """
-        Return logarithms of Holm's adjusted p; each has the gradient of the one that sets the
-        running maximum.
+        Return logarithms of Holm's adjusted p.
+
+        Each has the gradient of the p that sets the running maximum.
         """
         log_p = stats.log_p
         m = log_p.shape[1]
@@ -226,10 +224,7 @@ class MomentProblem:
         return np.where(np.isfinite(value), outside, np.inf).max(axis=1, initial=0.0)
 
     def starts(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Draw means and factors to start from: printed means and standard deviations, random
-        correlations.
-        """
+        """Draw starting means and factors: means and SDs as printed, random correlations."""
         k, (centre, spread) = self.k, self.typical
         mean = centre + spread * rng.standard_normal((count, k))
         sd = spread * exponentials(0.3 * rng.standard_normal((count, k)))
@@ -255,8 +250,7 @@ class MomentProblem:
     @cached_property
     def _level(self) -> set[int]:
         """
-        Conditions with one printed mean although a test says that they differ: no slope leads out
-        of equal means.
+        Conditions with equal printed means that a test tells apart: no slope leads from there.
         """
         centre = {s.index: 0.5 * (s.low + s.high) for s in self._cells if s.kind == "mean"}
         if len(centre) == self.k and len(set(centre.values())) == 1:
@@ -277,8 +271,7 @@ class MomentProblem:
 
     def _varying_share(self, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
         """
-        Return which share of the variances F leaves to vary between conditions, shape (B, 1, 1); 1
-        unless it is small.
+        Return the error share of the variance implied by the printed F, (B, 1, 1); 1 if not small.
         """
         f_ratio = max((s.low for s in self.constraints if s.kind == "f_ratio"), default=0.0)
         error = self.n * mean.var(axis=1, ddof=1) / max(f_ratio, 1e-300)
@@ -295,8 +288,7 @@ class MomentProblem:
         iterations: int = 80,
     ) -> Moments:
         """
-        Reduce the violations of candidates until all constraints hold or no step helps; return them
-        least violated first.
+        Reduce violations until all constraints hold or no step helps; return the least first.
 
         `margin` is how far inside the intervals to go, as a share of their half-widths, in [0, 1);
         `stages` are relative widths that the intervals have at least, one stage after the other;
@@ -314,10 +306,7 @@ class MomentProblem:
 
     @cached_property
     def _triangle(self) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Rows and columns of the elements of G, which has no more columns than n values have degrees
-        of freedom.
-        """
+        """Rows and columns of the elements of G: n values have n − 1 degrees of freedom."""
         return np.tril_indices(self.k, 0, min(self.k, self.n - 1))
 
     def _unpack(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -351,8 +340,7 @@ class MomentProblem:
         self, x: np.ndarray, margin: float, width: float, iterations: int, enough: int | None
     ) -> np.ndarray:
         """
-        Take Levenberg-Marquardt steps on all candidates at once; a candidate stops when nothing is
-        violated.
+        Take Levenberg-Marquardt steps on all candidates that still violate a constraint.
 
         SciPy's `least_squares` takes one candidate at a time, and many starts are what finds a
         solution.

@@ -1,6 +1,5 @@
 """
-Repeated-measures statistics as functions of means and covariance alone, with their gradients, for
-many moments at once.
+Repeated-measures statistics of many means and covariances, with their gradients.
 
 One-way within-subject F, Greenhouse-Geisser epsilon, Mauchly's W and chi-square and paired t all
 follow from the k means m and the k x k covariance S (n − 1 in the denominator). With P = I − 11'/k,
@@ -24,18 +23,16 @@ TINY = 1e-300
 
 @cache
 def pair_indices(k: int) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return the rows i and columns j of all k(k − 1)/2 pairs, i < j, in the order of the statistics'
-    last axis.
-    """
+    """Return the rows i and columns j of all pairs, i < j, as in the statistics' last axis."""
     return np.triu_indices(k, 1)
 
 
 @dataclass(frozen=True, eq=False)
 class MomentStatistics:
     """
-    The statistics of B sets of means (B, k) and covariances (B, k, k), n − 1 in their denominator,
-    of n subjects.
+    The statistics of B sets of means (B, k) and covariances (B, k, k) of n subjects.
+
+    Covariances have n − 1 in their denominator.
 
     `corrected` says whether the p-value of F uses degrees of freedom multiplied by the
     Greenhouse-Geisser epsilon.

@@ -75,8 +75,7 @@ class Reconstruction:
     @property
     def frame(self) -> pd.DataFrame:
         """
-        The data in long form: columns subject (1 … n), condition, value; `attrs` marks them as
-        reconstructed.
+        The data: columns subject (1 … n), condition, value; `attrs` marks them as reconstructed.
         """
         subjects = pd.RangeIndex(1, len(self.values) + 1, name="subject")
         wide = pd.DataFrame(self.values, subjects, list(self.study.conditions))
@@ -274,8 +273,9 @@ def adjusted(p: np.ndarray, p_adjust: str) -> np.ndarray:
 
 def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[str, float]:
     """
-    Return the statistics of data, shape (n, k), under the names of a study's constraints, in the
-    units in which they are printed.
+    Return the statistics of data, shape (n, k), by the names of a study's constraints.
+
+    They are in the units in which they are printed.
 
     The study names the conditions; whether degrees of freedom and p are corrected says its reading.
     Mauchly's p has the second-order term.
@@ -315,10 +315,7 @@ def printed_ends(s: Constraint) -> tuple[float, float]:
 
 
 def agrees(s: Constraint, value: float) -> bool:
-    """
-    Return whether a value rounds to what is printed, or obeys the printed inequality; of a t only
-    the size counts.
-    """
+    """Return whether a value rounds to what is printed, or obeys its inequality; of t the size."""
     low, high = printed_ends(s)
     if s.name == "t_test.t":
         (low, high), value = size_interval(s.text), abs(value)
@@ -338,8 +335,9 @@ def sample_with_moments(
     iterations: int = 2000,
 ) -> np.ndarray | None:
     """
-    Draw values, shape (n, k), with given means and covariance GG' (n − 1 in the denominator) within
-    a scale.
+    Draw values, shape (n, k), with given means and covariance GG' within a scale.
+
+    The covariance has n − 1 in its denominator.
 
     Normal draws are given the moments exactly, X = 1m' + √(n − 1) U G' with UᵀU = I, Uᵀ1 = 0. While
     values lie outside the scale they are moved to its ends, and the nearest values with the exact
