@@ -222,3 +222,28 @@ def test_bounds_that_exclude_nothing_say_so():
     assert "exclude next to nothing" in bounds.reason
     slow = tl.published_models()["2"]
     assert "exclude" not in tl.invariant_bounds(slow, 0.0, 0.35).reason
+
+
+def test_bounds_that_have_not_settled_say_so_and_more_cycles_tighten_them(operators):
+    few, many = (invariant_bounds(operators["2"], 0.0, 0.35, cycles=n) for n in (3, 6))
+    assert "more cycles give tighter bounds" in few.reason
+    assert many.r_high - many.r_low < few.r_high - few.r_low
+    assert "shrinking" not in invariant_bounds(operators["2"], 0.0, 0.35).reason
+
+
+def test_all_ranges_of_a_steady_motion_are_of_one_class(operators):
+    """The cycle lies within the proved bounds; tables have the same rows and begin alike."""
+    case = (operators["2"], 0.0, 0.35)
+    cycle, proved, printed = limit_cycle(*case), invariant_bounds(*case), steady_state_bounds(*case)
+    for ranges in (cycle, proved, printed):
+        assert isinstance(ranges, tl.allocation.SteadyRanges)
+        assert (ranges.model, ranges.lower, ranges.upper) == case
+        assert ranges.table().index.equals(cycle.table().index)
+        low, high = ranges.table().loc["dwell time manual", ["low", "high"]]
+        assert ranges.dwell_manual == (low, high)
+    inner, outer = cycle.table(), proved.table()
+    assert (outer["low"] <= inner["low"]).all()
+    assert (inner["high"] <= outer["high"]).all()
+    stopped = limit_cycle(operators["1"], 0.15, 0.9)
+    assert not stopped.exists
+    assert np.isnan([*stopped.dwell_manual, *stopped.dwell_autonomous]).all()
