@@ -17,14 +17,12 @@ RANGES = {"a": (0.0, 1.0), "b": (-1.0, 1.0), "c": (0.0, 2.0)}
 TWO = {"attention_cost": (0.0, 0.3), "r0": (0.0, 1.0)}
 
 
-def ranks(drawn, simulated, ranges, accepted, rows):
+def ranks(drawn, simulated, ranges, rows):
     """The place of every truth in the posterior made from all other simulations, in [0, 1]."""
     found = []
     for i in rows:
         others = np.arange(len(drawn)) != i
-        sample, _ = posterior_sample(
-            drawn[others], simulated[others], simulated[i], ranges, accepted, int(i)
-        )
+        sample, _ = posterior_sample(drawn[others], simulated[others], simulated[i], ranges)
         found.append((sample < drawn.iloc[i]).mean())
     return pd.DataFrame(found)
 
@@ -39,7 +37,7 @@ def linear_model(count=1200, seed=0):
 
 def test_ranks_of_the_truth_are_uniform_on_a_linear_model():
     drawn, simulated = linear_model()
-    found = ranks(drawn, simulated, RANGES, 0.15, range(200))
+    found = ranks(drawn, simulated, RANGES, range(200))
     for name in RANGES:
         assert stats.kstest(found[name], "uniform").pvalue > 0.01, name
         covered = int(((found[name] - 0.5).abs() < 0.4).sum())
@@ -48,47 +46,77 @@ def test_ranks_of_the_truth_are_uniform_on_a_linear_model():
 
 def test_a_posterior_that_is_too_narrow_is_found_out():
     drawn, simulated = linear_model()
-    found = ranks(drawn, simulated, RANGES, 0.15, range(200))
+    found = ranks(drawn, simulated, RANGES, range(200))
     narrow = 0.5 + 2.0 * (found - 0.5)  # as if the spread were half
     assert all(
         stats.kstest(narrow[name].clip(0.0, 1.0), "uniform").pvalue < 0.01 for name in RANGES
     )
 
 
-def test_a_calibration_goes_on_where_it_stopped_and_is_read_again(tmp_path):
-    arguments = {
-        "simulations": 20,
-        "n": 10,
-        "priors": TWO,
-        "accepted": 0.8,
-        "out": tmp_path / "campaign",
-    }
-    first = tl.calibrate("uav", **arguments)
+def test_residuals_are_those_of_leaving_each_simulation_out():
+    """Oracle: a regression by the normal equations for every simulation that is left out."""
+    drawn, simulated = linear_model(count=40)
+    observed = simulated[0] + 0.1
+    sample, _ = posterior_sample(drawn, simulated, observed, RANGES)
+    low, high = np.transpose(list(RANGES.values()))
+    theta = stats.norm.ppf((drawn.to_numpy() - low) / (high - low))
+    X = np.column_stack([np.ones(40), simulated])
+    x = np.append(1.0, observed)
+    expected = x @ np.linalg.solve(X.T @ X, X.T @ theta)
+    wider = np.sqrt(1.0 + x @ np.linalg.solve(X.T @ X, x))
+    for i in range(40):
+        Z, rest = np.delete(X, i, axis=0), np.delete(theta, i, axis=0)
+        missed = theta[i] - X[i] @ np.linalg.solve(Z.T @ Z, Z.T @ rest)
+        # e_i/√(1 − h_i): between the residual e_i and what leaving i out misses, e_i/(1 − h_i)
+        spread = missed * np.sqrt(1.0 - X[i] @ np.linalg.solve(X.T @ X, X[i]))
+        there = low + (high - low) * stats.norm.cdf(expected + wider * spread)
+        np.testing.assert_allclose(sample.iloc[i], there, rtol=1e-9)
+
+
+def test_intervals_cover_where_plain_residuals_do_not():
+    """70 simulations of 26 effects that say little: negative control, the residuals as they are."""
+    rng = np.random.default_rng(2)
+    covered = {"corrected": 0, "plain": 0}
+    for _ in range(300):
+        theta = rng.normal(size=71)
+        effects = 0.3 * theta[:, None] + rng.normal(size=(71, 26))
+        drawn = pd.DataFrame({"a": stats.norm.cdf(theta[:70])})
+        sample, _ = posterior_sample(drawn, effects[:70], effects[70], {"a": (0.0, 1.0)})
+        X = np.column_stack([np.ones(70), effects[:70]])
+        slopes = np.linalg.lstsq(X, theta[:70], rcond=None)[0]
+        plain = np.append(1.0, effects[70]) @ slopes + theta[:70] - X @ slopes
+        for name, values in (("corrected", stats.norm.ppf(sample["a"])), ("plain", plain)):
+            low, high = np.quantile(values, [0.025, 0.975])
+            covered[name] += low <= theta[70] <= high
+    assert 0.92 * 300 <= covered["corrected"] <= 0.98 * 300
+    assert covered["plain"] < 0.85 * 300
+
+
+def test_a_calibration_grows_in_its_folder_and_is_read_again(tmp_path):
+    arguments = {"study": "table_2.6", "n": 5, "priors": TWO, "n_jobs": 1}
+    arguments["out"] = tmp_path / "campaign"
+    first = tl.calibrate(simulations=24, **arguments)
     kept = sorted((tmp_path / "campaign").rglob("*.parquet"))
     stamps = [file.stat().st_mtime_ns for file in kept]
-    again = tl.calibrate("uav", **arguments)
+    again = tl.calibrate(simulations=24, **arguments)
     assert [file.stat().st_mtime_ns for file in kept] == stamps
     pd.testing.assert_frame_equal(first.posterior, again.posterior, check_exact=True)
+    grown = tl.calibrate(simulations=28, **arguments)
+    assert [file.stat().st_mtime_ns for file in kept] == stamps
+    assert len(grown.simulations) == 28
+    pd.testing.assert_frame_equal(grown.simulations[:24], first.simulations, check_exact=True)
     write_calibration(first, tmp_path / "data")
-    read = read_calibration("uav", tmp_path / "data")
+    read = read_calibration("table_2.6", tmp_path / "data")
     pd.testing.assert_frame_equal(first.simulations, read.simulations, rtol=1e-12)
     pd.testing.assert_frame_equal(first.posterior, read.posterior, rtol=1e-9)
-    with pytest.raises(ValueError, match="20 simulations are too few for accepted"):
-        tl.calibrate("uav", **arguments | {"accepted": 0.5})
-    assert [
-        file.stat().st_mtime_ns for file in kept
-    ] == stamps  # too few: those that are finished stay
-    fewer = tl.calibrate("uav", **arguments | {"accepted": 0.9})
-    assert [file.stat().st_mtime_ns for file in kept] == stamps
-    pd.testing.assert_frame_equal(fewer.simulations, first.simulations, check_exact=True)
 
 
-def made_up(printed_at, count=600, spread=0.02):
+def made_up(printed_at, count=600, spread=0.02, seed=4):
     """
     A calibration of Table 2.6 and Table 2.5's P_r by a linear model, whose true assumption puts
     effects at `printed_at`.
     """
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng(seed)
     table = pd.DataFrame(
         rng.uniform([0.0, -0.4], [0.3, 0.4], (count, 2)), columns=["attention_cost", "trust_bias"]
     )
@@ -99,7 +127,7 @@ def made_up(printed_at, count=600, spread=0.02):
         for (name, value), factor in zip(true.items(), slope, strict=True):
             lift = lift + factor * (table[name] - value)
         table[effect.id] = lift + rng.normal(0.0, spread, count)
-    settings = {"n": 5, "seed": 0, "simulations": count, "accepted": 0.15, "left_out": 0}
+    settings = {"n": 5, "seed": 0, "simulations": count, "left_out": 0}
     return calibrated(
         "table_2.5", {"attention_cost": (0.0, 0.3), "trust_bias": (-0.4, 0.4)}, table, settings
     )
@@ -114,6 +142,17 @@ def test_a_study_that_the_model_can_give_is_within_reach_and_found():
     assert within.assumptions["attention_cost"] == pytest.approx(
         table.loc["attention_cost", "median"]
     )
+
+
+def test_errors_of_interval_ends():
+    """Oracle: the spread of these ends over tables of simulations made anew."""
+    tables = [
+        made_up({}, count=200, seed=seed).table().set_index("assumption") for seed in range(10)
+    ]
+    for end in ("low", "high"):
+        scatter = pd.DataFrame([table[end] for table in tables]).std()
+        stated = pd.DataFrame([table[f"{end}_error"] for table in tables]).mean()
+        assert (stated / scatter).between(0.45, 2.2).all()
 
 
 def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():
@@ -169,10 +208,9 @@ def test_what_a_calibration_does_not_have_is_refused(call, says):
         ({"priors": {}}, "priors must map at least one assumption"),
         (
             {"simulations": 50},
-            "50 simulations are too few for accepted = 0.15.*35 simulations.*234 in all.*are kept",
+            "50 simulated studies are too few for a regression on 25 effects: 52 are needed",
         ),
         ({"study": "teleop"}, "study must be one of"),
-        ({"accepted": 1.5}, r"accepted must lie in \[0, 1\]"),
     ],
 )
 def test_bad_input(arguments, says):

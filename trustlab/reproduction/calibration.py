@@ -2,20 +2,23 @@
 What must be true of people for a study's printed effects to hold at once: approximate Bayesian
 computation over assumptions.
 
-A table of simulated studies, each under assumptions drawn from a prior, is made as a campaign.
-Linear regressions of every assumption on the effects give summaries, one per assumption (Fearnhead
-and Prangle 2012); the simulated studies nearest to the printed one in these are kept, and their
-assumptions moved along a local regression to where the printed summaries lie (Beaumont, Zhang and
-Balding 2002), on the probit scale of the prior's range. Where printed effects lie beyond all that
-simulated studies give, that regression extrapolates, and the posterior means nothing (Frazier,
-Robert and Rousseau 2020): `Calibration.reach` tells, the table marks such assumptions, and
-`Calibration.given` conditions on the measures that are within reach.
+A table of simulated studies, each under assumptions drawn from a prior, is made as a campaign. Each
+assumption, on the probit scale of its prior's range, is regressed on all effects over all simulated
+studies; the posterior is what the regression says for the printed effects, plus its residuals
+(Beaumont, Zhang and Balding 2002, with every simulation accepted). Residuals are those of leaving
+each study out, e_i/√(1 − h_i), and carry the regression's own error at the printed effects, √(1 +
+h_0): as they are, they are too small by the coefficients that they were fitted with.
+`Calibration.coverage` shows that intervals cover: with every simulated study in turn as the printed
+one. Where printed effects lie beyond all that simulated studies give, the regression extrapolates,
+and the posterior means nothing (Frazier, Robert and Rousseau 2020): `Calibration.reach` tells, the
+table marks such assumptions, and `Calibration.given` conditions on the measures within reach.
 """
 
 import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -46,8 +49,13 @@ PRIORS = {
     "load_switching": (0.0, 0.2),
 }
 
-# Simulations that must be kept for every coefficient of the local regression.
-LEAST_PER_SUMMARY = 5
+# Simulations for every coefficient of the regression, at the least.
+LEAST_PER_COEFFICIENT = 2
+# Measures that are answered only where a workload is assumed.
+ANSWERS = ("tlx", "satisfaction", "trust")
+# Resampled tables of simulations behind the errors of interval ends, and their seed.
+RESAMPLED = 200
+RESAMPLING = 0x656E6473
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +80,8 @@ class Calibration:
         Assumptions for which the printed effects lie beyond those of all simulated studies: their
         posterior is no estimate.
     settings : dict
-        n (operators of each simulated study), seed, simulations, accepted, left_out (failed, or
-        without some effect).
+        n (operators of each simulated study), seed, simulations, left_out (failed, or without some
+        effect).
     """
 
     study: str
@@ -96,31 +104,85 @@ class Calibration:
 
     def table(self) -> pd.DataFrame:
         """
-        Return assumption, prior_low, prior_high, median, low, high (95 %), contraction (1 −
-        variance over the prior's), extrapolated.
+        Return assumption, prior_low, prior_high, median, low, high (95 %), their Monte Carlo errors
+        low_error, high_error, contraction (1 − variance over the prior's), extrapolated.
+
+        The errors are standard deviations over tables of as many simulations, drawn with
+        replacement from those there are: more simulations make them smaller.
         """
+        errors = self._end_errors
         rows = []
         for name, (low, high) in self.priors.items():
             values = self.posterior[name]
-            contraction = 1.0 - 12.0 * values.var() / (high - low) ** 2
-            posterior = (
-                values.median(),
-                *values.quantile([0.025, 0.975]),
-                contraction,
-                name in self.extrapolated,
+            rows.append(
+                {
+                    "assumption": name,
+                    "prior_low": low,
+                    "prior_high": high,
+                    "median": values.median(),
+                    "low": values.quantile(0.025),
+                    "high": values.quantile(0.975),
+                    "low_error": errors.loc[0.025, name],
+                    "high_error": errors.loc[0.975, name],
+                    "contraction": 1.0 - 12.0 * values.var() / (high - low) ** 2,
+                    "extrapolated": name in self.extrapolated,
+                }
             )
-            rows.append((name, low, high, *posterior))
-        names = [
-            "assumption",
-            "prior_low",
-            "prior_high",
-            "median",
-            "low",
-            "high",
-            "contraction",
-            "extrapolated",
-        ]
-        return pd.DataFrame(rows, columns=names)
+        return pd.DataFrame(rows)
+
+    @cached_property
+    def _end_errors(self) -> pd.DataFrame:
+        """Return the Monte Carlo errors of the ends of 95 % intervals, a column per assumption."""
+        chosen = [effect for effect in self.observed if effect.measure in self.measures]
+        drawn = self.simulations[list(self.priors)]
+        simulated = self.simulations[[effect.id for effect in chosen]].to_numpy(float)
+        printed = np.array([effect.printed for effect in chosen])
+        rng = np.random.default_rng([self.settings["seed"], RESAMPLING])
+        ends = []
+        for _ in range(RESAMPLED):
+            rows = rng.integers(len(drawn), size=len(drawn))
+            sample, _ = posterior_sample(drawn.iloc[rows], simulated[rows], printed, self.priors)
+            ends.append(sample.quantile([0.025, 0.975]))
+        return pd.concat(ends).groupby(level=0).std(ddof=1)
+
+    def coverage(self) -> pd.DataFrame:
+        """
+        Return how often intervals cover the truth, with every simulated study in turn as the
+        printed one and left out of the others.
+
+        Returns
+        -------
+        pandas.DataFrame
+            assumption; covered_95, covered_50: shares of the studies whose assumption lies in the
+            central interval of 95 % and 50 %; error_95, error_50: their standard errors; score: the
+            mean interval score of the 95 % intervals in units of the prior's range (the width, plus
+            40 times the distance of a truth outside), smaller being better.
+
+        References
+        ----------
+        T. Gneiting and A. E. Raftery, J. Am. Stat. Assoc. 102 (2007) 359-378.
+        """
+        chosen = [effect.id for effect in self.observed if effect.measure in self.measures]
+        drawn = self.simulations[list(self.priors)]
+        simulated = self.simulations[chosen].to_numpy(float)
+        truths = drawn.to_numpy(float)
+        ends = np.empty((len(drawn), 4, len(self.priors)))
+        for i in range(len(drawn)):
+            rest = np.arange(len(drawn)) != i
+            sample, _ = posterior_sample(drawn[rest], simulated[rest], simulated[i], self.priors)
+            ends[i] = np.quantile(sample.to_numpy(), [0.025, 0.25, 0.75, 0.975], axis=0)
+        wide = (ends[:, 0] <= truths) & (truths <= ends[:, 3])
+        narrow = (ends[:, 1] <= truths) & (truths <= ends[:, 2])
+        outside = np.maximum(ends[:, 0] - truths, 0.0) + np.maximum(truths - ends[:, 3], 0.0)
+        span = np.array([high - low for low, high in self.priors.values()])
+        score = (ends[:, 3] - ends[:, 0] + 2.0 / 0.05 * outside) / span
+        table = pd.DataFrame({"assumption": list(self.priors)})
+        for name, covered in (("95", wide), ("50", narrow)):
+            share = covered.mean(axis=0)
+            table[f"covered_{name}"] = share
+            table[f"error_{name}"] = np.sqrt(share * (1.0 - share) / len(drawn))
+        table["score"] = score.mean(axis=0)
+        return table
 
     def given(self, *measures: str) -> "Calibration":
         """
@@ -339,7 +401,6 @@ def calibrate(
     seed: int = 0,
     *,
     priors: Mapping[str, tuple[float, float]] | None = None,
-    accepted: float = 0.15,
     out: str | os.PathLike | None = None,
     n_jobs: int | None = None,
     executor: Any = None,
@@ -361,12 +422,9 @@ def calibrate(
         Of all draws; simulation i is the same in a larger table.
     priors : mapping of str to (float, float), optional
         Ranges of uniform priors by assumption (`trustlab.operators.ASSUMPTIONS`).
-    accepted : float
-        Share of the simulated studies, nearest to the printed one, from which the posterior is
-        made.
     out : path-like, optional
-        A folder for the finished simulations; a call with the same arguments goes on where a killed
-        one stopped.
+        A folder for the finished simulations: a call with the same arguments goes on where a killed
+        one stopped, and one with more simulations runs only those that are new.
     n_jobs, executor, progress : int, Executor, bool, optional
         As for `run_campaign`; no effect on results.
 
@@ -377,14 +435,13 @@ def calibrate(
     Raises
     ------
     ValueError
-        If an assumption is unknown or out of range, a prior has no mass, or the simulations are too
-        few for `accepted`.
+        If an assumption is unknown or out of range, a prior has no mass, or the simulations are
+        fewer than two for every effect and one.
 
     References
     ----------
-    P. Fearnhead and D. Prangle, J. R. Stat. Soc. B 74 (2012) 419-474. M. A. Beaumont, W. Zhang and
-    D. J. Balding, Genetics 162 (2002) 2025-2035. D. T. Frazier, C. P. Robert and J. Rousseau, J. R.
-    Stat. Soc. B 82 (2020) 421-444.
+    M. A. Beaumont, W. Zhang and D. J. Balding, Genetics 162 (2002) 2025-2035. D. T. Frazier, C. P.
+    Robert and J. Rousseau, J. R. Stat. Soc. B 82 (2020) 421-444.
 
     Examples
     --------
@@ -400,32 +457,31 @@ def calibrate(
         whole_number("simulations", simulations),
         whole_number("seed", seed, least=0),
     )
-    accepted = between("accepted", accepted, 0.0, 1.0)
-    needed = LEAST_PER_SUMMARY * (len(ranges) + 1)
-    if accepted * simulations < needed:
-        raise ValueError(
-            f"{simulations} simulations are too few for accepted = {accepted:g}: {len(ranges)} "
-            f"assumptions need {needed} simulations to be kept, so "
-            f"{int(np.ceil(needed / max(accepted, 1e-9)))} in all; finished ones in out= are kept "
-            "for such a call"
-        )
-    ids = [effect.id for effect in observed_effects(study)]
+    effects = observed_effects(study)
+    answered = any(name.startswith("load") for name in ranges)
+    sure = [effect for effect in effects if answered or effect.measure not in ANSWERS]
+    _check_enough(simulations, len(sure))
     runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
     where = where_to_run(n_jobs, executor)
     done = run_campaign(simulated_study, runs, seed=seed, out=out, progress=progress, **where)
     whole = done[~done["failed"].to_numpy(bool)]
-    ids = [
-        id for id in ids if whole[id].notna().any()
-    ]  # questionnaires are not answered under all assumptions
+    # questionnaires are not answered under all assumptions
+    ids = [effect.id for effect in effects if whole[effect.id].notna().any()]
     whole = whole.dropna(subset=ids).reset_index(drop=True)
-    if len(whole) < needed:
-        raise ValueError(
-            f"{len(whole)} of {simulations} simulated studies have every effect; {needed} are "
-            "needed"
-        )
-    settings = {"n": n, "seed": seed, "simulations": simulations, "accepted": accepted}
+    _check_enough(len(whole), len(ids))
+    settings = {"n": n, "seed": seed, "simulations": simulations}
     settings |= {"left_out": simulations - len(whole)}
     return calibrated(study, ranges, whole[[*ranges, *ids]].astype(float), settings)
+
+
+def _check_enough(simulations: int, effects: int) -> None:
+    """Refuse fewer simulated studies than a regression on these effects needs."""
+    needed = LEAST_PER_COEFFICIENT * (effects + 1)
+    if simulations < needed:
+        raise ValueError(
+            f"{simulations} simulated studies are too few for a regression on {effects} effects: "
+            f"{needed} are needed; those that are finished stay in out= for such a call"
+        )
 
 
 def calibrated(
@@ -452,8 +508,6 @@ def calibrated(
         simulations[[effect.id for effect in chosen]].to_numpy(float),
         np.array([effect.printed for effect in chosen]),
         ranges,
-        settings["accepted"],
-        settings["seed"],
     )
     extrapolated = tuple(name for name, is_so in zip(ranges, beyond, strict=True) if is_so)
     return Calibration(study, ranges, simulations, measures, sample, extrapolated, settings)
@@ -569,12 +623,10 @@ def posterior_sample(
     simulated: np.ndarray,
     observed: np.ndarray,
     ranges: dict[str, tuple[float, float]],
-    accepted: float,
-    seed: int,
 ) -> tuple[pd.DataFrame, np.ndarray]:
     """
-    Return a sample of the posterior, and for which assumptions the observed summary lies beyond all
-    simulated ones.
+    Return a sample of the posterior, a row per simulation, and for which assumptions the observed
+    effects lie beyond all simulated ones.
 
     Parameters
     ----------
@@ -586,36 +638,24 @@ def posterior_sample(
         The effects to explain.
     ranges : dict of str to (float, float)
         Of the uniform priors.
-    accepted : float
-        Share of the simulations that are kept.
-    seed : int
-        Of the resampling by weight.
     """
     low, high = np.transpose([ranges[name] for name in drawn])
     eps = 1e-9
     theta = special.ndtri(np.clip((drawn.to_numpy(float) - low) / (high - low), eps, 1.0 - eps))
     scale = np.maximum(simulated.std(axis=0), 1e-12)
-    centred = np.column_stack([np.ones(len(theta)), (simulated - observed) / scale])
-    coefficients = np.linalg.lstsq(centred, theta, rcond=None)[0]
-    summaries = (
-        centred @ coefficients
-    )  # of the observed effects, which are zero here: the first row of coefficients
-    away = (summaries - coefficients[0]) / np.maximum(summaries.std(axis=0), 1e-12)
-    distance = np.sqrt((away**2).sum(axis=1))
-    nearest = np.argsort(distance, kind="stable")[
-        : max(round(accepted * len(theta)), LEAST_PER_SUMMARY * (len(low) + 1))
-    ]
-    weight = 1.0 - (distance[nearest] / (distance[nearest].max() * (1.0 + 1e-9))) ** 2
-    design = np.column_stack([np.ones(nearest.size), away[nearest]])
-    root = np.sqrt(weight)[:, None]
-    slopes = np.linalg.lstsq(root * design, root * theta[nearest], rcond=None)[0][1:]
-    moved = theta[nearest] - away[nearest] @ slopes
-    rng = np.random.default_rng([seed, 0x706F7374])
-    chosen = rng.choice(nearest.size, size=4 * nearest.size, p=weight / weight.sum())
-    beyond = (away.min(axis=0) > 0.0) | (away.max(axis=0) < 0.0)
-    return pd.DataFrame(
-        low + (high - low) * special.ndtr(moved[chosen]), columns=drawn.columns
-    ), beyond
+    # the observed effects are at zero, so that the first coefficients are what is expected there
+    design = np.column_stack([np.ones(len(theta)), (simulated - observed) / scale])
+    basis, sizes, turn = np.linalg.svd(design, full_matrices=False)
+    # effects that are sums of others add nothing
+    rank = int(np.sum(sizes > 1e-10 * sizes[0]))
+    basis, inverse = basis[:, :rank], (turn[:rank].T / sizes[:rank])
+    fitted = basis @ (basis.T @ theta)
+    expected = inverse[0] @ (basis.T @ theta)
+    leverage = np.minimum((basis**2).sum(axis=1), 1.0 - eps)
+    residuals = (theta - fitted) / np.sqrt(1.0 - leverage)[:, None]
+    sample = expected + np.sqrt(1.0 + inverse[0] @ inverse[0]) * residuals
+    beyond = (fitted.min(axis=0) > expected) | (fitted.max(axis=0) < expected)
+    return pd.DataFrame(low + (high - low) * special.ndtr(sample), columns=drawn.columns), beyond
 
 
 def observed_effects(study: str) -> list[Effect]:
