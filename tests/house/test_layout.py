@@ -23,7 +23,7 @@ MOST_TOKENS = {
     "models": 10_600,
     "operators": 3_500,
     "publishing": 12_000,
-    "reproduction": 40_500,
+    "reproduction": 41_000,
     "sessions": 29_000,
     "studies": 51_000,
     "teleoperation": 31_800,
