@@ -6,11 +6,12 @@ Oracle: p of F by SciPy at degrees of freedom written out here; the ε of a read
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 from scipy import optimize, stats
 
 import trustlab as tl
 from trustlab.reproduction import reconstruct_study
-from trustlab.reproduction.reconstruction.constraints import reading_of
+from trustlab.reproduction.reconstruction.constraints import arithmetic_conflicts, reading_of
 from trustlab.reproduction.reconstruction.readings import BOTH, NEITHER, ONLY_DF, ONLY_P
 
 
@@ -117,3 +118,45 @@ def test_what_was_asked_to_be_left_out_is_no_consistency_either():
     assert answer.rest_feasible
     assert not answer.feasible
     assert "Left out on request: anova.p, anova.df2." in answer.message
+
+
+def print_of(values, reading, decimals):
+    """What a paper would print of data, by the textbook's sums of squares."""
+    n, k = values.shape
+    covariance = np.cov(values.T)
+    centring = np.eye(k) - 1.0 / k
+    centred = centring @ covariance @ centring
+    epsilon = np.trace(centred) ** 2 / ((k - 1) * (centred**2).sum())
+    f = n * values.mean(axis=0).var(ddof=1) / (np.trace(centred) / (k - 1))
+    df = epsilon if reading.df else 1.0
+    share = epsilon if reading.p else 1.0
+    p = stats.f.sf(f, share * (k - 1), share * (k - 1) * (n - 1))
+    places = decimals if reading.df else 0
+    return tl.PublishedStudy(
+        "s",
+        n,
+        {c: f"{x:.2f}" for c, x in zip("ABCDE", values.mean(axis=0), strict=False)},
+        {c: f"{x:.2f}" for c, x in zip("ABCDE", values.std(axis=0, ddof=1), strict=False)},
+        anova={
+            "F": f"{f:.2f}",
+            "df1": f"{df * (k - 1):.{places}f}",
+            "df2": f"{df * (k - 1) * (n - 1):.{places}f}",
+            "p": f"{p:.3f}" if p >= 0.001 else "<.001",
+        },
+        epsilon=f"{epsilon:.{decimals}f}",
+    )
+
+
+@settings(max_examples=60)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([3, 4, 5]),
+    st.sampled_from([NEITHER, BOTH, ONLY_P, ONLY_DF]),
+    st.integers(2, 3),
+)
+def test_no_reading_of_true_data_is_called_a_contradiction(seed, k, reading, decimals):
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(k + 3 + seed % 30, k)) @ rng.normal(size=(k, k)) + rng.normal(size=k)
+    printed = print_of(values, reading, decimals)
+    assert arithmetic_conflicts(printed) == {}
+    assert reading_of(printed).df == reading.df or printed.anova["df1"] == f"{k - 1:.{decimals}f}"
