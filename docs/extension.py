@@ -31,6 +31,7 @@ ROOMS = [
     "campaign",
     "sessions",
     "identification",
+    "trust",
     "allocation",
     "teleoperation",
     "operators",

@@ -13,6 +13,7 @@ from . import (
     studies as studies,
     teleoperation as teleoperation,
     testbeds as testbeds,
+    trust as trust,
 )
 from .allocation import (
     OnlineCorrection as OnlineCorrection,
@@ -141,4 +142,9 @@ from .testbeds import (
     simulate_team as simulate_team,
     simulate_teleoperation as simulate_teleoperation,
     teleoperation_measures as teleoperation_measures,
+)
+from .trust import (
+    compare_trust_models as compare_trust_models,
+    fit_trust as fit_trust,
+    read_people as read_people,
 )

@@ -17,6 +17,7 @@ ROOMS = [
     "sessions",
     "identification",
     "allocation",
+    "trust",
     "teleoperation",
     "operators",
     "testbeds",

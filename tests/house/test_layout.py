@@ -28,6 +28,7 @@ MOST_TOKENS = {
     "studies": 51_000,
     "teleoperation": 31_800,
     "testbeds": 34_500,
+    "trust": 12_000,
     "trustlab": 500,
 }
 MOST_TOKENS_A_LINE = 9.6

@@ -24,11 +24,16 @@ class ByName(dict):
         )
 
 
-def published_folder() -> Path:
-    """Return the folder of printed tables, installed or in the repository."""
+def data_folder(name: str) -> Path:
+    """Return a folder of data/ that comes with the package, installed or in the repository."""
     package = Path(__file__).resolve().parents[1]
-    installed = package / "data" / "published"
-    return installed if installed.is_dir() else package.parent / "data" / "published"
+    installed = package / "data" / name
+    return installed if installed.is_dir() else package.parent / "data" / name
+
+
+def published_folder() -> Path:
+    """Return the folder of printed tables."""
+    return data_folder("published")
 
 
 def published_table(number: str) -> pd.DataFrame:

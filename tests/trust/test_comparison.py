@@ -1,0 +1,85 @@
+"""Held-out scores by plain loops, pairs by SciPy's paired t test, and models told apart."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import trustlab as tl
+from trustlab.trust.comparison import recover_trust_models
+from trustlab.trust.dynamics import MODELS
+from trustlab.trust.likelihood import predict, simulate_ratings
+
+FAST = ["performance", "asymmetric", "persistence", "habit"]
+
+
+@pytest.fixture(scope="module")
+def compared():
+    return tl.compare_trust_models(tl.read_people("hybrid_vr"), FAST, folds=3)
+
+
+def test_pairs_are_paired(compared):
+    scores = compared.scores[compared.scores["split"] == "people"]
+    wide = scores.pivot_table("free_error", "person", "model")
+    test = stats.ttest_rel(wide["asymmetric"], wide["performance"])
+    row = compared.paired().query(
+        "split == 'people' and measure == 'free_error' and model == 'asymmetric'"
+    )
+    interval = test.confidence_interval(0.95)
+    assert row["difference"].item() / row["se"].item() == pytest.approx(test.statistic)
+    assert row[["ci_low", "ci_high"]].to_numpy()[0] == pytest.approx([interval.low, interval.high])
+
+
+def test_last_third_is_not_fitted_and_predicted_freely(compared):
+    """Changing ratings of the last third changes no fit, and a free run uses none of them."""
+    panel = tl.read_people("hybrid_vr")
+    ratings = panel.ratings.copy()
+    ratings[:, 8:] = 0.5
+    changed = panel.with_ratings(ratings)
+    fit = tl.trust.fitting.fitted(panel, MODELS["performance"], "performance", until=7)
+    again = tl.trust.fitting.fitted(changed, MODELS["performance"], "performance", until=7)
+    np.testing.assert_array_equal(fit.centre, again.centre)
+    free = [predict(fit.model, p, free=True, known=7).mean for p in (panel, changed)]
+    np.testing.assert_array_equal(free[0], free[1])
+    scores = compared.scores.query("split == 'last third' and model == 'performance'")
+    expected = np.square(free[0] - panel.ratings[:, 1:])[:, 7:].mean(axis=1)
+    np.testing.assert_allclose(scores["free_error"], expected, atol=2e-4)
+
+
+def test_coverage_of_the_true_model_is_nominal():
+    panel = tl.read_people("hybrid_vr")
+    truth = MODELS["performance"](a=0.2, gain=0.8, process_sd=0.05, rating_sd=0.05)
+    drawn = simulate_ratings(truth, panel, np.random.default_rng(0))
+    table = tl.compare_trust_models(drawn, ["performance", "constant"], folds=2).table()
+    row = table.query("split == 'people' and model == 'performance'")
+    assert row["coverage"].item() == pytest.approx(0.9, abs=0.04)
+
+
+def test_models_that_differ_are_told_apart_and_models_that_nest_less():
+    panel = tl.read_people("hybrid_vr")
+    shares = recover_trust_models(panel, ["performance", "beta", "persistence"], n=1)
+    assert np.diag(shares).tolist() == [1.0, 1.0, 1.0]
+
+
+def test_a_model_of_ones_own_is_compared():
+    class Sticky(tl.trust.LinearTrust):
+        def transition(self, event):
+            return 0.9, 0.1 * event.p_r
+
+    table = tl.compare_trust_models(
+        tl.read_people("hybrid_vr"), {"sticky": Sticky, "walk": "persistence"}, folds=2
+    ).table()
+    assert set(table["model"]) == {"sticky", "walk"}
+    assert np.isfinite(table["log_score"]).all()
+
+
+def test_bad_input_is_named():
+    panel = tl.read_people("hybrid_vr")
+    with pytest.raises(ValueError, match="model must be one of"):
+        tl.fit_trust(panel, "asymetric")
+    with pytest.raises(ValueError, match="folds=3"):
+        tl.compare_trust_models(panel.of(range(3)), FAST)
+    ratings = panel.ratings.copy()
+    ratings[:, 1:] = np.nan
+    unrated = panel.with_ratings(ratings)
+    with pytest.raises(ValueError, match="no rating after an event"):
+        tl.fit_trust(unrated)

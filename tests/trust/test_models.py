@@ -1,0 +1,281 @@
+"""
+Models of trust against their equations in plain loops, filters against the joint distribution of
+all ratings, a grid against Kalman's filter, and parameters that simulations were made with.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import trustlab as tl
+from trustlab.trust.dynamics import BASELINES, MODELS
+from trustlab.trust.fitting import fitted
+from trustlab.trust.interface import coordinates_of, with_parameters
+
+RNG = np.random.default_rng(0)
+SUCCESS = np.array([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], dtype=float)
+LINEAR = ["performance", "series", "decision_field", "asymmetric", "memory_bias"]
+
+
+def panel(people=1, trials=10, seed=0, resolution=1e-4):
+    rng = np.random.default_rng(seed)
+    shape = people, trials
+    signals = {
+        "dt": np.ones(shape),
+        "p_r": rng.integers(0, 2, shape).astype(float),
+        "p_h": rng.random(shape),
+        "fault": rng.random(shape) * (rng.random(shape) < 0.3),
+        "mode": rng.integers(0, 2, shape).astype(float),
+        "followed": np.full(shape, np.nan),
+        "seen": (rng.random(shape) < 0.8).astype(float),
+    }
+    ratings = rng.uniform(0.3, 0.7, (people, trials + 1))
+    return tl.trust.Panel(tuple(range(people)), tl.trust.Event(**signals), ratings, resolution)
+
+
+def mean_course(model, p_r, first=0.6, **signals):
+    """Expected trust without a rating after the first."""
+    belief, course = model.start(np.array([first])), []
+    for k, p in enumerate(p_r):
+        event = {name: np.array([values[k]]) for name, values in signals.items()}
+        belief = model.step(belief, tl.trust.Event(p_r=np.array([p]), **event))
+        course.append(float(model.rating(belief).mean[0]))
+    return np.array(course)
+
+
+def test_performance_is_the_dissertations_model():
+    model = MODELS["performance"](a=0.3, gain=0.7)
+    printed = tl.TrustModel(a=0.3, b=0.21)
+    expected = printed.simulate(np.append(SUCCESS, 0.0), sample_time=1.0, trust0=0.6)[1:]
+    np.testing.assert_allclose(mean_course(model, SUCCESS), expected, atol=1e-14)
+
+
+def test_equal_rates_make_the_switched_model_the_dissertations():
+    rates = {"rate_success": 0.3, "rate_failure": 0.3, "level_failure": 0.0}
+    switched = MODELS["asymmetric"](level_success=0.7, **rates)
+    plain = MODELS["performance"](a=0.3, gain=0.7)
+    np.testing.assert_allclose(
+        mean_course(switched, SUCCESS), mean_course(plain, SUCCESS), atol=1e-14
+    )
+    unequal = MODELS["asymmetric"](level_success=0.7, **rates | {"rate_failure": 0.6})
+    assert np.abs(mean_course(unequal, SUCCESS) - mean_course(plain, SUCCESS)).max() > 0.05
+
+
+def test_series_by_hand():
+    fault = np.array([0, 0.4, 0, 0, 1, 0, 0, 0.2, 0, 0])
+    numbers = {"memory": 0.6, "constant": 0.1, "now": 0.2, "before": 0.05}
+    model = MODELS["series"](**numbers, fault_now=-0.3, fault_before=-0.1)
+    trust, expected = 0.6, []
+    for k in range(10):
+        p_before, f_before = (SUCCESS[k - 1], fault[k - 1]) if k else (0.5, 0.0)
+        trust = 0.6 * trust + 0.1 + 0.2 * SUCCESS[k] + 0.05 * p_before
+        trust += -0.3 * fault[k] - 0.1 * f_before
+        expected.append(trust)
+    np.testing.assert_allclose(mean_course(model, SUCCESS, fault=fault), expected, atol=1e-14)
+
+
+def test_memory_and_bias_by_hand():
+    model = MODELS["memory_bias"](change=0.5, experience=0.4, memory=0.25, forgetting=0.3, bias=0.8)
+    e, c, b = 0.2, 0.075, 0.225
+    trust = total = 0.6
+    expected = []
+    for p in SUCCESS:
+        trust = trust + e * (p - trust) + c * (total - trust) + b * (0.8 - trust)
+        total = 0.7 * total + 0.3 * trust
+        expected.append(trust)
+    np.testing.assert_allclose(mean_course(model, SUCCESS), expected, atol=1e-14)
+
+
+def test_decision_field_by_hand():
+    mode = np.array([0, 0, 1, 1, 0, 1, 0, 0, 1, 0.0])
+    p_h = RNG.random(10)
+    model = MODELS["decision_field"](learning=0.4, forgetting=0.1, inertia=0.3)
+    belief = model.start(np.array([0.6]))
+    robot = trust = 0.6
+    person = confidence = 0.5
+    wish = 0.1
+    for k in range(10):
+        event = {"mode": mode[k], "p_h": p_h[k], "seen": 1.0 - mode[k], "p_r": SUCCESS[k]}
+        belief = model.step(belief, tl.trust.Event(**{n: np.array([v]) for n, v in event.items()}))
+        robot += 0.1 * (0.6 - robot) if mode[k] else 0.4 * (SUCCESS[k] - robot)
+        person += 0.4 * (p_h[k] - person) if mode[k] else 0.1 * (0.5 - person)
+        trust += 0.3 * (robot - trust)
+        confidence += 0.3 * (person - confidence)
+        wish += 0.3 * (trust - confidence - wish)
+        assert float(model.rating(belief).mean[0]) == pytest.approx(trust, abs=1e-13)
+        assert float(model.preference(belief)[0]) == pytest.approx(wish, abs=1e-13)
+
+
+def test_beta_counts_successes():
+    model = MODELS["beta"](strength=8.0, success=1.5, failure=2.5, anchor=0.0)
+    belief, alpha, beta = model.start(np.array([0.6])), 4.8, 3.2
+    for p in SUCCESS:
+        belief = model.learn(model.step(belief, tl.trust.Event(p_r=np.array([p]))), np.array([0.9]))
+        alpha += 1.5 * p
+        beta += 2.5 * (1.0 - p)
+        rating = model.rating(belief)
+        reference = stats.beta(alpha, beta)
+        assert rating.mean[0] == pytest.approx(reference.mean(), abs=1e-14)
+        expected = reference.cdf(0.7) - reference.cdf(0.6)
+        assert rating.mass(0.6, 0.7)[0] == pytest.approx(expected, abs=1e-13)
+
+
+def test_grid_is_kalmans_filter_far_from_the_ends():
+    """Where nothing is truncated a walk on the grid is that of a linear model."""
+    people = panel(5)
+    grid = MODELS["optimo"](constant=-0.02, level=0.04, change=0.0, process_sd=0.04, rating_sd=0.06)
+
+    class Walk(tl.trust.LinearTrust):
+        def transition(self, event):
+            return 1.0, -0.02 + 0.04 * event.p_r
+
+    for k, (one, two) in enumerate(
+        zip(
+            tl.trust.predict(grid, people).distributions,
+            tl.trust.predict(Walk(process_sd=0.04, rating_sd=0.06), people).distributions,
+            strict=True,
+        )
+    ):
+        np.testing.assert_allclose(one.mean, two.mean, atol=2e-4, err_msg=str(k))
+        np.testing.assert_allclose(one.mass(0.4, 0.5), two.mass(0.4, 0.5), atol=2e-3)
+
+
+def test_grid_step_is_a_sum_over_bins():
+    model = MODELS["optimo"](constant=-0.2, level=0.1, change=0.3, process_sd=0.08, rating_sd=0.06)
+    belief = model.start(np.array([0.05]))
+    after = model.step(model.step(belief, tl.trust.Event(p_r=1.0)), tl.trust.Event(p_r=0.0))
+    weights = belief.weights[0]
+    centres = (np.arange(100) + 0.5) / 100
+    for shift in (-0.1, -0.5):
+        following = np.zeros(100)
+        for i, weight in enumerate(weights):
+            density = stats.norm.pdf(centres, centres[i] + shift, 0.08)
+            following += weight * density / density.sum()
+        weights = following
+    np.testing.assert_allclose(after.weights[0], weights, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_filter_is_the_joint_normal_distribution(name):
+    """The product of predictions is the density of all ratings at once, some of them missing."""
+    people = panel(3, seed=1)
+    people.ratings[0, 4:7] = np.nan
+    model = MODELS[name](process_sd=0.05, rating_sd=0.08)
+    steps = tl.trust.predict(model, people).distributions
+    for i in range(3):
+        first = np.concatenate([[1.0], np.zeros(10 + 11)])  # noise of ratings, of the process
+        direction = np.array(model.direction)
+        loading = np.outer(direction, 0.08 * first)
+        mean = np.array(model.offset) + people.ratings[i, 0] * direction
+        means, rows = [], []
+        for k in range(10):
+            matrix, shift = model.transition(people.of([i]).event(k))
+            matrix = np.atleast_2d(np.squeeze(matrix)) if direction.size == 1 else matrix[0]
+            mean = matrix @ mean + np.ravel(shift)
+            loading = matrix @ loading
+            loading[0, 11 + k] += 0.05
+            rating = loading[0].copy()
+            rating[1 + k] += 0.08
+            means.append(mean[0])
+            rows.append(rating)
+        known = np.isfinite(people.ratings[i, 1:])
+        rows = np.array(rows)[known]
+        joint = stats.multivariate_normal(np.array(means)[known], rows @ rows.T)
+        product = sum(
+            stats.norm.logpdf(people.ratings[i, k + 1], step.mean[i], step.sd[i])
+            for k, step in enumerate(steps)
+            if known[k]
+        )
+        assert product == pytest.approx(joint.logpdf(people.ratings[i, 1:][known]), abs=1e-8)
+
+
+def test_baselines_are_what_they_say():
+    people = panel(4)
+    running = tl.trust.predict(BASELINES["running_mean"](), people).mean
+    so_far = np.cumsum(people.ratings, axis=1) / np.arange(1, 12)
+    np.testing.assert_allclose(running, so_far[:, :-1], atol=1e-12)
+    persistent = BASELINES["persistence"](process_sd=1.0, rating_sd=0.001)
+    np.testing.assert_allclose(
+        tl.trust.predict(persistent, people).mean, people.ratings[:, :-1], atol=1e-5
+    )
+    followed = np.array([[1.0, 1.0, np.nan, 0.0]] * 2)
+    events = people.events._replace(**{n: v[:2, :4] for n, v in people.events._asdict().items()})
+    habit = tl.trust.Panel((1, 2), events._replace(followed=followed), people.ratings[:2, :5], 0.01)
+    odds = tl.trust.predict(BASELINES["habit"](), habit).preference[0]
+    np.testing.assert_allclose(np.exp(odds), [1.0, 2.0, 3.0, 3.0])
+
+
+def test_coordinates_return_the_model():
+    for model in (MODELS | BASELINES).values():
+        again = with_parameters(model, coordinates_of(model()))
+        for name, (default, *_) in model.parameters().items():
+            assert float(getattr(again, name)) == pytest.approx(default, abs=2e-6)
+
+
+def test_a_parameter_off_its_range_is_refused():
+    with pytest.raises(ValueError, match=r"gain must lie in \[0, 1\], got 1.2"):
+        MODELS["performance"](gain=1.2)
+
+
+TRUTH = {
+    "performance": {"a": 0.25, "gain": 0.7},
+    "series": {"memory": 0.8, "constant": 0.05, "now": 0.15, "before": -0.03},
+    "decision_field": {"learning": 0.4, "inertia": 0.4},
+    "optimo": {"constant": -0.05, "level": 0.1, "change": 0.03},
+    "beta": {"strength": 20.0, "success": 2.0, "failure": 3.0, "anchor": 0.6},
+    "asymmetric": {"rate_success": 0.2, "rate_failure": 0.5, "level_failure": 0.1},
+    "memory_bias": {"change": 0.5, "experience": 0.5, "bias": 0.7},
+}
+
+
+@pytest.mark.parametrize("name", TRUTH)
+def test_parameters_return_from_simulations(name):
+    """Every parameter that the data determine lies within four standard errors."""
+    people = 50 if name == "optimo" else 120
+    truth = MODELS[name](**TRUTH[name])
+    drawn = tl.trust.simulate_ratings(
+        truth, panel(people, seed=3, resolution=0.01), np.random.default_rng(4)
+    )
+    fit = tl.fit_trust(drawn, name)
+    error = (fit.centre - coordinates_of(truth)) / np.sqrt(np.diag(fit.covariance))
+    known = np.isfinite(error) & (np.diag(fit.covariance) < 1.0)
+    assert known.sum() >= 3
+    assert np.abs(error[known]).max() < 4.0, dict(zip(truth.parameters(), error, strict=True))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["performance", "asymmetric", "beta", "series"])
+def test_intervals_cover_as_they_say(name):
+    truth = MODELS[name](**TRUTH[name])
+    hits = []
+    for seed in range(100):
+        people = panel(60, seed=seed, resolution=0.01)
+        drawn = tl.trust.simulate_ratings(truth, people, np.random.default_rng(1000 + seed))
+        fit = tl.fit_trust(drawn, name)
+        sd = np.sqrt(np.diag(fit.covariance))
+        known = np.isfinite(sd) & (sd < 1.0)
+        hits.append(np.where(known, np.abs(fit.centre - coordinates_of(truth)) < 1.96 * sd, np.nan))
+    share = np.nanmean(hits, axis=0)
+    often = np.isfinite(hits).sum(axis=0) > 50
+    assert (np.abs(share[often] - 0.95) < 4.0 * math.sqrt(0.95 * 0.05 / 60)).all(), share
+
+
+def test_partial_pooling_finds_how_people_differ():
+    people = panel(80, 20, seed=5, resolution=0.01)
+    model = MODELS["performance"]
+    rng = np.random.default_rng(6)
+    centre = coordinates_of(model(a=0.3, gain=0.7, process_sd=0.03, rating_sd=0.03))
+    names = list(model.parameters())
+    truth = np.tile(centre, (80, 1))
+    truth[:, names.index("a")] += 0.8 * rng.standard_normal(80)
+    drawn = tl.trust.simulate_ratings(with_parameters(model, truth), people, rng)
+    fit = tl.fit_trust(drawn, "performance", pooling="partial")
+    spread = dict(zip(names, fit.spread, strict=True))
+    assert spread["a"] == pytest.approx(0.8, abs=0.25)
+    assert spread["gain"] < 0.35
+    rate = np.log(fit.people_table()["a"])
+    assert np.corrcoef(rate, truth[:, names.index("a")])[0, 1] > 0.8
+    pooled = fitted(drawn, model, "performance")
+    assert fit.log_likelihood > pooled.log_likelihood + 50.0

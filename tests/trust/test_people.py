@@ -1,0 +1,108 @@
+"""Panels of real people: what the files hold, their repair, and tables of a user's own."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import trustlab as tl
+from trustlab.models.published import data_folder
+from trustlab.trust import people as sets
+
+
+def test_hybrid_panels_are_the_files():
+    path = data_folder("people") / sets.FILES["hybrid_real"]
+    raw = json.loads(path.read_text())
+    panel = tl.read_people("hybrid_real")
+    assert panel.ratings.shape == (100, 11)
+    np.testing.assert_array_equal(panel.ratings, [person["trust"] for person in raw])
+    first = raw[17]
+    advice = np.array(first["robot_decision_making"])
+    np.testing.assert_array_equal(panel.events.p_r[17], advice == first["state"])
+    followed = advice == np.array(first["human_decision_making"])
+    np.testing.assert_array_equal(panel.events.followed[17], followed)
+    earned = np.array(first["task_result"]) > 0
+    np.testing.assert_array_equal(panel.events.p_h[17], earned)
+
+
+def test_the_caution_on_reliance_is_true():
+    for name in ("hybrid_real", "hybrid_vr"):
+        panel = tl.read_people(name)
+        above = panel.ratings[:, :-1].ravel() > 0.5
+        correlation = np.corrcoef(above, panel.events.followed.ravel())[0, 1]
+        assert correlation > 0.9
+        assert "no conclusion on reliance" in panel.cautions[0]
+
+
+def test_the_comma_is_missing_and_is_put_back():
+    path = data_folder("people") / sets.FILES["hybrid_vr"]
+    with pytest.raises(json.JSONDecodeError, match="line 3326"):
+        json.loads(path.read_text())
+    assert len(tl.read_people("hybrid_vr")) == 100
+
+
+def test_a_changed_file_is_refused(tmp_path, monkeypatch):
+    folder = tmp_path / "hybrid_trust_du2026"
+    folder.mkdir()
+    (folder / "VR_Based_data.json").write_text("[]")
+    monkeypatch.setattr(sets, "data_folder", lambda name: tmp_path)
+    with pytest.raises(ValueError, match="is not the published file"):
+        tl.read_people("hybrid_vr")
+
+
+def test_other_sets():
+    transfer = tl.read_people("trust_transfer")
+    assert (len(transfer), transfer.trials) == (96, 1)
+    capabilities = tl.read_people("btm")
+    assert np.isfinite(capabilities.ratings[:, 1:]).sum() == 852
+    assert np.isfinite(capabilities.events.dt).sum(axis=0).tolist() == [852, 568, 284]
+    assert set(np.unique(capabilities.ratings[:, 1:] * 6).round(9)[:7]) == set(range(7))
+    assert np.isfinite(tl.fit_trust(capabilities, "performance").log_likelihood)
+
+
+def test_each_set_has_its_licence_and_source():
+    for folder in data_folder("people").iterdir():
+        names = {path.name for path in folder.iterdir()}
+        assert "NOTE.md" in names
+        assert names & {"LICENSE", "LICENSE.md"}
+
+
+def test_a_labs_file_by_recipe(tmp_path):
+    path = tmp_path / "trust.csv"
+    frame = pd.DataFrame(
+        {"id": ["A", "A", "A", "B", "B"], "t": [0, 1, 2, 0, 1], "ok": [0, 1, 0, 0, 1]}
+    )
+    frame.assign(answer=[4, 5, None, 7, 1]).to_csv(path, index=False)
+    columns = {"person": "id", "trial": "t", "p_r": "ok", "rating": "answer"}
+    panel = tl.read_people(path, {"columns": columns, "low": 1, "high": 7})
+    np.testing.assert_allclose(panel.ratings, [[0.5, 4 / 6, np.nan], [1.0, 0.0, np.nan]])
+    assert panel.resolution == pytest.approx(1 / 6)
+    np.testing.assert_array_equal(panel.events.p_r, [[1, 0], [1, np.nan]])
+    table = panel.table()
+    happened = table[(table["trial"] == 0) | table["p_r"].notna()]
+    again = tl.trust.panel_from_table(happened, resolution=1 / 6)
+    np.testing.assert_allclose(again.ratings, panel.ratings)
+    with pytest.raises(ValueError, match="outside the scale from 1 to 5; low and high"):
+        tl.read_people(path, {"columns": columns, "low": 1, "high": 5})
+    with pytest.raises(ValueError, match="no column 'answers'"):
+        tl.read_people(path, {"columns": columns | {"rating": "answers"}})
+    with pytest.raises(ValueError, match="did you mean 'hybrid_vr'"):
+        tl.read_people("hybrid_vrr")
+
+
+def test_missing_events_change_nothing():
+    panel = tl.read_people("hybrid_vr").of(range(6))
+    short = panel.of([0])
+    events = tl.trust.Event(*(signal[:, :6] for signal in short.events))
+    short = tl.trust.Panel(short.people, events, short.ratings[:, :7], 0.01)
+    longer = panel.of([0])
+    ratings = longer.ratings.copy()
+    ratings[:, 7:] = np.nan
+    gone = {
+        name: np.where(np.arange(10) < 6, v, np.nan) for name, v in longer.events._asdict().items()
+    }
+    longer = tl.trust.Panel(longer.people, tl.trust.Event(**gone), ratings, 0.01)
+    for name in ("asymmetric", "optimo", "beta"):
+        fits = [tl.fit_trust(each, name).log_likelihood for each in (short, longer)]
+        assert fits[0] == pytest.approx(fits[1], abs=1e-3)

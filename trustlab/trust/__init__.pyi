@@ -1,0 +1,12 @@
+from .comparison import (
+    TrustComparison as TrustComparison,
+    compare_trust_models as compare_trust_models,
+    recover_trust_models as recover_trust_models,
+)
+from .dynamics import BASELINES as BASELINES, MODELS as MODELS
+from .dynamics.linear import LinearTrust as LinearTrust
+from .fitting import TrustFit as TrustFit, fit_trust as fit_trust
+from .interface import Event as Event, TrustDynamics as TrustDynamics, parameter as parameter
+from .likelihood import predict as predict, simulate_ratings as simulate_ratings
+from .panel import Panel as Panel, panel_from_table as panel_from_table
+from .people import read_people as read_people

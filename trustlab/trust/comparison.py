@@ -1,0 +1,267 @@
+"""Which model of trust predicts people best: held-out scores, paired by person; and recovery."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.models.checks import of_class, one_of, spawned, whole_number
+from trustlab.models.html import as_html
+from trustlab.trust.dynamics import BASELINES, MODELS
+from trustlab.trust.fitting import CRITERIA, Link, fitted, model_class
+from trustlab.trust.interface import LEAST, TrustDynamics
+from trustlab.trust.likelihood import predict, simulate_ratings
+from trustlab.trust.panel import Panel
+
+# Of every person: squared errors, less is better; log score in nats a rating, more is better; log
+# loss of reliance in nats a decision, less is better; ratings within the 90 % interval.
+MEASURES = ("free_error", "step_error", "log_score", "reliance_loss", "coverage")
+LEVEL = 0.9
+Models = Sequence | Mapping | None
+
+
+@dataclass(frozen=True, eq=False)
+class TrustComparison:
+    """
+    Scores of models of trust on ratings that they were not fitted to.
+
+    Parameters
+    ----------
+    scores : pandas.DataFrame
+        A row per split, model and person: split, model, person and the measures.
+    against : str
+        The model that others are compared with.
+    source : str
+        Where the data are from.
+    cautions : tuple of str
+        What must be said of the data.
+    """
+
+    scores: pd.DataFrame
+    against: str
+    source: str
+    cautions: tuple[str, ...]
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the scores of every model: means over people.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns split, model, free_rmse and step_rmse (from no rating but the first, or from all
+            so far), log_score, reliance_loss, coverage (of 90 % intervals).
+        """
+        means = self.scores.groupby(["split", "model"], sort=False)[list(MEASURES)].mean()
+        means = means.reset_index()
+        for name in ("free", "step"):
+            means[f"{name}_error"] = np.sqrt(means[f"{name}_error"])
+        return means.rename(columns={"free_error": "free_rmse", "step_error": "step_rmse"})
+
+    def paired(self, against: str | None = None) -> pd.DataFrame:
+        """
+        Return differences from a model, paired by person, with 95 % intervals.
+
+        Parameters
+        ----------
+        against : str, optional
+            The model that is subtracted; `against` of the comparison when not given.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns split, measure, model, difference (of squared errors, not of their roots), se,
+            ci_low, ci_high (Student's t over people), people.
+        """
+        names = list(dict.fromkeys(self.scores["model"]))
+        reference = one_of("against", against or self.against, names)
+        rows = []
+        for split, scores in self.scores.groupby("split", sort=False):
+            for measure in MEASURES[:4]:
+                wide = scores.pivot_table(measure, "person", "model", dropna=False)
+                for name in names:
+                    difference = (wide[name] - wide[reference]).dropna().to_numpy()
+                    if name != reference and difference.size > 1:
+                        rows.append((split, measure, name, *_interval(difference)))
+        columns = ["split", "measure", "model", "difference", "se", "ci_low", "ci_high", "people"]
+        return pd.DataFrame(rows, columns=columns)
+
+    def _repr_html_(self) -> str:
+        text = " ".join((self.source, *self.cautions))
+        title = f"Models of trust, differences from {self.against}"
+        return as_html(text, self.table(), self.paired(), title=title)
+
+
+def _interval(difference: np.ndarray) -> tuple:
+    """Return mean, standard error, ends of the 95 % interval, and number of people."""
+    mean, size = float(difference.mean()), difference.size
+    se = float(difference.std(ddof=1) / np.sqrt(size))
+    half = float(special.stdtrit(size - 1, 0.975)) * se
+    return mean, se, mean - half, mean + half, size
+
+
+def named_models(models: Models) -> dict[str, type[TrustDynamics]]:
+    """Return classes by name: all models and baselines when none are chosen."""
+    if models is None:
+        return MODELS | BASELINES
+    if isinstance(models, Mapping):
+        return {str(name): model_class(model) for name, model in models.items()}
+    chosen = [model_class(model) for model in models]
+    names = [m if isinstance(m, str) else m.__name__ for m in models]
+    return dict(zip(names, chosen, strict=True))
+
+
+def compare_trust_models(
+    panel: Panel,
+    models: Models = None,
+    *,
+    folds: int = 5,
+    against: str = "performance",
+    criterion: str = "step",
+    seed: int = 0,
+) -> TrustComparison:
+    """
+    Score models of trust on people left out, and on the last third of every person.
+
+    Parameters
+    ----------
+    panel : Panel
+        See `read_people`.
+    models : sequence or mapping, optional
+        Names or classes, or classes by name; the seven models and the baselines when not given.
+    folds : int
+        Groups of people, each left out once.
+    against : str
+        The model that others are compared with.
+    criterion : {"step", "free"}
+        What models are fitted for, see `fit_trust`.
+    seed : int
+        Of the division into groups.
+
+    Returns
+    -------
+    TrustComparison
+
+    Raises
+    ------
+    ValueError
+        If a model is unknown or there are fewer people than folds.
+
+    Notes
+    -----
+    Parameters are pooled. People left out of the same fold share the fitted parameters, so that
+    intervals leave out what fitting adds.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> result = tl.compare_trust_models(tl.read_people("hybrid_vr"), ["beta", "persistence"])
+    >>> result.table().shape
+    (4, 7)
+    """
+    of_class("panel", panel, Panel, "tl.read_people(…) reads one")
+    chosen = named_models(models)
+    if against not in chosen:
+        against = next(iter(chosen)) if against == "performance" else against
+    one_of("against", against, list(chosen))
+    free = one_of("criterion", criterion, CRITERIA) == "free"
+    folds = whole_number("folds", folds, least=2)
+    if len(panel) < folds:
+        raise ValueError(f"{folds} folds need as many people, got {len(panel)}; folds={len(panel)}")
+    order = np.random.default_rng(spawned(seed, 1)[0]).permutation(len(panel))
+    groups = np.array_split(order, folds)
+    later = panel.trials - panel.trials // 3
+    splits: dict[str, list] = {"people": [], "last third": []}
+    for name, model in chosen.items():
+        # Where all people are fitted best is a good place to start from, and nothing more.
+        start = fitted(panel, model, name, free=free).centre
+        parts = []
+        for group in groups:
+            rest = panel.of(np.setdiff1d(order, group))
+            fit = fitted(rest, model, name, free=free, start=start)
+            parts.append(_scores(fit.model, fit.link, panel.of(group), 0))
+        splits["people"].append(pd.concat(parts).assign(split="people", model=name))
+        if later < panel.trials:
+            fit = fitted(panel, model, name, free=free, until=later, start=start)
+            scores = _scores(fit.model, fit.link, panel, later)
+            splits["last third"].append(scores.assign(split="last third", model=name))
+    tables = [table for split in splits.values() for table in split]
+    scores = pd.concat(tables, ignore_index=True)[["split", "model", "person", *MEASURES]]
+    return TrustComparison(scores, against, panel.source, panel.cautions)
+
+
+def _scores(model: TrustDynamics, link: Link, panel: Panel, since: int) -> pd.DataFrame:
+    """Return every person's measures on the events from one on."""
+    actual = panel.ratings[:, 1:]
+    steps = predict(model, panel)
+    free = predict(model, panel, free=True, known=since)
+    logs = np.log(np.fmax(steps.probability(panel), LEAST))
+    below = [
+        rating.mass(np.full(len(panel), -np.inf), panel.ratings[:, k + 1])
+        for k, rating in enumerate(steps.distributions)
+    ]
+    inside = np.abs(np.stack(below, axis=1) - 0.5) <= LEVEL / 2.0
+    missing = np.isnan(actual)
+    odds = link.bias + link.slope * steps.preference
+    followed = panel.events.followed
+    values = {
+        "free_error": np.square(free.mean - actual),
+        "step_error": np.square(steps.mean - actual),
+        "log_score": np.where(missing, np.nan, logs),
+        "reliance_loss": np.logaddexp(0.0, odds) - followed * odds,
+        "coverage": np.where(missing, np.nan, inside),
+    }
+    table = {name: _mean(value[:, since:]) for name, value in values.items()}
+    return pd.DataFrame({"person": panel.people} | table)
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    """Return the mean of each row without what is missing; NaN where all is."""
+    known = np.isfinite(values)
+    count = known.sum(axis=1)
+    total = np.where(known, values, 0.0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def recover_trust_models(
+    panel: Panel, models: Models = None, *, n: int = 1, seed: int = 0
+) -> pd.DataFrame:
+    """
+    Return which models can be told apart: each is fitted, simulated, and looked for by all.
+
+    Parameters
+    ----------
+    panel : Panel
+        Events, first ratings and what models are fitted to.
+    models : sequence or mapping, optional
+        As of `compare_trust_models`; the seven models when not given.
+    n : int
+        Simulated panels of each model.
+    seed : int
+        Of the simulations.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row per model simulated, a column per model chosen (least BIC), shares of the n panels.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> panel = tl.read_people("hybrid_vr")
+    >>> tl.trust.recover_trust_models(panel, ["beta", "persistence"]).to_numpy().tolist()
+    [[1.0, 0.0], [0.0, 1.0]]
+    """
+    chosen = MODELS if models is None else named_models(models)
+    n = whole_number("n", n)
+    names = list(chosen)
+    shares = pd.DataFrame(0.0, index=pd.Index(names, name="simulated"), columns=names)
+    for name, stream in zip(names, spawned(seed, len(names)), strict=True):
+        truth = fitted(panel, chosen[name], name).model
+        for child in stream.spawn(n):
+            drawn = simulate_ratings(truth, panel, np.random.default_rng(child))
+            bic = {other: fitted(drawn, model, other).bic for other, model in chosen.items()}
+            shares.loc[name, min(bic, key=bic.__getitem__)] += 1.0 / n
+    return shares

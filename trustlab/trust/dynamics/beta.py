@@ -1,0 +1,103 @@
+"""Trust as a Beta distribution of successes and failures, after Guo and Yang."""
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from trustlab.trust.interface import BetaRating, Event, TrustDynamics, parameter
+
+# How close to an end of the scale the mean of a belief may come.
+END = 1e-3
+
+
+class Counts(NamedTuple):
+    """Weighed successes and failures, shape (N,)."""
+
+    alpha: np.ndarray
+    beta: np.ndarray
+
+
+@dataclass(frozen=True)
+class BetaTrust(TrustDynamics):
+    """
+    T ~ Beta(α, β), α' = α + w_s p, β' = β + w_f (1 − p): steps shrink as experience grows.
+
+    Parameters
+    ----------
+    strength : float
+        α + β before the first event; their ratio is the first rating's.
+    success, failure : float
+        w_s and w_f.
+    anchor : float
+        Share of its distance to a later rating that the mean moves; 0, as published, takes ratings
+        as draws that say nothing of the next.
+
+    Notes
+    -----
+    Y. Guo, X. J. Yang, Modeling and predicting trust dynamics in human-robot teaming: a Bayesian
+    inference approach, Int. J. Social Robotics 13, 2021 (arXiv 2007.13151). The anchor is not
+    theirs.
+    """
+
+    title: ClassVar[str] = "Beta (Guo and Yang)"
+    strength: float = parameter(10.0, 0.1, np.inf)
+    success: float = parameter(1.0, 0.0, np.inf)
+    failure: float = parameter(1.0, 0.0, np.inf)
+    anchor: float = parameter(0.5, 0.0, 1.0)
+
+    def start(self, rating) -> Counts:
+        """
+        Return the belief after a first rating; .5 where there is none.
+
+        Parameters
+        ----------
+        rating : array_like, shape (N,)
+            Ratings, 0 to 1.
+        """
+        mean = np.nan_to_num(np.atleast_1d(np.asarray(rating, dtype=float)), nan=0.5)
+        mean = np.clip(mean, END, 1.0 - END)
+        return Counts(self.strength * mean, self.strength * (1.0 - mean))
+
+    def step(self, belief: Counts, event: Event) -> Counts:
+        """
+        Return the belief after an event.
+
+        Parameters
+        ----------
+        belief : Counts
+            The belief before it.
+        event : Event
+            Its p_r.
+        """
+        p = np.asarray(event.p_r, dtype=float)
+        return Counts(belief.alpha + self.success * p, belief.beta + self.failure * (1.0 - p))
+
+    def learn(self, belief: Counts, rating) -> Counts:
+        """
+        Return the belief with its mean moved towards a rating; unchanged where that is NaN.
+
+        Parameters
+        ----------
+        belief : Counts
+            The belief before it.
+        rating : array_like, shape (N,)
+            Ratings, 0 to 1.
+        """
+        total = belief.alpha + belief.beta
+        mean = belief.alpha / total
+        rating = np.asarray(rating, dtype=float)
+        moved = mean + self.anchor * (np.where(np.isfinite(rating), rating, mean) - mean)
+        moved = np.clip(moved, END, 1.0 - END)
+        return Counts(total * moved, total * (1.0 - moved))
+
+    def rating(self, belief: Counts) -> BetaRating:
+        """
+        Return the distribution of the next rating.
+
+        Parameters
+        ----------
+        belief : Counts
+            The belief now.
+        """
+        return BetaRating(belief.alpha, belief.beta)

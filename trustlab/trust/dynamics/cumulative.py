@@ -1,0 +1,68 @@
+"""Trust with a memory and a bias, after Hu, Akash, Reid and Jain."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from trustlab.trust.dynamics.linear import LinearTrust, column
+from trustlab.trust.interface import Event, parameter
+
+
+@dataclass(frozen=True)
+class CumulativeTrust(LinearTrust):
+    """
+    T' = T + e (p − T) + c (C − T) + b (B − T), C' = (1 − g) C + g T'.
+
+    C is cumulative trust, B a person's expectation. The weights e, c, b are shares of `change`, so
+    that their sum is below 1.
+
+    Parameters
+    ----------
+    change : float
+        e + c + b.
+    experience : float
+        e as a share of `change`.
+    memory : float
+        c as a share of what experience leaves; b is the rest.
+    forgetting : float
+        g.
+    bias : float
+        B.
+    process_sd, rating_sd : float
+        See `LinearTrust`.
+
+    Notes
+    -----
+    W.-L. Hu, K. Akash, T. Reid, N. Jain, IEEE Trans. Human-Machine Systems 49(6), 2019.
+    """
+
+    title: ClassVar[str] = "memory and bias (Hu and Akash)"
+    direction: ClassVar[tuple[float, ...]] = (1.0, 1.0)
+    offset: ClassVar[tuple[float, ...]] = (0.0, 0.0)
+    change: float = parameter(0.3, 0.0, 1.0)
+    experience: float = parameter(0.5, 0.0, 1.0)
+    memory: float = parameter(0.5, 0.0, 1.0)
+    forgetting: float = parameter(0.2, 0.0, 1.0)
+    bias: float = parameter(0.5, 0.0, 1.0)
+
+    def transition(self, event: Event):
+        """
+        Return the matrix of trust and cumulative trust, and what experience and bias add.
+
+        Parameters
+        ----------
+        event : Event
+            Its p_r.
+        """
+        size = max(np.size(event.p_r), np.size(self.change))
+        experience = self.change * self.experience
+        memory = (self.change - experience) * self.memory
+        expectation = self.change - experience - memory
+        matrix = np.empty((size, 2, 2))
+        matrix[:, 0, 0] = 1.0 - self.change
+        matrix[:, 0, 1] = memory
+        matrix[:, 1] = np.reshape(self.forgetting, (-1, 1)) * matrix[:, 0]
+        matrix[:, 1, 1] += 1.0 - self.forgetting
+        shift = experience * column(event.p_r, size) + expectation * self.bias
+        return matrix, np.stack([shift, self.forgetting * shift], axis=-1)

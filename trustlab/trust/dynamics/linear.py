@@ -1,0 +1,126 @@
+"""Models that are linear in trust: what is believed of it is normal, by Kalman's filter."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from trustlab.trust.interface import Event, NormalRating, TrustDynamics, parameter
+
+
+class Gaussian(NamedTuple):
+    """Mean, shape (N, states), and covariance, shape (N, states, states), of the state."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+def column(value: Any, size: int) -> np.ndarray:
+    """Return a parameter or a signal as an array with a row per person."""
+    return np.broadcast_to(np.asarray(value, dtype=float), (size,))
+
+
+@dataclass(frozen=True)
+class LinearTrust(TrustDynamics):
+    """
+    Trust that is linear in the state: x' = A x + b + noise, rating = x₁ + noise.
+
+    A subclass returns A and b of an event from `transition`; trust is the first state.
+
+    Parameters
+    ----------
+    process_sd : float
+        Standard deviation of what an event adds to trust, per √dt.
+    rating_sd : float
+        Standard deviation of a rating about trust.
+    """
+
+    process_sd: float = parameter(0.05, 1e-3, 1.0)
+    rating_sd: float = parameter(0.05, 1e-3, 1.0)
+
+    # The state before the first event is offset + direction · (first rating).
+    direction: ClassVar[tuple[float, ...]] = (1.0,)
+    offset: ClassVar[tuple[float, ...]] = (0.0,)
+
+    def transition(self, event: Event) -> tuple[Any, Any]:
+        """
+        Return A and b: two numbers per person, or matrices (N, d, d) and vectors (N, d).
+
+        Parameters
+        ----------
+        event : Event
+            What happened.
+        """
+        raise NotImplementedError
+
+    def start(self, rating) -> Gaussian:
+        """
+        Return the belief after a first rating; trust is anywhere in [0, 1] where there is none.
+
+        Parameters
+        ----------
+        rating : array_like, shape (N,)
+            Ratings, 0 to 1.
+        """
+        rating = np.atleast_1d(np.asarray(rating, dtype=float))
+        missing = np.isnan(rating)
+        first = np.where(missing, 0.5, rating)
+        variance = np.where(missing, 1.0 / 12.0, self.rating_sd**2)
+        direction = np.array(self.direction)
+        mean = np.array(self.offset) + first[:, None] * direction
+        return Gaussian(mean, variance[:, None, None] * np.outer(direction, direction))
+
+    def step(self, belief: Gaussian, event: Event) -> Gaussian:
+        """
+        Return the belief after an event.
+
+        Parameters
+        ----------
+        belief : Gaussian
+            The belief before it.
+        event : Event
+            What happened.
+        """
+        size, states = belief.mean.shape
+        matrix, shift = self.transition(event)
+        if states == 1:
+            matrix = column(matrix, size)[:, None]
+            mean = matrix * belief.mean + column(shift, size)[:, None]
+            covariance = matrix[..., None] ** 2 * belief.covariance
+        else:
+            mean = (matrix @ belief.mean[..., None])[..., 0] + shift
+            covariance = matrix @ belief.covariance @ np.swapaxes(matrix, -1, -2)
+        covariance = covariance.copy()
+        covariance[:, 0, 0] += self.process_sd**2 * event.dt
+        return Gaussian(mean, covariance)
+
+    def learn(self, belief: Gaussian, rating) -> Gaussian:
+        """
+        Return the belief after a rating; unchanged where it is NaN.
+
+        Parameters
+        ----------
+        belief : Gaussian
+            The belief before it.
+        rating : array_like, shape (N,)
+            Ratings, 0 to 1.
+        """
+        error = np.asarray(rating, dtype=float) - belief.mean[:, 0]
+        known = np.isfinite(error)
+        with_trust = belief.covariance[:, :, 0]
+        spread = belief.covariance[:, 0, 0] + self.rating_sd**2
+        gain = np.where(known, 1.0 / spread, 0.0)[:, None] * with_trust
+        mean = belief.mean + gain * np.where(known, error, 0.0)[:, None]
+        return Gaussian(mean, belief.covariance - gain[:, :, None] * with_trust[:, None, :])
+
+    def rating(self, belief: Gaussian) -> NormalRating:
+        """
+        Return the distribution of the next rating.
+
+        Parameters
+        ----------
+        belief : Gaussian
+            The belief now.
+        """
+        variance = np.maximum(belief.covariance[:, 0, 0], 0.0) + self.rating_sd**2
+        return NormalRating(belief.mean[:, 0], np.sqrt(variance))

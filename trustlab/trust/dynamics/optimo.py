@@ -1,0 +1,123 @@
+"""Trust known by its probability on a grid, after the OPTIMo of Xu and Dudek."""
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from trustlab.trust.dynamics.linear import column
+from trustlab.trust.interface import Event, GridRating, TrustDynamics, parameter
+
+BINS = 100
+CENTRES = (np.arange(BINS) + 0.5) / BINS
+# Where the difference of bins i − j stands among the differences from −(BINS − 1) to BINS − 1.
+PLACE = np.arange(BINS)[:, None] - np.arange(BINS)[None, :] + BINS - 1
+DIFFERENCES = np.arange(1 - BINS, BINS) / BINS
+
+
+class Grid(NamedTuple):
+    """Probability of trust in every bin, shape (N, BINS); the last performance, NaN at first."""
+
+    weights: np.ndarray
+    before: np.ndarray
+
+
+@dataclass(frozen=True)
+class GridTrust(TrustDynamics):
+    """
+    T' ~ N(T + w_b + w_p p + w_d (p − p before), process_sd²) in [0, 1], rating ~ N(T, rating_sd²).
+
+    The filter is exact on the grid. Nothing is forgotten: with many events trust drifts unless w_b
+    and w_p cancel.
+
+    Parameters
+    ----------
+    constant, level, change : float
+        w_b, w_p and w_d.
+    process_sd, rating_sd : float
+        Standard deviations of the walk and of a rating about trust.
+
+    Notes
+    -----
+    A. Xu, G. Dudek, OPTIMo: online probabilistic trust inference model for asymmetric human-robot
+    collaborations, HRI 2015. The paper's grid has 300 bins; its reports of changes of trust and the
+    terms of interventions other than the level of trust are left out.
+    """
+
+    title: ClassVar[str] = "grid (OPTIMo)"
+    constant: float = parameter(-0.05, -1.0, 1.0)
+    level: float = parameter(0.1, -1.0, 1.0)
+    change: float = parameter(0.01, -1.0, 1.0)
+    process_sd: float = parameter(0.05, 0.01, 1.0)
+    rating_sd: float = parameter(0.05, 0.01, 1.0)
+
+    def start(self, rating) -> Grid:
+        """
+        Return the belief after a first rating; uniform where there is none.
+
+        Parameters
+        ----------
+        rating : array_like, shape (N,)
+            Ratings, 0 to 1.
+        """
+        rating = np.atleast_1d(np.asarray(rating, dtype=float))
+        uniform = np.full((rating.size, BINS), 1.0 / BINS)
+        return self.learn(Grid(uniform, np.full(rating.size, np.nan)), rating)
+
+    def step(self, belief: Grid, event: Event) -> Grid:
+        """
+        Return the belief after an event.
+
+        Parameters
+        ----------
+        belief : Grid
+            The belief before it.
+        event : Event
+            Its p_r.
+        """
+        size = len(belief.weights)
+        p = column(event.p_r, size)
+        before = np.where(np.isnan(belief.before), p, belief.before)
+        shift = self.constant + self.level * p + self.change * (p - before)
+        moves = np.stack([shift, column(self.process_sd, size)], axis=-1)
+        # People who see the same move the same way: a kernel for each way that occurs.
+        ways, which = np.unique(moves, axis=0, return_inverse=True)
+        weights = np.empty_like(belief.weights)
+        for i, (mean, sd) in enumerate(ways):
+            distance = (DIFFERENCES - mean) / sd
+            nearest = np.square(distance).min()
+            kernel = np.exp(-0.5 * (np.square(distance) - nearest))[PLACE]
+            kernel /= np.maximum(kernel.sum(axis=0), 1e-300)
+            rows = which.ravel() == i
+            weights[rows] = belief.weights[rows] @ kernel.T
+        return Grid(weights / weights.sum(axis=1, keepdims=True), p)
+
+    def learn(self, belief: Grid, rating) -> Grid:
+        """
+        Return the belief after a rating; unchanged where it is NaN.
+
+        Parameters
+        ----------
+        belief : Grid
+            The belief before it.
+        rating : array_like, shape (N,)
+            Ratings, 0 to 1.
+        """
+        sd = column(self.rating_sd, len(belief.weights))[:, None]
+        error = (np.asarray(rating, dtype=float)[:, None] - CENTRES) / sd
+        exponent = np.nan_to_num(-0.5 * np.square(error), nan=0.0)
+        with np.errstate(divide="ignore"):
+            logs = np.log(belief.weights) + exponent
+        weights = np.exp(logs - logs.max(axis=1, keepdims=True))
+        return Grid(weights / weights.sum(axis=1, keepdims=True), belief.before)
+
+    def rating(self, belief: Grid) -> GridRating:
+        """
+        Return the distribution of the next rating.
+
+        Parameters
+        ----------
+        belief : Grid
+            The belief now.
+        """
+        return GridRating(belief.weights, CENTRES, column(self.rating_sd, len(belief.weights)))

@@ -1,0 +1,264 @@
+"""What every model of trust has in common: events, beliefs about trust, ratings that follow."""
+
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from scipy import special
+
+from trustlab.models.checks import between
+
+# Least probability of a rating: a rating that a model excludes costs 69 nats, not infinitely many.
+LEAST = 1e-30
+# How close to an end of its range a parameter may start.
+MARGIN = 1e-6
+
+
+class Event(NamedTuple):
+    """
+    What happened in one trial or sample; numbers, or arrays with a row per person.
+
+    Parameters
+    ----------
+    dt : float or numpy.ndarray
+        Its length: seconds, or 1 for a trial.
+    p_r, p_h : float or numpy.ndarray
+        Performance of robot and person, 0 to 1.
+    fault : float or numpy.ndarray
+        Size of a fault of the robot.
+    mode : float or numpy.ndarray
+        1 manual, 0 automatic.
+    followed : float or numpy.ndarray
+        1 where the person relied on the robot, 0 where not, NaN where nobody asked.
+    seen : float or numpy.ndarray
+        1 where the person saw how the robot performed.
+    """
+
+    dt: Any = 1.0
+    p_r: Any = 0.5
+    p_h: Any = 0.5
+    fault: Any = 0.0
+    mode: Any = 0.0
+    followed: Any = np.nan
+    seen: Any = 1.0
+
+
+class NormalRating(NamedTuple):
+    """Ratings that are normal; what lies beyond the scale is rated as its end."""
+
+    mean: np.ndarray
+    sd: np.ndarray
+
+    def mass(self, low, high) -> np.ndarray:
+        """Return the probability of ratings between two numbers."""
+        below, above = (low - self.mean) / self.sd, (high - self.mean) / self.sd
+        # Differences of probabilities near 1 lose digits: the upper tail is turned over.
+        turned = below > 0.0
+        first = np.where(turned, -above, below)
+        second = np.where(turned, -below, above)
+        return special.ndtr(second) - special.ndtr(first)
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """Return a rating of every person."""
+        return self.mean + self.sd * rng.standard_normal(np.shape(self.mean))
+
+
+class BetaRating(NamedTuple):
+    """Ratings that have a Beta distribution."""
+
+    alpha: np.ndarray
+    beta: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        """The expected rating."""
+        return self.alpha / (self.alpha + self.beta)
+
+    def mass(self, low, high) -> np.ndarray:
+        """Return the probability of ratings between two numbers."""
+        low, high = np.clip(low, 0.0, 1.0), np.clip(high, 0.0, 1.0)
+        return special.betainc(self.alpha, self.beta, high) - special.betainc(
+            self.alpha, self.beta, low
+        )
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """Return a rating of every person."""
+        return rng.beta(self.alpha, self.beta)
+
+
+class GridRating(NamedTuple):
+    """Ratings that are normal about a trust known by its probability in every bin."""
+
+    weights: np.ndarray
+    bins: np.ndarray
+    sd: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        """The expected rating."""
+        return self.weights @ self.bins
+
+    def mass(self, low, high) -> np.ndarray:
+        """Return the probability of ratings between two numbers."""
+        at = [np.asarray(end)[..., None] for end in (low, high)]
+        sd = np.asarray(self.sd)[..., None]
+        return (self.weights * NormalRating(self.bins, sd).mass(*at)).sum(axis=-1)
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """Return a rating of every person."""
+        reached = np.cumsum(self.weights, axis=-1) < rng.random(len(self.weights))[:, None]
+        trust = self.bins[np.minimum(reached.sum(axis=-1), self.bins.size - 1)]
+        return trust + self.sd * rng.standard_normal(trust.shape)
+
+
+def parameter(default: float, low: float, high: float) -> Any:
+    """
+    Return the field of a parameter that is fitted within a range.
+
+    Parameters
+    ----------
+    default : float
+        Where the search starts, and the value of a model that is not fitted.
+    low, high : float
+        Ends of the range; high may be infinite.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tl.trust.parameter(0.2, 0.0, 1.0).metadata["high"]
+    1.0
+    """
+    return field(default=default, metadata={"low": low, "high": high})
+
+
+@dataclass(frozen=True)
+class TrustDynamics:
+    """
+    A model of trust: what people are believed to trust, how it changes, what they rate and do.
+
+    A subclass has its parameters as fields (`parameter`), and `start`, `step`, `learn` and
+    `rating`. A belief is whatever it wants; arrays in it have a row per person. Parameters may be
+    arrays, too: people who differ.
+    """
+
+    title: ClassVar[str] = ""
+
+    @classmethod
+    def parameters(cls) -> dict[str, tuple[float, float, float]]:
+        """Return default, least and greatest value of every fitted parameter."""
+        ranges = {}
+        for item in fields(cls):
+            if item.metadata:
+                default: Any = item.default
+                ranges[item.name] = (default, item.metadata["low"], item.metadata["high"])
+        return ranges
+
+    def __post_init__(self):
+        for name, (_, low, high) in self.parameters().items():
+            for value in np.ravel(getattr(self, name)):
+                between(name, value, low, high)
+
+    def start(self, rating) -> Any:
+        """
+        Return the belief after a first rating; NaN where a person gave none.
+
+        Parameters
+        ----------
+        rating : array_like, shape (N,)
+            Ratings, 0 to 1.
+        """
+        raise NotImplementedError
+
+    def step(self, belief: Any, event: Event) -> Any:
+        """
+        Return the belief after an event.
+
+        Parameters
+        ----------
+        belief : Any
+            The belief before it.
+        event : Event
+            What happened.
+        """
+        raise NotImplementedError
+
+    def learn(self, belief: Any, rating) -> Any:
+        """
+        Return the belief after a rating; unchanged where it is NaN.
+
+        Parameters
+        ----------
+        belief : Any
+            The belief before it.
+        rating : array_like, shape (N,)
+            Ratings, 0 to 1.
+        """
+        raise NotImplementedError
+
+    def rating(self, belief: Any) -> Any:
+        """
+        Return the distribution of the next rating: `mean`, `mass(low, high)` and `draw(rng)`.
+
+        Parameters
+        ----------
+        belief : Any
+            The belief now.
+        """
+        raise NotImplementedError
+
+    def preference(self, belief: Any) -> np.ndarray:
+        """
+        Return what reliance depends on: the expected trust, unless a model says otherwise.
+
+        Parameters
+        ----------
+        belief : Any
+            The belief now.
+        """
+        return self.rating(belief).mean
+
+    def reliance(self, belief: Any, bias: float = -2.0, slope: float = 4.0) -> np.ndarray:
+        """
+        Return the probability that a person relies on the robot, logistic in the preference.
+
+        Parameters
+        ----------
+        belief : Any
+            The belief now.
+        bias, slope : float
+            Log odds at a preference of 0, and their rise; `TrustFit.link` has those fitted.
+        """
+        return special.expit(bias + slope * self.preference(belief))
+
+
+def with_parameters(model: type[TrustDynamics], coordinates: np.ndarray) -> TrustDynamics:
+    """
+    Return a model at coordinates without bounds, shape (…, parameters).
+
+    A coordinate is the log odds within a finite range, and the logarithm of the distance from the
+    least value otherwise. Coordinates are clipped, so that no parameter reaches its bound.
+    """
+    values = {}
+    for i, (name, (_, low, high)) in enumerate(model.parameters().items()):
+        x = np.clip(coordinates[..., i], -14.0, 14.0)
+        values[name] = low + np.exp(x)
+        if np.isfinite(high):
+            values[name] = low + (high - low) * special.expit(x)
+    # Their ranges hold by construction: checks are for what a user types.
+    made = model.__new__(model)
+    made.__dict__.update({item.name: item.default for item in fields(model)} | values)
+    return made
+
+
+def coordinates_of(model: TrustDynamics) -> np.ndarray:
+    """Return the coordinates of a model, as `with_parameters` takes them."""
+    coordinates = []
+    for name, (_, low, high) in model.parameters().items():
+        value = np.asarray(getattr(model, name), dtype=float)
+        if np.isfinite(high):
+            coordinates.append(
+                special.logit(np.clip((value - low) / (high - low), MARGIN, 1 - MARGIN))
+            )
+        else:
+            coordinates.append(np.log(np.maximum(value - low, MARGIN)))
+    return np.stack(np.broadcast_arrays(*coordinates), axis=-1) if coordinates else np.zeros(0)

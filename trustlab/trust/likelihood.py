@@ -1,0 +1,116 @@
+"""A model of trust run along a panel: predictions, their log-likelihood, draws from it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from trustlab.trust.interface import LEAST, TrustDynamics
+from trustlab.trust.panel import Panel
+
+
+class Predictions(NamedTuple):
+    """
+    What a model says before every event and every later rating.
+
+    Parameters
+    ----------
+    distributions : list
+        Of the ratings after each event.
+    preference : numpy.ndarray, shape (N, K)
+        What reliance depends on, before each event.
+    """
+
+    distributions: list
+    preference: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Expected ratings, shape (N, K)."""
+        return np.stack([rating.mean for rating in self.distributions], axis=1)
+
+    def probability(self, panel: Panel) -> np.ndarray:
+        """Return the probability of each rating after an event, shape (N, K); NaN where none is."""
+        cells = [
+            rating.mass(*cell(panel.ratings[:, k + 1], panel.resolution))
+            for k, rating in enumerate(self.distributions)
+        ]
+        # Nobody asked: no probability, rather than one of whatever lies between NaN and NaN.
+        return np.where(np.isnan(panel.ratings[:, 1:]), np.nan, np.stack(cells, axis=1))
+
+
+def cell(rating: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of what is rounded to a rating; those at the ends of the scale are open."""
+    half = 0.5 * resolution
+    low = np.where(rating - half <= 0.0, -np.inf, rating - half)
+    return low, np.where(rating + half >= 1.0, np.inf, rating + half)
+
+
+def predict(
+    model: TrustDynamics, panel: Panel, free: bool = False, known: int | None = None
+) -> Predictions:
+    """
+    Return what a model predicts of a panel.
+
+    Parameters
+    ----------
+    model : TrustDynamics
+        The model.
+    panel : Panel
+        Events, and ratings to learn from.
+    free : bool
+        Learn from no rating but the first, or the `known` first ones.
+    known : int, optional
+        With `free`: ratings after how many events are learned from.
+
+    Returns
+    -------
+    Predictions
+    """
+    belief = model.start(panel.ratings[:, 0])
+    distributions, preference = [], np.empty((len(panel), panel.trials))
+    for k in range(panel.trials):
+        preference[:, k] = model.preference(belief)
+        belief = model.step(belief, panel.event(k))
+        distributions.append(model.rating(belief))
+        if not free or k < (known or 0):
+            belief = model.learn(belief, panel.ratings[:, k + 1])
+    return Predictions(distributions, preference)
+
+
+def log_likelihood(
+    model: TrustDynamics, panel: Panel, free: bool = False, until: int | None = None
+) -> np.ndarray:
+    """Return the log-likelihood of each person's ratings after the first, up to an event."""
+    logs = np.log(np.fmax(predict(model, panel, free).probability(panel), LEAST))
+    # fmax turns what is missing into LEAST: it adds nothing.
+    logs = np.where(np.isnan(panel.ratings[:, 1:]), 0.0, logs)
+    return logs[:, :until].sum(axis=1)
+
+
+def simulate_ratings(model: TrustDynamics, panel: Panel, rng: np.random.Generator) -> Panel:
+    """
+    Return a panel with ratings drawn from a model, where the panel has ratings.
+
+    Parameters
+    ----------
+    model : TrustDynamics
+        The model that people shall follow.
+    panel : Panel
+        Events, first ratings and scale.
+    rng : numpy.random.Generator
+        Where the draws come from.
+
+    Returns
+    -------
+    Panel
+    """
+    ratings = panel.ratings.copy()
+    belief = model.start(ratings[:, 0])
+    steps = round(1.0 / panel.resolution)
+    for k in range(panel.trials):
+        belief = model.step(belief, panel.event(k))
+        drawn = np.clip(model.rating(belief).draw(rng), 0.0, 1.0)
+        rounded = np.round(drawn * steps) / steps
+        ratings[:, k + 1] = np.where(np.isnan(ratings[:, k + 1]), np.nan, rounded)
+        belief = model.learn(belief, ratings[:, k + 1])
+    return panel.with_ratings(ratings)

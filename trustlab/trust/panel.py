@@ -1,0 +1,199 @@
+"""Panels: what many people saw, did and rated, in rows of people and columns of events."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import between, finite_array, of_class, positive
+from trustlab.trust.interface import Event
+
+# Columns of a panel in a table, beside person and trial.
+SIGNALS = Event._fields
+DEFAULTS = Event()
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """
+    Events and ratings of people who did the same kind of task.
+
+    Parameters
+    ----------
+    people : tuple
+        Names, N of them.
+    events : Event
+        Arrays of shape (N, K); NaN in dt where a person had fewer events.
+    ratings : numpy.ndarray, shape (N, K + 1)
+        Trust from 0 to 1 before the first event and after each; NaN where nobody asked.
+    resolution : float
+        Step of the scale that people rated on, as a share of it.
+    source : str
+        Where the data are from.
+    cautions : tuple of str
+        What must be said of them.
+    """
+
+    people: tuple
+    events: Event
+    ratings: np.ndarray
+    resolution: float
+    source: str = ""
+    cautions: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.people)
+
+    @property
+    def trials(self) -> int:
+        """The greatest number of events of a person."""
+        return self.ratings.shape[1] - 1
+
+    def event(self, k: int) -> Event:
+        """
+        Return everybody's event of one trial; where a person had none, nothing that changes trust.
+
+        Parameters
+        ----------
+        k : int
+            The trial, from 0.
+        """
+        values = [signal[:, k] for signal in self.events]
+        event = Event(*values)
+        absent = np.isnan(event.dt)
+        filled = {
+            name: np.where(absent, 0.0 if name == "dt" else value, getattr(event, name))
+            for name, value in DEFAULTS._asdict().items()
+        }
+        return Event(**filled)
+
+    def of(self, rows) -> "Panel":
+        """
+        Return a panel of some people.
+
+        Parameters
+        ----------
+        rows : array_like of int
+            Their rows; a row may occur several times.
+        """
+        rows = np.asarray(rows)
+        events = Event(*(signal[rows] for signal in self.events))
+        people = tuple(self.people[i] for i in rows)
+        return replace(self, people=people, events=events, ratings=self.ratings[rows])
+
+    def with_ratings(self, ratings: np.ndarray) -> "Panel":
+        """
+        Return the same events with other ratings.
+
+        Parameters
+        ----------
+        ratings : numpy.ndarray, shape (N, K + 1)
+            0 to 1, or NaN.
+        """
+        return replace(self, ratings=ratings)
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return a row per person and trial: person, trial, the signals and the rating after it.
+
+        Trial 0 has the first rating alone.
+        """
+        size, columns = self.ratings.shape
+        table = pd.DataFrame(
+            {
+                "person": np.repeat(np.array(self.people, dtype=object), columns),
+                "trial": np.tile(np.arange(columns), size),
+            }
+        )
+        for name, signal in self.events._asdict().items():
+            table[name] = np.column_stack([np.full(size, np.nan), signal]).ravel()
+        table["rating"] = self.ratings.ravel()
+        return table
+
+
+def panel_from_table(
+    table: pd.DataFrame,
+    *,
+    low: float = 0.0,
+    high: float = 1.0,
+    resolution: float | None = None,
+    source: str = "",
+    cautions: tuple[str, ...] = (),
+) -> Panel:
+    """
+    Return a panel from rows of people and trials.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Columns person, trial and rating, and those of `Event` that there are (dt p_r p_h fault mode
+        followed seen). The first row of a person has the rating before the first event; the signals
+        of later rows are those that led to their rating.
+    low, high : float
+        Ends of the scale of ratings.
+    resolution : float, optional
+        Step of the scale; the least difference of two ratings when not given.
+    source : str
+        Where the data are from.
+    cautions : tuple of str
+        What must be said of them.
+
+    Returns
+    -------
+    Panel
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, a rating is off the scale or p_r is missing or not in [0, 1].
+
+    Examples
+    --------
+    >>> import pandas as pd, trustlab as tl
+    >>> rows = pd.DataFrame({"person": ["P1"] * 3, "trial": [0, 1, 2], "p_r": [None, 1.0, 0.0],
+    ...                      "rating": [4, 5, 3]})
+    >>> tl.trust.panel_from_table(rows, low=1, high=7).ratings.round(2).tolist()
+    [[0.5, 0.67, 0.33]]
+    """
+    of_class("table", table, pd.DataFrame, "with columns person, trial, rating")
+    for name in ("person", "trial", "rating", "p_r"):
+        if name not in table:
+            raise ValueError(f"table has no column {name!r} (there are {', '.join(table)})")
+    span = positive("high - low", high - low)
+    # People stay in the order of the table, their trials are put in order.
+    first = table.assign(place=pd.factorize(table["person"])[0])
+    table = first.sort_values(["place", "trial"], kind="stable")
+    number = table.groupby("place").cumcount().to_numpy()
+    row, people = pd.factorize(table["person"])
+    size, columns = len(people), int(number.max()) + 1
+    ratings = np.full((size, columns), np.nan)
+    ratings[row, number] = (table["rating"].to_numpy(dtype=float) - low) / span
+    outside = (ratings < 0.0) | (ratings > 1.0)
+    if outside.any():
+        raise ValueError(
+            f"{outside.sum()} ratings are outside the scale from {low:g} to {high:g}; low and high "
+            "are its ends"
+        )
+    signals = {}
+    present = np.zeros((size, columns), dtype=bool)
+    present[row, number] = True
+    for name, default in DEFAULTS._asdict().items():
+        values = np.where(present, default, np.nan)
+        if name in table:
+            column = table[name].to_numpy(dtype=float)
+            values[row, number] = np.where(np.isnan(column), default, column)
+        signals[name] = values[:, 1:]
+    performed = table["p_r"].to_numpy(dtype=float)[number > 0]
+    for value in finite_array("p_r", performed):
+        between("p_r", value, 0.0, 1.0)
+    if resolution is None:
+        levels = np.unique(np.round(ratings[np.isfinite(ratings)], 9))
+        resolution = float(np.diff(levels).min()) if levels.size > 1 else 0.01
+    return Panel(
+        tuple(people),
+        Event(**signals),
+        ratings,
+        positive("resolution", resolution),
+        source,
+        cautions,
+    )
