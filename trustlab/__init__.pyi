@@ -60,6 +60,7 @@ from .identification import (
 )
 from .live import (
     DriveSettings as DriveSettings,
+    LiveCondition as LiveCondition,
     LiveGroundRobot as LiveGroundRobot,
     LiveStudy as LiveStudy,
     LiveTracking as LiveTracking,

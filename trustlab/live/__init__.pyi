@@ -1,3 +1,4 @@
+from .condition import LiveCondition as LiveCondition
 from .ground_robot import LiveGroundRobot as LiveGroundRobot
 from .hand import live_difficulty as live_difficulty
 from .study.live_study import LiveStudy as LiveStudy

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trustlab.live.condition import NOTICE, LiveCondition
 from trustlab.live.noise import HASHED
 from trustlab.live.tick import (
     FORCING,
@@ -31,6 +32,7 @@ from trustlab.testbeds.deciding import (
     SAMPLE_TIME,
     SCHEDULE,
     SETTLING,
+    TSC,
     sample_times,
     task_of,
 )
@@ -67,12 +69,6 @@ Keys move a lever and throw no switch: its speed towards full deflection and bac
 [1/s].
 """
 
-NOTICE = 3.0
-"""
-Time between a suggestion that must be followed and its being carried out, if the person has not
-accepted it before [s].
-"""
-
 MOST_SAMPLES = 36_000
 """An hour: the longest live drive."""
 
@@ -102,7 +98,7 @@ RECORDS = {
 
 
 def drive_config(
-    condition: str,
+    condition: str | LiveCondition,
     model: TscModel | None = None,
     thresholds: tuple[float, float] | None = None,
     laps: int | None = None,
@@ -118,14 +114,14 @@ def drive_config(
 
     Parameters
     ----------
-    condition : str
-        "C1" to "C5", "training" (the person switches at will) or "identification" (modes by
-        `schedule`).
+    condition : str or LiveCondition
+        "C1" to "C5", "training" (the person switches at will), "identification" (modes by
+        `schedule`), or one of your own.
     model : TscModel, optional
         What TSC (2.1) and suggestions come from, and a of (2.5); without one TSC is 0 and a that of
         the pilot operator.
     thresholds : (float, float), optional
-        TSC_l and TSC_u of (2.8), for C2 and C3.
+        TSC_l and TSC_u of (2.8), where TSC decides on suggestions.
     laps, seconds, schedule : int, float, sequence of (int, float), optional
         When the drive ends: after so many laps, so many seconds, or the last of the phases (mode,
         length [s]).
@@ -138,7 +134,7 @@ def drive_config(
     **view : float or bool
         What is seen, in place of `VIEW`.
     """
-    scheme, forced = DRIVES[one_of("condition", condition, DRIVES)]
+    name, scheme, forced, notice = _rule_of(condition)
     robot = of_class("robot", Pioneer(max_speed=LIVE_SPEED) if robot is None else robot, Pioneer)
     course = of_class("course", default_course() if course is None else course, Course)
     phases = (
@@ -151,21 +147,22 @@ def drive_config(
             "a schedule of modes goes with the condition 'identification', and only with it"
         )
     lower, upper = thresholds or (0.0, 0.0)
-    if condition in ("C2", "C3") and thresholds is None:
+    if scheme == TSC and thresholds is None:
         raise ValueError(
-            f"{condition} needs thresholds=(TSC_l, TSC_u); take them from "
+            f"{name} needs thresholds=(TSC_l, TSC_u); take them from "
             "trustlab.choose_thresholds(model)"
         )
-    for name in view:
-        one_of("a setting of the view", name, VIEW)
+    for setting in view:
+        one_of("a setting of the view", setting, VIEW)
     first = int(phases[0][0]) if phases else 1
     laps = whole_number("laps", laps, most=100) if laps is not None else 0
     task = task_of(scheme, E_MAX, forced, laps, lower, upper, model, first)._asdict()
-    task |= {"settling": SETTLING if condition in CONDITIONS else 0.0, "notice": NOTICE}
+    free = name in ("training", "identification")
+    task |= {"settling": 0.0 if free else SETTLING, "notice": notice}
     task |= {"a": model.human.a if model else 0.9991}
     numbers = robot.numbers._asdict()
     return {
-        "condition": condition,
+        "condition": name,
         "columns": list(COLUMNS),
         "sample_time": SAMPLE_TIME,
         "samples": _samples(laps, seconds, phases, course),
@@ -184,6 +181,14 @@ def drive_config(
         "clock": "real",
         "hand": None,
     }
+
+
+def _rule_of(condition: str | LiveCondition) -> tuple[str, int, bool, float]:
+    """Return a drive's name, who suggests, whether that must be followed, and after what time."""
+    if isinstance(condition, LiveCondition):
+        return condition.name, condition.scheme, condition.forced, condition.notice
+    scheme, forced = DRIVES[one_of("condition", condition, DRIVES)]
+    return condition, scheme, forced, NOTICE
 
 
 def _samples(
@@ -331,11 +336,7 @@ def session_of(config: Mapping[str, Any], rows: np.ndarray, **metadata: Any) -> 
         "performance_window": task["window"] * SAMPLE_TIME,
     }
     facts |= {"laps": task["laps"]} if task["laps"] else {}
-    facts |= (
-        {"TSC_l": task["lower"], "TSC_u": task["upper"]}
-        if config["condition"] in ("C2", "C3")
-        else {}
-    )
+    facts |= {"TSC_l": task["lower"], "TSC_u": task["upper"]} if task["scheme"] == TSC else {}
     facts |= {"stamp_error": 0.0}  # the drive switches on a sample
     facts |= {"lap_times": driven(config, commands_of(table))[1].tolist()}
     frame = pd.DataFrame(table, columns=COLUMNS, index=pd.Index(sample_times(len(table)), name="t"))

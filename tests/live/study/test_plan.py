@@ -5,12 +5,17 @@ square of the design.
 
 import json
 
+import numpy as np
 import pytest
 
 import trustlab as tl
+from trustlab.live.hand import HumanHand
+from trustlab.live.runs import Drive
 from trustlab.live.study import live_study as planning
 from trustlab.live.study.__main__ import main
+from trustlab.live.study.drives import drive_of
 from trustlab.live.study.server import StudyServer
+from trustlab.testbeds.ground_robot.kernel import COLUMNS
 
 
 def test_the_plan_is_frozen_and_opens_again(make_plan, tmp_path):
@@ -123,3 +128,47 @@ def test_the_command_line_plans_deletes_and_complains(tmp_path, monkeypatch, cap
     said = capsys.readouterr()
     assert "A new study: C1 to C5, 20 participants" in said.out
     assert "error: participant must be one of 'P01'" in said.err
+
+
+def test_conditions_and_courses_of_ones_own_are_driven(make_plan):
+    """A notice of 10 s, on another course. Oracle: time from suggestion to switch in the log."""
+    slow = tl.LiveCondition("slow", suggestions="tsc", forced=True, notice=10.0)
+    course = tl.testbeds.Course(((0, 0), (9, 0), (9, 9), (0, 9)), radius=2.0)
+    options = {"course": course, "laps": 3, "training": 5.0, "rehearsal": True}
+    plan = make_plan(["C3", slow], 2, **options)
+    assert make_plan(["C3", slow], 2, **options).content == plan.content
+    with pytest.raises(ValueError, match="holds a frozen plan with other own_conditions"):
+        make_plan(["C3", tl.LiveCondition("slow", "tsc", True, 9.0)], 2, **options)
+    for name, notice in (("C3", 3.0), ("slow", 10.0)):
+        config = drive_of(plan.content, name, plan.content["stand_in"], seed=1)
+        assert config["path"] == course.path.tolist()
+        drive, hand = Drive(config), HumanHand(config, 1)
+        while not drive.done:
+            drive.step(*hand.step(drive.state), 1.0)  # a hand that accepts nothing
+        rows = drive.rows[: drive.k]
+        suggested = rows[:, COLUMNS.index("suggested_mode")]
+        mode = rows[:, COLUMNS.index("mode")]
+        switch = np.flatnonzero(np.diff(mode))[0] + 1
+        stands = (suggested >= 0) & (suggested != mode)
+        stands[switch] = True
+        last = np.flatnonzero(~stands[:switch])[-1]
+        assert 0.1 * (switch - last - 1) == pytest.approx(notice, abs=0.11), name
+    plan.rehearse(seed=0)
+    study = tl.read_live_study(plan.folder)
+    assert set(study.measures["condition"]) == {"C3", "slow"}
+    assert study.measures["verified"].all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"name": "two words"}, "a condition's name has letters"),
+        ({"name": "C1"}, "'C1' is a drive of the package's own"),
+        ({"name": "a", "suggestions": "tcs"}, "did you mean 'tsc'"),
+        ({"name": "a", "forced": True}, "there is nothing to follow"),
+        ({"name": "a", "suggestions": "tsc", "notice": -1.0}, "notice"),
+    ],
+)
+def test_faults_of_conditions(settings, says):
+    with pytest.raises(ValueError, match=says):
+        tl.LiveCondition(**settings)

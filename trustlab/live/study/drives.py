@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.chain import read_chain
+from trustlab.live.condition import LiveCondition
 from trustlab.live.study.pages import Item, Step
 from trustlab.live.study.plan import Plan
 from trustlab.live.study.store import file_origin
@@ -147,9 +148,9 @@ def drive_of(
     elif condition == "identification":
         length = {"schedule": [tuple(phase) for phase in content["identification"]]}
     model, thresholds = model_of(known["model"]), tuple(known["thresholds"])
-    config = drive_config(
-        condition, model=model, thresholds=thresholds, seed=seed, **length, **place
-    )
+    settings = content["own_conditions"].get(condition)
+    rule = condition if settings is None else LiveCondition(**settings)
+    config = drive_config(rule, model=model, thresholds=thresholds, seed=seed, **length, **place)
     if content["rehearsal"]:
         speed, wobble = np.random.default_rng(seed).uniform([0.7, 0.05], [1.0, 0.3]).tolist()
         config |= {"clock": "accelerated", "hand": {"speed": speed, "wobble": wobble}}

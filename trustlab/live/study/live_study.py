@@ -3,11 +3,13 @@
 import json
 import os
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from trustlab.live.condition import LiveCondition
 from trustlab.live.runs import warn_if_too_short
 from trustlab.live.study.drives import drive_of, kernel_digest
 from trustlab.live.study.pages import as_json, read_pages, read_words
@@ -41,9 +43,9 @@ class LiveStudy(Plan):
     ----------
     folder : path-like
         Where the study is kept; made if it is not there.
-    conditions : sequence of str
-        Conditions of Section 2.4.1.2, "C1" to "C5"; at least two. Participants do not see these
-        names.
+    conditions : sequence of str or LiveCondition
+        Conditions of Section 2.4.1.2, "C1" to "C5", and your own; at least two. Participants do not
+        see their names.
     participants : int or sequence of str
         How many, called P01, P02 …, or their codes (letters, digits, - and _). Codes only: never
         names.
@@ -82,7 +84,7 @@ class LiveStudy(Plan):
     def __init__(
         self,
         folder: str | os.PathLike,
-        conditions: Sequence[str] = tuple(CONDITIONS),
+        conditions: Sequence[str | LiveCondition] = tuple(CONDITIONS),
         participants: int | Sequence[str] = 20,
         seed: int = 0,
         *,
@@ -94,11 +96,13 @@ class LiveStudy(Plan):
         **settings: Any,
     ):
         drives = drive_settings_of(drives, settings)
-        for condition in conditions:
-            one_of("condition", condition, CONDITIONS)
+        personal = {c.name: asdict(c) for c in conditions if isinstance(c, LiveCondition)}
+        names = [c.name if isinstance(c, LiveCondition) else c for c in conditions]
+        for name in names:
+            one_of("condition", name, (*CONDITIONS, *personal))
         codes = _codes(participants)
         design = latin_square_design(
-            conditions, codes, seed, whole_squares=flag("whole_squares", whole_squares)
+            names, codes, seed, whole_squares=flag("whole_squares", whole_squares)
         )
         files = [
             Path(path) for path in ([pages] if isinstance(pages, str | os.PathLike) else pages)
@@ -106,7 +110,8 @@ class LiveStudy(Plan):
         content: dict[str, Any] = {
             "format": FORMAT,
             "kernel": kernel_digest(),
-            "conditions": list(conditions),
+            "conditions": names,
+            "own_conditions": personal,
             "seed": design.seed,
             "rehearsal": flag("rehearsal", rehearsal),
             **drives.as_json(),
@@ -116,8 +121,8 @@ class LiveStudy(Plan):
             "pages": as_json(read_pages(language, files)),
         }
         # What cannot be driven is refused now.
-        names = ("training", "identification", *conditions)
-        configs = [drive_of(content, name, content["stand_in"], seed=0) for name in names]
+        drivable = ("training", "identification", *names)
+        configs = [drive_of(content, name, content["stand_in"], seed=0) for name in drivable]
         warn_if_too_short(configs[-1])
         content = json.loads(json.dumps(content))  # as it will be read again
         super().__init__(Path(folder).absolute(), content | {"digest": content_digest(content)})
