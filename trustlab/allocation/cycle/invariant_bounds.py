@@ -104,10 +104,12 @@ def invariant_bounds(tsc, lower, upper, cells=1024, cycles=200):
     dwell time autonomous   65.000   65.000
     """
     if isinstance(tsc, Posterior):
-        cells = min(cells, CELLS_OF_DRAWS)
-        return over_draws(
-            tsc.models, lambda each: invariant_bounds(each, lower, upper, cells), "guaranteed"
-        )
+        cells = min(whole_number("cells", cells), CELLS_OF_DRAWS)
+
+        def bounds_of(model):
+            return invariant_bounds(model, lower, upper, cells, cycles)
+
+        return over_draws(tsc.models, bounds_of, "guaranteed")
     lower, upper = check_thresholds(tsc, lower, upper)
     cells = whole_number("cells", cells)
     cycles = whole_number("cycles", cycles)
