@@ -304,5 +304,8 @@ class TestLoop:
             state = loop.step(hand=(place, -place, 0.0))
         pull = state.f_h + TeamOperator().drag * state.r_m
         assert np.linalg.norm(pull) <= TeamOperator().reach * (1.0 + 1e-12)
+        single = tl.TeleoperationLoop("TMIG", seed=0)
+        for _ in range(300):
+            single.step(hand=(place, -place, 0.0))
         with pytest.raises(ValueError, match="hand must be finite"):
             tl.TeamLoop(CHAIN).step(hand=(np.nan, 0.0, 0.0))

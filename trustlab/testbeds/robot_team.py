@@ -370,6 +370,9 @@ class TeamLoop:
         self._graph: Any = None
         self._failure: DivergenceError | None = None
         self._before: Any = None
+        self._moves: dict[str, np.ndarray] | None = None
+        robots = self._settings.per_robot("robots", len(self.robots))
+        self._speeds = np.array([robot.speed for robot in robots])
         self._formations: list[tuple[int, kernel.Formation, TeamGraph]] = []
         self._share = np.full(len(self.robots), 0.5)
         plan = self._plan
@@ -447,6 +450,7 @@ class TeamLoop:
     def _judge(self, d: int, k: int) -> None:
         """Step trust (4.1) by the performance that is measured at decision `d`."""
         plan, samples = self._plan, self._memory.samples
+        self._moves = None
         since = np.searchsorted(plan.decision, plan.decision[k - 1])
         now = Motion(
             d * plan.step,
@@ -469,22 +473,28 @@ class TeamLoop:
 
     def _read(self, name: str = "positions") -> np.ndarray:
         """Return what is measured of the robots' motion by name, shape (N, 3)."""
-        team = self._formation
-        w, z = self._memory.w, self._memory.z
         if name == "positions":
-            return multiplied(w, team.vectors.T).T + self._goal
-        w_before, z_before = self._before
-        if name == "velocities":
-            return multiplied((w - w_before) / self._T, team.vectors.T).T
+            return multiplied(self._memory.w, self._formation.vectors.T).T + self._goal
+        if self._moves is None:
+            self._moves = self._measured_moves()
+        return self._moves[name]
+
+    def _measured_moves(self) -> dict[str, np.ndarray]:
+        """Return how robots moved in the last sample, and how (4.22) asks them to, (N, 3) each."""
+        team, (w_before, z_before) = self._formation, self._before
+        w, z = self._memory.w, self._memory.z
         q, zeta = 0.5 * (w + w_before), 0.5 * (z + z_before)
         if team.directed:
             asked = multiplied(zeta, team.laplacian) - multiplied(q, team.laplacian.T)
         else:
             asked = team.values * (zeta - q)
-        out = multiplied(asked, team.into.T).T
+        # one product for all, as matrices of large teams are slow to read
+        rows = np.concatenate([(w - w_before) / self._T, asked])
+        moves = multiplied(rows, team.vectors.T)
+        asked = (moves[3:] / self._speeds).T
         sample = self._memory.samples[self._done - 1]
-        out[sample["lead"]] += self._settings.lead_gain * sample["sent"]
-        return out
+        asked[sample["lead"]] += self._settings.lead_gain * sample["sent"]
+        return {"velocities": moves[:3].T, "asked": asked}
 
     def _regroup(self, graph: TeamGraph, k: int) -> None:
         """
@@ -493,8 +503,7 @@ class TeamLoop:
         """
         settings, memory = self._settings, self._memory
         before = self._formation
-        speeds = np.array([robot.speed for robot in settings.per_robot("robots", len(self.robots))])
-        after = formation_on(graph, settings.coupling, 0.5 * self._T, speeds)
+        after = formation_on(graph, settings.coupling, 0.5 * self._T, self._speeds)
         if before is not None:
             stored, _ = kernel.storages(before, memory.w, memory.z)
         for coordinates in (memory.w, memory.z):

@@ -63,6 +63,8 @@ NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
 # How far ahead a loop that is stepped draws what comes from outside [s]; twice as far each time
 # that it runs out.
 BLOCK = 60.0
+# How far away a live hand is taken to be at the most [m], far beyond any device.
+FARTHEST_HAND = 10.0
 
 
 def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
@@ -393,8 +395,8 @@ class TeleoperationLoop:
         Parameters
         ----------
         hand : array_like, shape (3,), optional
-            Where a recorded or live hand wants the device to be [m]; the operator's law decides
-            when not given.
+            Where a recorded or live hand wants the device to be [m], at most 10 m away on each
+            axis; the operator's law decides when not given.
 
         Returns
         -------
@@ -412,7 +414,8 @@ class TeleoperationLoop:
         if self._done == len(self._log):
             self._reserve(max(2 * self._done, round(BLOCK / self.sample_time)), True)
         if hand is not None:
-            self._inputs["hand"][self._done] = finite_array("hand", hand, length=3)
+            place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
+            self._inputs["hand"][self._done] = place
         self._advance(self._done + 1)
         return self.state
 
