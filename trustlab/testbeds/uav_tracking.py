@@ -58,6 +58,8 @@ from trustlab.teleoperation.loop.settings import (
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.ports.passivity import METHODS
 from trustlab.teleoperation.records import filled, log_of, signal
+from trustlab.trust.driving import TrustInLoop
+from trustlab.trust.interface import TrustDynamics
 
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
 # How far ahead a loop that is stepped draws what comes from outside [s]; twice as far each time
@@ -251,7 +253,8 @@ class TeleoperationLoop:
     trust : callable, optional
         f(state) → (T_hr, T_rh) a sample later; (3.2) and (3.3) when not given. Like every function
         here, it may take 16 numbers of its own as a second argument, and is compiled where numba
-        can, else called in Python.
+        can, else called in Python. Or a model of `trustlab.trust` in place of (3.2), one trial a
+        second; `trust.TrustInLoop` sets how long a trial is.
     feedback : callable, optional
         f(state) → guiding force [N], shape (3,); −k_ffa e when not given, e being `state.stretch`.
     autonomy : callable, optional
@@ -316,7 +319,7 @@ class TeleoperationLoop:
     lost: np.ndarray | None = None
     guidance: str = "at_operator"
     tank: float = 0.0
-    trust: Callable | None = None
+    trust: Callable | TrustDynamics | TrustInLoop | None = None
     feedback: Callable | None = None
     autonomy: Callable | None = None
     delay: float | Callable | Delay | None = None
@@ -377,6 +380,14 @@ class TeleoperationLoop:
         for port in kernel.DEFAULTS:
             if getattr(self, port) is not None:
                 parts[port] = getattr(self, port)
+        driver = self.trust
+        if isinstance(driver, TrustDynamics):
+            driver = TrustInLoop(driver)
+        if isinstance(driver, TrustInLoop):
+            settings = self._settings
+            parts["trust"] = driver.part(
+                settings.human_to_robot, settings.robot_to_human, self.sample_time
+            )
         self._parts = {port: part_of(port, parts[port], self.state) for port in PORTS}
         self.ways = {port: part.way for port, part in self._parts.items()}
         guidance = kernel.GUIDANCE[self.guidance] if self._scheme.bilateral else kernel.one_way

@@ -3,6 +3,7 @@ from .comparison import (
     compare_trust_models as compare_trust_models,
     recover_trust_models as recover_trust_models,
 )
+from .driving import TrustInLoop as TrustInLoop
 from .dynamics import BASELINES as BASELINES, MODELS as MODELS
 from .dynamics.linear import LinearTrust as LinearTrust
 from .fitting import TrustFit as TrustFit, fit_trust as fit_trust

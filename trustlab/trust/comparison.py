@@ -18,7 +18,6 @@ from trustlab.trust.panel import Panel
 # Of every person: squared errors, less is better; log score in nats a rating, more is better; log
 # loss of reliance in nats a decision, less is better; ratings within the 90 % interval.
 MEASURES = ("free_error", "step_error", "log_score", "reliance_loss", "coverage")
-LEVEL = 0.9
 Models = Sequence | Mapping | None
 
 
@@ -202,7 +201,7 @@ def _scores(model: TrustDynamics, link: Link, panel: Panel, since: int) -> pd.Da
         rating.mass(np.full(len(panel), -np.inf), panel.ratings[:, k + 1])
         for k, rating in enumerate(steps.distributions)
     ]
-    inside = np.abs(np.stack(below, axis=1) - 0.5) <= LEVEL / 2.0
+    inside = np.abs(np.stack(below, axis=1) - 0.5) <= 0.45  # of 90 %
     missing = np.isnan(actual)
     odds = link.bias + link.slope * steps.preference
     followed = panel.events.followed
@@ -222,7 +221,7 @@ def _mean(values: np.ndarray) -> np.ndarray:
     known = np.isfinite(values)
     count = known.sum(axis=1)
     total = np.where(known, values, 0.0).sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return total / np.where(count > 0, count, np.nan)
 
 
 def recover_trust_models(

@@ -241,9 +241,8 @@ def with_parameters(model: type[TrustDynamics], coordinates: np.ndarray) -> Trus
     values = {}
     for i, (name, (_, low, high)) in enumerate(model.parameters().items()):
         x = np.clip(coordinates[..., i], -14.0, 14.0)
-        values[name] = low + np.exp(x)
-        if np.isfinite(high):
-            values[name] = low + (high - low) * special.expit(x)
+        finite = np.isfinite(high)
+        values[name] = low + ((high - low) * special.expit(x) if finite else np.exp(x))
     # Their ranges hold by construction: checks are for what a user types.
     made = model.__new__(model)
     made.__dict__.update({item.name: item.default for item in fields(model)} | values)

@@ -45,9 +45,7 @@ def cell(rating: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]
     return low, np.where(rating + half >= 1.0, np.inf, rating + half)
 
 
-def predict(
-    model: TrustDynamics, panel: Panel, free: bool = False, known: int | None = None
-) -> Predictions:
+def predict(model: TrustDynamics, panel: Panel, free: bool = False, known: int = 0) -> Predictions:
     """
     Return what a model predicts of a panel.
 
@@ -59,7 +57,7 @@ def predict(
         Events, and ratings to learn from.
     free : bool
         Learn from no rating but the first, or the `known` first ones.
-    known : int, optional
+    known : int
         With `free`: ratings after how many events are learned from.
 
     Returns
@@ -72,7 +70,7 @@ def predict(
         preference[:, k] = model.preference(belief)
         belief = model.step(belief, panel.event(k))
         distributions.append(model.rating(belief))
-        if not free or k < (known or 0):
+        if not free or k < known:
             belief = model.learn(belief, panel.ratings[:, k + 1])
     return Predictions(distributions, preference)
 

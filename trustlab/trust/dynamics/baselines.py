@@ -117,7 +117,8 @@ class Habit(TrustDynamics):
             Ratings, 0 to 1.
         """
         belief = self._ratings.start(rating)
-        return Record(belief, np.zeros(len(belief.mean)), np.zeros(len(belief.mean)))
+        none = np.zeros(len(belief.mean))
+        return Record(belief, none, none)
 
     def step(self, belief: Record, event: Event) -> Record:
         """

@@ -59,10 +59,7 @@ class FieldTrust(LinearTrust):
         size = max(np.size(event.p_r), np.size(self.inertia))
         matrix, shift = np.zeros((size, 7, 7)), np.zeros((size, 7))
         s = column(self.inertia, size)
-        ends = [
-            (T, B_R, B_R0, event.seen, event.p_r),
-            (S, B_H, B_H0, event.mode, event.p_h),
-        ]
+        ends = [(T, B_R, B_R0, event.seen, event.p_r), (S, B_H, B_H0, event.mode, event.p_h)]
         for level, belief, origin, visible, performance in ends:
             visible = column(visible, size) > 0.5
             rate = np.where(visible, self.learning, self.forgetting)
