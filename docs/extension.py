@@ -40,6 +40,7 @@ ROOMS = [
     "reproduction",
     "publishing",
     "live",
+    "ros",
 ]
 
 # The theme's scripts, styles and fonts lie beside the pages; nothing else is loaded, from wherever.

@@ -9,6 +9,7 @@ from . import (
     operators as operators,
     publishing as publishing,
     reproduction as reproduction,
+    ros as ros,
     sessions as sessions,
     studies as studies,
     teleoperation as teleoperation,

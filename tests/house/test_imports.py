@@ -25,6 +25,7 @@ ROOMS = [
     "reproduction",
     "publishing",
     "live",
+    "ros",
 ]
 HEAVY = [
     "pandas",

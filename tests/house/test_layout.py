@@ -24,6 +24,7 @@ MOST_TOKENS = {
     "operators": 3_500,
     "publishing": 12_000,
     "reproduction": 41_000,
+    "ros": 6_000,
     "sessions": 29_000,
     "studies": 51_000,
     "teleoperation": 31_800,

@@ -1,0 +1,272 @@
+"""The decision core: oracles are the session's own measures and plain loops over random faults."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings as budget, strategies as st
+
+import trustlab as tl
+from trustlab.ros import AllocationCore, CoreSettings, Watchdog
+from trustlab.ros.window import RunningMean
+from trustlab.sessions.errors import SessionError
+
+MODEL = tl.published_models()["1"]
+PERIOD = 0.05
+SHORT = CoreSettings(period=PERIOD, window=2.0)
+
+
+class Always:
+    """A rule that always says the same."""
+
+    def __init__(self, mode):
+        self.answer = mode
+
+    def step(self, tsc, p_r):
+        return self.answer
+
+
+def heard(core, now, skip=(), operator=(0.3, 0.1), autonomy=(0.4, -0.2), x=0.0):
+    values = {
+        "odometry": (x, 0.0),
+        "operator": operator,
+        "autonomy": autonomy,
+        "path_error": (0.1,),
+    }
+    for name in values:
+        if name not in skip:
+            core.hear(name, now, values[name], now)
+
+
+def texts(core):
+    return [text for _, text in core.notes]
+
+
+@pytest.mark.parametrize("samples", [1, 2, 7, 100])
+@pytest.mark.parametrize("kind", ["wide", "equal", "runs", "negative"])
+def test_a_running_mean_has_the_bits_of_pandas(samples, kind):
+    rng = np.random.default_rng(samples)
+    values = rng.normal(size=400) * 10.0 ** rng.integers(-8, 8, 400)
+    if kind == "equal":
+        values = np.full(400, 0.1)
+    elif kind == "runs":
+        values = np.repeat(values[:57], 8)[:400]
+    elif kind == "negative":
+        values = -np.abs(values)
+    mean = RunningMean(samples)
+    expected = pd.Series(values).rolling(samples, min_periods=1).mean().to_numpy()
+    assert [mean.step(v).hex() for v in values.tolist()] == [v.hex() for v in expected.tolist()]
+
+
+def drive(core, steps=400, seed=0):
+    rng = np.random.default_rng(seed)
+    x = 0.0
+    decisions = []
+    for k in range(steps):
+        now = k * PERIOD
+        x += rng.uniform(0.0, 0.03)
+        core.hear("odometry", now, (x, 0.1 * math.sin(x)), now)
+        core.hear("operator", now, (rng.uniform(0, 0.5), rng.normal()), now)
+        core.hear("autonomy", now, (rng.uniform(0, 0.5), rng.normal()), now)
+        core.hear("path_error", now, (abs(rng.normal()),), now)
+        decisions.append(core.step(now))
+    return decisions
+
+
+@pytest.mark.parametrize("condition", ["C1", "C2", "C3", "C4", "C5"])
+def test_performance_and_tsc_on_line_have_the_bits_of_the_log(condition):
+    thresholds = (-0.2, 0.3) if condition in ("C2", "C3") else None
+    core = AllocationCore(MODEL, condition, thresholds, settings=SHORT)
+    decisions = drive(core)
+    logged = core.session(participant=1)
+    again = logged.with_performance(window=SHORT.window, e_max=SHORT.e_max)
+    assert np.array_equal(again["p_r"], logged["p_r"])
+    assert np.array_equal(again["p_h"], logged["p_h"])
+    assert [d.tsc for d in decisions] == logged["tsc"].tolist()
+    assert [d.mode for d in decisions] == logged["mode"].tolist()
+    # Oracle: (2.1) with (2.2) written out
+    scale = MODEL.robot.p_max * MODEL.human.p_max - MODEL.robot.p_min * MODEL.human.p_min
+    a = (MODEL.human.p_max + MODEL.human.p_min) / scale
+    b = (MODEL.robot.p_max + MODEL.robot.p_min) / scale
+    assert logged["tsc"] == pytest.approx(a * logged["p_r"] - b * logged["p_h"], abs=1e-12)
+
+
+def test_c3_follows_the_thresholds_and_c2_only_suggests():
+    by_button = AllocationCore(MODEL, "C1", settings=SHORT)
+    drive(by_button)
+    low, high = np.quantile(by_button.session()["tsc"], [0.3, 0.7])
+    cores = {c: AllocationCore(MODEL, c, (low, high), settings=SHORT) for c in ("C2", "C3")}
+    for core in cores.values():
+        drive(core)
+    forced = cores["C3"].session()
+    mode, modes = 1, []
+    for k, tsc in enumerate(forced["tsc"]):  # (2.8), once the window is full
+        if k * PERIOD >= SHORT.window:
+            mode = 0 if tsc >= high else 1 if tsc <= low else mode
+        modes.append(mode)
+    assert forced["mode"].tolist() == modes
+    assert set(modes[40:]) == {0, 1}
+    advised = cores["C2"].session()
+    assert (advised["mode"] == 1.0).all()
+    assert set(advised["suggested_mode"]) == {-1.0, 0.0}
+    assert cores["C2"].press(0)
+    assert not cores["C3"].press(0)
+    assert "button: no effect where a rule allocates" in texts(cores["C3"])
+
+
+MESSAGE = st.tuples(
+    st.sampled_from(["odometry", "operator", "autonomy", "path_error"]),
+    st.sampled_from([0.0, 0.0, 0.0, -PERIOD, -0.3, -5.0, 1.0, math.nan]),
+    st.one_of(st.floats(-3.0, 3.0), st.sampled_from([math.nan, math.inf, -math.inf, 1e300])),
+)
+
+
+@budget(max_examples=150, deadline=None)
+@given(st.lists(st.lists(MESSAGE, max_size=6), min_size=5, max_size=60), st.data())
+def test_no_fault_of_messages_leads_to_a_command_outside_the_bounds(ticks, data):
+    core = AllocationCore(MODEL, rule=Always(0), settings=SHORT)
+    s = core.settings
+    before = (0.0, 0.0)
+    stops = data.draw(st.sets(st.integers(0, len(ticks))))
+    for k, messages in enumerate(ticks):
+        now = k * PERIOD
+        if k in stops:
+            core.release() if core.stopped else core.stop()
+        for name, offset, value in messages:
+            values = (value,) if name == "path_error" else (value, value)
+            noted = len(core.notes)
+            accepted = core.hear(name, now + offset, values, now)
+            assert accepted or len(core.notes) == noted + 1
+            assert not accepted or core.inputs[name].values == values
+        d = core.step(now)
+        assert abs(d.v) <= s.v_max
+        assert abs(d.w) <= s.w_max
+        if core.stopped:
+            assert (d.v, d.w, d.driver) == (0.0, 0.0, "nobody")
+        else:
+            assert abs(d.v - before[0]) <= s.v_rate * PERIOD + 1e-12
+            assert abs(d.w - before[1]) <= s.w_rate * PERIOD + 1e-12
+        before = (d.v, d.w)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "values", "words"),
+    [
+        (1.0, (0.1, 0.1), "repeated"),
+        (0.9, (0.1, 0.1), "out of order"),
+        (1.05, (math.nan, 0.1), "not a finite value"),
+        (1.05, (0.1, math.inf), "not a finite value"),
+        (9.0, (0.1, 0.1), "ahead of the clock"),
+        (math.nan, (0.1, 0.1), "stamp is nan"),
+    ],
+)
+def test_a_refused_message_is_named_and_changes_nothing(stamp, values, words):
+    core = AllocationCore(MODEL, "C1", settings=SHORT)
+    heard(core, 1.0)
+    before = core.inputs["operator"].values
+    assert not core.hear("operator", stamp, values, 1.05)
+    assert core.inputs["operator"].values == before
+    assert words in texts(core)[-1]
+    assert texts(core)[-1].startswith("operator: ")
+
+
+def test_late_and_lost_messages_are_named():
+    core = AllocationCore(MODEL, "C1", settings=SHORT)
+    heard(core, 0.0)
+    assert core.hear("autonomy", 0.1, (0.1, 0.0), 1.0)
+    assert "autonomy: late by 0.9 s" in texts(core)
+    heard(core, 2.0)
+    assert "operator: messages lost, none for 2 s" in texts(core)
+    core.hear("path_error", 2.1, (-0.1,), 2.1)
+    assert "path_error: a deviation cannot be negative: -0.1" in texts(core)
+
+
+@pytest.mark.parametrize(
+    ("silent", "mode", "driver"),
+    [
+        ({"operator"}, 1, "autonomy"),
+        ({"operator"}, 0, "autonomy"),
+        ({"autonomy"}, 0, "operator"),
+        ({"operator", "autonomy"}, 1, "nobody"),
+        ({"odometry"}, 1, "nobody"),
+        ({"path_error"}, 1, "operator"),
+        (set(), 1, "operator"),
+        (set(), 0, "autonomy"),
+    ],
+)
+def test_a_silent_input_leads_to_the_stated_action(silent, mode, driver):
+    core = AllocationCore(MODEL, "C1", settings=SHORT)
+    core.press(mode)
+    for k in range(40):
+        now = k * PERIOD
+        heard(core, now, skip=silent if k > 10 else ())
+        d = core.step(now)
+    assert d.driver == driver
+    assert d.mode == mode
+    for name in silent:
+        action = core.settings.watchdogs[name].action
+        assert f"{name}: silent, {action}" in texts(core)
+    if driver == "nobody":
+        assert (d.v, d.w) == (0.0, 0.0)
+    heard(core, 2.0)
+    core.step(2.0)
+    assert all(f"{name}: heard again" in texts(core) for name in silent)
+
+
+def test_the_operators_stop_wins_at_once_and_until_it_is_released():
+    core = AllocationCore(MODEL, rule=Always(0), settings=SHORT)
+    for k in range(60):
+        heard(core, k * PERIOD)
+        moving = core.step(k * PERIOD)
+    assert moving.v == pytest.approx(0.4)
+    core.stop()
+    for k in range(60, 80):
+        heard(core, k * PERIOD)
+        assert (core.step(k * PERIOD).v, core.command) == (0.0, (0.0, 0.0))
+    core.release()
+    heard(core, 4.0)
+    assert core.step(4.0).v == pytest.approx(0.05)  # 1 m/s², one step
+
+
+def test_clocks_that_go_back_and_late_steps_are_named():
+    core = AllocationCore(MODEL, "C1", settings=SHORT)
+    core.step(1.0)
+    core.step(1.3)
+    assert texts(core) == ["step late: 0.3 s after the one before"]
+    core.step(0.5)
+    assert texts(core)[-1] == "clock went back by 0.8 s"
+    with pytest.raises(ValueError, match="now must be finite"):
+        core.step(math.nan)
+
+
+def test_bad_settings_and_missing_logs_say_what_to_do():
+    with pytest.raises(ValueError, match="a condition, C1 to C5, or a rule"):
+        AllocationCore(MODEL)
+    with pytest.raises(ValueError, match="choose_thresholds"):
+        AllocationCore(MODEL, "C3")
+    with pytest.raises(ValueError, match="no effect in C1"):
+        AllocationCore(MODEL, "C1", (0.0, 0.1))
+    with pytest.raises(ValueError, match="shorter than one step"):
+        CoreSettings(window=0.01)
+    with pytest.raises(ValueError, match="watchdogs must name"):
+        CoreSettings(watchdogs={})
+    hold = CoreSettings().watchdogs | {"operator": Watchdog(1.0, "hold")}
+    with pytest.raises(ValueError, match="watchdog of operator must stop or hand over"):
+        CoreSettings(watchdogs=hold)
+    core = AllocationCore(MODEL, "C1")
+    core.hear("odometry", 0.0, (0.0, 0.0), 0.0)
+    with pytest.raises(SessionError, match="never heard: operator, autonomy, path_error"):
+        core.session()
+    with pytest.raises(ValueError, match="operator needs v, w"):
+        core.hear("operator", 0.0, (0.0,), 0.0)
+
+
+def test_notes_travel_with_the_session(tmp_path):
+    core = AllocationCore(MODEL, "C1", settings=SHORT)
+    drive(core, 20)
+    core.hear("operator", 0.0, (0.0, 0.0), 1.0)
+    tl.write_session(core.session(synthetic=True), tmp_path / "run.csv")
+    session = tl.read_session(tmp_path / "run.csv")
+    assert any("out of order" in note for note in session.metadata.more["notes"])
+    assert np.array_equal(session["p_r"], core.session()["p_r"])
