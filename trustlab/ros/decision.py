@@ -177,10 +177,23 @@ class AllocationCore:
 
     def press(self, mode: int) -> bool:
         """
-        Choose the mode by the operator's button: 1 manual, 0 autonomous.
+        Choose the mode by the operator's button.
 
-        Returns whether it had an effect; where a rule allocates at once it has none, and a note
-        says so.
+        Parameters
+        ----------
+        mode : int
+            1 manual, 0 autonomous.
+
+        Returns
+        -------
+        bool
+            Whether it had an effect; where a rule allocates at once it has none, and a note says
+            so.
+
+        Raises
+        ------
+        ValueError
+            If the mode is not 0 or 1.
         """
         whole_number("mode", mode, least=0, most=1)
         if self.forced:
