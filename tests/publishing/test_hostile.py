@@ -24,6 +24,8 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_outp
 import trustlab
 import trustlab as tl
 from trustlab.allocation.correction.correction_run import CorrectionRun
+from trustlab.allocation.cycle.intervals import RangeIntervals
+from trustlab.allocation.decision.posterior_choice import PosteriorChoice
 from trustlab.identification.regression import ArxResult
 from trustlab.models.html import as_html
 from trustlab.publishing import report_page
@@ -41,6 +43,7 @@ from trustlab.studies.questionnaires.likert import ScaleScores
 from trustlab.studies.regression.formula_model import FormulaModel
 from trustlab.teleoperation import TeamTrial
 from trustlab.testbeds.guidance_comparison import GuidanceComparison
+from trustlab.trust.comparison import MEASURES, TrustComparison
 
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -230,7 +233,35 @@ def live():
         return plan, tl.read_live_study(folder)
 
 
+def posterior():
+    """The posterior of a few minutes, whose prior has a hostile name."""
+    short = tl.Session(
+        tl.read_session(PILOT)
+        .data.iloc[11_000:14_000]
+        .reset_index(drop=True)
+        .set_index(0.1 * np.arange(3000))
+    )
+    drawn = tl.sample_posterior(short, n=100, window=0)
+    return dataclasses.replace(drawn, whiteness={NAME: 0.5})
+
+
+def of_trust():
+    """A fit and a comparison of models of trust on two people with hostile names."""
+    rng = np.random.default_rng(4)
+    rows = [
+        {"person": f"{NAME} {person}", "trial": k, "p_r": rng.random(), "rating": rng.random()}
+        for person in range(3)
+        for k in range(8)
+    ]
+    panel = tl.trust.panel_from_table(pd.DataFrame(rows), source=NAME, cautions=(NAME,))
+    fit = tl.fit_trust(panel, "performance", pooling="full")
+    scores = pd.DataFrame(1.0, range(4), MEASURES)
+    scores = scores.assign(split=NAME, model=["a", NAME] * 2, person=["P1", "P1", "P2", "P2"])
+    return fit, TrustComparison(scores, NAME, NAME, (NAME,))
+
+
 MODEL = tl.published_models()["2"]
+STUDY = tl.published_studies()["teleop.tracking_error"]
 PILOT = Path(__file__).parents[2] / "data" / "sessions" / "pilot.csv"
 
 
@@ -298,6 +329,12 @@ def built():
         choice.limits,
         choice.cycle,
         choice.bounds,
+        RangeIntervals([choice.cycle] * 2, np.array([True, False])),
+        PosteriorChoice(True, 0.0, 0.3, 1.0, 1.0, 1.0, 0.95, scores(), NAME, scores()),
+        tl.feasibility(dataclasses.replace(STUDY, name=NAME), explain=False),
+        *of_trust(),
+        tl.optimal_allocation(MODEL),
+        posterior(),
         tl.steady_state_bounds(MODEL, choice.lower, choice.upper),
         CorrectionRun(steps, (0.1, 0.2), (0.2, 0.3), NAME, NAME),
         dataclasses.replace(data, left_out=dict.fromkeys(data.table().index, NAME)),
