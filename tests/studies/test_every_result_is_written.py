@@ -122,7 +122,8 @@ def test_one_wide_row_is_printed_as_a_column(tmp_path):
         0
     ]
     assert own.columns.tolist() == ["statistic", "value"]
-    assert own["statistic"].tolist() == list(written.table().columns)
+    assert len(own) == len(written.table().columns)
+    assert {"a", "mean_difference", "95% CI low", "p", "t"} <= set(own["statistic"])
 
 
 def test_what_is_no_result_is_refused():

@@ -184,6 +184,6 @@ def test_a_bad_sample_of_mode_is_named():
 
 def test_courses_too_fine_to_walk_are_refused():
     with pytest.raises(
-        ValueError, match=r"too fine for a course of about 36 m; it must be at least 0\.00036 m"
+        ValueError, match=r"too fine for a course of about 36 m; it must be at least 0\.000361 m"
     ):
         Course(corners=CORNERS, resolution=1e-12)

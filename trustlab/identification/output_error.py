@@ -483,6 +483,7 @@ def fit_problem(
     low, high = problem.ends(limits)
     covariance = _covariance(valley, inverse, sandwiched, delay)
     shift = _shift_by_states_at_bound(valley, limits)
+    # The shift is to where the deviance has risen by LIKELY = 1.96²: as a variance, by its square.
     covariance[np.ix_(valley.free, valley.free)] += np.outer(shift, shift) / LIKELY
     return Estimate(
         **vars(valley),

@@ -249,8 +249,8 @@ def _codes(participants: int | Sequence[str]) -> list[str]:
             raise ValueError(
                 f"a participant's code has letters, digits, - and _ only, got {shown(code)}"
             )
-    if len({code.lower() for code in codes}) < len(
-        codes
-    ):  # one folder each, also where names ignore case
-        raise ValueError("participants: two codes are the same")
+    # One folder each, also where names ignore case.
+    distinct = {code.lower() for code in codes}
+    if len(distinct) < len(codes):
+        raise ValueError("participants: two codes are the same but for upper and lower case")
     return codes

@@ -612,6 +612,7 @@ def book(setup, state):
         after_x, after_v = x + T * v_middle, 2.0 * v_middle - v
         # (3.9)
         state.energy_device += haptic.device_storage(device, after_x, after_v) / scaling
+        # What the vehicle is told: α u_h + (1 − α) u_a, the operator's share being r_s = α u_h.
         state.u_h[i] = state.r_s[i] / state.alpha
         state.command[i] = state.r_s[i] + (1.0 - state.alpha) * state.u_a[i]
         near += state.r_m[i] ** 2 + state.f_m[i] ** 2
