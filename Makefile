@@ -35,12 +35,12 @@ else
 endif
 	@touch $(VENV)/.stamp
 
-reports: $(VENV)/.stamp  ## every notebook, run and published under reports/ (PARAMS="-p name value" passes parameters on)
+reports: $(VENV)/.stamp  ## run every notebook and write the book, reports/index.html (PARAMS="-p name value" passes parameters on)
 	$(BIN)/python -m trustlab.publishing.compile_kernels
 	$(BIN)/python -m trustlab.publishing --jobs $(JOBS) $(PARAMS)
 
-docs: $(VENV)/.stamp  ## the documentation, written under reports/docs/
-	$(BIN)/python -m sphinx -q -W --keep-going -j auto -b html docs reports/docs
+docs: $(VENV)/.stamp  ## write the same book without running any notebook
+	$(BIN)/python -m trustlab.publishing --no-run
 
 test: $(VENV)/.stamp  ## formatting, linting, types and every test but the long ones
 	$(BIN)/ruff format --check .
@@ -100,7 +100,7 @@ lock:  ## resolve environment.lock again (needs uv)
 clean:  ## remove the environment, the caches and what was generated
 	rm -rf $(VENV) benchmarks/.venv .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find reports -mindepth 1 -maxdepth 1 ! -name README.md ! -name figures -exec rm -rf {} +
-	rm -rf docs/api
+	rm -rf docs/api docs/[0-9][0-9]_*.ipynb
 	find trustlab tests benchmarks data notebooks docs -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## this list

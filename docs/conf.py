@@ -1,4 +1,4 @@
-"""How Sphinx builds the documentation: `make docs` writes it to reports/docs/."""
+"""How Sphinx builds the book: `make reports` and `make docs` write it to reports/."""
 
 import sys
 from pathlib import Path
@@ -14,14 +14,26 @@ copyright = author
 language = "en"
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "numpydoc",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "extension",
 ]
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
-myst_heading_anchors = 3
+myst_heading_anchors = 4
+myst_heading_slug_func = "extension.slug"
+# `make reports` has run the notebooks.
+nb_execution_mode = "off"
+nb_render_markdown_format = "myst"
+nb_merge_streams = True
+nb_code_prompt_show = "Code"
+nb_code_prompt_hide = "Code"
+nb_ipywidgets_js = {}
+numfig = True
+numfig_format = {"figure": "Figure %s", "table": "Table %s"}
+# In notebooks the levels of headings are those of their outputs, too.
+suppress_warnings = ["myst.header", "myst-nb.ipykernel"]
 default_role = "known_name"
 
 autosummary_generate = False
@@ -33,12 +45,14 @@ html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
 html_title = f"trustlab {release}"
 html_static_path = ["static"]
-html_css_files = ["own.css"]
+html_css_files = ["dt_bundle.css", "own.css"]
+html_js_files = ["dt_bundle.js", "tables.js"]
 html_copy_source = False
 # The excerpts below the results of a search are fetched, which a browser refuses for pages opened
 # from a disk.
 html_show_search_summary = False
-html_sidebars = {"index": [], "start": [], "install": [], "reports": []}
+html_sidebars = {"index": [], "start": [], "install": []}
+exclude_patterns = ["**/.ipynb_checkpoints"]
 html_context = {"default_mode": "auto"}
 html_theme_options = {
     "navbar_end": ["theme-switcher"],

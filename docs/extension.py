@@ -1,31 +1,36 @@
 """
-What the documentation adds to Sphinx: API pages, equations as MathML and links to them, the list of
-reports, a policy.
+What the book adds to Sphinx: API pages, equations as MathML and links to them, the finder, sortable
+tables, a policy.
 """
 
 from __future__ import annotations
 
+import csv
 import importlib
 import inspect
-import json
 import re
+import shutil
 import tomllib
 from pathlib import Path
 
+import itables
 from docutils import nodes
+from docutils.statemachine import StringList
+from latex2mathml.converter import convert
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 import trustlab
-from trustlab.publishing.mathml import to_mathml
 
 ROOT = Path(__file__).parents[1]
 EQUATIONS_PAGE = "concepts/equations"
 PRINTED = ROOT / "data" / "published" / "equations.toml"
 EQUATIONS = tomllib.loads(PRINTED.read_text(encoding="utf-8"))
 BETWEEN_EQUATIONS = re.compile(r"(?<=,)\s*\\quad\s")
-NUMBER = re.compile(r"\(((?:\d|A)\.\d+)\)")
+# (2.3), or report 03.
+NUMBER = re.compile(r"(\((?:\d|A)\.\d+\)|\b[Rr]eport \d\d\b)")
+FINDER = ROOT / "notebooks" / "finder.csv"
 ROOMS = [
     "models",
     "campaign",
@@ -198,9 +203,19 @@ class Equation(SphinxDirective):
         return block
 
 
+def mathml(latex: str, display: str) -> str:
+    """Return a formula as MathML; what the converter does not know is refused."""
+    # latex2mathml knows aligned by the name of split only.
+    math = convert(latex.strip().replace("{aligned}", "{split}"), display=display)
+    if "\\" in math:
+        raise ValueError(f"the formula {latex!r} has a command that cannot be shown")
+    # Else browsers set a bar small and far above its letter.
+    return math.replace("<mover>", '<mover accent="true">')
+
+
 def visit_formula(translator, node: nodes.math) -> None:
     """Write a formula within a line as MathML, which needs no script."""
-    translator.body.append(to_mathml(node.astext()))
+    translator.body.append(mathml(node.astext(), "inline"))
     raise nodes.SkipNode
 
 
@@ -210,33 +225,33 @@ def visit_equation(translator, node: nodes.math_block) -> None:
     wide equation scrolls.
     """
     equations = BETWEEN_EQUATIONS.split(node.astext())
-    written = "".join(f"<span>{to_mathml(one, display=True)}</span>" for one in equations)
+    written = "".join(f"<span>{mathml(equation, 'block')}</span>" for equation in equations)
     translator.body.append(f'<div class="formula" tabindex="0">{written}</div>')
     raise nodes.SkipNode
 
 
-def link_equations(app: Sphinx, doctree: nodes.document, docname: str) -> None:
-    """Make equation numbers in text links to the page of equations."""
+def link_names(app: Sphinx, doctree: nodes.document, docname: str) -> None:
+    """Make numbers of equations and reports in text links."""
     if docname == EQUATIONS_PAGE:
         return
     page = app.builder.get_relative_uri(docname, EQUATIONS_PAGE)
+    places = {f"({number})": f"{page}#{equation_id(number)}" for number in EQUATIONS}
+    for report in app.env.found_docs:
+        if re.match(r"\d\d_", report) and report != docname:
+            places[f"report {report[:2]}"] = app.builder.get_relative_uri(docname, report)
     for text in list(doctree.findall(nodes.Text)):
-        if _is_literal(text):
-            continue
         parts = NUMBER.split(text.astext())
+        if len(parts) == 1 or _is_literal(text):
+            continue
         new: list[nodes.Node] = []
-        for number, words in zip(["", *parts[1::2]], parts[::2], strict=True):
-            if number in EQUATIONS:
-                new += [
-                    nodes.reference(
-                        "", f"({number})", refuri=f"{page}#{equation_id(number)}", internal=True
-                    )
-                ]
-            elif number:
-                words = f"({number}){words}"
-            new += [nodes.Text(words)] if words else []
-        if len(parts) > 1:
-            text.parent.replace(text, new)
+        for part in filter(None, parts):
+            place = places.get(part.replace("Report", "report"))
+            new.append(
+                nodes.reference("", part, refuri=place, internal=True)
+                if place
+                else nodes.Text(part)
+            )
+        text.parent.replace(text, new)
 
 
 def _is_literal(node: nodes.Node) -> bool:
@@ -260,27 +275,44 @@ def _is_literal(node: nodes.Node) -> bool:
 # The reports.
 
 
-class Reports(SphinxDirective):
-    """
-    ``{reports}`` lists the notebooks with their first sentences, linked to the pages that `make
-    reports` writes.
-    """
+class Finder(SphinxDirective):
+    """``{finder}`` lists every figure, table, theorem and study with its verdict and the reason."""
 
     def run(self) -> list[nodes.Node]:
-        """Return a list with an entry for each notebook."""
-        listed = nodes.definition_list()
-        for path in sorted((ROOT / "notebooks").glob("[0-9]*.ipynb")):
-            self.env.note_dependency(str(path))
-            first = "".join(json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"])
-            title, _, rest = first.partition("\n")
-            link = nodes.reference(
-                "", title.lstrip("# "), refuri=f"../{path.stem}.html", internal=True
-            )
-            words, _ = self.state.inline_text(" ".join(rest.split("\n\n")[0].split()), self.lineno)
-            item = nodes.definition_list_item("", nodes.term("", "", link))
-            item += nodes.definition("", nodes.paragraph("", "", *words))
-            listed += item
-        return [listed]
+        """Return a table whose places are links."""
+        self.env.note_dependency(str(FINDER))
+        with FINDER.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        lines = ["| | What | Verdict | Why | Section |", "|---|---|---|---|---|"]
+        for row in rows:
+            chapter = Path(self.env.srcdir, f"{row['report']}.ipynb")
+            self.env.note_dependency(str(chapter))
+            place = f"[{row['section']}]({chapter.name}"
+            # Where a notebook was not run, or failed, the sections are missing.
+            if chapter.is_file() and row["section"] in chapter.read_text(encoding="utf-8"):
+                place += f"#{slug(row['section'])}"
+            cells = [row["entry"], row["what"], row["verdict"], row["why"]]
+            lines.append(f"| {' | '.join([*cells, f'{place})' if row['report'] else ''])} |")
+        block = nodes.container(classes=["finder"])
+        self.state.nested_parse(StringList(lines, source=str(FINDER)), 0, block)
+        return [block]
+
+
+def slug(heading: str) -> str:
+    """Return the anchor of a heading."""
+    return re.sub(r"\W+", "-", heading.lower()).strip("-")
+
+
+def copy_tables(app: Sphinx) -> None:
+    """Put DataTables, which itables brings, among the scripts: pages on a disk load no modules."""
+    bundle = Path(itables.__file__).parent / "html"
+    script = (bundle / "dt_bundle.js").read_text(encoding="utf-8")
+    names = re.search(r"export\{.*?(\w+) as default.*?\}", script)
+    code = script.replace(names[0], f"window.DataTable={names[1]};")
+    folder = Path(app.outdir) / "_static"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "dt_bundle.js").write_text(f"(()=>{{{code}\n}})()", encoding="utf-8")
+    shutil.copy(bundle / "dt_bundle.css", folder)
 
 
 def set_policy(
@@ -306,11 +338,12 @@ def setup(app: Sphinx) -> dict[str, object]:
     """Add all this to Sphinx."""
     app.add_config_value("api_only", "", "env")
     app.connect("builder-inited", write_api)
-    app.connect("doctree-resolved", link_equations)
+    app.connect("builder-inited", copy_tables)
+    app.connect("doctree-resolved", link_names)
     app.connect("html-page-context", set_policy)
     app.connect("html-page-context", name_folds, priority=600)  # after the theme has its own
     app.add_directive("equation", Equation)
-    app.add_directive("reports", Reports)
+    app.add_directive("finder", Finder)
     app.add_role("known_name", known_name)
     app.add_html_math_renderer("mathml", (visit_formula, None), (visit_equation, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -14,7 +14,6 @@ USES = {
     "read a bag": ("ros", "rosbags.highlevel", "tl.read_session('run.bag')"),
     "write a bag": ("ros", "rosbags", "tl.write_session(session, 'new.mcap')"),
     "publish": ("reports", "papermill", "tl.publishing.publish()"),
-    "convert a formula": ("reports", "latex2mathml.converter", "tl.publishing.to_mathml('a')"),
 }
 
 

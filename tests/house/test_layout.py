@@ -22,7 +22,7 @@ MOST_TOKENS = {
     "live": 31_000,
     "models": 10_600,
     "operators": 3_500,
-    "publishing": 12_000,
+    "publishing": 6_000,
     "reproduction": 41_000,
     "ros": 6_000,
     "sessions": 29_000,

@@ -101,6 +101,7 @@ def house(tmp_path):
         "data/a.csv",
         "notebooks/a.ipynb",
         "docs/api/a.rst",
+        "docs/01_a.ipynb",
     ):
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         (tree / name).touch()
@@ -148,7 +149,7 @@ def test_the_environment_is_built_once_and_every_recipe_runs(house, uv):
         "test-long": "pytest",
         "coverage": "--cov",
         "reports": "python -m trustlab.publishing",
-        "docs": "python -m sphinx",
+        "docs": "python -m trustlab.publishing --no-run",
         "bench": "python -m benchmarks",
         "lab": "jupyter lab",
         "data": "make_sessions",

@@ -14,23 +14,23 @@ import shutil
 import tempfile
 from pathlib import Path
 from types import SimpleNamespace
+from unittest import mock
 
 import networkx as nx
 import numpy as np
 import pandas as pd
 import pytest
-from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
+from nbformat.v4 import new_code_cell
 
 import trustlab
 import trustlab as tl
+from tests.publishing.world import ROOT, make
 from trustlab.allocation.correction.correction_run import CorrectionRun
 from trustlab.allocation.cycle.intervals import RangeIntervals
 from trustlab.allocation.decision.posterior_choice import PosteriorChoice
 from trustlab.identification.regression import ArxResult
-from trustlab.models.html import as_html
-from trustlab.publishing import report_page
-from trustlab.publishing.execution import anonymous
-from trustlab.publishing.report_page import ReportError, page_faults, report_html
+from trustlab.publishing.book import publish, write_book
+from trustlab.publishing.tables import table_html
 from trustlab.reproduction.calibration import Calibration
 from trustlab.reproduction.performance_line import PerformanceLine
 from trustlab.reproduction.reconstruction.reconstruction import reconstruct_study
@@ -386,147 +386,26 @@ def test_the_animation_runs_its_own_script_and_no_other(visit, results):
     assert visit(told).fired
 
 
-# pages
+# reports
 # --------------------------------------------------------------------------------------------------
 
-ORIGIN = {
-    **dict.fromkeys(
-        ("notebook", "commit", "environment_lock", "external_data", "platform", "notebook_sha256"),
-        NAME,
-    ),
-    "inputs": {NAME: NAME},
-    "parameters": {NAME: NAME},
-    "seeds": {NAME: NAME},
-    "versions": {NAME: NAME},
-    "started": NAME,
-    "seconds": 1.0,
-}
 
-
-def hostile_report(results, *cells):
-    """A report with hostile words in every place that is not markup."""
-    code = new_code_cell(
-        NAME,
-        outputs=[
-            *(
-                new_output("display_data", data={"text/html": result._repr_html_()})
-                for result in results
-            ),
-            new_output(
-                "display_data",
-                data={"image/png": "AAAA", "text/plain": NAME},
-                metadata={"image/png": {"alt": NAME}},
-            ),
-            new_output("stream", name="stdout", text=NAME),
-            new_output("stream", name="stderr", text=NAME),
-            new_output("execute_result", data={"text/plain": NAME}),
-            new_output("error", ename=NAME, evalue=NAME, traceback=[NAME]),
-        ],
-    )
-    title = new_markdown_cell(f"# {html.escape(NAME.replace(ATTACKS['template'], ''))}")
-    notebook = new_notebook(cells=[title, code, *cells])
-    return report_html(notebook, NAME, ORIGIN, {NAME: NAME})
-
-
-def test_a_report_shows_hostile_words_as_words(visit, results):
-    page, _ = hostile_report([results[name] for name in ("Session", "PairedTTest", "TeamRun")])
-    seen = visit(page)
+def test_a_table_shows_hostile_names_as_words(visit):
+    frame = pd.DataFrame({NAME: [NAME], "n": [1.5]}, index=pd.Index([NAME], name=NAME))
+    frame.columns.name = NAME
+    seen = visit(table_html(frame))
     assert unmoved(seen), seen
-    assert seen.page.title().startswith("<img src=x onerror")
-    assert visit(unescaped(re.sub("<meta[^>]*http-equiv[^>]*>", "", page))).fired
+    assert visit(unescaped(table_html(frame))).fired
 
 
-# What no parser sees as an element is left to the policy.
-UNSEEN = ("comment", "comment and script", "handler", "template")
-
-
-@pytest.mark.parametrize("attack", [name for name in ATTACKS if name not in UNSEEN])
-def test_markup_that_runs_or_fetches_is_refused(attack):
-    assert page_faults(ATTACKS[attack])
-    output = new_output("display_data", data={"text/html": ATTACKS[attack]})
-    with pytest.raises(ReportError, match="self-contained"):
-        report_html(new_notebook(cells=[new_code_cell("x", outputs=[output])]), "01_a", ORIGIN)
-
-
-def test_the_policy_of_a_report_holds_where_markup_gets_through(visit, monkeypatch):
-    """
-    The author's check is switched off; loading another page is the one thing that no policy
-    forbids.
-    """
-    monkeypatch.setattr(report_page, "check_page", lambda page, what: None)
-    attacks = [attack for name, attack in ATTACKS.items() if name not in ("refresh", "template")]
-    data = [{"text/html": attack} for attack in attacks] + [
-        {"text/markdown": attack} for attack in attacks
-    ]
-    cells = [new_code_cell("x", outputs=[new_output("display_data", data=one) for one in data])]
-    page, _ = hostile_report([], *cells, *map(new_markdown_cell, attacks))
-    assert unmoved(visit(page)), visit(page)
-    fired = visit(re.sub("<meta[^>]*http-equiv[^>]*>", "", page))
-    assert fired.fired
-    assert fired.asked
-
-
-def test_dollars_of_a_name_are_no_formula():
-    output = new_output(
-        "display_data", data={"text/html": as_html(r"participant $\nosuch$ and $5, $6$")}
-    )
-    page, _ = report_html(
-        new_notebook(cells=[new_code_cell("x", outputs=[output])]), "01_a", ORIGIN
-    )
-    assert r"participant $\nosuch$" in page
-
-
-def test_output_of_ten_megabytes_is_made_anonymous_in_linear_time(tmp_path, monkeypatch):
-    """Quadratic time would be an hour; here the clock only tells the two apart."""
-    import time
-
-    checkout = SimpleNamespace(
-        external=tmp_path / "x",
-        root=Path("/somewhere/else"),
-        package=Path("/somewhere/else/trustlab"),
-    )
-    for word in ("a/", "ipykernel_1/", "data:image/"):
-        text = (word * (10_000_000 // len(word) + 1))[:10_000_000]
-        begin = time.process_time()
-        anonymous(f"{text} /tmp/ipykernel_17/23.py /somewhere/else/a", checkout)
-        assert time.process_time() - begin < 10.0, word
-    assert (
-        anonymous("in /tmp/ipykernel_17/23.py, line 1 of /somewhere/else/a.py", checkout)
-        == "in this notebook, line 1 of a.py"
-    )
-
-
-def test_tables_sort_filter_unfold_and_save_within_the_page_at_three_widths(visit):
-    table = pd.DataFrame(
-        {"name": [f"n{i}n" for i in range(40)], "p": [0.0395 - i / 1000 for i in range(40)]}
-    )
-    wide = pd.DataFrame(np.ones((3, 40)), columns=[f"column {i}" for i in range(40)])
-    data = [{"text/html": table.to_html(index=False)}, {"text/html": wide.to_html()}]
-    cells = [
-        new_markdown_cell("# A\n\nWords."),
-        new_code_cell("x", outputs=[new_output("display_data", data=d) for d in data]),
-    ]
-    text, _ = report_html(new_notebook(cells=cells), "01_a", ORIGIN | {"commit": "abc"})
-    seen = visit(text)
-    page = seen.page
-    shown = (
-        "[...document.querySelector('table').tBodies[0].rows].filter(r => "
-        "r.getClientRects().length)"
-    )
-    first = f"{shown}[0].cells[0].textContent"
-    assert unmoved(seen)
-    assert page.evaluate(f"{shown}.length") == 15
-    page.click("text=show all 40 rows")
-    assert page.evaluate(f"{shown}.length") == 40
-    page.click("th button:text-is('p')")
-    assert page.evaluate(first) == "n39n"  # the least p, written "< .001"
-    assert page.evaluate(f"{shown}.at(-1).cells[0].textContent") == "n0n"
-    page.fill("input[type=search]", "n7n")
-    assert page.evaluate(f"{shown}.map(r => r.cells[0].textContent)") == ["n7n"]
-    with page.expect_download() as saved:
-        page.click("text=CSV >> nth=0")
-    assert "n7n" in Path(saved.value.path()).read_text()
-    assert not seen.asked
-    for width in (390, 1280, 1440):
-        page.set_viewport_size({"width": width, "height": 900})
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
+def test_a_report_shows_what_a_cell_prints_as_words(visit, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    cell = new_code_cell(f"name = {NAME!r}\nprint(name)\nname")
+    root = make(tmp_path, n01_a=["# A", cell])
+    with mock.patch.dict("os.environ"):
+        publish(root=root)
+        assert write_book(root)
+    page = (root / "reports" / "01_a.html").read_text()
+    body = re.sub(r"<script[^>]*>.*?</script>|<link[^>]*>", "", page, flags=re.S)
+    assert "attacker.invalid" in body
+    assert visit(body).fired == 0

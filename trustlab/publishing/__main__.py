@@ -1,26 +1,23 @@
-"""``python -m trustlab.publishing``: notebooks to reports, from the command line."""
+"""``python -m trustlab.publishing``: notebooks to a book, from the command line."""
 
 import argparse
-import io
+import os
 import signal
 import sys
-import textwrap
-import time
+from pathlib import Path
 
-from trustlab.publishing.notebooks import Built, publish
-from trustlab.publishing.provenance import Checkout, duration
+from trustlab.publishing.book import publish, write_book
+from trustlab.publishing.provenance import external_data
 
 
 def _arguments(words: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m trustlab.publishing",
-        description="Run notebooks/NN_*.ipynb and write one self-contained HTML report each, and "
-        "reports/index.html. Notebooks run with their own folder as working directory.",
+        description="Run notebooks/NN_*.ipynb where their inputs changed, and write the book of "
+        "docs/ and them to reports/index.html.",
     )
     add = parser.add_argument
-    add(
-        "names", nargs="*", metavar="NAME", help="notebooks (01, 01_identification); all by default"
-    )
+    add("names", nargs="*", metavar="NAME", help="notebooks (01, 01_identification); default: all")
     add(
         "-p",
         nargs=2,
@@ -29,75 +26,47 @@ def _arguments(words: list[str] | None) -> argparse.Namespace:
         metavar=("NAME", "VALUE"),
         help="a declared parameter",
     )
-    add(
-        "--jobs",
-        default="auto",
-        metavar="N",
-        type=_jobs,
-        help="notebooks run at once; auto: one per CPU",
-    )
-    add("--notebooks", metavar="DIR", help="folder of the notebooks (default: notebooks)")
-    add("--reports", metavar="DIR", help="folder of the reports (default: reports)")
+    add("--jobs", default="auto", metavar="N", help="notebooks run at once; auto: one per CPU")
     add("--timeout", metavar="SECONDS", type=float, help="time limit of each cell (default: none)")
-    add("--force", action="store_true", help="build also what is up to date")
+    add("--force", action="store_true", help="run also what is up to date")
+    add("--no-run", action="store_true", help="run nothing: write the book of what was run")
     return parser.parse_args(words)
-
-
-def _jobs(text: str) -> int | str:
-    return text if text == "auto" else int(text)
-
-
-def _complain(built: Built) -> None:
-    failure = built.failure or {}
-    words = [f"\n── {built.name}{built.where} ──", textwrap.indent(failure["source"], "    "), ""]
-    print(*words, failure["traceback"], "", sep="\n", file=sys.stderr, flush=True)
 
 
 def main(words: list[str] | None = None) -> int:
     """
-    Publish as the command line says; return 0, 1 if a notebook failed, 2 for a wrong command, 130
-    if interrupted.
+    Publish as the command line says; return 0, 1 if a notebook or a page failed, 2 for a wrong
+    command, 130 if interrupted.
     """
     options = _arguments(words)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # not every locale has "…"
-    signal.signal(
-        signal.SIGTERM, signal.default_int_handler
-    )  # ends as Ctrl-C does: no kernel stays
-    clock = time.monotonic()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    root = Path.cwd()
+    built = []
     try:
-        checkout = Checkout.find(notebooks=options.notebooks, reports=options.reports)
-        if not checkout.external.is_dir():
-            print(
-                "no third-party data in TRUSTLAB_DATA or data/external: what needs them is left out"
+        if not external_data(root).is_dir():
+            print("no data in TRUSTLAB_DATA or data/external: what needs them is left out")
+        if not options.no_run:
+            built = publish(
+                options.names,
+                root=root,
+                parameters=dict(options.p),
+                jobs=options.jobs if options.jobs == "auto" else int(options.jobs),
+                force=options.force,
+                timeout=options.timeout,
+                report=lambda line: print(line, flush=True),
             )
-        built = publish(
-            options.names,
-            checkout=checkout,
-            parameters=dict(options.p),
-            jobs=options.jobs,
-            force=options.force,
-            timeout=options.timeout,
-            report=lambda line: print(line, flush=True),
-            on_failure=_complain,
-        )
-    except (ModuleNotFoundError, ValueError) as error:
+        whole = write_book(root)
+    except (ModuleNotFoundError, OSError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except OSError as error:  # a full disk, a folder that is not to be written
-        print(f"error: {error}; make room, or name another folder with --reports", file=sys.stderr)
-        return 2
     except KeyboardInterrupt:
-        print("\ninterrupted: every kernel is ended, no report is half made", file=sys.stderr)
-        return 130
-    counts = {
-        state: sum(report.state == state for report in built)
-        for state in ("built", "up to date", "failed")
-    }
-    told = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
-    print(f"{told}, in {duration(time.monotonic() - clock)}: {checkout.reports / 'index.html'}")
-    return 1 if counts["failed"] else 0
+        print("\ninterrupted: no report is half made", file=sys.stderr, flush=True)
+        os._exit(130)  # kernels end with the process that started them; threads would wait
+    failed = [notebook for notebook in built if notebook.failure]
+    for notebook in failed:
+        print(f"\n── {notebook.name} failed in {notebook.failure}", file=sys.stderr)
+    print(f"{len(built) - len(failed)} of {len(built)} notebooks: reports/index.html")
+    return 0 if whole and not failed else 1
 
 
 if __name__ == "__main__":

@@ -5,21 +5,17 @@ data.
 
 from __future__ import annotations
 
-import base64
-import json
 import os
 import re
 import textwrap
 import unicodedata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from trustlab.models.checks import one_of
-
-if TYPE_CHECKING:  # nbformat takes longer to load than all else that a notebook needs
-    from nbformat import NotebookNode
+from trustlab.publishing.tables import table_html
 
 # Okabe and Ito's colours (2008), told apart with any colour vision; yellow is left out, too pale on
 # white.
@@ -28,26 +24,17 @@ PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#4
 CAPTION_ID = "trustlab-caption"
 MARK_ID = "trustlab-synthetic"
 SYNTHETIC = "Synthetic data"
+REPORT = "TRUSTLAB_REPORT"  # set where a notebook runs for the book
 
 
-def use_house_style(inline: str = "svg") -> None:
-    """Set Matplotlib's defaults to the house style, and how a notebook embeds its figures.
-
-    Parameters
-    ----------
-    inline : {"svg", "png"}
-        Format in which a notebook keeps its figures: ``"svg"`` stays sharp; ``"png"`` (150 dpi)
-        stays small where a figure has more than some ten thousand marks.
-
-    Raises
-    ------
-    ValueError
-        If ``inline`` is neither.
+def use_house_style() -> None:
     """
-    one_of("inline", inline, ("svg", "png"))
+    Set Matplotlib's defaults to the house style, and how a notebook shows figures and tables.
+
+    The book shows figures as SVG; JupyterLab, which draws SVG in trusted notebooks only, gets PNG.
+    """
     import matplotlib as mpl
     from cycler import cycler
-    from matplotlib import pyplot
 
     sheet = Path(__file__).parent / "templates" / "house.mplstyle"
     mpl.rcParams.update(mpl.rc_params_from_file(sheet, use_default_template=False))
@@ -58,18 +45,24 @@ def use_house_style(inline: str = "svg") -> None:
     except ImportError:
         return
     shell = get_ipython()
-    if shell is not None:
-        set_matplotlib_formats(inline, **({"dpi": 150} if inline == "png" else {}))
-        _describe_figures(
-            shell.display_formatter.formatters["image/png" if inline == "png" else "image/svg+xml"]
-        )
-        if mpl.get_backend().endswith("inline"):
-            # After each cell pyplot would draw what the notebook then draws for itself, in half of
-            # a figure's time.
-            pyplot.switch_backend(
-                mpl.get_backend()
-            )  # before the first figure does, which asks for those drawings again
-            pyplot.uninstall_repl_displayhook()
+    if shell is None:
+        return
+    name = "svg" if REPORT in os.environ else "png"
+    set_matplotlib_formats(name, dpi=150)
+    kind = {"svg": "image/svg+xml", "png": "image/png"}[name]
+    _describe_figures(shell.display_formatter.formatters[kind])
+    shell.display_formatter.formatters["text/html"].for_type(pd.DataFrame, table_html)
+    if mpl.get_backend().endswith("inline"):
+        _draw_once(mpl.get_backend())
+
+
+def _draw_once(backend: str) -> None:
+    """Keep pyplot from drawing after each cell what the notebook then draws for itself."""
+    from matplotlib import pyplot
+
+    # before the first figure does, which asks for those drawings again
+    pyplot.switch_backend(backend)
+    pyplot.uninstall_repl_displayhook()
 
 
 def _describe_figures(formatter: Any) -> None:
@@ -78,16 +71,14 @@ def _describe_figures(formatter: Any) -> None:
 
     draw = formatter.lookup_by_type(Figure)
 
-    def drawn(figure) -> tuple[str, dict[str, str]]:
-        calibrate(figure)
+    def drawn(figure) -> tuple[str, dict[str, Any]]:
         words = [text for text in figure.texts if text.get_gid() == CAPTION_ID]
         for text in words:
-            text.set_visible("TRUSTLAB_REPORT" not in os.environ)  # a report sets it in type
+            text.set_visible(REPORT not in os.environ)  # a report sets it in type
         picture = draw(figure)  # first: drawing settles ticks and ranges
-        return picture, {
-            "drawn": describe(figure),
-            "caption": " ".join(text.get_text() for text in words),
-        }
+        picture, about = picture if isinstance(picture, tuple) else (picture, {})
+        caption = " ".join(text.get_text() for text in words)
+        return picture, about | {"alt": describe(figure), "caption": caption}
 
     formatter.for_type(Figure, drawn)
 
@@ -159,29 +150,6 @@ def label_synthetic(where, synthetic: bool | str = True):
     if hasattr(where, "transAxes"):
         return where.text(1.0, 1.01, _label(synthetic), transform=where.transAxes, **style)
     return where.text(0.995, 1.01, _label(synthetic), **style)
-
-
-IMAGES = ("image/svg+xml", "image/png", "image/jpeg")
-
-
-def image_uri(output: NotebookNode) -> str:
-    """Return an output's picture as a data URI, or an empty string."""
-    data = output.get("data", {})
-    kind = next((kind for kind in IMAGES if kind in data), None)
-    if kind is None:
-        return ""
-    if "svg" not in kind:
-        return f"data:{kind};base64,{''.join(data[kind].split())}"
-    return f"data:{kind};base64,{base64.b64encode(data[kind].encode()).decode()}"
-
-
-def said_of(output: NotebookNode, role: str) -> str:
-    """
-    Return what is noted with a picture: its author's words, "alt"; its "caption"; or "drawn", what
-    one sees in it.
-    """
-    noted = [output.metadata, *(output.metadata.get(kind, {}) for kind in IMAGES)]
-    return " ".join(next((entry[role] for entry in noted if entry.get(role)), "").split())
 
 
 GREEK = ("alpha", "beta", "gamma", "delta", "zeta", "theta", "mu", "sigma", "tau", "phi", "omega")
@@ -272,27 +240,3 @@ def _run(line) -> str:
         return f"stays at {first:.3g}"
     run = f"goes from {first:.3g} to {last:.3g}"
     return run if {low, high} == {first, last} else f"{run}, between {low:.3g} and {high:.3g}"
-
-
-def calibrate(figure) -> None:
-    """
-    Name the panels and lines of a figure in its drawing so that a viewer can read values from it.
-    """
-    for axes in figure.axes:
-        if axes.name != "rectilinear" or not {axes.get_xscale(), axes.get_yscale()} <= {
-            "linear",
-            "log",
-        }:
-            continue
-        sides = {
-            name: [
-                *axis.get_view_interval(),
-                axis.get_scale(),
-                spoken(axis.get_label_text()) or name,
-            ]
-            for name, axis in (("x", axes.xaxis), ("y", axes.yaxis))
-        }
-        axes.patch.set_gid(json.dumps(sides))
-        for line in axes.lines:
-            if line.get_gid() is None and _name(line):
-                line.set_gid(f"line:{_name(line)}")

@@ -1,56 +1,49 @@
-"""
-The report of a live study: its notebook, run in the study's folder by the pipeline that makes all
-reports.
-"""
+"""The report of a live study: its notebook, run in the study's folder, as one page."""
 
 from __future__ import annotations
 
-import time
-from datetime import UTC, datetime
 from pathlib import Path
 
 from trustlab.live.study.store import EVENTS, PLAN
+from trustlab.models.extras import extra
 from trustlab.models.files import write_atomically
-from trustlab.publishing.provenance import Checkout, file_digest, provenance
+from trustlab.models.html import policy
+from trustlab.publishing.provenance import PACKAGE, SHORT, file_digest, provenance
 
 NOTEBOOK = Path(__file__).with_name("report.ipynb")
+HEAD = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+{policy}<title>Report of a live study</title><style>
+:root {{ color-scheme: light dark; }}
+body {{ max-width: 62rem; margin: auto; padding: 1rem; font: 1rem/1.5 sans-serif; }}
+table {{ border-collapse: collapse; font-size: .85rem; }}
+td, th {{ padding: .1rem .5rem; text-align: right; border-bottom: 1px solid #8885; }}
+.jp-OutputArea-output, .jp-RenderedMarkdown {{ overflow-x: auto; }}
+.jp-InputPrompt, .jp-OutputPrompt, .anchor-link {{ display: none; }}
+img {{ max-width: 100%; background: #fff; }} h1, h2, h3 {{ line-height: 1.2; }}
+</style></head><body><main>
+"""
 
 
 def write_report(folder: Path, codes: list[str], path: Path) -> Path:
     """Run the notebook on what a folder holds of these participants, and write its page."""
-    from trustlab.publishing.execution import Kernels, anonymous, execute
-    from trustlab.publishing.report_page import report_html
+    from trustlab.publishing.chapter import chapter
+    from trustlab.publishing.execution import anonymous, execute
 
-    package = Path(__file__).parents[2]
-    checkout = Checkout(
-        root=package.parent,
-        notebooks=folder,
-        reports=path.parent,
-        package=package,
-        data=package.parent / "data",
-        lock=package.parent / "environment.lock",
-        external=folder / "none",
-    )
-    clock, started = time.monotonic(), datetime.now(UTC).isoformat(timespec="seconds")
-    origin = provenance(checkout, NOTEBOOK, {}, started)
-    origin["inputs"] = {
-        file.relative_to(folder).as_posix(): file_digest(file)
-        for file in [
-            folder / PLAN,
-            *(folder / code / f"{EVENTS}.jsonl" for code in codes),
-            *sorted(folder.glob("*/*.csv")),
-        ]
-    }
-    kernels = Kernels(checkout, threads=1)
-    try:
-        run = execute(NOTEBOOK, {}, kernels)
-    finally:
-        kernels.end()
-    origin["seconds"] = time.monotonic() - clock
-    page, _ = report_html(run, NOTEBOOK.stem, origin, {}, folder)
-    page = anonymous(page, checkout).replace(str(folder), folder.name)
-    alone = page.replace(
-        '<a href="index.html">← All reports</a>', "<span></span>", 1
-    )  # there are no others beside it
-    write_atomically(path.absolute(), alone)
+    with extra("reports"):
+        import nbformat
+        from nbconvert import HTMLExporter
+
+    events = [folder / code / f"{EVENTS}.jsonl" for code in codes]
+    inputs = [folder / PLAN, *events, *sorted(folder.glob("*/*.csv"))]
+    origin = provenance(PACKAGE.parent, NOTEBOOK, {}, [])
+    digests = {file.relative_to(folder).as_posix(): file_digest(file) for file in inputs}
+    origin |= {name: f"SHA-256 {digest[:SHORT]}" for name, digest in digests.items()}
+    run = nbformat.reads(chapter(execute(NOTEBOOK, {}, folder), origin), as_version=4)
+    exporter = HTMLExporter(template_name="basic", embed_images=True, exclude_input=True)
+    body, _ = exporter.from_notebook_node(run)
+    page = f"{HEAD.format(policy=policy())}{body}</main></body></html>"
+    page = anonymous(page.replace(str(folder), folder.name), PACKAGE.parent)
+    write_atomically(path.absolute(), page)
     return path

@@ -1,0 +1,247 @@
+"""What reports are made of: the finder, figures in words, tables in words, and their origin."""
+
+import csv
+import re
+
+import matplotlib as mpl
+import nbformat
+import numpy as np
+import pandas as pd
+import pytest
+from IPython.core.interactiveshell import InteractiveShell
+from matplotlib import pyplot
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+import trustlab as tl
+from tests.publishing.world import ROOT, make
+from trustlab.publishing import figures
+from trustlab.publishing.book import publish
+from trustlab.publishing.figures import describe
+from trustlab.publishing.provenance import provenance, read_files, shared_digest
+from trustlab.publishing.tables import cell, table_html
+
+NOTEBOOKS = ROOT / "notebooks"
+VERDICTS = {"reproduced", "differs", "reconstructed", "simulated", "not checkable", "diagram only"}
+
+
+def finder():
+    with (NOTEBOOKS / "finder.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_finder_has_every_figure_table_theorem_and_study():
+    from trustlab.reproduction.published_study import published_studies
+
+    wanted = {
+        f"Fig. {chapter}.{n}"
+        for chapter, last in ((2, 18), (3, 22), (4, 5))
+        for n in range(1, last + 1)
+    }
+    wanted |= {f"Table 2.{n}" for n in range(1, 7)} | {"Table 3.1"}
+    wanted |= (
+        {f"Theorem {n}" for n in range(1, 7)}
+        | {f"Proposition {n}" for n in range(1, 4)}
+        | set(published_studies())
+    )
+    wanted |= {
+        "Abstract",
+        "Section 2.4.1.3",
+        "Section 2.4.2.4",
+    }  # claims of what suggestions do for people
+    wanted |= {"Section 3.7.1", "Section 3.8.1", "Appendix A"}  # what else does not hold as printed
+    entries = [row["entry"] for row in finder()]
+    assert set(entries) == wanted
+    assert len(entries) == len(wanted)
+
+
+@pytest.mark.parametrize("row", finder(), ids=lambda row: row["entry"])
+def test_finder_leads_to_a_section_and_says_why(row):
+    assert row["verdict"] in VERDICTS
+    assert row["why"] or row["verdict"] in ("reproduced", "diagram only")
+    cells = nbformat.read(NOTEBOOKS / f"{row['report']}.ipynb", as_version=4).cells
+    heads = [
+        line.lstrip("# ")
+        for cell in cells
+        if cell.cell_type == "markdown"
+        for line in cell.source.splitlines()
+    ]
+    assert row["section"] in heads
+
+
+def test_finder_has_the_verdicts_of_the_audit_and_of_the_reconstructions():
+    """
+    Oracles: what of a table or study differs in the audit; which printed statistics no
+    reconstructed data have.
+    """
+    audit = tl.audit()
+    differ = set(audit.loc[audit["verdict"] == "differs", "id"].str.partition("/")[0])
+    differ |= {
+        id.rpartition("/")[2]
+        for id in audit.loc[audit["verdict"] == "differs", "id"]
+        if "/scale/" in id
+    }
+    found = {row["entry"]: row["verdict"] for row in finder()}
+    for entry, verdict in found.items():
+        if entry.startswith("Table"):
+            rows = audit[audit["id"].str.startswith(entry.lower().replace(" ", "_") + "/")]
+            held = "reproduced" if rows["verdict"].eq("reproduced").any() else "not checkable"
+            assert verdict == ("differs" if rows["verdict"].eq("differs").any() else held), entry
+        elif entry in tl.published_studies():
+            assert verdict == ("differs" if entry in differ else "reproduced"), entry
+            if verdict == "reproduced":
+                assert not tl.reconstruct(
+                    tl.published_studies()[entry], p_adjust="bonferroni"
+                ).attrs["left_out"]
+
+
+def test_captions_say_that_data_are_synthetic():
+    with mpl.rc_context():
+        figures.use_house_style()
+        figure = mpl.figure.Figure()
+        axes = figure.subplots()
+        text = figures.caption(axes, "What it shows.", synthetic="pilot, seed 1")
+        figures.caption(axes, "What it shows.", synthetic="pilot, seed 1")
+    assert text.get_text() == "Synthetic data: pilot, seed 1. What it shows."
+    marks = [
+        artist.get_text() for artist in figure.texts if artist.get_gid() == "trustlab-synthetic"
+    ]
+    assert marks == ["Synthetic data: pilot, seed 1"]
+
+
+@pytest.mark.parametrize("book", [True, False])
+def test_lab_gets_a_png_with_its_caption_and_the_book_an_svg_without(book, monkeypatch):
+    if book:
+        monkeypatch.setenv("TRUSTLAB_REPORT", "1")
+    shell = InteractiveShell.instance()
+    try:
+        with mpl.rc_context():
+            figures.use_house_style()
+            figure = mpl.figure.Figure()
+            figure.subplots().plot([1, 2, 3], [3, 4, 5], label="rise")
+            words = figures.caption(figure, "What it means.")
+            data, about = shell.display_formatter.format(figure)
+        table, _ = shell.display_formatter.format(pd.DataFrame({"eta2_partial": [0.5]}))
+    finally:
+        InteractiveShell.clear_instance()
+    kind = "image/svg+xml" if book else "image/png"
+    assert set(data) == {kind, "text/plain"}
+    assert words.get_visible() is not book
+    assert about[kind]["caption"] == "What it means."
+    assert "rise goes from 3 to 5" in about[kind]["alt"]
+    assert "partial η²" in table["text/html"]
+
+
+@pytest.mark.parametrize(("styled", "before"), [(True, 0), (False, 1)])
+def test_pyplot_does_not_draw_what_a_notebook_draws_for_itself(styled, before, monkeypatch):
+    drawn, own = [], FigureCanvasAgg.draw
+    monkeypatch.setattr(FigureCanvasAgg, "draw", lambda canvas: (drawn.append(canvas), own(canvas)))
+    monkeypatch.setattr(
+        pyplot, "_REPL_DISPLAYHOOK", pyplot._ReplDisplayHook.NONE
+    )  # not that of another test's shell
+    shell, backend = InteractiveShell.instance(), mpl.get_backend()
+    pyplot.close("all")  # nor its figures
+    try:
+        with mpl.rc_context():
+            pyplot.switch_backend("module://matplotlib_inline.backend_inline")
+            pyplot.ion()
+            if styled:
+                figures.use_house_style()
+            shell.run_cell("from matplotlib import pyplot\npyplot.subplots()").raise_error()
+    finally:
+        pyplot.close("all")
+        pyplot.ioff()
+        pyplot.switch_backend(backend)
+        InteractiveShell.clear_instance()
+    assert len(drawn) == before
+
+
+def test_panels_are_described_by_names_ranges_and_colours():
+    figure = mpl.figure.Figure()
+    left, right = figure.subplots(1, 2)
+    left.bar(["C1", "C2"], [1.0, 2.0], label="means")
+    left.set(ylabel="share")
+    left.legend()
+    drawn = right.pcolormesh([[0.0, 1.0], [2.0, 3.0]])
+    right.set(xscale="log", xlim=(1, 100), ylim=(0, 1), title=r"$\alpha$")
+    figure.colorbar(drawn, label="error [m]")
+    figure.canvas.draw()
+    assert describe(figure) == (
+        "2 panels. share from 0 to 2.1 against horizontal axis (C1, C2); also shown: means. α; "
+        "vertical axis from 0 to 1 against horizontal axis from 1 to 100. Colours show error [m]."
+    )
+
+
+@pytest.mark.parametrize(
+    ("p", "value", "shown"),
+    [
+        (True, 0.0, "&lt; .001"),
+        (True, 4e-5, "&lt; .001"),
+        (True, 0.0296, ".030"),
+        (False, 0.0296, "0.0296"),
+        (False, 0.123456789, "0.12346"),
+        (False, 123456789.0, "123456789"),
+        (False, -0.0, "0"),
+        (False, 12, "12"),
+        (False, np.bool_(True), "yes"),
+        (False, float("nan"), "–"),
+        (False, None, "–"),
+        (False, "p_r", "robot performance P_r"),
+        (False, "<b>$x$</b>", "&lt;b&gt;$x$&lt;/b&gt;"),
+    ],
+)
+def test_a_value_is_written_as_papers_do_and_keeps_its_digits(p, value, shown):
+    text = cell(value, p)
+    assert re.sub(r"</?data[^>]*>", "", text) == shown
+    if isinstance(value, float) and value == value:
+        assert float(re.search('value="([^"]*)"', text)[1]) == value
+
+
+def test_heads_of_rows_and_columns_are_words():
+    frame = pd.DataFrame({"p_holm": [0.01], "<i>": [1]}, index=pd.Index(["a"], name="dv"))
+    assert re.findall("<th>(.*)</th>", table_html(frame)) == ["measure", "p, Holm", "&lt;i&gt;"]
+    assert re.findall("<th>(.*)</th>", table_html(frame.rename_axis(columns="x")))[0] == (
+        "measure, by x"
+    )
+    pairs = frame.set_axis(pd.MultiIndex.from_product([["C1"], ["p", "n"]]), axis=1)
+    assert ".010" in table_html(pairs)
+    assert table_html(pd.DataFrame({"a": range(3)})).count("<tr") == 4
+
+
+def test_provenance_lists_what_a_notebook_reads_and_names_no_path(tmp_path):
+    notebook = NOTEBOOKS / "01_identification.ipynb"
+    files = [path.relative_to(ROOT).as_posix() for path in read_files(ROOT, notebook)]
+    assert "data/published/table_2_1.csv" in files
+    assert any(name.startswith("data/sessions/") for name in files)
+    assert not any(name.startswith("data/external/") for name in files)
+    root = make(tmp_path, n01_a=["# A"])
+    path = root / "notebooks" / "01_a.ipynb"
+    origin = provenance(root, path, {"seed": 5}, read_files(root, path))
+    assert origin["Commit"] == "not a git checkout"
+    assert origin["Parameter seed"] == "5"
+    assert str(tmp_path) not in str(origin)
+
+
+def test_digest_follows_data_modules_lock_and_external_files(tmp_path, monkeypatch):
+    root = make(tmp_path)
+    monkeypatch.setenv("TRUSTLAB_DATA", str(tmp_path / "elsewhere"))
+    (tmp_path / "elsewhere").mkdir()
+    digests = [shared_digest(root)]
+    for name in (
+        "data/published/a.csv",
+        "notebooks/a.py",
+        "environment.lock",
+        "elsewhere/log.csv",
+    ):
+        (root / name).write_text("1")
+        digests.append(shared_digest(root))
+    assert len(set(digests)) == 5
+    for name in ("data/external/a", "notebooks/a.txt", "data/published/__pycache__/a.pyc", "b"):
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text("1")
+    assert shared_digest(root) == digests[-1]
+
+
+def test_folder_without_such_notebooks_is_refused(tmp_path):
+    make(tmp_path)
+    with pytest.raises(ValueError, match=r"no notebook is called '01'.*none named NN_name"):
+        publish(["01"], root=tmp_path)

@@ -1,0 +1,56 @@
+"""A small book of its own: what `make reports` reads, in a folder."""
+
+import shutil
+from pathlib import Path
+
+import nbformat
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
+
+ROOT = Path(__file__).parents[2]
+SETTINGS = """
+api_only = "Session$"
+suppress_warnings += ["ref.obj", "ref.mod"]
+"""
+INDEX = """# A small book
+
+```{toctree}
+reports
+concepts/equations
+api/index
+```
+"""
+REPORTS = """# Reports
+
+```{toctree}
+:glob:
+
+[0-9][0-9]_*
+```
+"""
+
+
+def tagged(source, *tags):
+    return new_code_cell(source, metadata={"tags": list(tags)})
+
+
+def make(root, **notebooks):
+    """Make a repository with these notebooks, given as lists of cells; words are Markdown."""
+    docs = root / "docs"
+    for name in ("notebooks", "data/published", "docs/concepts", "docs/static"):
+        (root / name).mkdir(parents=True, exist_ok=True)
+    for name in ("docs/conf.py", "docs/extension.py", "docs/concepts/equations.md"):
+        shutil.copy(ROOT / name, root / name)
+    shutil.copytree(ROOT / "docs" / "static", docs / "static", dirs_exist_ok=True)
+    shutil.copy(ROOT / "data/published/equations.toml", root / "data/published")
+    with (docs / "conf.py").open("a") as file:
+        file.write(SETTINGS)
+    page = docs / "concepts" / "equations.md"
+    page.write_text(page.read_text().replace("[another page](does_not_hold.md)", "another page"))
+    (docs / "index.md").write_text(INDEX)
+    (docs / "reports.md").write_text(REPORTS)
+    for name, cells in notebooks.items():
+        cells = [new_markdown_cell(cell) if isinstance(cell, str) else cell for cell in cells]
+        about = {"kernelspec": {"name": "python3", "display_name": "Python", "language": "python"}}
+        notebook = new_notebook(cells=cells, metadata=about)
+        nbformat.write(notebook, root / "notebooks" / f"{name[1:]}.ipynb")
+    return root
