@@ -189,7 +189,7 @@ class PerformanceRule:
         return None if mode < 0 else mode
 
 
-def begun(rule: object, mode: int | None) -> tuple[Any, int]:
+def prepared_rule(rule: object, mode: int | None) -> tuple[Any, int]:
     """
     Return a rule and the mode before the first sample: the one given, else `rule.mode`, else 1.
 

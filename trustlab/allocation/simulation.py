@@ -9,9 +9,9 @@ from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.rules import (
     PerformanceRule,
     ThresholdRule,
-    begun,
     decision,
     performance_suggestion,
+    prepared_rule,
 )
 from trustlab.models.checks import between, finite_number, of_class, whole_number
 from trustlab.models.compiled import njit
@@ -110,7 +110,7 @@ def simulate_allocation(
         raise ValueError(
             "give either lower= and upper=, the thresholds of (2.8), or rule=, and not both"
         )
-    rule, mode = begun(
+    rule, mode = prepared_rule(
         ThresholdRule(*check_thresholds(tsc, lower, upper)) if rule is None else rule, mode
     )
     steps = whole_number("steps", steps, most=MOST_STEPS)

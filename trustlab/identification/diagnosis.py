@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trustlab.identification.output_error import NOT_WHITE, Estimate, Problem, settle
+from trustlab.identification.output_error import NOT_WHITE, Estimate, Problem, local_optimum
 from trustlab.identification.residuals import hac_lags, robust_deviation
 
 CERTAIN = 3.3
@@ -125,7 +125,7 @@ def doubts(estimate: Estimate) -> Iterator[str]:
     yield from _sparse(estimate)
     yield from _coarse(estimate)
     yield from _window(estimate)
-    yield from _delay(estimate)
+    yield from _delay_warning(estimate)
     yield from _slow(estimate)
     yield from _rivals(estimate)
 
@@ -183,7 +183,7 @@ def _coarse(estimate: Estimate) -> Iterator[str]:
                 )
 
 
-def _delay(estimate: Estimate) -> Iterator[str]:
+def _delay_warning(estimate: Estimate) -> Iterator[str]:
     """Test whether a mode that acts later or earlier than its stamp explains the residuals."""
     runs = estimate.problem.runs
     delay, stderr, _ = estimate.delay
@@ -211,8 +211,8 @@ def _window(estimate: Estimate) -> Iterator[str]:
         runs = [replace(run, window=window) for run in problem.runs]
         for unwindow in (True, False):
             averaged = Problem(problem.structure, runs, guess, unwindow)
-            valley = settle(averaged, estimate.theta, estimate.limits, False, rough=True)
-            gain = deviance - valley.deviance
+            optimum = local_optimum(averaged, estimate.theta, estimate.limits, False, rough=True)
+            gain = deviance - optimum.deviance
             best = max(best, (gain, window * problem.runs[0].sample_time))
     if best[0] > GAIN and stated > 1:
         yield (

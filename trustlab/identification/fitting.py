@@ -15,15 +15,15 @@ from scipy import special
 
 from trustlab.identification.diagnosis import doubts, remarks, search_remark
 from trustlab.identification.fit_result import FitResult, parameter_table, run_fits, state_table
-from trustlab.identification.logged import as_logged, averaged, undo_window, window_means
+from trustlab.identification.logged import averaged, logged_structure, undo_window, window_means
 from trustlab.identification.output_error import (
     NOISES,
     SHALLOW,
     Estimate,
+    LocalOptimum,
     Problem,
-    Valley,
     fit_problem,
-    settle,
+    local_optimum,
 )
 from trustlab.identification.regression import regress
 from trustlab.identification.runs import LogSettings, Run, joined, log_settings, read_runs
@@ -38,7 +38,7 @@ METHODS = ("output_error", "regression")
 
 RIVAL = 10.0
 """
-Deviance by which another valley may lie higher and still hold the truth: odds of e^5 = 150 to 1.
+Deviance by which another optimum may lie higher and still hold the truth: odds of e^5 = 150 to 1.
 """
 
 
@@ -124,7 +124,7 @@ def fit(
         check_data(structure, runs, structure.limits(fixed, bounds))
         refuse_options(fixed, bounds, noise, log)
         return regress(structure, runs)
-    structure = as_logged(structure, runs[0].sample_time, log)
+    structure = logged_structure(structure, runs[0].sample_time, log)
     limits = structure.limits(fixed, bounds)
     check_data(structure, runs, limits)
     return result(estimate_runs(structure, runs, limits, noise, guess, log.robust))
@@ -178,7 +178,7 @@ def estimate_runs(
     guess: Mapping | None = None,
     robust: bool = True,
 ) -> Estimate:
-    """Search from every starting value, and return the deepest valley as an estimate."""
+    """Search from every starting value, and return the best optimum as an estimate."""
     one_of("noise", noise, NOISES)
     if guess is not None:
         structure.check_names(guess, "guess")
@@ -200,41 +200,41 @@ def estimate_runs(
     if len(begun) == 1:
         problem, at = begun[0]
         return fit_problem(problem, at, limits, noise, robust)
-    valleys = [settle(problem, at, limits, robust, rough=True) for problem, at in begun]
-    if windowed:  # what the structure guesses from averages may miss a valley
-        valleys += list(_elsewhere(_deepest(valleys), limits))
-    lowest = _deepest(valleys)
-    rivals = tuple(valley for valley in valleys if valley.deviance < lowest.deviance + RIVAL)
-    for valley in rivals:
+    optima = [local_optimum(problem, at, limits, robust, rough=True) for problem, at in begun]
+    if windowed:  # what the structure guesses from averages may miss an optimum
+        optima += list(_elsewhere(_best(optima), limits))
+    lowest = _best(optima)
+    rivals = tuple(optimum for optimum in optima if optimum.deviance < lowest.deviance + RIVAL)
+    for optimum in rivals:
         # Raises where values that explain the data as well leave a parameter open.
-        valley.inverse_information()
+        optimum.inverse_information()
     estimate = fit_problem(lowest.problem, lowest.theta, limits, noise, robust)
     return replace(estimate, rivals=rivals)
 
 
-def _deepest(valleys: list[Valley]) -> Valley:
-    return min(valleys, key=lambda valley: valley.deviance)
+def _best(optima: list[LocalOptimum]) -> LocalOptimum:
+    return min(optima, key=lambda optimum: optimum.deviance)
 
 
-def _elsewhere(valley: Valley, limits: Mapping) -> Iterator[Valley]:
+def _elsewhere(optimum: LocalOptimum, limits: Mapping) -> Iterator[LocalOptimum]:
     """
     Search with bounded initial states held at other places, and go on from there with them free.
     """
-    # With the outliers left out that this valley shows, so that deviances can be compared.
-    problem = valley.problem
+    # With the outliers left out that this optimum shows, so that deviances can be compared.
+    problem = optimum.problem
     names = problem.structure.names[problem.shared :]
     bounded = [name for name in names if 0.0 < np.ptp(limits[name]) < np.inf]
     for share in (0.1, 0.3, 0.5, 0.8) if bounded else ():
         at = {name: limits[name][0] + share * np.ptp(limits[name]) for name in bounded}
-        start = valley.theta.copy()
+        start = optimum.theta.copy()
         for j, name in enumerate(names):
             if name in at:
                 start[problem.shared + j :: problem.states] = at[name]
         fixed = {name: (value, value) for name, value in at.items()}
-        constrained = settle(problem, start, {**limits, **fixed}, False, rough=True)
+        constrained = local_optimum(problem, start, {**limits, **fixed}, False, rough=True)
         yield constrained
-        if constrained.deviance < valley.deviance + SHALLOW:
-            yield settle(problem, constrained.theta, limits, False, rough=True)
+        if constrained.deviance < optimum.deviance + SHALLOW:
+            yield local_optimum(problem, constrained.theta, limits, False, rough=True)
 
 
 def _starts(

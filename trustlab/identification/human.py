@@ -301,14 +301,14 @@ def human_guess(
         high = p_h.max() + (1e-3 * max(abs(p_h.max()), 1.0) if np.ptp(p_h) == 0.0 else 0.0)
         middle = (0.0, rates[rates.size // 2], betas[betas.size // 2], p_h.min(), high, rests[0])
         grid = np.array([middle], GRID_POINT)
-    # The likelihood of (2.6) has several valleys (a slow operator beyond the best utilization looks
+    # The likelihood of (2.6) has several optima (a slow operator beyond the best utilization looks
     # like a quick one below it): the best points of different rates and initial utilizations are
-    # refined, and valleys as deep kept.
+    # refined, and optima as good kept.
     points = [_refined(means, point, limits, length) for point in _best_apart(grid, rates)]
     floor = 1e-12 * float(p_h @ p_h)
     deep: list[tuple[float, ...]] = []
     for point in sorted(points, key=lambda point: point[0]):
-        if not deep or _another_valley(point, deep, p_h.size, floor):
+        if not deep or _another_optimum(point, deep, p_h.size, floor):
             deep.append(point)
     guesses = []
     for _, rate, *others in deep:
@@ -317,13 +317,13 @@ def human_guess(
     return guesses
 
 
-def _another_valley(point: tuple, deep: list[tuple], samples: int, floor: float) -> bool:
+def _another_optimum(point: tuple, deep: list[tuple], samples: int, floor: float) -> bool:
     """Return whether a point is nearly as deep as the best, and apart from all `deep` ones."""
     squares, _, beta, *_ = point
     if samples * np.log((squares + floor) / (deep[0][0] + floor)) >= SHALLOW:
         return False
     return not any(
-        abs(squares / valley[0] - 1.0) < 1e-4 and abs(beta - valley[2]) < 0.01 for valley in deep
+        abs(squares / optimum[0] - 1.0) < 1e-4 and abs(beta - optimum[2]) < 0.01 for optimum in deep
     )
 
 

@@ -40,11 +40,9 @@ def _down(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
     return weights.reshape(-1, *[1] * (values.ndim - 1))
 
 
-def as_logged(structure: Structure, sample_time: float, log: LogSettings) -> Structure:
+def logged_structure(structure: Structure, sample_time: float, log: LogSettings) -> Structure:
     """
     Return a structure as the log shows it: finer steps, a mode delay to estimate, or both.
-
-    Between samples the inputs keep the last value logged.
 
     Between samples the inputs keep the last value logged.
     """

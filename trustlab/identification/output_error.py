@@ -37,10 +37,10 @@ NOT_WHITE = 1e-3
 """p value of the Ljung–Box test below which residuals do not count as white."""
 
 SHALLOW = 30.0
-"""Deviance above the deepest valley, both searched roughly, up to which a valley is searched on."""
+"""Deviance above the best optimum, both searched roughly, up to which an optimum is searched on."""
 
-ROUGHLY: dict = {"tolerance": 0.1, "max_iterations": 40}
-"""How valleys are searched before the deepest is known."""
+ROUGH_SEARCH: dict = {"tolerance": 0.1, "max_iterations": 40}
+"""How optima are searched before the best is known."""
 
 SINGULAR = 1e-10
 """Smallest eigenvalue of a regular information matrix, scaled to unit diagonal."""
@@ -292,7 +292,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Valley:
+class LocalOptimum:
     """Where a search settled: parameters, likelihood there, and which parameters are `free`."""
 
     problem: Problem
@@ -359,21 +359,21 @@ def _cause(problem: Problem) -> str:
     return "several values explain them equally well; " + " and ".join(ranges)
 
 
-def settle(
+def local_optimum(
     problem: Problem, start: np.ndarray, limits: Mapping, robust: bool, rough: bool = False
-) -> Valley:
+) -> LocalOptimum:
     """Search from `start` within the limits, and again without the outliers that show."""
-    options = ROUGHLY if rough else {}
-    valley = _search(problem, start, limits, **options)
+    options = ROUGH_SEARCH if rough else {}
+    optimum = _search(problem, start, limits, **options)
     for _ in range(5):
-        searchable = valley.normal.finite and not valley.exact.all()
+        searchable = optimum.normal.finite and not optimum.exact.all()
         if not robust or not searchable or not problem.leave_out():
             break
-        valley = _search(problem, valley.theta, limits, **options)
-    return valley
+        optimum = _search(problem, optimum.theta, limits, **options)
+    return optimum
 
 
-def _search(problem: Problem, start: np.ndarray, limits: Mapping, **options: Any) -> Valley:
+def _search(problem: Problem, start: np.ndarray, limits: Mapping, **options: Any) -> LocalOptimum:
     """Search from `start` within the limits."""
     low, high = problem.ends(limits)
     minimum = problem.search(start, low, high, **options)
@@ -389,7 +389,9 @@ def _search(problem: Problem, start: np.ndarray, limits: Mapping, **options: Any
     if not np.array_equal(point, theta):
         normal = problem.normal(theta)
     deviance = problem.deviance(normal.squares) if normal.finite else np.inf
-    return Valley(problem, minimum, theta, normal, deviance, np.flatnonzero(~fixed & ~at_bound))
+    return LocalOptimum(
+        problem, minimum, theta, normal, deviance, np.flatnonzero(~fixed & ~at_bound)
+    )
 
 
 # --- its curvature: covariance and diagnostics ----------------------------------------------------
@@ -408,14 +410,14 @@ class Delay(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate(Valley):
+class Estimate(LocalOptimum):
     """
-    The deepest valley with covariance and diagnostics.
+    The best optimum with covariance and diagnostics.
 
     `covariance` is 0 in rows of fixed parameters and NaN in rows of those at a bound; `inverse` is
     the inverse information matrix of the `free` ones. `simple_p` is the p value of the whiteness
     test before the noise was modelled; `sandwiched` says that the covariance allows for remaining
-    correlation. `delay` is that of the mode. `rivals` are valleys that are nearly as deep.
+    correlation. `delay` is that of the mode. `rivals` are optima nearly as likely.
     """
 
     limits: Mapping
@@ -426,7 +428,7 @@ class Estimate(Valley):
     noise: str
     sandwiched: bool
     delay: Delay
-    rivals: tuple[Valley, ...] = ()
+    rivals: tuple[LocalOptimum, ...] = ()
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -460,33 +462,33 @@ def fit_problem(
     problem: Problem, start: np.ndarray, limits: Mapping, noise: str = "auto", robust: bool = True
 ) -> Estimate:
     """Search from `start`, leave out outliers, model the noise; then covariance and diagnostics."""
-    valley = settle(problem, start, limits, robust)
-    if not valley.normal.finite:
-        pairs = zip(problem.names, valley.theta, strict=True)
+    optimum = local_optimum(problem, start, limits, robust)
+    if not optimum.normal.finite:
+        pairs = zip(problem.names, optimum.theta, strict=True)
         raise ValueError(
             f"structure {problem.structure.name!r} simulates values that are not finite at "
             f"{', '.join(f'{name} = {value:.4g}' for name, value in pairs)}; start elsewhere with "
             "guess={...} or narrow the bounds"
         )
-    simple_p = valley.whiteness_p()
+    simple_p = optimum.whiteness_p()
     if noise == "correlated" or (noise == "auto" and simple_p < NOT_WHITE):
         # The noise model belongs to the residuals, and these to the parameters: three rounds settle
         # both.
         for _ in range(3):
-            problem.fit_noise(valley.free)
-            valley = _search(problem, valley.theta, limits)
-    inverse = valley.inverse_information()
+            problem.fit_noise(optimum.free)
+            optimum = _search(problem, optimum.theta, limits)
+    inverse = optimum.inverse_information()
     modelled = any(model != Noise() for model in problem.noise)
-    p_value = valley.whiteness_p() if modelled else simple_p
+    p_value = optimum.whiteness_p() if modelled else simple_p
     sandwiched = noise == "hac" or (noise in ("auto", "correlated") and p_value < NOT_WHITE)
-    delay = _delay(valley, inverse, sandwiched)
+    delay = _mode_delay(optimum, inverse, sandwiched)
     low, high = problem.ends(limits)
-    covariance = _covariance(valley, inverse, sandwiched, delay)
-    shift = _shift_by_states_at_bound(valley, limits)
+    covariance = _covariance(optimum, inverse, sandwiched, delay)
+    shift = _shift_by_states_at_bound(optimum, limits)
     # The shift is to where the deviance has risen by LIKELY = 1.96²: as a variance, by its square.
-    covariance[np.ix_(valley.free, valley.free)] += np.outer(shift, shift) / LIKELY
+    covariance[np.ix_(optimum.free, optimum.free)] += np.outer(shift, shift) / LIKELY
     return Estimate(
-        **vars(valley),
+        **vars(optimum),
         limits=limits,
         fixed=low == high,
         covariance=covariance,
@@ -498,54 +500,56 @@ def fit_problem(
     )
 
 
-def _covariance(valley: Valley, inverse: np.ndarray, sandwiched: bool, delay: Delay) -> np.ndarray:
+def _covariance(
+    optimum: LocalOptimum, inverse: np.ndarray, sandwiched: bool, delay: Delay
+) -> np.ndarray:
     """Return the covariance of the full vector: of noise, and of errors of the mode's stamps."""
-    problem, free = valley.problem, valley.free
+    problem, free = optimum.problem, optimum.free
     # For white residuals the covariance is the inverse information ([L] Section 9.4, [S] Section
     # 7.5); else that is the bread of a sandwich.
-    meat = _meat(valley)[np.ix_(free, free)] if sandwiched else None
-    block = sandwich(inverse, meat, problem.counts.sum()) + _of_stamps(valley, inverse)
+    meat = _meat(optimum)[np.ix_(free, free)] if sandwiched else None
+    block = sandwich(inverse, meat, problem.counts.sum()) + _stamp_covariance(optimum, inverse)
     if any(run.stamp_error > 0.0 for run in problem.runs):
         # Stamps that are not exact may share an error, too: of any size that the residuals allow.
         square = delay.value**2 + delay.stderr**2
         block += square * np.outer(delay.shift, delay.shift)
-    covariance = np.zeros((valley.theta.size, valley.theta.size))
-    at_bound = valley.search.at_bound
+    covariance = np.zeros((optimum.theta.size, optimum.theta.size))
+    at_bound = optimum.search.at_bound
     covariance[at_bound, :] = covariance[:, at_bound] = np.nan
     covariance[np.ix_(free, free)] = block
     return covariance
 
 
-def _shift_by_states_at_bound(valley: Valley, limits: Mapping) -> np.ndarray:
+def _shift_by_states_at_bound(optimum: LocalOptimum, limits: Mapping) -> np.ndarray:
     """
     Return how far estimates move if initial states at a bound leave it as far as data allow.
 
     These states are moved together, equally far in their search coordinates, and the rest is
     estimated again (the profile of the likelihood), up to a deviance LIKELY above the least.
     """
-    problem = valley.problem
-    places = np.flatnonzero(valley.search.at_bound)
+    problem = optimum.problem
+    places = np.flatnonzero(optimum.search.at_bound)
     places = places[places >= problem.shared]
-    if places.size == 0 or valley.free.size == 0 or valley.exact.all():
-        return np.zeros(valley.free.size)
+    if places.size == 0 or optimum.free.size == 0 or optimum.exact.all():
+        return np.zeros(optimum.free.size)
     low, high = (problem.to_search(end) for end in problem.ends(limits))
-    bound = problem.to_search(valley.theta)[places]
+    bound = problem.to_search(optimum.theta)[places]
     inwards = np.where(bound == low[places], 1.0, -1.0) * (high - low)[places]
     inwards[~np.isfinite(inwards)] = 0.0
     near, far = 1e-4, 1.0  # shares of the way to the other bound
-    likely = valley
+    likely = optimum
     for _ in range(7):
         share = np.sqrt(near * far)
-        theta = problem.to_search(valley.theta)
+        theta = problem.to_search(optimum.theta)
         theta[places] = bound + share * inwards
         theta = problem.from_search(theta)
         moved = _search(problem, theta, _holding(problem, limits, places, theta))
-        if moved.deviance < valley.deviance + LIKELY:
+        if moved.deviance < optimum.deviance + LIKELY:
             near, likely = share, moved
         else:
             far = share
-    problem.normal(valley.theta)
-    return (likely.theta - valley.theta)[valley.free]
+    problem.normal(optimum.theta)
+    return (likely.theta - optimum.theta)[optimum.free]
 
 
 def _holding(problem: Problem, limits: Mapping, places: np.ndarray, theta: np.ndarray) -> dict:
@@ -560,11 +564,11 @@ def _holding(problem: Problem, limits: Mapping, places: np.ndarray, theta: np.nd
     return {**limits, **held}
 
 
-def _meat(valley: Valley) -> np.ndarray:
+def _meat(optimum: LocalOptimum) -> np.ndarray:
     """Return the long-run covariance of the likelihood's scores, summed over runs."""
-    problem = valley.problem
-    weights = problem.weights(valley.normal.squares)
-    size = valley.theta.size
+    problem = optimum.problem
+    weights = problem.weights(optimum.normal.squares)
+    size = optimum.theta.size
     meat = np.zeros((size, size))
     lags = max(hac_lags(errors) for errors in problem.residuals())
     for i, (run, places) in enumerate(zip(problem.runs, problem.places, strict=True)):
@@ -578,16 +582,16 @@ def _meat(valley: Valley) -> np.ndarray:
     return meat
 
 
-def _of_stamps(valley: Valley, inverse: np.ndarray) -> np.ndarray:
+def _stamp_covariance(optimum: LocalOptimum, inverse: np.ndarray) -> np.ndarray:
     """Return the covariance due to independent errors of the mode's stamps."""
-    problem, free = valley.problem, valley.free
-    weights = problem.weights(valley.normal.squares)
+    problem, free = optimum.problem, optimum.free
+    weights = problem.weights(optimum.normal.squares)
     added = np.zeros((free.size, free.size))
     for i, run in enumerate(problem.runs):
         if run.stamp_error == 0.0 or "mode" not in run.columns:
             continue
         mode = run["mode"]
-        values = problem.values(i, valley.theta)
+        values = problem.values(i, optimum.theta)
         of_run = [series for series in problem.series if series.run == i]
         switches = np.flatnonzero(np.diff(mode > 0.5)) + 1
         # Neighbours add about the same: of thousands of switches some stand for all.
@@ -597,7 +601,7 @@ def _of_stamps(valley: Valley, inverse: np.ndarray) -> np.ndarray:
             moved = mode.copy()
             moved[k] = mode[k - 1]
             outputs, _ = problem.structure.predict(run.changed({"mode": moved}), values)
-            by_all = np.zeros(valley.theta.size)
+            by_all = np.zeros(optimum.theta.size)
             for series in of_run:
                 j = series.output
                 change = outputs[j] - problem.simulations[i][0][j]
@@ -609,15 +613,15 @@ def _of_stamps(valley: Valley, inverse: np.ndarray) -> np.ndarray:
     return added
 
 
-def _delay(valley: Valley, inverse: np.ndarray, sandwiched: bool) -> Delay:
+def _mode_delay(optimum: LocalOptimum, inverse: np.ndarray, sandwiched: bool) -> Delay:
     """Return the delay of the mode that the residuals show, to first order; 0 if they cannot."""
-    problem, free = valley.problem, valley.free
-    weights = problem.weights(valley.normal.squares)
+    problem, free = optimum.problem, optimum.free
+    weights = problem.weights(optimum.normal.squares)
     inputs = set(problem.structure.inputs)
     if not {"mode"} <= inputs <= {"mode", "p_h"} or "mode_delay" in problem.structure.names:
         return Delay(0.0, 0.0, np.zeros(free.size))
     slopes = []
-    by_all = np.zeros(valley.theta.size)
+    by_all = np.zeros(optimum.theta.size)
     for series in problem.series:
         # Mode acting later shifts the whole simulation, but for initial states, which are
         # estimated.

@@ -23,7 +23,7 @@ from trustlab.identification.fitting import (
     weak_parameters,
 )
 from trustlab.identification.human import HUMAN
-from trustlab.identification.logged import as_logged
+from trustlab.identification.logged import logged_structure
 from trustlab.identification.output_error import Estimate
 from trustlab.identification.regression import regress
 from trustlab.identification.robot_structure import robot_structure
@@ -139,7 +139,7 @@ def _fit_with_operator(
     runs: list[Run], p_h_max: float | None, limits: Mapping, noise: str, log: LogSettings
 ) -> FitResult:
     """Fit operator and robot together and return what belongs to the robot."""
-    structure = as_logged(TSC, runs[0].sample_time, log)
+    structure = logged_structure(TSC, runs[0].sample_time, log)
     names = {name: joint for joint, name in ROWS.items()}
     joint_limits = structure.limits()
     joint_limits |= {names.get(name, name): pair for name, pair in limits.items()}

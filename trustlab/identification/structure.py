@@ -249,7 +249,7 @@ class Structure:
         default.
     guess : callable, optional
         ``guess(runs, limits)`` returns starting values by name, or several such mappings, best
-        first, where the likelihood has several valleys; an initial state may have one value per
+        first, where the likelihood has several optima; an initial state may have one value per
         run.
     model : callable, optional
         ``model(**parameters)`` makes `FitResult.model` from the estimates; a dictionary of them

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.allocation.rules import PerformanceRule, ThresholdRule, begun, decision
+from trustlab.allocation.rules import PerformanceRule, ThresholdRule, decision, prepared_rule
 from trustlab.models.checks import finite_number, of_class, one_of, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.ros.inputs import FIELDS, Input
@@ -125,7 +125,7 @@ class AllocationCore:
         self.rule, self.forced = _rule_of(model, condition, thresholds, rule)
         self.mode = 1
         if rule is not None:
-            self.rule, self.mode = begun(rule, None)
+            self.rule, self.mode = prepared_rule(rule, None)
         self.notes: list[tuple[float, str]] = []
         self.now = -math.inf
         self.last_step = math.inf

@@ -214,7 +214,7 @@ def framed(log: np.ndarray) -> pd.DataFrame:
     )
 
 
-def someone(participant: Any, operator: Operator | None, remedy: str) -> Any:
+def participant_or_operator(participant: Any, operator: Operator | None, remedy: str) -> Any:
     """Return whichever of the two is given; `remedy` says what to give where neither is."""
     if (participant is None) == (operator is None):
         raise ValueError(
@@ -236,7 +236,7 @@ def seed_facts(seed: int | np.random.SeedSequence) -> dict[str, Any]:
 
 
 @njit
-def begin(task, person, state, mind):
+def begin(task, person, state, rng):
     """Set utilization and mode at the beginning, and draw the operator's first thresholds."""
     state.r = task.r0
     state.mode = task.first_mode
@@ -246,8 +246,8 @@ def begin(task, person, state, mind):
     state.episode = -1
     state.lower, state.upper = task.lower, task.upper
     if task.scheme == OWN:
-        state.lower += person.lower_spread * mind.standard_normal()
-        state.upper += person.upper_spread * mind.standard_normal()
+        state.lower += person.lower_spread * rng.standard_normal()
+        state.upper += person.upper_spread * rng.standard_normal()
 
 
 @njit
@@ -282,17 +282,17 @@ def measure(task, k, z_r, z_h, state):
 
 
 @njit
-def reaction(person, wanted, mind):
+def reaction(person, wanted, rng):
     """
     Return the time between a decision and the hand's doing it [s]; its logarithm is normal, and
     taking over adds to it.
     """
-    late = person.reaction_lag * np.exp(person.reaction_spread * mind.standard_normal())
+    late = person.reaction_lag * np.exp(person.reaction_spread * rng.standard_normal())
     return late + person.take_over_lag if wanted == 1 else late
 
 
 @njit(inline="always")
-def own_decision(person, t, state, mind):
+def own_decision(person, t, state, rng):
     """
     Let the operator decide by thresholds of TSC of their own, and TSC as they perceive it (C1).
     """
@@ -302,7 +302,7 @@ def own_decision(person, t, state, mind):
         and threshold_mode(perceived, state.lower, state.upper, state.mode) != state.mode
     ):
         state.decided, state.willing = 1 - state.mode, True
-        state.due = t + reaction(person, state.decided, mind)
+        state.due = t + reaction(person, state.decided, rng)
 
 
 @njit
@@ -317,14 +317,14 @@ def suggest(task, state):
 
 
 @njit(inline="always")
-def consider(task, person, t, state, mind):
+def consider(task, person, t, state, rng):
     """
     Make the suggestion of the scheme, and let the operator decide once per suggestion whether to
     follow.
     """
     if task.scheme == RANDOM:
         standing = state.mode if state.suggested < 0 else state.suggested
-        ends = mind.random() < task.sample_time / RANDOM_PHASE
+        ends = rng.random() < task.sample_time / RANDOM_PHASE
         state.suggested, follow = 1 - standing if ends else standing, 1.0
     else:
         suggest(task, state)
@@ -333,10 +333,10 @@ def consider(task, person, t, state, mind):
         state.decided, state.episode = -1, -1
     elif state.suggested >= 0:
         if state.suggested != state.episode or t - state.episode_seen > DEADLINE:
-            state.willing = task.forced or mind.random() < follow
-            late = reaction(person, state.suggested, mind)
+            state.willing = task.forced or rng.random() < follow
+            late = reaction(person, state.suggested, rng)
             if not state.willing:
-                late += DEADLINE + person.ignoring_time * mind.standard_exponential()
+                late += DEADLINE + person.ignoring_time * rng.standard_exponential()
             state.episode = state.suggested
             state.decided = state.suggested
             state.due = t + late
@@ -344,7 +344,7 @@ def consider(task, person, t, state, mind):
 
 
 @njit(inline="always")
-def allocate(task, person, scheduled, t, state, mind):
+def allocate(task, person, scheduled, t, state, rng):
     """Set who drives in this sample."""
     before = state.mode
     if task.scheme == SCHEDULE:
@@ -352,9 +352,9 @@ def allocate(task, person, scheduled, t, state, mind):
     elif t < SETTLING:
         pass
     elif task.scheme == OWN:
-        own_decision(person, t, state, mind)
+        own_decision(person, t, state, rng)
     else:
-        consider(task, person, t, state, mind)
+        consider(task, person, t, state, rng)
     if state.decided >= 0 and t >= state.due:
         if state.willing or state.suggested == state.decided:
             state.mode = state.decided
@@ -362,5 +362,5 @@ def allocate(task, person, scheduled, t, state, mind):
     if state.mode != before:
         state.episode = -1
         if task.scheme == OWN:  # own thresholds are drawn anew at every switch
-            state.lower = task.lower + state.shift_l + person.lower_spread * mind.standard_normal()
-            state.upper = task.upper + state.shift_u + person.upper_spread * mind.standard_normal()
+            state.lower = task.lower + state.shift_l + person.lower_spread * rng.standard_normal()
+            state.upper = task.upper + state.shift_u + person.upper_spread * rng.standard_normal()

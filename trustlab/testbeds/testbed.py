@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.rules import begun
+from trustlab.allocation.rules import prepared_rule
 from trustlab.models.checks import (
     finite_number,
     not_negative,
@@ -256,7 +256,7 @@ class ConditionTestbed:
         operator, model, condition, seed : object
             Who drives, and what the metadata say of it.
         """
-        rule, mode = begun(rule, None)
+        rule, mode = prepared_rule(rule, None)
         task = deciding.task_of(
             deciding.SCHEDULE,
             self.e_max,
@@ -426,11 +426,11 @@ class UavFollowing(ConditionTestbed):
         """
         default = None
         remedy = "who flies? give participant=, 1 to 20, or an Operator with model="
-        someone = deciding.someone(participant, operator, remedy)
-        if not isinstance(someone, Operator):
-            someone, identified, default = following_operator(someone)
+        person = deciding.participant_or_operator(participant, operator, remedy)
+        if not isinstance(person, Operator):
+            person, identified, default = following_operator(person)
             model = identified if model is None else model
-        return someone, of_class("model", model, TscModel), default
+        return person, of_class("model", model, TscModel), default
 
     def result(self, task, operator, model, thresholds, condition, seed, rule=None):
         """

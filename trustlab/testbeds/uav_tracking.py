@@ -390,7 +390,7 @@ class TeleoperationLoop:
             )
         self._parts = {port: part_of(port, parts[port], self.state) for port in PORTS}
         self.ways = {port: part.way for port, part in self._parts.items()}
-        guidance = kernel.GUIDANCE[self.guidance] if self._scheme.bilateral else kernel.one_way
+        guidance = kernel.GUIDANCE[self.guidance] if self._scheme.bilateral else kernel.no_feedback
         for port, part in ({"guidance": guidance} | self._parts).items():
             setup["parts"][port] = part.address
 

@@ -291,7 +291,7 @@ def decide(setup, alpha, state):
 
 
 @njit(error_model="numpy", forceinline=True)
-def reach_out(setup, state):
+def set_hand_force(setup, state):
     """Set the hand's force, and the output that the device would have without feedback."""
     hand, recorded = setup.hand, not np.isnan(state.hand[0])
     for i in range(3):
@@ -313,7 +313,7 @@ def reach_out(setup, state):
 
 
 @njit(error_model="numpy", forceinline=True)
-def feel(state, setup, stretch):
+def set_guiding_force(state, setup, stretch):
     """Set the guiding force that the error `stretch` gives."""
     for i in range(3):
         state.stretch[i] = stretch[i]
@@ -321,7 +321,7 @@ def feel(state, setup, stretch):
 
 
 @njit(error_model="numpy", forceinline=True)
-def share_let_pass(guard, energy, velocity, force, gain, sample_time):
+def passivity_share(guard, energy, velocity, force, gain, sample_time):
     """
     Return the share of a port's velocity that the passivity controller of Theorem 4 lets pass, 1
     where it rests.
@@ -337,7 +337,7 @@ def share_let_pass(guard, energy, velocity, force, gain, sample_time):
 
 
 @njit(error_model="numpy", forceinline=True)
-def share_paid_for(guard, energy, line, square, sample_time):
+def affordable_share(guard, energy, line, square, sample_time):
     """
     Return the greatest share σ ≤ 1 of a force whose power, line σ − square σ², leaves the energy
     that is demanded.
@@ -353,7 +353,7 @@ def share_paid_for(guard, energy, line, square, sample_time):
 
 
 @njit(error_model="numpy", forceinline=True)
-def open_ends(state, setup):
+def solve_robot_end(state, setup):
     """
     Set the robot's velocity r_s = α (free − compliance f_s): the free part arrives, and the port
     yields to the force.
@@ -363,7 +363,7 @@ def open_ends(state, setup):
     near, far = setup.near, setup.far
     for i in range(3):
         if setup.channel == DIRECT:
-            loaded, echo = echoed(state, setup, i)
+            loaded, echo = loading_and_echo(state, setup, i)
             state.compliance[i] = (
                 1.0 - far.arriving * echo * far.sent / (1.0 + far.reflected * echo)
             ) / far.b
@@ -375,7 +375,7 @@ def open_ends(state, setup):
 
 
 @njit(error_model="numpy", forceinline=True)
-def echoed(state, setup, i):
+def loading_and_echo(state, setup, i):
     """
     Return how the channel loads the device, and what of a wave sent back comes again without a
     channel in between.
@@ -386,14 +386,14 @@ def echoed(state, setup, i):
 
 
 @njit(error_model="numpy", forceinline=True)
-def close_ends(state, setup):
+def solve_operator_end(state, setup):
     """
     Set the waves and the operator's end for the robot's velocity and force: r_m = free_output −
     admittance f_m.
     """
     near, far = setup.near, setup.far
     for i in range(3):
-        loaded, echo = echoed(state, setup, i)
+        loaded, echo = loading_and_echo(state, setup, i)
         through = setup.admittance[i] * state.beta * near.arriving / loaded
         if setup.channel == DIRECT:
             straight = near.sent * state.free_output[i] / loaded + echo * far.sent * state.f_s[i]
@@ -412,8 +412,8 @@ def through_channel(state, setup):
     """
     The guiding force at the robot's port, under the controller of Theorem 4: Chapter 3 as printed.
     """
-    feel(state, setup, state.error)
-    open_ends(state, setup)
+    set_guiding_force(state, setup, state.error)
+    solve_robot_end(state, setup)
     square = 0.0
     for i in range(3):
         state.pull[i] = state.f_s[i] = state.guiding[i]
@@ -421,7 +421,7 @@ def through_channel(state, setup):
         state.r_s[i] = state.alpha * (state.free_velocity[i] - state.compliance[i] * state.f_s[i])
         square += state.r_s[i] ** 2 * (state.compliance[0] / state.compliance[i])
     gain = square / (state.alpha * state.compliance[0])
-    share = share_let_pass(
+    share = passivity_share(
         setup.guard, state.ledger.robot, state.r_s, state.f_s, gain, setup.sample_time
     )
     if share < 1.0:
@@ -430,7 +430,7 @@ def through_channel(state, setup):
             state.f_s[i] = (state.free_velocity[i] - state.r_s[i] / state.alpha) / state.compliance[
                 i
             ]
-    close_ends(state, setup)
+    solve_operator_end(state, setup)
     state.port_share = share
 
 
@@ -445,8 +445,8 @@ def tank(state, setup):
     operator's port, ½ ∫ β (‖u_l‖²/β_min − ‖v_l‖²/β_max) dt, gives out no more than the tank held at
     first.
     """
-    feel(state, setup, state.error)
-    open_ends(state, setup)
+    set_guiding_force(state, setup, state.error)
+    solve_robot_end(state, setup)
     far, T = setup.far, setup.sample_time
     line = square = spare = 0.0
     for i in range(3):
@@ -454,11 +454,11 @@ def tank(state, setup):
         square += 0.5 * (far.sent * state.guiding[i]) ** 2
         spare += 0.5 * T * (1.0 - far.reflected**2) * state.v_r[i] ** 2
     level = setup.tank + state.ledger.known_near - state.ledger.out_far + spare
-    state.port_share = share_paid_for(setup.guard, level, line, square, T)
+    state.port_share = affordable_share(setup.guard, level, line, square, T)
     for i in range(3):
         state.pull[i] = state.f_s[i] = state.port_share * state.guiding[i]
         state.r_s[i] = state.alpha * (state.free_velocity[i] - state.compliance[i] * state.f_s[i])
-    close_ends(state, setup)
+    solve_operator_end(state, setup)
     for i in range(3):
         state.ledger.out_far += 0.5 * T * (state.u_r[i] ** 2 - state.v_r[i] ** 2)
         state.ledger.in_near += 0.5 * T * (state.beta / state.beta_min - 1.0) * state.u_l[i] ** 2
@@ -474,7 +474,7 @@ def at_operator(state, setup):
     and the guiding force. The controller works on (r_m, f_m): guidance spends what the operator's
     port has earned.
     """
-    feel(state, setup, state.picture)
+    set_guiding_force(state, setup, state.picture)
     near, far = setup.near, setup.far
     back = 0.0  # of a wave sent, what returns at once without a channel in between
     if setup.channel == DIRECT:
@@ -487,7 +487,7 @@ def at_operator(state, setup):
         state.r_m[i] = (state.free_output[i] - admittance * force) / (1.0 + admittance * resistance)
         state.f_m[i] = force + resistance * state.r_m[i]
         gain += state.r_m[i] ** 2 / admittance
-    share = share_let_pass(
+    share = passivity_share(
         setup.guard, state.ledger.port, state.r_m, state.f_m, gain, setup.sample_time
     )
     for i in range(3):
@@ -516,7 +516,7 @@ def two_port(state, setup):
     more than it knows has come in at the other. The moving target's energy does not count: the
     guiding force spends what the robot's port has taken.
     """
-    feel(state, setup, state.error)
+    set_guiding_force(state, setup, state.error)
     T = setup.sample_time
     for i in range(3):
         asked = state.alpha * state.arrived[i]
@@ -527,7 +527,7 @@ def two_port(state, setup):
     excess = 0.0
     paid = 0.0
     if power < 0.0:
-        share = share_paid_for(setup.guard, state.ledger.robot, power, 0.0, T)
+        share = affordable_share(setup.guard, state.ledger.robot, power, 0.0, T)
     elif power > 0.0:
         demand = demanded(setup.guard, state.ledger.known_near - state.ledger.out_far, -power, T)
         excess = 0.0 if np.isnan(demand) else (power + demand) / dot(state.guiding, state.guiding)
@@ -543,7 +543,7 @@ def two_port(state, setup):
         state.f_m[i] = state.beta * state.packet_force[i]
         state.r_m[i] = state.free_output[i] - setup.admittance[i] * state.f_m[i]
         gain += state.r_m[i] ** 2 / setup.admittance[i]
-    state.port_share = share_let_pass(
+    state.port_share = passivity_share(
         setup.guard, state.ledger.known_far - state.ledger.out_near, state.r_m, state.f_m, gain, T
     )
     came = 0.0
@@ -558,9 +558,9 @@ def two_port(state, setup):
 
 
 @Part
-def one_way(state, setup):
+def no_feedback(state, setup):
     """The device's output to the robot, from which no force comes back."""
-    feel(state, setup, state.error)
+    set_guiding_force(state, setup, state.error)
     for i in range(3):
         state.r_m[i] = state.free_output[i]
         state.f_m[i] = 0.0
@@ -582,7 +582,7 @@ GUIDANCE = {
 
 
 @njit(error_model="numpy", forceinline=True)
-def book(setup, state):
+def account_energy(setup, state):
     """
     Book the energy of every port and set the robot's command; return whether device and channel are
     bounded.
@@ -635,7 +635,7 @@ def performance(n, miss, share, size):
 
 
 @njit(error_model="numpy", forceinline=True)
-def judge(n, state):
+def measure_performance(n, state):
     """Take performance (3.26)-(3.27) over the window."""
     size = miss_h = miss_r = 0.0
     for i in range(3):
@@ -654,7 +654,7 @@ def judge(n, state):
 
 
 @njit(error_model="numpy", forceinline=True)
-def keep(k, state, history, sent):
+def store_history(k, state, history, sent):
     """Keep what later samples look up."""
     old = history[k]
     old.good_r = state.good_r
@@ -666,7 +666,7 @@ def keep(k, state, history, sent):
 
 
 @njit(error_model="numpy", forceinline=True)
-def act(setup, state):
+def step_motion(setup, state):
     """Step device, vehicle and trust; return the block or part that failed, DONE where none did."""
     for i in range(3):
         state.device[i] += setup.sample_time * state.middle[i]
@@ -708,21 +708,21 @@ def advance(
         failed = decide(setup, inputs[k].alpha, state)
         if failed != DONE:
             return k, failed
-        reach_out(setup, state)
+        set_hand_force(setup, state)
         call(setup.parts.guidance, state, setup)
         if state.raised or not finite(state.guiding):
             return k, FEEDBACK
-        near = book(setup, state)
-        judge(setup.loop, state)
+        near = account_energy(setup, state)
+        measure_performance(setup.loop, state)
         for i in range(row.size):
             table[k, i] = row[i]
-        keep(k, state, history, sent)
+        store_history(k, state, history, sent)
         # written as "not <", so that NaN counts as diverged
         if not state.energy_device < 1e9:
             return k + 1, DEVICE
         if not near < 1e18:
             return k + 1, CHANNEL
-        failed = act(setup, state)
+        failed = step_motion(setup, state)
         if failed != DONE:
             return k + 1, failed
     return stop, DONE

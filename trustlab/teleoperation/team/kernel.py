@@ -179,7 +179,7 @@ def rig_of(n):
 
 
 @njit(error_model="numpy", forceinline=True, _nrt=False)
-def store(n, team, rig, w, z, state):
+def store_energy(n, team, rig, w, z, state):
     """Set the storages at the start of the sample; the leader's port reaches the team g times."""
     state.v_hd = state.v_filter = 0.0
     state.v_fs, state.v_e = storages(team, w, z)
@@ -195,7 +195,7 @@ def store(n, team, rig, w, z, state):
 
 
 @njit(error_model="numpy", forceinline=True)
-def look(n, k, now, past, state):
+def look_up_past(n, k, now, past, state):
     """
     Set what the operator sees, the leader of `vision` samples ago and what it was told to do;
     return the operator's performance as the robots judge it.
@@ -247,7 +247,7 @@ def operator_side(n, rig, end, spendable, state):
     """
     device, filters = rig.device, rig.filters
     loaded = 1.0 + state.beta * end.b * filters.k12
-    reach_out(n, rig, end, loaded, spendable, state)
+    set_hand_force(n, rig, end, loaded, spendable, state)
     state.device_power = state.device_loss = state.near_power = 0.0
     for i in range(3):
         state.r_m[i] = state.yielded[i] + state.mobility[i] * state.push * state.aim[i]
@@ -271,13 +271,13 @@ def operator_side(n, rig, end, spendable, state):
             device, x + 0.5 * n.sample_time * v_middle, v_middle
         )
         state.near_power += velocity * force
-        state.near_velocity[i] += passed(filters, state.r_m[i], state.near_velocity[i])
-        state.near_force[i] += passed(filters, force, state.near_force[i])
+        state.near_velocity[i] += low_pass_step(filters, state.r_m[i], state.near_velocity[i])
+        state.near_force[i] += low_pass_step(filters, force, state.near_force[i])
     state.hand_power = dot(state.r_m, state.f_h)
 
 
 @njit(error_model="numpy", forceinline=True)
-def reach_out(n, rig, end, loaded, spendable, state):
+def set_hand_force(n, rig, end, loaded, spendable, state):
     """Set what the hand aims at, how device, filter and channel yield, and the share pushed."""
     device, filters = rig.device, rig.filters
     pushing = state.spring * np.sqrt(dot(state.aside, state.aside))
@@ -315,7 +315,7 @@ def reach_out(n, rig, end, loaded, spendable, state):
 
 
 @njit(error_model="numpy", forceinline=True)
-def passed(filters, u, level):
+def low_pass_step(filters, u, level):
     """Return by how much a low-pass filter's state changes over a sample."""
     return 2.0 * filters.pole * (u - level) / (1.0 + filters.pole)
 
@@ -345,8 +345,8 @@ def robot_side(filters, end, stiffness, state):
         state.f_s[i] = state.open_force[i] + stiffness * state.r_s[i]  # (4.24)
         state.u_r[i] = waves.robot_wave(end, force, state.v_r[i])  # (3.22)
         state.far_power += velocity * force
-        state.far_velocity[i] += passed(filters, velocity, state.far_velocity[i])
-        state.far_force[i] += passed(filters, state.f_s[i], state.far_force[i])
+        state.far_velocity[i] += low_pass_step(filters, velocity, state.far_velocity[i])
+        state.far_force[i] += low_pass_step(filters, state.f_s[i], state.far_force[i])
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -432,7 +432,7 @@ def move_directed(n, team, w, z, blown, state):
 
 
 @njit(error_model="numpy", forceinline=True)
-def book(n, seen_loss, state):
+def account_energy(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
     T = n.sample_time
     filter_power = 0.0
@@ -468,8 +468,8 @@ def solve_ends(n, team, rig, robots, m, k, state):
     """Solve both ends of the channel in sample k, for what has arrived by then."""
     now, past = m.samples[k], m.samples[max(k - n.vision, 0)]
     lead, head = now.lead, robots[now.head]
-    store(n, team, rig, m.w, m.z, state)
-    performance = look(n, k, now, past, state)
+    store_energy(n, team, rig, m.w, m.z, state)
+    performance = look_up_past(n, k, now, past, state)
     share_force(n, robots, lead, m.trust, performance, state)
     receive(n, m, k, rig.low_pass, state)
     near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)  # (4.7)
@@ -483,7 +483,7 @@ def solve_ends(n, team, rig, robots, m, k, state):
 
 
 @njit(error_model="numpy", forceinline=True, _nrt=False)
-def finish(n, m, k, every, state, row, table):
+def log_sample(n, m, k, every, state, row, table):
     """Keep what later samples look up, log, and book; return the block that diverged, −1: none."""
     now, past = m.samples[k], m.samples[max(k - n.vision, 0)]
     now.stored, now.lost = state.v_e, state.error_loss
@@ -496,7 +496,7 @@ def finish(n, m, k, every, state, row, table):
         state.v_t = stored + state.v_e_delayed + state.v_filter  # (4.32)
         for i in range(row.size):
             table[k // every, i] = row[i]
-    book(n, past.lost if k >= n.vision else 0.0, state)
+    account_energy(n, past.lost if k >= n.vision else 0.0, state)
     return diverged(state)
 
 
@@ -529,7 +529,7 @@ def run_team(n, team, robots, memory, first, last, every, states, row, table, co
             move_directed(n, team, w, z, memory.blown, state)
         else:
             move_undirected(n, team, w, z, memory.blown, state)
-        block = finish(n, memory, k, every, state, row, table)
+        block = log_sample(n, memory, k, every, state, row, table)
         if block >= 0:
             return k + 1, block
     return last, -1

@@ -236,16 +236,16 @@ def who_drives(
 ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
     """Return the operator, the model, and the printed thresholds of a printed participant."""
     remedy = "who drives? give participant=, 1 to 5 or 'pilot', or an Operator with model="
-    someone = deciding.someone(participant, operator, remedy)
-    if isinstance(someone, Teleoperator):
+    person = deciding.participant_or_operator(participant, operator, remedy)
+    if isinstance(person, Teleoperator):
         raise ValueError(
             "operator must be of class Operator, got Teleoperator, who flies a UAV "
             "(simulate_teleoperation); for the ground robot " + MAKE_OPERATOR
         )
-    if operator is not None or isinstance(someone, Operator):
-        of_class("operator", someone, Operator, MAKE_OPERATOR)
-        return someone, of_class("model", model, TscModel), None
-    label = participant_label(someone)
+    if operator is not None or isinstance(person, Operator):
+        of_class("operator", person, Operator, MAKE_OPERATOR)
+        return person, of_class("model", model, TscModel), None
+    label = participant_label(person)
     model = published_model(label) if model is None else of_class("model", model, TscModel)
     return published_operator(label), model, published_thresholds(label)
 
@@ -401,7 +401,7 @@ def participant_label(participant: int | str) -> str:
     meant = did_you_mean(label, known)
     raise ValueError(
         f"there is no participant {participant!r:.60} among the printed ones: "
-        f"{', '.join(known)}{meant}. For someone else give an Operator as participant, with model="
+        f"{', '.join(known)}{meant}. For person else give an Operator as participant, with model="
     )
 
 

@@ -262,7 +262,7 @@ def drive(
     person,
     sensing,
     hand,
-    mind,
+    decision_rng,
     states,
     log,
     lap_times,
@@ -274,16 +274,16 @@ def drive(
     laps done.
 
     course: the numbers of a `Course`. robot, person: numbers of a `Pioneer` and an `Operator`.
-    sensing, hand, mind: generators of their noise. schedule, shape (N,): modes, used by the scheme
-    SCHEDULE alone. states, shape (1,): a record of STATE. correction: a `LoopCorrection`, or None,
-    which leaves the engine out of what is compiled.
+    sensing, hand, decision_rng: generators of their noise. schedule, shape (N,): modes, used by the
+    scheme SCHEDULE alone. states, shape (1,): a record of STATE. correction: a `LoopCorrection`, or
+    None, which leaves the engine out of what is compiled.
     """
     dt, state = task.sample_time, states[0]
     delay, (arc, z_r, z_h, found) = round(person.delay / dt), kept
     rates = rates_of(person, robot, dt)
     place(course, robot, dt, state)
     state.wander, state.shaking = hand.standard_normal(), hand.standard_normal()
-    begin(task, person, state, mind)
+    begin(task, person, state, decision_rng)
     for k in range(log.size):
         t, row = k * dt, log[k]
         if locate(course, k, row, state) and state.laps <= lap_times.size:
@@ -305,7 +305,9 @@ def drive(
         perform(task, k, z_r, z_h, row, state)
         if correction is not None:
             correct(correction, task, k, t, state)
-        allocate(task, person, schedule[k] if task.scheme == SCHEDULE else 0, t, state, mind)
+        allocate(
+            task, person, schedule[k] if task.scheme == SCHEDULE else 0, t, state, decision_rng
+        )
         enter(row, state)
         if 0 < task.laps <= state.laps:
             return k + 1, state.laps

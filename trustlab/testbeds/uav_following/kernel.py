@@ -136,14 +136,26 @@ def fly(flight, dt, row, state):
 
 @njit(_nrt=False)
 def follow(
-    task, schedule, flight, position, velocity, person, sensing, hand, mind, states, log, z_r, z_h
+    task,
+    schedule,
+    flight,
+    position,
+    velocity,
+    person,
+    sensing,
+    hand,
+    decision_rng,
+    states,
+    log,
+    z_r,
+    z_h,
 ):
     """
     Fill the records of `log` behind a leader at `position` with `velocity`, both of shape (N, 3).
 
     schedule, shape (N,): modes, used by the scheme SCHEDULE alone. person: numbers of an
-    `Operator`. sensing, hand, mind: generators of noise. states, shape (1,): a record of STATE.
-    z_r, z_h, shape (N,): room for momentary performance.
+    `Operator`. sensing, hand, decision_rng: generators of noise. states, shape (1,): a record of
+    STATE. z_r, z_h, shape (N,): room for momentary performance.
     """
     dt, state = task.sample_time, states[0]
     delay = round(person.delay / dt)
@@ -160,7 +172,7 @@ def follow(
     state.v_y = velocity[0, 1]
     state.hand_x, state.hand_y = state.v_x, state.v_y
     state.wander_x, state.wander_y = hand.standard_normal(), hand.standard_normal()
-    begin(task, person, state, mind)
+    begin(task, person, state, decision_rng)
     for k in range(log.size):
         t, row = k * dt, log[k]
         row.robot_x = state.x
@@ -176,7 +188,7 @@ def follow(
         deviation = abs(row.u_i_x - row.u_h_x) + abs(row.u_i_y - row.u_h_y)
         z_h[k] = 1.0 - deviation / flight.u_max  # Section 2.4.2, P_h
         measure(task, k, z_r, z_h, state)
-        allocate(task, person, schedule[k], t, state, mind)
+        allocate(task, person, schedule[k], t, state, decision_rng)
         row.mode = state.mode
         row.suggested_mode = state.suggested
         row.r = state.r
