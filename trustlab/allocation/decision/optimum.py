@@ -52,8 +52,8 @@ class OptimalAllocation:
     mean_r, mean_p_r : float
         Mean utilization and robot performance.
     thresholds : tuple of float or None
-        The best thresholds on TSC, (2.8), that keep the dwell time and the limit of mean r; None
-        where no pair does.
+        The best thresholds on TSC, (2.8), of a grid of 40 values, that keep the dwell time and the
+        limit of mean r; None where no pair does.
     threshold_value : float
         What they earn; NaN where there are none.
     weight : float
@@ -283,13 +283,12 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
             f"no pattern with phases of at least {least} samples keeps mean r at most {limit:g}; "
             "allow a greater max_mean_r or shorter phases"
         )
-    # The longer phase sets the ratio, to the sample; the shorter one stays near its least.
-    step = max(1, int(0.07 * max(manual, autonomous)))
-    near = [np.arange(max(least, n - step), n + step + 1) for n in (manual, autonomous)]
-    fine = [values[:: max(1, values.size // 80)] for values in near]
-    manual, autonomous = best_of(c, *fine, *scales, limit)
-    near = [np.arange(max(least, n - 2), n + 3) for n in (manual, autonomous)]
-    manual, autonomous = best_of(c, *near, *scales, limit)
+    reach = max(1, int(0.07 * max(manual, autonomous)))
+    while reach > 0:
+        offsets = np.unique(np.round(np.linspace(-reach, reach, 11)).astype(int))
+        near = [np.unique(np.maximum(n + offsets, least)) for n in (manual, autonomous)]
+        manual, autonomous = best_of(c, *near, *scales, limit)
+        reach //= 4
     return int(manual), int(autonomous)
 
 
