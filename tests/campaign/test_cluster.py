@@ -18,8 +18,13 @@ dask = pytest.importorskip("dask")
 
 @pytest.fixture(scope="module")
 def cluster():
+    # A worker takes one run at a time: what waits on a worker that dies counts as having killed it.
+    settings = {
+        "distributed.scheduler.allowed-failures": 1,
+        "distributed.scheduler.worker-saturation": 1.0,
+    }
     with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+        dask.config.set(settings),
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
         ) as local,

@@ -468,7 +468,7 @@ def test_memory_does_not_grow_with_the_number_of_runs(tmp_path, monkeypatch):
             seen.append(tracemalloc.get_traced_memory()[1])
             raise InterruptedError
 
-        monkeypatch.setattr("trustlab.campaign.folder.Folder.outcomes", stop)
+        monkeypatch.setattr("trustlab.campaign.folder.CampaignFolder.outcomes", stop)
         monkeypatch.setattr("trustlab.campaign.dispatch.MOST_RUNS", 100)
         tracemalloc.start()
         try:

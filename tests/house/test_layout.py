@@ -147,6 +147,16 @@ def wide_tuples(source):
     return lines
 
 
+def classes(sources):
+    """Every class of these files, by name: what two files call the same is two things."""
+    places = defaultdict(list)
+    for name, source in sources.items():
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(name)
+    return places
+
+
 def slots(source):
     """Numbered slots, as in c[7] or row[39]: every place where a reader has to count."""
     lines = source.splitlines()
@@ -231,6 +241,10 @@ def test_names_are_nouns():
     assert len(vague) / len(names) <= MOST_PRONOUNS, Counter(vague).most_common()
 
 
+def test_a_class_name_means_one_thing():
+    assert {name: at for name, at in classes(sources()).items() if len(at) > 1} == {}
+
+
 def test_no_folder_shows_more_than_16_files():
     assert {f: n for f, n in Counter(path.parent for path in FILES).items() if n > 16} == {}
 
@@ -254,5 +268,6 @@ def test_the_checks_see_what_they_should():
     assert many_parameters("def f(a, b, *, c): pass\ndef _g(a, b, c): pass", 2) == {"f": 3}
     assert many_parameters("class A:\n    def __init__(self, a, b): pass", 1) == {"__init__": 2}
     assert pronouns("def f(one, other_one):\n    own, x = what.held = 1, 2\n") == ["one", "own"]
+    assert classes({"a": "class A: pass", "b": "class A: pass"}) == {"A": ["a", "b"]}
     assert wide_tuples("a, b, c = 1, 2, 3\na, b = 1, 2\na, b, c = f()\n") == [1]
     assert len(code_tokens("'''Prose.'''\nx = 1  # a comment\n")) == 3

@@ -9,7 +9,7 @@ from hypothesis import given, settings as budget, strategies as st
 
 import trustlab as tl
 from trustlab.ros import AllocationCore, CoreSettings, Watchdog
-from trustlab.ros.window import RunningMean
+from trustlab.ros.window import WindowMean
 from trustlab.sessions.errors import SessionError
 
 MODEL = tl.published_models()["1"]
@@ -54,7 +54,7 @@ def test_a_running_mean_has_the_bits_of_pandas(samples, kind):
         values = np.repeat(values[:57], 8)[:400]
     elif kind == "negative":
         values = -np.abs(values)
-    mean = RunningMean(samples)
+    mean = WindowMean(samples)
     expected = pd.Series(values).rolling(samples, min_periods=1).mean().to_numpy()
     assert [mean.step(v).hex() for v in values.tolist()] == [v.hex() for v in expected.tolist()]
 

@@ -58,7 +58,7 @@ class Chunk(NamedTuple):
         )
 
 
-class Folder:
+class CampaignFolder:
     """The files of one campaign, open in one process at a time; `chunks` in the order of runs."""
 
     def __init__(

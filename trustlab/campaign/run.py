@@ -121,13 +121,13 @@ def run_campaign(
     _check_jobs(n_jobs)
     start = perf_counter()
     with contextlib.ExitStack() as stack:
-        storage: Any = Memory()
+        storage: Any = Unsaved()
         if out is not None:
-            from trustlab.campaign.folder import Folder
+            from trustlab.campaign.folder import CampaignFolder
             from trustlab.campaign.identity import seed_text, task_identity
 
             identity = {"task": task_identity(task), "seed": seed_text(seed), "names": names}
-            storage = Folder(out, identity, parameters, fresh, other_versions)
+            storage = CampaignFolder(out, identity, parameters, fresh, other_versions)
             stack.enter_context(contextlib.closing(storage))
         gaps = _gaps([chunk[:2] for chunk in storage.chunks], len(parameters))
         resumed = len(parameters) - sum(last - first for first, last in gaps)
@@ -151,7 +151,7 @@ def run_campaign(
     return _described(table, resumed, {"seconds": perf_counter() - start} | facts)
 
 
-class Memory:
+class Unsaved:
     """The outcomes of a campaign without a folder."""
 
     chunks: tuple = ()

@@ -56,7 +56,7 @@ SWITCHES = 40
 
 
 @dataclass(eq=False)
-class Series:
+class OutputSeries:
     """
     One output of one run: the data, the unknowns that move it, and its latest prediction errors.
 
@@ -108,15 +108,17 @@ class Problem:
         scale = [max(float(np.sqrt(np.mean(column**2))), 1e-300) for column in columns]
         self.floors = self.counts * (1e-9 * np.array(scale)) ** 2
 
-    def _series(self, i: int, j: int) -> Series:
+    def _series(self, i: int, j: int) -> OutputSeries:
         run = self.runs[i]
         measured = run[self.structure.outputs[j]]
         if self.unwindow and run.window > 1:
             measured = undo_window(measured, run.window)
         places = self.places[i][self.affecting[j]]
-        return Series(i, j, measured, np.zeros(run.size, bool), places, np.ix_(places, places))
+        return OutputSeries(
+            i, j, measured, np.zeros(run.size, bool), places, np.ix_(places, places)
+        )
 
-    def series_of(self, output: int) -> list[Series]:
+    def series_of(self, output: int) -> list[OutputSeries]:
         """Return one output of all runs."""
         return self.series[output :: len(self.structure.outputs)]
 
@@ -182,13 +184,13 @@ class Problem:
         self.evaluated = (theta.copy(), equations)
         return equations
 
-    def differences(self, series: Series) -> tuple[np.ndarray, np.ndarray]:
+    def differences(self, series: OutputSeries) -> tuple[np.ndarray, np.ndarray]:
         """Return measured minus simulated at the latest point, and the simulation's derivatives."""
         outputs, jacobians = self.simulations[series.run]
         simulated = self.observed(series, outputs[series.output])
         return series.measured - simulated, self.observed(series, jacobians[series.output])
 
-    def observed(self, series: Series, values: np.ndarray) -> np.ndarray:
+    def observed(self, series: OutputSeries, values: np.ndarray) -> np.ndarray:
         """Return simulated values as the log has them: averaged, where noise is in the means."""
         window = self.runs[series.run].window
         return values if window == 1 or self.unwindow else window_means(values, window)
@@ -205,7 +207,9 @@ class Problem:
         outputs = range(len(self.structure.outputs))
         return [[series.error for series in self.series_of(j)] for j in outputs]
 
-    def whitened(self, series: Series, *columns: np.ndarray) -> tuple[list[np.ndarray], float]:
+    def whitened(
+        self, series: OutputSeries, *columns: np.ndarray
+    ) -> tuple[list[np.ndarray], float]:
         """
         Return an output's Kalman prediction errors and the log-determinant of the noise.
 
@@ -397,7 +401,7 @@ def _search(problem: Problem, start: np.ndarray, limits: Mapping, **options: Any
 # --- its curvature: covariance and diagnostics ----------------------------------------------------
 
 
-class Delay(NamedTuple):
+class ModeDelay(NamedTuple):
     """
     Delay of the mode behind its stamp [s], as residuals show it.
 
@@ -427,7 +431,7 @@ class Estimate(LocalOptimum):
     simple_p: float
     noise: str
     sandwiched: bool
-    delay: Delay
+    delay: ModeDelay
     rivals: tuple[LocalOptimum, ...] = ()
 
     @property
@@ -501,7 +505,7 @@ def fit_problem(
 
 
 def _covariance(
-    optimum: LocalOptimum, inverse: np.ndarray, sandwiched: bool, delay: Delay
+    optimum: LocalOptimum, inverse: np.ndarray, sandwiched: bool, delay: ModeDelay
 ) -> np.ndarray:
     """Return the covariance of the full vector: of noise, and of errors of the mode's stamps."""
     problem, free = optimum.problem, optimum.free
@@ -613,13 +617,13 @@ def _stamp_covariance(optimum: LocalOptimum, inverse: np.ndarray) -> np.ndarray:
     return added
 
 
-def _mode_delay(optimum: LocalOptimum, inverse: np.ndarray, sandwiched: bool) -> Delay:
+def _mode_delay(optimum: LocalOptimum, inverse: np.ndarray, sandwiched: bool) -> ModeDelay:
     """Return the delay of the mode that the residuals show, to first order; 0 if they cannot."""
     problem, free = optimum.problem, optimum.free
     weights = problem.weights(optimum.normal.squares)
     inputs = set(problem.structure.inputs)
     if not {"mode"} <= inputs <= {"mode", "p_h"} or "mode_delay" in problem.structure.names:
-        return Delay(0.0, 0.0, np.zeros(free.size))
+        return ModeDelay(0.0, 0.0, np.zeros(free.size))
     slopes = []
     by_all = np.zeros(optimum.theta.size)
     for series in problem.series:
@@ -645,6 +649,6 @@ def _mode_delay(optimum: LocalOptimum, inverse: np.ndarray, sandwiched: bool) ->
             products = (rest * series.error)[:, None]
             spread += weight**2 * hac_matrix(products, hac_lags([series.error])).item()
     if information <= 1e-9 * total:
-        return Delay(0.0, 0.0, answer[free])
+        return ModeDelay(0.0, 0.0, answer[free])
     stderr = np.sqrt(spread if sandwiched else information) / information
-    return Delay(float(score / information), float(stderr), answer[free])
+    return ModeDelay(float(score / information), float(stderr), answer[free])

@@ -27,7 +27,7 @@ DIGITS = 16
 PREFIX = len('["') + DIGITS + len('", ')
 
 
-class Reading(NamedTuple):
+class ChainReading(NamedTuple):
     """
     Entries of a file, their links, what is wrong with it ("" if nothing is), and whether a line
     could not be read.
@@ -108,14 +108,14 @@ def cut_torn_line(path: Path) -> int:
     return torn
 
 
-def read_chain(path: Path, origin: str) -> Reading:
+def read_chain(path: Path, origin: str) -> ChainReading:
     """
     Return what a file holds, with its first fault.
 
     A line that is no JSON ends the reading there; a torn last line is left out.
     """
     if not path.exists():
-        return Reading([], [], f"{path.name} is missing")
+        return ChainReading([], [], f"{path.name} is missing")
     *whole, torn = path.read_bytes().split(b"\n")
     entries: list[Any] = []
     links: list[str] = []
@@ -126,7 +126,7 @@ def read_chain(path: Path, origin: str) -> Reading:
             link, entry = json.loads(line)
         except (ValueError, TypeError):
             damage = f"{path.name}, line {number}: {line[:40]!r} is no entry with its link"
-            return Reading(entries, links, fault or damage, damaged=True)
+            return ChainReading(entries, links, fault or damage, damaged=True)
         text = line[PREFIX:-1]
         expected = link_of(before, text)
         if line != f'["{expected}", '.encode() + text + b"]" and not fault:
@@ -136,7 +136,7 @@ def read_chain(path: Path, origin: str) -> Reading:
         before = links[-1]
     if torn and not fault:
         fault = f"{path.name}: its last line is torn"
-    return Reading(entries, links, fault)
+    return ChainReading(entries, links, fault)
 
 
 class Chain:
@@ -169,7 +169,7 @@ class Chain:
         self.count = len(lines)
         self.link = lines[-1][2 : 2 + DIGITS].decode("ascii", "replace") if lines else origin
 
-    def read(self) -> Reading:
+    def read(self) -> ChainReading:
         """Return what the file holds; changed lines are named, damaged ones are refused."""
         reading = read_chain(self.path, self.origin)
         if reading.damaged:

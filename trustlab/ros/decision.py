@@ -15,7 +15,7 @@ from trustlab.models.checks import finite_number, of_class, one_of, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.ros.inputs import FIELDS, Input
 from trustlab.ros.settings import CoreSettings
-from trustlab.ros.window import RunningMean
+from trustlab.ros.window import WindowMean
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.metrics import goal_speed, manoeuvring
@@ -134,7 +134,7 @@ class AllocationCore:
         self.rows: list[tuple[float, ...]] = []
         self.place: tuple[float, ...] | None = None
         samples = round(self.settings.window / self.settings.period)
-        self.means = RunningMean(samples), RunningMean(samples)
+        self.means = WindowMean(samples), WindowMean(samples)
         self.inputs = {
             name: Input(name, watchdog, self._note)
             for name, watchdog in self.settings.watchdogs.items()

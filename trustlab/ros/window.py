@@ -4,7 +4,7 @@ import math
 from collections import deque
 
 
-class RunningMean:
+class WindowMean:
     """
     The mean of the last `samples` values.
 

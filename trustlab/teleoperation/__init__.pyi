@@ -37,12 +37,12 @@ from .team.graphs import (
     team_graph as team_graph,
 )
 from .team.leader_policies import (
-    Decision as Decision,
     GivenSequence as GivenSequence,
     LeaderPolicy as LeaderPolicy,
     LivePolicy as LivePolicy,
     MostTrusted as MostTrusted,
     RandomLeaders as RandomLeaders,
+    TeamSituation as TeamSituation,
 )
 from .team.performance import Motion as Motion
 from .team.settings import (

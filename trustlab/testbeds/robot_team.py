@@ -22,9 +22,9 @@ from trustlab.teleoperation.records import filled, log_of, robot_numbers, signal
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.graphs import TeamGraph, formation_on, graphs_in_time, multiplied
 from trustlab.teleoperation.team.leader_policies import (
-    Decision,
     LeaderPolicy,
     LivePolicy,
+    TeamSituation,
     is_live,
     policy_named,
 )
@@ -80,8 +80,8 @@ def simulate_team(
     policy : {"most_trusted", "hysteresis", "sequence", "random"}, LivePolicy or LeaderPolicy
         Who leads; decided every 0.1 s, or every sample where samples are longer. Your own policy is
         any object with a `title` and either a method `leader(now)`, called at every decision while
-        the run goes on with a `Decision` (time, trust, positions, who is present, a memory of its
-        own), which returns the number of the leader; or a method `leaders(trust, robots, step,
+        the run goes on with a `TeamSituation` (time, trust, positions, who is present, a memory of
+        its own), which returns the number of the leader; or a method `leaders(trust, robots, step,
         dwell, rng)`, called once: `trust` is (4.1) in every robot at every decision, shape (M, N);
         `robots` their N names; `step` the time between decisions [s]; `dwell` τ_min [s]; `rng` a
         numpy.random.Generator; it returns M numbers. Measured trust is not known before the run:
@@ -558,7 +558,7 @@ def _settings_of(name: str, value, kind):
     return kind() if value is None else of_class(name, value, kind)
 
 
-class Plan(NamedTuple):
+class LeadSchedule(NamedTuple):
     """When who leads is decided, and what is known of the run before it begins."""
 
     step: float  # between decisions [s]
@@ -580,7 +580,7 @@ class Faults(NamedTuple):
     drift: np.ndarray
 
 
-def _faults(robots: tuple, plan: Plan, rng) -> Faults | None:
+def _faults(robots: tuple, plan: LeadSchedule, rng) -> Faults | None:
     """Return what is drawn of faulty robots; None where all are faultless but for their speed."""
     loss = np.array([robot.loss for robot in robots])
     drift = np.array([robot.drift for robot in robots])
@@ -596,17 +596,17 @@ def _faults(robots: tuple, plan: Plan, rng) -> Faults | None:
     return Faults(loss, draws, drifting, noise)
 
 
-def _plan(graphs: list[TeamGraph], settings, robots: int, duration, count, T, rng) -> Plan:
+def _plan(graphs: list[TeamGraph], settings, robots: int, duration, count, T, rng) -> LeadSchedule:
     """Return when decisions are taken, on which graph, and the trust at each."""
     step = max(DECISION, T)
     most = int(np.ceil(duration / step)) + 1
     trust = _trust(settings, robots, most, step, rng)
     since = [graph.since for graph in graphs]
     graph = np.searchsorted(since, step * np.arange(most) + 1e-9, side="right") - 1
-    return Plan(step, _intervals(np.arange(count) * T, step, most), graph, trust)
+    return LeadSchedule(step, _intervals(np.arange(count) * T, step, most), graph, trust)
 
 
-def _memory(delays, pushed, distance, zeta) -> kernel.Memory:
+def _memory(delays, pushed, distance, zeta) -> kernel.RunMemory:
     """
     Return what a run remembers, at its start; w and z are positions until the first formation gives
     them a basis.
@@ -614,7 +614,7 @@ def _memory(delays, pushed, distance, zeta) -> kernel.Memory:
     samples, arrives = np.zeros(len(pushed), kernel.SAMPLE), np.ones((2, len(pushed)), bool)
     samples["pushed"] = pushed
     samples["hand"] = np.nan
-    return kernel.Memory(
+    return kernel.RunMemory(
         samples,
         delays,
         arrives,
@@ -728,7 +728,14 @@ class Leading:
     """
 
     def __init__(
-        self, policy, graphs: list[TeamGraph], names: tuple, plan: Plan, dwell, rng, known: bool
+        self,
+        policy,
+        graphs: list[TeamGraph],
+        names: tuple,
+        plan: LeadSchedule,
+        dwell,
+        rng,
+        known: bool,
     ):
         self.policy = policy
         self.graphs = graphs
@@ -803,7 +810,7 @@ class Leading:
     def _asked(self, d: int, t: float, graph: TeamGraph, where: Callable) -> int:
         """Return whom a live policy picks."""
         trust = np.where(graph.present, self.plan.trust[d], -np.inf)
-        now = Decision(
+        now = TeamSituation(
             t,
             self.names,
             graph.present,

@@ -51,7 +51,7 @@ import numpy as np
 
 from trustlab.allocation.correction.dynamics import suggestion_now
 from trustlab.allocation.correction.incentive import box, incentive_box
-from trustlab.allocation.correction.lower_bound import Problem, future_cost, reachable
+from trustlab.allocation.correction.lower_bound import BoundProblem, future_cost, reachable
 from trustlab.allocation.correction.plan import LOWER, UPPER, CorrectionPlan, CorrectionStatus
 from trustlab.models.checks import whole_number
 from trustlab.models.compiled import njit
@@ -196,7 +196,7 @@ def problem_of(constants, c_b, target, start, standard):
     for j in (LOWER, UPPER):
         sign[j] = 1.0 if target[j] >= start[j] else -1.0
         goal[j] = sign[j] * target[j]
-    return Problem(TscConstants(*constants), c_b, standard, sign, start, goal)
+    return BoundProblem(TscConstants(*constants), c_b, standard, sign, start, goal)
 
 
 # Inlined: numba caches no function that hands another one over.

@@ -16,7 +16,7 @@ from trustlab.models.tsc import TscConstants, advance, human_at, human_range
 BOX = np.dtype([("r_low", float), ("r_high", float), ("p_low", float), ("p_high", float)])
 
 
-class Problem(NamedTuple):
+class BoundProblem(NamedTuple):
     """What stays the same throughout a search; thresholds are seen as rising, × `sign`."""
 
     c: TscConstants

@@ -226,7 +226,7 @@ def limit_cycle(tsc, lower, upper, starts=48):
         return over_draws(tsc.models, lambda each: limit_cycle(each, lower, upper, 1), "exists")
     lower, upper = check_thresholds(tsc, lower, upper)
     starts = whole_number("starts", starts)
-    search = Motions(tsc, lower, upper)
+    search = MotionSearch(tsc, lower, upper)
     followed = 0
     states = _initial_states(tsc, lower, starts, search)
     for r, p_r in phases.watched(states, "limit cycle", starts + 1):
@@ -274,7 +274,7 @@ def limit_cycle(tsc, lower, upper, starts=48):
     )
 
 
-def _initial_states(tsc: TscModel, lower: float, starts: int, search: Motions):
+def _initial_states(tsc: TscModel, lower: float, starts: int, search: MotionSearch):
     """
     Yield r and P_r as manual phases begin.
 
@@ -306,14 +306,14 @@ def _initial_states(tsc: TscModel, lower: float, starts: int, search: Motions):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class CycleMotion:
     """A steady motion: rows of `CYCLE`, extremes and sums, and its period in cycles, if any."""
 
     rows: np.ndarray
     extremes: phases.Seen
     period: int | None
 
-    def same(self, motion: Motion) -> bool:
+    def same(self, motion: CycleMotion) -> bool:
         """Return whether two motions that repeat are the same."""
         if self.period is None or self.period != motion.period:
             return False
@@ -325,11 +325,11 @@ class Motion:
         return bool((distance < 2e-5).any())
 
 
-class Motions:
+class MotionSearch:
     """The steady motions under one pair of thresholds, and the starts from which a mode stays."""
 
     def __init__(self, tsc: TscModel, lower: float, upper: float):
-        self.motions: list[Motion] = []
+        self.motions: list[CycleMotion] = []
         self.stopped: list[tuple[int, float, float]] = []
         self.spent = 0.0
         self._tsc = tsc
@@ -356,7 +356,7 @@ class Motions:
             if motion.period is not None:
                 self._repeating = np.concatenate([self._repeating, motion.rows])
 
-    def _recorded(self, r: float, p_r: float) -> Motion:
+    def _recorded(self, r: float, p_r: float) -> CycleMotion:
         """Record a motion from one of its states: a period, or as many cycles as may be."""
         rows, extremes = phases.record(r, p_r, *self._system, FEWEST_CYCLES, self._longest)
         period = _period(rows)
@@ -368,7 +368,7 @@ class Motions:
             self.spent += extremes.samples
         if period is not None:
             rows, extremes = phases.record(r, p_r, *self._system, period, self._longest)
-        return Motion(rows, extremes, period)
+        return CycleMotion(rows, extremes, period)
 
     @property
     def period(self) -> int | None:

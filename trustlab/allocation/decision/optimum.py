@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from scipy import optimize, special
 
-from trustlab.allocation.decision.steady import Motions, grid_of_pairs, points, steady, survey
+from trustlab.allocation.decision.steady import SteadyMotions, grid_of_pairs, points, steady, survey
 from trustlab.allocation.limits import threshold_limits
 from trustlab.models.checks import between, not_negative, of_class, open_unit, positive
 from trustlab.models.compiled import njit
@@ -319,14 +319,14 @@ def _best_thresholds(
         exact = steady(tsc.constants(), *pairs[k])
         if not able[k] or exact.dwell < least or not exact.mean_r <= limit:
             continue
-        column = Motions(*(np.array([[value]]) for value in exact))
+        column = SteadyMotions(*(np.array([[value]]) for value in exact))
         value = float(points(column, [tsc], weight).item())
         if best[0] is None or value > best[1]:
             best = ((float(pairs[k, 0]), float(pairs[k, 1])), value)
     return best
 
 
-def _able(motions: Motions, least: int, limit: float) -> np.ndarray:
+def _able(motions: SteadyMotions, least: int, limit: float) -> np.ndarray:
     """Return which pairs keep switching, about the least dwell time, and the limit of mean r."""
     long = motions.dwell[0] >= 0.9 * least
     return motions.switches[0] & long & (motions.mean_r[0] <= limit)

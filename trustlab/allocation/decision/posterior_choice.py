@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.decision.steady import Motions, grid_of_pairs, points, survey
+from trustlab.allocation.decision.steady import SteadyMotions, grid_of_pairs, points, survey
 from trustlab.allocation.limits import threshold_limits
 from trustlab.identification.posterior.draws import physical, tsc_models
 from trustlab.identification.posterior.likelihood import SHARED
@@ -158,7 +158,9 @@ def check_objective(objective: str | float) -> None:
         between("objective", objective, 0.0, 1.0)
 
 
-def objective_of(motions: Motions, models: list[TscModel], objective: str | float) -> np.ndarray:
+def objective_of(
+    motions: SteadyMotions, models: list[TscModel], objective: str | float
+) -> np.ndarray:
     """Return what is to be great, by model and pair."""
     if objective == "peak":
         return motions.peak
@@ -181,7 +183,7 @@ def _pairs(models: list[TscModel], count: int) -> np.ndarray:
     return grid_of_pairs(low + 0.03 * span, low + 0.97 * span, count)
 
 
-def _ranges(motions: Motions, pair: int) -> pd.DataFrame:
+def _ranges(motions: SteadyMotions, pair: int) -> pd.DataFrame:
     """Return means and 95 % intervals of the motions that keep switching."""
     columns = {
         "mean_r": motions.mean_r,

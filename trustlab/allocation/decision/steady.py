@@ -19,7 +19,7 @@ RECORDED = 9
 ENDLESS = 12.0
 
 
-class Motions(NamedTuple):
+class SteadyMotions(NamedTuple):
     """
     What models do under pairs of thresholds, shape (models, pairs) each; NaN where they stop.
 
@@ -35,7 +35,7 @@ class Motions(NamedTuple):
     dwell: np.ndarray
 
 
-class Motion(NamedTuple):
+class SteadyMotion(NamedTuple):
     """The motion of one model under one pair; NaN where it stops."""
 
     switches: bool
@@ -90,7 +90,7 @@ def steady(c, lower, upper):
         since += 1
         step += 1
         if since > ENDLESS * slowest:
-            return Motion(False, False, np.nan, np.nan, np.nan, np.nan, np.nan)
+            return SteadyMotion(False, False, np.nan, np.nan, np.nan, np.nan, np.nan)
         if recorded > 0:
             samples += 1.0
             low = min(low, r)
@@ -102,7 +102,7 @@ def steady(c, lower, upper):
         r, p_r = advance(r, p_r, p_h, mode, c)
         p_h = human_at(r, c)
     around = low <= c.beta <= high
-    return Motion(
+    return SteadyMotion(
         True, around, sum_r / samples, sum_p_r / samples, sum_p_h / samples, peak, shortest
     )
 
@@ -121,18 +121,18 @@ def _write(i, c, ratio, pairs, motions):
         motions.dwell[i, j] = motion.dwell * ratio
 
 
-def survey(models: list[TscModel], pairs: np.ndarray) -> Motions:
+def survey(models: list[TscModel], pairs: np.ndarray) -> SteadyMotions:
     """Return the steady motion of every model under every pair of thresholds."""
     shape = (len(models), len(pairs))
     marks = [np.zeros(shape, bool) for _ in range(2)]
-    motions = Motions(*marks, *(np.empty(shape) for _ in range(5)))
+    motions = SteadyMotions(*marks, *(np.empty(shape) for _ in range(5)))
     for i, tsc in enumerate(models):
         slow, ratio = coarse(tsc)
         _write(i, slow.constants(), ratio, np.ascontiguousarray(pairs), motions)
     return motions
 
 
-def points(motions: Motions, tsc: list[TscModel], weight: float) -> np.ndarray:
+def points(motions: SteadyMotions, tsc: list[TscModel], weight: float) -> np.ndarray:
     """
     Return weight · robot performance + (1 − weight) · human performance, in points of (2.39).
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.identification.posterior.coordinates import Target, densities, density
-from trustlab.identification.posterior.importance import FREEDOM, Part, Sample, drawn
+from trustlab.identification.posterior.importance import FREEDOM, Component, Sample, drawn
 from trustlab.identification.posterior.likelihood import SHARED
 from trustlab.models.compiled import njit
 
@@ -33,7 +33,7 @@ class Mixture(NamedTuple):
     inverses: np.ndarray
 
 
-def as_arrays(parts: list[Part]) -> Mixture:
+def as_arrays(parts: list[Component]) -> Mixture:
     """Return a mixture as compiled code takes it; its density is right but for a constant."""
     total = sum(part.weight for part in parts)
     factors = [np.linalg.cholesky(part.scale) for part in parts]
@@ -112,7 +112,7 @@ def autocorrelation_time(trace: np.ndarray) -> float:
 
 
 def ensemble_sample(
-    target: Target, begin: np.ndarray, parts: list[Part], rng: np.random.Generator
+    target: Target, begin: np.ndarray, parts: list[Component], rng: np.random.Generator
 ) -> Sample:
     """Return points of walkers that begin at rows of `begin` and jump to draws of a mixture."""
     size = begin.shape[1]

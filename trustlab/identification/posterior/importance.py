@@ -18,7 +18,7 @@ from trustlab.identification.posterior.coordinates import Target, densities
 FREEDOM = 7.0
 
 
-class Part(NamedTuple):
+class Component(NamedTuple):
     """One part of a mixture: its weight, centre and scale matrix."""
 
     weight: float
@@ -77,7 +77,7 @@ def pareto_fit(excess: np.ndarray) -> tuple[float, float]:
     return (size * shape + 10.0 * 0.5) / (size + 10.0), -shape / best
 
 
-def t_log_density(points: np.ndarray, part: Part) -> np.ndarray:
+def t_log_density(points: np.ndarray, part: Component) -> np.ndarray:
     """Return the logarithm of a multivariate t density."""
     from scipy.linalg import solve_triangular
 
@@ -89,13 +89,13 @@ def t_log_density(points: np.ndarray, part: Part) -> np.ndarray:
     return constant - 0.5 * (FREEDOM + size) * np.log1p(squares / FREEDOM)
 
 
-def _drawn(part: Part, count: int, rng: np.random.Generator) -> np.ndarray:
+def _drawn(part: Component, count: int, rng: np.random.Generator) -> np.ndarray:
     """Return points of a multivariate t distribution."""
     normal = rng.standard_normal((count, part.centre.size)) @ np.linalg.cholesky(part.scale).T
     return part.centre + normal / np.sqrt(rng.chisquare(FREEDOM, count) / FREEDOM)[:, None]
 
 
-def drawn(parts: list[Part], count: int, rng: np.random.Generator) -> np.ndarray:
+def drawn(parts: list[Component], count: int, rng: np.random.Generator) -> np.ndarray:
     """Return points of a mixture, in random order."""
     shares = np.array([part.weight for part in parts])
     counts = rng.multinomial(count, shares / shares.sum())
@@ -104,7 +104,7 @@ def drawn(parts: list[Part], count: int, rng: np.random.Generator) -> np.ndarray
 
 
 def importance_sample(
-    target: Target, parts: list[Part], rng: np.random.Generator, count: int
+    target: Target, parts: list[Component], rng: np.random.Generator, count: int
 ) -> Sample:
     """Return points drawn from a mixture, weighted by the posterior's density."""
     points = drawn(parts, count, rng)
@@ -120,7 +120,7 @@ def importance_sample(
     return Sample(points, weights, k_hat, float(1.0 / np.sum(weights**2)))
 
 
-def fitted_mixture(sample: Sample, count: int, rng: np.random.Generator) -> list[Part]:
+def fitted_mixture(sample: Sample, count: int, rng: np.random.Generator) -> list[Component]:
     """Return a mixture of so many parts that resembles a weighted sample (EM, shrunk scales)."""
     weights = sample.weights
     if sample.effective < 80.0:  # few points carry all weight: level them
@@ -132,18 +132,20 @@ def fitted_mixture(sample: Sample, count: int, rng: np.random.Generator) -> list
     mean = weights @ points
     overall = np.cov(points.T, aweights=weights) + 1e-6 * np.eye(size)
     if count == 1:
-        return [Part(1.0, mean, 1.1 * overall)]
+        return [Component(1.0, mean, 1.1 * overall)]
     effective = 1.0 / np.sum(weights**2)
     first = rng.choice(len(points), count, p=weights, replace=False)
-    parts = [Part(1.0 / count, points[k], overall) for k in first]
+    parts = [Component(1.0 / count, points[k], overall) for k in first]
     for _ in range(8):
         log_shares = np.stack([np.log(p.weight) + t_log_density(points, p) for p in parts])
         shares = np.exp(log_shares - np.logaddexp.reduce(log_shares, axis=0)) * weights
         parts = [_refitted(points, share, overall, effective) for share in shares]
-    return [Part(part.weight, part.centre, 1.1 * part.scale) for part in parts]
+    return [Component(part.weight, part.centre, 1.1 * part.scale) for part in parts]
 
 
-def _refitted(points: np.ndarray, share: np.ndarray, overall: np.ndarray, effective: float) -> Part:
+def _refitted(
+    points: np.ndarray, share: np.ndarray, overall: np.ndarray, effective: float
+) -> Component:
     """Return one part of a mixture from its share of every point's weight."""
     weight = share.sum() + 1e-3
     each = share / share.sum()
@@ -152,7 +154,7 @@ def _refitted(points: np.ndarray, share: np.ndarray, overall: np.ndarray, effect
     size = points.shape[1]
     shrink = 2.0 * size / (2.0 * size + effective * weight)
     scale = (1.0 - shrink) * (apart.T * each) @ apart + shrink * overall
-    return Part(float(weight), centre, scale + 1e-6 * np.eye(size))
+    return Component(float(weight), centre, scale + 1e-6 * np.eye(size))
 
 
 def resampled(sample: Sample, count: int, rng: np.random.Generator) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from trustlab.identification.posterior.coordinates import Target
 from trustlab.identification.posterior.ensemble import ensemble_sample
 from trustlab.identification.posterior.importance import (
-    Part,
+    Component,
     Sample,
     fitted_mixture,
     importance_sample,
@@ -58,25 +58,25 @@ def _apart(top: Top, higher: Top) -> bool:
     return bool(distance @ np.linalg.solve(higher.covariance, distance) > 4.0)
 
 
-def proposals(tops: list[Top]) -> list[Part]:
+def proposals(tops: list[Top]) -> list[Component]:
     """Return a part for each maximum, and a wide one along the weakest directions."""
     highest = tops[0]
     parts = []
     for top in tops:
         _, log_volume = np.linalg.slogdet(top.covariance)
         weight = np.exp(top.value - highest.value + 0.5 * log_volume)
-        parts.append(Part(weight, top.x, 1.15 * top.covariance))
+        parts.append(Component(weight, top.x, 1.15 * top.covariance))
     values, vectors = np.linalg.eigh(highest.covariance)
     values[-3:] = np.maximum(np.minimum(6.0 * values[-3:], 1.5), values[-3:])
     total = sum(part.weight for part in parts)
-    return [*parts, Part(0.3 * total, highest.x, (vectors * values) @ vectors.T)]
+    return [*parts, Component(0.3 * total, highest.x, (vectors * values) @ vectors.T)]
 
 
 def sample_target(target: Target, rng: np.random.Generator, points: int = POINTS) -> Sampled:
     """Sample a posterior; proposals are adapted where weights are bad, and walkers come last."""
     tops = tops_of(target, rng)
     parts = proposals(tops)
-    wide = Part(0.1, parts[-1].centre, parts[-1].scale)
+    wide = Component(0.1, parts[-1].centre, parts[-1].scale)
     sample = best = importance_sample(target, parts, rng, points)
     method = "importance"
     for count in ROUNDS:

@@ -19,7 +19,7 @@ from trustlab.live.study.export import items_of, samples_of, write_export
 from trustlab.live.study.pages import Step, StudyPage
 from trustlab.live.study.plan import Plan
 from trustlab.live.study.progress import Progress
-from trustlab.live.study.records import Fault, Record, faults_of, read_record
+from trustlab.live.study.records import Fault, ParticipantRecord, faults_of, read_record
 from trustlab.live.study.store import EVENTS, PLAN
 from trustlab.models.checks import one_of
 from trustlab.models.html import as_html
@@ -88,14 +88,14 @@ class RecordedStudy:
     ----------
     plan : Plan
         The frozen plan.
-    records : dict of str to Record
+    records : dict of str to ParticipantRecord
         What each participant's events say, by code.
     deleted : tuple of str
         Codes of the participants who were deleted.
     """
 
     plan: Plan
-    records: dict[str, Record]
+    records: dict[str, ParticipantRecord]
     deleted: tuple[str, ...]
 
     @property

@@ -18,7 +18,7 @@ class Fault(NamedTuple):
     fault: str
 
 
-class Record(NamedTuple):
+class ParticipantRecord(NamedTuple):
     """A participant's events, where they lead to, and what is wrong with their file."""
 
     code: str
@@ -27,11 +27,11 @@ class Record(NamedTuple):
     fault: str
 
 
-def read_record(plan: Plan, code: str) -> Record:
+def read_record(plan: Plan, code: str) -> ParticipantRecord:
     """Return a participant's record; a file whose lines cannot be read is refused."""
     path = plan.folder / code / f"{EVENTS}.jsonl"
     if not path.exists():
-        return Record(code, [], Progress(), "")
+        return ParticipantRecord(code, [], Progress(), "")
     reading = read_chain(path, file_origin(plan.digest, code, EVENTS))
     try:
         if reading.damaged:
@@ -39,7 +39,7 @@ def read_record(plan: Plan, code: str) -> Record:
         for event in reading.entries:
             if event["kind"] == "page" and not {"page", "name"} < set(event):
                 raise KeyError("page")
-        return Record(code, reading.entries, progress_of(reading.entries), reading.fault)
+        return ParticipantRecord(code, reading.entries, progress_of(reading.entries), reading.fault)
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(
             f"{code}/{path.name} cannot be read ({error}): it was changed after it was written; "
@@ -47,7 +47,7 @@ def read_record(plan: Plan, code: str) -> Record:
         ) from None
 
 
-def faults_of(plan: Plan, record: Record) -> list[Fault]:
+def faults_of(plan: Plan, record: ParticipantRecord) -> list[Fault]:
     """Return what is wrong with the plan and with a participant's files."""
     code = record.code
     folder = plan.folder / code

@@ -243,7 +243,7 @@ def _read_written(reader, selection: Sequence[str] | None, source: str) -> RawLo
 
 
 @dataclass
-class Series:
+class TopicSeries:
     """The samples of one topic: times [ns], the messages' numbers, and values by column."""
 
     topic: str
@@ -259,7 +259,7 @@ def _read_topics(reader, rules: Sequence[ColumnRule], recipe: Recipe, source: st
     types = _types(reader)
     # A message that lacks the entry a rule selects is no sample of it, so that each selection is a
     # stream of its own.
-    groups: dict[tuple[str, str], Series] = {}
+    groups: dict[tuple[str, str], TopicSeries] = {}
     for rule in rules:
         topic, selectors = rule.topic, rule.path.selectors
         if topic not in types:
@@ -268,7 +268,7 @@ def _read_topics(reader, rules: Sequence[ColumnRule], recipe: Recipe, source: st
         if " and " in types[topic]:
             raise SessionError(f"topic {topic!r} has messages of two types: {types[topic]}")
         _check_defined(reader, topic, types[topic])
-        series = groups.setdefault((topic, selectors), Series(topic, selectors))
+        series = groups.setdefault((topic, selectors), TopicSeries(topic, selectors))
         series.rules.append(rule)
         series.values[rule.name] = []
     count: Counter[str] = Counter()
@@ -296,7 +296,7 @@ def _read_topics(reader, rules: Sequence[ColumnRule], recipe: Recipe, source: st
     return series_log(source, list(groups.values()), notes)
 
 
-def _add_sample(series: Series, stamp: int, row: int, message, kind, where, frames) -> None:
+def _add_sample(series: TopicSeries, stamp: int, row: int, message, kind, where, frames) -> None:
     """Add the numbers of a message to a series, unless it lacks an entry that they select."""
     numbers = [_value(message, rule, kind, where, frames) for rule in series.rules]
     if None in numbers:
@@ -307,7 +307,7 @@ def _add_sample(series: Series, stamp: int, row: int, message, kind, where, fram
         series.values[rule.name].append(number)
 
 
-def series_log(source: str, groups: Sequence[Series], notes: dict[str, object]) -> RawLog:
+def series_log(source: str, groups: Sequence[TopicSeries], notes: dict[str, object]) -> RawLog:
     """Return the log that topics make, timed from the last of their first stamps."""
     if not groups:
         raise SessionError("none of the columns to read comes from a topic; add one that does")
@@ -456,7 +456,7 @@ def read_topics(path: Path, recipe: Recipe | None, selection: Sequence[str] | No
             topics = _xdf_topics(pyxdf.load_xdf(str(path), dejitter_timestamps=False)[0])
     if recipe is None:
         raise SessionError(f"a {path.suffix} file needs a recipe (topics: {listed(topics)})")
-    groups: dict[str, Series] = {}
+    groups: dict[str, TopicSeries] = {}
     for rule in _topic_rules(recipe, selection):
         topic = rule.topic
         if topic not in topics:
@@ -468,7 +468,7 @@ def read_topics(path: Path, recipe: Recipe | None, selection: Sequence[str] | No
         if recipe.time.of(topic) == "header":
             raise RecipeError(f"topic {topic!r} has one time only, that of receipt")
         rows = np.arange(len(stamps))
-        series = groups.setdefault(topic, Series(topic, stamps=stamps, rows=rows))
+        series = groups.setdefault(topic, TopicSeries(topic, stamps=stamps, rows=rows))
         series.rules.append(rule)
         series.values[rule.name] = _column_of(topic, rule, fields)
     notes: dict[str, object] = {}

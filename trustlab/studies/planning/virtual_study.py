@@ -313,7 +313,7 @@ def virtual_study(
     bed, conditions = _fitting(testbed, _named(names, design), rules, laps)
     design = _designed(design, n, conditions, seed, bed.printed_n)
     people = bed.people(len(design.participants), assumptions, seed)
-    folder = None if out is None else Folder(out, design, flag("fresh", campaign.fresh))
+    folder = None if out is None else StudyFolder(out, design, flag("fresh", campaign.fresh))
     fixed = {"testbed": bed, "folder": folder and str(folder.sessions)}
     runs = people.assign(order=design.table().agg(" ".join, axis=1).to_numpy())
     done = run_campaign(
@@ -496,7 +496,7 @@ def _tidy(
     return frame
 
 
-class Folder:
+class StudyFolder:
     """
     Where a virtual study is written; refused if it holds other things, or sessions not known to be
     of this study.

@@ -3,8 +3,8 @@ The teleoperated team (Fig. 4.1), compiled: O(N) per step in the Laplacian's eig
 directed graph.
 
 `run_team` takes one sample after another; a sample is a row of named steps, each on one record of
-STATE. All that a run remembers stands in `Memory` and STATE, so that a run may pause at any sample:
-the graph and the leader change between two calls.
+STATE. All that a run remembers stands in `RunMemory` and STATE, so that a run may pause at any
+sample: the graph and the leader change between two calls.
 
 Steps that take arrays do without reference counts (_nrt=False), as in `loop/kernel.py`: counts are
 atomic and would take half of the time. They allocate nothing, and their caller keeps the arrays;
@@ -107,7 +107,7 @@ class Formation(NamedTuple):
 SAMPLE = record(vectors="pushed hand sent seen", numbers="lost stored", counts="lead head")
 
 
-class Memory(NamedTuple):
+class RunMemory(NamedTuple):
     """
     What a run keeps from sample to sample, K samples and N robots; changed in place.
 

@@ -14,7 +14,7 @@ from trustlab.models.checks import finite_array, not_negative, one_of, positive,
 
 
 @dataclass(frozen=True, eq=False)
-class Decision:
+class TeamSituation:
     """
     What a live policy knows when it decides.
 
@@ -78,13 +78,13 @@ class LivePolicy(Protocol):
 
     title: str
 
-    def leader(self, now: Decision) -> int:
+    def leader(self, now: TeamSituation) -> int:
         """
         Return the number of the robot that leads from now on.
 
         Parameters
         ----------
-        now : Decision
+        now : TeamSituation
             Time, trust, who is present, who leads since when; `now.memory` is the policy's to write
             to.
         """
@@ -189,13 +189,13 @@ class MostTrusted:
             out[k] = leader
         return out
 
-    def leader(self, now: Decision) -> int:
+    def leader(self, now: TeamSituation) -> int:
         """
         Return the number of the robot that leads from now on.
 
         Parameters
         ----------
-        now : Decision
+        now : TeamSituation
             Time, trust, who is present, who leads since when.
         """
         best = int(np.argmax(now.trust))

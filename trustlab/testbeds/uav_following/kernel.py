@@ -42,7 +42,7 @@ FLIGHT = record(
 )
 
 
-class Rates(NamedTuple):
+class LagShares(NamedTuple):
     """Shares that first-order lags keep over one sample, the same in all samples."""
 
     wander: float
@@ -159,7 +159,7 @@ def follow(
     """
     dt, state = task.sample_time, states[0]
     delay = round(person.delay / dt)
-    rates = Rates(
+    rates = LagShares(
         np.exp(-dt / flight.wander_time),
         np.exp(-dt / flight.shake_time),
         np.exp(-dt / person.hand_lag),

@@ -79,7 +79,7 @@ class Constant(LinearTrust):
         return 0.0, self.level
 
 
-class Record(NamedTuple):
+class RelianceRecord(NamedTuple):
     """The belief in ratings, and how often a person could rely on the robot and did, shape (N,)."""
 
     ratings: Gaussian
@@ -107,7 +107,7 @@ class Habit(TrustDynamics):
         mean.__dict__["rating_sd"] = self.rating_sd
         return mean
 
-    def start(self, rating) -> Record:
+    def start(self, rating) -> RelianceRecord:
         """
         Return the belief after a first rating.
 
@@ -118,54 +118,54 @@ class Habit(TrustDynamics):
         """
         belief = self._ratings.start(rating)
         none = np.zeros(len(belief.mean))
-        return Record(belief, none, none)
+        return RelianceRecord(belief, none, none)
 
-    def step(self, belief: Record, event: Event) -> Record:
+    def step(self, belief: RelianceRecord, event: Event) -> RelianceRecord:
         """
         Return the belief after an event.
 
         Parameters
         ----------
-        belief : Record
+        belief : RelianceRecord
             The belief before it.
         event : Event
             Its `followed`.
         """
         asked = np.isfinite(event.followed)
         relied = belief.relied + np.where(asked, event.followed, 0.0)
-        return Record(belief.ratings, belief.chances + asked, relied)
+        return RelianceRecord(belief.ratings, belief.chances + asked, relied)
 
-    def learn(self, belief: Record, rating) -> Record:
+    def learn(self, belief: RelianceRecord, rating) -> RelianceRecord:
         """
         Return the belief after a rating; unchanged where it is NaN.
 
         Parameters
         ----------
-        belief : Record
+        belief : RelianceRecord
             The belief before it.
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
         """
         return belief._replace(ratings=self._ratings.learn(belief.ratings, rating))
 
-    def rating(self, belief: Record) -> NormalRating:
+    def rating(self, belief: RelianceRecord) -> NormalRating:
         """
         Return the distribution of the next rating.
 
         Parameters
         ----------
-        belief : Record
+        belief : RelianceRecord
             The belief now.
         """
         return self._ratings.rating(belief.ratings)
 
-    def preference(self, belief: Record) -> np.ndarray:
+    def preference(self, belief: RelianceRecord) -> np.ndarray:
         """
         Return the log odds of the share of chances taken so far, one taken and one not added.
 
         Parameters
         ----------
-        belief : Record
+        belief : RelianceRecord
             The belief now.
         """
         return special.logit((belief.relied + 1.0) / (belief.chances + 2.0))
