@@ -21,6 +21,7 @@ def closed():
 
 def test_measures_are_those_of_the_log():
     table = tl.teleoperation_measures(RUNS)
+    assert table["synthetic"].all()
     assert table["scheme"].tolist() == ["TMIG", "OMI"]
     assert table.attrs["origin"] == "simulated operators"
     data, row = RUNS[0].data, table.iloc[0]

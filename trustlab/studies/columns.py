@@ -99,3 +99,24 @@ def labels_of(name: str, values: object, least: int) -> tuple[Hashable, ...]:
     if twice:
         raise ValueError(f"{name} must differ from one another, but {twice[0]!r} occurs twice")
     return labels
+
+
+def origin_of(frame: pd.DataFrame) -> str:
+    """
+    Return what kind of data a table holds where they were not measured; "" for measured ones.
+
+    Its attrs say so ("reconstructed" or "synthetic" is True, or "origin" is a text), or a column
+    `synthetic`, which is left when tables are put together and attrs are lost.
+    """
+    for kind in ("reconstructed", "synthetic"):
+        if frame.attrs.get(kind) is True:
+            return f"{kind} data"
+    origin = frame.attrs.get("origin", "")
+    if origin and isinstance(origin, str):
+        return origin
+    if "synthetic" not in frame.columns:
+        return ""
+    marked = frame["synthetic"] == True  # noqa: E712, a cell without a mark is no mark
+    if marked.all() and len(frame):
+        return "synthetic data"
+    return "partly synthetic data" if marked.any() else ""

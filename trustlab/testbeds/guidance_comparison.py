@@ -187,5 +187,5 @@ def _flown(
     person = _people(operators, start, study)[participant - 1]
     stream = np.random.SeedSequence([start, participant])
     run = simulate_teleoperation(scheme, person, study, seed=stream, duration=duration, **variant)
-    row = teleoperation_measures(run).iloc[0]
-    return {name: float(value) for name, value in row.drop(["participant", "scheme"]).items()}
+    row = teleoperation_measures(run).iloc[0].drop(["participant", "scheme", "synthetic"])
+    return {name: float(value) for name, value in row.items()}

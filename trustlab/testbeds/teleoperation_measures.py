@@ -55,12 +55,12 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     Returns
     -------
     pandas.DataFrame
-        participant, scheme; tracking_error, worst_error (mean and greatest distance to the target
-        [m]); p_r, p_h, alpha, beta (means); alpha_rate (mean ``|dα/dt|`` [1/s]); hand_force (mean
-        ‖f_h‖ [N]); guidance_felt (mean ‖f_m − β b r_m‖, what the device renders beyond the
-        channel's own damping [N]); energy_operator, energy_dissipated, energy_target (at the end
-        [J]); energy_channel_min, energy_robot_min, energy_port_min (least values [J]); guarded
-        (share of samples in which the passivity controller acted, by more than rounding);
+        participant, scheme, synthetic; tracking_error, worst_error (mean and greatest distance to
+        the target [m]); p_r, p_h, alpha, beta (means); alpha_rate (mean ``|dα/dt|`` [1/s]);
+        hand_force (mean ‖f_h‖ [N]); guidance_felt (mean ‖f_m − β b r_m‖, what the device renders
+        beyond the channel's own damping [N]); energy_operator, energy_dissipated, energy_target (at
+        the end [J]); energy_channel_min, energy_robot_min, energy_port_min (least values [J]);
+        guarded (share of samples in which the passivity controller acted, by more than rounding);
         port_share (mean share that it let pass, 1 where it rests: of the port's velocity, or of the
         force with a tank).
 
@@ -103,6 +103,7 @@ def _measures(run: Session) -> dict[str, object]:
     return {
         "participant": run.metadata.participant,
         "scheme": run.metadata.condition,
+        "synthetic": run.metadata.synthetic,
         "tracking_error": run["path_error"].mean(),
         "worst_error": run["path_error"].max(),
         **{name: run[name].mean() for name in ("p_r", "p_h", "alpha")},

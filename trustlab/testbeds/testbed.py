@@ -474,7 +474,7 @@ class TeleoperationRun:
     def measures(self) -> dict[str, float]:
         """The outcome measures by name, as `teleoperation_measures` has them."""
         row = teleoperation_measures(self.session).iloc[0]
-        return row.drop(["participant", "scheme"]).to_dict()
+        return row.drop(["participant", "scheme", "synthetic"]).to_dict()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -482,6 +482,18 @@ def test_plots_refuse_other_kinds():
         analysed(table()).plot(interval="sd")
 
 
+def test_the_label_survives_tables_put_together():
+    first, second = table(), table()
+    second["pid"] = second["pid"].astype(str) + "b"
+    first["pid"] = first["pid"].astype(str)
+    simulated = pd.concat([first.assign(synthetic=True), second.assign(synthetic=True)])
+    assert analysed(simulated).table()["origin"].tolist() == ["synthetic data"]
+    mixed = pd.concat([first.assign(synthetic=True), second])  # no mark: NaN
+    assert analysed(mixed).table()["origin"].tolist() == ["partly synthetic data"]
+    people = analysed(first.assign(synthetic=False))
+    assert people.table()["origin"].tolist() == [""]
+
+
 @pytest.mark.parametrize(
     ("attrs", "said"),
     [

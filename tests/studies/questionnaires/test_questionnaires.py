@@ -432,6 +432,10 @@ def test_synthetic_answers_give_synthetic_scores(tlx, trust):
     for frame, score in ((tlx, score_nasa_tlx), (trust, score_trust_checklist)):
         frame.attrs["synthetic"] = True
         assert score(frame, subject="pid", condition="scheme").table().attrs["synthetic"] is True
+        frame.attrs.clear()
+        marked = frame.assign(synthetic=True)
+        scores = score(marked, subject="pid", condition="scheme").table()
+        assert scores.attrs["origin"] == "synthetic data"
 
 
 # trust checklist

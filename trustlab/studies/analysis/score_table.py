@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import of_class, one_of, shown
-from trustlab.studies.columns import column_of, number_or_nan, refuse_missing_labels
+from trustlab.studies.columns import column_of, number_or_nan, origin_of, refuse_missing_labels
 
 # Cells or rows that an error lists before it counts the rest.
 _SHOWN = 5
@@ -41,18 +41,6 @@ class ScoreTable:
     within: Hashable
     subject: Hashable
     origin: str = ""
-
-
-def origin_of(attrs: dict) -> str:
-    """
-    Return "reconstructed data", "synthetic data", the text of attrs["origin"], or "" for measured
-    data.
-    """
-    for kind in ("reconstructed", "synthetic"):
-        if attrs.get(kind) is True:
-            return f"{kind} data"
-    origin = attrs.get("origin", "")
-    return origin if isinstance(origin, str) else ""
 
 
 def labelled(frame: pd.DataFrame, origin: str, **more: object) -> pd.DataFrame:
@@ -208,7 +196,7 @@ def read_scores(
         dv=dv,
         within=within,
         subject=subject,
-        origin=origin_of(frame.attrs),
+        origin=origin_of(frame),
     )
 
 

@@ -16,7 +16,7 @@ from trustlab.studies.analysis.score_table import (
     levels_of,
     read_scores,
 )
-from trustlab.studies.columns import column_of, number_or_nan
+from trustlab.studies.columns import column_of, number_or_nan, origin_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +210,7 @@ def _read_cells(
         {"subject": column_of(frame, "subject", subject), "dv": column_of(frame, "dv", dv)}
     )
     long = long.assign(cell=labels)
-    long.attrs = frame.attrs
+    long.attrs = frame.attrs | {"origin": origin_of(frame)}
     long.columns = pd.Index([subject, dv, name], tupleize_cols=False)
     return read_scores(long, dv, name, subject, order=cells)
 

@@ -15,6 +15,7 @@ import pandas as pd
 
 from trustlab.models.checks import finite_number, in_order, of_class, one_of, open_unit
 from trustlab.models.html import as_html
+from trustlab.studies.columns import origin_of
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 
 
@@ -440,16 +441,16 @@ def score_likert(
     columns |= {"item": item, "response": response}
     answers = read_answers(frame, scale.items, subject=subject, **columns)
     check_answers(answers, scale.low, scale.high, scale.step)
-    return scores_of(answers, scale, f"{scale.name}_mean", missing, frame.attrs)
+    return scores_of(answers, scale, f"{scale.name}_mean", missing, frame)
 
 
 def scores_of(
-    answers: pd.DataFrame, scale: LikertScale, mean: str, missing: str, attrs: Mapping
+    answers: pd.DataFrame, scale: LikertScale, mean: str, missing: str, frame: pd.DataFrame
 ) -> ScaleScores:
     """
     Return the scores of checked answers.
 
-    `mean` names the mean of all items; `attrs`, of the frame of answers, are passed on.
+    `mean` names the mean of all items; what `frame` says of the origin of its answers is passed on.
     """
     whole = Subscale(mean, scale.items, scale.reversed)
     parts = (whole, *scale.subscales)
@@ -467,7 +468,9 @@ def scores_of(
     ranges = dict.fromkeys(scores, (scale.low, scale.high))
     ranges[f"{scale.name}_sum"] = (scale.low * len(scale.items), scale.high * len(scale.items))
     table = pd.DataFrame(scores, index=answers.index).reset_index()
-    table.attrs = dict(attrs)  # synthetic answers give synthetic scores
+    table.attrs = dict(frame.attrs)  # synthetic answers give synthetic scores
+    if origin := origin_of(frame):
+        table.attrs["origin"] = origin
     return ScaleScores(scale.source or scale.name, table, answers, ranges, coded, gaps)
 
 

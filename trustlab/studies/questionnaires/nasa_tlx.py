@@ -271,7 +271,7 @@ def score_nasa_tlx(
     answers = _on_hundred(read_answers(frame, TLX_SCALES, subject=subject, **columns), scale)
     reversed_items = ("performance",) if performance == "poor_to_good" else ()
     questionnaire = replace(TLX, reversed=reversed_items)
-    raw = scores_of(answers, questionnaire, "tlx_raw", missing, frame.attrs)
+    raw = scores_of(answers, questionnaire, "tlx_raw", missing, frame)
     coded = raw.coded["tlx_raw"]
     weighted = np.full(len(answers), np.nan)
     if weights is not None:

@@ -11,8 +11,8 @@ from scipy import special
 
 from trustlab.models.checks import of_class, one_of, spawned, whole_number
 from trustlab.models.html import as_html
-from trustlab.studies.analysis.score_table import labelled, origin_of
-from trustlab.studies.columns import column_of, refuse_missing_labels
+from trustlab.studies.analysis.score_table import labelled
+from trustlab.studies.columns import column_of, origin_of, refuse_missing_labels
 from trustlab.studies.regression.linear_model import Linear
 from trustlab.studies.regression.logistic_model import Logistic, checked_counts
 
@@ -196,7 +196,7 @@ def formula_model(
         _test(name, terms, y, x, model, bootstrap, child)
         for name, child in zip(terms, seeds, strict=True)
     ]
-    origin = origin_of(data.attrs)
+    origin = origin_of(data)
     labelled(estimates["coefficients"], origin)
     table = pd.DataFrame(tests, columns=["term", "chi2", "df", "p_chi2", "p_bootstrap"])
     return FormulaModel(
