@@ -3,6 +3,29 @@ from .decision import (
     Decision as Decision,
 )
 from .inputs import Watchdog as Watchdog
+from .node import Allocation as Allocation
+from .recorded import (
+    RobotRun as RobotRun,
+    measures_table as measures_table,
+    read_run as read_run,
+)
+from .run import (
+    Run as Run,
+    Topic as Topic,
+    read_toml as read_toml,
+)
 from .settings import CoreSettings as CoreSettings
 
-__all__ = ["AllocationCore", "CoreSettings", "Decision", "Watchdog"]
+__all__ = [
+    "Allocation",
+    "AllocationCore",
+    "CoreSettings",
+    "Decision",
+    "RobotRun",
+    "Run",
+    "Topic",
+    "Watchdog",
+    "measures_table",
+    "read_run",
+    "read_toml",
+]

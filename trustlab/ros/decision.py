@@ -5,13 +5,17 @@ The order within a step: watchdogs, measures, the rule, the source of the comman
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from trustlab.allocation.correction.corrector import ThresholdCorrector
+from trustlab.allocation.correction.online import OnlineCorrection
 from trustlab.allocation.rules import PerformanceRule, ThresholdRule, decision, prepared_rule
-from trustlab.models.checks import finite_number, of_class, one_of, whole_number
+from trustlab.models.checks import between, finite_number, of_class, one_of, whole_number
+from trustlab.models.human import next_utilization
 from trustlab.models.tsc import TscModel
 from trustlab.ros.inputs import FIELDS, Input
 from trustlab.ros.settings import CoreSettings
@@ -27,12 +31,14 @@ COLUMNS = (
     "p_r",
     "p_h",
     "tsc",
+    "r",
     "path_error",
     "step_distance",
     "v_command",
     "w_command",
     "suggested_mode",
 )
+_DRIVERS = {None: "nobody", 0.0: "autonomy", 1.0: "operator"}
 # A step that comes later than this share of the period is noted.
 LATE_STEP = 1.5
 
@@ -46,22 +52,27 @@ class Decision:
     ----------
     v, w : float
         The command to send, within bounds [m/s, rad/s].
-    driver : {"operator", "autonomy", "nobody"}
+    driver : {"operator", "autonomy", "both", "nobody"}
         Where the command comes from; with "nobody" the robot comes to rest or stands.
-    mode : int
-        1 manual, 0 autonomous: the mode allocated, also while a watchdog acts.
+    mode : float
+        1 manual, 0 autonomous, between them the operator's share: as allocated, also while a
+        watchdog acts.
     suggestion : int
         The mode suggested, or −1.
     tsc : float
         TSC (2.1), NaN until every input was heard.
+    lower, upper : float
+        The thresholds TSC_l and TSC_u of this step, NaN without any.
     """
 
     v: float
     w: float
     driver: str
-    mode: int
+    mode: float
     suggestion: int = -1
     tsc: float = math.nan
+    lower: float = math.nan
+    upper: float = math.nan
 
 
 class AllocationCore:
@@ -73,8 +84,8 @@ class AllocationCore:
     with the bits that `Session.with_performance` has for the logged session.
 
     The robot comes to rest until every input was heard once. The operator's `stop` wins over
-    everything, at once, until `release`. Refused or late messages, silent inputs and late steps
-    are named in `notes`.
+    everything, at once, until `release`; a rule that fails stops the robot, too. Refused or late
+    messages, silent inputs and late steps are named in `notes`.
 
     Parameters
     ----------
@@ -87,13 +98,19 @@ class AllocationCore:
         TSC_l and TSC_u; needed in C2 and C3, refused elsewhere.
     rule : object, optional
         A rule of your own, which allocates at once; takes the place of `condition`.
+    share : callable, optional
+        Blends both commands instead: `share(tsc=…, p_r=…)` returns the operator's share α in
+        [0, 1], and the robot gets α u_h + (1 − α) u_a; takes the place of `condition`.
+    correction : ThresholdCorrector, optional
+        Moves the thresholds of C2 or C3 towards its target, step by step (2.40)-(2.44).
     settings : CoreSettings, optional
         Bounds, rates, watchdogs, window.
 
     Raises
     ------
     ValueError
-        If neither or both of condition and rule are present, or thresholds are missing or unused.
+        If not exactly one of condition, rule and share is present, or thresholds or a correction
+        are missing or unused.
 
     Examples
     --------
@@ -116,19 +133,37 @@ class AllocationCore:
         condition: str | None = None,
         thresholds: tuple[float, float] | None = None,
         rule: Any = None,
+        share: Callable | None = None,
+        correction: ThresholdCorrector | None = None,
         settings: CoreSettings | None = None,
     ):
         self.model = of_class("model", model, TscModel, TscModel.how_to_get)
         self.settings = settings or CoreSettings()
         of_class("settings", self.settings, CoreSettings)
+        if sum(option is not None for option in (condition, rule, share)) != 1:
+            raise ValueError(
+                "AllocationCore needs one of these: a condition, C1 to C5, or a rule, or a share"
+            )
         self.condition = condition
-        self.rule, self.forced = _rule_of(model, condition, thresholds, rule)
-        self.mode = 1
+        self.share = share
+        self.rule, self.forced = _rule_of(model, condition, thresholds)
+        self.mode: float = 1
         if rule is not None:
             self.rule, self.mode = prepared_rule(rule, None)
+        self.correction = None
+        if correction is not None:
+            of_class("correction", correction, ThresholdCorrector)
+            if thresholds is None:
+                raise ValueError("a correction starts from thresholds; use it with C2 or C3")
+            self.correction = OnlineCorrection(correction, thresholds, outside="nearest")
+        # The model's a_r is of its own sample time, at which thresholds are corrected, too.
+        steps = self.settings.model_sample_time / self.settings.period
+        self.correct_every = max(1, round(steps))
+        self.a_r = model.human.a ** (1.0 / steps)
+        self.r = 0.0
         self.notes: list[tuple[float, str]] = []
         self.now = -math.inf
-        self.last_step = math.inf
+        self.last_step: float | None = None
         self.stopped = False
         self.command = (0.0, 0.0)
         self.rows: list[tuple[float, ...]] = []
@@ -136,11 +171,19 @@ class AllocationCore:
         samples = round(self.settings.window / self.settings.period)
         self.means = WindowMean(samples), WindowMean(samples)
         self.inputs = {
-            name: Input(name, watchdog, self._note)
+            name: Input(name, watchdog, self.note)
             for name, watchdog in self.settings.watchdogs.items()
         }
 
-    def _note(self, text: str) -> None:
+    def note(self, text: str) -> None:
+        """
+        Add a note, with the time of the latest message or step.
+
+        Parameters
+        ----------
+        text : str
+            The note.
+        """
         self.notes.append((self.now, text))
 
     def hear(self, name: str, stamp: float, values: tuple[float, ...], now: float) -> bool:
@@ -197,7 +240,7 @@ class AllocationCore:
         """
         whole_number("mode", mode, least=0, most=1)
         if self.forced:
-            self._note("button: no effect where a rule allocates")
+            self.note("button: no effect where a rule allocates")
             return False
         self.mode = mode
         return True
@@ -205,12 +248,12 @@ class AllocationCore:
     def stop(self) -> None:
         """Stop the robot by the operator's wish, from the next step on until `release`."""
         self.stopped = True
-        self._note("operator's stop")
+        self.note("operator's stop")
 
     def release(self) -> None:
         """End the operator's stop."""
         self.stopped = False
-        self._note("operator's stop released")
+        self.note("operator's stop released")
 
     def step(self, now: float) -> Decision:
         """
@@ -229,24 +272,30 @@ class AllocationCore:
         Raises
         ------
         ValueError
-            If the clock is not finite, or the rule fails; send zeros then.
+            If the clock is not finite.
         """
         previous = self.now
         self.now = finite_number("now", now)
         if now < previous:
             self.now = previous
-            self._note(f"clock went back by {previous - now:.3g} s")
-        if self.now - self.last_step > LATE_STEP * self.settings.period:
-            self._note(f"step late: {self.now - self.last_step:.3g} s after the one before")
+            self.note(f"clock went back by {previous - now:.3g} s")
+        elapsed = self.settings.period if self.last_step is None else self.now - self.last_step
+        if elapsed > LATE_STEP * self.settings.period:
+            self.note(f"step late: {elapsed:.3g} s after the one before")
         self.last_step = self.now
         silent = {name for name, entry in self.inputs.items() if entry.watch(self.now)}
+        lower = getattr(self.rule, "lower", math.nan)
+        upper = getattr(self.rule, "upper", math.nan)
         tsc = math.nan
         suggestion = -1
         if all(entry.values is not None for entry in self.inputs.values()):
             tsc, suggestion = self._measured(silent)
-        driver = self._driver(silent)
-        self.command = self._bounded(driver)
-        return Decision(*self.command, driver, self.mode, suggestion, tsc)
+        share = self._share(silent)
+        # Steps made up for after a gap come at once, and together change the command by no more
+        # than one does.
+        self.command = self._bounded(share, min(elapsed, self.settings.period))
+        driver = _DRIVERS.get(share, "both")
+        return Decision(*self.command, driver, self.mode, suggestion, tsc, lower, upper)
 
     def _values(self, name: str) -> tuple[float, ...]:
         values = self.inputs[name].values
@@ -269,40 +318,59 @@ class AllocationCore:
         tsc = float(self.model.value(p_r, p_h))
         suggestion = -1
         waited = len(self.rows) * settings.period >= settings.wait
-        if self.rule is not None and waited and not silent and not self.stopped:
-            suggestion = self._asked(tsc, p_r)
-        row = (self.mode, p_r, p_h, tsc, error, distance, v, w, suggestion)
+        if waited and not silent and not self.stopped:
+            try:
+                suggestion = self._asked(tsc, p_r, p_h)
+            except ValueError as error:
+                self.note(f"{error}; the robot is stopped")
+                self.stopped = True
+        row = (self.mode, p_r, p_h, tsc, self.r, error, distance, v, w, suggestion)
         self.rows.append(row)
+        self.r = next_utilization.py_func(self.r, self.mode, self.a_r)  # (2.5)
         return tsc, suggestion
 
-    def _asked(self, tsc: float, p_r: float) -> int:
+    def _asked(self, tsc: float, p_r: float, p_h: float) -> int:
+        """Ask rule, share or correction; change the mode where it allocates, else suggest one."""
+        where = f"t = {self.now:g} s"
+        if self.share is not None:
+            self.mode = _asked_share(self.share, where, tsc, p_r)
+            return -1
+        if self.rule is None:
+            return -1
         if isinstance(self.rule, ThresholdRule) and not self.forced:
-            self.rule.mode = self.mode  # hysteresis goes with the mode that the button chose
-        mode = decision(self.rule, f"t = {self.now:g} s", tsc, p_r)
+            self.rule.mode = int(self.mode)  # hysteresis goes with the mode that the button chose
+        mode = decision(self.rule, where, tsc, p_r)
         if mode is not None and self.forced:
             self.mode = mode
+        if self.correction is not None and len(self.rows) % self.correct_every == 0:
+            self.correction.r = self.r
+            self.correction.update(p_r, p_h, int(self.mode))
+            self.rule.move(self.correction.lower, self.correction.upper)  # for the next step
         return -1 if mode is None or mode == self.mode else mode
 
-    def _driver(self, silent: set[str]) -> str:
-        """Return who drives: whom the mode says, or whom the watchdogs leave."""
+    def _share(self, silent: set[str]) -> float | None:
+        """Return the operator's share as allocated, or as watchdogs leave it; None: nobody's."""
         lost = {name for name in silent if self.settings.watchdogs[name].action == "stop"}
         unheard = any(entry.values is None for entry in self.inputs.values())
-        if self.stopped or lost or unheard:
-            return "nobody"
-        first, second = ("operator", "autonomy") if self.mode == 1 else ("autonomy", "operator")
-        if first not in silent:
-            return first
-        return "nobody" if second in silent else second
+        if self.stopped or lost or unheard or silent >= {"operator", "autonomy"}:
+            return None
+        if "operator" in silent:
+            return 0.0
+        return 1.0 if "autonomy" in silent else self.mode
 
-    def _bounded(self, driver: str) -> tuple[float, float]:
-        """Return the driver's command within the bounds, approached at the rates allowed."""
+    def _bounded(self, share: float | None, elapsed: float) -> tuple[float, float]:
+        """Return the blended command within the bounds, approached at the rates allowed."""
+        s = self.settings
         if self.stopped:
             return 0.0, 0.0
-        v, w = (0.0, 0.0) if driver == "nobody" else self._values(driver)
-        s = self.settings
+        target = (0.0, 0.0)
+        if share is not None:
+            pairs = zip(self._values("operator"), self._values("autonomy"), strict=True)
+            target = tuple(share * u_h + (1.0 - share) * u_a for u_h, u_a in pairs)
+        v, w = target
         return (
-            _approached(self.command[0], v, s.v_max, s.v_rate * s.period),
-            _approached(self.command[1], w, s.w_max, s.w_rate * s.period),
+            _approached(self.command[0], v, s.v_max, s.v_rate * elapsed),
+            _approached(self.command[1], w, s.w_max, s.w_rate * elapsed),
         )
 
     def session(self, **facts: Any) -> Session:
@@ -333,20 +401,21 @@ class AllocationCore:
         t = [k * self.settings.period for k in range(len(self.rows))]
         frame = pd.DataFrame(self.rows, columns=list(COLUMNS), index=t)
         notes = [f"{when:.6f} s: {text}" for when, text in self.notes]
+        window = self.settings.window
         metadata = Metadata(condition=self.condition, source="trustlab.ros.AllocationCore")
-        return Session(frame, metadata.changed(notes=notes, **facts))
+        # Fits look there.
+        measured = {"performance": f"(2.4), window {window:g} s", "performance_window": window}
+        return Session(frame, metadata.changed(notes=notes, **measured, **facts))
 
 
 def _rule_of(
-    model: TscModel, condition: str | None, thresholds: tuple[float, float] | None, rule: Any
+    model: TscModel, condition: str | None, thresholds: tuple[float, float] | None
 ) -> tuple[Any, bool]:
     """Return the rule of a condition, and whether it allocates at once."""
-    if (condition is None) == (rule is None):
-        raise ValueError("AllocationCore needs a condition, C1 to C5, or a rule, and not both")
     if condition is None:
         if thresholds is not None:
-            raise ValueError("thresholds have no effect beside a rule; leave them out")
-        return rule, True
+            raise ValueError("thresholds have no effect beside a rule or a share; leave them out")
+        return None, True
     _, forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
     if condition in ("C2", "C3"):
         if thresholds is None:
@@ -360,6 +429,13 @@ def _rule_of(
     if condition == "C1":
         return None, False
     return PerformanceRule(model.robot.p_min, model.robot.p_max), forced
+
+
+def _asked_share(share: Callable, where: str, tsc: float, p_r: float) -> float:
+    try:
+        return between("the operator's share", share(tsc=tsc, p_r=p_r), 0.0, 1.0)
+    except Exception as error:
+        raise ValueError(f"share failed at {where}: {type(error).__name__}: {error}") from error
 
 
 def _approached(present: float, target: float, bound: float, step: float) -> float:

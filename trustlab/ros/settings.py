@@ -34,6 +34,8 @@ class CoreSettings:
         How fast these may change [m/s², rad/s²], at a handover too.
     watchdogs : dict
         A `Watchdog` for each of odometry, operator, autonomy and path_error.
+    model_sample_time : float
+        Sample time that a_r and a_pr of the model are of [s]; 0.1 s as printed.
     wait : float, optional
         Time before the rule is asked [s]; by default the window, which means fill until then.
 
@@ -51,11 +53,12 @@ class CoreSettings:
     v_rate: float = 1.0
     w_rate: float = 2.0
     watchdogs: dict[str, Watchdog] = field(default_factory=_watchdogs)
+    model_sample_time: float = 0.1
     wait: float | None = None
 
     def __post_init__(self):
         names = ("period", "window", "e_max", "v_max", "w_max", "v_rate", "w_rate")
-        set_checked(self, positive, *names)
+        set_checked(self, positive, *names, "model_sample_time")
         if self.wait is None:
             object.__setattr__(self, "wait", self.window)
         set_checked(self, not_negative, "wait")

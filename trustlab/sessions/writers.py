@@ -4,7 +4,9 @@ import os
 import shutil
 import sqlite3
 import tempfile
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -145,7 +147,27 @@ def _parquet(session: Session) -> bytes:
     return content.getvalue().to_pybytes()
 
 
-def _write_bag(session: Session, place: Path, format: str) -> Path:
+def write_recording(
+    session: Session,
+    path: Path,
+    types: Mapping[str, str],
+    messages: Iterable[tuple[str, int, bytes]],
+) -> None:
+    """
+    Write an MCAP bag of a session and of the messages that it was made from: topic, time [ns] and
+    data as CDR, of standard types by topic.
+    """
+    with tempfile.TemporaryDirectory(prefix=TEMPORARY, dir=path.parent) as folder:
+        os.replace(_write_bag(session, Path(folder) / path.name, "mcap", types, messages), path)
+
+
+def _write_bag(
+    session: Session,
+    place: Path,
+    format: str,
+    types: Mapping[str, str] = MappingProxyType({}),
+    messages: Iterable[tuple[str, int, bytes]] = (),
+) -> Path:
     with extra("ros"):
         from rosbags import rosbag1, rosbag2
         from rosbags.typesys import Stores, get_typestore
@@ -160,9 +182,17 @@ def _write_bag(session: Session, place: Path, format: str) -> Path:
     text, number = "std_msgs/msg/String", "std_msgs/msg/Float64"
     as_text, as_number = typestore.types[text], typestore.types[number]
     with writer:
+        recorded = {
+            topic: writer.add_connection(topic, kind, typestore=typestore)
+            for topic, kind in types.items()
+        }
+        start = 0
+        for topic, stamp, data in messages:
+            start = start or stamp
+            writer.write(recorded[topic], stamp, data)
         topic = writer.add_connection(f"{PREFIX}metadata", text, typestore=typestore)
         metadata = metadata_to_json(session.metadata, session, samples=len(session))
-        writer.write(topic, 0, serialize(as_text(metadata), text))
+        writer.write(topic, start, serialize(as_text(metadata), text))
         topics = [
             writer.add_connection(PREFIX + name, number, typestore=typestore) for name in session
         ]
@@ -170,7 +200,7 @@ def _write_bag(session: Session, place: Path, format: str) -> Path:
             _stamps(session.t), *(session[name].tolist() for name in session), strict=True
         ):
             for topic, value in zip(topics, row, strict=True):
-                writer.write(topic, stamp, serialize(as_number(value), number))
+                writer.write(topic, start + stamp, serialize(as_number(value), number))
     return next(place.glob("*.mcap")) if format == "mcap" else place
 
 

@@ -1,0 +1,56 @@
+"""Run the allocation rule on a robot: python -m trustlab.ros run.toml."""
+
+import argparse
+import signal
+import time
+from datetime import datetime
+from pathlib import Path
+
+from trustlab.ros.node import Allocation
+from trustlab.ros.recorded import JOURNAL, read_run
+from trustlab.ros.run import read_toml
+
+
+def main() -> None:
+    """Run until Ctrl-C, a SIGTERM, or the time is over."""
+    parser = argparse.ArgumentParser(prog="python -m trustlab.ros", description=__doc__)
+    parser.add_argument("run", help="a TOML file")
+    parser.add_argument("--folder", default="runs", help="where bag and session go")
+    parser.add_argument("--duration", type=float, default=float("inf"), help="in seconds")
+    options = parser.parse_args()
+    run = read_toml(options.run)
+    folder = Path(options.folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    recover(folder)
+
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    # The robot is stopped by a last command, for which ROS must still be there.
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    node = rclpy.create_node("trustlab_allocation")
+    path = folder / f"{Path(options.run).stem}_{datetime.now():%Y%m%d-%H%M%S}.mcap"
+    allocation = Allocation(node, run, path)
+    end = time.monotonic() + options.duration
+    try:
+        while time.monotonic() < end:
+            rclpy.spin_once(node, timeout_sec=0.2)
+    except KeyboardInterrupt:
+        pass
+    print(allocation.finish())
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def recover(folder: Path) -> None:
+    """Write bags and sessions of runs that were killed."""
+    for path in sorted(folder.glob(f"*{JOURNAL}")):
+        try:
+            print(f"of a run that was killed: {read_run(path)}")
+        except ValueError as error:
+            print(f"{path}: left as it is, {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,340 @@
+"""What a run is set to: model, condition, bounds and topics, from a TOML file or its tables."""
+
+import dataclasses
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache, partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from trustlab.allocation.correction.corrector import ThresholdCorrector
+from trustlab.models.checks import of_class, one_of
+from trustlab.models.human import HumanModel
+from trustlab.models.published import published_models
+from trustlab.models.robot import RobotModel
+from trustlab.models.tsc import TscModel
+from trustlab.ros.decision import AllocationCore
+from trustlab.ros.inputs import FIELDS, Watchdog
+from trustlab.ros.settings import CoreSettings
+from trustlab.sessions.patterns import FieldPath
+
+_path = cache(FieldPath)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """
+    A topic of a run.
+
+    Parameters
+    ----------
+    topic : str
+        Its name.
+    type : str
+        The type of its messages, for example "nav_msgs/msg/Odometry".
+    fields : tuple of str
+        Where the numbers stand in a message, as in a recipe: "pose.pose.position.x", "axes[1]".
+    scale : float or tuple of float
+        What the numbers are multiplied with, for all of them or one each.
+    stamp : {"header", "receive"}
+        Time of measurement: that of the message's header, if it has one, or of its arrival.
+    best_effort : bool
+        Whether messages may be lost; a publisher that is set so is not heard otherwise.
+
+    Raises
+    ------
+    ValueError
+        If a field path cannot be read, or the stamp is unknown.
+    """
+
+    topic: str
+    type: str
+    fields: tuple[str, ...] = ()
+    scale: float | tuple[float, ...] = 1.0
+    stamp: str = "header"
+    best_effort: bool = False
+
+    def __post_init__(self):
+        one_of("stamp", self.stamp, ("header", "receive"))
+        scale = self.scale if isinstance(self.scale, list | tuple) else (self.scale,)
+        scale = tuple(scale) * (len(self.fields) if len(scale) == 1 else 1)
+        self.__dict__.update(fields=tuple(self.fields), scale=scale)
+        if len(scale) != len(self.fields):
+            raise ValueError(f"{self.topic}: {len(self.fields)} fields, {len(scale)} scales")
+
+    def paths(self) -> list[FieldPath]:
+        """Return the fields as paths."""
+        return [_path(text) for text in self.fields]
+
+    def numbers(self, message: Any) -> tuple[float, ...]:
+        """
+        Return the numbers of a message.
+
+        Parameters
+        ----------
+        message : object
+            As a ROS library hands it out.
+
+        Raises
+        ------
+        ValueError
+            If the message has no number there.
+        """
+        values = []
+        for path, scale in zip(self.paths(), self.scale, strict=True):
+            value = message
+            try:
+                for step in path.steps:
+                    value = getattr(value, step) if isinstance(step, str) else value[step]
+                values.append(scale * float(value))
+            except (AttributeError, IndexError, TypeError, ValueError) as error:
+                raise ValueError(f"no number at {path.text} ({error})") from None
+        return tuple(values)
+
+    def fill(self, message: Any, values: tuple[float, ...]) -> None:
+        """
+        Set the numbers of a message.
+
+        Parameters
+        ----------
+        message : object
+            As a ROS library makes it.
+        values : tuple of float
+            One for each field.
+        """
+        for path, value in zip(self.paths(), values, strict=True):
+            part = message
+            *steps, name = path.steps
+            for step in steps:
+                part = getattr(part, step)
+            setattr(part, name, value)
+
+    def stamped(self, message: Any, now: int) -> int:
+        """
+        Return the time of measurement [ns].
+
+        Parameters
+        ----------
+        message : object
+            As a ROS library hands it out.
+        now : int
+            Time of arrival [ns].
+        """
+        header = getattr(message, "header", None)
+        if self.stamp == "receive" or header is None:
+            return now
+        return header.stamp.sec * 10**9 + header.stamp.nanosec
+
+
+# The first message of a recording: the run's tables, as JSON.
+RUN = "/allocation/run"
+# What is published and recorded beside the command, as Float64: fields of a `Decision`.
+STATES = {f"/allocation/{name}": name for name in ("mode", "tsc", "suggestion", "lower", "upper")}
+_TWIST = ("linear.x", "angular.z")
+FLOAT = "std_msgs/msg/Float64"
+# By name, what a run listens to and where its command goes.
+TOPICS = {
+    "odometry": Topic(
+        "/odom", "nav_msgs/msg/Odometry", ("pose.pose.position.x", "pose.pose.position.y")
+    ),
+    "operator": Topic("/operator/cmd_vel", "geometry_msgs/msg/Twist", _TWIST),
+    "autonomy": Topic("/autonomy/cmd_vel", "geometry_msgs/msg/Twist", _TWIST),
+    "path_error": Topic("/path_error", FLOAT, ("data",)),
+    "button": Topic("/operator/manual", "std_msgs/msg/Bool", ("data",)),
+    "stop": Topic("/operator/stop", "std_msgs/msg/Bool", ("data",)),
+    "release": Topic("/operator/release", "std_msgs/msg/Bool", ("data",)),
+    "command": Topic("/cmd_vel", "geometry_msgs/msg/Twist", _TWIST),
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """
+    What a run is set to.
+
+    Parameters
+    ----------
+    model : TscModel
+        Of the person who drives.
+    condition, thresholds : object
+        As for `AllocationCore`.
+    rule, share : object or str
+        As for `AllocationCore`; or "module:name" of what makes the rule, or of the function. A run
+        whose rule has such a name can be replayed from its bag alone.
+    correction : mapping, optional
+        Arguments of `ThresholdCorrector`: target, horizon, c_b.
+    settings : CoreSettings
+        Bounds, rates, watchdogs, window.
+    topics : mapping of str to Topic
+        Those that differ from `TOPICS`, by name.
+    facts : mapping
+        Metadata of the session: participant, synthetic, and any other name.
+
+    Raises
+    ------
+    ValueError
+        If a topic is unknown.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> run = Run(tl.published_models()["1"], "C3", thresholds=(0.02, 0.45))
+    >>> Run.of(run.tables()) == run
+    True
+    """
+
+    model: TscModel
+    condition: str | None = None
+    thresholds: tuple[float, float] | None = None
+    rule: Any = None
+    share: Any = None
+    correction: Mapping[str, Any] | None = None
+    settings: CoreSettings = field(default_factory=CoreSettings)
+    topics: Mapping[str, Topic] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        for name, topic in self.topics.items():
+            one_of("topics", name, TOPICS)
+            of_class(f"topics[{name!r}]", topic, Topic)
+            counts = {len(TOPICS[name].fields), 2 if name == "path_error" else 0}
+            if len(topic.fields) not in counts - {0}:
+                raise ValueError(f"{name} needs {len(TOPICS[name].fields)} fields")
+        self.__dict__["topics"] = {**TOPICS, **self.topics}
+
+    @classmethod
+    def of(cls, tables: Mapping[str, Any], folder: Path = Path()) -> "Run":
+        """
+        Return the run that tables state, as in a TOML file.
+
+        Parameters
+        ----------
+        tables : mapping
+            model, and any other parameter of this class by name. The model is one of
+            {published: "1"}, {session: "pilot.csv"}, which is fitted now, or {human: {…}, robot:
+            {…}}.
+        folder : Path
+            Where a session's path starts.
+
+        Raises
+        ------
+        ValueError
+            If a name or a value is not understood.
+        """
+        values = dict(tables)
+        settings = dict(values.pop("settings", {}))
+        usual = CoreSettings().watchdogs
+        settings["watchdogs"] = usual | {
+            name: _made(Watchdog, f"settings.watchdogs.{name}", table)
+            for name, table in settings.pop("watchdogs", {}).items()
+        }
+        model, sample_time = _model_of(values.pop("model", {}), folder)
+        if sample_time is not None:
+            settings.setdefault("model_sample_time", sample_time)
+        topics = {}
+        for name, table in values.pop("topics", {}).items():
+            usual_topic = TOPICS[one_of("[topics]", name, TOPICS)]
+            changed = partial(dataclasses.replace, usual_topic)
+            topics[name] = _made(changed, f"topics.{name}", table)
+        if values.get("thresholds") is not None:
+            values["thresholds"] = tuple(values["thresholds"])
+        values["settings"] = _made(CoreSettings, "settings", settings)
+        return _made(cls, "the run", values | {"model": model, "topics": topics})
+
+    def tables(self) -> dict[str, Any]:
+        """Return the run as plain tables; of a rule without a name nothing is left."""
+        values = dataclasses.asdict(dataclasses.replace(self, rule=None, share=None))
+        for name in ("rule", "share"):
+            entry = getattr(self, name)
+            values[name] = entry if isinstance(entry, str) else None
+        return values
+
+    def types(self) -> dict[str, str]:
+        """Return the types of the messages of every topic recorded."""
+        named = {topic.topic: topic.type for topic in self.topics.values()}
+        return {RUN: "std_msgs/msg/String"} | dict.fromkeys(STATES, FLOAT) | named
+
+    def core(self) -> AllocationCore:
+        """Return a decision core for one run, with everything compiled that it will call."""
+        correction = None
+        if self.correction is not None:
+            corrector = partial(ThresholdCorrector, self.model)
+            correction = _made(corrector, "correction", self.correction)
+        rule = _imported(self.rule)() if isinstance(self.rule, str) else self.rule
+        share = _imported(self.share) if isinstance(self.share, str) else self.share
+        options = {"rule": rule, "share": share, "correction": correction}
+
+        def core(settings: CoreSettings) -> AllocationCore:
+            return AllocationCore(
+                self.model, self.condition, self.thresholds, settings=settings, **options
+            )
+
+        trial = core(dataclasses.replace(self.settings, wait=0.0))
+        for name, fields in FIELDS.items():
+            trial.hear(name, 0.0, (0.0,) * len(fields), 0.0)
+        trial.step(0.0)
+        if trial.stopped:
+            raise ValueError(trial.notes[-1][1])
+        return core(self.settings)
+
+
+def read_toml(path: str | Path) -> Run:
+    """
+    Read a run from a TOML file.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; its tables are those of `Run.of`.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    ValueError
+        If it is no TOML, or a table is not understood; the error names the file.
+    """
+    path = Path(path)
+    try:
+        return Run.of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
+    except (ValueError, OSError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _model_of(table: Mapping[str, Any], folder: Path) -> tuple[TscModel, float | None]:
+    """Return the model of a run, and its sample time where it is fitted to a session."""
+    how = "model needs published, session, or human and robot"
+    if set(table) == {"published"}:
+        models = published_models()
+        return models[one_of("model.published", str(table["published"]), models)], None
+    if set(table) == {"session"}:
+        from trustlab.identification.tsc import fit_tsc
+        from trustlab.sessions.readers import read_session
+
+        session = read_session(folder / table["session"])
+        return fit_tsc(session).model, session.sample_time
+    if set(table) != {"human", "robot"}:
+        raise ValueError(f"{how}; got {', '.join(table) or 'nothing'}")
+    robot = _made(RobotModel, "model.robot", table["robot"])
+    return TscModel(robot, _made(HumanModel, "model.human", table["human"])), None
+
+
+def _made(kind: Callable, where: str, table: Mapping[str, Any]) -> Any:
+    """Return an object from a table of its arguments, of which none is unknown or missing."""
+    try:
+        return kind(**table)
+    except TypeError as error:
+        raise ValueError(f"[{where}] {error}") from None
+
+
+def _imported(name: str) -> Any:
+    """Return what "module:name" names."""
+    module, _, attribute = name.partition(":")
+    try:
+        return getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"{name!r} must be module:name of something to import: {error}") from None
