@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: environment reports docs test test-long coverage lock bench lab study data calibration simulated kernel digest clean help
+.PHONY: environment robot reports docs test test-long coverage lock bench lab study data calibration simulated kernel digest clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -47,6 +47,7 @@ test: $(VENV)/.stamp  ## formatting, linting, types and every test but the long 
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/python -m trustlab.publishing.compile_kernels
+	@$(MAKE) --no-print-directory tests/ros/.venv/.stamp || echo "ROS 2 could not be installed; its tests are skipped"
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m "not long"
 
 test-long: $(VENV)/.stamp  ## the tests that take too long for every time
@@ -60,16 +61,20 @@ bench: $(VENV)/.stamp  ## benchmarks beside the peers, written under reports/ (O
 	@$(MAKE) --no-print-directory benchmarks/.venv/.stamp || echo "peers could not be installed; see above"
 	$(BIN)/python -m benchmarks $(ONLY)
 
-benchmarks/.venv/.stamp: benchmarks/environment.lock
-	rm -rf benchmarks/.venv
+# Environments beside the package's: the peers of benchmarks, and ROS 2 for its tests.
+%/.venv/.stamp: %/environment.lock
+	rm -rf $*/.venv
 ifneq ($(UV),)
-	$(UV) venv --quiet --python $(PYTHON) benchmarks/.venv
-	$(UV) pip install --quiet --python benchmarks/.venv/bin/python --no-deps --require-hashes -r benchmarks/environment.lock
+	$(UV) venv --quiet --python $(PYTHON) $*/.venv
+	$(UV) pip install --quiet --python $*/.venv/bin/python --no-deps --require-hashes -r $*/environment.lock
 else
-	$(PYTHON) -m venv benchmarks/.venv
-	benchmarks/.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r benchmarks/environment.lock
+	$(PYTHON) -m venv $*/.venv
+	$*/.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r $*/environment.lock
 endif
 	@touch $@
+
+robot: $(VENV)/.stamp tests/ros/.venv/.stamp  ## drive a simulated robot over ROS 2 for two minutes and draw its chapter (DIR=runs says where)
+	$(BIN)/python -m tests.ros.driving $(DIR)
 
 lab: $(VENV)/.stamp  ## JupyterLab in notebooks/
 	$(BIN)/jupyter lab --notebook-dir=notebooks
@@ -98,7 +103,7 @@ lock:  ## resolve environment.lock again (needs uv)
 	  --generate-hashes --no-annotate --no-header --no-emit-index-url -o environment.lock
 
 clean:  ## remove the environment, the caches and what was generated
-	rm -rf $(VENV) benchmarks/.venv .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf $(VENV) benchmarks/.venv tests/ros/.venv .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find reports -mindepth 1 -maxdepth 1 ! -name README.md ! -name figures -exec rm -rf {} +
 	rm -rf docs/api docs/[0-9][0-9]_*.ipynb
 	find trustlab tests benchmarks data notebooks docs -name __pycache__ -prune -exec rm -rf {} +

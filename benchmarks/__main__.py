@@ -22,6 +22,7 @@ CASES = (
     "campaign",
     "virtual_study",
     "live",
+    "robot",
     "scaling",
 )
 

@@ -92,6 +92,7 @@ def house(tmp_path):
         "pyproject.toml",
         "environment.lock",
         "benchmarks/environment.lock",
+        "tests/ros/environment.lock",
     ):
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tree / name)
@@ -140,8 +141,9 @@ def test_the_environment_is_built_once_and_every_recipe_runs(house, uv):
     done, asked = run("make", "test")
     assert done.returncode == 0, done.stderr
     installs = [line for line in asked if "install" in line]
-    assert len(installs) == 2
+    assert len(installs) == 3
     assert "--no-deps --require-hashes -r environment.lock" in installs[0]
+    assert "--no-deps --require-hashes -r tests/ros/environment.lock" in installs[2]
     assert all(line.startswith("uv" if uv else "python -m pip") for line in installs)
     assert any(re.match(r"python -m pytest .*not long", line) for line in asked)
     for target, said in {

@@ -321,8 +321,8 @@ class AllocationCore:
         if waited and not silent and not self.stopped:
             try:
                 suggestion = self._asked(tsc, p_r, p_h)
-            except ValueError as error:
-                self.note(f"{error}; the robot is stopped")
+            except ValueError as fault:
+                self.note(f"{fault}; the robot is stopped")
                 self.stopped = True
         row = (self.mode, p_r, p_h, tsc, self.r, error, distance, v, w, suggestion)
         self.rows.append(row)
@@ -363,11 +363,12 @@ class AllocationCore:
         s = self.settings
         if self.stopped:
             return 0.0, 0.0
-        target = (0.0, 0.0)
+        v = w = 0.0
         if share is not None:
-            pairs = zip(self._values("operator"), self._values("autonomy"), strict=True)
-            target = tuple(share * u_h + (1.0 - share) * u_a for u_h, u_a in pairs)
-        v, w = target
+            v_h, w_h = self._values("operator")
+            v_a, w_a = self._values("autonomy")
+            v = share * v_h + (1.0 - share) * v_a
+            w = share * w_h + (1.0 - share) * w_a
         return (
             _approached(self.command[0], v, s.v_max, s.v_rate * elapsed),
             _approached(self.command[1], w, s.w_max, s.w_rate * elapsed),

@@ -20,6 +20,7 @@ from trustlab.sessions.readers import read_session
 from trustlab.sessions.readers.bags import PREFIX
 from trustlab.sessions.session import Session
 from trustlab.sessions.writers import write_recording, write_session
+from trustlab.studies.planning.virtual_study import KEYS
 from trustlab.testbeds.condition_run import condition_measures
 
 JOURNAL = ".journal"
@@ -172,7 +173,6 @@ def measures_table(runs: Iterable[RobotRun]) -> pd.DataFrame:
     for run in runs:
         meta = run.session.metadata
         count[meta.participant] += 1
-        row = {"participant": meta.participant, "position": count[meta.participant]}
-        row |= {"condition": meta.condition, "synthetic": meta.synthetic}
-        rows.append(row | run.measures)
-    return pd.DataFrame(rows)
+        facts = (meta.participant, count[meta.participant], meta.condition, meta.synthetic)
+        rows.append([*facts, *run.measures.values()])
+    return pd.DataFrame(rows, columns=[*KEYS, *run.measures])

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from trustlab.allocation.correction.corrector import ThresholdCorrector
 from trustlab.models.checks import of_class, one_of
@@ -36,8 +36,8 @@ class Topic:
         The type of its messages, for example "nav_msgs/msg/Odometry".
     fields : tuple of str
         Where the numbers stand in a message, as in a recipe: "pose.pose.position.x", "axes[1]".
-    scale : float or tuple of float
-        What the numbers are multiplied with, for all of them or one each.
+    scale : tuple of float
+        What the numbers are multiplied with, one for each field; 1 where it is left out.
     stamp : {"header", "receive"}
         Time of measurement: that of the message's header, if it has one, or of its arrival.
     best_effort : bool
@@ -52,19 +52,17 @@ class Topic:
     topic: str
     type: str
     fields: tuple[str, ...] = ()
-    scale: float | tuple[float, ...] = 1.0
+    scale: tuple[float, ...] = ()
     stamp: str = "header"
     best_effort: bool = False
 
     def __post_init__(self):
         one_of("stamp", self.stamp, ("header", "receive"))
-        scale = self.scale if isinstance(self.scale, list | tuple) else (self.scale,)
-        scale = tuple(scale) * (len(self.fields) if len(scale) == 1 else 1)
-        self.__dict__.update(fields=tuple(self.fields), scale=scale)
-        if len(scale) != len(self.fields):
-            raise ValueError(f"{self.topic}: {len(self.fields)} fields, {len(scale)} scales")
+        self.__dict__.update(fields=tuple(self.fields), scale=tuple(self.scale))
+        if self.scale and len(self.scale) != len(self.fields):
+            raise ValueError(f"{self.topic}: {len(self.fields)} fields, {len(self.scale)} scales")
 
-    def paths(self) -> list[FieldPath]:
+    def paths(self) -> list[Any]:
         """Return the fields as paths."""
         return [_path(text) for text in self.fields]
 
@@ -83,7 +81,8 @@ class Topic:
             If the message has no number there.
         """
         values = []
-        for path, scale in zip(self.paths(), self.scale, strict=True):
+        scales = self.scale or (1.0,) * len(self.fields)
+        for path, scale in zip(self.paths(), scales, strict=True):
             value = message
             try:
                 for step in path.steps:
@@ -316,7 +315,10 @@ def _model_of(table: Mapping[str, Any], folder: Path) -> tuple[TscModel, float |
         from trustlab.sessions.readers import read_session
 
         session = read_session(folder / table["session"])
-        return fit_tsc(session).model, session.sample_time
+        fit = fit_tsc(session)
+        if not fit.success:
+            raise ValueError(f"{table['session']} gives no model: {fit.message}")
+        return cast(TscModel, fit.model), session.sample_time
     if set(table) != {"human", "robot"}:
         raise ValueError(f"{how}; got {', '.join(table) or 'nothing'}")
     robot = _made(RobotModel, "model.robot", table["robot"])

@@ -179,6 +179,8 @@ def _write_bag(
     writer = (
         rosbag1.Writer(place) if ros1 else rosbag2.Writer(place, version=8, storage_plugin=plugin)
     )
+    if types:  # covariances are mostly zeros
+        writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
     text, number = "std_msgs/msg/String", "std_msgs/msg/Float64"
     as_text, as_number = typestore.types[text], typestore.types[number]
     with writer:

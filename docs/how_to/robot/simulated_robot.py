@@ -11,6 +11,7 @@ circle drifts off. Commands on /cmd_vel older than 0.5 s no longer move it.
 import math
 import os
 import sys
+import tempfile
 import time
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -85,13 +86,12 @@ class Robot:
 
 
 def main():
-    folder = os.path.dirname(os.path.abspath(__file__))
-    world = os.path.join(folder, "world.yaml")
-    with open(world, "w") as file:
-        file.write(WORLD)
     rclpy.init()
     node = rclpy.create_node("robot")
-    Robot(node, world)
+    with tempfile.NamedTemporaryFile("w", suffix=".yaml") as world:
+        world.write(WORLD)
+        world.flush()
+        Robot(node, world.name)
     end = time.monotonic() + (float(sys.argv[1]) if len(sys.argv) > 1 else math.inf)
     while time.monotonic() < end:
         rclpy.spin_once(node, timeout_sec=0.2)

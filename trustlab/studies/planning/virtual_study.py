@@ -78,6 +78,42 @@ class VirtualStudy:
         """Names of the measures."""
         return tuple(name for name in self.measures.columns if name not in KEYS)
 
+    @property
+    def origin(self) -> str:
+        """Where the measures come from, for heads and captions."""
+        return ORIGIN if self.measures["synthetic"].all() else f"{ORIGIN} and recorded runs"
+
+    def joined(self, measures: pd.DataFrame) -> "VirtualStudy":
+        """
+        Return the study with rows of measures added, for its table, analyses and figures.
+
+        Parameters
+        ----------
+        measures : pandas.DataFrame
+            Of other participants under the study's conditions: participant, position, condition,
+            synthetic and measures by name, as `trustlab.ros.measures_table` returns them. Measures
+            that they lack are NaN.
+
+        Raises
+        ------
+        ValueError
+            If a column is missing or unknown, a condition is not the study's, or a participant is.
+        """
+        for name in (*KEYS, *measures.columns):
+            one_of("a column of measures", name, [*KEYS, *self.names])
+            one_of("a column of measures", name, measures.columns)
+        for condition in measures["condition"].unique():
+            one_of("condition", condition, self.conditions)
+        twice = set(measures["participant"]) & set(self.measures["participant"])
+        if twice:
+            raise ValueError(f"participant {twice.pop()!r} is in the study already; rename theirs")
+        frames = [self.measures.astype({"condition": object}), measures]
+        joint = pd.concat(frames, ignore_index=True)
+        joint["condition"] = pd.Categorical(
+            joint["condition"], self.measures["condition"].cat.categories
+        )
+        return replace(self, measures=joint)
+
     def analysis(
         self, dv: str, conditions: Sequence[str] | None = None, **options: Any
     ) -> RepeatedMeasures:
@@ -140,7 +176,7 @@ class VirtualStudy:
                     row["note"] = f"without {', '.join(lacking)}, which do not have it for everyone"
             rows.append({"measure": name, "conditions": " ".join(measured)} | row)
         frame = pd.DataFrame(rows)
-        frame.attrs["origin"] = ORIGIN
+        frame.attrs["origin"] = self.origin
         return frame
 
     def sessions(self):
@@ -181,7 +217,7 @@ class VirtualStudy:
         names = [measures] if isinstance(measures, str) else list(measures)
         results = [self.analysis(name) for name in names]
         axes = panels(
-            len(names), 3.2, f"{ORIGIN}, n = {len(self.participants) - len(self.failures)}"
+            len(names), 3.2, f"{self.origin}, n = {len(self.participants) - len(self.failures)}"
         )
         for axis, result in zip(axes, results, strict=True):
             result.plot(kind, axes=axis)
@@ -221,7 +257,7 @@ class VirtualStudy:
     def _repr_html_(self) -> str:
         means = self.measures.groupby("condition", observed=True)[list(self.names)].mean().T
         return as_html(self.summary, self.table()) + as_html(
-            f"Means ({ORIGIN})", means[list(self.conditions)]
+            f"Means ({self.origin})", means[list(self.conditions)]
         )
 
 

@@ -1,0 +1,112 @@
+"""
+A stand-in for rclpy in one process, with a clock that the test turns: nodes, publishers and
+subscriptions are plain objects, messages and their CDR are those of rosbags. It shows what the
+package does with messages; that ROS brings them is shown by `test_over_dds.py`.
+"""
+
+import sys
+import types
+from collections import defaultdict
+from types import SimpleNamespace
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+PACKAGES = ("std_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs")
+
+
+def default(kind):
+    """A message of zeros and empty texts."""
+    values = {}
+    for name, (node, detail) in STORE.fielddefs[kind][1]:
+        if node.name == "NAME":
+            values[name] = default(detail)
+        elif node.name == "BASE":
+            values[name] = {"string": "", "bool": False}.get(detail[0], 0)
+        else:
+            values[name] = np.zeros(detail[1] if node.name == "ARRAY" else 0)
+    return STORE.types[kind](**values)
+
+
+class Kind:
+    def __init__(self, name):
+        self.name = name
+
+    def __call__(self, **values):
+        message = default(self.name)
+        for name, value in values.items():
+            setattr(message, name, value)
+        return message
+
+
+def serialize(message):
+    return bytes(STORE.serialize_cdr(message, message.__msgtype__))
+
+
+def install(monkeypatch):
+    """Put the stand-in where `import rclpy` and the message packages look."""
+    modules = {"rclpy": types.ModuleType("rclpy")}
+    modules["rclpy.qos"] = SimpleNamespace(
+        QoSProfile=SimpleNamespace,
+        ReliabilityPolicy=SimpleNamespace(BEST_EFFORT="best effort", RELIABLE="reliable"),
+    )
+    modules["rclpy.serialization"] = SimpleNamespace(
+        serialize_message=serialize,
+        deserialize_message=lambda data, kind: STORE.deserialize_cdr(data, kind.name),
+    )
+    for package in PACKAGES:
+        names = [n for n in STORE.types if n.startswith(f"{package}/msg/")]
+        kinds = {name.rpartition("/")[2]: Kind(name) for name in names}
+        modules[package] = types.ModuleType(package)
+        modules[f"{package}.msg"] = SimpleNamespace(**kinds)
+    for name, module in modules.items():
+        monkeypatch.setitem(sys.modules, name, module)
+
+
+class Node:
+    def __init__(self):
+        self.time = 1_700_000_000_000_000_000
+        self.sent = defaultdict(list)
+        self.heard = {}
+        self.profiles = {}
+        self.timers = []
+        self.log = []
+
+    def get_clock(self):
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.time))
+
+    def get_logger(self):
+        return SimpleNamespace(warning=self.log.append, error=self.log.append)
+
+    def create_publisher(self, kind, topic, depth):
+        return SimpleNamespace(publish=self.sent[topic].append)
+
+    def create_subscription(self, kind, topic, callback, profile, raw):
+        assert raw
+        self.heard[topic] = callback
+        self.profiles[topic] = profile
+
+    def create_timer(self, period, callback):
+        self.timers.append(callback)
+        return callback
+
+    def destroy_timer(self, timer):
+        self.timers.remove(timer)
+
+    def send(self, topic, kind, stamp=None, **values):
+        """Deliver a message; values by dotted field path, with __ for the dots."""
+        message = default(kind)
+        for path, value in values.items():
+            part = message
+            *steps, name = path.split("__")
+            for step in steps:
+                part = getattr(part, step)
+            setattr(part, name, value)
+        if stamp is not None:
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
+        self.heard[topic](serialize(message))
+
+    def tick(self):
+        for callback in self.timers:
+            callback()

@@ -1,0 +1,477 @@
+"""The node on a stand-in for rclpy with the test's clock; oracles: rosbags alone, the bounds."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+import trustlab as tl
+from tests.ros import fake_ros
+from trustlab.ros import Allocation, CoreSettings, Run, Topic, measures_table, read_run, read_toml
+from trustlab.ros.journal import Journal, read_journal
+from trustlab.sessions.errors import SessionError
+
+MODEL = tl.published_models()["1"]
+STEP = 50_000_000
+SHORT = CoreSettings(window=2.0)
+TWIST = "geometry_msgs/msg/Twist"
+
+
+class Always:
+    """A rule that always says the same."""
+
+    def step(self, tsc, p_r):
+        return 0
+
+
+class Broken:
+    """A rule that fails once the robot has moved."""
+
+    def step(self, tsc, p_r):
+        if p_r > 0.1:
+            raise RuntimeError("no idea")
+
+
+def half(tsc, p_r):
+    return 0.5
+
+
+@pytest.fixture
+def node(monkeypatch):
+    fake_ros.install(monkeypatch)
+    return fake_ros.Node()
+
+
+def inputs(node, rng, x, skip=(), stamp=None):
+    """One round of messages, odometry last as it brings about the step."""
+    twists = {"/operator/cmd_vel": 0.5, "/autonomy/cmd_vel": 0.3}
+    for topic, most in twists.items():
+        if topic not in skip:
+            node.send(topic, TWIST, linear__x=rng.uniform(0, most), angular__z=rng.normal())
+    if "/path_error" not in skip:
+        node.send("/path_error", "std_msgs/msg/Float64", data=abs(rng.normal(scale=0.3)))
+    if "/odom" not in skip:
+        stamp = node.time - 1_000_000 if stamp is None else stamp
+        node.send("/odom", "nav_msgs/msg/Odometry", stamp, pose__pose__position__x=x)
+
+
+def driven(node, run, path, steps=200, seed=0):
+    allocation = Allocation(node, run, path)
+    rng = np.random.default_rng(seed)
+    x = 0.0
+    for _ in range(steps):
+        node.time += STEP
+        x += rng.uniform(0.0, 0.03)
+        inputs(node, rng, x)
+        node.tick()
+    return allocation
+
+
+def by_rosbags(path, topics):
+    """Columns of a bag, read by rosbags alone."""
+    columns = {topic: [] for topic in topics}
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with AnyReader([path], default_typestore=store) as reader:
+        for connection, _, data in reader.messages():
+            if connection.topic in columns:
+                message = reader.deserialize(data, connection.msgtype)
+                columns[connection.topic].append(message)
+    return columns
+
+
+def test_a_run_leaves_a_bag_and_a_session_that_agree(node, tmp_path):
+    run = Run(MODEL, "C3", (-0.2, 0.3), settings=SHORT, facts={"participant": 3, "synthetic": True})
+    result = driven(node, run, tmp_path / "a.mcap").finish()
+    assert result.verified
+    assert sorted(p.suffix for p in tmp_path.iterdir()) == [".csv", ".mcap"]
+    session = tl.read_session(tmp_path / "a.mcap")
+    assert session == result.session == tl.read_session(tmp_path / "a.csv")
+    assert len(session) == 200
+    assert session.metadata.participant == 3
+    assert session.metadata.more["interrupted"] is False
+    again = session.with_performance(window=2.0)
+    assert np.array_equal(again["p_r"], session["p_r"])
+    columns = by_rosbags(
+        tmp_path / "a.mcap", ["/trustlab/tsc", "/cmd_vel", "/odom", "/allocation/mode"]
+    )
+    assert [m.data for m in columns["/trustlab/tsc"]] == session["tsc"].tolist()
+    assert [m.data for m in columns["/allocation/mode"]] == session["mode"].tolist()
+    assert set(session["mode"]) == {0.0, 1.0}
+    sent = [(m.linear.x, m.angular.z) for m in node.sent["/cmd_vel"]]
+    assert [(m.linear.x, m.angular.z) for m in columns["/cmd_vel"]] == sent[:-1]
+    assert sent[-1] == (0.0, 0.0)  # the last word of a run that ends
+    assert len(columns["/odom"]) == 200
+    assert result.decisions[["v", "w"]].to_numpy().tolist() == [list(pair) for pair in sent[:-1]]
+
+
+@pytest.mark.parametrize("topic", ["/cmd_vel", "/allocation/tsc", "/odom", "/trustlab/p_r"])
+def test_a_bag_that_was_changed_is_not_verified(node, tmp_path, topic):
+    path = tmp_path / "a.mcap"
+    run = Run(MODEL, "C3", (-0.2, 0.3), settings=SHORT)
+    assert driven(node, run, path, 60).finish().verified
+    message = by_rosbags(path, [topic])[topic][30]
+    bits = fake_ros.serialize(message)
+    spoiled = bytearray(bits)
+    # the lowest bit of the x of a command or pose, and of a number
+    spoiled[-8 if topic.startswith(("/trust", "/alloc")) else bits.index(_x(message, topic))] ^= 1
+    content = path.read_bytes()
+    assert content.count(bits) >= 1
+    place = content.index(bits)
+    path.write_bytes(content[:place] + bytes(spoiled) + content[place + len(bits) :])
+    if topic == "/trustlab/p_r":  # every reader checks the digests of columns
+        with pytest.raises(SessionError):
+            read_run(path)
+    else:
+        assert not read_run(path).verified
+
+
+def _x(message, topic):
+    x = message.linear.x if topic == "/cmd_vel" else message.pose.pose.position.x
+    return struct.pack("<d", x)
+
+
+def test_a_fit_of_the_bag_is_that_of_the_session(node, tmp_path):
+    simulated = tl.run_condition("C3", participant=1, laps=4).session
+    run = Run(MODEL, "C1", settings=CoreSettings(period=0.1))
+    allocation = Allocation(node, run, tmp_path / "a.mcap")
+    x = np.cumsum(simulated["step_distance"])
+    for k, row in enumerate(simulated.data.itertuples()):
+        node.time += 2 * STEP
+        node.send("/operator/manual", "std_msgs/msg/Bool", data=bool(row.mode))
+        command = {"linear__x": row.v_command, "angular__z": row.w_command}
+        node.send("/operator/cmd_vel", TWIST, **command)
+        node.send("/autonomy/cmd_vel", TWIST)
+        node.send("/path_error", "std_msgs/msg/Float64", data=row.path_error)
+        node.send("/odom", "nav_msgs/msg/Odometry", node.time, pose__pose__position__x=x[k])
+    assert allocation.finish().verified
+    fits = [
+        tl.fit_tsc(tl.read_session(tmp_path / f"a{suffix}")).table() for suffix in (".mcap", ".csv")
+    ]
+    assert fits[0].equals(fits[1])
+
+
+def faulty(node, rng, x, fault, k):
+    """One round of messages with faults of a kind, and whether there was one."""
+    if fault == "lost":
+        topics = ["/operator/cmd_vel", "/autonomy/cmd_vel", "/path_error", "/odom"]
+        inputs(node, rng, x, skip=[topic for topic in topics if rng.random() < 0.3])
+        return
+    inputs(node, rng, x)
+    if rng.random() < 0.3:
+        stamp = node.time - 1_000_000
+        if fault == "repeated":
+            inputs(node, rng, x, skip=["/path_error"], stamp=stamp)
+        elif fault == "reordered":
+            inputs(node, rng, x, stamp=stamp - 2 * STEP)
+        elif fault == "NaN":
+            value = rng.choice([math.nan, math.inf, -math.inf, 1e300])
+            node.send("/operator/cmd_vel", TWIST, linear__x=value)
+            node.send("/path_error", "std_msgs/msg/Float64", data=value)
+            node.send("/odom", "nav_msgs/msg/Odometry", node.time, pose__pose__position__x=value)
+
+
+FAULTS = {
+    "lost": "messages lost",
+    "repeated": "odometry: repeated",
+    "reordered": "odometry: out of order",
+    "NaN": "operator: not a finite value",
+    "late": "odometry: late by",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_no_fault_leads_outside_the_bounds_and_each_is_named(node, tmp_path, fault):
+    run = Run(MODEL, rule=Always(), settings=SHORT)
+    allocation = Allocation(node, run, tmp_path / "a.mcap")
+    rng = np.random.default_rng(1)
+    for k in range(300):
+        node.time += STEP
+        if fault == "late":
+            late = 700_000_000 if 100 < k < 120 else 1_000_000
+            inputs(node, rng, 0.01 * k, stamp=node.time - late)
+        elif fault == "lost" and 100 < k < 115:
+            pass  # and none at all for longer than a watchdog waits
+        else:
+            faulty(node, rng, 0.01 * k, fault, k)
+        node.tick()
+    result = allocation.finish()
+    sent = np.array([(m.linear.x, m.angular.z) for m in node.sent["/cmd_vel"]])[:-1]
+    assert (np.abs(sent) <= [SHORT.v_max, SHORT.w_max]).all()
+    rates = np.abs(np.diff(sent, axis=0)) / SHORT.period
+    assert (rates <= [SHORT.v_rate + 1e-9, SHORT.w_rate + 1e-9]).all()
+    notes = result.session.metadata.more["notes"]
+    assert any(FAULTS[fault] in note for note in notes)
+    assert any(FAULTS[fault] in line for line in node.log)
+    assert result.verified
+
+
+def test_a_rule_without_a_name_is_needed_again_for_a_replay(node, tmp_path):
+    run = Run(MODEL, rule=Always(), settings=SHORT)
+    assert driven(node, run, tmp_path / "a.mcap", 60).finish().verified
+    with pytest.raises(ValueError, match="needs one of these"):
+        read_run(tmp_path / "a.mcap")
+    named = Run(MODEL, rule="tests.ros.test_node:Always", settings=SHORT)
+    assert driven(node, named, tmp_path / "b.mcap", 60).finish().verified
+    assert read_run(tmp_path / "b.mcap").run == named
+
+
+def test_twenty_cuts_leave_what_was_written_before(node, tmp_path):
+    run = Run(MODEL, "C3", (-0.2, 0.3), settings=SHORT)
+    allocation = driven(node, run, tmp_path / "a.mcap", 100)
+    whole = allocation.core.session()
+    allocation.journal.close()
+    content = (tmp_path / "a.journal").read_bytes()
+    rng = np.random.default_rng(0)
+    for cut in rng.integers(len(content) // 20, len(content), 20):
+        (tmp_path / "cut.journal").write_bytes(content[:cut])
+        result = read_run(tmp_path / "cut.journal")
+        assert result.verified
+        assert result.session.metadata.more["interrupted"] is True
+        count = len(result.session)
+        assert np.array_equal(result.session["tsc"], whole["tsc"][:count])
+        assert abs(count - 100 * cut / len(content)) < 3
+        assert not (tmp_path / "cut.journal").exists()
+    for length in (0, 5, 40):
+        (tmp_path / "cut.journal").write_bytes(content[:length])
+        with pytest.raises(SessionError, match="no run is recorded"):
+            read_run(tmp_path / "cut.journal")
+    read_run(tmp_path / "a.journal").path.write_bytes(b"?" * 99)
+    with pytest.raises(SessionError, match="not the bag of a run"):
+        read_run(tmp_path / "a.mcap")
+
+
+def test_a_full_disk_ends_the_journal_and_not_the_run(node, tmp_path, monkeypatch):
+    run = Run(MODEL, "C1", settings=SHORT)
+    allocation = driven(node, run, tmp_path / "a.mcap", 50)
+
+    def full(handle, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("trustlab.ros.journal.os.write", full)
+    rng = np.random.default_rng(0)
+    before = len(node.sent["/cmd_vel"])
+    for k in range(20):
+        node.time += STEP
+        inputs(node, rng, 1.0 + 0.01 * k)
+    assert len(node.sent["/cmd_vel"]) == before + 20
+    result = allocation.finish()
+    assert 2 <= len(result.session) <= 51
+    assert any("No space left on device" in line for line in node.log)
+
+
+def test_the_operators_stop_is_sent_at_once_and_a_held_one_is_not_released(node, tmp_path):
+    allocation = driven(node, Run(MODEL, "C1", settings=SHORT), tmp_path / "a.mcap", 60)
+    flag = "std_msgs/msg/Bool"
+    assert node.sent["/cmd_vel"][-1].linear.x > 0.0
+    node.send("/operator/stop", flag, data=True)
+    last = node.sent["/cmd_vel"][-1]
+    assert (last.linear.x, last.angular.z) == (0.0, 0.0)
+    node.send("/operator/release", flag, data=True)
+    assert allocation.core.stopped
+    node.send("/operator/release", flag, data=False)
+    node.send("/operator/stop", flag, data=False)
+    assert allocation.core.stopped  # it ends by a release alone
+    node.send("/operator/release", flag, data=True)
+    assert not allocation.core.stopped
+    node.send("/operator/manual", flag, data=False)
+    assert allocation.core.mode == 0
+    assert allocation.finish().verified
+
+
+def test_steps_follow_odometry_and_a_timer_where_there_is_none(node, tmp_path):
+    allocation = driven(node, Run(MODEL, "C1", settings=SHORT), tmp_path / "a.mcap", 40)
+    rng = np.random.default_rng(0)
+    for _ in range(5):  # odometry five times as often as steps
+        node.time += STEP // 5
+        inputs(node, rng, 1.0, skip=["/path_error"])
+    assert len(allocation.core.rows) == 41
+    for _ in range(20):
+        node.time += STEP
+        node.tick()
+    assert allocation.latest.driver == "nobody"
+    assert 57 <= len(allocation.core.rows) <= 61
+    node.time += STEP
+    inputs(node, rng, 1.0)
+    assert len(allocation.core.rows) == 62  # those missing are made up for
+    command = allocation.core.command
+    node.time += 60 * 10**9
+    inputs(node, rng, 1.0)
+    assert len(allocation.core.rows) == 63
+    assert any("gap: no sample for 60" in note for _, note in allocation.core.notes)
+    assert abs(allocation.core.command[0] - command[0]) <= SHORT.v_rate * SHORT.period + 1e-12
+    assert allocation.finish().verified
+
+
+def test_a_stick_a_reference_and_stamped_commands(node, tmp_path):
+    stick = {"topic": "/joy", "type": "sensor_msgs/msg/Joy", "stamp": "receive"}
+    run = Run(
+        MODEL,
+        share="tests.ros.test_node:half",
+        settings=SHORT,
+        topics={
+            "operator": Topic(**stick, fields=("axes[1]", "axes[0]"), scale=(0.5, 2.0)),
+            "stop": Topic(**stick, fields=("buttons[3]",)),
+            "path_error": Topic(
+                "/reference",
+                "geometry_msgs/msg/PoseStamped",
+                ("pose.position.x", "pose.position.y"),
+                best_effort=True,
+            ),
+            "command": Topic(
+                "/cmd_vel",
+                "geometry_msgs/msg/TwistStamped",
+                ("twist.linear.x", "twist.angular.z"),
+            ),
+        },
+    )
+    allocation = Allocation(node, run, tmp_path / "a.mcap")
+    assert node.profiles["/reference"].reliability == "best effort"
+    assert node.profiles["/odom"].reliability == "reliable"
+    axes = np.array([0.1, 0.8], dtype=np.float32)
+    buttons = np.zeros(4, dtype=np.int32)
+    for k in range(60):
+        node.time += STEP
+        node.send("/joy", stick["type"], axes=axes, buttons=buttons)
+        node.send("/autonomy/cmd_vel", TWIST, linear__x=0.2)
+        node.send("/odom", "nav_msgs/msg/Odometry", node.time, pose__pose__position__x=0.1 * k)
+        stamp = node.time
+        kind = "geometry_msgs/msg/PoseStamped"
+        node.send("/reference", kind, stamp, pose__position__x=0.1 * k, pose__position__y=0.3)
+    assert allocation.latest.driver == "both"
+    assert allocation.latest.v == pytest.approx(0.5 * 0.4 + 0.5 * 0.2)
+    assert allocation.core.rows[-1][5] == pytest.approx(0.3)
+    sent = node.sent["/cmd_vel"][-1]
+    assert sent.twist.linear.x == allocation.latest.v
+    assert sent.header.stamp.sec == node.time // 10**9
+    node.send("/joy", stick["type"], axes=axes[:1], buttons=buttons)
+    assert any("operator: no number at axes[1]" in note for _, note in allocation.core.notes)
+    buttons[3] = 1
+    node.send("/joy", stick["type"], axes=axes, buttons=buttons)
+    assert allocation.core.stopped
+    result = allocation.finish()
+    assert result.verified
+    assert set(result.session["mode"]) == {0.5, 1.0}
+
+
+def test_a_failing_rule_stops_the_robot(node, tmp_path):
+    run = Run(MODEL, rule=Broken(), settings=SHORT)
+    allocation = driven(node, run, tmp_path / "a.mcap", 100)
+    assert (allocation.latest.v, allocation.latest.w) == (0.0, 0.0)
+    assert allocation.latest.driver == "nobody"
+    assert any("no idea; the robot is stopped" in line for line in node.log)
+    assert allocation.finish().verified
+
+
+def test_correction_moves_thresholds_to_their_target(node, tmp_path):
+    run = Run(
+        tl.published_models()["2"],
+        "C2",
+        (0.0, 0.35),
+        correction={"target": [0.05, 0.4], "c_b": 1e-3, "horizon": 50},
+        settings=CoreSettings(window=2.0, period=0.1),
+    )
+    result = driven(node, run, tmp_path / "a.mcap", 300).finish()
+    assert result.verified
+    lower = result.decisions["lower"].to_numpy()
+    upper = result.decisions["upper"].to_numpy()
+    assert (lower[0], upper[0]) == (0.0, 0.35)
+    assert (np.diff(lower) >= 0.0).all()
+    assert (np.diff(upper) >= 0.0).all()
+    assert lower[-1] > 0.0
+    assert lower[-1] <= 0.05
+    assert upper[-1] <= 0.4
+
+
+TOML = """
+condition = "C3"
+thresholds = [0.0, 0.4]
+[model]
+published = 2
+[settings]
+window = 20.0
+[settings.watchdogs]
+operator = { after = 0.3, action = "stop" }
+[topics]
+odometry = { topic = "/base/odom" }
+[facts]
+participant = 7
+"""
+
+
+def test_a_toml_file_states_a_run(tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text(TOML)
+    run = read_toml(file)
+    assert run.model == tl.published_models()["2"]
+    assert run.settings.window == 20.0
+    assert run.settings.watchdogs["operator"].action == "stop"
+    assert run.settings.watchdogs["odometry"].after == 0.5
+    assert run.topics["odometry"].topic == "/base/odom"
+    assert run.topics["odometry"].fields == ("pose.pose.position.x", "pose.pose.position.y")
+    assert Run.of(run.tables()) == run
+    pilot = tl.read_session("data/sessions/pilot.csv")
+    tl.write_session(pilot, tmp_path / "pilot.csv")
+    file.write_text(TOML.replace("published = 2", 'session = "pilot.csv"'))
+    fitted = read_toml(file)
+    assert fitted.model == tl.fit_tsc(pilot).model
+    assert fitted.settings.model_sample_time == pilot.sample_time
+    assert Run.of(fitted.tables()) == fitted
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("[settings]", "[setings]", "setings"),
+        ("window = 20.0", "windw = 20.0", "windw"),
+        ("published = 2", "published = 9", "model.published"),
+        ("published = 2", "", "model needs published, session"),
+        ("after = 0.3", "after = -0.3", "after must be positive"),
+        ("odometry =", "odometer =", "odometry"),
+        ('topic = "/base/odom"', "tpic = 1", "tpic"),
+        ('topic = "/base/odom"', 'fields = ["x"]', "odometry needs 2 fields"),
+        ('topic = "/base/odom"', 'stamp = "now"', "stamp must be"),
+        ('condition = "C3"', 'share = "nowhere:f"', "nowhere:f"),
+        ("[0.0, 0.4]", "[0.4, 0.0]", "lower must be below upper"),
+        ("[model]", "[model", "run.toml"),
+    ],
+)
+def test_a_fault_in_the_file_is_named(tmp_path, before, after, words):
+    file = tmp_path / "run.toml"
+    assert before in TOML
+    file.write_text(TOML.replace(before, after))
+    with pytest.raises(ValueError, match=words.replace("[", r"\[")):
+        read_toml(file).core()
+
+
+def test_measures_join_those_of_a_virtual_study(node, tmp_path):
+    runs = []
+    for person in (1, 2, 3):
+        for condition in ("C1", "C5"):
+            run = Run(MODEL, condition, settings=SHORT, facts={"participant": f"R{person}"})
+            name = f"{person}{condition}.mcap"
+            seed = 10 * person + (condition == "C5")
+            runs.append(driven(node, run, tmp_path / name, 100, seed=seed).finish())
+    table = measures_table(runs)
+    assert table["position"].tolist() == [1, 2] * 3
+    assert runs[0].measures["p_r"] == runs[0].session["p_r"].mean()
+    study = tl.virtual_study(n=4, conditions=["C1", "C5"], laps=1, seed=1)
+    assert set(table) <= set(study.measures)
+    joined = study.joined(table)
+    assert len(joined.measures) == 8 + 6
+    assert joined.analysis("p_r").n == 7
+    assert "recorded" in joined.table().attrs["origin"]
+    assert tl.repeated_measures(table, "p_r", "condition", "participant").n == 3
+
+
+def test_a_journal_keeps_order_and_content(tmp_path):
+    journal = Journal(tmp_path / "a.journal", print)
+    items = [(f"/t{k % 3}", k, bytes(range(k % 200))) for k in range(1000)]
+    for item in items:
+        journal.write(*item)
+    journal.close()
+    assert list(read_journal(tmp_path / "a.journal")) == items
+    with pytest.raises(FileExistsError):
+        Journal(tmp_path / "a.journal", print)
