@@ -113,7 +113,11 @@ def test_code_that_does_not_run_is_python_and_needs_what_tests_lack(path):
     for language, _, runs, code in blocks(path):
         if language == "python" and not runs:
             compile(code, name_of(path), "exec")
-            assert path.name in {"live_study.md", "cluster.md"}  # a server, a cluster or a notebook
+            assert path.name in {
+                "live_study.md",
+                "cluster.md",
+                "robot.md",
+            }  # a server, a cluster, ROS
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)

@@ -10,7 +10,7 @@ from .recorded import (
     read_run as read_run,
 )
 from .run import (
-    Run as Run,
+    RunSettings as RunSettings,
     Topic as Topic,
     read_toml as read_toml,
 )
@@ -22,7 +22,7 @@ __all__ = [
     "CoreSettings",
     "Decision",
     "RobotRun",
-    "Run",
+    "RunSettings",
     "Topic",
     "Watchdog",
     "measures_table",

@@ -5,13 +5,13 @@ from typing import Any
 
 from trustlab.ros.decision import AllocationCore
 from trustlab.ros.inputs import FIELDS
-from trustlab.ros.run import Run
+from trustlab.ros.run import RunSettings
 
 
 class Feed:
     """Hands messages on topics to a core; times count from `start` [ns]."""
 
-    def __init__(self, run: Run, core: AllocationCore, start: int):
+    def __init__(self, run: RunSettings, core: AllocationCore, start: int):
         self.run = run
         self.core = core
         self.start = start

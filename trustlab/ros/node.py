@@ -10,7 +10,7 @@ from trustlab.ros.decision import Decision
 from trustlab.ros.feed import Feed
 from trustlab.ros.journal import Journal
 from trustlab.ros.recorded import JOURNAL, RobotRun, finish_run
-from trustlab.ros.run import RUN, STATES, Run, Topic
+from trustlab.ros.run import RUN, STATES, RunSettings, Topic
 
 # Samples missing are made up for, step by step, up to this gap [ns]; the notes name a longer one.
 MOST_MADE_UP = 10**9
@@ -29,7 +29,7 @@ class Allocation:
     ----------
     node : rclpy.node.Node
         The node; it must be spun by one thread.
-    run : Run
+    run : RunSettings
         What to do.
     path : path-like
         The bag to come; until `finish` its journal stands there, with the suffix .journal.
@@ -42,7 +42,7 @@ class Allocation:
         If there is such a journal already.
     """
 
-    def __init__(self, node: Any, run: Run, path: str | Path):
+    def __init__(self, node: Any, run: RunSettings, path: str | Path):
         self.node = node
         self.run = run
         self.core = run.core()

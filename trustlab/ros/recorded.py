@@ -14,7 +14,7 @@ from trustlab.models.extras import extra
 from trustlab.ros.decision import Decision
 from trustlab.ros.feed import Feed
 from trustlab.ros.journal import read_journal
-from trustlab.ros.run import RUN, STATES, Run
+from trustlab.ros.run import RUN, STATES, RunSettings
 from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.readers import read_session
 from trustlab.sessions.readers.bags import PREFIX
@@ -35,7 +35,7 @@ class RobotRun:
     ----------
     path : Path
         The bag.
-    run : Run
+    run : RunSettings
         What it was set to.
     session : Session
         As logged; `metadata.more` has `notes` of all faults, and whether it was `interrupted`.
@@ -46,7 +46,7 @@ class RobotRun:
     """
 
     path: Path
-    run: Run
+    run: RunSettings
     session: Session
     decisions: pd.DataFrame
     verified: bool
@@ -61,7 +61,7 @@ class RobotRun:
         return f"RobotRun({self.path}: {self.session.duration:.1f} s, {words})"
 
 
-def read_run(path: str | Path, run: Run | None = None) -> RobotRun:
+def read_run(path: str | Path, run: RunSettings | None = None) -> RobotRun:
     """
     Read a run from its bag and replay it.
 
@@ -70,7 +70,7 @@ def read_run(path: str | Path, run: Run | None = None) -> RobotRun:
     path : path-like
         The .mcap file; or the .journal that a killed run left, from which bag and session are
         written first.
-    run : Run, optional
+    run : RunSettings, optional
         What it was set to, where a rule without a name took part; from the bag by default.
 
     Returns
@@ -85,7 +85,7 @@ def read_run(path: str | Path, run: Run | None = None) -> RobotRun:
     path = Path(path)
     if path.suffix == JOURNAL:
         return finish_run(path, run, interrupted=True)
-    replay = Replay(_bag_messages(path), run)
+    replay = Replay(recorded_messages(path), run)
     session = read_session(path)
     log = replay.core.session()
     same = all(session[name].tobytes() == log[name].tobytes() for name in log)
@@ -93,7 +93,7 @@ def read_run(path: str | Path, run: Run | None = None) -> RobotRun:
     return RobotRun(path, replay.run, session, table, same and replay.same)
 
 
-def finish_run(journal: Path, run: Run | None, interrupted: bool) -> RobotRun:
+def finish_run(journal: Path, run: RunSettings | None, interrupted: bool) -> RobotRun:
     """Write bag and session of a journal, which goes then, and read the run."""
     replay = Replay(read_journal(journal), run)
     session = replay.core.session(**replay.run.facts, interrupted=interrupted)
@@ -105,7 +105,8 @@ def finish_run(journal: Path, run: Run | None, interrupted: bool) -> RobotRun:
     return result
 
 
-def _bag_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
+def recorded_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
+    """Yield topic, time [ns] and data of every message that the bag of a run holds, in order."""
     with extra("ros"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -122,7 +123,7 @@ def _bag_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
 class Replay:
     """A core that hears what was recorded, in its order, and steps where a command was sent."""
 
-    def __init__(self, messages: Iterable[tuple[str, int, bytes]], run: Run | None):
+    def __init__(self, messages: Iterable[tuple[str, int, bytes]], run: RunSettings | None):
         with extra("ros"):
             from rosbags.typesys import Stores, get_typestore
 
@@ -132,7 +133,7 @@ class Replay:
         if topic != RUN:
             raise SessionError("no run is recorded here; remove the file")
         tables = json.loads(store.deserialize_cdr(data, "std_msgs/msg/String").data)
-        self.run = run or Run.of(tables)
+        self.run = run or RunSettings.of(tables)
         self.core = self.run.core()
         self.decisions: list[Decision] = []
         self.times: list[float] = []

@@ -149,7 +149,7 @@ TOPICS = {
 
 
 @dataclass(frozen=True)
-class Run:
+class RunSettings:
     """
     What a run is set to.
 
@@ -179,8 +179,8 @@ class Run:
     Examples
     --------
     >>> import trustlab as tl
-    >>> run = Run(tl.published_models()["1"], "C3", thresholds=(0.02, 0.45))
-    >>> Run.of(run.tables()) == run
+    >>> run = RunSettings(tl.published_models()["1"], "C3", thresholds=(0.02, 0.45))
+    >>> RunSettings.of(run.tables()) == run
     True
     """
 
@@ -204,7 +204,7 @@ class Run:
         self.__dict__["topics"] = {**TOPICS, **self.topics}
 
     @classmethod
-    def of(cls, tables: Mapping[str, Any], folder: Path = Path()) -> "Run":
+    def of(cls, tables: Mapping[str, Any], folder: Path = Path()) -> "RunSettings":
         """
         Return the run that tables state, as in a TOML file.
 
@@ -279,18 +279,18 @@ class Run:
         return core(self.settings)
 
 
-def read_toml(path: str | Path) -> Run:
+def read_toml(path: str | Path) -> RunSettings:
     """
     Read a run from a TOML file.
 
     Parameters
     ----------
     path : path-like
-        The file; its tables are those of `Run.of`.
+        The file; its tables are those of `RunSettings.of`.
 
     Returns
     -------
-    Run
+    RunSettings
 
     Raises
     ------
@@ -299,7 +299,7 @@ def read_toml(path: str | Path) -> Run:
     """
     path = Path(path)
     try:
-        return Run.of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
+        return RunSettings.of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
     except (ValueError, OSError) as error:
         raise ValueError(f"{path}: {error}") from error
 

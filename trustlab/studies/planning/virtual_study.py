@@ -217,7 +217,7 @@ class VirtualStudy:
         names = [measures] if isinstance(measures, str) else list(measures)
         results = [self.analysis(name) for name in names]
         axes = panels(
-            len(names), 3.2, f"{self.origin}, n = {len(self.participants) - len(self.failures)}"
+            len(names), 3.2, f"{self.origin}, n = {self.measures['participant'].nunique()}"
         )
         for axis, result in zip(axes, results, strict=True):
             result.plot(kind, axes=axis)
@@ -241,10 +241,12 @@ class VirtualStudy:
         failed = ""
         if len(self.failures):
             failed = f" {len(self.failures)} participant(s) failed and are left out."
+        more = self.measures["participant"].nunique() + len(self.failures) - len(self.participants)
+        joined = f" {more} participant(s) of recorded runs joined." if more else ""
         return (
             f"Virtual study on {self.testbed.title}: {len(self.participants)} simulated operators "
             f"({self.testbed.origin}), conditions {', '.join(self.conditions)}; {setting}. No "
-            f"person took part. {start}{order}{failed}"
+            f"person took part in it. {start}{order}{failed}{joined}"
         )
 
     def __repr__(self) -> str:
