@@ -163,6 +163,17 @@ def slots(source):
     return [match for line in sorted(code_lines(source)) for match in SLOT.findall(lines[line - 1])]
 
 
+def not_frozen(source):
+    """Names of dataclasses whose fields can be assigned."""
+    return [
+        node.name
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.ClassDef)
+        for decorator in map(ast.unparse, node.decorator_list)
+        if decorator.startswith("dataclass") and "frozen=True" not in decorator
+    ]
+
+
 def repeats(sources, lines=8):
     """Runs of `lines` lines of code that stand in two places, to the letter but for indentation."""
     places = defaultdict(set)
@@ -253,6 +264,22 @@ def test_no_numbered_slots():
     assert {name: match for name, source in sources().items() if (match := slots(source))} == {}
 
 
+def test_dataclasses_are_frozen():
+    """But for a rule whose thresholds move, and what runs or is being read."""
+    moving = {
+        "allocation.rules.ThresholdRule",
+        "identification.output_error.Series",
+        "live.study.progress.Progress",
+        "sessions.readers.bags.Series",
+        "sessions.resampling.RawLog",
+        "sessions.resampling.Stream",
+        "testbeds.robot_team.TeamLoop",
+        "testbeds.uav_tracking.TeleoperationLoop",
+    }
+    thawed = {f"{name}.{cls}" for name, text in sources().items() for cls in not_frozen(text)}
+    assert {name.removeprefix("trustlab.") for name in thawed} == moving
+
+
 def test_no_eight_lines_stand_twice():
     assert repeats(sources()) == []
 
@@ -265,6 +292,7 @@ def test_the_checks_see_what_they_should():
     assert slots("a = c[7] + row[k, 39] + c[k]\n# c[3]\n") == ["c[7]", "row[k, 39]"]
     assert repeats({"a": source, "b": source}) != []
     assert repeats({"a": source}) == []
+    assert not_frozen("@dataclass\nclass A: pass\n@dataclass(frozen=True)\nclass B: pass") == ["A"]
     assert many_parameters("def f(a, b, *, c): pass\ndef _g(a, b, c): pass", 2) == {"f": 3}
     assert many_parameters("class A:\n    def __init__(self, a, b): pass", 1) == {"__init__": 2}
     assert pronouns("def f(one, other_one):\n    own, x = what.held = 1, 2\n") == ["one", "own"]

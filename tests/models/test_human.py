@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import trustlab as tl
-from trustlab.models.human import yerkes_dodson
+from trustlab.models.human import performance_range, yerkes_dodson
 
 betas = st.floats(0.02, 0.98)
 
@@ -77,6 +77,8 @@ def test_utilization_outside_the_unit_interval_is_refused():
         human.simulate([1.0], r0=-0.1)
     with pytest.raises(ValueError, match=r"got 1\.01"):
         human.performance([0.2, 1.01])
+    with pytest.raises(ValueError, match=r"got -0\.5"):
+        human.performance(-0.5)
     with pytest.raises(ValueError, match="must lie"):
         human.performance(float("nan"))
 
@@ -90,6 +92,32 @@ def test_values_at_and_beyond_the_ends():
     assert human.performance(np.array([[0.7, 0.2]])).shape == (1, 2)
     with pytest.raises(ValueError, match=r"got 1\.25$"):
         human.performance([0.5, 1.25, -3.0])
+
+
+@given(
+    st.floats(0.0, 1.0, exclude_min=True, exclude_max=True),
+    st.lists(st.floats(0, 1), min_size=20, max_size=20),
+    st.sampled_from([0.0, 1e-300, 0.5, 1.0 - 2.0**-53, 1.0]),
+)
+def test_rounding_never_takes_utilization_out_of_the_unit_interval(a, mode, r0):
+    human = tl.HumanModel(a, 0.7, 0.39, 0.46)
+    for modes in (mode, np.round(mode), np.ones(20), np.zeros(20)):
+        r, _ = human.simulate(modes, r0)
+        assert r.min() >= 0.0
+        assert r.max() <= 1.0
+
+
+def test_a_range_that_ends_at_beta_has_the_printed_maximum_to_the_bit():
+    """(P_max − P_min) + P_min rounds; P_max itself does not."""
+    rng = np.random.default_rng(99)
+    rounded = 0
+    for _ in range(200):
+        p_min, beta = rng.uniform(-1.0, 0.0), rng.uniform(0.1, 0.9)
+        p_max = rng.uniform(0.01, 1.0)
+        rounded += (p_max - p_min) + p_min != p_max
+        assert performance_range(0.0, beta, beta, p_min, p_max)[1] == p_max
+        assert performance_range(beta, 1.0, beta, p_min, p_max)[1] == p_max
+    assert rounded > 10
 
 
 def test_an_operator_begins_rested():

@@ -1,5 +1,7 @@
 """(2.1)-(2.2) by what they are made for, and the printed step bound of Remark 3."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -45,16 +47,48 @@ def test_simulation_is_the_two_models_in_turn(operators, switching):
         run["tsc"], model.a_T * run["p_r"] - model.b_T * run["p_h"], atol=1e-15
     )
     assert list(run.columns) == ["r", "p_r", "p_h", "tsc", "mode"]
+    rested = model.simulate(switching)
+    assert (rested["r"].iloc[0], rested["p_r"].iloc[0]) == (0.0, model.robot.p_min)
 
 
 def test_refuses():
     robot, human = tl.RobotModel(0.99, 0.2, 0.4, 0.5), tl.HumanModel(0.999, 0.7, 0.3, 0.5)
     with pytest.raises(ValueError, match="in this order; got HumanModel and RobotModel"):
         tl.TscModel(human, robot)
-    with pytest.raises(ValueError, match="a_T and b_T"):
-        tl.TscModel(tl.RobotModel(0.99, -0.4, 0.2, 0.5), human)
+    with pytest.raises(ValueError, match="got HumanModel and HumanModel"):
+        tl.TscModel(human, human)
     with pytest.raises(ValueError, match="delta_p_r must not be negative"):
         tl.TscModel(robot, human).delta(-0.1, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("of_robot", "of_human"),
+    [
+        ((-0.4, 0.2), (0.3, 0.5)),
+        ((-0.5, 0.5), (0.2, 0.4)),  # b_T = 0
+        ((0.2, 0.4), (-0.5, 0.5)),  # a_T = 0
+        ((-1.0, 1.0), (-1.0, 1.0)),  # no denominator
+        ((-2.0, -1.0), (-2.0, -1.0)),  # quotients of negative numbers
+        ((-2.0, 0.5), (-2.0, 0.5)),
+    ],
+)
+def test_ranges_without_weights_are_refused(of_robot, of_human):
+    with pytest.raises(ValueError, match=r"a_T and b_T of \(2\.2\) must be positive"):
+        tl.TscModel(tl.RobotModel(0.99, *of_robot, 0.5), tl.HumanModel(0.999, 0.7, *of_human))
+
+
+@given(st.floats(-1.0, 1.0), st.floats(1e-3, 1.0), st.floats(-1.0, 1.0), st.floats(1e-3, 1.0))
+def test_ranges_are_accepted_where_both_weights_and_their_denominator_are_positive(a, b, c, d):
+    """Oracle: (2.2) written out in exact fractions."""
+    r_min, r_max, h_min, h_max = map(Fraction, (a, a + b, c, c + d))
+    scale = r_max * h_max - r_min * h_min
+    right = scale > 0 and (h_min + h_max) / scale > 0 and (r_min + r_max) / scale > 0
+    models = tl.RobotModel(0.99, a, a + b, 0.5), tl.HumanModel(0.999, 0.7, c, c + d)
+    if right:
+        assert tl.TscModel(*models).a_T > 0.0
+    else:
+        with pytest.raises(ValueError, match="must be positive"):
+            tl.TscModel(*models)
 
 
 def test_compiled_equations_are_those_of_the_models(operators, switching):

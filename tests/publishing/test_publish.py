@@ -159,13 +159,13 @@ def test_what_was_not_run_says_so_and_what_is_gone_goes(tmp_path, monkeypatch, c
 
 def test_a_kernel_that_dies_and_a_cell_without_end_fail_in_their_cells(tmp_path):
     dies = ["# Dies", new_code_cell("import os; os._exit(1)")]
+    (dead,) = publish(root=make(tmp_path / "dies", n01_dies=dies))
+    assert dead.failure.startswith("cell 2:\n\nimport os")
+    assert "DeadKernelError" in dead.failure
     long = ["# Long", new_code_cell("import time; time.sleep(1000)")]
-    root = make(tmp_path, n01_dies=dies, n02_long=long)
-    failures = [notebook.failure for notebook in publish(root=root, timeout=3.0)]
-    assert failures[0].startswith("cell 2:\n\nimport os")
-    assert "DeadKernelError" in failures[0]
-    assert failures[1].startswith("cell 2:\n\nimport time")
-    assert "TimeoutError" in failures[1]
+    (late,) = publish(root=make(tmp_path / "long", n02_long=long), timeout=3.0)
+    assert late.failure.startswith("cell 2:\n\nimport time")
+    assert "TimeoutError" in late.failure
 
 
 @pytest.mark.parametrize("package", ["papermill", "nbconvert"])
@@ -196,12 +196,12 @@ def test_an_interrupt_leaves_neither_report_nor_kernel(tmp_path):
     while not (mark.exists() and mark.read_text()) and process.poll() is None:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=30)[1]
+    said = process.communicate(timeout=120)[1]
     assert process.returncode == 130
     assert "no report is half made" in said
     assert "Traceback" not in said
     kernel = int(mark.read_text())
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 60.0
     while psutil.pid_exists(kernel) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert not psutil.pid_exists(kernel)

@@ -1,11 +1,13 @@
 """What is written is whole or not there, whatever happens; what was damaged since is noticed."""
 
+import itertools
 import json
 import multiprocessing
 import os
 import resource
 import shutil
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -57,40 +59,64 @@ def processes():
     return context
 
 
-def kill_writers(folder, processes, kills, seed):
+def left_by_a_killed_writer(folder):
     """
-    Kill a writer at random moments; each time, all that is there reads and is overwritten, and what
-    was half made has a name that no reader takes.
+    All that is there reads and is overwritten, and what was half made has a name that no reader
+    takes; return how much of it there is.
     """
-    rng = np.random.default_rng(seed)
-    halfway = 0
-    for _ in range(kills):
+    half_made = len(list(folder.glob(".trustlab-*"))) + len(list(folder.glob("*.partial-*")))
+    for name in NAMES:
+        if (folder / name).exists():
+            read = read_session(folder / name)
+            assert read == session(read.metadata.condition)
+        assert read_session(write_session(session(), folder / name)) == session()
+    there = {path.name for path in folder.iterdir() if ".partial-" not in path.name}
+    assert {name for name in there if not name.startswith(".trustlab-")} == set(NAMES)
+    assert len(list((folder / "a").iterdir())) == 2
+    return half_made
+
+
+def killed_before(folder, step, name):
+    """Write every format over what is there, and be killed before a step that shows a new file."""
+    steps = itertools.count()
+    call = getattr(os, name)
+
+    def watched(*args):
+        if next(steps) == step:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return call(*args)
+
+    setattr(os, name, watched)
+    write_for_ever(folder, threading.Event())
+
+
+@pytest.mark.parametrize(("name", "steps"), [("replace", 6), ("fsync", 2)])
+def test_writers_killed_at_every_step(tmp_path, processes, name, steps):
+    for file in NAMES:
+        write_session(session(), tmp_path / file)
+    for step in range(steps):
+        writer = processes.Process(target=killed_before, args=(tmp_path, step, name), daemon=True)
+        writer.start()
+        writer.join()
+        assert writer.exitcode == -signal.SIGKILL
+        assert left_by_a_killed_writer(tmp_path) == step + 1
+
+
+@pytest.mark.long
+def test_a_hundred_killed_writers(tmp_path, processes):
+    """At random moments."""
+    rng = np.random.default_rng(1)
+    half_made = 0
+    for _ in range(100):
         begun = processes.Event()
-        writer = processes.Process(target=write_for_ever, args=(folder, begun), daemon=True)
+        writer = processes.Process(target=write_for_ever, args=(tmp_path, begun), daemon=True)
         writer.start()
         assert begun.wait(60)
         time.sleep(rng.uniform(0.0, 0.2))
         writer.kill()
         writer.join()
-        halfway += len(list(folder.glob(".trustlab-*"))) + len(list(folder.glob("*.partial-*")))
-        for name in NAMES:
-            if (folder / name).exists():
-                read = read_session(folder / name)
-                assert read == session(read.metadata.condition)
-            assert read_session(write_session(session(), folder / name)) == session()
-        there = {path.name for path in folder.iterdir() if ".partial-" not in path.name}
-        assert {name for name in there if not name.startswith(".trustlab-")} == set(NAMES)
-        assert len(list((folder / "a").iterdir())) == 2
-    return halfway
-
-
-def test_killed_writers(tmp_path, processes):
-    assert kill_writers(tmp_path, processes, kills=10, seed=0) > 0
-
-
-@pytest.mark.long
-def test_a_hundred_killed_writers(tmp_path, processes):
-    assert kill_writers(tmp_path, processes, kills=100, seed=1) > 0
+        half_made += left_by_a_killed_writer(tmp_path)
+    assert half_made > 0
 
 
 def test_a_recording_is_replaced_in_one_step(tmp_path, monkeypatch):

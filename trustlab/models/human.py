@@ -48,7 +48,7 @@ def human_performance(mode, a, beta, p_min, p_max, r0):
     for k in range(mode.size):
         r[k] = now
         p_h[k] = performance_at(now, beta, p_min, p_max)
-        now = min(max(next_utilization(now, mode[k], a), 0.0), 1.0)
+        now = next_utilization(now, mode[k], a)
     return r, p_h
 
 
@@ -146,7 +146,7 @@ class HumanModel:
         p_h = performance_curve(
             np.ascontiguousarray(array.ravel()), self.beta, self.p_min, self.p_max
         )
-        return float(p_h[0]) if array.ndim == 0 else p_h.reshape(array.shape)
+        return p_h.item() if array.ndim == 0 else p_h.reshape(array.shape)
 
     def simulate(self, mode: np.ndarray, r0: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """

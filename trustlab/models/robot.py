@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trustlab.models.checks import (
+    between,
     finite_array,
     finite_number,
     in_order,
@@ -107,7 +108,7 @@ class RobotModel:
         p_h : float
             Constant human performance P_h.
         """
-        share = mode_array(np.array([mode]))[0]
+        share = between("mode", mode, 0.0, 1.0)
         return self.p_min + share * self.b * finite_number("p_h", p_h) / (1.0 - self.a)
 
     def simulate(self, mode: np.ndarray, p_h: np.ndarray, p_r0: float | None = None) -> np.ndarray:

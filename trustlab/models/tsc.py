@@ -126,12 +126,12 @@ class TscModel:
                 f"got {type(self.robot).__name__} and {type(self.human).__name__}"
             )
         robot, human = self.robot, self.human
-        scale = robot.p_max * human.p_max - robot.p_min * human.p_min
-        if not (scale > 0.0 and self.a_T > 0.0 and self.b_T > 0.0):
+        # Then P_max > |P_min| for both, so that the denominator of (2.2) is positive as well.
+        if not (robot.p_min + robot.p_max > 0.0 and human.p_min + human.p_max > 0.0):
             raise ValueError(
-                "a_T and b_T of (2.2) must be positive, but the ranges of performance "
-                f"[{robot.p_min}, {robot.p_max}] (robot) and [{human.p_min}, {human.p_max}] "
-                f"(human) give {self.a_T} and {self.b_T}; use measures of performance that are "
+                "a_T and b_T of (2.2) must be positive, so that P_min + P_max must be, but the "
+                f"ranges of performance are [{robot.p_min}, {robot.p_max}] (robot) and "
+                f"[{human.p_min}, {human.p_max}] (human); use measures of performance that are "
                 "not negative"
             )
 
