@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
 import trustlab as tl
 from trustlab.allocation import (
@@ -310,6 +311,19 @@ def test_greatest_steps_are_those_of_every_state():
         assert steps.delta_p_h == pytest.approx(change, rel=1e-4)
         assert steps.delta_p_r == pytest.approx(0.01 * (highest - 0.24), rel=1e-12)
         assert steps.delta_p_h >= change * (1 - 1e-12)
+
+
+@pytest.mark.parametrize("beta", [0.1, 0.12, 0.15, 0.17])
+def test_the_greatest_step_within_a_range_is_found_to_rounding(beta):
+    """Oracle: SciPy's bounded search; above β, and below r = ½, the step is greatest in between."""
+    model = tl.TscModel(tl.RobotModel(0.99, 0.2, 0.4, 0.5), tl.HumanModel(0.995, beta, 0.3, 0.5))
+
+    def step(r):
+        return 0.2 * (shape(0.995 * r + 0.005, beta) - shape(r, beta))
+
+    best = minimize_scalar(step, bounds=(beta, 0.5), method="bounded", options={"xatol": 1e-10})
+    assert beta + 0.1 < best.x < 0.49
+    assert step_bounds(model, beta, 0.5).delta_p_h == pytest.approx(-best.fun, rel=1e-12)
 
 
 def shape(r, beta):

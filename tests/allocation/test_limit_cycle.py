@@ -1,10 +1,14 @@
 """The steady cycle against long simulation."""
 
+import re
+
 import numpy as np
 import pytest
 
 import trustlab as tl
 from trustlab.allocation import limit_cycle, simulate_allocation
+from trustlab.allocation.cycle import phases
+from trustlab.allocation.cycle.limit_cycle import Motion, Motions, _initial_states, _period
 from trustlab.reproduction import published_table
 
 
@@ -92,6 +96,7 @@ def test_a_rule_that_stops_switching_is_an_answer(operators):
     assert not stays.exists
     assert "stays manual" in stays.reason
     assert "TSC_u = 0.9" in stays.reason
+    assert (stays.always, stays.period, stays.motions) == (False, None, 0)
     assert "stays autonomous" in limit_cycle(operators["1"], -0.9, 0.1).reason
     assert np.isnan(stays.table().loc["r", "low"])
 
@@ -181,3 +186,114 @@ def test_a_quick_operator_s_utilization_repeats_before_performance_does():
     assert cycle.r_high == pytest.approx(run["r"].max(), abs=1e-9)
     assert cycle.r_low == pytest.approx(run["r"].min(), abs=1e-9)
     assert cycle.dwell_manual == (4, 5)
+
+
+# --- the search -----------------------------------------------------------------------------------
+
+
+def returned(model, r, lower, upper):
+    """Utilization one cycle later, thresholds met between samples; from `TscModel.simulate`."""
+    for mode, start, target in ((1.0, lower, upper), (0.0, upper, lower)):
+        p_r = (start + model.b_T * model.human.performance(r)) / model.a_T
+        run = model.simulate(np.full(20_000, mode), r, p_r)
+        beyond = run["tsc"] >= target if mode else run["tsc"] <= target
+        after = beyond.iloc[1:].idxmax()
+        before = run.loc[after - 1]
+        part = (target - before["tsc"]) / (run.loc[after, "tsc"] - before["tsc"])
+        r = mode + (before["r"] - mode) * model.human.a**part
+    return r
+
+
+@pytest.mark.parametrize(
+    ("name", "lower", "upper"), [("2", 0.0, 0.35), ("3", 0.0, 0.27), ("pilot", 0.02, 0.45)]
+)
+def test_slope_and_fixed_point_of_the_return_map(operators, name, lower, upper):
+    model = operators[name]
+    cycle = limit_cycle(model, lower, upper, starts=1)
+    grid = np.array([0.2, 0.5, cycle.r_manual])
+    expected = [returned(model, r, lower, upper) for r in grid]
+    np.testing.assert_allclose(cycle._returned(grid), expected, rtol=0, atol=1e-12)
+    # The map leads back to within a step of the motion with its overshoot.
+    assert abs(expected[2] - cycle.r_manual) < 2.0 * model.human.b
+    step = 1e-3 * min(cycle.r_manual, 1.0 - cycle.r_manual)
+    around = [returned(model, cycle.r_manual + side * step, lower, upper) for side in (-1, 1)]
+    assert cycle.slope == pytest.approx((around[1] - around[0]) / (2.0 * step), rel=1e-3, abs=1e-6)
+    assert cycle.stable == (abs(cycle.slope) < 1.0)
+
+
+def rows_of(r, p_r, manual):
+    rows = np.zeros(len(r), phases.CYCLE)
+    rows["r"], rows["p_r"], rows["manual"] = r, p_r, manual
+    return rows
+
+
+def test_a_motion_repeats_if_it_was_seen_three_times():
+    """In r, in P_r and in dwell times, to a part in 1e9."""
+    r, p_r, dwell = [0.3, 0.5], [0.2, 0.4], [7, 9]
+    assert _period(rows_of(np.tile(r, 3), np.tile(p_r, 3), np.tile(dwell, 3))) == 2
+    assert _period(rows_of(np.tile(r, 3)[:5], np.tile(p_r, 3)[:5], np.tile(dwell, 3)[:5])) is None
+    assert _period(rows_of([0.3] * 6, [0.2] * 6, np.tile(dwell, 3))) == 2
+    assert _period(rows_of([0.3] * 6, np.tile(p_r, 3), [7] * 6)) == 2
+    assert _period(rows_of([0.3] * 3, [0.2] * 3, [7] * 3)) == 1
+    for amount, repeats in ((0.5e-9, 1), (2e-9, None)):
+        drift = np.array([0.3, 0.3, 0.3 + amount])
+        assert _period(rows_of(drift, [0.2] * 3, [7] * 3)) == repeats
+        assert _period(rows_of([0.3] * 3, drift, [7] * 3)) == repeats
+
+
+def test_motions_are_told_apart_by_period_and_least_utilization():
+    def motion(period, least):
+        return Motion(rows_of([least, 0.5], [0.2, 0.4], [7, 9]), phases.NOTHING, period)
+
+    assert motion(2, 0.3).same(motion(2, 0.3 + 0.5e-8))
+    assert not motion(2, 0.3).same(motion(2, 0.3 + 2e-8))
+    assert not motion(2, 0.3).same(motion(3, 0.3))
+    assert not motion(None, 0.3).same(motion(None, 0.3))
+    assert motion(2, 0.3).passes(0.5 + 1.9e-5, 0.4 - 1.9e-5)
+    assert not motion(2, 0.3).passes(0.5 + 2.1e-5, 0.4)
+    assert not motion(2, 0.3).passes(0.5, 0.4 - 2.1e-5)
+
+
+def test_starts_fill_the_states_in_which_manual_phases_can_begin(operators):
+    """
+    At β and at rest; then all over [0, 1], TSC at most one step below TSC_l; once a motion is
+    known, within a step of its utilization and within 1.2 times its overshoot.
+    """
+    model, lower, upper = operators["2"], 0.0, 0.35
+    human, robot = model.human, model.robot
+    step = model.a_T * (1.0 - robot.a) * (robot.p_max - robot.p_min)
+    search = Motions(model, lower, upper)
+    early = list(_initial_states(model, lower, 400, search))
+    assert early[0][0] == human.beta
+    assert model.value(early[0][1], human.p_max) == pytest.approx(lower, abs=1e-12)
+    assert early[1] == (0.0, robot.p_min)
+    r, p_r = np.array(early[2:]).T
+    over = (lower - model.value(p_r, human.performance(r))) / step
+    for values in (r, over):  # evenly: no gap longer than a few 400ths
+        assert values.min() > -1e-12
+        assert np.diff(np.sort([0.0, *values, 1.0])).max() < 4.0 / 400.0
+    assert len(early) == 401
+
+    search.follow(*early[0])
+    states = list(_initial_states(model, lower, 400, search))
+    assert states[:51] == early[:51]  # the first eighth is the same
+    assert not set(states[51:]) & set(early[51:])
+    (motion,) = search.motions
+    r, p_r = np.array(states[51:]).T
+    assert r.min() == pytest.approx(motion.rows["r"].min() - human.b, abs=1e-4)
+    assert r.max() == pytest.approx(motion.rows["r"].max() + human.b, abs=1e-4)
+    deepest = lower - motion.extremes.tsc_low
+    over = (lower - model.value(p_r, human.performance(r))) / max(deepest, 0.2 * step)
+    assert over.min() == pytest.approx(0.0, abs=0.02)
+    assert over.max() == pytest.approx(1.2, abs=0.02)
+
+
+def test_what_effort_left_out_is_said(operators, monkeypatch):
+    full = limit_cycle(operators["2"], 0.0, 0.35, starts=8)
+    assert "simulated" not in full.reason
+    monkeypatch.setattr(phases, "EFFORT", 150_000)
+    short = limit_cycle(operators["2"], 0.0, 0.35, starts=8)
+    assert re.search(r"; [1-8] of 9 starts were simulated, in about 2e\+05 samples", short.reason)
+    assert (short.r_low, short.r_high) == (full.r_low, full.r_high)
+    monkeypatch.setattr(phases, "EFFORT", 100_001)
+    assert "; 1 of 2 starts" in limit_cycle(operators["2"], 0.0, 0.35, starts=1).reason

@@ -35,19 +35,34 @@ def test_rounding_to_the_safe_side(value, digits):
     assert high - low <= 1.01 * 10.0 ** (np.floor(np.log10(value)) + 1 - digits)
 
 
-def test_limits_part_below_the_advised_step():
+@pytest.mark.parametrize("widest", [4.0, 1.08])
+def test_limits_part_below_the_advised_step(widest):
     rng = np.random.default_rng(97)
     for _ in range(20):
         h_min, r_min = rng.uniform(0.2, 0.5), rng.uniform(0.1, 0.2)
         human = tl.HumanModel(rng.uniform(0.9, 0.999), rng.uniform(0.3, 0.8), h_min, 1.05 * h_min)
-        robot = tl.RobotModel(rng.uniform(0.9, 0.999), r_min, 4.0 * r_min, human.p_max)
+        robot = tl.RobotModel(rng.uniform(0.9, 0.999), r_min, widest * r_min, human.p_max)
         model = tl.TscModel(robot, human)
+        apart = threshold_limits(model, 0.0)
+        assert (apart.upper - apart.lower > 1.0) == (widest == 4.0)
         (most,) = advised(
             lambda m=model: check_thresholds(m, 0.0, 0.1, threshold_limits(m, 10.0)),
             "below # they part",
         )
         assert threshold_limits(model, 0.999 * most).feasible
         assert not threshold_limits(model, 1.01 * most).feasible
+
+
+def test_limits_that_no_step_parts_need_other_ranges():
+    human = tl.HumanModel(0.99, 0.5, 0.2, 0.4)
+    model = tl.TscModel(tl.RobotModel(0.99, 0.3, 0.32, 0.4), human)
+    assert not threshold_limits(model, 0.0).feasible
+    with pytest.raises(ValueError, match="Even with δ_Ph = 0 they do not part: widen the range"):
+        check_thresholds(model, 0.0, 0.1, threshold_limits(model, 0.01))
+    wider = tl.TscModel(tl.RobotModel(0.99, 0.1, 0.4, 0.4), human)
+    narrower = tl.TscModel(model.robot, tl.HumanModel(0.99, 0.5, 0.395, 0.4))
+    assert threshold_limits(wider, 0.0).feasible
+    assert threshold_limits(narrower, 0.0).feasible
 
 
 def test_the_advised_resolution_of_a_course_is_accepted():

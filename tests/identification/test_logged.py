@@ -138,22 +138,37 @@ def test_intervals_of_windowed_logs(operators, loop, where, window):
 
 @pytest.mark.long
 @pytest.mark.parametrize("window", [10.0, 30.0, 100.0])
-@pytest.mark.parametrize("loop", ["open", "closed"])
-@pytest.mark.parametrize("where", ["before", "after"])
+@pytest.mark.parametrize(
+    ("loop", "where"), [("open", "before"), ("open", "after"), ("closed", "before")]
+)
 def test_intervals_of_windowed_logs_cover_the_truth(operators, loop, where, window):
     """
-    200 seeds: coverage 90 to 97 % (one sd of the share is 1.5 %, so that the ends have some of it),
-    bias at most 0.3 sd.
+    100 seeds: coverage of each parameter at least 95 % and no bias, within three of the standard
+    deviations that so many seeds leave. `data/coverage` has hundreds.
     """
     model = operators["pilot"]
-    z, inside = covered(model, (windowed(window, seed, loop, where) for seed in range(200)))
-    # In closed loop r stays above 0.7: with noise on the means, most logs leave p_min open, and
-    # their fits say so.
-    assert len(z) > 190 or (loop, where) == ("closed", "after")
-    if len(z) < 20:
-        return
-    assert inside.mean().between(0.90, 0.985).all(), inside.mean()
-    assert (z.mean().abs() < 0.3).all(), z.mean()
+    z, inside = covered(model, (windowed(window, seed, loop, where) for seed in range(100)))
+    assert len(z) > 95
+    assert (inside.mean() > 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / len(z))).all(), inside.mean()
+    assert (z.mean().abs() < 3.0 / np.sqrt(len(z))).all(), z.mean()
+
+
+@pytest.mark.long
+def test_draws_cover_the_truth_where_fits_leave_it_open(operators):
+    """
+    In closed loop r stays above 0.7: with noise on the means, logs leave p_min open. Most fits say
+    so; of the intervals of the rest, some cover only 87 to 93 %. Those of draws cover.
+    """
+    expected = truth(operators["pilot"])
+    inside = []
+    for window in (10.0, 30.0, 100.0):
+        sessions = [windowed(window, seed, "closed", "after") for seed in range(8)]
+        assert sum(tl.fit_tsc(session).success for session in sessions) <= 4
+        for seed, session in enumerate(sessions):
+            below = (tl.sample_posterior(session, seed=seed).draws[list(NAMES)] < expected).mean()
+            inside.append((below - 0.5).abs() <= 0.475)
+    coverage = pd.DataFrame(inside).mean()
+    assert (coverage > 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / len(inside))).all(), coverage
 
 
 def test_a_second_valley_as_deep_is_named(operators):
@@ -427,16 +442,17 @@ def test_stored_coverage_is_that_of_the_settings(settings, setting):
 @pytest.mark.long
 def test_ten_settings_cover_the_truth_or_say_that_they_do_not(settings):
     """
-    100 seeds of each that are not the stored ones: where fits report success, each parameter is
-    covered in 90 %, less two sd.
+    40 seeds of each that are not the stored ones: where fits report success, each parameter is
+    covered in 90 %, less two standard deviations.
     """
     for setting in settings.SETTINGS:
         rows = pd.DataFrame(
-            [settings.covers(seed, setting) for seed in np.random.SeedSequence(11).spawn(100)]
+            [settings.covers(seed, setting) for seed in np.random.SeedSequence(11).spawn(40)]
         )
         table = settings.by_parameter(rows.assign(setting=setting))
         good = table[(table["way"] != "before") & (table["successes"] >= 10)]
-        assert (good["coverage"] >= 0.84).all(), (setting, good)
+        least = 0.9 - 2.0 * np.sqrt(0.9 * 0.1 / good["successes"])
+        assert (good["coverage"] >= least).all(), (setting, good)
 
 
 def test_a_window_that_is_a_sample_off_is_named(operators):

@@ -42,7 +42,7 @@ MODULES = {
     "teleoperation/ports/passivity": "teleoperation/test_passivity.py",
     "teleoperation/ports/waves": "teleoperation/test_channel.py teleoperation/test_transparency.py",
     "sessions/metrics": "sessions/test_metrics.py",
-    "studies/analysis/sphericity": "studies/analysis/test_against_r.py "
+    "studies/analysis/sphericity": "studies/analysis/test_batch.py "
     "studies/analysis/test_repeated_measures.py",
 }
 

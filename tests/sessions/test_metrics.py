@@ -150,6 +150,56 @@ def test_tracking_error_leaves_out_training_and_the_first_trial():
     )
 
 
+def test_what_the_dissertation_takes_is_the_default():
+    """Chapter 2: a window of 100 s and e_max = 2 m; IDLE is 1 cm/s or 0.01 rad/s."""
+    session = ground(1100)
+    stated = session.with_performance(window=100.0, e_max=2.0)
+    assert session.with_performance() == stated
+    e, v, w = (session[name] for name in ("path_error", "v_command", "w_command"))
+    np.testing.assert_array_equal(metrics.manoeuvring(v, w, e), metrics.manoeuvring(v, w, e, 2.0))
+    d = session["step_distance"]
+    np.testing.assert_array_equal(metrics.goal_speed(d, e, 0.1), metrics.goal_speed(d, e, 0.1, 2.0))
+    assert metrics.IDLE == 1e-2
+
+
+def test_mixed_initiative_takes_alpha_before_mode():
+    alpha = np.linspace(0.0, 1.0, 50)
+    scales = {"window": 0.1, "measure": "mixed_initiative", "e_max": 9.0, "u_max": 8.0}
+    both, alone = arm(alpha=alpha), arm(mode=alpha)
+    for name in ("p_r", "p_h"):
+        np.testing.assert_array_equal(
+            both.with_performance(**scales)[name], alone.with_performance(**scales)[name]
+        )
+    for scale in ("e_max", "u_max"):
+        with pytest.raises(ValueError, match=r"needs e_max .* and u_max"):
+            alone.with_performance(**{**scales, scale: None})
+
+
+@pytest.mark.parametrize("shape", [(50,), (50, 3, 1), (49, 3)])
+def test_commands_of_another_shape_are_refused(shape):
+    with pytest.raises(ValueError, match=r"both have shape \(N, axes\)"):
+        metrics.command_quality(np.zeros(shape), np.zeros((50, 3)), 1.0)
+    if len(shape) != 2:
+        with pytest.raises(ValueError, match=r"both have shape \(N, axes\)"):
+            metrics.command_quality(np.zeros(shape), np.zeros(shape), 1.0)
+
+
+def test_tracking_error_names_the_first_that_has_no_trial_left():
+    trials = [trial(k, 1, level, 1.0, participant=p) for p, k, level in ((2, 6, 0.4), (1, 7, 0.8))]
+    with pytest.raises(tl.SessionError, match=r"participant 1, autonomy 0\.8: no trial is left"):
+        tl.sessions.tracking_error(trials)
+    twice = [trial(k, 1, 0.4, 1.0, participant=p) for p, k in ((2, 6), (2, 6), (1, 7), (1, 7))]
+    with pytest.raises(tl.SessionError, match="trial 6 of participant 2 occurs twice"):
+        tl.sessions.tracking_error(twice)
+
+
+def test_tracking_error_of_one_session_and_of_none():
+    one = trial(6, 1, 0.4, 0.05)
+    assert tl.sessions.tracking_error(one, drop_first=0)["traj_err"].tolist() == [5.0]
+    with pytest.raises(tl.SessionError, match="none was given"):
+        tl.sessions.tracking_error([])
+
+
 def test_tracking_error_refuses():
     with pytest.raises(tl.SessionError, match="no trial"):
         tl.sessions.tracking_error([trial(1, 0, 0.0, 9.0, training=True)])
@@ -209,3 +259,5 @@ def test_commands_that_rest_while_the_robot_drives_are_told():
         computed(np.full(t.size, 0.2))
         computed(np.zeros(t.size))
         computed(np.where((mode == 0) & (t % 10 < 4.5), 0.0, 0.2))
+        computed(np.where(t % 2 < 1, 0.0, 0.2))  # in half of the samples of either mode
+        computed(np.full(t.size, 0.01))

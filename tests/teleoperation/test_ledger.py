@@ -14,10 +14,12 @@ from trustlab.teleoperation.delays import Delay
 from trustlab.teleoperation.ports.ledger import (
     HOLD,
     INTERPOLATED,
+    LEDGER,
     WINDOW,
     EnergyLedger,
     accounts,
     read_wave,
+    read_waves,
 )
 from trustlab.teleoperation.ports.waves import Scattering
 
@@ -113,6 +115,35 @@ def test_reads_never_exceed_what_arrived_for_any_wave_loss_and_jitter():
                 got, booked = got + T * arrives[j] * (sent[j] @ sent[j]), j + 1
             given += T * out @ out
             assert given <= got * (1.0 + 1e-12) + 1e-15
+
+
+def test_a_lost_wave_is_not_read_with_the_energy_of_those_before():
+    sent = np.array([[2.0], [1.0], [5.0], [5.0]])
+    arrives = np.array([True, True, False, True])
+    account = accounts()[0:1]
+    out = np.zeros(1)
+    read_wave(sent, arrives, 3, 1.0, 1.0, LEDGER, T, account[0], out)
+    assert out[0] == 1.0  # the newest that arrived, although 5 T would pay for more
+    assert account["balance"][0] == pytest.approx(4.0 * T)
+    assert account["unbooked"][0] == 3
+
+
+@pytest.mark.parametrize("read_out", [HOLD, INTERPOLATED, LEDGER])
+def test_both_directions_have_their_own_losses_delays_and_accounts(read_out):
+    """Oracle: each direction read alone."""
+    rng = np.random.default_rng(84)
+    u_l, u_r = rng.normal(size=(2, 300, 2))
+    arrives = rng.random((2, 300)) > [[0.1], [0.5]]
+    delays = rng.uniform([[0.0], [5.0]], [[5.0], [9.0]], (2, 300))
+    both, alone = accounts(), accounts()
+    v_l, v_r, out = np.zeros((3, 2))
+    for k in range(300):
+        read_waves(u_l, u_r, arrives, k, delays, 0.9, read_out, T, both, v_l, v_r)
+        for way, sent, arrived in ((0, u_l, v_r), (1, u_r, v_l)):
+            late = delays[way, k]
+            read_wave(sent, arrives[way], k, late, 0.9, read_out, T, alone[way : way + 1][0], out)
+            np.testing.assert_array_equal(arrived, out)
+    np.testing.assert_array_equal(both, alone)
 
 
 def test_a_ledger_needs_the_same_memory_after_a_million_packets():

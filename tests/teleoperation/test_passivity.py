@@ -8,7 +8,14 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.optimize import minimize_scalar
 
-from trustlab.teleoperation.ports.passivity import PassivityController, activation
+from trustlab.teleoperation.ports.passivity import (
+    CANCEL,
+    OFF,
+    REPAY,
+    PassivityController,
+    activation,
+    demanded,
+)
 
 T = 0.01
 SETTINGS = settings(max_examples=80, deadline=None, derandomize=True)
@@ -83,6 +90,56 @@ def test_damping_of_a_yielding_port_takes_the_power_demanded(power, square, comp
         assert taken(w) >= max(-best.fun, taken(0.0)) - 1e-6 * (
             1 + abs(power) + square / compliance
         )
+
+
+@pytest.mark.parametrize(
+    ("method", "energy", "power", "demand"),
+    [
+        (OFF, -1.0, -1.0, None),
+        (CANCEL, -1.0, -1.0, 0.0),
+        (CANCEL, 0.0, -1.0, 0.0),  # printed: for ≤ 0
+        (CANCEL, 0.5, -100.0, None),  # what is in hand may be spent, even in one sample
+        (CANCEL, -1.0, 0.0, None),
+        (CANCEL, -1.0, 1.0, None),
+        (REPAY, -1.0, -1.0, 100.0),
+        (REPAY, -1.0, 99.0, 100.0),
+        (REPAY, -1.0, 101.0, None),
+        (REPAY, 0.5, -40.0, None),
+        (REPAY, 0.5, -60.0, -50.0),  # all that is in hand, in this sample
+        (REPAY, 0.0, 0.0, None),
+    ],
+)
+def test_when_a_controller_acts_and_what_it_demands(method, energy, power, demand):
+    assert demanded(method, energy, power, T) == pytest.approx(
+        np.nan if demand is None else demand, nan_ok=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("power", "square", "demand", "expected"),
+    [
+        (-2.0, 1.0, -2.0, (0.0, True)),  # as it is, although a stop would not do
+        (-2.0, 1.0, 0.0, (np.inf, True)),  # stopped, it takes nothing
+        (-2.0, 1.0, 0.5, (np.inf, False)),
+        (-1.0, 1.0, 0.0, (np.inf, True)),
+        (-1.0, 2.0, 0.0, (1.0, True)),
+        (1.0, 1.0, 5.0, (0.0, False)),  # no damping takes more
+    ],
+)
+def test_ports_that_cannot_take_what_is_demanded_are_stopped(power, square, demand, expected):
+    assert activation(power, square, 1.0, demand) == expected
+
+
+def test_the_first_sample_at_the_floor_of_velocity_is_not_damped():
+    controller = PassivityController(T, velocity_floor=0.5)
+    assert controller.step([0.5], [-1.0]).z == 0.0
+    assert controller.step([0.5000001], [-1.0]).z > 0.0
+
+
+def test_energy_in_hand_is_no_deficit():
+    controller = PassivityController(T)
+    done = controller.step([2.0], [3.0])
+    assert (done.energy, done.deficit, controller.deficit) == (6.0 * T, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def step_bounds(tsc: TscModel, r_low: float = 0.05, r_high: float = 0.95) -> Ste
     best = 0.0
     for mode in (0.0, 1.0):
         for _ in range(6):
-            after = np.clip(next_utilization.py_func(grid, mode, human.a), 0.0, 1.0)
+            after = next_utilization.py_func(grid, mode, human.a)
             change = np.abs(human.performance(after) - human.performance(grid))
             k = int(np.argmax(change))
             best = max(best, float(change[k]))

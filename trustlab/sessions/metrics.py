@@ -325,7 +325,8 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     table = trials.groupby(["participant", "autonomy"], as_index=False)[["traj_err"]].mean()
     lost = table[table["traj_err"].isna()]
     if len(lost):
-        where = "participant {participant}, autonomy {autonomy}".format(**lost.iloc[0])
+        first = next(lost.itertuples())
+        where = f"participant {first.participant}, autonomy {first.autonomy}"
         raise SessionError(f"{where}: no trial is left after dropping the first {drop_first}")
     return table
 

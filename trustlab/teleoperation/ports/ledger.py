@@ -75,7 +75,7 @@ def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out
             for i in range(n):
                 account.balance += sample_time * sent[account.unbooked, i] ** 2
         account.unbooked += 1
-    pace = min(max(where - account.latest, 0.0), 1.0)
+    pace = max(where - account.latest, 0.0)
     account.latest = max(account.latest, where)
     newest = first
     while newest >= 0 and not arrives[newest]:

@@ -33,7 +33,8 @@ def activation(power, square, compliance, demand):
 
     The port's velocity yields to the force, v = v0/(1 + w) with w = compliance z. With power =
     v0ᵀf' and square = v0ᵀv0 the port takes [(1 + w) power + (w/compliance) square]/(1 + w)². The
-    least w is returned; infinity stops the port.
+    least w is returned; infinity stops the port, as is done with every port whose power stays
+    negative however large w is.
     """
     gain = square / compliance
     if power >= demand:
