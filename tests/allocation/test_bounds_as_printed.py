@@ -2,6 +2,7 @@
 (2.9)-(2.21) and (2.33) against Tables 2.1 and 2.2, and what is claimed of them against simulation.
 """
 
+import dataclasses
 import math
 from itertools import product
 
@@ -16,7 +17,7 @@ from trustlab.allocation import (
     step_bounds,
     threshold_limits,
 )
-from trustlab.allocation.steady_state import utilization_as_printed
+from trustlab.allocation.steady_state import performance_as_printed, utilization_as_printed
 from trustlab.reproduction import published_table, recompute
 from trustlab.reproduction.printed_number import half_unit
 
@@ -248,6 +249,63 @@ def test_step_bounds_bound_every_step(random_model):
         assert inside["p_h"].diff().abs().max() <= bounds.delta_p_h * (1 + 1e-9)
         assert inside["p_r"].diff().abs().max() <= bounds.delta_p_r * (1 + 1e-9)
         assert inside["tsc"].diff().abs().max() <= bounds.delta_tsc * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("delta", "rise"), [(0.0, None), (0.005, None), (0.005, 0.12)])
+def test_performance_and_dwell_times_written_out(operators, delta, rise):
+    """(2.15), (2.16), (2.20) and (2.21); dwell times by counting the samples of (2.3)."""
+    model, lower, upper = operators["2"], 0.0, 0.35
+    c = model.constants()
+    bounds = performance_as_printed(c, lower, upper, delta, rise)
+    low = (lower - delta + model.b_T * model.human.p_min) / model.a_T
+    high = (upper + delta + model.b_T * model.human.p_max) / model.a_T
+    assert (bounds.p_r_low, bounds.p_r_high) == pytest.approx((low, high), rel=1e-14)
+
+    def counted(start, end, settled):
+        """Whole samples that do not yet lead past the end."""
+        p_r, k = start, 0
+        while (p_r - end) * (start - end) >= 0.0:
+            p_r, k = settled + c.a_pr * (p_r - settled), k + 1
+        return k - 1
+
+    assert bounds.dwell_autonomous_high == counted(high, low, c.p_r_min)
+    span = rise or c.p_r_max - c.p_r_min
+    assert bounds.dwell_manual_low == counted(low, high, c.p_r_min + span)
+    slow = c.p_r_min + span * c.p_h_min / c.p_h_max
+    assert bounds.dwell_manual_high == counted(low, high, slow)
+    whole = steady_state_bounds(model, lower, upper, delta_tsc=delta)
+    assert (whole.tsc_low, whole.tsc_high) == (lower - delta, upper + delta)
+
+
+def test_the_step_of_tsc_is_that_of_the_steady_cycle(operators):
+    model = operators["2"]
+    cycle = tl.limit_cycle(model, 0.0, 0.35)
+    expected = step_bounds(model, cycle.r_low, cycle.r_high).delta_tsc
+    assert steady_state_bounds(model, 0.0, 0.35).delta_tsc == pytest.approx(expected, rel=1e-9)
+    assert steady_state_bounds(model, 0.0, 0.35, delta_tsc=2.0).delta_tsc == 2.0
+    with pytest.raises(ValueError, match=r"delta_tsc must lie in \[0, 2\]"):
+        steady_state_bounds(model, 0.0, 0.35, delta_tsc=2.1)
+
+
+def test_thresholds_that_only_a_larger_gain_reaches_leave_no_range(operators):
+    """With three times the b_pr of (2.3), P_r settles far above P_r,max."""
+    two = operators["2"]
+    model = tl.TscModel(dataclasses.replace(two.robot, b=3.0 * two.robot.b), two.human)
+    upper = threshold_limits(model, 0.0).upper
+    with pytest.raises(ValueError, match="leave no range of robot performance"):
+        steady_state_bounds(model, upper - 0.2, upper - 0.1, delta_tsc=0.0)
+
+
+def test_phases_of_no_length_have_no_utilization():
+    assert np.isnan(utilization_as_printed(0.999, 0.0, 0.0, 0.0)).all()
+    low, high = utilization_as_printed(np.array([0.99, 0.999]), 5.0, 9.0, 20.0)
+    for k, a in enumerate((0.99, 0.999)):
+        r = 0.5
+        for manual, expected in ((5, low[k]), (9, high[k])):
+            for _ in range(20_000):
+                peak = 1.0 - a**manual * (1.0 - r)
+                r = peak * a**20
+            assert expected == pytest.approx(r if manual == 5 else peak, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,12 @@ import pytest
 import trustlab as tl
 from trustlab.allocation import limit_cycle, simulate_allocation
 from trustlab.allocation.cycle import phases
-from trustlab.allocation.cycle.limit_cycle import Motion, Motions, _initial_states, _period
+from trustlab.allocation.cycle.limit_cycle import (
+    CycleMotion,
+    MotionSearch,
+    _initial_states,
+    _period,
+)
 from trustlab.reproduction import published_table
 
 
@@ -243,7 +248,7 @@ def test_a_motion_repeats_if_it_was_seen_three_times():
 
 def test_motions_are_told_apart_by_period_and_least_utilization():
     def motion(period, least):
-        return Motion(rows_of([least, 0.5], [0.2, 0.4], [7, 9]), phases.NOTHING, period)
+        return CycleMotion(rows_of([least, 0.5], [0.2, 0.4], [7, 9]), phases.NOTHING, period)
 
     assert motion(2, 0.3).same(motion(2, 0.3 + 0.5e-8))
     assert not motion(2, 0.3).same(motion(2, 0.3 + 2e-8))
@@ -262,7 +267,7 @@ def test_starts_fill_the_states_in_which_manual_phases_can_begin(operators):
     model, lower, upper = operators["2"], 0.0, 0.35
     human, robot = model.human, model.robot
     step = model.a_T * (1.0 - robot.a) * (robot.p_max - robot.p_min)
-    search = Motions(model, lower, upper)
+    search = MotionSearch(model, lower, upper)
     early = list(_initial_states(model, lower, 400, search))
     assert early[0][0] == human.beta
     assert model.value(early[0][1], human.p_max) == pytest.approx(lower, abs=1e-12)
@@ -297,3 +302,19 @@ def test_what_effort_left_out_is_said(operators, monkeypatch):
     assert (short.r_low, short.r_high) == (full.r_low, full.r_high)
     monkeypatch.setattr(phases, "EFFORT", 100_001)
     assert "; 1 of 2 starts" in limit_cycle(operators["2"], 0.0, 0.35, starts=1).reason
+
+
+@pytest.mark.parametrize("effort", [150_000, 500_000])
+def test_motions_that_do_not_repeat_are_recorded_within_the_effort(operators, monkeypatch, effort):
+    model, lower, upper = operators["2"], 0.0, 0.35
+    length = limit_cycle(model, lower, upper, starts=1)
+    samples = np.mean(length.dwell_manual) + np.mean(length.dwell_autonomous)
+    monkeypatch.setattr("trustlab.allocation.cycle.limit_cycle._period", lambda rows: None)
+    monkeypatch.setattr(phases, "EFFORT", effort)
+    cycle = limit_cycle(model, lower, upper, starts=1)
+    assert cycle.period is None
+    cycles = int(re.search(r"does not repeat within (\d+) cycles", cycle.reason)[1])
+    assert 24 < cycles < 2000
+    assert cycles == pytest.approx(effort / samples, rel=0.01)
+    monkeypatch.setattr("trustlab.allocation.cycle.limit_cycle.MOST_CYCLES", 20)
+    assert "within 20 cycles" in limit_cycle(model, lower, upper, starts=1).reason

@@ -184,7 +184,8 @@ def test_a_rule_that_switches_at_every_sample(operators):
         (Says(float("nan")), "whole number"),
         (Says(0, KeyError("gain")), r"rule\.step failed at step 1, with TSC = .*KeyError: 'gain'"),
         (Says(0), r"rule\.step failed at step 1.*IndexError"),
-        (Copied(0.0, 0.4, mode=7), r"rule\.mode must be"),
+        (Copied(0.0, 0.4, mode=2), r"rule\.mode must be"),
+        (Copied(0.0, 0.4, mode=-1), r"rule\.mode must be"),
     ],
 )
 def test_rules_that_cannot_be_used_are_named(operators, rule, says):

@@ -268,9 +268,9 @@ def test_dataclasses_are_frozen():
     """But for a rule whose thresholds move, and what runs or is being read."""
     moving = {
         "allocation.rules.ThresholdRule",
-        "identification.output_error.Series",
+        "identification.output_error.OutputSeries",
         "live.study.progress.Progress",
-        "sessions.readers.bags.Series",
+        "sessions.readers.bags.TopicSeries",
         "sessions.resampling.RawLog",
         "sessions.resampling.Stream",
         "testbeds.robot_team.TeamLoop",

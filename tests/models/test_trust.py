@@ -123,3 +123,10 @@ def test_the_least_steepness_of_a_logistic_scale():
     assert LogisticScaling(0.05, 1.0).steepness == LogisticScaling(0.05, 1.0, 10.0).steepness == 10
     with pytest.raises(ValueError, match="at least 10"):
         LogisticScaling(0.05, 1.0, 9.999)
+
+
+def test_ends_of_sensitivities_and_kinds_of_values():
+    assert TrustModel(1.0, 1.0).a == 1.0
+    for scaling in (LogisticScaling(0.1, 1.0), StepScaling(0.1, 1.0)):
+        assert isinstance(scaling.value(0.3), float)
+        assert scaling.value([0.3]).shape == (1,)

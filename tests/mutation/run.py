@@ -121,11 +121,14 @@ def changes_of(module, copy, python, sample, seed):
 
 
 def is_known(diff, reasons):
-    """Return whether a change is listed with a reason why nothing can notice it."""
-    lines = dict(DIFFERENT_LINE.findall(diff))
-    return any(
-        entry["line"] == lines.get("-") and lines.get("+") in entry["changes"] for entry in reasons
-    )
+    """Return whether a change is listed with a reason why no test should notice it."""
+    lines = {sign: "".join(line.split()) for sign, line in DIFFERENT_LINE.findall(diff)}
+    for entry in reasons:
+        if "".join(entry["line"].split()) == lines.get("-"):
+            changes = ["".join(change.split()) for change in entry.get("changes", ())]
+            if not changes or lines.get("+") in changes:
+                return True
+    return False
 
 
 def main():

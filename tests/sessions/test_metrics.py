@@ -155,6 +155,7 @@ def test_what_the_dissertation_takes_is_the_default():
     session = ground(1100)
     stated = session.with_performance(window=100.0, e_max=2.0)
     assert session.with_performance() == stated
+    assert metrics.with_performance(session) == stated
     e, v, w = (session[name] for name in ("path_error", "v_command", "w_command"))
     np.testing.assert_array_equal(metrics.manoeuvring(v, w, e), metrics.manoeuvring(v, w, e, 2.0))
     d = session["step_distance"]
@@ -259,5 +260,9 @@ def test_commands_that_rest_while_the_robot_drives_are_told():
         computed(np.full(t.size, 0.2))
         computed(np.zeros(t.size))
         computed(np.where((mode == 0) & (t % 10 < 4.5), 0.0, 0.2))
-        computed(np.where(t % 2 < 1, 0.0, 0.2))  # in half of the samples of either mode
+        half = np.arange(t.size) % 2 == 0
+        computed(np.where((mode == 0) & half, 0.0, 0.2))
+        computed(np.where((mode == 0) | half, 0.0, 0.2))
+        columns["mode"] = np.where(mode == 0, 0.5, 1.0)  # half of the control is not autonomous
+        computed(0.2 * mode)
         computed(np.full(t.size, 0.01))

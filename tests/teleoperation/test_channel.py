@@ -309,3 +309,30 @@ ONE = np.ones((50, 1))
 def test_bad_input_is_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_scales_at_their_bounds_and_a_little_beyond():
+    waves = Scattering(1.0, 0.2, 0.8, 0.5, 2.0)
+    waves.check_scales([0.2, 0.8], [0.5, 2.0])
+    for name, k, value in (("alpha", 0, 0.19), ("alpha", 1, 0.81), ("beta", 0, 0.49)):
+        scales = {"alpha": [0.2, 0.8], "beta": [0.5, 2.0]}
+        scales[name][k] = value
+        with pytest.raises(ValueError, match=rf"{name} must lie in .* sample {k} is {value}"):
+            waves.check_scales(**scales)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"max_delay_rate": -0.1}, "max_delay_rate must lie in"),
+        ({"max_delay_rate": 1.1}, "max_delay_rate must lie in"),
+        ({"b": 0.0}, "b must be positive"),
+        ({"alpha_min": 0.0}, "alpha_min must be positive"),
+        ({"beta_min": 1.1}, "beta_min must not exceed beta_max"),
+        ({"alpha_max": 1.1}, r"alpha_max must not exceed 1 \(3\.1\)"),
+    ],
+)
+def test_what_a_channel_cannot_have(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        Scattering(**{"b": 1.0} | arguments)
+    assert Scattering(1.0, max_delay_rate=1.0).gain == 0.0

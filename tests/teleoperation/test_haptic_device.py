@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from trustlab.teleoperation.ports import device as compiled
 from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
 
 PRELIMINARY = {"damping": 0.55, "stiffness": 100.0, "weight": 60.0}
@@ -148,3 +149,32 @@ def test_bad_steps_are_refused(change, words):
     arguments = {"x": zero, "v": zero, "f_h": zero, "f_m": zero, "sample_time": 0.01}
     with pytest.raises(ValueError, match=words):
         HapticDevice(mass=0.001, **PRELIMINARY).step(**(arguments | change))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_compiled_axis_in_a_hand_is_the_device_with_springs_added(seed):
+    """
+    Oracle: the matrix device of one dimension; a hand that is a spring and a damper adds to K and B
+    of the motion, and to neither storage nor loss.
+    """
+    rng = np.random.default_rng([32, seed])
+    mass, damping, stiffness, weight, k_hand, b_hand, sample_time = rng.uniform(
+        [0.01, 1.0, 5.0, 1.0, 0.0, 0.0, 1e-3], [0.1, 5.0, 50.0, 9.0, 20.0, 3.0, 1e-2]
+    )
+    axis = compiled.held_device(mass, damping, stiffness, weight, k_hand, b_hand, sample_time)
+    bare = HapticDevice(mass, damping, stiffness, weight, dimensions=1)
+    moved = HapticDevice(mass, damping + b_hand, stiffness + k_hand, weight, dimensions=1)
+    x, v, force, feedback = rng.normal(size=4)
+    ahead, _, _ = moved.step([x], [v], [force], [feedback], sample_time)
+    middle = (ahead[0] - x) / sample_time
+    assert compiled.midpoint_velocity(axis, x, v, force, feedback) == pytest.approx(
+        middle, rel=1e-10
+    )
+    assert compiled.device_storage(axis, x, v) == pytest.approx(bare.storage([x], [v]), rel=1e-12)
+    assert compiled.device_loss(axis, x, v) == pytest.approx(bare.dissipation([x], [v]), rel=1e-12)
+    # Without feedback r_m of the midpoint is v + Λ (x + T v/2).
+    ahead, _, _ = moved.step([x], [v], [force], [0.0], sample_time)
+    middle = (ahead[0] - x) / sample_time
+    output = middle + weight * (x + 0.5 * sample_time * middle)
+    assert compiled.free_output(axis, x, v, force) == pytest.approx(output, rel=1e-10)
+    assert axis.sample_time == sample_time

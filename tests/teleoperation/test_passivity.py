@@ -124,6 +124,7 @@ def test_when_a_controller_acts_and_what_it_demands(method, energy, power, deman
         (-1.0, 1.0, 0.0, (np.inf, True)),
         (-1.0, 2.0, 0.0, (1.0, True)),
         (1.0, 1.0, 5.0, (0.0, False)),  # no damping takes more
+        (0.0, 9.0, 1.0, (pytest.approx(3.5 - 1.25**0.5 * 3.0), True)),  # (1 + w)² = 9 w
     ],
 )
 def test_ports_that_cannot_take_what_is_demanded_are_stopped(power, square, demand, expected):
