@@ -26,7 +26,7 @@ MOST_TOKENS = {
     "reproduction": 41_000,
     "ros": 8_500,  # aim: 6,000 (33)
     "sessions": 29_200,
-    "studies": 51_000,
+    "studies": 51_500,
     "teleoperation": 31_800,
     "testbeds": 34_500,
     "trust": 12_000,

@@ -39,11 +39,6 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
     warnings.warn(message, category, stacklevel=level)
 
 
-def warn_renamed(old: str, new: str) -> None:
-    """Warn that `old`, which keeps working for one version, is now called `new`."""
-    warn(f"{old} is now {new}; the old name goes with the next version", DeprecationWarning)
-
-
 def did_you_mean(name: object, known: Iterable[object]) -> str:
     """Return "; did you mean …?" for a misspelt name, or nothing when no known name is close."""
     words = {str(word).lower(): str(word) for word in known}

@@ -83,7 +83,9 @@ class Delay:
             k = int(np.argmax(growth))
             raise ValueError(
                 f"{self.title} grows by {growth[k]:.3g} s/s at t = {t[k]:g} s, faster than "
-                f"max_rate = {self.max_rate:g}, for which f_i = √(1 − max_rate) is set (3.13)"
+                f"max_rate = {self.max_rate:g}, for which f_i = √(1 − max_rate) is set (3.13); "
+                "set a max_rate that covers it, up to 1, or give a trace of packets "
+                "(sent, received), which read_out='ledger' keeps passive however it grows"
             )
         return np.maximum(values, sample_time)
 

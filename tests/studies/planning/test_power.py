@@ -450,7 +450,7 @@ GOOD = graded_covariance(3)
             {"claims": [("M", "TMIGG")], "mean": {"M": 0.0, "OMI": 0.5, "TMIG": 1.0}},
             "unknown condition 'TMIGG'; did you mean 'TMIG'",
         ),
-        ({"data": pd.DataFrame()}, "give either data=, or mean= and covariance="),
+        ({"data": pd.DataFrame()}, "give either data= or covariance="),
     ],
 )
 def test_power_analysis_refuses(arguments, message):
@@ -478,6 +478,69 @@ def test_settings_are_of_their_class():
         tl.power_analysis([0, 1], np.eye(2), simulation=200)
     with pytest.raises(ValueError, match="columns must be of class StudyColumns"):
         tl.smallest_n(0.8, [0, 1], np.eye(2), columns="subject")
+
+
+def pilot(**more):
+    rng = np.random.default_rng(3)
+    people = rng.normal(size=(30, 1))
+    scores = 2.0 + 0.3 * (people + rng.normal(size=(30, 3)))
+    frame = pd.DataFrame(scores, columns=["C1", "C2", "C3"]).rename_axis("subject").reset_index()
+    return frame.melt("subject", var_name="condition").assign(**more)
+
+
+def test_means_beside_data_take_the_spread_of_the_pilot():
+    wide = pilot().pivot_table(index="subject", columns="condition", values="value")[["C3", "C1"]]
+    means = {"C3": 2.1, "C1": 2.0}
+    spread = np.cov(wide.to_numpy().T)
+    simulation = tl.studies.Simulation(replicates=400)
+    plan = tl.smallest_n(0.8, means, data=pilot(), simulation=simulation)
+    expected = tl.smallest_n(0.8, [2.1, 2.0], spread, simulation=simulation)
+    assert (plan.n, plan.power) == (expected.n, expected.power)
+    assert plan.population.labels == ("C3", "C1")
+    with pytest.raises(ValueError, match=r"mean names \['C9'\], but data hold"):
+        tl.smallest_n(0.8, {"C1": 2.0, "C9": 2.1}, data=pilot(), simulation=simulation)
+
+
+def test_a_plan_says_what_it_assumes():
+    simulation = tl.studies.Simulation(replicates=400, seed=4)
+    with pytest.warns(UserWarning, match="covariance is that of synthetic data"):
+        plan = tl.smallest_n(
+            0.8, {"C1": 2.0, "C3": 2.1}, data=pilot(synthetic=True), simulation=simulation
+        )
+    text = plan.apa()
+    assert f"A sample of {plan.n} participants" in text
+    assert "400 simulated studies (seed 4)" in text
+    assert "C1 2 (" in text
+    assert "The covariance is that of synthetic data" in text
+    # The noncentral t of a paired comparison, n searched one by one. Oracle: SciPy.
+    d_z = abs(plan.population.d_z[0])
+    for name, scale in (("half", 0.5), ("twice", 2.0)):
+        n = next(
+            n
+            for n in range(3, 10_000)
+            if stats.nct.sf(stats.t.ppf(0.975, n - 1), n - 1, np.sqrt(n) * d_z / scale)
+            + stats.nct.cdf(stats.t.ppf(0.025, n - 1), n - 1, np.sqrt(n) * d_z / scale)
+            >= 0.8
+        )
+        assert plan.n_by_spread[name] == n
+        assert str(n) in text
+
+
+def test_a_plan_out_of_reach_names_what_drives_it():
+    covariance = graded_covariance(2)  # the difference has a variance of 1
+    with pytest.raises(ValueError, match=r"at most 0\.05 standard deviations") as caught:
+        tl.smallest_n(
+            0.8,
+            [0.0, 0.05],
+            covariance,
+            most=1000,
+            simulation=tl.studies.Simulation(replicates=200),
+        )
+    n = int(str(caught.value).split("n is ")[1].split(".")[0])
+    plan = tl.smallest_n(
+        0.8, [0.0, 0.1], covariance, most=n + 100, simulation=tl.studies.Simulation(replicates=2000)
+    )
+    assert abs(plan.n - n) < 0.1 * n
 
 
 def test_data_too_few_for_a_covariance_are_refused():

@@ -15,6 +15,7 @@ from trustlab.models.checks import (
     finite_array,
     finite_number,
     positive,
+    warn,
     whole_number,
 )
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
@@ -219,31 +220,21 @@ def conditions_from(mean: Any, covariance: Any, data: Any, columns: StudyColumns
     Return the population that means and a covariance, or those of data, make.
 
     Means are an array, or a mapping or Series that names the conditions; a DataFrame as covariance
-    names them too. Of data, the sample means and covariance are taken for the population's.
+    names them too. Of data, the sample means and covariance are taken for the population's; means
+    given beside data replace those of the conditions that they name, and leave the others out.
     """
     import pandas as pd
 
+    if isinstance(mean, dict):
+        mean = pd.Series(mean)
     if data is not None:
-        if mean is not None or covariance is not None:
-            raise ValueError("give either data=, or mean= and covariance=, not both")
-        from trustlab.studies.analysis.score_table import complete_scores, read_scores
-
-        factor = columns.factors[0]
-        frame = read_scores(data, columns.dv, factor, columns.subject, order=columns.order)
-        scores, _ = complete_scores(frame)
-        n, k = scores.values.shape
-        if n <= k:
-            raise ValueError(
-                f"data hold {n} subjects in {k} conditions: their covariance needs at least {k + 1}"
-            )
-        matrix = checked_covariance("covariance of data", np.cov(scores.values.T))
-        return Conditions(scores.conditions, scores.values.mean(axis=0), matrix, scores.origin)
+        if covariance is not None:
+            raise ValueError("give either data= or covariance=, not both")
+        return _conditions_of_data(data, mean, columns)
     if mean is None or covariance is None:
         raise ValueError(
             "power needs mean= and covariance= of the conditions, or data= to take both from"
         )
-    if isinstance(mean, dict):
-        mean = pd.Series(mean)
     names = list(mean.index) if isinstance(mean, pd.Series) else None
     if isinstance(covariance, pd.DataFrame):
         if list(covariance.index) != list(covariance.columns):
@@ -258,3 +249,34 @@ def conditions_from(mean: Any, covariance: Any, data: Any, columns: StudyColumns
     means = finite_array("mean", mean)
     labels: Any = names or range(1, means.size + 1)
     return Conditions(labels, means, covariance)
+
+
+def _conditions_of_data(data: Any, mean: Any, columns: StudyColumns) -> Conditions:
+    """Return the population with the covariance of data, and their means where none are given."""
+    import pandas as pd
+
+    from trustlab.studies.analysis.score_table import complete_scores, read_scores
+
+    factor = columns.factors[0]
+    frame = read_scores(data, columns.dv, factor, columns.subject, order=columns.order)
+    scores, _ = complete_scores(frame)
+    labels = list(scores.conditions)
+    if isinstance(mean, pd.Series):
+        if unknown := [name for name in mean.index if name not in labels]:
+            raise ValueError(f"mean names {unknown}, but data hold the conditions {labels}")
+        labels = list(mean.index)
+    values = scores.values[:, [scores.conditions.index(label) for label in labels]]
+    n, k = values.shape
+    if n <= k:
+        raise ValueError(
+            f"data hold {n} subjects in {k} conditions: their covariance needs at least {k + 1}"
+        )
+    matrix = checked_covariance("covariance of data", np.cov(values.T))
+    if scores.origin:
+        warn(
+            f"the covariance is that of {scores.origin}: how much people differ is assumed there, "
+            "and n goes with the square of it; SmallestN.apa() says what half and twice the "
+            "spread would ask for"
+        )
+    means = values.mean(axis=0) if mean is None else finite_array("mean", mean)
+    return Conditions(tuple(labels), means, matrix, scores.origin)

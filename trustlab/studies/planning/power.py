@@ -255,7 +255,7 @@ def power_analysis(
     covariance : array_like, shape (k, k), optional
         Their covariance; `graded_covariance` makes one with a chosen correlation and ε.
     data : pandas.DataFrame, optional
-        A long table, from which both are estimated.
+        A long table, from which both are estimated; only the covariance where means are given too.
     columns : StudyColumns
         Columns of `data`; factors within and between subjects.
     n : int or sequence of int

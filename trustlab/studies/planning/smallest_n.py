@@ -12,6 +12,7 @@ from numpy.random import SeedSequence
 
 from trustlab.models.checks import of_class, one_of, open_unit, whole_number
 from trustlab.models.html import as_html
+from trustlab.studies.analysis.apa import apa_number
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import (
     clopper_pearson,
@@ -56,6 +57,12 @@ class SmallestN:
         Which test.
     whole_squares : int
         The next number that fills whole Latin squares of the conditions.
+    n_by_spread : dict of str to int
+        By noncentral F: what "half" and "twice" the standard deviations would ask for.
+    population : Conditions
+        Means and covariance that were assumed.
+    simulation : Simulation
+        How studies were simulated.
     evaluations : pandas.DataFrame
         Every n that was simulated: n, power, ci_low, ci_high; n − 1 is among them, unless n is the
         least possible, 3.
@@ -70,6 +77,9 @@ class SmallestN:
     wanted: float
     test: str
     whole_squares: int
+    n_by_spread: dict[str, int | None]
+    population: Conditions
+    simulation: Simulation
     evaluations: pd.DataFrame
     origin: str
 
@@ -79,6 +89,27 @@ class SmallestN:
         frame = pd.DataFrame([{name: getattr(self, name) for name in names}])
         frame.attrs["origin"] = self.origin
         return frame
+
+    def apa(self) -> str:
+        """
+        Return the sentences of a methods section: the number, and all that was assumed for it.
+        """
+        people, simulation = self.population, self.simulation
+        sds = np.sqrt(np.diag(people.covariance))
+        rows = zip(people.labels, people.mean, sds, strict=True)
+        conditions = ", ".join(f"{label} {mean:.4g} ({sd:.3g})" for label, mean, sd in rows)
+        half, twice = (n or "too many" for n in self.n_by_spread.values())
+        source = f" The covariance is that of {people.origin}." if people.origin else ""
+        return (
+            f"A sample of {self.n} participants ({self.whole_squares} to fill whole Latin squares) "
+            f"has a power of {apa_number(self.power, below_one=True)} "
+            f"(95% CI [{apa_number(self.ci_low, below_one=True)}, "
+            f"{apa_number(self.ci_high, below_one=True)}]) in {simulation.replicates} simulated "
+            f"studies (seed {simulation.seed}), for the test {self.test} at α = "
+            f"{simulation.alpha:g}. Assumed means (SDs) are {conditions}, with a mean correlation "
+            f"of {apa_number(people.correlation)} between conditions.{source} With standard "
+            f"deviations half or twice as large, n would be about {half} or {twice} (noncentral F)."
+        )
 
     def _repr_html_(self) -> str:
         return as_html(self.origin, self.table())
@@ -108,7 +139,8 @@ def smallest_n(
     power : float
         The power to reach, in (0, 1).
     mean, covariance, data, columns : object
-        The population, as for `power_analysis`, with one factor.
+        The population, as for `power_analysis`, with one factor. Means given beside `data` replace
+        those of the conditions that they name: an improvement of your own with a pilot's spread.
     effect_size : float, optional
         Partial η² of the population; as given when left out.
     pair : (a, b), optional
@@ -155,21 +187,17 @@ def smallest_n(
     alpha = simulation.alpha
     replicates = simulation.replicates
     most = whole_number("most", most, least=3, most=MOST_N)
-    if pair is None:
-        index = None
-        test = one_of("test", USUAL_TEST if test is None else test, TESTS)
-        key = f"F {test}"
-        name = f"F, {test}"
-    else:
-        index = int(np.flatnonzero(claims_mask([pair], population))[0])
-        test = one_of("test of a pair", "holm" if test is None else test, ADJUSTMENTS)
-        key = f"pair {index} {test}"
-        name = f"{pair[0]} – {pair[1]}, {test}"
+    index, test, key, name = _chosen_test(population, pair, test)
     if target <= alpha:
         raise ValueError(
             f"power = {target:g} must exceed alpha = {alpha:g}, its value without any effect"
         )
-    expected = _closed_form(population, index, target, alpha, test)
+    spreads = {
+        name: _closed_form(population, index, target, alpha, test, scale)
+        for name, scale in (("half", 0.5), ("once", 1.0), ("twice", 2.0))
+    }
+    expected = spreads.pop("once")
+    by_spread = {name: _bisect(enough, 3, MOST_N) for name, enough in spreads.items()}
 
     def simulated(sizes: list[int]) -> dict[int, int]:
         cells = [(population, n, SeedSequence(simulation.seed, spawn_key=(n,))) for n in sizes]
@@ -180,16 +208,57 @@ def smallest_n(
     n, findings = _search(simulated, expected, target * replicates, most, ahead)
     if n is None:
         share = findings[most] / replicates
-        raise ValueError(
-            f"{most} subjects reach a power of {share:.3g} only, {target:g} was wanted: the effect "
-            "is too small for the design; raise most=, or change the design"
-        )
+        raise _out_of_reach(population, index, by_spread["half"], share, target, most)
     low, high = clopper_pearson(list(findings.values()), replicates, simulation.level)
     shares = [count / replicates for count in findings.values()]
     rows = pd.DataFrame({"n": list(findings), "power": shares, "ci_low": low, "ci_high": high})
     power, low, high = rows.set_index("n").loc[n]
     squares = participants_needed(len(population.mean), n)
-    return SmallestN(n, power, low, high, target, name, squares, rows, population.simulated_origin)
+    return SmallestN(
+        n=n,
+        power=power,
+        ci_low=low,
+        ci_high=high,
+        wanted=target,
+        test=name,
+        whole_squares=squares,
+        n_by_spread=by_spread,
+        population=population,
+        simulation=simulation,
+        evaluations=rows,
+        origin=population.simulated_origin,
+    )
+
+
+def _chosen_test(
+    population: Conditions, pair: tuple | None, test: str | None
+) -> tuple[int | None, str, str, str]:
+    """Return the pair's index, correction or adjustment, key among the findings, and name."""
+    if pair is None:
+        test = one_of("test", USUAL_TEST if test is None else test, TESTS)
+        return None, test, f"F {test}", f"F, {test}"
+    index = int(np.flatnonzero(claims_mask([pair], population))[0])
+    test = one_of("test of a pair", "holm" if test is None else test, ADJUSTMENTS)
+    return index, test, f"pair {index} {test}", f"{pair[0]} – {pair[1]}, {test}"
+
+
+def _out_of_reach(
+    population: Conditions,
+    pair: int | None,
+    n_by_half: int | None,
+    share: float,
+    target: float,
+    most: int,
+) -> ValueError:
+    """Return the error of a plan that cannot reach its power: it names what drives the number."""
+    d_z = np.abs(population.d_z)
+    largest = d_z.max() if pair is None else d_z[pair]
+    return ValueError(
+        f"{most} subjects reach a power of {share:.3g} only, {target:g} was wanted: means differ "
+        f"by at most {largest:.3g} standard deviations of a difference, which drives n; with half "
+        f"the spread, or means twice as far apart, n is {n_by_half or 'still more'}. Raise most=, "
+        "measure each condition more often, or look for a greater effect"
+    )
 
 
 def _search(
@@ -244,11 +313,16 @@ def _bisect(enough, start: int, most: int) -> int | None:
 
 
 def _closed_form(
-    population: Conditions, pair: int | None, target: float, alpha: float, adjust: str
+    population: Conditions,
+    pair: int | None,
+    target: float,
+    alpha: float,
+    adjust: str,
+    scale: float = 1.0,
 ) -> Callable[[int], bool]:
     """
     Return whether n subjects are enough by noncentral F with Box's ε, or by noncentral t for a
-    pair.
+    pair; with all standard deviations times `scale`.
     """
     k, epsilon = len(population.mean), population.epsilon
     if pair is not None:
@@ -260,6 +334,6 @@ def _closed_form(
 
     def expected(n: int) -> bool:
         strength = n * d_z**2 if pair is not None else noncentrality(population.eta2_partial, n, k)
-        return noncentral_f_power(n, k, strength, alpha, epsilon) >= target
+        return noncentral_f_power(n, k, strength / scale**2, alpha, epsilon) >= target
 
     return expected
