@@ -5,6 +5,7 @@ what was lost.
 
 from __future__ import annotations
 
+import struct
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -55,14 +56,16 @@ def measured(folder: Path) -> tuple[np.ndarray, int, int]:
     import pandas as pd
 
     from tests.ros.driving import PEER, driven, run_for_peer
+    from trustlab.ros.recorded import recorded_messages
 
     log = folder / "robot.csv"
     robot = [PEER, "robot,operator", SECONDS + 100.0, log]
     run = driven(folder, robot, run_for_peer(folder), SECONDS + 5.0)
-    times = pd.read_csv(log, names=["t", "v", "w", "age", "delay"])
-    answered = times["delay"].notna()
-    first, last = np.flatnonzero(answered)[[0, -1]]
-    span = times.loc[first : last - 1]
-    samples = len(run.session)
-    lost = int(span["delay"].isna().sum())
-    return 1e3 * span["delay"].dropna().to_numpy(), lost, samples
+    ticks = pd.read_csv(log, names=["t", "v", "w", "age", "delay", "stamp"])
+    # A stamp is the first thing in a message with a header.
+    poses = [data for topic, _, data in recorded_messages(run.path) if topic == "/pose"]
+    stamps = [struct.unpack_from("<iI", data, 4) for data in poses]
+    heard = [sec * 10**9 + nanosec for sec, nanosec in stamps]
+    sent = ticks["stamp"][ticks["stamp"].between(heard[0], heard[-1])]
+    lost = len(set(sent) - set(heard)) + max(len(heard) - len(run.decisions), 0)
+    return 1e3 * ticks["delay"].dropna().to_numpy(), lost, len(sent)

@@ -4,7 +4,8 @@ A robot and a person behind DDS by Cyclone alone: no ROS, another vendor, no cod
     python peer.py robot,operator seconds log.csv
 
 The robot is a unicycle with a watchdog of 0.5 s. It writes time, applied v and w, age of the latest
-command, and the time from odometry to the command that answers it, each tick.
+command, the time from odometry to the command that answers it, and the stamp that it sends [ns],
+each tick.
 """
 
 import math
@@ -128,12 +129,14 @@ class Robot:
         yaw += w * PERIOD
         x, y = x + v * math.cos(yaw) * PERIOD, y + v * math.sin(yaw) * PERIOD
         self.pose = (x, y, yaw)
-        print(now, v, w, now - self.heard, self.delay, sep=",", file=self.log, flush=True)
+        stamp = time.time_ns()
+        row = (now, v, w, now - self.heard, self.delay, stamp)
+        print(*row, sep=",", file=self.log, flush=True)
         self.delay = math.nan
         self.out["path_error"].write(Float64(abs(math.hypot(x, y) - 4.0)))
         self.out["autonomy/cmd_vel"].write(twist(0.3, 0.3 / 4.0))
         self.sent = time.monotonic()
-        self.out["pose"].write(stamped_pose(x, y, yaw, time.time_ns()))
+        self.out["pose"].write(stamped_pose(x, y, yaw, stamp))
 
 
 class Operator:

@@ -2,6 +2,7 @@
 
 import math
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -280,6 +281,8 @@ def test_a_full_disk_ends_the_journal_and_not_the_run(node, tmp_path, monkeypatc
     def full(handle, data):
         raise OSError(28, "No space left on device")
 
+    while not allocation.journal.queue.empty():
+        time.sleep(0.01)
     monkeypatch.setattr("trustlab.ros.journal.os.write", full)
     rng = np.random.default_rng(0)
     before = len(node.sent["/cmd_vel"])
@@ -501,6 +504,8 @@ def test_a_journal_keeps_order_and_content(tmp_path):
     items = [(f"/t{k % 3}", k, bytes(range(k % 200))) for k in range(1000)]
     for item in items:
         journal.write(*item)
+    with pytest.raises(SessionError, match="the run goes on"):
+        next(read_journal(tmp_path / "a.journal"))
     journal.close()
     assert list(read_journal(tmp_path / "a.journal")) == items
     with pytest.raises(FileExistsError):

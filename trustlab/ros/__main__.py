@@ -38,9 +38,9 @@ def main() -> None:
             rclpy.spin_once(node, timeout_sec=0.2)
     except KeyboardInterrupt:
         pass
-    print(allocation.finish())
-    node.destroy_node()
-    rclpy.shutdown()
+    finally:
+        print(allocation.finish())
+        rclpy.shutdown()
 
 
 def recover(folder: Path) -> None:

@@ -1,11 +1,14 @@
 """What a run writes while it goes on: messages one after another, whole up to a kill."""
 
+import fcntl
 import os
 import queue
 import struct
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+
+from trustlab.sessions.errors import SessionError
 
 # Ahead of a message: its time [ns] and the lengths of topic and data.
 _HEAD = struct.Struct("<QHI")
@@ -22,6 +25,7 @@ class Journal:
         self.path = path
         self.report = report
         self.handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        fcntl.flock(self.handle, fcntl.LOCK_EX)  # until the process ends, whatever ends it
         self.queue: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self.thread = threading.Thread(target=self._write, name="journal", daemon=True)
         self.thread.start()
@@ -48,8 +52,12 @@ class Journal:
 
 
 def read_journal(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    """Yield topic, time [ns] and data of every whole message."""
+    """Yield topic, time [ns] and data of every whole message; refuse a journal that goes on."""
     with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise SessionError("the run goes on; end it first", str(path)) from None
         while len(head := file.read(_HEAD.size)) == _HEAD.size:
             now, name, length = _HEAD.unpack(head)
             topic = file.read(name).decode()

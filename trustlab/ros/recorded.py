@@ -109,11 +109,10 @@ def recorded_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
     """Yield topic, time [ns] and data of every message that the bag of a run holds, in order."""
     with extra("ros"):
         from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
 
     with (
         damage_named(f"{path} is not the bag of a run", "read its journal, if there is one"),
-        AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader,
+        AnyReader([path]) as reader,
     ):
         connections = [c for c in reader.connections if not c.topic.startswith(PREFIX)]
         for connection, now, data in reader.messages(connections):
