@@ -179,10 +179,11 @@ def test_participant_3_does_not_follow_from_its_own_thresholds(printed):
 def test_signs_of_a3_and_infinite_dwell_times(operators):
     human = tl.HumanModel(0.99, 0.7, 0.3, 0.4)
     wide, narrow = tl.RobotModel(0.9, 0.05, 0.5, 0.4), tl.RobotModel(0.9, 0.4, 0.41, 0.4)
-    for robot, best in ((wide, human.p_min), (narrow, human.p_max)):
+    middle = tl.RobotModel(0.9, 0.08, 0.46, 0.4)
+    for robot, best in ((wide, human.p_min), (middle, human.p_min), (narrow, human.p_max)):
         model = tl.TscModel(robot, human)
         slope = model.a_T * robot.b / (1 - robot.a) - model.b_T
-        assert (slope > 0) == (robot is wide)
+        assert (slope > 1.0, slope > 0.0) == (robot is wide, robot is not narrow)
         expected = slope * best + model.a_T * robot.p_min
         assert threshold_limits(model, 0.0).upper == pytest.approx(expected, abs=1e-12)
     first = steady_state_bounds(operators["1"], 0.15, 0.62, delta_tsc=0.0022)
@@ -396,6 +397,6 @@ def test_thresholds_at_their_limits_are_outside(operators):
     assert not limits.contains(0.0, limits.upper)
     assert not limits.contains(0.1, 0.1)
     assert not type(limits)(0.1, 0.1, 0.0).feasible
-    for r_low, r_high in ((-0.1, 1.0), (0.0, 1.1)):
-        with pytest.raises(ValueError, match=r"r_(low|high) must"):
+    for r_low, r_high in ((-0.1, 1.0), (1.5, 1.0), (0.0, 1.1), (-2.0, -1.0)):
+        with pytest.raises(ValueError, match=r"r_(low|high) must lie"):
             step_bounds(operators["pilot"], r_low, r_high)

@@ -36,7 +36,7 @@ MODULES = {
     "allocation/steady_state": "allocation/test_bounds_as_printed.py",
     "allocation/suggestions": "allocation/test_rules.py allocation/test_thresholds.py",
     "allocation/cycle/limit_cycle": "allocation/test_limit_cycle.py",
-    "allocation/cycle/phases": "allocation/test_limit_cycle.py",
+    "allocation/cycle/phases": "allocation/test_phases.py allocation/test_limit_cycle.py",
     "teleoperation/ports/device": "teleoperation/test_haptic_device.py",
     "teleoperation/ports/ledger": "teleoperation/test_ledger.py teleoperation/test_channel.py",
     "teleoperation/ports/passivity": "teleoperation/test_passivity.py",
