@@ -64,6 +64,7 @@ from .live import (
     LiveCondition as LiveCondition,
     LiveGroundRobot as LiveGroundRobot,
     LiveStudy as LiveStudy,
+    LiveTeam as LiveTeam,
     LiveTracking as LiveTracking,
     read_live_study as read_live_study,
 )

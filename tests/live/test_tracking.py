@@ -283,7 +283,7 @@ def opened(browser, live, heard, script=""):
     page.on("pageerror", lambda error: faults.append(str(error)))
     files = {
         "": ("text/html", PAGE),
-        "widget.js": ("text/javascript", module_of("page.js", "rows.js", "tracking.js")),
+        "widget.js": ("text/javascript", module_of("page.js", "rows.js", "pad.js", "tracking.js")),
         "config.json": ("application/json", json.dumps(live.config)),
     }
     for name, (kind, body) in files.items():

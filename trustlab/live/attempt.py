@@ -15,7 +15,7 @@ import numpy as np
 
 from trustlab.live.chain import Chain, hold
 from trustlab.live.rows import check_row
-from trustlab.live.runs import replay, session_of
+from trustlab.live.tasks.task import ServedRun, task_of
 from trustlab.models.digest import digest
 from trustlab.sessions.session import Session
 
@@ -77,6 +77,7 @@ class Attempt:
         self.notes = []
         self.window = ""
         self.finished = False
+        self._served: ServedRun | None = None
         path.touch()
         handle = hold(path)
         if handle is None:
@@ -131,7 +132,17 @@ class Attempt:
             for entry in new:
                 self._take(entry)
             rows = {"rows": list(self.rows)} if "begin" in message else {}
-            return {"have": len(self.rows), **rows}
+            seen = {"picture": self.served.picture()} if "commands" in self.config else {}
+            return {"have": len(self.rows), **rows, **seen}
+
+    @property
+    def served(self) -> ServedRun:
+        """The run of a task that is computed here, behind the rows that are kept."""
+        if self._served is None:
+            stamped = zip(self.stamps, self.rows, strict=True)
+            rows = [[k, stamp, *row] for k, (stamp, row) in enumerate(stamped)]
+            self._served = ServedRun(self.config, rows)
+        return self._served
 
     def _entries(self, message: Mapping[str, Any], window: str) -> list[Any]:
         """Return what a message adds to the file."""
@@ -145,6 +156,8 @@ class Attempt:
         rows = message.get("rows", [])
         for row in rows:
             check_row(self.config, row)
+        if "commands" in self.config:
+            rows = self.served.complete(rows)
         new = []
         for row in rows:
             number, *_ = row
@@ -164,7 +177,7 @@ class Attempt:
             rows = np.array(self.rows, dtype=float)
             if not self.rows or self.chain.read().fault:
                 return False
-        return replay(self.config, rows) is True
+        return task_of(self.config).replay(self.config, rows) is True
 
     @property
     def session(self) -> Session:
@@ -181,7 +194,7 @@ class Attempt:
         if period.size:
             facts["period_median"] = float(np.median(period))
             facts["period_max"] = float(period.max())
-        return session_of(
+        return task_of(self.config).session(
             self.config,
             rows.reshape(-1, len(self.config["columns"])),
             participant=self.participant,

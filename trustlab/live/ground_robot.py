@@ -28,7 +28,17 @@ with extra("live"):
     import traitlets
 
 
-MODULES = ("page.js", "rows.js", "physics.js", "hands.js", "view.js", "drive.js", "widget.js")
+MODULES = (
+    "page.js",
+    "rows.js",
+    "physics.js",
+    "hands.js",
+    "view.js",
+    "drive.js",
+    "pad.js",
+    "served.js",
+    "widget.js",
+)
 """The browser modules of the widget, each behind those that it imports."""
 
 

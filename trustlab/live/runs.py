@@ -9,6 +9,7 @@ import pandas as pd
 
 from trustlab.live.condition import NOTICE, LiveCondition
 from trustlab.live.noise import HASHED
+from trustlab.live.tasks.task import checked_rows
 from trustlab.live.tick import (
     FORCING,
     LOG,
@@ -23,7 +24,7 @@ from trustlab.live.tick import (
     drive_commands,
     tick,
 )
-from trustlab.models.checks import of_class, one_of, positive, shown, warn, whole_number
+from trustlab.models.checks import of_class, one_of, positive, warn, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Metadata, Session
 from trustlab.testbeds.deciding import (
@@ -162,8 +163,13 @@ def drive_config(
     task |= {"a": model.human.a if model else 0.9991}
     numbers = robot.numbers._asdict()
     return {
+        "live_task": "ground_robot",
         "condition": name,
         "columns": list(COLUMNS),
+        "limits": {
+            "v_command": [0.0, robot.max_speed],
+            "w_command": [-robot.max_turn_rate, robot.max_turn_rate],
+        },
         "sample_time": SAMPLE_TIME,
         "samples": _samples(laps, seconds, phases, course),
         "seed": whole_number("seed", seed, least=0, most=MOST_SEED),
@@ -273,22 +279,6 @@ def commands_of(rows: np.ndarray) -> np.ndarray:
     )
 
 
-def _checked_rows(config: Mapping[str, Any], rows: Any) -> np.ndarray:
-    try:
-        table = np.ascontiguousarray(rows, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"rows must be numbers, got {shown(rows)}") from None
-    if (
-        table.ndim != 2
-        or table.shape[1] != len(COLUMNS)
-        or not 1 <= len(table) <= config["samples"]
-    ):
-        raise ValueError(
-            f"rows must have shape (1 to {config['samples']}, {len(COLUMNS)}), got {table.shape}"
-        )
-    return table
-
-
 def replay(config: Mapping[str, Any], rows: np.ndarray) -> bool | int:
     """
     Return whether rows are, bit for bit, what numba computes from their commands.
@@ -305,7 +295,7 @@ def replay(config: Mapping[str, Any], rows: np.ndarray) -> bool | int:
     bool or int
         True, or the number of the first row that differs.
     """
-    table = _checked_rows(config, rows)
+    table = checked_rows(config, rows)
     made, _ = driven(config, commands_of(table))
     if len(made) < len(table):
         return len(made)  # rows go on where all laps are done
@@ -326,7 +316,7 @@ def session_of(config: Mapping[str, Any], rows: np.ndarray, **metadata: Any) -> 
     **metadata : object
         participant, synthetic and whatever else the metadata are to hold.
     """
-    table = _checked_rows(config, rows)
+    table = checked_rows(config, rows)
     if len(table) < 2:
         raise ValueError("a session has at least two samples; wait until 0.2 s are driven")
     task = config["task"]

@@ -4,7 +4,6 @@ in the kernel.
 """
 
 import threading
-from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.attempt import LATE
+from trustlab.live.flight import UNBOUNDED, Flight
 from trustlab.live.ground_robot import module_of
 from trustlab.models.checks import between, finite_array, flag, not_negative, of_class
 from trustlab.models.digest import digest
@@ -35,17 +35,8 @@ with extra("live"):
 SILENCE = 0.5
 """Where the page sends nothing for longer than this, the robot pauses [s]."""
 
-DEFLECTION = 2.0
-"""
-At the edge of the hand's square the command is so many times the largest one of the study's
-simulated operators.
-"""
-
 LONGEST = 3600.0
 """The longest live run [s]."""
-
-UNBOUNDED = 1e6
-"""The `view` of a task whose camera always has its target in the picture [m]."""
 
 HAND = ("hand_x", "hand_y", "hand_z")
 NOTE = (
@@ -54,23 +45,14 @@ NOTE = (
 )
 
 
-class HandDrivenLoop:
+class HandDrivenLoop(Flight):
     """
     A teleoperation loop that advances by the times of the messages that bring a hand's position.
     """
 
     def __init__(self, duration: float, arguments: Mapping[str, Any]):
-        self.arguments, self.loop = arguments, TeleoperationLoop(**arguments)
-        TeleoperationLoop(
-            **arguments
-        ).step()  # compiles, and refuses what only a step can refuse, before anybody drives
-        settings, task = study_named(arguments["study"]), arguments["task"]
-        self.sample_time = self.loop.sample_time
-        self.settings = settings
-        self.task = task
+        super().__init__(arguments)
         self.samples = round(between("duration", duration, 1.0, LONGEST) / self.sample_time)
-        weight = np.broadcast_to(settings.weight, 3)[:2]
-        self.reach = DEFLECTION * REACH[settings.study] / weight
         self.hands: list[tuple[float, float, float]] = []
         self.notes: list[str] = []
         self.hand = (0.0, 0.0, 0.0)
@@ -83,8 +65,6 @@ class HandDrivenLoop:
         self.window = ""
         # A notebook's kernel may hear in one thread and show a session in another.
         self.lock = threading.RLock()
-        late = max(round(task.camera_delay / self.sample_time), 1)
-        self.pictures: deque = deque([(np.zeros(3), np.zeros(3))], maxlen=late + 1)
 
     def hear(self, message: Mapping[str, Any]) -> dict[str, Any]:
         """
@@ -108,7 +88,7 @@ class HandDrivenLoop:
                 raise ValueError(f"hand lies in the square [-1, 1] × [-1, 1], got ({x:g}, {y:g})")
             self._until(not_negative("time", message.get("time")))
             # from now on: samples before this message had the hand of the message before
-            self.hand = (float(x * self.reach[0]), float(y * self.reach[1]), 0.0)
+            self.hand = self.held(x, y)
         elif "pause" in message and self.heard is not None:
             self._note(f"paused: {str(message['pause'])[:200]}")
             self.heard = None
@@ -147,9 +127,8 @@ class HandDrivenLoop:
             self._end(str(error))
 
     def _step(self) -> None:
-        state = self.loop.step(hand=np.array(self.hand))
+        self.sample(self.hand)
         self.hands.append(self.hand)
-        self.pictures.append((state.error.copy(), state.reference - state.error))
         if len(self.hands) == self.samples:
             self._end("complete")
 
@@ -162,29 +141,10 @@ class HandDrivenLoop:
             self._note(f"ended: {why}")
 
     def _shown(self) -> dict[str, Any]:
-        """
-        Return what the page draws: the camera's picture as late as it arrives, the device, forces,
-        energies and shares.
-        """
+        """Return what the page draws, and how the run ended."""
         if self.failed:  # its numbers may be infinite
             return {"over": self.notes[-1]}
-        state, (error, robot) = self.loop.state, self.pictures[0]
-        seen = bool((np.abs(error[:2]) <= self.task.view).all())
-        energies = {
-            name: state[f"energy_{name}"] for name in ("operator", "device", "dissipated", "port")
-        }
-        return {
-            "t": self.loop.t,
-            "target": error[:2].tolist() if seen else None,
-            "robot": robot[:2].tolist(),
-            "device": (state.device[:2] / self.reach).tolist(),
-            "force": (-self.settings.force_scaling * state.f_m[:2]).tolist(),
-            "guide": (-self.settings.force_scaling * state.guide[:2]).tolist(),
-            "energies": {name: float(value) for name, value in energies.items()},
-            "alpha": float(state.alpha),
-            "beta": float(state.beta),
-            "over": self.notes[-1] if self.finished else None,
-        }
+        return {**self.shown(), "over": self.notes[-1] if self.finished else None}
 
     @property
     def rows(self) -> pd.DataFrame:
@@ -306,7 +266,7 @@ class LiveTracking(anywidget.AnyWidget):
     (0.49, True)
     """
 
-    _esm = module_of("page.js", "rows.js", "tracking.js")
+    _esm = module_of("page.js", "rows.js", "pad.js", "tracking.js")
     config = traitlets.Dict().tag(sync=True)
 
     def __init__(

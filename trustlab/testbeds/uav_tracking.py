@@ -399,7 +399,7 @@ class TeleoperationLoop:
         """Time that has been simulated [s]."""
         return self._done * self.sample_time
 
-    def step(self, hand: np.ndarray | None = None):
+    def step(self, hand: np.ndarray | None = None, alpha: float | None = None):
         """
         Advance one sample and return the state.
 
@@ -408,6 +408,9 @@ class TeleoperationLoop:
         hand : array_like, shape (3,), optional
             Where a recorded or live hand wants the device to be [m], at most 10 m away on each
             axis; the operator's law decides when not given.
+        alpha : float, optional
+            α of this sample within its bounds (3.1), allocated by hand; the scheme's when not
+            given.
 
         Returns
         -------
@@ -427,6 +430,11 @@ class TeleoperationLoop:
         if hand is not None:
             place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
             self._inputs["hand"][self._done] = place
+        if alpha is not None:
+            ends = self._settings.scattering
+            self._inputs["alpha"][self._done] = between(
+                "alpha", alpha, ends.alpha_min, ends.alpha_max
+            )
         self._advance(self._done + 1)
         return self.state
 

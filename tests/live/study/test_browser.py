@@ -53,7 +53,12 @@ def until(page, script, seconds=60):
     """Poll: Playwright's own waiting needs eval, which the page's policy forbids."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        found = page.evaluate(script)
+        try:
+            found = page.evaluate(script)
+        except Error as error:  # the page was left for another just now
+            if "context was destroyed" not in str(error):
+                raise
+            found = None
         if found:
             return found
         time.sleep(0.06)

@@ -3,7 +3,9 @@
 import { drive } from "./drive.js";
 import { element, filled } from "./page.js";
 import { Rows } from "./rows.js";
+import { served } from "./served.js";
 
+const EVERY_COMMAND = 60; // ms between two sendings to a server that computes
 const base = location.pathname.replace(/\/$/, "");
 const main = document.querySelector("main"),
   trouble = document.getElementById("trouble");
@@ -158,14 +160,14 @@ function showForm(now) {
 
 // Rows of one attempt, on their way to the server; `stale` is called when this window must not go
 // on.
-function delivery(code, page, attempt, window, stale, telemetry = () => ({})) {
+function delivery(code, page, attempt, window, stale, driven = () => null, every = 500) {
   const post = (batch, options) => {
     const body = JSON.stringify({
       page,
       attempt,
       tab: window,
       rows: batch,
-      telemetry: telemetry(),
+      telemetry: driven()?.telemetry?.() ?? {},
     });
     return fetch(`${base}/rows`, {
       method: "POST",
@@ -189,12 +191,13 @@ function delivery(code, page, attempt, window, stale, telemetry = () => ({})) {
       }
       if (!answer.ok) return undefined;
       complain("");
-      const { have, current } = await answer.json();
+      const { have, current, picture } = await answer.json();
       if (!current) stale("");
       status.pending = 0;
+      driven()?.heard?.({ have, picture });
       return have;
     },
-    { leave },
+    { leave, every },
   );
   return rows;
 }
@@ -207,6 +210,12 @@ async function bringLeft(code) {
   }
 }
 
+// Begin what a drive's settings say: here, or with a server that computes it.
+async function beginDrive(root, config, on) {
+  if (config.commands) return served(root, config, on);
+  return drive(root, config, await (await fetch("/static/kernel.wasm")).arrayBuffer(), on);
+}
+
 async function showDrive(now) {
   const go = element("button", { textContent: words.start });
   main.replaceChildren(element("h2", { textContent: now.title }), ...paragraphs(now.text), go);
@@ -215,11 +224,9 @@ async function showDrive(now) {
   if (begun.status !== 200) return;
   const root = element("div", { id: "drive" });
   main.replaceChildren(root);
-  const physics = await (await fetch("/static/kernel.wasm")).arrayBuffer();
   const about = { page: now.page, attempt: begun.attempt, tab };
   let driving = null,
     count = begun.rows.length;
-  const telemetry = () => driving?.telemetry?.() ?? {};
   const outcome = await new Promise((ended, failed) => {
     const rows = delivery(
       now.code,
@@ -227,7 +234,8 @@ async function showDrive(now) {
       begun.attempt,
       tab,
       (why) => ended({ why, rows }),
-      telemetry,
+      () => driving,
+      begun.config.commands ? EVERY_COMMAND : undefined,
     );
     const on = {
       row: (k, values) => {
@@ -238,7 +246,7 @@ async function showDrive(now) {
       end: (summary) => ended({ summary, rows }),
     };
     const config = { ...begun.config, rows: begun.rows };
-    drive(root, config, physics, on).then((made) => {
+    beginDrive(root, config, on).then((made) => {
       driving = status.driving = made;
     }, failed);
   });
@@ -252,8 +260,11 @@ async function showDrive(now) {
     return;
   }
   main.replaceChildren(element("p", { textContent: words.saving }));
-  await outcome.rows.drain();
-  await ask("done", { ...about, rows: count, telemetry: telemetry() });
+  if (begun.config.commands) {
+    count = outcome.summary.rows;
+    await outcome.rows.drop(); // commands beyond the end lead nowhere
+  } else await outcome.rows.drain();
+  await ask("done", { ...about, rows: count, telemetry: driving?.telemetry?.() ?? {} });
 }
 
 // The way out, on every page: before the first one is done it means not to take part at all.

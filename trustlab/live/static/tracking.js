@@ -1,194 +1,20 @@
 // The UAV that follows a target: the hand goes to the kernel, and what the kernel answers is drawn.
 // No physics here. What was sent is kept in the browser until the flight is over, so that a kernel
 // that was restarted can fly it again.
-import { clamp, dress, element, keepKeys } from "./page.js";
+import { PAD_STYLE, SIZE, Stick, drawPad, drawPicture } from "./pad.js";
+import { dress, element, keepKeys } from "./page.js";
 import { Rows } from "./rows.js";
 
-const STYLE = `
-.tl-track {
-  position: relative; display: grid; grid-template-columns: 1fr 1fr; gap: .5em; max-width: 60em;
-  font: 15px/1.4 system-ui, sans-serif; color: #1b2430; background: #fff; padding: .4em;
-  border-radius: 6px; user-select: none; }
-.tl-track canvas { width: 100%; display: block; border-radius: 4px; background: #f1f4f7; }
-.tl-track .pad { touch-action: none; cursor: crosshair; }
-.tl-track .below {
-  grid-column: 1 / -1; display: flex; flex-wrap: wrap; gap: 1em; align-items: baseline;
-  font-variant-numeric: tabular-nums;
-}
-.tl-track .hint { grid-column: 1 / -1; font-size: .85em; color: #47525e; }
-.tl-track button { font: inherit; padding: .3em .6em; }
-`;
-
-const SIZE = 480,
-  MIDDLE = SIZE / 2,
-  EVERY = 33,
+const EVERY = 33,
   MOST_UNANSWERED = 12;
-const INNER = 0.7 * MIDDLE,
-  ARROW = 70; // half the hand's square, within room for the longest arrow
 
 const SILENT =
   "The kernel does not answer, and the flight waits. If the kernel was restarted, run the cell " +
   "again and start: the flight goes on where it was.";
 const PATIENCE = 2000; // how long an answer may take before the page says so [ms]
 
-// Where the hand is, in [−1, 1] on both axes; whichever of pointer and stick was used last. A hand
-// that lets go is in the middle.
-class Hand {
-  constructor(pad, signal) {
-    this.pointer = [0, 0];
-    this.source = "pointer";
-    const move = (event) => {
-      const box = pad.getBoundingClientRect();
-      const place = [
-        (2 * (event.clientX - box.left)) / box.width - 1,
-        1 - (2 * (event.clientY - box.top)) / box.height,
-      ];
-      this.pointer = place.map((x) => clamp((x * MIDDLE) / INNER, -1, 1));
-      this.source = "pointer";
-    };
-    const release = () => {
-      this.pointer = [0, 0];
-    };
-    for (const type of ["pointerdown", "pointermove"]) pad.addEventListener(type, move, { signal });
-    for (const type of ["pointerleave", "pointercancel"])
-      pad.addEventListener(type, release, { signal });
-    pad.addEventListener(
-      "pointerup",
-      (event) => {
-        if (event.pointerType !== "mouse") release();
-      },
-      { signal },
-    );
-  }
-
-  get pad() {
-    return [...(navigator.getGamepads?.() ?? [])].find((gamepad) => gamepad?.connected);
-  }
-
-  read() {
-    const still = (x) => (Math.abs(x ?? 0) < 0.08 ? 0 : clamp(x, -1, 1));
-    const pad = this.pad,
-      stick = pad ? [still(pad.axes[0]), -still(pad.axes[1])] : [0, 0];
-    if (stick[0] || stick[1]) this.source = "gamepad";
-    return this.source === "gamepad" ? stick : this.pointer;
-  }
-
-  // The vibration cue: as strong as the force is large, without a direction.
-  rumble(share) {
-    this.pad?.vibrationActuator
-      ?.playEffect?.("dual-rumble", { duration: 120, strongMagnitude: share, weakMagnitude: share })
-      ?.catch(() => {});
-  }
-}
-
-function dot(g, [x, y], radius, colour) {
-  g.fillStyle = colour;
-  g.beginPath();
-  g.arc(x, y, radius, 0, 2 * Math.PI);
-  g.fill();
-}
-
-function arrow(g, [x, y], [dx, dy], colour) {
-  const long = Math.hypot(dx, dy);
-  if (long < 3) return;
-  const [ux, uy] = [dx / long, dy / long],
-    head = Math.min(14, long);
-  g.strokeStyle = g.fillStyle = colour;
-  g.lineWidth = 4;
-  g.beginPath();
-  g.moveTo(x, y);
-  g.lineTo(x + dx - head * ux, y + dy - head * uy);
-  g.stroke();
-  g.beginPath();
-  g.moveTo(x + dx, y + dy);
-  g.lineTo(x + dx - head * (ux - 0.6 * uy), y + dy - head * (uy + 0.6 * ux));
-  g.lineTo(x + dx - head * (ux + 0.6 * uy), y + dy - head * (uy - 0.6 * ux));
-  g.fill();
-}
-
-function spring(g, [x, y], [toX, toY]) {
-  const turns = 14,
-    dx = toX - x,
-    dy = toY - y,
-    long = Math.hypot(dx, dy) || 1;
-  g.strokeStyle = "#6b7683";
-  g.lineWidth = 2;
-  g.beginPath();
-  g.moveTo(x, y);
-  for (let i = 1; i < turns; i += 1) {
-    const aside = i % 2 ? 6 : -6;
-    g.lineTo(
-      x + (dx * i) / turns - (aside * dy) / long,
-      y + (dy * i) / turns + (aside * dx) / long,
-    );
-  }
-  g.lineTo(toX, toY);
-  g.stroke();
-}
-
-// What the camera under the UAV shows, from above: the floor's grid, the UAV in the middle, the
-// target.
-function drawPicture(g, config, now) {
-  const scale = MIDDLE / config.half,
-    step = config.half / 3;
-  g.clearRect(0, 0, SIZE, SIZE);
-  g.strokeStyle = "#cdd5dd";
-  g.lineWidth = 1;
-  for (let i = -4; i <= 4; i += 1) {
-    const x = MIDDLE + scale * (i * step - (now.robot[0] % step)),
-      y = MIDDLE - scale * (i * step - (now.robot[1] % step));
-    g.beginPath();
-    g.moveTo(x, 0);
-    g.lineTo(x, SIZE);
-    g.moveTo(0, y);
-    g.lineTo(SIZE, y);
-    g.stroke();
-  }
-  g.strokeStyle = "#0072b2";
-  g.lineWidth = 3;
-  g.beginPath();
-  g.moveTo(MIDDLE - 14, MIDDLE);
-  g.lineTo(MIDDLE + 14, MIDDLE);
-  g.moveTo(MIDDLE, MIDDLE - 14);
-  g.lineTo(MIDDLE, MIDDLE + 14);
-  g.stroke();
-  g.font = "18px system-ui, sans-serif";
-  g.fillStyle = "#1b2430";
-  if (!now.target) return g.fillText("The target is out of the picture", 12, 26);
-  const [x, y] = now.target,
-    most = Math.max(Math.abs(x), Math.abs(y)) / config.half;
-  if (most <= 1) return dot(g, [MIDDLE + scale * x, MIDDLE - scale * y], 12, "#a04800");
-  const edge = (0.92 * MIDDLE) / (most * config.half); // a target beyond the drawing: where to
-  arrow(
-    g,
-    [MIDDLE + 0.8 * edge * x, MIDDLE - 0.8 * edge * y],
-    [0.2 * edge * x, -0.2 * edge * y],
-    "#a04800",
-  );
-}
-
-// The hand's square: hand, device, the spring between them, and the guiding force that the device
-// would give: visual cues.
-function drawPad(g, hand, now, largest) {
-  const place = ([x, y]) => [MIDDLE + INNER * x, MIDDLE - INNER * y];
-  g.clearRect(0, 0, SIZE, SIZE);
-  g.strokeStyle = "#cdd5dd";
-  g.lineWidth = 2;
-  g.strokeRect(MIDDLE - INNER, MIDDLE - INNER, 2 * INNER, 2 * INNER);
-  dot(g, [MIDDLE, MIDDLE], 3, "#cdd5dd");
-  spring(g, place(hand), place(now.device));
-  dot(g, place(now.device), 11, "#0072b2");
-  dot(g, place(hand), 7, "#1b2430");
-  arrow(
-    g,
-    place(now.device),
-    [(ARROW * now.guide[0]) / largest, (-ARROW * now.guide[1]) / largest],
-    "#00784f",
-  );
-}
-
 function furnish(root) {
-  dress(root, STYLE);
+  dress(root, PAD_STYLE);
   root.className = "tl-track";
   const picture = element("canvas", { className: "picture", width: SIZE, height: SIZE }),
     pad = element("canvas", { className: "pad", width: SIZE, height: SIZE }),
@@ -247,7 +73,7 @@ function render({ model, el }) {
     kept = new Rows(config.key, null);
   el.append(root);
   const { picture, pad, cues, button, status, ledger } = furnish(root),
-    hand = new Hand(pad, signal);
+    hand = new Stick(pad, signal);
   let now = null,
     running = false,
     sent = 0,

@@ -2,6 +2,7 @@
 import { drive } from "./drive.js";
 import { element, keepKeys, say } from "./page.js";
 import { Rows } from "./rows.js";
+import { served } from "./served.js";
 
 // Ask the kernel; the answer carries the number of the question. A kernel that is busy or gone
 // answers late or never.
@@ -48,15 +49,18 @@ async function render({ model, el }) {
 
   // Rows of a window on their way to the kernel.
   function delivery(name) {
-    const sending = new Rows(`${key}/${name}`, async (batch) => {
+    const every = model.get("config").commands ? 60 : 500;
+    const send = async (batch) => {
       const answer = await ask({ window: name, rows: batch });
       if (answer.refused) {
         await sending.drop();
         if (name === tab) end(answer.refused);
       } else if (name === tab && driving)
         say(trouble, answer.trouble ?? (sending.pending() > 100 ? words.silent : ""));
+      if (name === tab && answer.have !== undefined) driving?.heard?.(answer);
       return answer.have;
-    });
+    };
+    const sending = new Rows(`${key}/${name}`, send, { every });
     return sending;
   }
 
@@ -84,6 +88,7 @@ async function render({ model, el }) {
     const wasm = model.get("wasm"),
       bytes = new Uint8Array(wasm.buffer, wasm.byteOffset, wasm.byteLength);
     start.remove();
+    const config = { ...model.get("config"), rows: begun.rows };
     rows = delivery(tab);
     const on = {
       row(k, values) {
@@ -92,14 +97,17 @@ async function render({ model, el }) {
       },
       note: (note) => ask({ window: tab, note }),
       async end(summary) {
-        await rows.drain();
+        if (config.commands) await rows.drop(); // commands beyond the end lead nowhere
+        else await rows.drain();
         let answer = {};
         while (answer.have === undefined && !answer.refused)
           answer = await ask({ window: tab, end: summary });
         if (!answer.refused) root.append(element("p", { textContent: words.over }));
       },
     };
-    driving = await drive(root, { ...model.get("config"), rows: begun.rows }, bytes, on);
+    driving = await (config.commands
+      ? served(root, config, on)
+      : drive(root, config, bytes, on));
     root.driving = driving;
   }
   start.addEventListener("click", begin);

@@ -15,19 +15,15 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.chain import read_chain
-from trustlab.live.condition import LiveCondition
 from trustlab.live.study.pages import Item, Step
 from trustlab.live.study.plan import Plan
+from trustlab.live.study.settings import model_of
 from trustlab.live.study.store import file_origin
+from trustlab.live.tasks.task import task_named, task_of
 from trustlab.models.checks import of_class
 from trustlab.models.digest import digest
-from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
-from trustlab.testbeds.deciding import WINDOW
-from trustlab.testbeds.ground_robot.course import Course
-from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
 FROM_FIT = "own drive"
 FROM_PART = "own drive in part"
@@ -41,11 +37,6 @@ KERNEL = Path(__file__).parents[1] / "static" / "kernel.wasm"
 def kernel_digest() -> str:
     """Return the digest of the physics that browsers run."""
     return digest(KERNEL.read_bytes()) if KERNEL.exists() else "none"
-
-
-def model_of(content: Mapping[str, Any]) -> TscModel:
-    """Return a model from what `asdict` made of it."""
-    return TscModel(RobotModel(**content["robot"]), HumanModel(**content["human"]))
 
 
 def attempt_name(step: Step, attempt: int) -> str:
@@ -83,15 +74,15 @@ def planned_minutes(plan: Plan) -> int:
         minutes += FORM_MINUTES + ITEM_MINUTES * len(step.page.items)
         if step.page.kind == "drive":
             condition = step.condition or step.page.name
-            config = drive_of(plan.content, condition, plan.content["stand_in"], seed=0)
-            speed = config["robot"]["max_speed"] * 2.0 / 3.0
-            laps = config["task"]["laps"] * config["path"][-1][2] / speed
-            minutes += (laps or config["samples"] * config["sample_time"]) / 60.0
+            config = drive_of(plan.content, condition, stand_in(plan, ""), seed=0)
+            minutes += task_of(config).minutes(config)
     return 5 * math.ceil(minutes / 5.0)
 
 
 def stand_in(plan: Plan, why: str, detail: str = "") -> dict[str, Any]:
     """Return the plan's own model and thresholds, with the reason why they stand in."""
+    if "stand_in" not in plan.content:  # a task whose drives need no model of the person
+        return {"source": "", "why": ""}
     return {"source": FROM_STAND_IN, "why": why, "detail": detail, **plan.content["stand_in"]}
 
 
@@ -135,22 +126,7 @@ def drive_of(
     """
     Return the settings of a drive of a study with this content, with a known model and thresholds.
     """
-    from trustlab.live.runs import drive_config
-
-    length: dict[str, Any] = {"laps": content["laps"]}
-    course, robot = content["course"], content["robot"]
-    place: dict[str, Any] = {
-        "course": None if course is None else Course(**course),
-        "robot": None if robot is None else Pioneer(**robot),
-    }
-    if condition == "training":
-        length = {"seconds": content["training"]}
-    elif condition == "identification":
-        length = {"schedule": [tuple(phase) for phase in content["identification"]]}
-    model, thresholds = model_of(known["model"]), tuple(known["thresholds"])
-    settings = content["own_conditions"].get(condition)
-    rule = condition if settings is None else LiveCondition(**settings)
-    config = drive_config(rule, model=model, thresholds=thresholds, seed=seed, **length, **place)
+    config = task_named(content["task"]).config(content, condition, known, seed)
     if content["rehearsal"]:
         speed, wobble = np.random.default_rng(seed).uniform([0.7, 0.05], [1.0, 0.3]).tolist()
         config |= {"clock": "accelerated", "hand": {"speed": speed, "wobble": wobble}}
@@ -183,14 +159,6 @@ def shown_config(plan: Plan, config: Mapping[str, Any]) -> dict[str, Any]:
     return settings | {"words": plan.content["words"]}
 
 
-def at_its_end(config: Mapping[str, Any], session: Session) -> bool:
-    """Whether a drive is complete: all its laps, or the time it may last."""
-    laps = session.metadata.more.get("laps")
-    return len(session) >= config["samples"] or (
-        laps is not None and len(session.metadata.more["lap_times"]) >= laps
-    )
-
-
 class Driven(NamedTuple):
     """An attempt as its file of rows holds it, and what is wrong with the file: "" if nothing."""
 
@@ -203,8 +171,6 @@ class Driven(NamedTuple):
 
 def read_attempt(plan: Plan, code: str, name: str) -> Driven:
     """Return an attempt, its rows compared with a replay of their commands."""
-    from trustlab.live.runs import replay
-
     path = plan.folder / code / f"{name}.jsonl"
     reading = read_chain(path, file_origin(plan.digest, code, name))
     if not reading.entries:
@@ -217,7 +183,7 @@ def read_attempt(plan: Plan, code: str, name: str) -> Driven:
         return Driven({}, np.empty(0), np.empty((0, 0)), reading.links, damage)
     fault = reading.fault
     if rows and not fault:  # a changed file is not worth a replay
-        same = replay(header["config"], table[:, 2:])
+        same = task_of(header["config"]).replay(header["config"], table[:, 2:])
         if same is not True:
             fault = f"{path.name}: row {same} is not what its commands lead to"
     return Driven(header, table[:, 1], table[:, 2:], reading.links, fault)
@@ -230,8 +196,6 @@ def session_of_attempt(
     Return an attempt's session, replayed from its commands; its metadata hold the verdict, the log
     period and the pauses.
     """
-    from trustlab.live.runs import session_of
-
     driven = read_attempt(plan, code, attempt_name(step, attempt))
     period = np.diff(driven.stamps) / 1000.0
     facts = {
@@ -243,10 +207,10 @@ def session_of_attempt(
         "thresholds_from": driven.header["source"],
         "period_median": float(np.median(period)),
         "period_max": float(period.max()),
-        "performance_window": WINDOW,
         "pauses": [f"row {note['row']}: {note['text']}" for note in notes],
         "participant": code,
         "condition": driven.header["condition"],
         "synthetic": plan.rehearsal,
     }
-    return session_of(driven.header["config"], driven.values, **facts)
+    config = driven.header["config"]
+    return task_of(config).session(config, driven.values, **facts)

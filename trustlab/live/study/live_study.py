@@ -3,7 +3,7 @@
 import json
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,15 @@ import pandas as pd
 from trustlab.live.condition import LiveCondition
 from trustlab.live.runs import warn_if_too_short
 from trustlab.live.study.drives import drive_of, kernel_digest
-from trustlab.live.study.pages import as_json, read_pages, read_words
+from trustlab.live.study.pages import as_json, read_pages, read_words, task_pages
 from trustlab.live.study.participation import Participation
 from trustlab.live.study.plan import FORMAT, Plan, content_digest
 from trustlab.live.study.rehearsal import rehearse
-from trustlab.live.study.settings import DriveSettings, drive_settings_of
 from trustlab.live.study.store import delete_participant
+from trustlab.live.tasks.task import task_named
 from trustlab.models.checks import (
     flag,
+    of_class,
     one_of,
     shown,
     spawned,
@@ -27,7 +28,6 @@ from trustlab.models.checks import (
 )
 from trustlab.models.html import as_html
 from trustlab.studies.designs import latin_square_design
-from trustlab.testbeds.deciding import CONDITIONS
 
 
 class LiveStudy(Plan):
@@ -44,8 +44,10 @@ class LiveStudy(Plan):
     folder : path-like
         Where the study is kept; made if it is not there.
     conditions : sequence of str or LiveCondition
-        Conditions of Section 2.4.1.2, "C1" to "C5", and your own; at least two. Participants do not
-        see their names.
+        At least two conditions of the task; all when not given. Of the ground robot: "C1" to "C5",
+        Section 2.4.1.2, and your own. Of teleoperation: the schemes "M", "MI", "MMI", "TMIG" and
+        "OMI". Of a team: who chooses the leader, "by_hand", "most_trusted", "hysteresis" or
+        "suggested". Participants do not see their names.
     participants : int or sequence of str
         How many, called P01, P02 …, or their codes (letters, digits, - and _). Codes only: never
         names.
@@ -54,8 +56,10 @@ class LiveStudy(Plan):
     pages : path-like or sequence of path-like
         TOML files that change words and pages, leave some out, or add pages and questionnaires of
         your own.
-    drives : DriveSettings, optional
-        Length of the drives, course, robot and stand-in model.
+    drives : DriveSettings, TeleoperationSettings or LeadingSettings, optional
+        The drives' settings, of the task's class: their length, for example.
+    task : {"ground_robot", "teleoperation", "team"}
+        What people do. Browsers compute the ground robot; the server computes the other two.
     language : {"en", "de"}
         Language of everything that participants see.
     whole_squares : bool
@@ -84,31 +88,39 @@ class LiveStudy(Plan):
     def __init__(
         self,
         folder: str | os.PathLike,
-        conditions: Sequence[str | LiveCondition] = tuple(CONDITIONS),
+        conditions: Sequence[str | LiveCondition] | None = None,
         participants: int | Sequence[str] = 20,
         seed: int = 0,
         *,
         pages: str | os.PathLike | Sequence[str | os.PathLike] = (),
-        drives: DriveSettings | None = None,
+        task: str = "ground_robot",
+        drives: Any = None,
         language: str = "en",
         whole_squares: bool = True,
         rehearsal: bool = False,
         **settings: Any,
     ):
-        drives = drive_settings_of(drives, settings)
+        protocol = task_named(task)
+        kind = protocol.settings
+        drives = replace(kind() if drives is None else of_class("drives", drives, kind), **settings)
+        conditions = protocol.conditions if conditions is None else conditions
         personal = {c.name: asdict(c) for c in conditions if isinstance(c, LiveCondition)}
+        if personal and task != "ground_robot":
+            raise ValueError(f"a LiveCondition belongs to the ground robot; {task} has its own")
         names = [c.name if isinstance(c, LiveCondition) else c for c in conditions]
         for name in names:
-            one_of("condition", name, (*CONDITIONS, *personal))
+            one_of("condition", name, (*protocol.conditions, *personal))
         codes = _codes(participants)
         design = latin_square_design(
             names, codes, seed, whole_squares=flag("whole_squares", whole_squares)
         )
-        files = [
+        files = task_pages(task, language)
+        files += [
             Path(path) for path in ([pages] if isinstance(pages, str | os.PathLike) else pages)
         ]
         content: dict[str, Any] = {
             "format": FORMAT,
+            "task": task,
             "kernel": kernel_digest(),
             "conditions": names,
             "own_conditions": personal,
@@ -121,9 +133,11 @@ class LiveStudy(Plan):
             "pages": as_json(read_pages(language, files)),
         }
         # What cannot be driven is refused now.
-        drivable = ("training", "identification", *names)
-        configs = [drive_of(content, name, content["stand_in"], seed=0) for name in drivable]
-        warn_if_too_short(configs[-1])
+        known = content.get("stand_in", {})
+        for name in (*protocol.practice, *names):
+            config = drive_of(content, name, known, seed=0)
+        if task == "ground_robot":
+            warn_if_too_short(config)
         content = json.loads(json.dumps(content))  # as it will be read again
         super().__init__(Path(folder).absolute(), content | {"digest": content_digest(content)})
         self.freeze()
@@ -222,8 +236,8 @@ class LiveStudy(Plan):
     def _repr_html_(self) -> str:
         kind = " Rehearsal by scripted hands." if self.rehearsal else ""
         words = (
-            f"{len(self.orders)} participants, seed {self.content['seed']}, "
-            f"{self.content['laps']} laps a drive.{kind}"
+            f"{len(self.orders)} participants, seed {self.content['seed']}, task "
+            f"{self.content['task']}.{kind}"
         )
         return as_html(words, self.table(), title=f"Live study {self.folder.name}")
 

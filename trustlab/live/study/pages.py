@@ -17,6 +17,7 @@ LANGUAGES = {
 }
 """The files of words that come with the package."""
 
+TASK_WORDS = Path(__file__).parents[1] / "words"
 WORDS = "words"
 """The table of such a file that holds messages; each of the others is a page."""
 
@@ -309,6 +310,12 @@ def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPa
             tables[name] = {**table, "section": tables[anchor]["section"]}
             tables = {key: tables[key] for key in order}
     return [_page(f"[{name}]", name, table) for name, table in tables.items()]
+
+
+def task_pages(task: str, language: str) -> list[Path]:
+    """Return the files that change a language's pages for a task; none for the ground robot."""
+    path = TASK_WORDS / task / f"{one_of('language', language, LANGUAGES)}.toml"
+    return [path] if path.exists() else []
 
 
 def steps_of(pages: Iterable[StudyPage], order: Iterable[str]) -> list[Step]:

@@ -11,7 +11,6 @@ from typing import Any
 
 from trustlab.live.rows import check_row, is_number
 from trustlab.live.study.drives import (
-    at_its_end,
     attempt_name,
     drive_settings,
     identified,
@@ -23,6 +22,7 @@ from trustlab.live.study.drives import (
 from trustlab.live.study.pages import LONGEST_ANSWER, AnswerError, Step
 from trustlab.live.study.plan import Plan
 from trustlab.live.study.progress import Progress, progress_of
+from trustlab.live.tasks.task import ServedRun, task_of
 from trustlab.models.digest import digest
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.writers import write_session
@@ -64,6 +64,7 @@ class Participation:
         self.participant = plan.participant(code)
         self.steps = plan.steps(code)
         self.configs: dict[str, dict[str, Any]] = {}
+        self.runs: dict[str, ServedRun] = {}
         self.seen: float | None = None
         self.telemetry: dict[str, float] = {}
 
@@ -131,6 +132,7 @@ class Participation:
             header = drive_settings(self.plan, self.code, step, attempt, now.model)
             self.participant.open_attempt(name, header)
         rows = self.participant.rows(name)
+        self.runs.clear()  # it may be ahead of what could be kept
         facts = {"rows": len(rows), "link": self.participant.link(name)}
         self.participant.add("begin", page=step.index, attempt=attempt, tab=tab, **facts)
         return {
@@ -157,10 +159,21 @@ class Participation:
             if any(number >= have for number, *_ in rows):
                 raise RefusedError("this drive is over", page=now.page(len(self.steps)))
             return {"have": have, "current": False}
+        seen = {}
+        if "commands" in self.configs[name]:
+            run = self._run(name)
+            rows = run.complete(rows)
+            seen = {"picture": run.picture()}
         have = self.participant.take(name, rows)
         self.telemetry = _numbers(body.get("telemetry"))
         current = now.page(len(self.steps)) == step.index and now.attempt(step.index) == attempt
-        return {"have": have, "current": current}
+        return {"have": have, "current": current, **seen}
+
+    def _run(self, name: str) -> ServedRun:
+        """Return the run that is computed here, behind the rows that are kept."""
+        if name not in self.runs:
+            self.runs[name] = ServedRun(self.configs[name], self.participant.rows(name))
+        return self.runs[name]
 
     def _checked(self, name: str, rows: Any) -> list[list[float]]:
         """Return rows that a drive may have: a number, a time in ms, and each column's value."""
@@ -205,7 +218,8 @@ class Participation:
             if note.get("page") == step.index and note.get("attempt") == attempt
         ]
         session = session_of_attempt(self.plan, self.code, step, attempt, notes)
-        if not at_its_end(self.participant.header(name)["config"], session):
+        config = self.participant.header(name)["config"]
+        if not task_of(config).at_end(config, session):
             raise RefusedError("this drive is not at its end", have=have)
         table = self.participant.folder / f"{name}.csv"
         try:

@@ -22,7 +22,7 @@ from trustlab.models.checks import one_of
 from trustlab.models.digest import digest
 from trustlab.models.files import write_atomically
 
-FORMAT = 2
+FORMAT = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -21,6 +21,7 @@ from trustlab.live.study.plan import Plan
 from trustlab.live.study.progress import Progress
 from trustlab.live.study.records import Fault, ParticipantRecord, faults_of, read_record
 from trustlab.live.study.store import EVENTS, PLAN
+from trustlab.live.tasks.task import LiveTask, task_named
 from trustlab.models.checks import one_of
 from trustlab.models.html import as_html
 from trustlab.sessions.readers import read_session
@@ -35,7 +36,6 @@ from trustlab.studies.questionnaires.likert import (
 )
 from trustlab.studies.questionnaires.nasa_tlx import score_nasa_tlx
 from trustlab.studies.regression.order_effects import OrderEffects, order_effects
-from trustlab.testbeds.condition_run import condition_measures
 
 KEYS = ["participant", "position", "condition"]
 REHEARSAL = "scripted hands, no person took part"
@@ -102,6 +102,11 @@ class RecordedStudy:
     def progress(self) -> dict[str, Progress]:
         """Where each participant is, by code."""
         return {code: record.progress for code, record in self.records.items()}
+
+    @property
+    def task(self) -> LiveTask:
+        """What people do."""
+        return task_named(self.plan.content["task"])
 
     @property
     def origin(self) -> str:
@@ -264,10 +269,11 @@ class RecordedStudy:
 
         A row per drive: participant, position, condition, synthetic, attempt, verified (whether a
         replay of its commands gives the same bits and its files are as they were written),
-        thresholds_from, period_median and period_max [s] of the log, pauses; the measures of
-        `run_condition` (p_r, p_h, r, tsc, path_error, speed, manual_share, switches, laps,
-        duration, lap_time, suggestions, followed_percent); tlx_raw, trust_mean, satisfaction_mean
-        and whatever other questionnaires score, NaN where they are not answered yet.
+        thresholds_from, period_median and period_max [s] of the log, pauses; the measures of the
+        task, for the ground robot those of `run_condition` (p_r, p_h, r, tsc, path_error, speed,
+        manual_share, switches, laps, duration, lap_time, suggestions, followed_percent);
+        tlx_raw, trust_mean, satisfaction_mean and whatever other questionnaires score, NaN where
+        they are not answered yet.
         """
         rows = []
         for session in self._sessions:
@@ -280,10 +286,7 @@ class RecordedStudy:
             }
             row |= {"synthetic": meta.synthetic} | {name: meta.more[name] for name in facts}
             row["pauses"] = len(meta.more["pauses"])
-            laps = np.asarray(meta.more["lap_times"], dtype=float)
-            rows.append(
-                row | condition_measures(session, session.t, str(meta.condition), lap_times=laps)
-            )
+            rows.append(row | self.task.measures(session))
         if not rows:
             return pd.DataFrame(columns=KEYS)
         table = pd.DataFrame(rows)

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.live.hand import HumanHand, scripted_drive
 from trustlab.live.study.drives import attempt_name
 from trustlab.live.study.pages import Item, Step
 from trustlab.live.study.participation import Participation
+from trustlab.live.tasks.task import task_of
 
 SENT_AT_ONCE = 600
 
@@ -44,7 +44,7 @@ def _drive(participation: Participation, step: Step, rng: np.random.Generator) -
     header = participation.participant.header(attempt_name(step, about["attempt"]))
     assert header is not None
     config = header["config"]
-    made, _ = scripted_drive(config, HumanHand(config, int(rng.integers(2**32))))
+    made = task_of(config).scripted_rows(config, rng)
     stamped = [[k, 1000.0 * config["sample_time"] * k, *row] for k, row in enumerate(made.tolist())]
     for first in range(0, len(stamped), SENT_AT_ONCE):
         participation.rows(about | {"rows": stamped[first : first + SENT_AT_ONCE]})

@@ -1,11 +1,13 @@
 """How long people drive in a study, where, and whose model stands in for theirs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.models.checks import finite_number, of_class, positive, shown, whole_number
+from trustlab.models.human import HumanModel
+from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 from trustlab.testbeds.ground_robot.conditions import published_model, published_thresholds
 from trustlab.testbeds.ground_robot.course import Course
@@ -103,10 +105,9 @@ class DriveSettings:
         return {"model": asdict(model), "thresholds": limits}
 
 
-def drive_settings_of(drives: DriveSettings | None, changes: Mapping[str, Any]) -> DriveSettings:
-    """Return a user's settings of drives: an object, keywords, or an object changed by them."""
-    settings = DriveSettings() if drives is None else of_class("drives", drives, DriveSettings)
-    return replace(settings, **changes)
+def model_of(content: Mapping[str, Any]) -> TscModel:
+    """Return a model from what `asdict` made of it."""
+    return TscModel(RobotModel(**content["robot"]), HumanModel(**content["human"]))
 
 
 def _fields(settings: Course | Pioneer) -> dict[str, Any]:

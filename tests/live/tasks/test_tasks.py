@@ -1,0 +1,407 @@
+"""
+Tasks behind their protocol: what a run logs, its replay, its measures, and who may choose.
+
+Oracle: `TeamLoop` and `TeleoperationLoop` stepped here by the logged commands, without the task's
+code; plain loops; `cohens_kappa` of statsmodels.
+"""
+
+import json
+from contextlib import suppress
+
+import numpy as np
+import pandas as pd
+import pytest
+from statsmodels.stats.inter_rater import cohens_kappa
+
+import trustlab as tl
+from trustlab.live.attempt import Attempt
+from trustlab.live.rows import check_row
+from trustlab.live.study.participation import Participation, RefusedError
+from trustlab.live.study.plan import Plan
+from trustlab.live.tasks.agreement import occasions, policy_agreement
+from trustlab.live.tasks.task import TASKS, ServedRun, task_named, task_of
+from trustlab.live.tasks.team import ABILITIES, LeadingSettings
+from trustlab.live.tasks.teleoperation import TeleoperationSettings
+from trustlab.operators.teleoperator import REACH
+from trustlab.sessions.session import Metadata, Session
+from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, TeamTrial
+
+SHORT = {"team": {"duration": 9.0, "goals": 2}, "teleoperation": {"duration": 3.0}}
+CASES = [("team", "by_hand"), ("team", "suggested"), ("teleoperation", "TMIG")]
+CASES += [("teleoperation", "MMI")]
+
+
+def configured(task, condition, seed=3):
+    protocol = task_named(task)
+    return protocol.config(protocol.settings(**SHORT[task]).as_json(), condition, {}, seed)
+
+
+def commanded(config, seed=0):
+    """Commands of a hand that wanders and now and then changes its choice."""
+    rng = np.random.default_rng(seed)
+    t = 0.05 * np.arange(config["samples"])
+    low, high = config["limits"][config["commands"][2]]
+    choice = np.repeat(rng.uniform(low, high, len(t) // 20 + 1), 20)[: len(t)]
+    if config["commands"][2] == "leader_choice":
+        choice = np.round(choice)
+    return np.column_stack([np.sin(0.7 * t), 0.8 * np.cos(0.4 * t), choice])
+
+
+def stepped(config, commands):
+    run = task_of(config).begin(config)
+    rows = []
+    for command in commands.tolist():
+        if run.done:
+            break
+        rows.append(run.step(*command))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(("task", "condition"), CASES)
+def test_a_run_is_replayed_bit_for_bit_and_a_changed_bit_is_found(task, condition):
+    config = json.loads(json.dumps(configured(task, condition)))
+    rows = stepped(config, commanded(config))
+    protocol = task_of(config)
+    assert protocol.replay(config, json.loads(json.dumps(rows.tolist()))) is True
+    for column in (0, len(config["commands"]), rows.shape[1] - 1):
+        k = len(rows) // 2
+        spoiled = rows.copy()
+        spoiled[k, column] = np.nextafter(spoiled[k, column], np.inf)
+        assert protocol.replay(config, spoiled) == k
+    longer = np.vstack([rows, rows[-1:]])
+    if len(longer) <= config["samples"]:
+        assert protocol.replay(config, longer) == len(rows)
+    session = protocol.session(config, rows, participant="P01")
+    assert session.sample_time == 0.05
+    assert session.data.to_numpy().tobytes() == rows.tobytes()
+    for name, number in protocol.measures(session).items():
+        assert np.isfinite(number) or name == "followed_percent"
+
+
+class ByCommand:
+    """A policy that leads as the commands say, written out."""
+
+    title = "commands"
+
+    def __init__(self, choices):
+        self.choices = choices
+
+    def leader(self, now):
+        choice = int(self.choices[min(round(now.t / 0.05), len(self.choices) - 1)])
+        return choice - 1 if choice else now.leader or 0
+
+
+def test_a_team_is_that_of_the_loop():
+    config = configured("team", "by_hand")
+    commands = commanded(config)
+    session = task_of(config).session(config, stepped(config, commands))
+    ring = np.array([[0, 1, 0, 1], [1, 0, 1, 0], [0, 1, 0, 1], [1, 0, 1, 0]], float)
+    robots = tuple(type(ABILITIES[0])(**robot) for robot in config["robots"])
+    settings = TeamSettings(robots=robots, min_dwell=5.0, **config["gains"])
+    start = np.array(config["start"])
+    trial = TeamTrial(0.01, start=start)
+    goal = (*config["goals"][-1], 0.0)
+    operator = TeamOperator(guarded=False)
+    policy = ByCommand(commands[:, 2])
+    loop = tl.TeamLoop(ring, policy, goal, 3, 9.05, operator, settings, trial)
+    for k, (x, y, _) in enumerate(commands[: len(session)]):
+        for _ in range(5):
+            loop.step(hand=(0.12 * x, 0.12 * y, 0.0))
+        middle = loop.positions[:, :2].mean(axis=0)
+        assert (session["team_x"][k], session["team_y"][k]) == tuple(middle)
+        assert session["leader"][k] == loop.leader + 1
+        trust = [session[f"trust_{i}"][k] for i in range(1, 5)]
+        assert trust == loop.trust.tolist()
+    assert len(set(session["leader"])) > 1, "the leader changed"
+    scaled = TeamSettings.scaled(ring, 40.0)
+    assert config["gains"]["coupling"] == pytest.approx(scaled.coupling)
+
+
+def test_a_flight_is_that_of_the_loop():
+    config = configured("teleoperation", "MMI")
+    commands = commanded(config)
+    session = task_of(config).session(config, stepped(config, commands))
+    operator = tl.Teleoperator("live", reach=REACH["main"], noise=0.0)
+    settings = tl.TeleoperationLoop("MMI", study="main")._settings
+    ends = settings.scattering
+    share = ends.alpha_min + commands[:, 2] * (ends.alpha_max - ends.alpha_min)
+    loop = tl.TeleoperationLoop(
+        "MMI", operator, "main", 3, guidance="at_operator", alpha=np.repeat(share, 5)
+    )
+    reach = 2.0 * REACH["main"] / np.broadcast_to(settings.weight, 3)[:2]
+    for k, (x, y, _) in enumerate(commands):
+        for _ in range(5):
+            state = loop.step(hand=(x * reach[0], y * reach[1], 0.0))
+        assert session["alpha"][k] == state.alpha == pytest.approx(share[k])
+        assert session["path_error"][k] == state.path_error
+        assert session["f_m_x"][k] == state.f_m[0]
+
+
+def test_alpha_by_hand_lies_within_its_bounds():
+    loop = tl.TeleoperationLoop("MMI", seed=0)
+    with pytest.raises(ValueError, match="alpha must lie in"):
+        loop.step(hand=(0.0, 0.0, 0.0), alpha=1.5)
+
+
+def test_policies_lead_where_they_should_and_suggest_where_they_should():
+    for condition in ("most_trusted", "hysteresis"):
+        config = configured("team", condition)
+        session = task_of(config).session(config, stepped(config, commanded(config)))
+        free = session["may_switch"] > 0
+        assert (session["leader"] == session[f"leader_{condition}"])[free].all()
+        assert not session["leader_suggested"].any()
+    config = configured("team", "suggested")
+    idle = np.zeros((config["samples"], 3))
+    idle[:, 0] = 1.0
+    session = task_of(config).session(config, stepped(config, idle))
+    suggested = session["leader_suggested"]
+    assert set(session["leader"]) == {1}, "nothing was accepted"
+    pick = session["leader_hysteresis"]
+    stands = (session["may_switch"] > 0) & (pick != session["leader"])
+    assert (suggested[stands] == pick[stands]).all()
+    assert not suggested[~stands].any()
+
+
+def test_a_team_at_its_goals_ends_before_its_time():
+    content = LeadingSettings(duration=60.0, goals=1, tolerance=1.0).as_json()
+    protocol = task_named("team")
+    config = protocol.config(content, "most_trusted", {}, 5)
+    rows = stepped(config, protocol.scripted_rows(config, np.random.default_rng(0)))
+    session = protocol.session(config, rows)
+    assert len(rows) < config["samples"]
+    assert session["goals_reached"][-1] == 1
+    assert protocol.at_end(config, session)
+    cut = protocol.session(config, rows[:-1])
+    assert not protocol.at_end(config, cut)
+    measures = protocol.measures(session)
+    assert measures["duration"] == pytest.approx(0.05 * len(rows))
+    way = sum(
+        np.hypot(x, y)
+        for x, y in zip(np.diff(session["team_x"]), np.diff(session["team_y"]), strict=True)
+    )
+    assert measures["path"] == pytest.approx(way)
+
+
+# rows
+# --------------------------------------------------------------------------------------------------
+
+
+def test_rows_that_are_sent_again_come_out_the_same():
+    config = configured("team", "by_hand")
+    sent = [[k, 50.0 * k, *command] for k, command in enumerate(commanded(config)[:30].tolist())]
+    served = ServedRun(config, [])
+    first = served.complete(sent[:10])
+    assert served.complete(sent[4:10]) == first[4:]
+    assert served.complete(sent[12:20]) == [], "a gap waits for its rows"
+    rest = served.complete(sent[8:])
+    assert [row[0] for row in rest] == list(range(8, 30))
+    anew = ServedRun(config, first)
+    assert anew.complete(sent[10:]) == rest[2:]
+    assert anew.picture()["k"] == 30
+
+
+@pytest.mark.parametrize("value", [7, 1.5, -1, float("nan"), "1", None])
+def test_commands_that_nobody_can_give_are_refused(value):
+    config = configured("team", "by_hand")
+    check_row(config, [0, 0.0, 0.5, -1.0, 4])
+    with pytest.raises(ValueError, match=r"leader_choice|finite numbers"):
+        check_row(config, [0, 0.0, 0.5, -1.0, value])
+    with pytest.raises(ValueError, match="pointer_x"):
+        check_row(config, [0, 0.0, 1.01, 0.0, 0])
+
+
+def planned(folder, task, conditions, **more):
+    settings = {"training": 1.0, **SHORT[task], "duration": 2.0, **more}
+    return tl.LiveStudy(folder, conditions, 2, task=task, **settings)
+
+
+def begun(plan, code="P01"):
+    participation = Participation(plan, code)
+    while participation.state()["kind"] == "form":
+        step = participation.steps[participation.state()["page"]]
+        answers = {item.name: True for item in step.page.items}
+        participation.answers({"page": step.index, "answers": answers})
+    page = participation.state()["page"]
+    about = {"page": page, "tab": "a", "attempt": 0}
+    return participation, about, participation.begin(about)["config"]
+
+
+def test_a_full_disk_loses_nothing(tmp_path, monkeypatch):
+    plan = planned(tmp_path / "s", "team", ["by_hand", "suggested"])
+    participation, about, config = begun(plan)
+    sent = [[k, 50.0 * k, *row] for k, row in enumerate(commanded(config)[:20].tolist())]
+    assert participation.rows(about | {"rows": sent[:5]})["have"] == 5
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("os.fsync", full)
+        with pytest.raises(OSError, match="No space"):
+            participation.rows(about | {"rows": sent[5:12]})
+    answer = participation.rows(about | {"rows": sent[5:]})
+    assert answer["have"] == 20
+    assert answer["picture"]["done"]
+    participation.done(about | {"rows": 20})
+    assert tl.read_live_study(plan.folder).faults().empty
+
+
+def test_of_two_windows_the_last_one_leads(tmp_path):
+    plan = planned(tmp_path / "s", "teleoperation", ["M", "MMI"])
+    participation, about, config = begun(plan)
+    sent = [[k, 50.0 * k, *row] for k, row in enumerate(commanded(config)[:20].tolist())]
+    participation.rows(about | {"rows": sent[:5]})
+    with pytest.raises(RefusedError, match="not at its end"):
+        participation.done(about | {"rows": 5})
+    assert len(participation.begin(about | {"tab": "b"})["rows"]) == 5
+    with pytest.raises(RefusedError, match="another window"):
+        participation.rows(about | {"rows": sent[5:]})
+    assert participation.rows(about | {"tab": "b", "rows": sent[5:]})["have"] == 20
+
+
+@pytest.mark.parametrize("task", ["team", "teleoperation"])
+def test_a_study_is_rehearsed_read_and_every_changed_file_found(tmp_path, task):
+    conditions = list(task_named(task).conditions[:2])
+    plan = planned(tmp_path / "s", task, conditions, rehearsal=True)
+    plan.rehearse(1)
+    study = tl.read_live_study(plan.folder)
+    measures = study.measures
+    assert measures["verified"].all()
+    assert len(measures) == 4
+    assert study.participants["complete"].all()
+    assert set(study.task.reported) <= set(measures)
+    assert study.export().exists()
+    assert Plan.open(plan.folder).content["task"] == task
+    rng = np.random.default_rng(0)
+    files = sorted((plan.folder / "P01").iterdir())
+    for path in [*files, plan.folder / "study.json"]:
+        whole = path.read_bytes()
+        for at in rng.integers(len(whole) - 1, size=4):
+            spoiled = bytearray(whole)
+            spoiled[at] ^= 1 << int(rng.integers(7))
+            path.write_bytes(spoiled)
+            with suppress(ValueError):  # unreadable is seen as well
+                assert not tl.read_live_study(plan.folder).faults().empty, (path.name, at)
+            path.write_bytes(whole)
+    assert tl.read_live_study(plan.folder).faults().empty
+
+
+# a notebook
+# --------------------------------------------------------------------------------------------------
+
+
+def test_a_team_in_a_notebook_goes_on_after_a_restart(tmp_path):
+    settings = LeadingSettings(duration=2.0)
+    live = tl.LiveTeam("by_hand", settings, "me", 4, tmp_path)
+    commands = commanded(live.attempt.config)
+    sent = [[k, 50.0 * k, *row] for k, row in enumerate(commands.tolist())]
+    answer = live.attempt.answer({"begin": True, "window": "a"})
+    assert answer["rows"] == []
+    assert answer["picture"]["k"] == 0
+    answer = live.attempt.answer({"rows": sent[:15], "window": "a"})
+    assert answer["have"] == 15
+    assert answer["picture"]["leader"] in (1, 2, 3, 4)
+    assert "refused" in live.attempt.answer({"rows": sent[15:], "window": "b"})
+    live.attempt.close()
+    Attempt._open.clear()
+    again = tl.LiveTeam("by_hand", settings, "me", 4, tmp_path)
+    assert len(again.attempt.answer({"begin": True, "window": "c"})["rows"]) == 15
+    answer = again.attempt.answer({"rows": sent[15:], "window": "c"})
+    assert answer["have"] == 40
+    assert answer["picture"]["done"]
+    assert again.verified
+    whole = stepped(again.attempt.config, commands)
+    assert again.session.data.to_numpy().tobytes() == whole.tobytes()
+
+
+# agreement
+# --------------------------------------------------------------------------------------------------
+
+
+def a_run(leader, picks, free, participant="P01", dwell=0.2):
+    columns = {"leader": leader, "leader_most_trusted": picks, "leader_hysteresis": picks}
+    data = pd.DataFrame({**columns, "may_switch": free}, dtype=float)
+    data.index = pd.Index(np.round(0.05 * np.arange(len(data)), 9), name="t")
+    about = Metadata(participant, "by_hand", more={"min_dwell": dwell})
+    return Session(data, about)
+
+
+def test_an_occasion_lasts_until_the_leader_changes_or_a_dwell_time_has_passed():
+    leader = [1, 1, 1, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2]
+    free = [0, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1]
+    picks = [3, 2, 3, 3, 3, 3, 2, 1, 1, 1, 4, 1, 1, 1]
+    table = occasions(a_run(leader, picks, free), 0.2)
+    # from row 1 until the change at row 3; from row 6 for four rows; the next has no time to end
+    assert table["t"].tolist() == [0.05, 0.3]
+    assert table["most_trusted"].tolist() == [2, 2]
+    assert table["chosen"].tolist() == [2, 2]
+
+
+def test_agreement_is_cohens_kappa():
+    rng = np.random.default_rng(1)
+    runs, pooled = [], np.zeros(3)
+    for person in range(5):
+        picks = rng.integers(1, 5, 300)
+        leader = np.where(rng.random(300) < 0.6, np.roll(picks, 1), rng.integers(1, 5, 300))
+        run = a_run(leader, picks, np.ones(300), f"P{person}")
+        runs.append(run)
+        table = occasions(run, 0.2)
+        square = pd.crosstab(table["chosen"], table["most_trusted"])
+        square = square.reindex(index=range(1, 5), columns=range(1, 5), fill_value=0)
+        oracle = cohens_kappa(square.to_numpy())
+        single = policy_agreement([run], draws=100).loc["most_trusted"]
+        assert single["kappa"] == pytest.approx(oracle.kappa)
+        assert np.isnan(single["low"])
+        count = len(table)
+        pooled += count * np.array([1.0, single["agreement"], single["chance"]])
+    result = policy_agreement(runs).loc["most_trusted"]
+    assert result["kappa"] == pytest.approx((pooled[1] - pooled[2]) / (pooled[0] - pooled[2]))
+    assert result["low"] < result["kappa"] < result["high"]
+    assert result["low"] > 0.2
+    assert result["high"] < 0.9
+
+
+def test_one_robot_kept_agrees_by_chance_only():
+    kept = a_run(np.ones(200), np.ones(200), np.ones(200))
+    result = policy_agreement([kept])
+    assert np.isnan(result["kappa"]).all()
+    assert (result["agreement"] == 1.0).all()
+    with pytest.raises(ValueError, match="by_hand"):
+        policy_agreement([a_run(np.ones(3), np.ones(3), np.zeros(3))])
+
+
+# what is refused
+# --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda f: tl.LiveStudy(f, ["C1", "C2"], 2, task="flying"), "task must be"),
+        (lambda f: tl.LiveStudy(f, ["C1", "C2"], 2, task="team"), "condition must be"),
+        (lambda f: tl.LiveStudy(f, task="team", drives=tl.DriveSettings()), "drives"),
+        (lambda f: LeadingSettings(robots=7), "robots"),
+        (lambda f: LeadingSettings(min_dwell=0.0), "min_dwell"),
+        (lambda f: TeleoperationSettings(study="other"), "study"),
+        (lambda f: tl.LiveTeam("C1", folder=f), "condition"),
+        (lambda f: tl.LiveTeam(settings=tl.DriveSettings(), folder=f), "settings"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path, make, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        make(tmp_path / "s")
+
+
+def test_own_conditions_belong_to_the_ground_robot(tmp_path):
+    own = tl.LiveCondition("mine")
+    with pytest.raises(ValueError, match="ground robot"):
+        tl.LiveStudy(tmp_path / "s", ["by_hand", own], 2, task="team")
+
+
+def test_every_task_has_what_the_protocol_asks_for():
+    for name in TASKS:
+        protocol = task_named(name)
+        assert protocol.name == name
+        assert len(protocol.conditions) > 1
+        assert protocol.reported
+        assert isinstance(protocol.settings().as_json(), dict)

@@ -1,0 +1,364 @@
+"""A team as a live task: one person leads it to goals through whichever robot leads."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from trustlab.live.tasks.task import PERIOD, LiveTask
+from trustlab.models.checks import between, positive, whole_number
+from trustlab.sessions.session import Session
+from trustlab.teleoperation.team.leader_policies import POLICIES, TeamSituation
+from trustlab.teleoperation.team.settings import (
+    TeamOperator,
+    TeamRobot,
+    TeamSettings,
+    TeamTrial,
+)
+from trustlab.testbeds.robot_team import TeamLoop
+
+BY_HAND, SUGGESTED = "by_hand", "suggested"
+ADVISERS: dict[str, Any] = {name: POLICIES[name] for name in ("most_trusted", "hysteresis")}
+"""Policies whose picks are logged, in every condition."""
+
+COMMANDS = ("pointer_x", "pointer_y", "leader_choice")
+COLUMNS = (
+    *COMMANDS,
+    *(f"{name}_{axis}" for name in ("robot", "team", "reference", "f_m") for axis in "xy"),
+    "path_error",
+    "leader",
+    "leader_suggested",
+    "leader_most_trusted",
+    "leader_hysteresis",
+    "may_switch",
+    "goals_reached",
+)
+
+ABILITIES = (
+    TeamRobot(),
+    TeamRobot(speed=0.4),
+    TeamRobot(loss=0.5),
+    TeamRobot(drift=0.05),
+    TeamRobot(speed=0.7),
+    TeamRobot(loss=0.25),
+)
+"""How well robots do what they should; who has which is drawn for each run."""
+
+GAINS = ("coupling", "lead_gain", "force_gain")
+SAMPLE_TIME = 0.01
+PULL = 0.12
+"""Where a hand at the edge of its square wants the device to be [m]."""
+
+WITHIN = 40.0
+"""Gains of the team: time in which a leader that is held at a goal draws the others there [s]."""
+
+FIELD = 4.0
+NEAREST = 3.0
+START = 1.0
+"""Goals lie within ± FIELD, at least NEAREST from the one before; robots begin within START [m]."""
+
+
+@dataclass(frozen=True)
+class LeadingSettings:
+    """
+    The runs of a live study of a team.
+
+    Parameters
+    ----------
+    robots : int
+        How many robots, on a ring, 3 to 6.
+    goals : int
+        How many goals the team is led to, one after the other.
+    duration : float
+        When a run ends at the latest [s].
+    training : float
+        The same for the training run, in which people choose the leader by hand [s].
+    min_dwell : float
+        τ_min, how long a leader leads at the least [s].
+    tolerance : float
+        How near to a goal all robots must be [m].
+
+    Raises
+    ------
+    ValueError
+        If a value is not understood.
+
+    Examples
+    --------
+    >>> from trustlab.live import LeadingSettings
+    >>> LeadingSettings(robots=5).as_json()["robots"]
+    5
+    """
+
+    robots: int = 4
+    goals: int = 3
+    duration: float = 120.0
+    training: float = 60.0
+    min_dwell: float = 5.0
+    tolerance: float = 0.4
+
+    def __post_init__(self):
+        whole_number("robots", self.robots, least=3, most=6)
+        whole_number("goals", self.goals, most=20)
+        between("duration", self.duration, 1.0, 3600.0)
+        between("training", self.training, 1.0, 3600.0)
+        between("min_dwell", self.min_dwell, 1.0, 60.0)
+        positive("tolerance", self.tolerance)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the settings as plain values for `study.json`."""
+        return asdict(self)
+
+
+def ring(count: int) -> np.ndarray:
+    """Return the graph of a team: each robot sees its two neighbours."""
+    after = np.roll(np.eye(count), 1, axis=0)
+    return after + after.T
+
+
+def gains_of(count: int) -> dict[str, float]:
+    """Return the gains that bring a team of this size to a goal in time."""
+    scaled = TeamSettings.scaled(ring(count), WITHIN)
+    return {name: float(getattr(scaled, name)) for name in GAINS}
+
+
+class PersonLeads:
+    """
+    A leader policy that asks a person, or a policy in the person's place; what the policies would
+    pick is kept for the log.
+    """
+
+    title = "a person"
+
+    def __init__(self, condition: str):
+        self.condition = condition
+        self.wish = 0
+        self.picks = dict.fromkeys(ADVISERS, 1)
+        self.free = False
+        self.left = 0.0
+
+    def leader(self, now: TeamSituation) -> int:
+        """Return the number of the robot that leads from now on."""
+        self.picks = {name: policy.leader(now) + 1 for name, policy in ADVISERS.items()}
+        self.free = now.free
+        self.left = max(now.dwell - (now.t - now.since), 0.0)
+        if self.condition in ADVISERS:
+            return self.picks[self.condition] - 1
+        return self.wish - 1 if self.wish else now.leader or 0
+
+    def suggestion(self, leader: int) -> int:
+        """Return the number of the robot suggested as leader, 0 for none."""
+        pick = self.picks["hysteresis"]
+        return pick if self.condition == SUGGESTED and self.free and pick != leader else 0
+
+
+class LeadingRun:
+    """A team, stepped by the place of a hand in its square and the robot that is to lead."""
+
+    def __init__(self, config: Mapping[str, Any]):
+        robots = tuple(TeamRobot(**robot) for robot in config["robots"])
+        settings = TeamSettings(robots=robots, min_dwell=config["min_dwell"], **config["gains"])
+        self.policy = PersonLeads(config["condition"])
+        self.goals = config["goals"]
+        self.config = config
+        self.loop = TeamLoop(
+            ring(len(robots)),
+            self.policy,
+            (*self.goals[-1], 0.0),
+            config["seed"],
+            (config["samples"] + 1) * PERIOD,
+            TeamOperator(guarded=False),
+            settings,
+            TeamTrial(SAMPLE_TIME, start=np.array(config["start"])),
+        )
+        self.periods = self.reached = self.leader = 0
+        self.hand = (0.0, 0.0)
+
+    @property
+    def done(self) -> bool:
+        """Whether all goals were reached, or time is over."""
+        return self.reached == len(self.goals) or self.periods >= self.config["samples"]
+
+    @property
+    def goal(self) -> list[float]:
+        """The goal now; the last one at the end."""
+        return self.goals[min(self.reached, len(self.goals) - 1)]
+
+    def step(self, *command: float) -> list[float]:
+        """Lead for one period."""
+        x, y, choice = command
+        self.hand = x, y
+        self.policy.wish = int(choice)
+        for _ in range(round(PERIOD / SAMPLE_TIME)):
+            state = self.loop.step(hand=(PULL * x, PULL * y, 0.0))
+        self.periods += 1
+        self.leader = self.loop.robots.index(self.loop.leader) + 1
+        places, goal = self.loop.positions[:, :2], self.goal
+        error = float(np.hypot(*(places - goal).T).max())
+        if error <= self.config["tolerance"]:
+            self.reached += 1
+        vectors = (places[self.leader - 1], places.mean(axis=0), goal, state.f_m[:2])
+        return [
+            *command,
+            *(float(number) for vector in vectors for number in vector),
+            error,
+            self.leader,
+            self.policy.suggestion(self.leader),
+            *self.policy.picks.values(),
+            float(self.policy.free),
+            self.reached,
+            *self.loop.trust.tolist(),
+        ]
+
+    def picture(self) -> dict[str, Any]:
+        """Return what the page draws."""
+        state = self.loop.state
+        return {
+            "t": self.periods * PERIOD,
+            "robots": self.loop.positions[:, :2].tolist() if self.periods else self.starts(),
+            "trust": self.loop.trust.tolist(),
+            "leader": self.leader,
+            "suggested": self.policy.suggestion(self.leader),
+            "wait": self.policy.left,
+            "goal": self.goal,
+            "reached": self.reached,
+            "force": (-state.f_m[:2]).tolist(),
+        }
+
+    def starts(self) -> list[list[float]]:
+        """Return where the robots begin [m]."""
+        return [place[:2] for place in self.config["start"]]
+
+
+class ScriptedLeader:
+    """
+    A scripted person: pulls towards the goal, and now and then lets a robot lead: the most trusted
+    one, the one nearest to the goal, or any.
+    """
+
+    def __init__(self, config: Mapping[str, Any], rng: np.random.Generator):
+        self.rng = rng
+        self.by_trust, self.by_distance = rng.dirichlet((2.0, 1.0, 0.5))[:2]
+        self.rate = PERIOD / rng.uniform(6.0, 15.0)
+        self.follows = rng.uniform(0.4, 1.0)
+        self.choice = 0
+        self.answered = 0
+        self.condition = config["condition"]
+
+    def __call__(self, picture: Mapping[str, Any]) -> tuple[float, float, int]:
+        """Return the command that follows a picture."""
+        robots, goal = np.array(picture["robots"]), np.array(picture["goal"])
+        away = goal - robots[max(picture["leader"] - 1, 0)]
+        x, y = np.clip(away + 0.05 * self.rng.normal(size=2), -1.0, 1.0)
+        suggested = picture["suggested"]
+        if suggested and suggested != self.answered and self.rng.random() < self.follows:
+            self.choice = suggested
+        elif self.condition != SUGGESTED and self.rng.random() < self.rate:
+            self.choice = self._pick(robots, goal, np.array(picture["trust"]))
+        self.answered = suggested
+        return float(x), float(y), self.choice
+
+    def _pick(self, robots: np.ndarray, goal: np.ndarray, trust: np.ndarray) -> int:
+        draw = self.rng.random()
+        if draw < self.by_trust:
+            return int(np.argmax(trust)) + 1
+        if draw < self.by_trust + self.by_distance:
+            return int(np.argmin(np.hypot(*(robots - goal).T))) + 1
+        return int(self.rng.integers(len(robots))) + 1
+
+
+class TeamTask(LiveTask):
+    """Runs of a team to goals; conditions say who chooses the leader."""
+
+    name: ClassVar[str] = "team"
+    conditions: ClassVar[tuple[str, ...]] = (BY_HAND, *ADVISERS, SUGGESTED)
+    reported: ClassVar[tuple[str, ...]] = ("duration", "path", "goals_reached", "switches", "force")
+    settings: ClassVar[type] = LeadingSettings
+
+    def config(
+        self, content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
+    ) -> dict[str, Any]:
+        """Return the settings of a run; start, goals and abilities are drawn from its seed."""
+        rng = np.random.default_rng(seed)
+        count, training = content["robots"], condition == "training"
+        duration = content["training" if training else "duration"]
+        start = np.zeros((count, 3))
+        start[:, :2] = rng.uniform(-START, START, (count, 2))
+        abilities = [ABILITIES[i] for i in rng.permutation(count)]
+        return {
+            "live_task": self.name,
+            "condition": BY_HAND if training else condition,
+            "chooses": training or condition in (BY_HAND, SUGGESTED),
+            "start": start.tolist(),
+            "goals": _goals(content["goals"], rng),
+            "robots": [asdict(robot) for robot in abilities],
+            "gains": gains_of(count),
+            "min_dwell": content["min_dwell"],
+            "tolerance": content["tolerance"],
+            "seed": seed,
+            "sample_time": PERIOD,
+            "samples": round(duration / PERIOD),
+            "duration": duration,
+            "field": FIELD + START,
+            "columns": [*COLUMNS, *(f"trust_{i}" for i in range(1, count + 1))],
+            "commands": list(COMMANDS),
+            "limits": {
+                "pointer_x": [-1.0, 1.0],
+                "pointer_y": [-1.0, 1.0],
+                "leader_choice": [0, count],
+            },
+            "clock": "real",
+            "hand": None,
+        }
+
+    def begin(self, config: Mapping[str, Any]) -> LeadingRun:
+        """Return a run at its beginning."""
+        return LeadingRun(config)
+
+    def at_end(self, config: Mapping[str, Any], session: Session) -> bool:
+        """Whether all goals were reached, or time is over."""
+        reached = session["goals_reached"][-1] == len(config["goals"])
+        return bool(reached) or super().at_end(config, session)
+
+    def session(self, config: Mapping[str, Any], rows: Any, **metadata: Any) -> Session:
+        """Return the session of a run."""
+        return super().session(config, rows, min_dwell=config["min_dwell"], **metadata)
+
+    def hand(self, config: Mapping[str, Any], rng: np.random.Generator) -> ScriptedLeader:
+        """Return a scripted person."""
+        return ScriptedLeader(config, rng)
+
+    def measures(self, session: Session) -> dict[str, float]:
+        """
+        Return the time that the run took, the way of the team's middle, goals reached, the mean
+        distance to the goal, switches, suggestions, and the root mean square of the force shown.
+        """
+        leader, suggested = session["leader"], session["leader_suggested"]
+        moves = np.diff(np.column_stack([session["team_x"], session["team_y"]]), axis=0)
+        square = session["f_m_x"] ** 2 + session["f_m_y"] ** 2
+        ends = np.flatnonzero((suggested[:-1] > 0) & (suggested[1:] != suggested[:-1]))
+        followed = int((leader[ends + 1] == suggested[ends]).sum())
+        return {
+            "duration": len(session) * session.sample_time,
+            "path": float(np.hypot(*moves.T).sum()),
+            "goals_reached": int(session["goals_reached"][-1]),
+            "path_error": float(session["path_error"].mean()),
+            "switches": int(np.count_nonzero(np.diff(leader))),
+            "suggestions": len(ends),
+            "followed_percent": 100.0 * followed / len(ends) if len(ends) else np.nan,
+            "force": float(np.sqrt(square.mean())),
+        }
+
+
+def _goals(count: int, rng: np.random.Generator) -> list[list[float]]:
+    """Return goals, each some way from the one before."""
+    goals = [[0.0, 0.0]]
+    while len(goals) <= count:
+        goal = rng.uniform(-FIELD, FIELD, 2)
+        if np.hypot(*(goal - goals[-1])) >= NEAREST:
+            goals.append(goal.tolist())
+    return goals[1:]
+
+
+TASK = TeamTask()

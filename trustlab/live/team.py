@@ -1,0 +1,104 @@
+"""`tl.LiveTeam`: one person leads a team of robots to goals, in a notebook."""
+
+from pathlib import Path
+from typing import Any
+
+from trustlab.live.attempt import Attempt
+from trustlab.live.ground_robot import MODULES, module_of
+from trustlab.live.study.pages import read_words
+from trustlab.live.tasks.team import TASK, LeadingSettings
+from trustlab.models.checks import of_class, one_of, whole_number
+from trustlab.models.extras import extra
+from trustlab.operators.ground_robot import check_participant
+from trustlab.sessions.session import Session
+
+with extra("live"):
+    import anywidget
+    import traitlets
+
+
+class LiveTeam(anywidget.AnyWidget):
+    """
+    A person leads a team of three to six robots to goals, in a notebook.
+
+    The person pulls the robot that leads; the others follow it by (4.22), and the robots differ in
+    speed, lost packets and drift. Trust (4.1) in each robot comes from how it moves. Whoever leads
+    does so for τ_min at least. Physics is that of `TeamLoop` and stays in the kernel, so that the
+    hand is answered as late as the kernel answers; each row is on the disk before the page forgets
+    it. Nothing is felt: the force is an arrow, a visual cue, and the vibration of a gamepad, a
+    vibration cue without a direction.
+
+    Parameters
+    ----------
+    condition : {"by_hand", "most_trusted", "hysteresis", "suggested"}
+        Who chooses the leader: the person, with the keys 1 to N; a policy; or the person, to whom
+        the policy with hysteresis suggests one that the space bar accepts.
+    settings : LeadingSettings, optional
+        Robots, goals, length and τ_min.
+    participant : str or int
+        Who leads.
+    seed : int
+        Of start, goals, and which robot can do what.
+    folder : str or Path
+        Where rows are kept.
+    language : {"en", "de"}
+        Language of what the widget says.
+
+    Attributes
+    ----------
+    session : Session
+        What has been done so far, at 20 Hz: hand, leader, choice and suggestion, whom each policy
+        would pick, trust in each robot, distance to the goal, force.
+    verified : bool
+        Whether all rows so far are, bit for bit, what their commands lead to.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> live = tl.LiveTeam("by_hand", seed=0, folder="live")
+    >>> live.attempt.rows
+    []
+    """
+
+    _esm = module_of(*MODULES)
+    config = traitlets.Dict().tag(sync=True)
+    wasm = traitlets.Bytes().tag(sync=True)
+    key = traitlets.Unicode().tag(sync=True)
+
+    def __init__(
+        self,
+        condition: str = "by_hand",
+        settings: LeadingSettings | None = None,
+        participant: str | int = "me",
+        seed: int = 0,
+        folder: str | Path = "live",
+        language: str = "en",
+    ):
+        one_of("condition", condition, TASK.conditions)
+        check_participant(participant)
+        settings = LeadingSettings() if settings is None else settings
+        content = of_class("settings", settings, LeadingSettings).as_json()
+        seed = whole_number("seed", seed, least=0, most=2**32 - 1)
+        config = TASK.config(content, condition, {}, seed)
+        self.attempt = Attempt.of(folder, str(participant), config)
+        words = read_words(language)
+        super().__init__(config=config | {"words": words}, wasm=b"", key=self.attempt.key)
+        self.on_msg(self._answer)
+
+    def _answer(self, _widget: Any, message: dict[str, Any], _buffers: Any) -> None:
+        self.send({"id": message["id"]} | self.attempt.answer(message))
+
+    @property
+    def session(self) -> Session:
+        """What has been done so far."""
+        return self.attempt.session
+
+    @property
+    def verified(self) -> bool:
+        """Whether all rows so far are what their commands lead to."""
+        return self.attempt.verified
