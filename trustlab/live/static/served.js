@@ -210,8 +210,8 @@ export async function served(root, config, on) {
     stick.rumble(size / largest); // a vibration cue: it has no direction
     extra.show(now);
     const seconds = Math.max(config.duration - now.t, 0).toFixed(0);
-    const left = filled(config.words.time_left, { seconds });
-    say(status, k - have < MOST_AHEAD ? left : config.words.waiting);
+    const remaining = filled(config.words.time_left, { seconds });
+    say(status, k - have < MOST_AHEAD ? remaining : config.words.waiting);
   }
 
   function heard(answer) {

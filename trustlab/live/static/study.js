@@ -194,7 +194,7 @@ function delivery(code, page, attempt, window, stale, driven = () => null, every
       const { have, current, picture } = await answer.json();
       if (!current) stale("");
       status.pending = 0;
-      driven()?.heard?.({ have, picture });
+      queueMicrotask(() => driven()?.heard?.({ have, picture })); // its mistakes are its own
       return have;
     },
     { leave, every },

@@ -57,7 +57,8 @@ async function render({ model, el }) {
         if (name === tab) end(answer.refused);
       } else if (name === tab && driving)
         say(trouble, answer.trouble ?? (sending.pending() > 100 ? words.silent : ""));
-      if (name === tab && answer.have !== undefined) driving?.heard?.(answer);
+      if (name === tab && answer.have !== undefined)
+        queueMicrotask(() => driving?.heard?.(answer)); // its mistakes are its own
       return answer.have;
     };
     const sending = new Rows(`${key}/${name}`, send, { every });
