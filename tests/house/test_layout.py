@@ -28,7 +28,7 @@ MOST_TOKENS = {
     "sessions": 29_200,
     "studies": 51_500,
     "teleoperation": 31_800,
-    "testbeds": 34_500,
+    "testbeds": 34_600,
     "trust": 12_000,
     "trustlab": 500,
 }
