@@ -100,6 +100,7 @@ from .sessions import (
     Metadata as Metadata,
     Session as Session,
     SessionError as SessionError,
+    draft_recipe as draft_recipe,
     join_sessions as join_sessions,
     read_frame as read_frame,
     read_session as read_session,

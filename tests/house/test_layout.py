@@ -25,7 +25,7 @@ MOST_TOKENS = {
     "publishing": 6_000,
     "reproduction": 41_000,
     "ros": 8_500,  # aim: 6,000 (33)
-    "sessions": 29_200,
+    "sessions": 31_500,
     "studies": 51_500,
     "teleoperation": 31_800,
     "testbeds": 34_600,

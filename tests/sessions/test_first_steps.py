@@ -27,7 +27,7 @@ def test_a_recipe_that_counts_columns_of_a_file_with_names(tmp_path):
         'name = "mine"\nkind = "table"\n[time]\ncolumn = 3\nunit = "s"\n[columns]\np_r = '
         "{column = 0}\n"
     )
-    with pytest.raises(tl.SessionError, match=r"header = false under \[table\]"):
+    with pytest.raises(tl.SessionError, match=r"add the lines \[table\] and header = false"):
         tl.read_session(tmp_path / "trial.csv", recipe=recipe)
 
 

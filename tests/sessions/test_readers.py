@@ -255,7 +255,7 @@ def test_an_argument_that_does_not_apply_is_refused_by_name(tmp_path, session):
         read_session(paths[0], delimiter=";;")
     with pytest.raises(RecipeError, match=r"decimal and delimiter must differ"):
         read_session(paths[0], decimal=",")
-    with pytest.raises(RecipeError, match=r"delimiter is given, but the recipe states it"):
+    with pytest.raises(RecipeError, match=r"delimiter is given beside a recipe, which states it"):
         read_session(paths[0], recipe="autonomy_cl_trust", delimiter=";")
     # In a folder the argument applies to the CSV files, and is refused where there is none.
     write(tmp_path, "t;p_r\n0;0,5\n1;0,25\n")

@@ -256,7 +256,7 @@ def test_a_recipe_and_a_delimiter_that_were_meant(tmp_path):
             lambda: read_session(path, recipe=recipe),
             "line 1",
             "one column only",
-            f"[table] delimiter = {shown}",
+            f"lines [table] and delimiter = {shown}",
         )
         recipe.write_text(SIGNED.replace("[time]", f"[table]\ndelimiter = {shown}\n[time]"))
         assert len(read_session(path, recipe=recipe)) == 2
@@ -600,3 +600,40 @@ def test_a_comment_before_the_names_is_skipped_on_request_only(tmp_path):
         read_session(path, recipe=Recipe.from_toml(plain))
     skipping = plain.replace("[columns]", "[table]\nskip_lines = 1\n[columns]")
     assert len(read_session(path, recipe=Recipe.from_toml(skipping))) == 3
+
+
+FOUR = """name = "four"
+kind = "table"
+
+[time]
+column = "t"
+unit = "sec"
+
+[columns]
+mode = { column = "driver", mapp = { human = 1 } }
+path_error = { column = "err" }
+robott_x = { column = "x", unit = "m" }
+"""
+
+
+def test_faults_are_reported_together_each_with_its_line():
+    with pytest.raises(RecipeError) as caught:
+        Recipe.from_toml(FOUR)
+    said = str(caught.value)
+    assert "4 faults" in said
+    assert "line 6: [time]: unit must be" in said
+    assert "line 9: [columns] mode: unknown key 'mapp'; did you mean 'map'" in said
+    assert "line 10: [columns] path_error: needs its unit" in said
+    assert "line 11: [columns] robott_x: not in the vocabulary; did you mean 'robot_x'" in said
+
+
+def test_columns_that_a_file_lacks_are_reported_together(tmp_path):
+    (tmp_path / "run.csv").write_text("time,who\n0,1\n1,1\n")
+    recipe = Recipe.from_toml(
+        'kind = "table"\n[time]\ncolumn = "t"\nunit = "s"\n[columns]\n'
+        'mode = { column = "driver" }\np_r = { column = "speed" }\n'
+    )
+    with pytest.raises(SessionError, match="3 faults") as caught:
+        read_session(tmp_path / "run.csv", recipe)
+    assert all(f"column {name!r} is missing" in str(caught.value) for name in ("t", "driver"))
+    assert str(caught.value).startswith(str(tmp_path / "run.csv"))

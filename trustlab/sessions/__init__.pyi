@@ -1,4 +1,5 @@
 from . import metrics as metrics, recipe as recipe, recipes as recipes
+from .drafting import draft_recipe as draft_recipe
 from .errors import RecipeError as RecipeError, SessionError as SessionError
 from .external import external_data as external_data
 from .metadata import Metadata as Metadata

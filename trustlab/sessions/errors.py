@@ -1,8 +1,9 @@
 """Errors of logs and recipes, and the parts that their messages share."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from trustlab.models.checks import did_you_mean
 
@@ -35,10 +36,34 @@ class SessionError(ValueError):
         super().__init__(f"{source}: {message}" if source else message)
         self.source = source
         self.row = row
+        self.faults = [message]
 
 
 class RecipeError(SessionError):
     """A recipe that does not exist or cannot be followed; arguments as for SessionError."""
+
+
+def raise_together(faults: list[str], kind: type[SessionError] = RecipeError) -> None:
+    """Raise one error that lists all faults; nothing where there are none."""
+    if faults:
+        each = "\n- ".join(faults)
+        error = kind(faults[0] if len(faults) == 1 else f"{len(faults)} faults:\n- {each}")
+        error.faults = faults
+        raise error
+
+
+def all_or_faults(calls: Iterable[Callable], kind: type[SessionError] = RecipeError) -> list[Any]:
+    """Return what all calls return; where some raise, one error with the faults of all."""
+    results = []
+    faults = []
+    for call in calls:
+        try:
+            results.append(call())
+        except SessionError as error:
+            kind = type(error)
+            faults += error.faults
+    raise_together(faults, kind)
+    return results
 
 
 @contextmanager

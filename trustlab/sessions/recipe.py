@@ -95,6 +95,7 @@ messages without that entry are passed over, and the session's notes say how man
 import dataclasses
 import os
 import re
+import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field
@@ -117,8 +118,10 @@ from trustlab.models.checks import (
 from trustlab.sessions.errors import (
     RecipeError,
     SessionError,
+    all_or_faults,
     alternatives,
     nearest_file,
+    raise_together,
     source_named,
 )
 from trustlab.sessions.patterns import FieldPath, PathPattern
@@ -164,28 +167,35 @@ def parse(
         for entry in dataclasses.fields(rule)  # type: ignore[arg-type]
         if entry.metadata
     }
-    table = _known_keys(table, allowed or keys, where)
+    table, faults = _known_keys(table, allowed or keys, where)
     values = {}
-    try:
-        for name, entry in keys.items():
+    for name, entry in keys.items():
+        try:
             if name in table:
                 values[entry.name] = entry.metadata["check"](name, table[name])
             elif entry.default is MISSING:
                 raise ValueError(f"needs {name}, {entry.metadata['hint']}")
+        except RecipeError as error:  # of a table inside this one, which names itself
+            faults += error.faults
+        except ValueError as error:
+            faults.append(f"{where}: {error}")
+    raise_together(faults)
+    try:
         return rule(**values, **attributes)
-    except RecipeError:  # of a table inside this one, which names itself
+    except RecipeError:
         raise
     except ValueError as error:
         raise RecipeError(f"{where}: {error}") from None
 
 
-def _known_keys(table: object, known: Iterable[str], where: str) -> Mapping[str, object]:
+def _known_keys(
+    table: object, known: Iterable[str], where: str
+) -> tuple[Mapping[str, object], list[str]]:
+    """Return a table, and a fault for each of its keys that is unknown."""
     if not isinstance(table, Mapping):
         raise RecipeError(f"{where} must be a table, got {shown(table)}")
-    for name in table:
-        if name not in known:
-            raise RecipeError(f"{where}: unknown key {name!r}{alternatives(name, known)}")
-    return table
+    unknown = [name for name in table if name not in known]
+    return table, [f"{where}: unknown key {name!r}{alternatives(name, known)}" for name in unknown]
 
 
 # Checks of single values, beside those of trustlab.models.checks.
@@ -399,7 +409,7 @@ def _column_rule(name: str, table: object) -> ColumnRule:
         allowed = (kinds[0], *COLUMN_KINDS[kinds[0]])
         return parse(ColumnRule, table, where, allowed, name=name, kind=kinds[0])
     known = dict.fromkeys(word for kind, keys in COLUMN_KINDS.items() for word in (kind, *keys))
-    _known_keys(table, known, where)  # a misspelt key may be why there is none
+    raise_together(_known_keys(table, known, where)[1])  # a misspelt key may be why there is none
     raise RecipeError(f"{where}: needs exactly one of {', '.join(COLUMN_KINDS)}, has {len(kinds)}")
 
 
@@ -522,13 +532,44 @@ class Messages:
     folder: str = key(text, hint="the folder of the .msg files")
 
 
+def _with_line(fault: str, text: str) -> str:
+    """Put in front of a fault the line of the recipe that states it, if that is found."""
+    # "[columns] p_r: …", "[time]: unit must be …", "recipe: unknown key 'x'"
+    place = re.match(r"\[(\w+)\](?: (\w+))?:? ?(\w*)|recipe: unknown key '(\w+)'", fault)
+    if not place:
+        return fault
+    section, entry, first_word, top = place.groups()
+    here = ""
+    found = 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := re.match(r"\s*\[+\s*([^\]]+?)\s*\]", line):
+            here = header[1]
+            if here in (section, top):
+                found = number
+            if here == f"{section}.{entry}":
+                return f"line {number}: {fault}"
+            continue
+        name = re.split(r"[=.]", line)[0].strip(" \t\"'")
+        if (here, name) in ((section, entry or first_word), ("", top), ("", section)):
+            return f"line {number}: {fault}"
+    return f"line {found}: {fault}" if found else fault
+
+
+def _line_of(fault: str) -> int:
+    """Return the line that a fault names, the last of all where it names none."""
+    match = re.match(r"line (\d+)", fault)
+    return int(match[1]) if match else sys.maxsize
+
+
 def _nested(rule: type) -> Callable:
     return lambda name, value: parse(rule, value, f"[{name}]")
 
 
 def _each(name: str, value: object, rule: Callable) -> dict[str, object]:
     """Return a table whose entries, of any name, are tables themselves."""
-    return {title: rule(title, table) for title, table in any_table(name, value).items()}
+    entries = any_table(name, value)
+    calls = [partial(rule, title, table) for title, table in entries.items()]
+    return dict(zip(entries, all_or_faults(calls), strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -603,9 +644,7 @@ class Recipe:
             metadata["performance_window"] = MetadataRule(value=self.performance_window)
         for name, value in (filled | {"metadata": metadata}).items():
             object.__setattr__(self, name, value)
-        self._check_columns()
-        self._check_origins()
-        self._check_path_fields()
+        all_or_faults([self._check_columns, self._check_origins, self._check_path_fields])
 
     @classmethod
     def from_toml(cls, text: str, source: str = "recipe") -> "Recipe":
@@ -630,19 +669,31 @@ class Recipe:
             except (ValueError, RecursionError) as error:
                 where = "texts need quotes; help(trustlab.sessions.recipe) has every key"
                 raise RecipeError(f"not a TOML file ({error}); {where}") from error
-            return parse(cls, document, "recipe", source=source)
+            rule = BagTime if document.get("kind") == "bag" else TableTime
+            calls: list[Callable] = [
+                partial(parse, cls, document, "recipe", source=source),
+                partial(parse, rule, document.get("time", {}), "[time]"),
+            ]
+            try:
+                return all_or_faults(calls)[0]
+            except RecipeError as error:
+                faults = dict.fromkeys(_with_line(fault, text) for fault in error.faults)
+                raise_together(sorted(faults, key=_line_of))
+                raise
 
     def _check_columns(self) -> None:
         foreign = "topic" if self.kind == "table" else "column"
+        faults = []
         for name, rule in self.columns.items():
             where = f"[columns] {name}"
             if rule.kind == foreign:
-                raise RecipeError(f'{where}: {foreign} does not go with kind = "{self.kind}"')
+                faults.append(f'{where}: {foreign} does not go with kind = "{self.kind}"')
             for need in rule.needs:
                 if need not in self.columns:
-                    raise RecipeError(f"{where}: needs column {need!r}, which has no rule")
-                if self.columns[need].needs:
-                    raise RecipeError(f"{where}: needs column {need!r}, which is itself computed")
+                    faults.append(f"{where}: needs column {need!r}, which has no rule")
+                elif self.columns[need].needs:
+                    faults.append(f"{where}: needs column {need!r}, which is itself computed")
+        raise_together(faults)
         if not any(rule.kind in ("column", "topic") for rule in self.columns.values()):
             raise RecipeError("[columns]: at least one column must come from the log")
         if self.kind == "table":
@@ -650,15 +701,20 @@ class Recipe:
 
     def _check_numbering(self) -> None:
         """Raise where a column of a table is named but has no name, or is numbered but has one."""
-        keys = {name: rule.column for name, rule in self.columns.items() if rule.kind == "column"}
-        for name, column in {"time": self.time.column, **keys}.items():
-            if isinstance(column, int) == self.table.header:
-                way = "index (a number), as the table has no header line"
-                if self.table.header:
-                    way = "name (without a line of names: header = false under [table])"
-                raise RecipeError(
-                    f"{name}: columns of this table are given by {way}, got {column!r}"
-                )
+        places = {"[time] column": self.time.column}
+        for name, rule in self.columns.items():
+            if rule.kind == "column":
+                places[f"[columns] {name}"] = rule.column
+        way = "index (a number), as the table has no header line"
+        if self.table.header:
+            way = "name (without a line of names: add the lines [table] and header = false)"
+        raise_together(
+            [
+                f"{place}: columns of this table are given by {way}, got {column!r}"
+                for place, column in places.items()
+                if isinstance(column, int) == self.table.header
+            ]
+        )
 
     def _check_origins(self) -> None:
         """Raise where an entry of the metadata or a column comes from an unknown origin."""

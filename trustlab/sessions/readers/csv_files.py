@@ -145,7 +145,8 @@ def _check_header(
     )
     if names[0].startswith("#") and names[0] not in meant:
         raise SessionError(
-            f"{where}: found a comment instead of the names; skip it with [table] skip_lines"
+            f"{where}: found a comment instead of the names; skip it by a recipe with the lines "
+            "[table] and skip_lines = 1"
         )
     mark = next((mark for mark in ";\t|, " if mark != layout.delimiter and mark in names[0]), None)
     if len(names) > 1 or mark is None or (not recipe and (selection is not None or mark in "|,")):
@@ -153,11 +154,14 @@ def _check_header(
     written = "\\t" if mark == "\t" else mark
     comma = "if numbers have a decimal comma"
     how = (
-        f'read it with delimiter="{written}" (and decimal="," {comma}), or set them in a '
-        "recipe's [table]"
+        f'read it with delimiter="{written}" (and decimal="," {comma}), or in a recipe add the '
+        f'lines [table] and delimiter = "{written}"'
     )
     if recipe:
-        how = f'set [table] delimiter = "{written}" (and decimal = "," {comma}) in the recipe'
+        how = (
+            f'add to the recipe the lines [table] and delimiter = "{written}" (and decimal = "," '
+            f"{comma})"
+        )
     fault = f"one column only, {names[0][:60]!r}; if its names are separated by {mark!r}, {how}"
     raise SessionError(f"{where}: {fault}")
 

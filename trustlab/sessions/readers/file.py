@@ -181,7 +181,9 @@ class FileReader:
         if self.separators and self.recipe is not None:
             name = next(iter(self.separators))
             raise RecipeError(
-                f"{name} is given, but the recipe states it, in [table]", self.recipe.source
+                f"{name} is given beside a recipe, which states it: give it the lines [table] and "
+                f"{name} = {self.separators[name]!r}",
+                self.recipe.source,
             )
         self.index = SessionIndex(self.recipe) if self.recipe and self.recipe.header else None
 

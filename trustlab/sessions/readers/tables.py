@@ -14,7 +14,7 @@ import numpy as np
 
 from trustlab.models.checks import did_you_mean
 from trustlab.models.extras import extra
-from trustlab.sessions.errors import SessionError, damage_named, listed
+from trustlab.sessions.errors import SessionError, all_or_faults, damage_named, listed
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.readers.assembly import fill_blanks
 from trustlab.sessions.readers.limits import Budget
@@ -49,28 +49,37 @@ def select_columns(
     names: Sequence[str], recipe: Recipe | None, selection: Sequence[str] | None, where: str
 ) -> list[SourceColumn]:
     """Return the columns to read from a file with these names (empty without a header)."""
+    asked: list[tuple[str, str | int, ColumnRule | None, Callable | None]]
     if recipe is None:
         if selection is None:
             _check_names(names, where)
             selection = [name for name in names if name != "t"]
-        return [SourceColumn(name, *_find(name, name, names, where)) for name in ["t", *selection]]
-    stamps: dict[str, Callable[[object], float]] = {
-        "iso": _IsoTimes(recipe.time.from_zero),
-        "clock": _clock_time,
-    }
-    place = _find("t", recipe.time.column, names, where)
-    columns = [SourceColumn("t", *place, text=stamps.get(recipe.time.unit))]
-    for name in selection or ():
-        rule = recipe.columns[name]
-        if rule.kind != "column":
-            continue
-        text = None
-        if rule.map:
-            text = partial(looked_up, rule.map)
-        elif rule.item is not None:
-            text = partial(_item, rule.item, recipe.table.decimal)
-        columns.append(SourceColumn(name, *_find(name, rule.column, names, where), rule, text))
-    return columns
+        asked = [(name, name, None, None) for name in ["t", *selection]]
+    else:
+        stamps: dict[str, Callable[[object], float]] = {
+            "iso": _IsoTimes(recipe.time.from_zero),
+            "clock": _clock_time,
+        }
+        asked = [("t", recipe.time.column, None, stamps.get(recipe.time.unit))]
+        rules = [recipe.columns[name] for name in selection or ()]
+        asked += [
+            (rule.name, rule.column, rule, _cell_reader(rule, recipe))
+            for rule in rules
+            if rule.kind == "column"
+        ]
+    finds = [partial(_find, name, key, names, where) for name, key, _, _ in asked]
+    places = all_or_faults(finds)
+    return [
+        SourceColumn(name, place[0], place[1], rule, text)
+        for (name, _, rule, text), place in zip(asked, places, strict=True)
+    ]
+
+
+def _cell_reader(rule: ColumnRule, recipe: Recipe) -> Callable[[object], float] | None:
+    """Return what makes a number of a cell that is no number."""
+    if rule.map:
+        return partial(looked_up, rule.map)
+    return None if rule.item is None else partial(_item, rule.item, recipe.table.decimal)
 
 
 class _IsoTimes:
@@ -145,7 +154,8 @@ def _check_names(names: Sequence[str], where: str) -> None:
     numerals = [name for name in names if NUMBER.fullmatch(name.strip())]
     if 2 * len(numerals) > len(names):  # dates may stand among them
         remedy = (
-            "add a line of names, or read the file with a recipe that says [table] header = false"
+            "add a line of names, or read the file with a recipe that has the lines [table] and "
+            "header = false"
         )
         raise SessionError(f"{where}: found numbers instead of column names; {remedy}")
     counts = Counter(names)

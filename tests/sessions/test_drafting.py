@@ -1,0 +1,58 @@
+"""Drafted recipes. Oracle: the values written out by hand, read without any recipe."""
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+
+LAB = """# rig 2, spring
+Time [ms];Drive Mode;Cross Track Error [mm];pos x [m];pos y [m];note
+0;manual;1,5;0,0;0,0;a
+100;manual;-1,6;;0,1;b
+200;robot;1,7;0,2;0,1;c
+300;robot;1,8;0,3;0,1;d
+"""
+
+
+def test_a_draft_reads_a_log_of_another_style(tmp_path):
+    log = tmp_path / "run.csv"
+    log.write_text(LAB)
+    recipe = tl.draft_recipe(log, tmp_path / "lab.toml")
+    session = tl.read_session(log, recipe)
+    np.testing.assert_allclose(session.t, [0.0, 0.1, 0.2, 0.3], atol=1e-12)
+    assert session["mode"].tolist() == [1.0, 1.0, 0.0, 0.0]
+    np.testing.assert_allclose(session["path_error"], [1.5e-3, 1.6e-3, 1.7e-3, 1.8e-3])
+    assert session["robot_x"].tolist() == [0.0, 0.0, 0.2, 0.3]
+    assert "note: a, b, c, d" in recipe.read_text()
+    with pytest.raises(tl.SessionError, match=r"lab\.toml exists already"):
+        tl.draft_recipe(log, recipe)
+
+
+def test_what_a_draft_cannot_know_is_asked_for(tmp_path):
+    log = tmp_path / "run.csv"
+    log.write_text("stamp,ctrl,heading\n10,A,0.1\n20,B,0.2\n30,A,0.3\n")
+    recipe = tl.draft_recipe(log, tmp_path / "lab.toml")
+    with pytest.raises(tl.SessionError) as caught:
+        tl.read_session(log, recipe)
+    said = str(caught.value)
+    lines = recipe.read_text().splitlines()
+    for name in ("mode", "yaw"):
+        number = next(k for k, line in enumerate(lines, 1) if line.startswith(f"{name} ="))
+        assert f"line {number}: [columns] {name}: " in said
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "csv"])
+def test_a_draft_of_our_own_file_changes_nothing(tmp_path, suffix):
+    pilot = tl.read_session("data/sessions/pilot.csv")
+    path = tmp_path / f"pilot.{suffix}"
+    tl.write_session(pilot, path)
+    read = tl.read_session(path, tl.draft_recipe(path, tmp_path / "lab.toml"))
+    assert read.data.equals(pilot.data)
+
+
+def test_files_that_are_no_tables_are_refused(tmp_path):
+    for name, content in (("a.bag", b"#ROSBAG V2.0"), ("a.csv", b""), ("a.parquet", b"no")):
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(tl.SessionError, match=name):
+            tl.draft_recipe(path, tmp_path / "lab.toml")

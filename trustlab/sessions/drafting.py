@@ -1,0 +1,255 @@
+"""A recipe drafted from a table: what its names and values suggest, and what to fill in."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trustlab.sessions.errors import SessionError, damage_named
+from trustlab.sessions.recipe import NUMBER
+from trustlab.sessions.vocabulary import UNITS, VOCABULARY
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ROWS = 2000
+TIME = r"t|(time|stamp|timestamp|secs?|clock)\b.*|.*_?time(stamp)?"
+# What labs call the columns that models need, without a unit behind it.
+NAMES = {
+    "mode": r"(drive_?)?mode|driver|driving|control(ler)?|manual|auto(nomous|nomy)?|who",
+    "path_error": r"(path|track\w*|cross_?track|lateral)?_?(err(or)?|dev(iation)?)|cte|xte",
+    "robot_x": r"(pos\w*|robot|odom)?_?x",
+    "robot_y": r"(pos\w*|robot|odom)?_?y",
+    "robot_z": r"(pos\w*|robot|odom)?_?z",
+    "v_command": r"(stick|cmd|joy\w*|command)_?(v|vel\w*|lin\w*|x)",
+    "w_command": r"(stick|cmd|joy\w*|command)_?(w|omega|ang\w*|turn|z)",
+    "yaw": r"heading|theta|psi",
+}
+MANUAL = r"(?i)(manual|human|operator|user|teleop\w*|hand|on|true)"
+AUTONOMOUS = r"(?i)(auto\w*|robot|machine|controller|off|false)"
+STEPS = {"s": 5.0, "ms": 5e3, "us": 5e6}  # the longest step between rows that looks like the unit
+
+
+def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) -> Path:
+    """
+    Write a recipe for a table, with what its names and values suggest and "?" where you know more.
+
+    Every guess carries a comment. Reading with the draft lists what is still to be filled in, each
+    with its line.
+
+    Parameters
+    ----------
+    path : path-like
+        A ``.csv``, ``.tsv``, ``.txt`` or ``.parquet`` file.
+    out : path-like, optional
+        The recipe; by default the table's name with ``.toml`` in the working directory. An
+        existing file is not replaced.
+
+    Returns
+    -------
+    pathlib.Path
+        The recipe.
+
+    Raises
+    ------
+    SessionError
+        If the file is no table of these formats, or the recipe exists already.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import trustlab as tl
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     recipe = tl.draft_recipe("data/sessions/pilot.csv", f"{folder}/mine.toml")
+    ...     session = tl.read_session("data/sessions/pilot.csv", recipe)
+    >>> session.columns
+    ['mode', 'p_r', 'p_h']
+    """
+    source = Path(path)
+    target = Path(f"{source.name.split('.')[0]}.toml" if out is None else out)
+    if target.exists():
+        raise SessionError(f"{target} exists already; give another name as out=...")
+    suffix = source.suffix.lower()
+    if suffix not in (".csv", ".tsv", ".txt", ".parquet"):
+        raise SessionError(
+            f"{source}: draft_recipe reads .csv, .tsv, .txt and .parquet tables; for a bag, name "
+            "topics and fields as in docs/start.md"
+        )
+    with damage_named(f"{source} cannot be read as a table", "check the file"):
+        frame, layout = _read(source) if suffix != ".parquet" else (_parquet(source), [])
+    target.write_text(_recipe(source, frame, layout), encoding="utf-8")
+    return target
+
+
+def _parquet(path: Path) -> pd.DataFrame:
+    import pyarrow.parquet as pq
+
+    batch = next(pq.ParquetFile(path).iter_batches(ROWS))
+    return batch.to_pandas()
+
+
+def _read(path: Path) -> tuple[pd.DataFrame, list[str]]:
+    """Return the first rows of a text table, and the lines of [table] that read it."""
+    import pandas as pd
+
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        lines = [line for _, line in zip(range(ROWS), file, strict=False)]
+    skipped = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
+    rows = lines[skipped:]
+    delimiter = csv.Sniffer().sniff("".join(rows[:50]), ",;\t|").delimiter
+    cells = list(csv.reader(rows, delimiter=delimiter))
+    decimal = any(re.fullmatch(r"[+-]?\d+,\d+", cell) for row in cells[1:50] for cell in row)
+    header = not all(NUMBER.fullmatch(cell.replace(",", ".")) for cell in cells[0])
+    layout = [
+        *([] if header else ["header = false"]),
+        *([] if delimiter == "," else [f"delimiter = {json.dumps(delimiter)}"]),
+        *(['decimal = ","'] if decimal else []),
+        *([f"skip_lines = {skipped}"] if skipped else []),
+    ]
+    names: Any = [name.strip() for name in cells[0]] if header else range(len(cells[0]))
+    width = len(names)
+    frame = pd.DataFrame([row for row in cells[header:] if len(row) == width], columns=names)
+    return frame.apply(lambda column: _numbers(column, decimal)), layout
+
+
+def _numbers(column: pd.Series, decimal: bool) -> pd.Series:
+    """Return a column of texts as numbers where all its cells are, blanks aside."""
+    import pandas as pd
+
+    texts = column.str.strip()
+    texts = texts.mask(texts == "")
+    numbers = pd.to_numeric(texts.str.replace(",", ".") if decimal else texts, errors="coerce")
+    return numbers if numbers.notna().sum() == texts.notna().sum() else texts
+
+
+def _recipe(path: Path, frame: pd.DataFrame, layout: list[str]) -> str:
+    """Return the text of the draft."""
+    time = _time_column(frame)
+    guesses: dict[str, str] = {}
+    rest = []
+    for name in frame.columns:
+        ours = "" if name == time else _ours(str(name))
+        if ours and ours not in guesses:
+            guesses[ours] = _rule(ours, name, frame[name])
+        elif name != time:
+            rest.append(f"#   {name}: {_shown(frame[name])}")
+    if "mode" not in guesses:
+        guesses["mode"] = (
+            'mode = { value = "?" }  # who drives: 1 manual, 0 autonomous; or { column = "...", '
+            "map = { ... } }"
+        )
+    lines = [
+        f"# Drafted from {path.name}: fill in what is marked ?, check what is guessed.",
+        f"name = {json.dumps(path.name.split('.')[0], ensure_ascii=False)}",
+        'kind = "table"',
+        "# performance_window = 100   # if p_r and p_h are moving means: over how many seconds",
+        "",
+        *(["[table]", *layout, ""] if layout else []),
+        "[time]",
+        f"column = {_quoted(time)}",
+        _time_unit(str(time), frame[time]),
+        "from_zero = true   # counts from the first sample",
+        "",
+        "[columns]",
+        *guesses.values(),
+        *(
+            ["# not used; what a column may be called: trustlab.sessions.vocabulary()"]
+            if rest
+            else []
+        ),
+        *rest,
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(name: Any) -> str:
+    return str(name) if isinstance(name, int) else json.dumps(str(name), ensure_ascii=False)
+
+
+def _time_column(frame: pd.DataFrame) -> Any:
+    """Return the column that looks like time: by its name, else the first that rises."""
+    named = [name for name in frame if re.fullmatch(f"(?i){TIME}", _bare(str(name)))]
+    rising = [name for name in frame if frame[name].is_monotonic_increasing]
+    return (named or rising or [frame.columns[0]])[0]
+
+
+def _bare(name: str) -> str:
+    """Return a name without its unit, in small letters and underscores."""
+    unit = _unit(name)
+    stem = re.sub(r"[\s\[(_]*" + re.escape(unit) + r"[\])]?\s*$", "", name) if unit else name
+    return re.sub(r"[\s.\-]+", "_", stem.strip()).lower()
+
+
+def _unit(name: str) -> str:
+    """Return the unit that a name ends with, as in "err [mm]" or "time_ms"; empty if none."""
+    match = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$|[_ ]([a-z/%]+)$", name)
+    unit = (match[1] or match[2]) if match else ""
+    return unit if unit in UNITS else ""
+
+
+def _ours(name: str) -> str:
+    """Return the column of the vocabulary that a lab's name suggests; empty if none."""
+    bare = _bare(name)
+    if name in VOCABULARY or bare in VOCABULARY:
+        return name if name in VOCABULARY else bare
+    return next((ours for ours, words in NAMES.items() if re.fullmatch(words, bare)), "")
+
+
+def _rule(ours: str, name: Any, values: pd.Series) -> str:
+    """Return the line of one column."""
+    unit = VOCABULARY[ours].unit
+    keys = [f"column = {_quoted(name)}"]
+    remarks = [] if str(name) == ours else ["guessed by its name"]
+    if unit not in ("1", "measure"):
+        keys.append(f'unit = "{_unit(str(name)) or ("?" if str(name) != ours else unit)}"')
+    codes = list(dict.fromkeys(values.dropna()))
+    text = values.dtype == object or str(values.dtype) == "str"
+    if text or (ours == "mode" and not set(codes) <= {0, 1}):
+        keys.append(f"map = {{ {', '.join(_code(code) for code in codes[:10])} }}")
+    elif ours == "mode":
+        remarks.append("check that 1 is manual")
+    if ours == "path_error" and not text and (values < 0.0).any():
+        keys.append("absolute = true")
+        remarks.append("a signed deviation becomes a distance")
+    if values.isna().any():
+        keys.append('blank = "hold"')
+        remarks.append(f"{values.isna().sum()} blank cells repeat the value before")
+    comment = f"  # {'; '.join(remarks)}" if remarks else ""
+    return f"{ours} = {{ {', '.join(keys)} }}{comment}"
+
+
+def _code(code: Any) -> str:
+    """Return an entry of the map of modes: 1 manual, 0 autonomous, "?" where nothing says so."""
+    word = str(code)
+    meaning = (
+        "1" if re.fullmatch(MANUAL, word) else "0" if re.fullmatch(AUTONOMOUS, word) else '"?"'
+    )
+    return f"{json.dumps(word, ensure_ascii=False)} = {meaning}"
+
+
+def _time_unit(name: str, values: pd.Series) -> str:
+    if unit := _unit(name):
+        return f'unit = "{unit}"'
+    if values.dtype == object or str(values.dtype) == "str":
+        first = str(values.iloc[0])
+        try:
+            datetime.fromisoformat(first)
+        except ValueError:
+            return 'unit = "?"   # "iso" for 2026-03-01T12:00:00, "clock" for 12:00:00.5'
+        return f'unit = "{"iso" if "-" in first else "clock"}"'
+    step = float(values.diff().abs().median())
+    unit = next((unit for unit, longest in STEPS.items() if step <= longest), "ns")
+    return f'unit = "{unit}"   # guessed: rows are {step:.4g} apart'
+
+
+def _shown(values: pd.Series) -> str:
+    """Say in few words what a column holds."""
+    known = values.dropna()
+    if known.dtype == object or str(known.dtype) == "str" or not len(known):
+        return ", ".join(map(str, list(dict.fromkeys(known))[:5])) or "blank"
+    return f"{known.min():.4g} to {known.max():.4g}"
