@@ -27,6 +27,17 @@ class Always:
         return self.answer
 
 
+class Turns:
+    """A rule by which both drive in turn, fifty samples each."""
+
+    def __init__(self):
+        self.asked = 0
+
+    def step(self, tsc, p_r):
+        self.asked += 1
+        return self.asked // 50 % 2
+
+
 def heard(core, now, skip=(), operator=(0.3, 0.1), autonomy=(0.4, -0.2), x=0.0):
     values = {
         "odometry": (x, 0.0),
@@ -90,6 +101,52 @@ def test_performance_and_tsc_on_line_have_the_bits_of_the_log(condition):
     a = (MODEL.human.p_max + MODEL.human.p_min) / scale
     b = (MODEL.robot.p_max + MODEL.robot.p_min) / scale
     assert logged["tsc"] == pytest.approx(a * logged["p_r"] - b * logged["p_h"], abs=1e-12)
+
+
+def test_utilization_follows_the_mode_at_the_models_own_rate():
+    core = AllocationCore(MODEL, rule=Turns(), settings=SHORT)
+    drive(core)
+    log = core.session()
+    assert 0.0 < log["mode"].mean() < 1.0
+    r = 0.0
+    for k, mode in enumerate(log["mode"]):  # (2.5) over half of the model's sample time
+        assert log["r"][k] == pytest.approx(r, abs=1e-14)
+        r = mode + (r - mode) * math.sqrt(MODEL.human.a)
+
+
+@pytest.mark.parametrize(
+    ("silent", "share", "driver"),
+    [(set(), 0.25, "both"), ({"operator"}, 0.0, "autonomy"), ({"autonomy"}, 1.0, "operator")],
+)
+def test_shares_blend_both_commands_and_watchdogs_take_one_out(silent, share, driver):
+    core = AllocationCore(MODEL, share=lambda tsc, p_r: 0.25, settings=SHORT)
+    for k in range(80):
+        heard(core, k * PERIOD, skip=silent if k > 50 else ())
+        d = core.step(k * PERIOD)
+    assert d.driver == driver
+    assert d.v == pytest.approx(share * 0.3 + (1.0 - share) * 0.4)
+    assert d.w == pytest.approx(share * 0.1 - (1.0 - share) * 0.2)
+    assert set(core.session()["mode"]) == {0.25, 1.0}  # the operator drives until the window fills
+
+
+@pytest.mark.parametrize("answer", [1.5, math.nan, "half", None])
+def test_a_share_that_is_none_stops_the_robot(answer):
+    core = AllocationCore(MODEL, share=lambda tsc, p_r: answer, settings=SHORT)
+    for k in range(60):
+        heard(core, k * PERIOD)
+        d = core.step(k * PERIOD)
+    assert (d.v, d.w, d.driver) == (0.0, 0.0, "nobody")
+    assert any("share failed at t = 2 s" in text for text in texts(core))
+
+
+def test_steps_that_are_made_up_for_do_not_jump():
+    core = AllocationCore(MODEL, "C1", settings=SHORT)
+    for k in range(3):
+        heard(core, k * PERIOD)
+        before = core.step(k * PERIOD)
+    heard(core, 0.5)
+    burst = [core.step(0.5) for _ in range(8)]
+    assert burst[-1].v == pytest.approx(before.v + SHORT.v_rate * PERIOD)
 
 
 def test_c3_follows_the_thresholds_and_c2_only_suggests():
@@ -254,6 +311,9 @@ def test_bad_settings_and_missing_logs_say_what_to_do():
     hold = CoreSettings().watchdogs | {"operator": Watchdog(1.0, "hold")}
     with pytest.raises(ValueError, match="watchdog of operator must stop or hand over"):
         CoreSettings(watchdogs=hold)
+    corrector = tl.ThresholdCorrector(tl.published_models()["2"], target=(0.05, 0.4))
+    with pytest.raises(ValueError, match="use it with C2 or C3"):
+        AllocationCore(MODEL, "C1", correction=corrector)
     core = AllocationCore(MODEL, "C1")
     core.hear("odometry", 0.0, (0.0, 0.0), 0.0)
     with pytest.raises(SessionError, match="never heard: operator, autonomy, path_error"):

@@ -416,6 +416,15 @@ def test_correction_moves_thresholds_to_their_target(node, tmp_path):
     assert lower[-1] > 0.0
     assert lower[-1] <= 0.05
     assert upper[-1] <= 0.4
+    # Oracle: (2.40) step by step, from what was logged, once the window is full
+    session, model = result.session, run.model
+    corrector = tl.ThresholdCorrector(model, **run.correction)
+    pair = (0.0, 0.35)
+    for k in range(20, len(lower)):
+        assert (lower[k], upper[k]) == pair
+        p_r = min(max(session["p_r"][k], model.robot.p_min), model.robot.p_max)
+        plan = corrector.step(session["r"][k], p_r, *pair, int(session["mode"][k]))
+        pair = (pair[0] + plan.c_l, pair[1] + plan.c_u)
 
 
 TOML = """
