@@ -251,19 +251,19 @@ def test_a_rule_without_a_name_is_needed_again_for_a_replay(node, tmp_path):
 
 def test_twenty_cuts_leave_what_was_written_before(node, tmp_path):
     run = RunSettings(MODEL, "C3", (-0.2, 0.3), settings=SHORT)
-    allocation = driven(node, run, tmp_path / "a.mcap", 100)
+    allocation = driven(node, run, tmp_path / "a.mcap", 50)
     whole = allocation.core.session()
     allocation.journal.close()
     content = (tmp_path / "a.journal").read_bytes()
     rng = np.random.default_rng(0)
-    for cut in rng.integers(len(content) // 20, len(content), 20):
+    for cut in rng.integers(len(content) // 5, len(content), 20):
         (tmp_path / "cut.journal").write_bytes(content[:cut])
         result = read_run(tmp_path / "cut.journal")
         assert result.verified
         assert result.session.metadata.more["interrupted"] is True
         count = len(result.session)
         assert np.array_equal(result.session["tsc"], whole["tsc"][:count])
-        assert abs(count - 100 * cut / len(content)) < 3
+        assert abs(count - 50 * cut / len(content)) < 5
         assert not (tmp_path / "cut.journal").exists()
     for length in (0, 5, 40):
         (tmp_path / "cut.journal").write_bytes(content[:length])
