@@ -7,7 +7,6 @@ import random
 import signal
 import time
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -42,11 +41,11 @@ def test_a_robot_of_another_vendor_is_driven(tmp_path):
     assert robot["v"].max() == pytest.approx(0.4)
     assert (robot["v"].abs() <= V_MAX).all()
     assert robot["v"].iloc[-1] == 0.0  # a run that ends stops the robot
-    # what the robot did is what was decided, step by step
-    applied = robot["v"].to_numpy()[np.flatnonzero(robot["v"])[0] :][:40]
-    decided = result.decisions["v"].to_numpy()
-    assert applied == pytest.approx(decided[np.flatnonzero(decided)[0] :][:40], abs=0.1)
-    assert set(applied) <= set(decided)
+    # what the robot did is what was decided, bit for bit and in this order
+    applied = robot["v"][(robot["v"] != 0.0) & (robot["v"].diff() != 0.0)]
+    decided = iter(result.decisions["v"])
+    assert len(applied) > 5
+    assert all(v in decided for v in applied)
     assert len(result.session) >= 80
 
 
