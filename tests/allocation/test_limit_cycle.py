@@ -293,6 +293,18 @@ def test_starts_fill_the_states_in_which_manual_phases_can_begin(operators):
     assert over.max() == pytest.approx(1.2, abs=0.02)
 
 
+def test_a_mode_that_stays_from_a_state_that_no_start_met_is_said(operators, monkeypatch):
+    usual = limit_cycle(operators["2"], 0.0, 0.35, starts=1)
+    assert usual.always
+    monkeypatch.setattr(
+        phases, "endless_phase", lambda tsc, lower, upper: "from full load it stays"
+    )
+    cycle = limit_cycle(operators["2"], 0.0, 0.35, starts=1)
+    assert cycle.exists
+    assert not cycle.always
+    assert cycle.reason == f"{usual.reason}; but from full load it stays"
+
+
 def test_what_effort_left_out_is_said(operators, monkeypatch):
     full = limit_cycle(operators["2"], 0.0, 0.35, starts=8)
     assert "simulated" not in full.reason

@@ -1,9 +1,8 @@
 """The weekly run of changes knows its modules, their tests, and lines that still stand."""
 
+import re
 import tomllib
 from pathlib import Path
-
-import yaml
 
 from tests.mutation.run import MODULES, is_known, lines_left_out
 
@@ -12,8 +11,8 @@ SURVIVORS = tomllib.loads((ROOT / "tests" / "mutation" / "survivors.toml").read_
 
 
 def test_the_weekly_workflow_runs_every_module():
-    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "weekly.yml").read_text())
-    assert workflow["jobs"]["mutation"]["strategy"]["matrix"]["module"] == list(MODULES)
+    workflow = (ROOT / ".github" / "workflows" / "weekly.yml").read_text()
+    assert re.findall(r"^ +- (\w+/[\w/]+)$", workflow, re.M) == list(MODULES)
     for module, tests in MODULES.items():
         assert (ROOT / "trustlab" / f"{module}.py").is_file()
         assert all((ROOT / "tests" / name).is_file() for name in tests.split())
