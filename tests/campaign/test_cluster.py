@@ -67,12 +67,14 @@ def test_parameters_are_left_as_they_are_on_their_way(client):
 
 
 def test_one_of_two_workers_is_killed_half_way(cluster, client, tmp_path):
-    log = str(tmp_path / "log")
+    log, mark = str(tmp_path / "log"), tmp_path / "killed"
 
     def task(x, seed):
         with open(log, "a") as file:
             file.write(f"{x} {os.getpid()}\n")
-        time.sleep(0.01)
+        until = time.monotonic() + (60.0 if x >= 150 else 0.01)  # not over before the kill
+        while time.monotonic() < until and not mark.exists():
+            time.sleep(0.01)
         return {"y": np.random.default_rng(seed).normal() + x}
 
     runs = tl.parameter_grid(x=range(200))
@@ -88,6 +90,7 @@ def test_one_of_two_workers_is_killed_half_way(cluster, client, tmp_path):
                 if len(lines) > 60 and len(pids) > 1:
                     killed.append(int(lines[-1].split()[1]))
                     os.kill(killed[0], signal.SIGKILL)
+                    mark.touch()
                     return
             time.sleep(0.01)
 

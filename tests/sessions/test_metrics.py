@@ -255,8 +255,14 @@ def test_commands_that_rest_while_the_robot_drives_are_told():
 
     with pytest.warns(UserWarning, match=r"zero in 100 % of the autonomous phases.*fit_robot"):
         computed(0.2 * mode + noise)
+    quarter = np.arange(t.size) % 4 == 0
+    with pytest.warns(UserWarning, match="zero in 75 % of the autonomous phases"):
+        computed(np.where((mode == 0) & ~quarter, 0.0, 0.2))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        columns["w_command"] = np.where(mode == 0, metrics.IDLE, 0.1)  # no longer at rest
+        computed(0.2 * mode)
+        columns["w_command"] = 0.0
         computed(np.full(t.size, 0.2))
         computed(np.zeros(t.size))
         computed(np.where((mode == 0) & (t % 10 < 4.5), 0.0, 0.2))
