@@ -19,7 +19,7 @@ MOST_TOKENS = {
     "allocation": 40_500,
     "campaign": 11_000,
     "identification": 42_500,
-    "live": 37_700,
+    "live": 38_800,
     "models": 10_600,
     "operators": 3_500,
     "publishing": 6_000,

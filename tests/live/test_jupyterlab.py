@@ -14,11 +14,13 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import trustlab as tl
 from trustlab.live.hand import IdealHand, scripted_drive
 from trustlab.live.runs import drive_config, replay
+from trustlab.live.tasks.task import task_named
 
 pytestmark = pytest.mark.long
 pytest.importorskip("jupyterlab", reason="JupyterLab is not installed")
@@ -38,6 +40,14 @@ live"""
 ASK_FLIGHT = """session = live.session
 notes = session.metadata.more["notes"]
 print("asked", len(session), live.verified, session["hand_x"].max(), notes, "end")"""
+LEAD = """import trustlab as tl
+from trustlab.live import LeadingSettings
+live = tl.LiveTeam("by_hand", LeadingSettings(duration=60.0), seed=1)
+live"""
+ASK_LED = """session = live.session
+chosen = int(session["leader_choice"][-1])
+print("asked", len(session), live.verified, chosen, session.metadata.more["pauses"], "end")"""
+LED = "(document.querySelector('.tl-track')?.driving?.now?.t ?? -1)"
 CELL = """async (i) => {
   const notebook = jupyterapp.shell.currentWidget.content, cell = notebook.widgets[i];
   notebook.activeCellIndex = i;
@@ -59,6 +69,9 @@ def compiled(tmp_path_factory):
     for k in range(3):
         live.hear({"hand": [0.1, 0.0], "time": k / 30})
     assert live.verified
+    task = task_named("team")
+    leading = task.config(task.settings(duration=1.0).as_json(), "by_hand", {}, 1)
+    assert len(task.scripted_rows(leading, np.random.default_rng(0))) == 20
     config = drive_config("C1", tl.published_models()["2"], laps=1)
     assert replay(config, scripted_drive(config, IdealHand(config))[0][:20]) is True
 
@@ -291,5 +304,34 @@ def test_a_flight_in_jupyterlab(browser, lab):
     assert verified == "True"
     assert "taken up again by a new kernel" in notes
     assert "stopped by the person" in notes
+    assert one.faults == []
+    page.close()
+
+
+def test_a_team_in_jupyterlab(browser, lab):
+    one = Opened(browser, lab, "team", [LEAD, ASK_LED])
+    page = one.page
+    one.run(0)
+    page.click("text=Start driving", timeout=60_000)
+    page.wait_for_function(f"{LED} > 0.5", timeout=60_000)
+    cells = one.cells()
+    box = page.locator(".tl-track canvas.pad").bounding_box()
+    page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 0.4 * box["height"])
+    for key in ("2", "x", "d", "d", "0", "0", "3"):  # in a notebook: a heading, cut, delete …
+        page.keyboard.press(key)
+    page.wait_for_function(f"{LED} > 2.0")
+    assert one.cells() == cells
+    rows, verified, chosen, _ = one.asked(1)
+    assert int(rows) > 30
+    assert (verified, chosen) == ("True", "3")
+    page.evaluate("jupyterapp.commands.execute('kernelmenu:restart'); 0")
+    page.click("dialog button.jp-mod-accept")
+    page.wait_for_timeout(3000)
+    one.run(0)
+    page.click("text=Start driving", timeout=60_000)
+    page.wait_for_function(f"{LED} > {int(rows) * 0.05} + 0.5", timeout=60_000)
+    more, verified, *_ = one.asked(1)
+    assert int(more) > int(rows), "the run goes on where it was"
+    assert verified == "True"
     assert one.faults == []
     page.close()

@@ -4,6 +4,8 @@ import pytest
 
 from trustlab.live.study.store import (
     EXPERIMENTER,
+    JOIN,
+    PREVIEW,
     DeletedError,
     Participant,
     delete_participant,
@@ -19,9 +21,9 @@ def test_tokens_have_128_bits_stay_and_are_nobody_elses(tmp_path):
     folder.mkdir()
     make_tokens(folder, ["P01", "P02"])
     first = read_tokens(folder)
-    assert set(first) == {EXPERIMENTER, "P01", "P02"}
+    assert set(first) == {EXPERIMENTER, JOIN, PREVIEW, "P01", "P02"}
     assert {len(token) for token in first.values()} == {22}  # 16 bytes in base64
-    assert len(set(first.values())) == 3
+    assert len(set(first.values())) == 5
     assert tokens_path(folder).parent == tmp_path  # apart from the data
     make_tokens(folder, ["P01", "P02", "P03"])
     assert {name: read_tokens(folder)[name] for name in first} == first

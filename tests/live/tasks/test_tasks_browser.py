@@ -12,7 +12,10 @@ import pytest
 
 import trustlab as tl
 from tests.live.study.test_browser import go_on, next_page, opened, until
+from tests.live.test_widget import Notebook
+from trustlab.live.attempt import Attempt
 from trustlab.live.study.server import StudyServer
+from trustlab.live.tasks.team import LeadingSettings
 
 pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -100,6 +103,33 @@ def test_a_server_that_begins_anew_goes_on_with_the_run(tmp_path, browser):
         assert page.faults == []
     records = tl.read_live_study(plan.folder).records["P01"]
     assert next(e for e in records.events if e["kind"] == "page" and e["page"] == 1)["verified"]
+
+
+def test_a_team_in_a_notebook_outlives_its_kernel(tmp_path, browser):
+    settings = LeadingSettings(duration=4.0)
+    live = tl.LiveTeam("by_hand", settings, "me", 4, tmp_path)
+    config = dict(live.attempt.config)
+    live.attempt.close()
+    one = Notebook(browser.new_context(), tmp_path, config)
+    one.page.click("text=Start driving")
+    one.page.wait_for_function("document.querySelector('.tl-track')?.driving?.now?.t > 0.5")
+    pointing(one.page, 0.5, -0.5)
+    one.page.keyboard.press("3")
+    one.until(lambda: len(one.attempt.rows) > 20, 20)
+    one.away = True
+    one.page.wait_for_timeout(300)
+    kept = len(one.attempt.rows)
+    one.attempt.close()
+    one.attempt = Attempt(tmp_path, "me", config)  # a kernel that began anew knows the file alone
+    assert len(one.attempt.rows) == kept
+    one.away = False
+    one.page.reload()
+    one.page.click("text=Start driving")
+    one.until(lambda: one.attempt.finished, 40)
+    assert one.attempt.verified
+    assert len(one.attempt.rows) == 80
+    assert max(row[2] for row in one.attempt.rows) == 3
+    assert one.faults == []
 
 
 def test_a_person_flies_and_allocates_by_the_wheel(tmp_path, browser):

@@ -115,6 +115,10 @@ function show(state) {
     `${state.people.length} participants.${gone} ` +
     "This page and the links on it are for the experimenter only.";
   document.getElementById("export").href = `${base}/export`;
+  document.getElementById("preview").href = state.preview;
+  const join = document.getElementById("join");
+  join.hidden = !state.join;
+  join.href = state.join;
   const rows = state.people.map(update),
     table = main.querySelector("tbody");
   if (table?.childElementCount === rows.length) return;

@@ -116,6 +116,11 @@ function field(item) {
   return box;
 }
 
+function answered(form, item) {
+  const value = new FormData(form).get(item.name);
+  return value !== null && value !== "";
+}
+
 function read(form, items) {
   const data = new FormData(form);
   const value = {
@@ -136,6 +141,7 @@ function showForm(now) {
     {},
     element("h2", { textContent: now.title }),
     ...paragraphs(now.text),
+    ...(now.picture ? [element("img", { src: now.picture, alt: now.title })] : []),
     ...now.items.map(field),
   );
   const button = element("button", { textContent: words.next });
@@ -147,13 +153,20 @@ function showForm(now) {
   form.append(button);
   main.replaceChildren(form);
   return new Promise((next) => {
-    form.addEventListener("submit", async (event) => {
-      event.preventDefault();
+    let late = false;
+    const timer = now.seconds && setTimeout(() => handIn((late = true)), 1000 * now.seconds);
+    async function handIn() {
+      clearTimeout(timer);
       button.disabled = true;
-      const answer = await ask("answers", { page: now.page, answers: read(form, now.items) });
+      const items = late ? now.items.filter((item) => answered(form, item)) : now.items;
+      const answer = await ask("answers", { page: now.page, late, answers: read(form, items) });
       button.disabled = false;
       if (answer.status === 200 || answer.status === 409) next();
       else complain(filled(words.not_taken, { error: answer.error }));
+    }
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      handIn();
     });
   });
 }
@@ -267,6 +280,8 @@ async function showDrive(now) {
   await ask("done", { ...about, rows: count, telemetry: driving?.telemetry?.() ?? {} });
 }
 
+const code = (now) => filled(words.completion, { completion: now.completion });
+
 // The way out, on every page: before the first one is done it means not to take part at all.
 function offerWithdrawal(now) {
   const place = document.getElementById("withdraw"),
@@ -309,6 +324,7 @@ async function run() {
       return main.replaceChildren(
         element("h2", { textContent: now.title }),
         ...paragraphs(now.text),
+        ...(now.completion ? [element("p", { id: "completion", textContent: code(now) })] : []),
       );
     await (now.kind === "drive" ? showDrive(now) : showForm(now));
     scrollTo(0, 0);

@@ -2,11 +2,12 @@
 
 import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from trustlab.live.condition import LiveCondition
@@ -48,9 +49,10 @@ class LiveStudy(Plan):
         Section 2.4.1.2, and your own. Of teleoperation: the schemes "M", "MI", "MMI", "TMIG" and
         "OMI". Of a team: who chooses the leader, "by_hand", "most_trusted", "hysteresis" or
         "suggested". Participants do not see their names.
-    participants : int or sequence of str
+    participants : int, sequence of str, or dict
         How many, called P01, P02 …, or their codes (letters, digits, - and _). Codes only: never
-        names.
+        names. Groups between which people differ are a dict of group to either; numbers are dealt
+        to groups at random, and each group fills squares of its own.
     seed : int
         Seed of the orders and of every drive.
     pages : path-like or sequence of path-like
@@ -89,7 +91,7 @@ class LiveStudy(Plan):
         self,
         folder: str | os.PathLike,
         conditions: Sequence[str | LiveCondition] | None = None,
-        participants: int | Sequence[str] = 20,
+        participants: int | Sequence[str] | Mapping[str, int | Sequence[str]] = 20,
         seed: int = 0,
         *,
         pages: str | os.PathLike | Sequence[str | os.PathLike] = (),
@@ -110,10 +112,14 @@ class LiveStudy(Plan):
         names = [c.name if isinstance(c, LiveCondition) else c for c in conditions]
         for name in names:
             one_of("condition", name, (*protocol.conditions, *personal))
-        codes = _codes(participants)
-        design = latin_square_design(
-            names, codes, seed, whole_squares=flag("whole_squares", whole_squares)
-        )
+        groups = _groups(participants, seed)
+        orders: dict[str, list[str]] = {}
+        for codes in groups.values():
+            design = latin_square_design(
+                names, codes, seed, whole_squares=flag("whole_squares", whole_squares)
+            )
+            orders |= {code: list(order) for code, *order in design.table().itertuples()}
+        group_of = {code: group for group, codes in groups.items() for code in codes if group}
         files = task_pages(task, language)
         files += [
             Path(path) for path in ([pages] if isinstance(pages, str | os.PathLike) else pages)
@@ -127,11 +133,15 @@ class LiveStudy(Plan):
             "seed": design.seed,
             "rehearsal": flag("rehearsal", rehearsal),
             **drives.as_json(),
-            "orders": {code: list(order) for code, *order in design.table().itertuples()},
+            "orders": dict(sorted(orders.items())) if group_of else orders,
+            "groups": group_of,
             "language": language,
             "words": read_words(language, files),
             "pages": as_json(read_pages(language, files)),
         }
+        for page in content["pages"]:
+            if page["group"]:
+                one_of(f"group of the page {page['name']}", page["group"], groups)
         # What cannot be driven is refused now.
         known = content.get("stand_in", {})
         for name in (*protocol.practice, *names):
@@ -167,6 +177,7 @@ class LiveStudy(Plan):
         certificate: str | os.PathLike | None = None,
         key: str | os.PathLike | None = None,
         names: Iterable[str] = (),
+        enrol: bool = False,
     ) -> None:
         """
         Serve the study until interrupted (Ctrl-C, or the stop button of a notebook).
@@ -185,6 +196,10 @@ class LiveStudy(Plan):
         names : iterable of str
             Names of this machine that links may use, besides `address`: a request for any other
             host is refused.
+        enrol : bool
+            Whether anybody with the link for joining, on the experimenter's page, takes the next
+            free place. The last page of who came so shows a completion code, which the table of
+            participants holds.
 
         Raises
         ------
@@ -195,7 +210,7 @@ class LiveStudy(Plan):
         from trustlab.live.study.server import StudyServer
 
         with StudyServer(
-            self, address, port, certificate=certificate, key=key, names=names
+            self, address, port, certificate=certificate, key=key, names=names, enrol=enrol
         ) as server:
             print(f"The experimenter's page: {server.experimenter}\nEnd with Ctrl-C.", flush=True)
             server.wait()
@@ -246,6 +261,25 @@ class LiveStudy(Plan):
             f"LiveStudy({self.folder.name!r}: {len(self.orders)} participants, "
             f"{', '.join(self.content['conditions'])})"
         )
+
+
+def _groups(
+    participants: int | Sequence[str] | Mapping[str, int | Sequence[str]], seed: int
+) -> dict[str, list[str]]:
+    """Return the participants' codes by group; one without a name where there are no groups."""
+    if not isinstance(participants, Mapping):
+        return {"": _codes(participants)}
+    if len(participants) < 2 or not all(participants):
+        raise ValueError(f"groups must be two or more with names, got {shown(participants)}")
+    parts = {group: _codes(value) for group, value in participants.items()}
+    codes = [code for part in parts.values() for code in part]
+    if all(isinstance(value, int) for value in participants.values()):
+        codes = _codes(len(codes))
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(codes),)))
+        codes = [codes[i] for i in rng.permutation(len(codes))]
+    _codes(codes)  # refuses those that are the same
+    dealt = iter(codes)
+    return {group: sorted(next(dealt) for _ in part) for group, part in parts.items()}
 
 
 def _codes(participants: int | Sequence[str]) -> list[str]:

@@ -3,6 +3,7 @@ The pages of a study: their words and items from TOML files, their order for a p
 which answers are accepted.
 """
 
+import base64
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -21,6 +22,8 @@ TASK_WORDS = Path(__file__).parents[1] / "words"
 WORDS = "words"
 """The table of such a file that holds messages; each of the others is a page."""
 
+PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".webp": "image/webp"}
+LARGEST_PICTURE = 1_000_000
 LONGEST_ANSWER = 1000
 """Characters that a participant may write in one answer."""
 
@@ -81,7 +84,8 @@ class StudyPage:
 
     `section` says whether it comes once at the start, after each drive, or once at the end;
     `scored` how its items are scored; `shuffled` whether everybody gets them in an order of their
-    own.
+    own; `group` who sees it, all if empty; `picture` an image as a data URI; `seconds` when a form
+    is handed in as it is, 0 for never.
     """
 
     name: str
@@ -92,19 +96,25 @@ class StudyPage:
     scored: str = ""
     items: tuple[Item, ...] = ()
     shuffled: bool = False
+    group: str = ""
+    picture: str = ""
+    seconds: int = 0
 
-    def check(self, answers: Any) -> dict[str, Any]:
+    def check(self, answers: Any, late: bool = False) -> dict[str, Any]:
         """
         Return the answers, one to each item and none besides, in the items' order; or raise
-        `AnswerError`.
+        `AnswerError`. Where time was over, answers may be missing.
         """
         if not isinstance(answers, dict):
             raise AnswerError("the answers must be names with values")
         if unknown := set(answers) - {item.name for item in self.items}:
             raise AnswerError(f"{shown(sorted(map(str, unknown))[0])} is no item of this page")
-        for item in self.items:
+        items = self.items
+        if late and self.seconds:
+            items = tuple(item for item in items if item.name in answers)
+        for item in items:
             item.check(answers.get(item.name))
-        return {item.name: answers[item.name] for item in self.items}
+        return {item.name: answers[item.name] for item in items}
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> "StudyPage":
@@ -200,6 +210,9 @@ PAGE_KEYS = (
     "scored",
     "items",
     "shuffled",
+    "group",
+    "picture",
+    "seconds",
     "low",
     "high",
     "step",
@@ -229,8 +242,25 @@ def _page(where: str, name: str, table: Mapping[str, Any]) -> StudyPage:
             f"{where}: a scored page has items on one scale, got {sorted(scales) or 'none'}"
         )
     text = re.sub(r"(?<!\n)\n(?!\n)", " ", table["text"].strip())
-    shuffled = flag(f"{where}: shuffled", table.get("shuffled", False))
-    return StudyPage(name, table["title"], text, table["section"], kind, scored, items, shuffled)
+    more = {name: table[name] for name in ("group", "picture", "seconds") if name in table}
+    whole_number(f"{where}: seconds", more.get("seconds", 0), least=0, most=3600)
+    if more.get("seconds") and (kind != "form" or scored):
+        raise ValueError(
+            f"{where}: seconds is for a form without a score, as answers may be missing"
+        )
+    more["shuffled"] = flag(f"{where}: shuffled", table.get("shuffled", False))
+    return StudyPage(name, table["title"], text, table["section"], kind, scored, items, **more)
+
+
+def _data_uri(where: str, path: Path) -> str:
+    """Return a picture as it is kept in a plan."""
+    kind = PICTURES.get(path.suffix.lower())
+    if kind is None or not path.is_file() or path.stat().st_size > LARGEST_PICTURE:
+        raise ValueError(
+            f"{where}: picture must be a file of {', '.join(PICTURES)} with at most "
+            f"{LARGEST_PICTURE} bytes, got {path}"
+        )
+    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def _content(path: Path) -> dict[str, Any]:
@@ -285,6 +315,8 @@ def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPa
     for path in files:
         for name, table in _tables(path).items():
             where = f"{path}, [{name}]"
+            if "picture" in table:
+                table["picture"] = _data_uri(where, path.parent / str(table["picture"]))
             anchor = table.pop("after", table.get("before"))
             follows = "before" not in table
             table.pop("before", None)
@@ -318,12 +350,12 @@ def task_pages(task: str, language: str) -> list[Path]:
     return [path] if path.exists() else []
 
 
-def steps_of(pages: Iterable[StudyPage], order: Iterable[str]) -> list[Step]:
+def steps_of(pages: Iterable[StudyPage], order: Iterable[str], group: str = "") -> list[Step]:
     """
     Return a participant's way through the study: the start, what belongs to each condition of their
-    order, and the end.
+    order, and the end; pages of another group are left out.
     """
-    pages, order = list(pages), list(order)
+    pages, order = [page for page in pages if page.group in ("", group)], list(order)
     by_section = {name: [page for page in pages if page.section == name] for name in SECTIONS}
     course: list[tuple[StudyPage, str | None, int | None]] = [
         (page, None, None) for page in by_section["start"]

@@ -5,6 +5,7 @@ does to it.
 
 from __future__ import annotations
 
+import secrets
 import time
 from functools import cached_property
 from typing import Any
@@ -87,7 +88,10 @@ class Participation:
             {key: value for key, value in vars(item).items() if key not in ("reversed", "expected")}
             for item in item_order(self.plan, self.code, self.steps[page])
         ]
-        words = {"kind": shown.kind, "title": shown.title, "text": shown.text, "items": items}
+        names = ("kind", "title", "text", "picture", "seconds")
+        words = {name: getattr(shown, name) for name in names} | {"items": items}
+        if shown.kind == "end" and self.progress.completion:
+            words["completion"] = self.progress.completion
         if self.progress.withdrawn:
             messages = self.plan.content["words"]
             words |= {"title": messages["withdrawn_title"], "text": messages["withdrawn"]}
@@ -116,7 +120,7 @@ class Participation:
     def answers(self, body: dict[str, Any]) -> dict[str, Any]:
         """Take the answers to a form."""
         _, step = self._current(body, "form")
-        answers = step.page.check(body.get("answers"))
+        answers = step.page.check(body.get("answers"), late=body.get("late") is True)
         facts = {"condition": step.condition, "position": step.position}
         self.participant.add("page", page=step.index, name=step.page.name, answers=answers, **facts)
         return self.state()
@@ -249,6 +253,13 @@ class Participation:
             page = self.progress.page(len(self.steps))
             self.participant.add("end", source="participant", page=page)
         return self.state()
+
+    def enrol(self) -> bool:
+        """Take this place for somebody who came by the link for joining, if it is free."""
+        if self.participant.events:
+            return False
+        self.participant.add("enrol", completion=secrets.token_hex(4))
+        return True
 
     # the experimenter's
     # ----------------------------------------------------------------------------------------------

@@ -111,6 +111,11 @@ class Plan:
         return self.content["orders"]
 
     @property
+    def groups(self) -> dict[str, str]:
+        """The group of each participant, by code; empty where there are none."""
+        return self.content["groups"]
+
+    @property
     def rehearsal(self) -> bool:
         """Whether scripted hands drive, so that everything is synthetic."""
         return self.content["rehearsal"]
@@ -133,7 +138,8 @@ class Plan:
         code : str
             The participant.
         """
-        return steps_of(self._pages, self.orders[one_of("participant", code, self.orders)])
+        order = self.orders[one_of("participant", code, self.orders)]
+        return steps_of(self._pages, order, self.groups.get(code, ""))
 
     def participant(self, code: str) -> Participant:
         """

@@ -25,6 +25,8 @@ class Progress:
         Whether the participation was ended.
     withdrawn : bool
         Whether the participant did that.
+    completion : str
+        The code that the last page shows who came by the link for joining.
     notes : list of dict
         What the experimenter, or the page, has noted.
     """
@@ -35,6 +37,7 @@ class Progress:
     model: dict[str, Any] | None = None
     ended: bool = False
     withdrawn: bool = False
+    completion: str = ""
     notes: list[dict[str, Any]] = field(default_factory=list)
 
     def page(self, pages: int) -> int:
@@ -67,6 +70,8 @@ def progress_of(events: Iterable[Mapping[str, Any]]) -> Progress:
                 now.attempts[page] = now.attempt(page) + 1
             case "model":
                 now.model = dict(event)
+            case "enrol":
+                now.completion = event["completion"]
             case "end":
                 now.ended = True
                 now.withdrawn |= event.get("source") == "participant"

@@ -165,10 +165,11 @@ class RecordedStudy:
         """
         Where everybody is.
 
-        A row per participant who was not deleted: participant, order, pages_done, pages, drives
-        (finished, of those under a condition), complete, ended, withdrawn, attention (checks of
-        attention that were answered otherwise than expected), model (where model and thresholds
-        come from), why (they stand in), restarts, notes.
+        A row per participant who was not deleted: participant, group (if there are groups), order,
+        pages_done, pages, drives (finished, of those under a condition), complete, ended,
+        withdrawn, completion (code of who enrolled), attention (checks of attention that were
+        answered otherwise than expected), model (where model and thresholds come from), why (they
+        stand in), restarts, notes.
         """
         rows = []
         for code, now in self.progress.items():
@@ -178,6 +179,7 @@ class RecordedStudy:
             rows.append(
                 {
                     "participant": code,
+                    **self._group(code),
                     "order": " ".join(self.plan.orders[code]),
                     "pages_done": len(now.done),
                     "pages": len(steps) - 1,
@@ -185,6 +187,7 @@ class RecordedStudy:
                     "complete": len(now.done) == len(steps) - 1,
                     "ended": now.ended,
                     "withdrawn": now.withdrawn,
+                    "completion": now.completion,
                     "attention": self._inattentive(code),
                     "model": model.get("source", ""),
                     "why": model.get("why", ""),
@@ -195,6 +198,11 @@ class RecordedStudy:
                 }
             )
         return self._labelled(pd.DataFrame(rows))
+
+    def _group(self, code: Any) -> dict[str, str]:
+        """Return a participant's group as a column, none where there are no groups."""
+        groups = self.plan.groups
+        return {"group": groups[code]} if code in groups else {}
 
     def _inattentive(self, code: str) -> int:
         """Return how many attention checks a participant answered otherwise than expected."""
@@ -281,6 +289,7 @@ class RecordedStudy:
             facts = ("attempt", "verified", "thresholds_from", "period_median", "period_max")
             row = {
                 "participant": meta.participant,
+                **self._group(meta.participant),
                 "position": meta.more["position"],
                 "condition": meta.condition,
             }
@@ -353,8 +362,10 @@ class RecordedStudy:
             variance.
         """
         frame = self._for_analysis(dv)
+        between = "group" if self.plan.groups else None
+        order: Any = self.plan.content["conditions"]
         return repeated_measures(
-            frame, dv, "condition", "participant", order=self.plan.content["conditions"]
+            frame, dv, "condition", "participant", between=between, order=order
         )
 
     def order_effects(self, dv: str) -> OrderEffects:

@@ -26,8 +26,15 @@ from trustlab.live.study.drives import kernel_digest
 from trustlab.live.study.pages import AnswerError
 from trustlab.live.study.participation import Participation, RefusedError
 from trustlab.live.study.plan import Plan
-from trustlab.live.study.store import EXPERIMENTER, DeletedError, read_tokens, tokens_path
-from trustlab.models.checks import whole_number
+from trustlab.live.study.store import (
+    EXPERIMENTER,
+    JOIN,
+    PREVIEW,
+    DeletedError,
+    read_tokens,
+    tokens_path,
+)
+from trustlab.models.checks import flag, whole_number
 from trustlab.models.extras import extra
 
 with extra("live"):
@@ -56,7 +63,7 @@ second.
 
 POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src "
-    "'self'; img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 HEADERS = {
     "Content-Security-Policy": POLICY,
@@ -186,10 +193,28 @@ class ParticipantPage(Base):
     """The page that a link opens."""
 
     def get(self, token: str) -> None:
-        """Answer with the frame that the script fills."""
-        if self.holder(token) == EXPERIMENTER:
+        """Answer with the frame that the script fills; a preview begins anew."""
+        holder = self.holder(token)
+        if holder in (EXPERIMENTER, JOIN):
             raise tornado.web.HTTPError(404)
+        if holder == PREVIEW:
+            self.served.begin_preview()
         self.page("study.html")
+
+
+class Join(Base):
+    """The link by which anybody takes the next free place."""
+
+    async def get(self, token: str) -> None:
+        """Lead to a participant's page, or say that all places are taken."""
+        if self.holder(token) != JOIN or not self.served.enrol:
+            raise tornado.web.HTTPError(404)
+        code = await asyncio.to_thread(self.served.free_place)
+        if code is None:
+            self.set_status(410)
+            self.finish("All places of this study are taken. Thank you for your interest.")
+        else:
+            self.redirect(f"/p/{self.served.tokens[code]}")
 
 
 class ParticipantRequest(Base):
@@ -214,7 +239,7 @@ class ParticipantRequest(Base):
         returns.
         """
         code = self.holder(token)
-        if code == EXPERIMENTER:
+        if code in (EXPERIMENTER, JOIN):
             raise tornado.web.HTTPError(404)
         async with self.served.locks.setdefault(code, asyncio.Lock()):
             try:
@@ -305,7 +330,7 @@ class StudyServer:
 
     Parameters
     ----------
-    plan, address, port, certificate, key, names
+    plan, address, port, certificate, key, names, enrol
         As for `LiveStudy.serve`.
     """
 
@@ -318,6 +343,7 @@ class StudyServer:
         certificate: str | os.PathLike | None = None,
         key: str | os.PathLike | None = None,
         names: Iterable[str] = (),
+        enrol: bool = False,
     ):
         if certificate is None and address not in LOOPBACK:
             raise ValueError(
@@ -356,6 +382,7 @@ class StudyServer:
                     "without a password"
                 ) from error
         self.names = tuple(names)
+        self.enrol = flag("enrol", enrol)
         self.files = {
             path.name: path.read_bytes() for path in STATIC.iterdir() if path.suffix in TYPES
         }
@@ -364,6 +391,7 @@ class StudyServer:
         self.locks: dict[str, asyncio.Lock] = {}
         self.participations: dict[str, Participation] = {}
         self.participations_lock = threading.Lock()
+        self.places_lock = threading.Lock()
         self.tokens: dict[str, str] = {}
         self.tokens_at = 0
         self.thread: threading.Thread | None = None
@@ -395,6 +423,20 @@ class StudyServer:
                     raise DeletedError(f"participant {code} was deleted")
                 self.participations[code] = Participation(self.plan, code)
             return self.participations[code]
+
+    def begin_preview(self) -> None:
+        """Let a preview begin anew: a rehearsal of the plan in a folder that does not last."""
+        self.preview_home = tempfile.TemporaryDirectory()
+        content = {**self.plan.content, "rehearsal": True}
+        plan = Plan(Path(self.preview_home.name), content)
+        code = next(iter(plan.orders))
+        (plan.folder / code).mkdir()
+        self.participations[PREVIEW] = Participation(plan, code)
+
+    def free_place(self) -> str | None:
+        """Return the next participant whom nobody is yet, and take the place."""
+        with self.places_lock:
+            return next((c for c in self.present() if self.participation(c).enrol()), None)
 
     def present(self) -> list[str]:
         """Return the codes of all who were not deleted."""
@@ -441,6 +483,8 @@ class StudyServer:
             "rehearsal": self.plan.rehearsal,
             "deleted": len(self.plan.deleted()),
             "trouble": self.trouble,
+            "preview": f"{self.base}/p/{self.tokens[PREVIEW]}",
+            "join": f"{self.base}/join/{self.tokens[JOIN]}" if self.enrol else "",
             "people": rows,
         }
 
@@ -476,6 +520,7 @@ class StudyServer:
             [
                 (r"/static/([a-z_]+\.[a-z]+)", Static),
                 (rf"/p/{token}", ParticipantPage),
+                (rf"/join/{token}", Join),
                 (rf"/p/{token}/({asked})", ParticipantRequest),
                 (rf"/experimenter/{token}", ExperimenterPage),
                 (rf"/experimenter/{token}/(state|act|export)", ExperimenterRequest),

@@ -23,6 +23,9 @@ PLAN = "study.json"
 TOMBSTONE = ".deleted"
 TOKENS = ".tokens.json"
 EXPERIMENTER = "experimenter"
+JOIN, PREVIEW = ".join", ".preview"
+"""Names of links that belong to no participant; no code has a full stop."""
+
 PRIVATE = 0o600
 
 
@@ -144,7 +147,8 @@ def make_tokens(folder: Path, codes: Iterable[str]) -> None:
     """
     path = tokens_path(folder)
     known = read_tokens(folder) if path.exists() else {}
-    tokens = {name: known.get(name) or secrets.token_urlsafe(16) for name in (EXPERIMENTER, *codes)}
+    names = (EXPERIMENTER, JOIN, PREVIEW, *codes)
+    tokens = {name: known.get(name) or secrets.token_urlsafe(16) for name in names}
     write_atomically(path, json.dumps(tokens, indent=1), mode=PRIVATE)
     sync_folder(path.parent)
 

@@ -1,0 +1,192 @@
+"""
+Groups, preview, enrolment, pictures and time limits of a study.
+
+Oracle: counting; R's design of a mixed analysis as `repeated_measures` is tested for; a browser.
+"""
+
+import base64
+import time
+from collections import Counter
+from types import SimpleNamespace
+
+import pytest
+
+import trustlab as tl
+from trustlab.live.study.pages import AnswerError
+from trustlab.live.study.participation import Participation
+from trustlab.live.study.server import StudyServer
+
+PNG = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+)
+PAGES = """
+[hurry]
+after = "consent"
+title = "Quickly"
+text = "Answer at once."
+seconds = 1
+picture = "dot.png"
+items = [
+    {name = "first", text = "First?", low = 1, high = 5},
+    {name = "second", text = "Second?", kind = "text"},
+]
+
+[secret]
+after = "hurry"
+title = "A secret"
+text = "The robot lies."
+group = "told"
+
+[identification]
+skip = true
+"""
+
+
+@pytest.fixture
+def pages(tmp_path):
+    (tmp_path / "dot.png").write_bytes(PNG)
+    path = tmp_path / "pages.toml"
+    path.write_text(PAGES)
+    return path
+
+
+def names(plan, code):
+    return [step.page.name for step in plan.steps(code)]
+
+
+def test_groups_fill_squares_of_their_own_and_have_pages_of_their_own(make_plan, pages):
+    plan = make_plan(participants={"told": 4, "untold": 4}, pages=pages, whole_squares=True)
+    assert list(plan.orders) == [f"P0{i}" for i in range(1, 9)]
+    assert Counter(plan.groups.values()) == {"told": 4, "untold": 4}
+    for group in ("told", "untold"):
+        firsts = [plan.orders[code][0] for code, name in plan.groups.items() if name == group]
+        assert Counter(firsts) == {"C1": 2, "C3": 2}
+        for code, name in plan.groups.items():
+            assert ("secret" in names(plan, code)) == (name == "told")
+    same = make_plan(
+        participants={"told": 4, "untold": 4}, pages=pages, whole_squares=True, name="again"
+    )
+    assert same.groups == plan.groups
+    column = tl.read_live_study(plan.folder).participants.set_index("participant")["group"]
+    assert column.to_dict() == plan.groups
+
+
+def test_groups_are_the_factor_between_subjects(tmp_path):
+    groups = {"told": ["A", "B"], "untold": ["C", "D"]}
+    short = {"duration": 2.0, "training": 1.0, "rehearsal": True}
+    conditions = ["by_hand", "most_trusted"]
+    plan = tl.LiveStudy(tmp_path / "s", conditions, groups, task="team", **short)
+    assert plan.groups == {"A": "told", "B": "told", "C": "untold", "D": "untold"}
+    plan.rehearse(0)
+    study = tl.read_live_study(plan.folder)
+    effects = study.analysis("force").table()
+    table = study.measures
+    oracle = tl.repeated_measures(
+        table, "force", "condition", "participant", between="group", order=conditions
+    )
+    assert effects.equals(oracle.table())
+    assert effects.to_string().count("group") > 1
+
+
+@pytest.mark.parametrize(
+    ("participants", "message"),
+    [
+        ({"told": 4}, "two or more"),
+        ({"told": 4, "": 4}, "names"),
+        ({"told": ["A"], "untold": ["a"]}, "the same"),
+    ],
+)
+def test_groups_that_cannot_be_are_refused(make_plan, participants, message):
+    with pytest.raises(ValueError, match=message):
+        make_plan(participants=participants)
+
+
+def test_a_page_of_a_group_that_is_not_there_is_refused(make_plan, pages):
+    with pytest.raises(ValueError, match="group of the page secret"):
+        make_plan(pages=pages)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("dot.png", "none.png"), "picture must be"),
+        (("dot.png", "pages.toml"), "picture must be"),
+        (("seconds = 1", "seconds = -1"), "seconds"),
+        (("seconds = 1", 'seconds = 1\nscored = "likert"'), "may be missing"),
+    ],
+)
+def test_pages_that_cannot_be_are_refused(make_plan, pages, change, message):
+    pages.write_text(PAGES.replace(*change))
+    with pytest.raises(ValueError, match=message):
+        make_plan(participants={"told": 2, "untold": 2}, pages=pages)
+
+
+def test_after_its_time_a_form_is_handed_in_as_it_is(make_plan, pages):
+    plan = make_plan(participants={"told": 2, "untold": 2}, pages=pages)
+    participation = Participation(plan, "P01")
+    participation.answers({"page": 0, "answers": {"consent": True}})
+    now = participation.state()
+    assert now["seconds"] == 1
+    assert base64.b64decode(now["picture"].partition(",")[2]) == PNG
+    with pytest.raises(AnswerError):
+        participation.answers({"page": 1, "answers": {"second": "yes"}})
+    with pytest.raises(AnswerError):
+        participation.answers({"page": 1, "late": True, "answers": {"first": 9}})
+    participation.answers({"page": 1, "late": True, "answers": {"second": "yes"}})
+    answers = tl.read_live_study(plan.folder).answers()
+    assert answers.query("page == 'hurry'")["item"].tolist() == ["second"]
+
+
+def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, client):
+    plan = make_plan(participants=2)
+    with StudyServer(plan, enrol=True) as server:
+        join = client(server.experimenter + "/state").json["join"]
+        places = [client(join) for _ in range(3)]
+        assert [place.status for place in places] == [302, 302, 410]
+        tokens = [place.headers["Location"] for place in places[:2]]
+        assert [server.base + token for token in tokens] == list(server.links().values())
+        assert client(join.replace("/join/", "/p/")).status == 404
+        assert client(server.base + tokens[0] + "/withdraw", {}).status == 200
+        shown = client(server.base + tokens[0] + "/state").json
+    codes = tl.read_live_study(plan.folder).participants["completion"]
+    assert shown["completion"] == codes[0] != codes[1]
+    closed = SimpleNamespace(plan=plan)
+    with StudyServer(closed.plan) as server:
+        assert client(server.experimenter + "/state").json["join"] == ""
+        assert client(server.base + "/join/" + join.rpartition("/")[2]).status == 404
+
+
+def test_a_preview_keeps_nothing(make_plan, client):
+    plan = make_plan(participants=2)
+    with StudyServer(plan) as server:
+        link = client(server.experimenter + "/state").json["preview"]
+        assert client(link + "/state").status == 404, "before it is opened"
+        for _ in range(2):  # it begins anew
+            assert client(link).status == 200
+            state = client(link + "/state").json
+            assert (state["page"], state["rehearsal"]) == (0, True)
+            answer = client(link + "/answers", {"page": 0, "answers": {"consent": True}})
+            assert answer.json["page"] == 1
+    assert not list(plan.folder.glob("*/*"))
+
+
+def test_a_preview_in_the_browser(make_plan, browser, pages):
+    from tests.live.study.test_browser import go_on, next_page, opened, until
+
+    plan = make_plan(participants={"told": 2, "untold": 2}, pages=pages)
+    with StudyServer(plan) as server:
+        page = opened(browser.new_context(), server.experimenter)
+        until(page, "document.getElementById('preview').href.includes('/p/')")
+        preview = opened(page.context, page.evaluate("document.getElementById('preview').href"))
+        number, kind = next_page(preview)
+        go_on(preview, kind)
+        began = time.monotonic()
+        until(preview, "!!document.querySelector('form img')?.naturalWidth")
+        number, kind = next_page(preview, 1)  # by itself, after a second
+        assert time.monotonic() - began < 20
+        if kind == "form":
+            go_on(preview, kind)
+            number, kind = next_page(preview, number)
+        go_on(preview, "drive")
+        next_page(preview, number)  # ten seconds of driving, on an accelerated clock
+        assert preview.faults == page.faults == []
