@@ -50,7 +50,7 @@ def recover(folder: Path) -> None:
     """Write bags and sessions of runs that were killed."""
     for path in sorted(folder.glob(f"*{JOURNAL}")):
         try:
-            print(f"of a run that was killed: {read_run(path)}")
+            print(f"of a run that was killed: {read_run(path, own_rules=True)}")
         except ValueError as error:
             print(f"{path}: left as it is, {error}")
 

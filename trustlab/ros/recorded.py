@@ -61,7 +61,7 @@ class RobotRun:
         return f"RobotRun({self.path}: {self.session.duration:.1f} s, {words})"
 
 
-def read_run(path: str | Path, run: RunSettings | None = None) -> RobotRun:
+def read_run(path: str | Path, run: RunSettings | None = None, own_rules: bool = False) -> RobotRun:
     """
     Read a run from its bag and replay it.
 
@@ -72,6 +72,9 @@ def read_run(path: str | Path, run: RunSettings | None = None) -> RobotRun:
         written first.
     run : RunSettings, optional
         What it was set to, where a rule without a name took part; from the bag by default.
+    own_rules : bool
+        Whether the rule or share that the bag names may be imported and called. Say so only of
+        bags that you trust.
 
     Returns
     -------
@@ -80,12 +83,12 @@ def read_run(path: str | Path, run: RunSettings | None = None) -> RobotRun:
     Raises
     ------
     SessionError
-        If the file is damaged, or fewer than two samples were logged.
+        If the file is damaged, fewer than two samples were logged, or the bag names a rule.
     """
     path = Path(path)
     if path.suffix == JOURNAL:
-        return finish_run(path, run, interrupted=True)
-    replay = Replay(recorded_messages(path), run)
+        return finish_run(path, run, interrupted=True, own_rules=own_rules)
+    replay = Replay(recorded_messages(path), run, own_rules)
     session = read_session(path)
     log = replay.core.session()
     same = all(session[name].tobytes() == log[name].tobytes() for name in log)
@@ -93,14 +96,16 @@ def read_run(path: str | Path, run: RunSettings | None = None) -> RobotRun:
     return RobotRun(path, replay.run, session, table, same and replay.same)
 
 
-def finish_run(journal: Path, run: RunSettings | None, interrupted: bool) -> RobotRun:
+def finish_run(
+    journal: Path, run: RunSettings | None, interrupted: bool, own_rules: bool = False
+) -> RobotRun:
     """Write bag and session of a journal, which goes then, and read the run."""
-    replay = Replay(read_journal(journal), run)
+    replay = Replay(read_journal(journal), run, own_rules)
     session = replay.core.session(**replay.run.facts, interrupted=interrupted)
     path = journal.with_suffix(".mcap")
     write_recording(session, path, replay.run.types(), read_journal(journal))
     write_session(session, journal.with_suffix(".csv"))
-    result = read_run(path, run)
+    result = read_run(path, replay.run)
     journal.unlink()
     return result
 
@@ -122,7 +127,12 @@ def recorded_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
 class Replay:
     """A core that hears what was recorded, in its order, and steps where a command was sent."""
 
-    def __init__(self, messages: Iterable[tuple[str, int, bytes]], run: RunSettings | None):
+    def __init__(
+        self,
+        messages: Iterable[tuple[str, int, bytes]],
+        run: RunSettings | None = None,
+        own_rules: bool = False,
+    ):
         with extra("ros"):
             from rosbags.typesys import Stores, get_typestore
 
@@ -132,6 +142,9 @@ class Replay:
         if topic != RUN:
             raise SessionError("no run is recorded here; remove the file")
         tables = json.loads(store.deserialize_cdr(data, "std_msgs/msg/String").data)
+        named = tables.get("rule") or tables.get("share")
+        if run is None and named and not own_rules:
+            raise SessionError(f"a rule takes part, {named!r}; if you trust it, say own_rules=True")
         self.run = run or RunSettings.of(tables)
         self.core = self.run.core()
         self.decisions: list[Decision] = []

@@ -162,7 +162,7 @@ class RunSettings:
         As for `AllocationCore`.
     rule, share : object or str
         As for `AllocationCore`; or "module:name" of what makes the rule, or of the function. A run
-        whose rule has such a name can be replayed from its bag alone.
+        whose rule has such a name can be replayed from its bag.
     correction : mapping, optional
         Arguments of `ThresholdCorrector`: target, horizon, c_b.
     settings : CoreSettings
