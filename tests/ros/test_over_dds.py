@@ -79,6 +79,7 @@ def killed_at_random(folder, start, draw):
     wait_for_motion(log)
     time.sleep(draw.uniform(0.0, 1.5))
     running[victim].kill()
+    running[victim].wait()  # until its threads are gone, which a busy machine takes time for
     killed = time.monotonic()
     time.sleep(2.0)
     if victim == "node":
