@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: environment robot reports docs test test-long coverage lock bench lab study data calibration simulated kernel digest clean help
+.PHONY: environment robot reports session docs test test-long coverage lock bench lab study data calibration simulated kernel digest clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -9,6 +9,8 @@ UV := $(shell command -v uv 2>/dev/null)
 PARAMS ?=
 ONLY ?=
 DIR ?=
+FILE ?=
+RECIPE ?=
 JOBS ?= auto
 
 # Containers set it to stay small; then every process that starts would compile the package's sources anew.
@@ -38,6 +40,13 @@ endif
 reports: $(VENV)/.stamp  ## run every notebook and write the book, reports/index.html (PARAMS="-p name value" passes parameters on)
 	$(BIN)/python -m trustlab.publishing.compile_kernels
 	$(BIN)/python -m trustlab.publishing --jobs $(JOBS) $(PARAMS)
+
+session: $(VENV)/.stamp  ## a page on a log of your own: make session FILE=run.csv RECIPE=my.toml (PARAMS="-p window 100")
+	@[ -n "$(FILE)" ] || { echo "which log? make session FILE=run.csv RECIPE=my.toml"; exit 1; }
+	$(BIN)/papermill --cwd notebooks notebooks/00_my_session.ipynb reports/my_session.ipynb \
+	  -p session_file "$(abspath $(FILE))" $(if $(RECIPE),-p recipe "$(abspath $(RECIPE))") $(PARAMS)
+	$(BIN)/jupyter nbconvert --to html --no-input --embed-images --output my_session.html reports/my_session.ipynb
+	@echo "the page: reports/my_session.html"
 
 docs: $(VENV)/.stamp  ## write the same book without running any notebook
 	$(BIN)/python -m trustlab.publishing --no-run

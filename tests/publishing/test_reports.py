@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import trustlab as tl
 from tests.publishing.world import ROOT, make
-from trustlab.publishing import figures
+from trustlab.publishing import figures, only_parameters
 from trustlab.publishing.book import publish
 from trustlab.publishing.figures import describe
 from trustlab.publishing.provenance import provenance, read_files, shared_digest
@@ -245,3 +245,10 @@ def test_folder_without_such_notebooks_is_refused(tmp_path):
     make(tmp_path)
     with pytest.raises(ValueError, match=r"no notebook is called '01'.*none named NN_name"):
         publish(["01"], root=tmp_path)
+
+
+def test_a_parameter_that_a_notebook_lacks_is_refused():
+    space = {"session_file": "run.csv", "pd": pd, "In": [], "_": 3}
+    only_parameters(space, ("session_file", "window"))
+    with pytest.raises(ValueError, match="no parameter 'sesion_file'; did you mean 'session_file'"):
+        only_parameters(space | {"sesion_file": "mine.csv"}, ("session_file", "window"))

@@ -8,5 +8,6 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     submod_attrs={
         "figures": ["caption", "label_synthetic", "use_house_style"],
         "book": ["Built", "publish"],
+        "parameters": ["only_parameters"],
     },
 )
