@@ -54,6 +54,7 @@ from .identification import (
     arx as arx,
     fit as fit,
     fit_human as fit_human,
+    fit_population as fit_population,
     fit_robot as fit_robot,
     fit_transfer_function as fit_transfer_function,
     fit_tsc as fit_tsc,

@@ -9,12 +9,15 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+from scipy.signal import lfilter
 
 import trustlab as tl
 from trustlab.allocation import bound_failures
 from trustlab.models.digest import PACKAGE, source_digest
 from trustlab.reproduction import read_calibration
+from trustlab.sessions.metrics import window_mean
 from trustlab.testbeds import compare_guidance
 
 HERE = Path(__file__).resolve().parent
@@ -62,11 +65,95 @@ def checks() -> pd.DataFrame:
     return pd.concat(tables, names=["study"]).reset_index("study")
 
 
+# Standard deviation of noise [m/s] per sample, its time constant [s], and the window of means [s].
+RECORDED_NOISE = {"white": (0.0, 0.0), "slow": (5.0, 0.0), "slow, means over 100 s": (5.0, 100.0)}
+DEVIATION = 0.005
+
+
+def recorded_session(
+    tsc: tl.TscModel, minutes: float, switches: int, noise: str, rng: np.random.Generator
+) -> tl.Session:
+    """Return a log at 10 Hz whose mode changes at random times, at least 20 s apart."""
+    size = round(600 * minutes)
+    free = np.sort(rng.uniform(0.0, size - 200.0 * (switches + 1), switches))
+    times = free + 200.0 * np.arange(1, switches + 1)
+    mode = (np.searchsorted(times, np.arange(size), side="right") % 2 == 0) * 1.0
+    run = tsc.simulate(mode, rng.uniform(0.02, 0.3), tsc.robot.p_min)
+    seconds, window = RECORDED_NOISE[noise]
+    memory = np.exp(-0.1 / seconds) if seconds else 0.0
+    columns = {"mode": mode}
+    for name in ("p_h", "p_r"):
+        shocks = DEVIATION * np.sqrt(1.0 - memory**2) * rng.standard_normal(size)
+        shocks[0] = DEVIATION * rng.standard_normal()
+        values = run[name].to_numpy() + lfilter([1.0], [1.0, -memory], shocks)
+        columns[name] = window_mean(values, 0.1, window) if window else values
+    frame = pd.DataFrame(columns, index=pd.Index(0.1 * np.arange(size), name="t"))
+    return tl.Session(frame, tl.Metadata(synthetic=True, more={"performance_window": window}))
+
+
+def decided(
+    minutes: float, switches: int, noise: str, participant: str, seed: np.random.SeedSequence
+) -> dict:
+    """Return what one simulated log tells of β, and whether thresholds chosen from it are safe."""
+    tsc = tl.published_models()[participant]
+    session = recorded_session(tsc, minutes, switches, noise, np.random.default_rng(seed))
+    posterior = tl.sample_posterior(session, n=500)
+    beta = posterior.table().loc["human_beta"]
+    choice = tl.choose_thresholds(posterior, points=10)
+    cycle = tl.limit_cycle(tsc, choice.lower, choice.upper, starts=1)
+    around = cycle.exists and cycle.r_low <= tsc.human.beta <= cycle.r_high
+    return {
+        "width": beta["ci_high"] - beta["ci_low"],
+        "covered": bool(beta["ci_low"] <= tsc.human.beta <= beta["ci_high"]),
+        "probability": choice.probability,
+        "offered": choice.offered,
+        "safe": bool(around),
+    }
+
+
+def recording() -> pd.DataFrame:
+    """
+    What logs of several lengths tell of the printed people, and whether thresholds chosen from
+    them are safe (docs/how_to/record.md).
+    """
+    cells = tl.parameter_grid(
+        minutes=[5, 10, 20, 40],
+        switches=[3, 9],
+        noise=list(RECORDED_NOISE),
+        participant=["pilot", "1", "2", "3", "4", "5"],
+    )
+    rows = tl.run_campaign(decided, cells, seed=SEED, n_jobs=1)
+    names = ["minutes", "switches", "noise", "participant", "width", "covered", "probability"]
+    return rows[[*names, "offered", "safe"]]
+
+
+def recording_summary() -> pd.DataFrame:
+    """The table of docs/how_to/record.md, from recording.csv."""
+    rows = pd.read_csv(HERE / "recording.csv")
+    rows["safe_offered"] = rows["safe"] & rows["offered"]
+    rows["noise"] = pd.Categorical(rows["noise"], list(RECORDED_NOISE))
+    groups = rows.groupby(["noise", "minutes", "switches"], observed=True)
+    table = pd.DataFrame(
+        {
+            "width of β's interval": groups["width"].median().map("{:.2f}".format),
+            "probability of the best thresholds": groups["probability"]
+            .median()
+            .map("{:.2f}".format),
+            "logs": groups.size(),
+            "thresholds offered": groups["offered"].sum(),
+            "of these safe": groups["safe_offered"].sum(),
+        }
+    )
+    return table.reset_index()
+
+
 TABLES = {
     adjustments: "reproduction/reconstruction/feasibility.py",
     failures: "allocation/bound_failures.py",
     guidance: "testbeds/guidance_comparison.py",
     checks: "reproduction/calibration.py",
+    recording: "allocation/decision/posterior_choice.py",
+    recording_summary: "allocation/decision/posterior_choice.py",
 }
 """Each table, and the file whose imports, direct or not, are what it comes from."""
 

@@ -60,6 +60,22 @@ def test_a_fit_is_taken_and_warned_of_where_it_is_unsure(operators, make_session
         choose_thresholds(tl.fit_robot(make_session(operators["2"], switching)))
 
 
+def test_a_failed_fit_is_named_as_the_cause(operators, make_session, switching):
+    """Advice about a model that is not to be used would mislead."""
+    fit = tl.fit_tsc(make_session(operators["2"], switching))
+    unsure = replace(fit, success=False, message="p_max is weakly determined.")
+    with pytest.raises(ValueError, match="p_max is weakly determined") as caught:
+        choose_thresholds(unsure, delta_p_h=0.01, points=4)
+    assert str(caught.value).startswith("the fit is why there are no thresholds")
+    assert "trustlab.sample_posterior(sessions)" in str(caught.value)
+    with pytest.raises(ValueError, match="Remark 4") as plain:
+        choose_thresholds(fit, delta_p_h=0.01, points=4)
+    assert "sample_posterior" not in str(plain.value)
+    with pytest.raises(ValueError, match="margin") as caught:
+        choose_thresholds(unsure, margin=0.7)
+    assert "the fit" not in str(caught.value)
+
+
 def test_margin_is_kept(operators, choice):
     span = choice.limits.upper - choice.limits.lower
     assert choice.lower >= choice.limits.lower + 0.1 * span - 1e-12

@@ -3,10 +3,12 @@ The simulations that the reports only read (`make simulated`): a part of each, m
 stored.
 """
 
+import importlib.util
 import json
 
 import numpy as np
 import pandas as pd
+import pytest
 
 import trustlab as tl
 from tests.house.documents import ROOT
@@ -49,3 +51,27 @@ def test_adjustments():
     study = tl.published_studies()["uav.robot_performance"]
     again = tl.reproduction.compare_adjustments({"uav.robot_performance": study}, seed=SEED + 1)
     assert again["status"].to_dict() == own.loc[again.index, "status"].to_dict()
+
+
+def test_recording():
+    """The page's table is that of the logs, and a log simulated again is as stored."""
+    rows = stored("recording")
+    spec = importlib.util.spec_from_file_location("make_simulated", DATA / "make_simulated.py")
+    make = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(make)
+    again = make.recording_summary().astype(str)
+    kept = pd.read_csv(DATA / "recording_summary.csv", dtype=str)
+    np.testing.assert_array_equal(again.to_numpy(), kept.to_numpy())
+    # What the page says of it.
+    medians = rows.pivot_table("width", ["noise", "minutes"], "switches", aggfunc="median")
+    assert (medians[3] <= medians[9]).mean() > 0.9
+    offered = rows[rows["offered"]]
+    assert offered["safe"].mean() >= 0.93
+    assert rows["covered"].mean() >= 0.9
+    seeds = np.random.SeedSequence(make.SEED).spawn(len(rows))
+    one = rows.iloc[0]
+    names = ["minutes", "switches", "noise", "participant"]
+    before = one.drop(names)
+    result = make.decided(**one[names], seed=seeds[0])
+    assert result["width"] == pytest.approx(before["width"], rel=1e-6)
+    assert result["probability"] == pytest.approx(before["probability"], abs=0.02)

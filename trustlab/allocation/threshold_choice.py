@@ -198,10 +198,13 @@ def choose_thresholds(
     if isinstance(tsc, Posterior):
         return choose_under_posterior(tsc, confidence, objective, enclose_beta, points or 14)
     check_objective(objective)
+    margin = finite_number("margin", margin)
+    if not 0.0 < margin < 0.5:
+        raise ValueError(f"margin must lie in (0, 0.5), got {margin}")
+    points = whole_number("points", 24 if points is None else points, least=4, most=500)
     if isinstance(tsc, FitResult):
-        model = of_class("tsc", tsc.model, TscModel)
-        return _doubted(tsc, _chosen(model, delta_p_h, margin, points or 24, objective))
-    return _chosen(tsc, delta_p_h, margin, 24 if points is None else points, objective)
+        return _chosen_from_fit(tsc, delta_p_h, margin, points, objective)
+    return _chosen(tsc, delta_p_h, margin, points, objective)
 
 
 def _chosen(
@@ -209,10 +212,6 @@ def _chosen(
 ) -> ThresholdChoice:
     """Return the best pair of a grid for a model."""
     of_class("tsc", tsc, TscModel)
-    margin = finite_number("margin", margin)
-    if not 0.0 < margin < 0.5:
-        raise ValueError(f"margin must lie in (0, 0.5), got {margin}")
-    points = whole_number("points", points, least=4, most=500)
     limits = threshold_limits(tsc, delta_p_h)
     if not limits.feasible:
         check_thresholds(tsc, 0.0, 1.0, limits)
@@ -227,6 +226,11 @@ def _chosen(
     names = ["lower", "upper", "r_low", "r_high", "mean_r", "p_r_high", "mean_p_r"]
     rows = [[getattr(cycle, name) for name in names] for cycle in cycles if cycle.exists]
     table = pd.DataFrame(rows, columns=names)
+    if table.empty:
+        raise ValueError(
+            f"under none of the pairs between {grid[0]:.4f} and {grid[-1]:.4f} does control keep "
+            "changing hands"
+        )
     table["encloses_beta"] = (table["r_low"] <= tsc.human.beta) & (
         tsc.human.beta <= table["r_high"]
     )
@@ -261,10 +265,23 @@ def _chosen(
     )
 
 
-def _doubted(fit: FitResult, choice: ThresholdChoice) -> ThresholdChoice:
-    """Return a choice with the doubts of the fit that the model comes from."""
+def _chosen_from_fit(
+    fit: FitResult, delta_p_h: float, margin: float, points: int, objective: str | float
+) -> ThresholdChoice:
+    """Return the best pair for a fit's model, with the fit's doubts."""
+    model = of_class("tsc", fit.model, TscModel)
     if fit.success:
-        return choice
+        return _chosen(model, delta_p_h, margin, points, objective)
+    try:
+        choice = _chosen(model, delta_p_h, margin, points, objective)
+    except ValueError as error:
+        # The model is not to be used, so that advice on how to change it would mislead.
+        raise ValueError(
+            f"the fit is why there are no thresholds, it has success = False: {fit.message} With "
+            "posterior = trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers "
+            "thresholds with a probability, or says what to record. (Of the fitted model: "
+            f"{error})"
+        ) from error
     doubt = f"Thresholds of a model whose fit has success = False: {fit.message}"
     warn(doubt)
     return replace(choice, message=f"{doubt} {choice.message}")

@@ -1,6 +1,7 @@
 from .fit_result import FitResult as FitResult
 from .fitting import fit as fit
 from .human import fit_human as fit_human
+from .posterior.population import Population as Population, fit_population as fit_population
 from .posterior.priors import Prior as Prior
 from .posterior.result import Posterior as Posterior
 from .posterior.sampling import sample_posterior as sample_posterior

@@ -262,6 +262,5 @@ def _slow(estimate: Estimate) -> Iterator[str]:
         step = problem.runs[0].sample_time
         yield (
             f"Noise is correlated over {max(memory) * step:.3g} s, and there are only "
-            f"{samples * step:.4g} s of data: too few for an honest interval; record more, "
-            "or use trustlab.sample_posterior, whose intervals allow for such noise."
+            f"{samples * step:.4g} s of data: too few for an honest interval; record more."
         )

@@ -290,6 +290,9 @@ def result(
     weak = weak_parameters(estimate, table)
     reasons = list(doubts(estimate))
     sentences = [search_remark(estimate), *_mark(weak, table), *remarks(estimate), *reasons]
+    success = bool(estimate.search.converged and not weak and not reasons)
+    if not success and structure.remedy:
+        sentences.append(structure.remedy)
     # NaN for what was fixed; rows of what a bound holds are NaN already.
     stderr = np.sqrt(np.where(estimate.fixed, np.nan, np.diag(estimate.covariance)))
     shape = (len(problem.runs), problem.states)
@@ -305,7 +308,7 @@ def result(
         noise=estimate.noise,
         sigma=dict(zip(structure.outputs, estimate.sigma.tolist(), strict=True)),
         cost=0.5 * float(estimate.normal.squares.sum()),
-        success=bool(estimate.search.converged and not weak and not reasons),
+        success=success,
         message=" ".join(sentences),
         degrees_of_freedom=estimate.degrees_of_freedom,
     )

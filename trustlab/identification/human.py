@@ -20,6 +20,7 @@ from trustlab.identification.runs import (
 )
 from trustlab.identification.structure import (
     MODEL_STEP,
+    POSTERIOR,
     UNIT_MARGIN,
     Coordinate,
     IdentificationError,
@@ -362,6 +363,7 @@ HUMAN = Structure(
     model=build_human,
     derived={"b": lambda at: 1.0 - at["a"]},
     step=MODEL_STEP,
+    remedy=POSTERIOR,
 )
 
 

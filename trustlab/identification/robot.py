@@ -28,7 +28,7 @@ from trustlab.identification.output_error import Estimate
 from trustlab.identification.regression import regress
 from trustlab.identification.robot_structure import robot_structure
 from trustlab.identification.runs import LogSettings, Run, joined, log_settings, read_runs
-from trustlab.identification.structure import IdentificationError
+from trustlab.identification.structure import POSTERIOR, IdentificationError
 from trustlab.identification.tsc import TSC
 from trustlab.models.checks import one_of, positive
 from trustlab.models.robot import gain_of_human_performance
@@ -353,4 +353,5 @@ def _flag_weak_operator(fit: FitResult, operator: Estimate) -> FitResult:
         "Do not rely on p_h_max, nor on p_max, which refers to it: these data do not determine "
         f"{reason}; give p_h_max=..."
     )
-    return replace(fit, parameters=parameters, success=False, message=f"{fit.message} {sentence}.")
+    words = [fit.message, f"{sentence}.", POSTERIOR if fit.success else ""]
+    return replace(fit, parameters=parameters, success=False, message=" ".join(words).strip())

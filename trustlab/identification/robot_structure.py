@@ -15,6 +15,7 @@ from trustlab.identification.regression import equations
 from trustlab.identification.runs import Run, as_columns, block_means, joined
 from trustlab.identification.structure import (
     MODEL_STEP,
+    POSTERIOR,
     IdentificationError,
     LinearForm,
     Parameter,
@@ -101,6 +102,7 @@ def robot_structure(p_h_max: float) -> Structure:
         check=check_excitation,
         step=MODEL_STEP,
         linear=linear,
+        remedy=POSTERIOR,
     )
 
 

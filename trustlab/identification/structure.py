@@ -220,6 +220,12 @@ class LinearForm:
     )
 
 
+# The remedy of the dissertation's own models.
+POSTERIOR = (
+    "From columns mode, p_h and p_r, trustlab.sample_posterior says what these data do determine."
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Structure:
     """
@@ -265,6 +271,8 @@ class Structure:
     step : float, optional
         Time step of the model [s]: a fit to a log with a longer sample time is reported as doubtful
         unless it is given a step.
+    remedy : str
+        What to do instead where a fit has success = False; a sentence at the end of its message.
 
     Raises
     ------
@@ -297,6 +305,7 @@ class Structure:
     check: Callable | None = None
     linear: LinearForm | None = None
     step: float | None = None
+    remedy: str = ""
 
     how_to_get = "build one with trustlab.Structure(name, parameters=…, outputs=…, simulate=…)"
 

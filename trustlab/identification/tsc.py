@@ -26,7 +26,13 @@ from trustlab.identification.robot_structure import (
     simulate_robot,
 )
 from trustlab.identification.runs import LogSettings, Run, as_columns
-from trustlab.identification.structure import MODEL_STEP, IdentificationError, Parameter, Structure
+from trustlab.identification.structure import (
+    MODEL_STEP,
+    POSTERIOR,
+    IdentificationError,
+    Parameter,
+    Structure,
+)
 from trustlab.models.compiled import njit
 from trustlab.models.robot import gain_of_human_performance
 from trustlab.models.tsc import TscModel
@@ -205,4 +211,5 @@ TSC = Structure(
     },
     check=lambda runs, limits: check_excitation(runs, limits, "robot_p_min", "robot_p_max"),
     step=MODEL_STEP,
+    remedy=POSTERIOR,
 )

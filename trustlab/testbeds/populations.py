@@ -10,14 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import special
+from scipy import linalg, special
 
 from trustlab.allocation.limits import threshold_limits
+from trustlab.identification.posterior.population import Population
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import (
     checked_covariance,
     finite_array,
     finite_number,
+    of_class,
     one_of,
     positive,
     whole_number,
@@ -357,6 +359,39 @@ class OperatorPopulation:
         return cls(
             rows.mean(axis=0), matrix, (tsc, performance), 0.24, "Tables 2.1, 2.2, 2.3 and 2.6"
         )
+
+    @classmethod
+    def of_people(cls, people: Population) -> "OperatorPopulation":
+        """
+        Return operators of the ground robot who resemble people that `fit_population` was given.
+
+        Their models are drawn from what is predicted of a new person. Logs of a task do not show
+        how people answer suggestions: own thresholds and shares of suggestions followed are those
+        of `ground_robot()`.
+
+        Parameters
+        ----------
+        people : Population
+            Performance in m/s, by (2.4) and (2.7).
+        """
+        rest = cls.ground_robot()
+        new = of_class("people", people, Population, Population.how_to_get).new_person
+        seconds = new[["human_time_constant", "robot_time_constant"]].to_numpy()
+        tau = -1.0 / np.expm1(-SAMPLE_TIME / seconds)
+        columns = [
+            np.log(tau[:, 0]),
+            special.logit(new["human_beta"]),
+            new["human_p_min"],
+            np.log(new["human_p_max"] - new["human_p_min"]),
+            np.log(tau[:, 1]),
+            np.log(new["robot_p_max"] - new["robot_p_min"]),
+        ]
+        rows = np.column_stack(columns)
+        size = len(columns)
+        mean = np.r_[rows.mean(axis=0), rest.mean[size:]]
+        covariance = linalg.block_diag(np.cov(rows.T), rest.covariance[size:, size:])
+        origin = f"{len(people)} people by fit_population; answers by {rest.origin}"
+        return cls(mean, covariance, rest.follow, float(new["robot_p_min"].mean()), origin)
 
     @classmethod
     def uav_following(cls) -> "OperatorPopulation":

@@ -14,7 +14,7 @@ from scipy import stats
 
 import trustlab as tl
 from trustlab.identification.posterior.coordinates import to_thetas
-from trustlab.identification.posterior.draws import MODEL, physical
+from trustlab.identification.posterior.draws import MODEL, interval_words, physical
 from trustlab.identification.posterior.ensemble import ensemble_sample
 from trustlab.identification.posterior.importance import (
     pareto_fit,
@@ -166,7 +166,21 @@ def test_a_refused_fit_points_here_and_this_answers():
     fit = tl.fit_tsc(session)
     assert not fit.success
     assert "trustlab.sample_posterior" in fit.message
+    assert "sample_posterior" not in tl.fit_tsc(tl.read_session("data/sessions/pilot.csv")).message
+    for part in (tl.fit_human(session), tl.fit_robot(session)):
+        assert part.success == ("sample_posterior" not in part.message)
     assert tl.sample_posterior(session).k_hat <= 0.7
+
+
+def test_numbers_have_the_digits_that_their_intervals_allow():
+    """Not 111 (111 to 111)."""
+    for values, words in (
+        ((110.52, 110.17, 110.87), "110.52 (110.17 to 110.87)"),
+        ((152.3, 61.2, 390.4), "152 (61 to 390)"),
+        ((0.74312, 0.737, 0.7493), "0.743 (0.737 to 0.749)"),
+    ):
+        row = pd.Series(values, ["mean", "ci_low", "ci_high"])
+        assert interval_words(row) == words
 
 
 def test_dropouts_are_left_out():

@@ -1,5 +1,7 @@
 """Draws of θ as parameters in their own units, and as models."""
 
+import math
+
 import numpy as np
 import pandas as pd
 
@@ -73,3 +75,17 @@ def tsc_models(draws: pd.DataFrame) -> list[TscModel]:
         )
         models.append(TscModel(robot, human))
     return models
+
+
+def summary(draws: pd.DataFrame, level: float) -> pd.DataFrame:
+    """Return mean, sd and interval of every column."""
+    low, high = draws.quantile([0.5 - 0.5 * level, 0.5 + 0.5 * level]).to_numpy()
+    columns = {"mean": draws.mean(), "sd": draws.std(), "ci_low": low, "ci_high": high}
+    return pd.DataFrame(columns).rename_axis("parameter")
+
+
+def interval_words(row: pd.Series) -> str:
+    """Return mean and interval with as many digits as the interval's width leaves sensible."""
+    width = max(row["ci_high"] - row["ci_low"], 1e-12)
+    places = max(0, 1 - math.floor(math.log10(width)))
+    return f"{row['mean']:.{places}f} ({row['ci_low']:.{places}f} to {row['ci_high']:.{places}f})"

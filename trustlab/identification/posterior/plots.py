@@ -1,8 +1,9 @@
 """Plots of posteriors: marginals beside the prior, fitted curves with bands, shrinkage."""
 
 import numpy as np
+import pandas as pd
 
-from trustlab.identification.posterior.draws import MODEL
+from trustlab.identification.posterior.draws import MODEL, summary
 
 LABELS = {
     "human_time_constant": "operator's time constant [s]",
@@ -45,3 +46,30 @@ def plot_posterior(posterior):
     if posterior.synthetic:
         figure.suptitle("Posterior, synthetic data", fontsize="small")
     return axes
+
+
+def plot_shrinkage(people):
+    """Return the axes of `Population.plot`."""
+    import matplotlib.pyplot as plt
+
+    table = people.table()
+    alone = {name: summary(each.draws, 0.95) for name, each in people.alone.items()}
+    names = table.index.get_level_values("person").unique()
+    places = np.arange(len(names))
+    figure, axes = plt.subplots(2, 4, figsize=(11, 5), sharey=True, layout="constrained")
+    panels = axes.ravel()
+    for panel, parameter in zip(panels, MODEL, strict=False):
+        pooled = table.xs(parameter, level="parameter").loc[names]
+        panel.hlines(places, pooled["ci_low"], pooled["ci_high"], color="C0", lw=2)
+        panel.plot(pooled["mean"], places, "o", color="C0", label="pooled")
+        own = pd.DataFrame({name: each.loc[parameter] for name, each in alone.items()}).T
+        above = places[:-1] + 0.25
+        panel.hlines(above, own["ci_low"], own["ci_high"], color="0.6")
+        panel.plot(own["mean"], above, ".", color="0.6", label="alone")
+        panel.set_xlabel(LABELS[parameter])
+        panel.set_yticks(places, names)
+    panels[7].axis("off")
+    panels[7].legend(*panels[0].get_legend_handles_labels(), loc="center")
+    if people.synthetic:
+        figure.suptitle("Population, synthetic data", fontsize="small")
+    return panels[:7]

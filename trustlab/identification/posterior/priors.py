@@ -233,14 +233,15 @@ def transformed(models) -> np.ndarray:
     return np.array(rows)
 
 
-def prior_of(mean: np.ndarray, covariance: np.ndarray) -> Prior:
-    """Return a prior with a mean and a covariance of the first seven in their coordinates."""
+def prior_of(mean: np.ndarray, covariance: np.ndarray, prior: Prior | None = None) -> Prior:
+    """Return a prior with another mean and covariance of the first seven, in their coordinates."""
     deviation = np.sqrt(np.diag(covariance))
     changes = {}
     for k, name in enumerate(SHARED_NAMES):
         scale = DEFAULTS[name].scale
         changes[name] = Normal(float(bounded(mean[k], scale)), float(deviation[k]), scale)
-    return replace(Prior(), correlation=covariance / np.outer(deviation, deviation), **changes)
+    correlation = covariance / np.outer(deviation, deviation)
+    return replace(prior or Prior(), correlation=correlation, **changes)
 
 
 # Least spreads of the prior made of the printed people, as shares of the weak prior's.

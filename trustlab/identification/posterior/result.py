@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.posterior.coordinates import Target
-from trustlab.identification.posterior.draws import MODEL, tsc_models
+from trustlab.identification.posterior.draws import MODEL, interval_words, summary, tsc_models
 from trustlab.identification.posterior.likelihood import SHARED, simulate
 from trustlab.identification.posterior.plots import plot_posterior
 from trustlab.identification.posterior.priors import Prior
@@ -107,19 +107,10 @@ class Posterior:
         ValueError
             If `level` is outside (0, 1).
         """
-        level = open_unit("level", level)
-        ends = [0.5 - 0.5 * level, 0.5 + 0.5 * level]
-        low, high = self.draws.quantile(ends).to_numpy()
-        prior_low, prior_high = self.prior_draws.quantile(ends).to_numpy()
-        columns = {
-            "mean": self.draws.mean(),
-            "sd": self.draws.std(),
-            "ci_low": low,
-            "ci_high": high,
-            "narrower": 1.0 - (high - low) / (prior_high - prior_low),
-            "k_hat": self.k_hat,
-        }
-        return pd.DataFrame(columns).rename_axis("parameter")
+        table = summary(self.draws, open_unit("level", level))
+        before = summary(self.prior_draws, level)
+        widths = [each["ci_high"] - each["ci_low"] for each in (table, before)]
+        return table.assign(narrower=1.0 - widths[0] / widths[1], k_hat=self.k_hat)
 
     @cached_property
     def message(self) -> str:
@@ -127,22 +118,21 @@ class Posterior:
         table = self.table().loc[list(MODEL)]
         told = table[table["narrower"] >= 1.0 - DETERMINED]
         open_ = [name for name in MODEL if name not in told.index]
-        values = [
-            f"{name} {row['mean']:.3g} ({row['ci_low']:.3g} to {row['ci_high']:.3g})"
-            for name, row in told.iterrows()
-        ]
+        values = [f"{name} {interval_words(row)}" for name, row in told.iterrows()]
         sentences = []
         if values:
             sentences.append(f"These data determine {', '.join(values)}.")
         if open_:
             sentences.append(f"They leave {', '.join(open_)} mostly to the prior.")
-        sentences += self._doubts()
+        sentences += self.doubts()
         return " ".join(sentences)
 
-    def _doubts(self) -> list[str]:
+    def doubts(self) -> list[str]:
         """Return reasons not to trust the draws."""
         doubts = []
-        if not self.k_hat <= MOST_K:
+        if not self.k_hat <= MOST_K and self.method == "population":
+            doubts.append("Few draws agree with what the others show; raise n.")
+        elif not self.k_hat <= MOST_K:
             doubts.append(
                 "The draws are not to be trusted: no proposal fits the posterior; record more, or "
                 "state a narrower prior."

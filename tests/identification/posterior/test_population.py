@@ -1,0 +1,183 @@
+"""
+Several people at once.
+
+Oracles: the people that logs were made of; conjugate normal arithmetic where people are known
+exactly; half-t spreads and their correlations by simulation of the prior.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy import stats
+
+import trustlab as tl
+from trustlab.identification.posterior import pooling
+from trustlab.identification.posterior.draws import MODEL, physical
+from trustlab.identification.posterior.priors import transformed
+from trustlab.testbeds import GroundRobot
+from trustlab.testbeds.populations import OperatorPopulation
+
+from . import simulated_logs
+
+PEOPLE = transformed([tl.published_models()[name] for name in "12345"])
+
+
+def group(rng, kind, count=5, minutes=10.0):
+    """Sessions of people spread as the printed five, and their true parameters."""
+    sessions, truths = {}, {}
+    for name in map(str, range(count)):
+        theta = np.zeros(simulated_logs.STATES + 2)
+        theta[:7] = PEOPLE.mean(axis=0) + PEOPLE.std(axis=0, ddof=1) * rng.standard_normal(7)
+        theta[simulated_logs.STATES] = rng.uniform(-4.0, -1.0)
+        tsc, r0, p_r0 = simulated_logs.model_of(theta)
+        run = simulated_logs.run_of(rng, tsc, r0, p_r0, "open", round(600 * minutes))
+        noise = dict.fromkeys(("p_h", "p_r"), simulated_logs.NOISE[kind])
+        window = simulated_logs.WINDOW if kind == "means" else 0.0
+        sessions[name] = simulated_logs.with_noise(rng, run, noise, window)
+        truths[name] = physical(theta[None], 0.1).iloc[0]
+    return sessions, truths
+
+
+@pytest.fixture(scope="module")
+def people():
+    sessions, _ = group(np.random.default_rng(5), "slow", count=3, minutes=4.0)
+    return tl.fit_population(sessions, n=500)
+
+
+# --- the Gibbs sampler ----------------------------------------------------------------------------
+
+
+def test_people_known_exactly_give_conjugate_moments():
+    """One draw each: mean and covariance have a known posterior, integrated here on a grid."""
+    rng = np.random.default_rng(1)
+    values = np.array([0.3, 0.5, -0.2, 0.4])
+    draws = [np.array([[value]]) for value in values]
+    found = pooling.pool(draws, [np.zeros(1)] * 4, rng)
+    mean = np.linspace(-3.0, 3.0, 301)[:, None]
+    spread = np.linspace(1e-3, 4.0, 2000)[None, :]
+    density = stats.norm.pdf(mean, scale=pooling.OF_MEAN**0.5)
+    density = density * stats.t.pdf(spread, pooling.FREEDOM, scale=pooling.SCALE)
+    for value in values:
+        density = density * stats.norm.pdf(value, mean, spread)
+    density /= density.sum()
+    assert found.means.mean() == pytest.approx((density * mean).sum(), abs=0.03)
+    spreads = np.sqrt(found.covariances[:, 0, 0])
+    assert spreads.mean() == pytest.approx((density * spread).sum(), abs=0.04)
+    assert [each.tolist() for each in found.weights] == [[1.0]] * 4
+
+
+def test_spreads_are_half_t_and_correlations_moderate_before_data():
+    rng = np.random.default_rng(2)
+    covariance = np.eye(3)
+    spreads, correlations = [], []
+    for _ in range(20_000):
+        covariance = pooling._covariance(np.empty((0, 3)), covariance, rng)
+        spreads.append(np.sqrt(covariance[0, 0]))
+        correlations.append(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
+    quartiles = np.quantile(spreads, [0.25, 0.5, 0.75])
+    # Half-t: the size of what is t-distributed.
+    expected = pooling.SCALE * stats.t(pooling.FREEDOM).ppf([0.625, 0.75, 0.875])
+    np.testing.assert_allclose(quartiles, expected, rtol=0.15)
+    variance = pooling.OF_MEAN + np.mean(np.square(spreads))
+    assert variance == pytest.approx(1.0, rel=0.15)
+    assert np.std(correlations) == pytest.approx((pooling.FREEDOM + 1.0) ** -0.5, rel=0.1)
+
+
+def test_draws_count_as_the_likelihood_whatever_their_prior():
+    """The same person, drawn under two priors that are divided out, is the same."""
+    rng = np.random.default_rng(3)
+    known = [np.array([[value]]) for value in (0.9, 1.1, 1.0, 0.8)]
+    means = []
+    for prior in (stats.norm(0.0, 2.0), stats.norm(1.0, 1.0)):
+        # The likelihood is normal about 2, with deviation 0.7.
+        precision = prior.std() ** -2 + 0.7**-2
+        centre = (prior.mean() / prior.var() + 2.0 / 0.49) / precision
+        drawn = centre + rng.standard_normal((4000, 1)) / np.sqrt(precision)
+        base = [*[np.zeros(1)] * 4, -prior.logpdf(drawn[:, 0])]
+        found = pooling.pool([*known, drawn], base, rng)
+        means.append(found.weights[-1] @ drawn[:, 0])
+    assert means[0] == pytest.approx(means[1], abs=0.05)
+    assert 1.0 < means[0] < 1.9
+
+
+# --- people ---------------------------------------------------------------------------------------
+
+
+def test_everyone_is_held_by_the_others(people):
+    table = people.table()
+    assert list(table) == ["mean", "sd", "ci_low", "ci_high", "alone_mean", "alone_sd"]
+    assert table.index.get_level_values("person").unique().tolist() == ["0", "1", "2", "new person"]
+    seen = table.drop("new person")
+    weak = seen.xs("human_time_constant", level="parameter")
+    assert (weak["sd"] < weak["alone_sd"]).mean() > 0.5
+    new = table.loc["new person"]
+    assert (new["sd"] > seen["sd"].groupby("parameter").mean()[new.index]).all()
+    posterior = people.posterior("1")
+    assert posterior.method == "population"
+    assert len(posterior) == 500
+    assert people.message.startswith("3 people; of a new one they predict human_time_constant")
+    axes = people.plot()
+    assert axes.shape == (7,)
+    assert "synthetic" in axes[0].figure.get_suptitle()
+    plt.close("all")
+    assert "Population of 3" in people._repr_html_()
+    with pytest.raises(ValueError, match="name"):
+        people.posterior("4")
+
+
+def test_what_is_predicted_is_the_next_ones_prior(people):
+    rng = np.random.default_rng(6)
+    sessions, _ = group(rng, "slow", count=1, minutes=3.0)
+    table = people.prior.table()
+    new = people.new_person["human_beta"]
+    assert table.loc["beta", "median"] == pytest.approx(new.median(), abs=0.08)
+    wide = tl.sample_posterior(sessions["0"]).table()
+    narrow = tl.sample_posterior(sessions["0"], prior=people.prior).table()
+    assert narrow.loc["robot_p_min", "sd"] < wide.loc["robot_p_min", "sd"]
+
+
+def test_studies_draw_people_like_these(people):
+    population = OperatorPopulation.of_people(people)
+    drawn = population.draw(200)
+    seconds = -0.1 / np.log(drawn["a_r"])
+    expected = people.new_person["human_time_constant"].median()
+    assert seconds.median() == pytest.approx(expected, rel=0.25)
+    assert drawn["beta"].median() == pytest.approx(
+        people.new_person["human_beta"].median(), abs=0.1
+    )
+    assert "3 people by fit_population" in population.origin
+    bed = GroundRobot(laps=2, population=population)
+    study = tl.virtual_study(n=4, conditions=["C1", "C3"], testbed=bed)
+    assert set(study.participants["beta"]) == set(population.draw(4)["beta"])
+    with pytest.raises(ValueError, match="fit_population"):
+        OperatorPopulation.of_people(drawn)
+
+
+def test_what_makes_no_population_is_refused(people):
+    session = next(iter(group(np.random.default_rng(7), "white", 1, 1.0)[0].values()))
+    for wrong in ({"P1": session}, [session, session], session):
+        with pytest.raises(ValueError, match="two people"):
+            tl.fit_population(wrong)
+    with pytest.raises(ValueError, match="n must"):
+        tl.fit_population({"P1": session, "P2": session}, n=10)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["slow", "means"])
+def test_twelve_groups_of_five(kind):
+    """95 % intervals cover 92 to 98 %; what is open alone is nearer to the truth."""
+    errors, covers = [], []
+    for seed in range(12):
+        sessions, truths = group(np.random.default_rng([8, seed, len(kind)]), kind)
+        table = tl.fit_population(sessions, seed=seed).table()
+        for name, truth in truths.items():
+            rows = table.loc[name]
+            true = truth[list(MODEL)]
+            covers.append((rows["ci_low"] <= true) & (true <= rows["ci_high"]))
+            errors.append([rows["mean"] - true, rows["alone_mean"] - true])
+    assert 0.92 <= np.mean(covers) <= 0.98
+    pooled, alone = np.sqrt(np.mean(np.square(errors), axis=0))
+    ratio = dict(zip(MODEL, pooled / alone, strict=True))
+    assert ratio["human_time_constant"] < 1.0
+    assert ratio["human_p_min"] < 0.9
+    assert ratio["robot_p_min"] < 0.8
