@@ -206,10 +206,10 @@ def fit_population(
     --------
     >>> import trustlab as tl
     >>> logs = {who: tl.read_session(f"data/sessions/participant_{who}.parquet") for who in "24"}
-    >>> people = tl.fit_population({k: log.between(0.0, 600.0) for k, log in logs.items()})
+    >>> people = tl.fit_population({k: log.between(900.0, 1500.0) for k, log in logs.items()})
     >>> people.table().loc["2"].shape
     (7, 6)
-    >>> next_person = tl.sample_posterior(logs["4"].between(0.0, 300.0), prior=people.prior)
+    >>> next_person = tl.sample_posterior(logs["4"].between(500.0, 800.0), prior=people.prior)
     """
     if not isinstance(people, Mapping) or len(people) < 2:
         raise ValueError(
