@@ -77,22 +77,23 @@ def run_of(rng, tsc, r0, p_r0, loop, size):
     return tl.simulate_allocation(tsc, lower, upper, size, r0, p_r0)
 
 
-def any_target():
-    """A target that holds the weak prior, of a session that does not matter."""
+def any_target(prior="weak"):
+    """A target that holds a prior, of a session that does not matter."""
     t = STEP * np.arange(100)
     frame = pd.DataFrame({"mode": t > 5.0, "p_h": 0.4, "p_r": 0.3}, index=pd.Index(t, name="t"))
     log = tl.LogSettings()
     from trustlab.identification.runs import read_runs
 
     session = tl.Session(frame.astype(float), tl.Metadata(synthetic=True))
-    return target_of(read_runs(session, "mode", "p_h", "p_r", log=log), as_prior("weak"), log)
+    return target_of(read_runs(session, "mode", "p_h", "p_r", log=log), as_prior(prior), log)
 
 
-def drawn_case(rng, kind, loop="open", minutes=10.0):
-    """A session of a person drawn from the prior, noise too, and the true θ."""
+def drawn_case(rng, kind, loop="open", minutes=10.0, prior="weak"):
+    """A session of a person drawn from a prior, noise too, and the true θ."""
     size = int(minutes * 600)
+    target = any_target(prior)
     while True:
-        theta = prior_thetas(any_target(), 1, rng)[0]
+        theta = prior_thetas(target, 1, rng)[0]
         tsc, r0, p_r0 = model_of(theta)
         if loop == "open" or tl.threshold_limits(tsc, 0.0).feasible:
             break
