@@ -15,7 +15,9 @@ import time
 
 import pytest
 
+from trustlab.live.study.live_study import LiveStudy
 from trustlab.live.study.store import read_tokens
+from trustlab.live.tasks.task import ServedRun
 
 WIDTH = 15
 
@@ -59,7 +61,17 @@ def plant_torn_line(path, rng):
         file.write(line[: rng.randrange(1, len(line))])
 
 
-def kills(plan, client, count, seed):
+def driven(rng):
+    """A row of a drive, which the browser computes."""
+    return [1, -1, *[0.4 * rng.random()] * (WIDTH - 2)]
+
+
+def led(rng):
+    """A command to a team, which the server computes."""
+    return [rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0), rng.randrange(1, 5)]
+
+
+def kills(plan, client, count, seed, values):
     """
     Send rows as a browser does while the server is killed and started again; return rows made and
     acknowledged.
@@ -78,10 +90,7 @@ def kills(plan, client, count, seed):
     while killed < count or acknowledged < len(made):
         if killed < count:
             k = len(made)
-            made += [
-                [j, 100.0 * j, 1, -1, *[0.4 * rng.random()] * (WIDTH - 2)]
-                for j in range(k, k + rng.randrange(1, 8))
-            ]
+            made += [[j, 100.0 * j, *values(rng)] for j in range(k, k + rng.randrange(1, 8))]
         if killed < count and time.monotonic() > until:
             server.process.send_signal(signal.SIGKILL)  # not waited for: a request may be under way
             answer = client(f"{url}/rows", about | {"rows": made[acknowledged:]})
@@ -105,10 +114,11 @@ def entries(path):
     return [json.loads(line)[1] for line in path.read_text().splitlines()]
 
 
-def check(plan, client, count, seed):
-    made, acknowledged, path = kills(plan, client, count, seed)
+def check(plan, client, count, seed, values=driven):
+    made, acknowledged, path = kills(plan, client, count, seed, values)
     header, *rows = entries(path)
-    assert rows == made
+    expected = made if values is driven else ServedRun(header["config"], []).complete(made)
+    assert rows == expected
     assert acknowledged == len(made)
     assert set(header) == {"condition", "source", "why", "config"}
     events = entries(plan.folder / "P01" / "events.jsonl")
@@ -120,6 +130,19 @@ def check(plan, client, count, seed):
 
 def test_two_kills_lose_nothing(make_plan, client):
     check(make_plan(training=600.0), client, 2, seed=1)
+
+
+def test_a_team_goes_on_bit_for_bit_after_a_kill(tmp_path, client):
+    conditions = ["by_hand", "suggested"]
+    plan = LiveStudy(tmp_path / "s", conditions, 2, task="team", training=300.0)
+    check(plan, client, 1, 3, led)
+
+
+@pytest.mark.long
+def test_a_team_goes_on_bit_for_bit_after_twenty_kills(tmp_path, client):
+    conditions = ["by_hand", "suggested"]
+    plan = LiveStudy(tmp_path / "s", conditions, 2, task="team", training=300.0)
+    check(plan, client, 20, 4, led)
 
 
 @pytest.mark.long
