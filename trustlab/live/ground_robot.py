@@ -70,7 +70,37 @@ def checked_thresholds(
     return None
 
 
-class LiveGroundRobot(anywidget.AnyWidget):
+class LiveWidget(anywidget.AnyWidget):
+    """A task in a notebook, whose rows an attempt keeps."""
+
+    _esm = module_of(*MODULES)
+    config = traitlets.Dict().tag(sync=True)
+    wasm = traitlets.Bytes().tag(sync=True)
+    key = traitlets.Unicode().tag(sync=True)
+
+    def __init__(self, attempt: Attempt, language: str):
+        self.attempt = attempt
+        config = {**attempt.config, "words": read_words(language)}
+        # the kernel computes what has commands
+        wasm = b"" if "commands" in config else WASM.read_bytes()
+        super().__init__(config=config, wasm=wasm, key=attempt.key)
+        self.on_msg(self._answer)
+
+    def _answer(self, _widget: Any, message: dict[str, Any], _buffers: Any) -> None:
+        self.send({"id": message["id"]} | self.attempt.answer(message))
+
+    @property
+    def session(self) -> Session:
+        """What has been driven so far."""
+        return self.attempt.session
+
+    @property
+    def verified(self) -> bool:
+        """Whether all rows so far are what numba computes from their commands."""
+        return self.attempt.verified
+
+
+class LiveGroundRobot(LiveWidget):
     """
     A drive of the ground robot by a person, in a notebook.
 
@@ -132,11 +162,6 @@ class LiveGroundRobot(anywidget.AnyWidget):
     []
     """
 
-    _esm = module_of(*MODULES)
-    config = traitlets.Dict().tag(sync=True)
-    wasm = traitlets.Bytes().tag(sync=True)
-    key = traitlets.Unicode().tag(sync=True)
-
     def __init__(
         self,
         condition: str,
@@ -157,25 +182,8 @@ class LiveGroundRobot(anywidget.AnyWidget):
             condition, model, thresholds, laps, seed, map=flag("show_map", show_map)
         )
         warn_if_too_short(config)
-        self.model, self.attempt = model, Attempt.of(folder, str(participant), config)
-        words = read_words(language)
-        super().__init__(
-            config=config | {"words": words}, wasm=WASM.read_bytes(), key=self.attempt.key
-        )
-        self.on_msg(self._answer)
-
-    def _answer(self, _widget: Any, message: dict[str, Any], _buffers: Any) -> None:
-        self.send({"id": message["id"]} | self.attempt.answer(message))
-
-    @property
-    def session(self) -> Session:
-        """What has been driven so far."""
-        return self.attempt.session
-
-    @property
-    def verified(self) -> bool:
-        """Whether all rows so far are what numba computes from their commands."""
-        return self.attempt.verified
+        self.model = model
+        super().__init__(Attempt.of(folder, str(participant), config), language)
 
     def fit(self) -> "FitResult":
         """

@@ -1,23 +1,15 @@
 """`tl.LiveTeam`: one person leads a team of robots to goals, in a notebook."""
 
 from pathlib import Path
-from typing import Any
 
 from trustlab.live.attempt import Attempt
-from trustlab.live.ground_robot import MODULES, module_of
-from trustlab.live.study.pages import read_words
+from trustlab.live.ground_robot import LiveWidget
 from trustlab.live.tasks.team import TASK, LeadingSettings
 from trustlab.models.checks import of_class, one_of, whole_number
-from trustlab.models.extras import extra
 from trustlab.operators.ground_robot import check_participant
-from trustlab.sessions.session import Session
-
-with extra("live"):
-    import anywidget
-    import traitlets
 
 
-class LiveTeam(anywidget.AnyWidget):
+class LiveTeam(LiveWidget):
     """
     A person leads a team of three to six robots to goals, in a notebook.
 
@@ -65,11 +57,6 @@ class LiveTeam(anywidget.AnyWidget):
     []
     """
 
-    _esm = module_of(*MODULES)
-    config = traitlets.Dict().tag(sync=True)
-    wasm = traitlets.Bytes().tag(sync=True)
-    key = traitlets.Unicode().tag(sync=True)
-
     def __init__(
         self,
         condition: str = "by_hand",
@@ -85,20 +72,4 @@ class LiveTeam(anywidget.AnyWidget):
         content = of_class("settings", settings, LeadingSettings).as_json()
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
         config = TASK.config(content, condition, {}, seed)
-        self.attempt = Attempt.of(folder, str(participant), config)
-        words = read_words(language)
-        super().__init__(config=config | {"words": words}, wasm=b"", key=self.attempt.key)
-        self.on_msg(self._answer)
-
-    def _answer(self, _widget: Any, message: dict[str, Any], _buffers: Any) -> None:
-        self.send({"id": message["id"]} | self.attempt.answer(message))
-
-    @property
-    def session(self) -> Session:
-        """What has been done so far."""
-        return self.attempt.session
-
-    @property
-    def verified(self) -> bool:
-        """Whether all rows so far are what their commands lead to."""
-        return self.attempt.verified
+        super().__init__(Attempt.of(folder, str(participant), config), language)

@@ -245,6 +245,7 @@ class Participation:
         self.participant.add(
             "page", page=step.index, name=step.page.name, attempt=attempt, rows=have, **facts
         )
+        self.runs.clear()
         return self.state()
 
     def withdraw(self, body: dict[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from trustlab.live.chain import check_writable, hold
-from trustlab.live.study.drives import kernel_digest
+from trustlab.live.study.drives import kernel_digest, prepare
 from trustlab.live.study.pages import AnswerError
 from trustlab.live.study.participation import Participation, RefusedError
 from trustlab.live.study.plan import Plan
@@ -570,6 +570,7 @@ class StudyServer:
             raise ValueError(
                 f"{self.plan.folder} is being served already, by another process or notebook"
             )
+        prepare(self.plan)
         self.holder("")
         self.thread = threading.Thread(target=self._run, name="live study", daemon=True)
         self.thread.start()
