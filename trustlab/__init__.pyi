@@ -117,6 +117,7 @@ from .studies import (
     latin_square_design as latin_square_design,
     mixed_model as mixed_model,
     order_effects as order_effects,
+    ordinal_model as ordinal_model,
     paired_t_test as paired_t_test,
     power_analysis as power_analysis,
     repeated_measures as repeated_measures,

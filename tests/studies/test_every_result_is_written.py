@@ -44,6 +44,9 @@ RESULTS = {
     ),
     "MixedModel": lambda: tl.mixed_model(ONE, **COLUMNS),
     "FormulaModel": lambda: tl.formula_model("error ~ scheme", LONG, groups="who"),
+    "OrdinalModel": lambda: tl.ordinal_model(
+        ONE.assign(error=pd.qcut(ONE["error"], 4, labels=False)), **COLUMNS
+    ),
     "PairedTTest": lambda: studies.paired_t_test(PAIR, **COLUMNS),
     "OrderEffects": lambda: tl.order_effects(
         ORDERED, "error", "condition", "position", subject="participant"

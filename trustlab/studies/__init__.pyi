@@ -38,7 +38,7 @@ from .planning.closed_form_power import (
     noncentrality as noncentrality,
 )
 from .planning.covariances import Conditions as Conditions, graded_covariance as graded_covariance
-from .planning.factorial_power import Proportions as Proportions
+from .planning.factorial_power import Proportions as Proportions, Ratings as Ratings
 from .planning.power import PowerAnalysis as PowerAnalysis, power_analysis as power_analysis
 from .planning.settings import (
     CampaignOptions as CampaignOptions,
@@ -67,3 +67,4 @@ from .questionnaires.nasa_tlx import (
 )
 from .regression.formula_model import FormulaModel as FormulaModel, formula_model as formula_model
 from .regression.order_effects import OrderEffects as OrderEffects, order_effects as order_effects
+from .regression.ordinal_model import OrdinalModel as OrdinalModel, ordinal_model as ordinal_model

@@ -13,7 +13,11 @@ import pytest
 from scipy import integrate, special, stats
 
 import trustlab as tl
-from trustlab.studies.regression.logistic_model import Logistic, _log_likelihood
+from trustlab.studies.regression.cumulative_model import (
+    Logistic,
+    log_likelihood,
+    quadrature,
+)
 
 SETS = json.loads((Path(__file__).parents[1] / "reference" / "logistic_model.json").read_text())[
     "sets"
@@ -86,8 +90,14 @@ def test_likelihood_is_the_integral():
             (counts * np.log(p) + (trials - counts) * np.log1p(-p)).sum()
         ) * stats.norm.pdf(v)
 
-    nodes, weights = np.polynomial.hermite.hermgauss(40)
-    found = _log_likelihood(eta, counts, trials, np.array([0, 5]), sd, nodes, np.log(weights))
+    infinite = np.full(5, np.inf)
+    # Failures lie below the threshold 0, successes above it.
+    lower = np.concatenate([-infinite, -eta])
+    upper = np.concatenate([-eta, infinite])
+    weight = np.concatenate([trials - counts, counts])
+    factor = np.array([[sd]])
+    rows = (np.ones((10, 1)), weight, np.array([0, 10]))
+    found = log_likelihood(lower, upper, *rows, factor, np.zeros((1, 1)), *quadrature(40, 1))
     scale = integrand(1.0)
     exact = integrate.quad(
         lambda v: integrand(v) / scale, -9.0, 9.0, points=[0.0, 1.0, 2.0], epsabs=0, epsrel=1e-12

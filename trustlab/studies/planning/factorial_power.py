@@ -6,7 +6,7 @@ real ones are.
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import islice, product
 from typing import Any, ClassVar
 
 import numpy as np
@@ -33,7 +33,7 @@ from trustlab.studies.analysis.repeated_measures import repeated_measures
 from trustlab.studies.analysis.sphericity import CORRECTIONS, greenhouse_geisser
 from trustlab.studies.planning.closed_form_power import clopper_pearson
 from trustlab.studies.planning.settings import Simulation, StudyColumns
-from trustlab.studies.regression.logistic_model import Logistic
+from trustlab.studies.regression.cumulative_model import Cumulative, Logistic
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,49 +103,14 @@ class NormalCells:
         return dict(found)
 
 
-@dataclass(frozen=True, eq=False)
-class Proportions:
-    """
-    Population of counts of successes: conditions are compared by the logistic mixed model.
+class _Answers:
+    """Population of answers; conditions are compared by the likelihood ratio of a mixed model."""
 
-    Parameters
-    ----------
-    probabilities : mapping, Series or sequence of float
-        Probability of a success by condition, for a median participant.
-    trials : int
-        Trials of each participant and condition.
-    sd : float
-        Standard deviation of participants' intercepts, in logits.
-
-    Raises
-    ------
-    ValueError
-        If fewer than two probabilities are given, or a number is out of range.
-
-    Notes
-    -----
-    Simulating and analysing one study, by the likelihood ratio, takes some milliseconds.
-    """
-
-    probabilities: Any
-    trials: int
-    sd: float
     simulated_origin: ClassVar[str] = "simulated studies"
 
-    def __post_init__(self):
-        values = list(pd.Series(self.probabilities))
-        chances = array_between("probabilities", values, 1e-6, 1.0 - 1e-6, "probabilities")
-        if chances.size < 2:
-            raise ValueError(
-                f"proportions need the probabilities of at least two conditions, got {chances.size}"
-            )
-        whole_number("trials", self.trials)
-        not_negative("sd", self.sd)
-
-    @property
-    def logits(self) -> np.ndarray:
-        """Logits of the participant in the middle."""
-        return special.logit(pd.Series(self.probabilities).to_numpy(float))
+    def studies(self, n: int, rng: np.random.Generator) -> Iterator[tuple[float, int]]:
+        """Yield χ² and its degrees of freedom, study by study."""
+        raise NotImplementedError
 
     def expected(self, n: int, alpha: float) -> Iterator[tuple[str, str, float, float]]:
         """
@@ -177,16 +142,145 @@ class Proportions:
         alpha : float
             Level of the test.
         """
-        logits, significant = self.logits, 0
+        studies = islice(self.studies(n, rng), replicates)
+        significant = sum(special.chdtrc(df, max(chi2, 0.0)) < alpha for chi2, df in studies)
+        return {"condition/likelihood ratio": int(significant)}
+
+
+@dataclass(frozen=True, eq=False)
+class Proportions(_Answers):
+    """
+    Population of counts of successes: conditions are compared by the logistic mixed model.
+
+    Parameters
+    ----------
+    probabilities : mapping, Series or sequence of float
+        Probability of a success by condition, for a median participant.
+    trials : int
+        Trials of each participant and condition.
+    sd : float
+        Standard deviation of participants' intercepts, in logits.
+
+    Raises
+    ------
+    ValueError
+        If fewer than two probabilities are given, or a number is out of range.
+
+    Notes
+    -----
+    Simulating and analysing one study, by the likelihood ratio, takes some milliseconds.
+    """
+
+    probabilities: Any
+    trials: int
+    sd: float
+
+    def __post_init__(self):
+        values = list(pd.Series(self.probabilities))
+        chances = array_between("probabilities", values, 1e-6, 1.0 - 1e-6, "probabilities")
+        if chances.size < 2:
+            raise ValueError(
+                f"proportions need the probabilities of at least two conditions, got {chances.size}"
+            )
+        whole_number("trials", self.trials)
+        not_negative("sd", self.sd)
+
+    @property
+    def logits(self) -> np.ndarray:
+        """Logits of the participant in the middle."""
+        return special.logit(pd.Series(self.probabilities).to_numpy(float))
+
+    def studies(self, n: int, rng: np.random.Generator) -> Iterator[tuple[float, int]]:
+        """
+        Yield χ² and its degrees of freedom, study by study.
+
+        Parameters
+        ----------
+        n : int
+            Participants.
+        rng : numpy.random.Generator
+            Source of the draws.
+        """
+        logits = self.logits
         k = len(logits)
         model = Logistic(np.repeat(np.arange(n), k), np.full(n * k, float(self.trials)), 9)
         conditions, common = np.tile(np.eye(k), (n, 1)), np.ones((n * k, 1))
-        for _ in range(replicates):
+        while True:
             chance = special.expit(logits + self.sd * rng.standard_normal((n, 1))).ravel()
             counts = rng.binomial(self.trials, chance).astype(float)
-            chi2 = 2.0 * (model.fit(counts, conditions).llf - model.fit(counts, common).llf)
-            significant += special.chdtrc(k - 1, max(chi2, 0.0)) < alpha
-        return {"condition/likelihood ratio": int(significant)}
+            yield 2.0 * (model.fit(counts, conditions).llf - model.fit(counts, common).llf), k - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Ratings(_Answers):
+    """
+    Population of ratings: conditions are compared by the cumulative-link mixed model.
+
+    Parameters
+    ----------
+    probabilities : array_like, shape (conditions, categories)
+        Probability of every rating by condition, for a median participant.
+    sd : float
+        Standard deviation of participants' intercepts, in logits.
+    repeats : int
+        Ratings of each participant and condition.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two conditions or categories, a row does not sum to one, or a number
+        is out of range.
+    """
+
+    probabilities: Any
+    sd: float
+    repeats: int = 1
+
+    def __post_init__(self):
+        chances = array_between(
+            "probabilities", np.ravel(self.probabilities), 1e-6, 1.0 - 1e-6, "probabilities"
+        )
+        shape = np.shape(self.probabilities)
+        if len(shape) != 2 or min(shape) < 2:
+            raise ValueError(
+                f"probabilities need a row per condition and a column per rating, got {shape}"
+            )
+        totals = chances.reshape(shape).sum(axis=1)
+        worst = int(np.argmax(np.abs(totals - 1.0)))
+        if abs(totals[worst] - 1.0) > 1e-6:
+            raise ValueError(f"probabilities: row {worst} sums to {totals[worst]:g}, not to 1")
+        not_negative("sd", self.sd)
+        whole_number("repeats", self.repeats)
+
+    def studies(self, n: int, rng: np.random.Generator) -> Iterator[tuple[float, int]]:
+        """
+        Yield χ² and its degrees of freedom, study by study.
+
+        Parameters
+        ----------
+        n : int
+            Participants.
+        rng : numpy.random.Generator
+            Source of the draws.
+        """
+        below = np.cumsum(np.asarray(self.probabilities, dtype=float), axis=1)[:, :-1]
+        k = len(below)
+        thresholds = np.tile(np.repeat(special.logit(below), self.repeats, axis=0), (n, 1))
+        people = np.repeat(np.arange(n), k * self.repeats)
+        conditions = np.tile(np.repeat(np.eye(k)[:, 1:], self.repeats, axis=0), (n, 1))
+        intercepts = np.ones((people.size, 1))
+        while True:
+            answers = self.sd * rng.standard_normal(n)[people]
+            answers += special.logit(rng.random(people.size))
+            ratings = (answers[:, None] > thresholds).sum(axis=1)
+            # A rating that nobody gave has no threshold.
+            levels, category = np.unique(ratings, return_inverse=True)
+            chi2 = 0.0
+            if levels.size > 1:
+                model = Cumulative(people, intercepts, 9, levels.size)
+                chi2 = 2.0 * model.fit(category, conditions).llf
+                chi2 -= 2.0 * model.fit(category, conditions[:, :0]).llf
+            yield chi2, k - 1
 
 
 def population_of(mean: Any, covariance: Any, data: Any, columns: StudyColumns) -> NormalCells:
@@ -231,7 +325,7 @@ def population_of(mean: Any, covariance: Any, data: Any, columns: StudyColumns) 
 
 
 def effects_power(
-    population: NormalCells | Proportions,
+    population: NormalCells | Proportions | Ratings,
     sizes: Sequence[int],
     counted: Sequence[dict],
     simulation: Simulation,
@@ -253,7 +347,7 @@ def effects_power(
 
 
 def count_effects(
-    population: NormalCells | Proportions,
+    population: NormalCells | Proportions | Ratings,
     n: int,
     draws: SeedSequence,
     replicates: int,

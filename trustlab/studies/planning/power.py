@@ -28,6 +28,7 @@ from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.factorial_power import (
     NormalCells,
     Proportions,
+    Ratings,
     count_effects,
     effects_power,
     population_of,
@@ -75,7 +76,7 @@ class PowerAnalysis:
 
     Parameters
     ----------
-    conditions : Conditions, NormalCells or Proportions
+    conditions : Conditions, NormalCells, Proportions or Ratings
         The population; `NormalCells` with several factors or groups.
     alpha : float
         Level of every test.
@@ -91,7 +92,7 @@ class PowerAnalysis:
         What `table()`, `pairs()` and `claims()` return.
     """
 
-    conditions: Conditions | NormalCells | Proportions
+    conditions: Conditions | NormalCells | Proportions | Ratings
     alpha: float
     replicates: int
     level: float
@@ -176,7 +177,9 @@ class PowerAnalysis:
         tests = [test] if isinstance(test, str) else list(test)
         for name in tests:
             one_of("test", name, TESTS)
-        tests = ["likelihood ratio"] if isinstance(self.conditions, Proportions) else tests
+        tests = (
+            ["likelihood ratio"] if isinstance(self.conditions, Proportions | Ratings) else tests
+        )
         against = against or (self.varied[0] if self.varied else "n")
         one_of("against", against, AXES)
         axes = axes_or_new(axes, figsize=(6.0, 3.8))
@@ -248,10 +251,10 @@ def power_analysis(
 
     Parameters
     ----------
-    mean : array_like, shape (k,), mapping, Series or Proportions, optional
+    mean : array_like, shape (k,), mapping, Series, Proportions or Ratings, optional
         Means of the conditions, named by a mapping or Series. With several factors or groups
-        (`columns`) it is a Series indexed by their levels. `Proportions` stand for the population
-        of shares of trials, which needs no covariance.
+        (`columns`) it is a Series indexed by their levels. `Proportions` of trials and `Ratings`
+        in ordered categories stand for populations that need no covariance.
     covariance : array_like, shape (k, k), optional
         Their covariance; `graded_covariance` makes one with a chosen correlation and ε.
     data : pandas.DataFrame, optional
@@ -293,7 +296,7 @@ def power_analysis(
     """
     of_class("columns", columns, StudyColumns)
     of_class("simulation", simulation, Simulation)
-    proportions = isinstance(mean, Proportions)
+    proportions = isinstance(mean, Proportions | Ratings)
     if proportions or len(columns.factors) > 1 or columns.groups:
         idle = {
             "effect_size": effect_size,
@@ -352,7 +355,7 @@ def _tables(parts: list[tuple], origin: str) -> list[pd.DataFrame]:
 
 
 def _power_of_effects(
-    population: NormalCells | Proportions, n: list, simulation: Simulation
+    population: NormalCells | Proportions | Ratings, n: list, simulation: Simulation
 ) -> PowerAnalysis:
     """Return the power of every effect with each n participants in a group."""
     sizes = _sizes(n)

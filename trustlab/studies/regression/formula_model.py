@@ -13,11 +13,15 @@ from trustlab.models.checks import of_class, one_of, spawned, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.score_table import labelled
 from trustlab.studies.columns import column_of, origin_of, refuse_missing_labels
+from trustlab.studies.regression.cumulative_model import (
+    Cumulative,
+    Logistic,
+    checked_counts,
+)
 from trustlab.studies.regression.linear_model import Linear
-from trustlab.studies.regression.logistic_model import Logistic, checked_counts
 
 # Logits beyond which no data tell a probability from 0 or 1.
-_FAR = 15.0
+FAR = 15.0
 
 # Simulated statistics this close to the observed one are equal but for rounding.
 _TIE = 1e-7
@@ -177,11 +181,12 @@ def formula_model(
         raise ValueError(
             f"groups: column {groups!r} has {len(labels)} groups; at least three are needed"
         )
-    y, x, z, terms = _matrices(formula, random, frame)
+    y, x, z, terms = matrices_of(formula, random, frame)
     if family == "binomial":
         if list(z.columns) != ["Intercept"]:
             raise ValueError(
-                f'family="binomial" has random intercepts only: random="1", got {random!r}'
+                f'family="binomial" has random intercepts only: random="1", got {random!r}; '
+                "ordinal_model takes answers of two categories with slopes, too"
             )
         logistic = Logistic(codes, checked_counts(y, frame, trials), points)
         model: Model = logistic
@@ -193,7 +198,7 @@ def formula_model(
         estimates = _normal_estimates(linear, y, x, centre, scale)
     seeds = spawned(seed, len(terms))
     tests = [
-        _test(name, terms, y, x, model, bootstrap, child)
+        term_test(name, terms, y, x, model, bootstrap, child)
         for name, child in zip(terms, seeds, strict=True)
     ]
     origin = origin_of(data)
@@ -223,10 +228,10 @@ def _normal_estimates(
     full, restricted = model.fit(y, x.to_numpy()), model.fit(y, x.to_numpy(), reml=True)
     offset = centre * np.array([name == "Intercept" for name in x.columns])
     return {
-        "coefficients": _coefficients(
+        "coefficients": coefficients_of(
             list(x.columns), scale * restricted.beta + offset, scale * restricted.se
         ),
-        "variances": _variances(
+        "variances": variances_of(
             list(model.z.columns), scale**2 * restricted.covariance, scale**2 * restricted.residual
         ),
         "log_likelihood": float(full.llf - len(y) * np.log(scale)),
@@ -239,7 +244,7 @@ def _logistic_estimates(
 ) -> dict:
     """Return the estimates of a logistic model, in logits."""
     fit = model.fit(y, x.to_numpy(), covariance=True)
-    if np.abs(x.to_numpy() @ fit.beta).max() > _FAR or fit.sd > _FAR:
+    if np.abs(x.to_numpy() @ fit.beta).max() > FAR or fit.sd > FAR:
         never, always = ([labels[i] for i in group] for group in model.constant_groups(y))
         people = (
             f"groups {never} never succeed and {always} always do, or " if never or always else ""
@@ -249,21 +254,23 @@ def _logistic_estimates(
             "failures; leave them or it out"
         )
     return {
-        "coefficients": _coefficients(list(x.columns), fit.beta, np.sqrt(np.diag(fit.covariance))),
-        "variances": _variances(["Intercept"], np.array([[fit.sd**2]])),
+        "coefficients": coefficients_of(
+            list(x.columns), fit.beta, np.sqrt(np.diag(fit.covariance))
+        ),
+        "variances": variances_of(["Intercept"], np.array([[fit.sd**2]])),
         "log_likelihood": fit.llf + model.log_coefficients(y),
         "singular": fit.sd < 1e-3,
     }
 
 
-def _coefficients(names: list[str], estimate: np.ndarray, se: np.ndarray) -> pd.DataFrame:
+def coefficients_of(names: list[str], estimate: np.ndarray, se: np.ndarray) -> pd.DataFrame:
     """Return the fixed effects with z tests and intervals."""
     p, half = 2.0 * special.ndtr(-np.abs(estimate / se)), special.ndtri(0.975) * se
     columns = {"name": names, "estimate": estimate, "se": se, "z": estimate / se, "p": p}
     return pd.DataFrame(columns | {"ci_low": estimate - half, "ci_high": estimate + half})
 
 
-def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
+def matrices_of(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     """
     Return score, regressors of fixed and of random effects, and the columns of every term; rows
     with missing values are refused.
@@ -308,10 +315,10 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     return score, *numbers, terms
 
 
-Model = Linear | Logistic
+Model = Linear | Logistic | Cumulative
 
 
-def _test(
+def term_test(
     name: str,
     terms: dict,
     y: np.ndarray,
@@ -349,7 +356,7 @@ def _test(
     return name, chi2, df, float(special.chdtrc(df, chi2)), p_bootstrap
 
 
-def _variances(
+def variances_of(
     names: list[str], covariance: np.ndarray, residual: float | None = None
 ) -> pd.DataFrame:
     """Return the random effects in a table, and the residual variance of a model that has one."""
