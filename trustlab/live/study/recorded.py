@@ -239,7 +239,8 @@ class RecordedStudy:
                 step.condition,
                 step.page.name,
             )
-            for item, answer in event["answers"].items():
+            # A damaged line, which faults() names, may have lost the word.
+            for item, answer in event.get("answers", {}).items():
                 words = isinstance(answer, str)
                 rows.append(
                     (*place, item, np.nan if words else float(answer), answer if words else "")
