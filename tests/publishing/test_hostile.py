@@ -28,6 +28,8 @@ from tests.publishing.world import ROOT, make
 from trustlab.allocation.correction.correction_run import CorrectionRun
 from trustlab.allocation.cycle.intervals import RangeIntervals
 from trustlab.allocation.decision.posterior_choice import PosteriorChoice
+from trustlab.identification.posterior.draws import MODEL as MODEL_NAMES
+from trustlab.identification.posterior.population import Population
 from trustlab.identification.regression import ArxResult
 from trustlab.publishing.book import publish, write_book
 from trustlab.publishing.tables import table_html
@@ -41,6 +43,7 @@ from trustlab.studies.analysis.report import report
 from trustlab.studies.planning.virtual_study import VirtualStudy
 from trustlab.studies.questionnaires.likert import ScaleScores
 from trustlab.studies.regression.formula_model import FormulaModel
+from trustlab.studies.regression.ordinal_model import OrdinalModel
 from trustlab.teleoperation import TeamTrial
 from trustlab.testbeds.guidance_comparison import GuidanceComparison
 from trustlab.trust.comparison import MEASURES, TrustComparison
@@ -179,7 +182,7 @@ def virtual_study():
     measures = pd.DataFrame(
         [(i, f"{NAME} {j}", 1.0, i + j) for i in range(4) for j in range(2)],
         columns=["participant", "condition", "position", f"score {NAME}"],
-    )
+    ).assign(synthetic=True)
     conditions = tuple(measures["condition"].unique())
     return VirtualStudy(
         SimpleNamespace(name="ground_robot", title="a testbed", origin=NAME),
@@ -234,7 +237,7 @@ def live():
 
 
 def posterior():
-    """The posterior of a few minutes, whose prior has a hostile name."""
+    """The posterior of a few minutes, and a population of that person, with hostile names."""
     short = tl.Session(
         tl.read_session(PILOT)
         .data.iloc[11_000:14_000]
@@ -242,7 +245,17 @@ def posterior():
         .set_index(0.1 * np.arange(3000))
     )
     drawn = tl.sample_posterior(short, n=100, window=0)
-    return dataclasses.replace(drawn, whiteness={NAME: 0.5})
+    drawn = dataclasses.replace(drawn, whiteness={NAME: 0.5})
+    people = {NAME: drawn}
+    new = drawn.draws[list(MODEL_NAMES)]
+    return drawn, Population(people, people, None, np.zeros((2, 7)), new, drawn.prior)
+
+
+def ordinal():
+    """A model of ratings whose tables hold hostile names."""
+    frame = scores()
+    values = (NAME, NAME, (1, 2), NAME, 5, 15, *[frame] * 7, 0.0, False, NAME)
+    return OrdinalModel(*values)
 
 
 def of_trust():
@@ -334,7 +347,8 @@ def built():
         tl.feasibility(dataclasses.replace(STUDY, name=NAME), explain=False),
         *of_trust(),
         tl.optimal_allocation(MODEL),
-        posterior(),
+        *posterior(),
+        ordinal(),
         tl.steady_state_bounds(MODEL, choice.lower, choice.upper),
         CorrectionRun(steps, (0.1, 0.2), (0.2, 0.3), NAME, NAME),
         dataclasses.replace(data, left_out=dict.fromkeys(data.table().index, NAME)),
