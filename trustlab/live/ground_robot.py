@@ -162,6 +162,8 @@ class LiveGroundRobot(LiveWidget):
     []
     """
 
+    session = LiveWidget.session  # a member of its own has a place in the documentation
+
     def __init__(
         self,
         condition: str,

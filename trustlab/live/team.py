@@ -57,6 +57,8 @@ class LiveTeam(LiveWidget):
     []
     """
 
+    session = LiveWidget.session  # a member of its own has a place in the documentation
+
     def __init__(
         self,
         condition: str = "by_hand",
