@@ -17,6 +17,7 @@ from statsmodels.stats.sandwich_covariance import S_hac_simple
 
 import trustlab as tl
 from trustlab.identification.human import HUMAN
+from trustlab.identification.output_error import Problem, local_optimum
 from trustlab.identification.residuals import hac_lags
 from trustlab.identification.robot_structure import robot_structure
 from trustlab.identification.runs import read_runs
@@ -70,6 +71,34 @@ def test_its_intervals_cover_the_truth():
         for table in (tl.fit(MINE, session_of(0.003, seed, 1200)).table() for seed in range(60))
     ]
     assert (pd.DataFrame(inside).sum() >= 51).all()
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_samples_left_out_count_alike_in_any_unit(unit):
+    """Deviances with and without outliers are truncated squares, from their definition."""
+
+    def level(run, height):
+        return [np.full(run["mode"].size, height)], [np.ones((run["mode"].size, 1))]
+
+    rng = np.random.default_rng(5)
+    values = unit * (0.3 + 0.003 * rng.standard_normal(1000))
+    clean = np.ones(values.size, dtype=bool)
+    clean[400:430] = False
+    values[~clean] += 0.1 * unit
+    frame = pd.DataFrame({"mode": 1.0, "p_r": values}, index=T * np.arange(values.size))
+    session = tl.Session(frame.rename_axis("t"), tl.Metadata(synthetic=True))
+    names = [tl.Parameter("height", guess=0.3 * unit)]
+    structure = tl.Structure("level", names, outputs="p_r", sensitivities=level)
+    limits = {"height": (-np.inf, np.inf)}
+    expected = {
+        True: values.size * np.log(np.var(values[clean])) + 30 * 6.0**2,
+        False: values.size * np.log(np.var(values)),
+    }
+    for robust, deviance in expected.items():
+        runs = read_runs(session, *structure.inputs, *structure.outputs, log=tl.LogSettings())
+        problem = Problem(structure, runs, {"height": 0.3 * unit})
+        optimum = local_optimum(problem, np.array([0.3 * unit]), limits, robust)
+        assert optimum.deviance == pytest.approx(deviance, abs=1e-6)
 
 
 def test_sensitivities_of_its_own_give_the_same_fit():

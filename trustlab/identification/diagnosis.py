@@ -204,7 +204,7 @@ def _window(estimate: Estimate) -> Iterator[str]:
     if estimate.simple_p >= NOT_WHITE:
         return
     stated = max(run.window for run in problem.runs)
-    deviance = problem.deviance(estimate.normal.squares)
+    deviance = problem.deviance(estimate.equations.squares)
     guess = dict(zip(problem.names, estimate.theta, strict=True))
     best = (0.0, 0.0)
     for window in _candidate_windows(problem) if stated == 1 else (stated - 1, stated + 1):

@@ -313,7 +313,7 @@ def result(
         runs=run_fits(structure, problem.runs, problem.fitted(), problem.residuals()),
         noise=estimate.noise,
         sigma=dict(zip(structure.outputs, estimate.sigma.tolist(), strict=True)),
-        cost=0.5 * float(estimate.normal.squares.sum()),
+        cost=0.5 * float(estimate.equations.squares.sum()),
         success=success,
         message=" ".join(sentences),
         degrees_of_freedom=estimate.degrees_of_freedom,

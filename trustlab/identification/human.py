@@ -350,7 +350,7 @@ def _refined(means: list[Run], point: np.void, limits: Mapping, length: int) -> 
     a, beta, p_min, p_max, *states = problem.from_search(minimum.x)
     if not p_max > p_min:
         return tuple(map(float, point.tolist()))
-    return (minimum.normal.squares.sum(), a, beta, p_min, p_max, np.median(states))
+    return (minimum.equations.squares.sum(), a, beta, p_min, p_max, np.median(states))
 
 
 HUMAN = Structure(

@@ -37,7 +37,7 @@ class Minimum:
     """Where a search ended, what a bound holds there, and whether it is a minimum."""
 
     x: np.ndarray
-    normal: NormalEquations
+    equations: NormalEquations
     at_bound: np.ndarray
     converged: bool
     iterations: int

@@ -18,6 +18,7 @@ import numpy as np
 from trustlab.identification.least_squares import Minimum, NormalEquations, minimise
 from trustlab.identification.logged import counts, undo_window, window_means
 from trustlab.identification.residuals import (
+    FAR,
     Noise,
     fit_noise,
     hac_lags,
@@ -44,6 +45,11 @@ ROUGH_SEARCH: dict = {"tolerance": 0.1, "max_iterations": 40}
 
 SINGULAR = 1e-10
 """Smallest eigenvalue of a regular information matrix, scaled to unit diagonal."""
+
+ROUNDING_IN_SEARCH = 1e-6
+ROUNDING = 1e-4
+"""Shares of the floor of Σ e² below which residuals are mere rounding: in a search, which goes on
+until nothing is to be gained, and where it has ended."""
 
 LIKELY = 3.84
 """Deviance above the least up to which a single parameter's value lies in its 95 % interval."""
@@ -156,7 +162,7 @@ class Problem:
             if not checked:
                 self.structure.check_sensitivities(run, *self.simulations[i])
 
-    def normal(self, theta: np.ndarray) -> NormalEquations:
+    def normal_equations(self, theta: np.ndarray) -> NormalEquations:
         """Return the likelihood, its gradient and its Gauss–Newton matrix ([L] Section 10.2)."""
         size = theta.size
         outputs = len(self.structure.outputs)
@@ -178,7 +184,7 @@ class Problem:
         # 7.2); its derivatives weight each output by n/Σ e², so that users need give no weights.
         weights = self.weights(squares)
         value = float(self.counts @ np.log(squares + self.floors))
-        exact = bool((squares <= 1e-6 * self.floors).all())
+        exact = bool((squares <= ROUNDING_IN_SEARCH * self.floors).all())
         matrix = (weights @ matrices.reshape(outputs, -1)).reshape(size, size)
         equations = NormalEquations(value, weights @ gradients, matrix, squares, exact)
         self.evaluated = (theta.copy(), equations)
@@ -254,12 +260,20 @@ class Problem:
             self.noise[j] = fit_noise(parts, self.counts[j])
 
     def deviance(self, squares: np.ndarray) -> float:
-        """Return minus twice the log-likelihood at its greatest, but for a constant of the data."""
+        """
+        Return minus twice the log-likelihood at its greatest, but for a constant of the data.
+
+        A sample left out counts as one that is `FAR` deviations off: optima that leave out
+        different samples can then be compared, in whatever unit the data are.
+        """
         of_window = 0.0
         if self.unwindow:
             # The means of n values have 1/n times the density of the values themselves.
             of_window = sum(np.log(counts(run.size, run.window)).sum() for run in self.runs)
-        value = self.counts @ np.log((squares + self.floors) / self.counts)
+        outputs = range(len(self.structure.outputs))
+        left_out = np.array([sum(s.missing.sum() for s in self.series_of(j)) for j in outputs])
+        value = (self.counts + left_out) @ np.log((squares + self.floors) / self.counts)
+        value += FAR**2 * left_out.sum()
         return float(value) + self.log_determinant - 2.0 * len(self.noise) * float(of_window)
 
     def weights(self, squares: np.ndarray) -> np.ndarray:
@@ -272,7 +286,7 @@ class Problem:
         """Minimise from a start within bounds, given as parameters; return search coordinates."""
 
         def equations(x: np.ndarray) -> NormalEquations:
-            at = self.normal(self.from_search(x))
+            at = self.normal_equations(self.from_search(x))
             pairs = zip(self.coordinates, x, strict=True)
             slope = np.array([coordinate.slope(value) for coordinate, value in pairs])
             matrix = at.matrix * np.outer(slope, slope)
@@ -302,14 +316,14 @@ class LocalOptimum:
     problem: Problem
     search: Minimum
     theta: np.ndarray
-    normal: NormalEquations
+    equations: NormalEquations
     deviance: float
     free: np.ndarray
 
     @property
     def exact(self) -> np.ndarray:
         """Whether an output's residuals are mere rounding, by output: no noise to be tested."""
-        return self.normal.squares <= 1e-4 * self.problem.floors
+        return self.equations.squares <= ROUNDING * self.problem.floors
 
     def whiteness_p(self) -> float:
         """Return the least p value of the Ljung–Box tests of all outputs ([S] Section 11.2)."""
@@ -325,7 +339,7 @@ class LocalOptimum:
         """
         free = self.free
         names = self.problem.names
-        matrix = self.normal.matrix[np.ix_(free, free)]
+        matrix = self.equations.matrix[np.ix_(free, free)]
         if free.size == 0:
             return matrix
         diagonal = np.diag(matrix).copy()
@@ -370,7 +384,7 @@ def local_optimum(
     options = ROUGH_SEARCH if rough else {}
     optimum = _search(problem, start, limits, **options)
     for _ in range(5):
-        searchable = optimum.normal.finite and not optimum.exact.all()
+        searchable = optimum.equations.finite and not optimum.exact.all()
         if not robust or not searchable or not problem.leave_out():
             break
         optimum = _search(problem, optimum.theta, limits, **options)
@@ -389,12 +403,12 @@ def _search(problem: Problem, start: np.ndarray, limits: Mapping, **options: Any
     theta[fixed] = low[fixed]
     theta[at_bound] = np.clip(theta, low, high)[at_bound]
     # The search mostly ends where it evaluated last.
-    point, normal = problem.evaluated
+    point, equations = problem.evaluated
     if not np.array_equal(point, theta):
-        normal = problem.normal(theta)
-    deviance = problem.deviance(normal.squares) if normal.finite else np.inf
+        equations = problem.normal_equations(theta)
+    deviance = problem.deviance(equations.squares) if equations.finite else np.inf
     return LocalOptimum(
-        problem, minimum, theta, normal, deviance, np.flatnonzero(~fixed & ~at_bound)
+        problem, minimum, theta, equations, deviance, np.flatnonzero(~fixed & ~at_bound)
     )
 
 
@@ -459,7 +473,8 @@ class Estimate(LocalOptimum):
     def sigma(self) -> np.ndarray:
         """Standard deviation √(Σ e²/(n − p)) by output; p is shared out over the outputs."""
         counts = self.problem.counts
-        return np.sqrt(self.normal.squares / np.maximum(counts - self.free.size / counts.size, 1.0))
+        freedom = np.maximum(counts - self.free.size / counts.size, 1.0)
+        return np.sqrt(self.equations.squares / freedom)
 
 
 def fit_problem(
@@ -467,7 +482,7 @@ def fit_problem(
 ) -> Estimate:
     """Search from `start`, leave out outliers, model the noise; then covariance and diagnostics."""
     optimum = local_optimum(problem, start, limits, robust)
-    if not optimum.normal.finite:
+    if not optimum.equations.finite:
         pairs = zip(problem.names, optimum.theta, strict=True)
         raise ValueError(
             f"structure {problem.structure.name!r} simulates values that are not finite at "
@@ -552,7 +567,7 @@ def _shift_by_states_at_bound(optimum: LocalOptimum, limits: Mapping) -> np.ndar
             near, likely = share, moved
         else:
             far = share
-    problem.normal(optimum.theta)
+    problem.normal_equations(optimum.theta)
     return (likely.theta - optimum.theta)[optimum.free]
 
 
@@ -571,7 +586,7 @@ def _holding(problem: Problem, limits: Mapping, places: np.ndarray, theta: np.nd
 def _meat(optimum: LocalOptimum) -> np.ndarray:
     """Return the long-run covariance of the likelihood's scores, summed over runs."""
     problem = optimum.problem
-    weights = problem.weights(optimum.normal.squares)
+    weights = problem.weights(optimum.equations.squares)
     size = optimum.theta.size
     meat = np.zeros((size, size))
     lags = max(hac_lags(errors) for errors in problem.residuals())
@@ -589,7 +604,7 @@ def _meat(optimum: LocalOptimum) -> np.ndarray:
 def _stamp_covariance(optimum: LocalOptimum, inverse: np.ndarray) -> np.ndarray:
     """Return the covariance due to independent errors of the mode's stamps."""
     problem, free = optimum.problem, optimum.free
-    weights = problem.weights(optimum.normal.squares)
+    weights = problem.weights(optimum.equations.squares)
     added = np.zeros((free.size, free.size))
     for i, run in enumerate(problem.runs):
         if run.stamp_error == 0.0 or "mode" not in run.columns:
@@ -620,7 +635,7 @@ def _stamp_covariance(optimum: LocalOptimum, inverse: np.ndarray) -> np.ndarray:
 def _mode_delay(optimum: LocalOptimum, inverse: np.ndarray, sandwiched: bool) -> ModeDelay:
     """Return the delay of the mode that the residuals show, to first order; 0 if they cannot."""
     problem, free = optimum.problem, optimum.free
-    weights = problem.weights(optimum.normal.squares)
+    weights = problem.weights(optimum.equations.squares)
     inputs = set(problem.structure.inputs)
     if not {"mode"} <= inputs <= {"mode", "p_h"} or "mode_delay" in problem.structure.names:
         return ModeDelay(0.0, 0.0, np.zeros(free.size))

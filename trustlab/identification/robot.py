@@ -273,7 +273,7 @@ def _input_noise(
         spread[np.ix_(places, places)] += influence.T @ influence
         mixed[places] += influence.T @ g[i]
     # `inverse` is (w JᵀJ)⁻¹ with w = n/Σ e²: times w it is (JᵀJ)⁻¹.
-    solve = estimate.inverse * problem.weights(estimate.normal.squares)[0]
+    solve = estimate.inverse * problem.weights(estimate.equations.squares)[0]
     direct = np.zeros((size, size))
     shared = np.zeros(size)
     direct[np.ix_(free, free)] = variance * solve @ spread[np.ix_(free, free)] @ solve.T
@@ -288,7 +288,7 @@ def _best_by_samples(operator: Estimate) -> list[np.ndarray]:
     solve = np.zeros(operator.theta.size)
     if operator.noise == "white":
         # p̂_h,max is one row of (JᵀJ)⁻¹ Jᵀ P_h, with the operator's own J.
-        weight = problem.weights(operator.normal.squares)[0]
+        weight = problem.weights(operator.equations.squares)[0]
         solve[operator.free] = operator.inverse[list(operator.free).index(row)] * weight
     return [
         jacobians[0] @ solve[places]
@@ -303,7 +303,7 @@ def _shift_by_best(estimate: Estimate, best: float) -> np.ndarray:
     # where it is free, the others give way where it is not.
     gain = (_parameter(estimate, "p_max") - _parameter(estimate, "p_min")) / best
     shift = np.zeros(estimate.theta.size)
-    by_p_max = estimate.normal.matrix[estimate.free, estimate.problem.names.index("p_max")]
+    by_p_max = estimate.equations.matrix[estimate.free, estimate.problem.names.index("p_max")]
     shift[estimate.free] = gain * estimate.inverse @ by_p_max
     return shift
 
