@@ -96,3 +96,16 @@ def test_stamps_that_jitter_are_drafted_with_an_even_grid(tmp_path):
     recipe = tl.draft_recipe(log, tmp_path / "lab.toml")
     session = tl.read_session(log, recipe)
     np.testing.assert_allclose(np.diff(session.t), float(f"{np.median([103, 96, 101]):g}") / 1e3)
+
+
+def test_performance_is_known_by_its_name_and_unit(tmp_path):
+    log = tmp_path / "run.csv"
+    log.write_text(
+        "t_ms,driver,robot_perf_pct,operator_performance [%]\n"
+        + "".join(f"{100 * k},{'human' if k < 5 else 'robot'},{40 + k},61.5\n" for k in range(10))
+    )
+    recipe = tl.draft_recipe(log, tmp_path / "lab.toml")
+    session = tl.read_session(log, recipe)
+    assert session.columns == ["mode", "p_r", "p_h"]
+    np.testing.assert_allclose(session.data["p_r"], 0.4 + 0.01 * np.arange(10))
+    np.testing.assert_allclose(session.data["p_h"], 0.615)

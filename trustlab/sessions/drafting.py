@@ -29,9 +29,13 @@ NAMES = {
     "robot_y": r"(pos\w*|robot|odom)?_?y",
     "robot_z": r"(pos\w*|robot|odom)?_?z",
     "v_command": r"(stick|cmd|joy\w*|command)_?(v|vel\w*|lin\w*|x)",
+    "p_r": r"(r|robot\w*|auto\w*|machine|vehicle|uav)_?perf(ormance)?",
+    "p_h": r"(h|human\w*|op|operator|user|person|manual)_?perf(ormance)?",
     "w_command": r"(stick|cmd|joy\w*|command)_?(w|omega|ang\w*|turn|z)",
     "yaw": r"heading|theta|psi",
 }
+# How labs write a unit at the end of a name, beside ours.
+SPELLINGS = {name: name for name in UNITS} | {"pct": "%", "percent": "%", "perc": "%"}
 MANUAL = r"(?i)(manu\w+|human|mensch|person|operator|user|teleop\w*|hand|on|true)"
 AUTONOMOUS = r"(?i)(auto\w*|robot\w*|machine|controller|off|false)"
 STEPS = {"s": 5.0, "ms": 5e3, "us": 5e6}  # the longest step between rows that looks like the unit
@@ -199,16 +203,19 @@ def _time_column(frame: pd.DataFrame) -> Any:
 
 def _bare(name: str) -> str:
     """Return a name without its unit, in small letters and underscores."""
-    unit = _unit(name)
-    stem = re.sub(r"[\s\[(_]*" + re.escape(unit) + r"[\])]?\s*$", "", name) if unit else name
+    stem = name[: name.rindex(_spelling(name))].rstrip(" [(_") if _unit(name) else name
     return re.sub(r"[\s.\-]+", "_", stem.strip()).lower()
 
 
 def _unit(name: str) -> str:
     """Return the unit that a name ends with, as in "err [mm]" or "time_ms"; empty if none."""
+    return SPELLINGS.get(_spelling(name), "")
+
+
+def _spelling(name: str) -> str:
+    """Return what may be the unit that a name ends with, as it is written there."""
     match = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$|[_ ]([a-z/%]+)$", name)
-    unit = (match[1] or match[2]) if match else ""
-    return unit if unit in UNITS else ""
+    return (match[1] or match[2]) if match else ""
 
 
 def _two_words(values: pd.Series) -> bool:
@@ -234,7 +241,7 @@ def _rule(ours: str, name: Any, values: pd.Series) -> str:
     keys = [f"column = {_quoted(name)}"]
     reason = "name" if _ours(str(name)) == ours else "values"
     remarks = [] if str(name) == ours else [f"guessed by its {reason}"]
-    if unit not in ("1", "measure"):
+    if unit not in ("1", "measure") or (str(name) != ours and _unit(str(name))):
         keys.append(f'unit = "{_unit(str(name)) or ("?" if str(name) != ours else unit)}"')
     codes = list(dict.fromkeys(values.dropna()))
     text = _is_text(values)
