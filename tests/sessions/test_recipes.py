@@ -430,6 +430,24 @@ def test_patterns():
     ]
 
 
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("vpA.csv", r"; vpA.csv would fit 'vp{participant}.csv', whose fields need not be numbers"),
+        ("vp1.CSV", "; the nearest is vp1.CSV"),
+        ("notes.md", "$"),
+    ],
+)
+def test_a_pattern_that_nothing_fits_names_what_is_near(tmp_path, name, remedy):
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    (logs / name).write_text("t,mode\n0,1\n")
+    recipe = tmp_path / "lab.toml"
+    recipe.write_text(SIGNED + '[files]\npattern = "vp{participant:int}.csv"\n')
+    with pytest.raises(SessionError, match=r"fits the recipe's pattern '[^']*'" + remedy):
+        read_sessions(logs, recipe)
+
+
 def test_patterns_match_in_time_that_grows_with_the_path():
     """
     A name of underscores that does not fit: each field more would otherwise multiply the places to

@@ -108,6 +108,10 @@ class PathPattern:
         fields = {name: self.fields[name](text) for name, text in texts.items()}
         return PathMatch("/".join(parts[: -self.depth]) or "/", fields, texts)
 
+    def of_texts(self) -> "PathPattern":
+        """Return the pattern whose fields may be any text."""
+        return PathPattern(re.sub(r":(int|float)}", "}", self.text))
+
     def fill(self, texts: Mapping[str, object]) -> str:
         """Return the pattern with its fields filled in."""
         return "".join(literal + str(texts.get(name, "")) for literal, name, _, _ in self._parts())

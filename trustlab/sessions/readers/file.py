@@ -1,6 +1,8 @@
 """Read logged sessions: one, all of a folder, a data frame, or several logs of one run joined."""
 
+import difflib
 import os
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -442,7 +444,9 @@ def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[s
     headers = _find(folder, index.pattern) if index else {}
     if not sessions and not headers:
         raise SessionError(
-            f"no file in it fits the recipe's pattern {recipe.pattern.text!r}", folder
+            f"no file in it fits the recipe's pattern {recipe.pattern.text!r}"
+            f"{_nearly_fitting(folder, recipe.pattern)}",
+            folder,
         )
     same: dict[tuple, str] = {}
     for path, match in sessions.items():
@@ -456,6 +460,19 @@ def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[s
     if index:
         index.check(headers, sessions)
     return sorted(sessions, key=natural_key)
+
+
+def _nearly_fitting(folder: str, pattern: PathPattern) -> str:
+    """Say which file comes nearest to a pattern that none fits, and what keeps it out."""
+    looser = pattern.of_texts()
+    for path in _find(folder, looser):
+        name = os.path.relpath(path, folder)
+        return f"; {name} would fit {looser.text!r}, whose fields need not be numbers"
+    paths = [os.path.join(here, name) for here, _, files in os.walk(folder) for name in files]
+    names = {os.path.relpath(path, folder).lower(): path for path in paths}
+    fixed = re.sub(r"{[^}]*}", "", pattern.text).lower()
+    near = difflib.get_close_matches(fixed, names, 1)
+    return f"; the nearest is {os.path.relpath(names[near[0]], folder)}" if near else ""
 
 
 def _find(folder: str, pattern: PathPattern) -> dict[str, PathMatch]:
