@@ -87,6 +87,20 @@ def test_a_clear_log_gets_thresholds_that_do_what_is_said(clear, operators):
     plt.close("all")
 
 
+@pytest.mark.parametrize("objective", ["peak", "mean", 0.0])
+def test_a_pair_at_the_end_of_the_range_is_said_to_be_there(clear, objective):
+    choice = tl.choose_thresholds(clear, objective=objective, enclose_beta=False)
+    pairs = choice.candidates[["lower", "upper"]].to_numpy()
+    at_end = choice.lower == pairs.min() or choice.upper == pairs.max()
+    assert ("at the end of the range searched" in choice.message) == at_end
+    if at_end and objective == "mean":  # what the message says of pairs beyond
+        few = replace(clear, draws=clear.draws[:20], thetas=clear.thetas[:20])
+        beyond = tl.limit_cycle(few, choice.lower + 0.03, choice.upper + 0.03)
+        assert beyond.probability > 0.9
+        mean_p_r = np.mean([motion.mean_p_r for motion in beyond.results if motion.exists])
+        assert mean_p_r > choice.table().loc["mean_p_r", "mean"]
+
+
 def test_an_unclear_log_abstains_and_says_what_to_record(unclear):
     choice = tl.choose_thresholds(unclear, confidence=0.99)
     assert not choice.offered

@@ -33,8 +33,8 @@ class RunFit:
     """
     One run, measured and fitted: time [s], inputs and outputs by name, shape (N,) each.
 
-    `prediction_errors` are what a noise model leaves of measured minus fitted: the same where noise
-    is white.
+    `step` [s] is the time step that the model's rates refer to. `prediction_errors` are what a
+    noise model leaves of measured minus fitted: the same where noise is white.
     """
 
     label: str
@@ -44,6 +44,7 @@ class RunFit:
     measured: dict[str, np.ndarray]
     fitted: dict[str, np.ndarray]
     prediction_errors: dict[str, np.ndarray]
+    step: float
 
     @property
     def mode(self) -> np.ndarray:
@@ -408,5 +409,8 @@ def run_fits(
         else:
             left = {name: errors[j][i] for j, name in enumerate(structure.outputs)}
         inputs = {name: run[name] for name in structure.inputs}
-        results.append(RunFit(run.label, run.synthetic, run.t, inputs, measured, simulated, left))
+        step = run.model_step or run.sample_time
+        results.append(
+            RunFit(run.label, run.synthetic, run.t, inputs, measured, simulated, left, step)
+        )
     return results

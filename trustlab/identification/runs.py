@@ -90,6 +90,7 @@ class Run:
     participant: object = None
     window: int = 1
     stamp_error: float = 0.0
+    model_step: float | None = None
     buffers: dict[tuple, np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -147,6 +148,7 @@ def read_runs(
             session.metadata.participant,
             window,
             _stamp_error(session, log.stamp_error),
+            log.step,
         )
         for session, window in zip(sessions, windows, strict=True)
     ]

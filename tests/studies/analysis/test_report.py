@@ -138,10 +138,35 @@ def test_fits_by_participant_are_one_table(fit, tmp_path):
     row = fit.table().loc["human_beta"]
     assert float(estimate) == pytest.approx(row["value"], abs=float(error))
     assert float(error) == pytest.approx(row["stderr"], rel=0.05)
+    assert list(table)[1:3] == ["human τ [s]", "human_beta"]
+    assert not [head for head in table if "_b" in head and "beta" not in head]
+    # Oracle: the posterior's time constants, which are drawn as such.
+    seconds, error = map(float, table.loc[0, "robot τ [s]"].split(" ± "))
+    drawn = tl.sample_posterior(tl.read_session(PILOT), n=500).table().loc["robot_time_constant"]
+    assert seconds == pytest.approx(drawn["mean"], abs=3 * drawn["sd"])
+    assert error == pytest.approx(drawn["sd"], rel=0.2)
     assert len(study.table()) == 2 * len(fit.table())
     text = study.write(tmp_path / "fits.tex").read_text()
     assert r"$\pm$" in text
-    assert r"human $\beta$ & human $p_{\min}$" in text
+    assert r"human $\tau$ [s] & human $\beta$ & human $p_{\min}$" in text
+    page = study.write(tmp_path / "fits.html").read_text()
+    assert "<th>human β</th>" in page
+    assert "human_" not in page
+
+
+def test_thresholds_stand_beside_the_estimates(fit, tmp_path):
+    posterior = tl.sample_posterior(tl.read_session(PILOT), n=200)
+    choice = tl.choose_thresholds(posterior, points=6)
+    study = tl.report({"P1": fit, "P2": fit}, thresholds={"P1": choice, "P2": choice})
+    (table,) = study.tables.values()
+    assert table["TSC_l"].tolist() == 2 * [f"{choice.lower:.3f}".replace("-", "−")]
+    assert table["probability"].tolist() == 2 * [f"{choice.probability:.2f}"]
+    assert table["offered"].tolist() == ["yes", "yes"]
+    assert "$TSC_l$ & $TSC_u$ & probability" in study.write(tmp_path / "a.tex").read_text()
+    certain = tl.report({"P1": fit}, thresholds={"P1": tl.choose_thresholds(fit)})
+    assert list(certain.tables["Estimates ± standard errors, and thresholds"])[-1] == "TSC_u"
+    with pytest.raises(ValueError, match="thresholds are of P1, but the results of P2"):
+        tl.report({"P2": fit}, thresholds={"P1": choice})
 
 
 def test_a_failed_fit_says_so_first(fit):

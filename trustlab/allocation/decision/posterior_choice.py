@@ -123,7 +123,7 @@ def choose_under_posterior(
         message = (
             f"Thresholds {lower:.3f} and {upper:.3f}: the rule {condition} with probability "
             f"{probability[best]:.2f}; of the pairs with at least {confidence:g} they have the "
-            "best expected objective."
+            f"best expected objective.{_at_end(pairs[best], pairs)}"
         )
     else:
         switching = motions.switches[:, best].mean()
@@ -188,6 +188,21 @@ def _pairs(models: list[TscModel], count: int) -> np.ndarray:
     high = float(np.median([each.upper for each in limits]))
     span = abs(high - low)
     return grid_of_pairs(low + 0.03 * span, low + 0.97 * span, count)
+
+
+def _at_end(pair: np.ndarray, pairs: np.ndarray) -> str:
+    """Say that a pair lies at the end of what was searched, and what may be beyond."""
+    low, high = float(pairs.min()), float(pairs.max())
+    at_end = {"lower": pair[0] == low, "upper": pair[1] == high}
+    names = [name for name, reached in at_end.items() if reached]
+    if not names:
+        return ""
+    which = "Both thresholds are" if len(names) == 2 else f"The {names[0]} threshold is"
+    return (
+        f" {which} at the end of the range searched, {low:.3f} to {high:.3f}, where Theorem 1 "
+        "promises switching. Pairs beyond it may do better: limit_cycle(posterior, lower, upper) "
+        "says how probably they switch."
+    )
 
 
 def _ranges(motions: SteadyMotions, pair: int) -> pd.DataFrame:

@@ -217,14 +217,9 @@ def _pairs(result, adjust: str) -> str:
             reason = "no test: one difference" if np.isnan(p[i]) else apa_p(p[i])
             rest.append(f"{a} and {b} ({reason})")
     if not significant:
-        return f" {tests} found no significant difference: {_listed(rest)}."
-    end = f"; no significant difference between {_listed(rest)}" if rest else ""
+        return f" {tests} found no significant difference: {', '.join(rest)}."
+    end = f"; no significant difference between {', '.join(rest)}" if rest else ""
     return f" {tests}: {'; '.join(significant)}{end}."
-
-
-def _listed(texts: list[str]) -> str:
-    more = f" and {len(texts) - 10} more pairs" if len(texts) > 10 else ""
-    return ", ".join(texts[:10]) + more
 
 
 def apa_report(result, adjust: str = "holm") -> str:

@@ -13,11 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
+from trustlab.identification import FitResult
 from trustlab.models.checks import one_of, shown
 from trustlab.models.extras import extra
-from trustlab.studies.analysis.apa import apa_table
+from trustlab.models.human import HumanModel
+from trustlab.models.robot import RobotModel
+from trustlab.models.tsc import TscModel
+from trustlab.studies.analysis.apa import apa_number, apa_table
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 
 # What LaTeX would read as a command, and signs that it lacks as letters.
@@ -53,10 +58,24 @@ _MATHEMATICS = {
 } | {name: f"${name}$" for name in ("F", "M", "SD", "df", "n", "p", "t")}
 # Parameters of fits: "human_p_min" is "human $p_{\min}$".
 _SYMBOLS = {"beta": r"\beta", "p_min": r"p_{\min}", "p_max": r"p_{\max}"}
+# What is printed instead of a parameter that tells how fast a model forgets.
+_TIMES = {"a": "time constant [s]", "human_a": "human τ [s]", "robot_a": "robot τ [s]"}
 _MATHEMATICS |= {
     f"{who}_{name}": f"{who} ${symbol}$"
     for who in ("human", "robot")
     for name, symbol in _SYMBOLS.items()
+}
+_MATHEMATICS |= {
+    "human τ [s]": r"human $\tau$ [s]",
+    "robot τ [s]": r"robot $\tau$ [s]",
+    "TSC_l": "$TSC_l$",
+    "TSC_u": "$TSC_u$",
+}
+# Symbols where there is no mathematics; other names are written with blanks.
+_PLAIN = {name: name for name in ("TSC_l", "TSC_u", "d_z")} | {
+    f"{who}_{name}": f"{who} {symbol}"
+    for who in ("human", "robot")
+    for name, symbol in {"beta": "β", "p_min": "p_min", "p_max": "p_max"}.items()
 }
 # Words for columns of results.
 _WORDS = {
@@ -183,7 +202,12 @@ class StudyReport:
 
 
 def report(
-    frame: Any, dv: Hashable = None, within: Any = None, subject: Hashable = None, **options: Any
+    frame: Any,
+    dv: Hashable = None,
+    within: Any = None,
+    subject: Hashable = None,
+    thresholds: Mapping[Hashable, Any] | None = None,
+    **options: Any,
 ) -> StudyReport:
     """
     Analyse one measure and write its Results section; or put any result into the same form.
@@ -193,6 +217,8 @@ def report(
     frame : pandas.DataFrame, result or dict of results
         Long table. Without `dv`: a result of this package with `.table()`, or a table of results,
         as it is; or results by name, as fits by participant, which become one table.
+    thresholds : mapping, optional
+        With fits by name: what `choose_thresholds` returned for each, printed beside its fit.
     dv, within, subject : hashable
         Columns, as for `repeated_measures`.
     **options : object
@@ -216,7 +242,7 @@ def report(
     (36, 5)
     """
     if isinstance(frame, Mapping):
-        return _side_by_side(frame)
+        return _side_by_side(frame, thresholds or {})
     result = frame if dv is None else repeated_measures(frame, dv, within, subject, **options)
     if isinstance(result, RepeatedMeasures):
         return _section(result)
@@ -230,10 +256,17 @@ def report(
     return StudyReport(result, _sentences(result), {title: table}, _origin(result, table))
 
 
-def _side_by_side(results: Mapping[Hashable, Any]) -> StudyReport:
+def _side_by_side(
+    results: Mapping[Hashable, Any], thresholds: Mapping[Hashable, Any]
+) -> StudyReport:
     """Return results of one kind as one table, a row for each: estimates with standard errors."""
     if not results:
         raise ValueError("frame is an empty dict: give results by name")
+    if thresholds and set(thresholds) != set(results):
+        raise ValueError(
+            f"thresholds are of {', '.join(map(str, thresholds))}, but the results of "
+            f"{', '.join(map(str, results))}: give one for each"
+        )
     tables = {name: result.table() for name, result in results.items()}
     rows = {name: table.reset_index() for name, table in tables.items()}
     whole = (
@@ -247,14 +280,44 @@ def _side_by_side(results: Mapping[Hashable, Any]) -> StudyReport:
     title, printed = "Results", whole
     if {"parameter", "value", "stderr"} <= set(whole):
         title = "Estimates ± standard errors"
-        texts = _printed(whole[["of", "parameter", "value", "stderr"]], 2)
+        estimates = {name: _estimates(result) for name, result in results.items()}
+        texts = _printed(pd.concat(estimates, names=["of", "parameter"]), 2)
         errors = texts[_WORDS["stderr"]].replace("", "–")
         texts["cell"] = texts["value"] + " ± " + errors
         by_result = texts.groupby("of", sort=False)
         columns = {name: part.set_index("parameter")["cell"] for name, part in by_result}
         printed = pd.DataFrame(columns).T.rename_axis("of")
+        if thresholds:
+            title += ", and thresholds"
+            printed = printed.join(_chosen(thresholds))
         printed = printed.reset_index().rename_axis(columns=None)
     return StudyReport(whole, text, {title: printed}, ", ".join(origins))
+
+
+def _estimates(result: Any) -> pd.DataFrame:
+    """Return value and stderr by parameter: time constants for a, nothing derived from others."""
+    table = result.table()
+    if not isinstance(result, FitResult):
+        return table[["value", "stderr"]]
+    table = table.loc[table["status"] != "derived", ["value", "stderr"]]
+    if isinstance(result.model, TscModel | HumanModel | RobotModel):
+        for name in table.index.intersection(_TIMES):
+            a, error = table.loc[name]
+            seconds = -result.runs[0].step / np.log(a)
+            table.loc[name] = seconds, -error * seconds / (a * np.log(a))
+        table = table.rename(index=_TIMES)
+    return table
+
+
+def _chosen(thresholds: Mapping[Hashable, Any]) -> pd.DataFrame:
+    """Return a row of texts for each choice; those of posteriors have a probability."""
+    rows = {}
+    for name, choice in thresholds.items():
+        rows[name] = {"TSC_l": apa_number(choice.lower, 3), "TSC_u": apa_number(choice.upper, 3)}
+        if hasattr(choice, "probability"):
+            rows[name]["probability"] = f"{choice.probability:.2f}"
+            rows[name]["offered"] = "yes" if choice.offered else "no"
+    return pd.DataFrame.from_dict(rows, orient="index")
 
 
 def _sentences(result: Any) -> str:
@@ -318,12 +381,24 @@ def _html(study: StudyReport, tables: dict[str, pd.DataFrame], figure: bool = Tr
     parts = [f"<p>{html.escape(study.text)}</p>"] if study.text else []
     for number, (title, table) in enumerate(tables.items(), start=1):
         caption = f"<p><b>Table {number}</b><br><i>{html.escape(_caption(study, title))}</i></p>"
-        parts += [caption, table.to_html(index=False, border=0)]
+        parts += [caption, _in_words(table).to_html(index=False, border=0)]
     if figure and study.drawn:
         drawing = io.StringIO()
         _drawn(study, drawing, "svg")
         parts.append(drawing.getvalue()[drawing.getvalue().index("<svg") :])
     return "\n".join(parts)
+
+
+def _in_words(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with heads, and names of parameters, in words instead of identifiers."""
+    words = table.rename(columns=_word)
+    if "parameter" in table:
+        words["parameter"] = table["parameter"].map(_word)
+    return words
+
+
+def _word(name: str) -> str:
+    return _PLAIN.get(name, name.replace("_", " "))
 
 
 def _latex(study: StudyReport, tables: dict[str, pd.DataFrame]) -> str:
@@ -363,6 +438,7 @@ def _write_word(path: Path, study: StudyReport, tables: dict[str, pd.DataFrame])
         document.add_paragraph(study.text)
     for number, (title, table) in enumerate(tables.items(), start=1):
         document.add_paragraph(f"Table {number}. {_caption(study, title)}")
+        table = _in_words(table)
         grid = document.add_table(rows=1 + len(table), cols=table.shape[1])
         for i, row in enumerate([list(map(str, table.columns)), *table.to_numpy().tolist()]):
             for j, cell in enumerate(row):
