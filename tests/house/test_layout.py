@@ -65,10 +65,18 @@ def docstring_lines(tree):
 
 @functools.cache
 def code_tokens(source):
-    """The tokens that are code."""
+    """The tokens that are code; an f-string is one, as it was until Python 3.12."""
     prose = docstring_lines(ast.parse(source))
-    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-    return [t for t in tokens if t.type not in SILENT and t.start[0] not in prose]
+    tokens = []
+    nested = 0
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        kind = tokenize.tok_name[token.type]
+        if not nested and token.type not in SILENT and token.start[0] not in prose:
+            tokens.append(token)
+        nested += (kind == "FSTRING_START") - (kind == "FSTRING_END")
+        if kind == "FSTRING_END" and not nested and tokens:
+            tokens[-1] = tokens[-1]._replace(end=token.end)
+    return tokens
 
 
 @functools.cache

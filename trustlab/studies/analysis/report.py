@@ -330,7 +330,8 @@ def _sentences(result: Any) -> str:
 
 
 def _origin(result: Any, table: pd.DataFrame) -> str:
-    return getattr(result, "origin", "") or table.attrs.get("origin", "")
+    synthetic = "synthetic data" if getattr(result, "synthetic", False) else ""
+    return getattr(result, "origin", "") or table.attrs.get("origin", "") or synthetic
 
 
 def _words_of(name: str) -> str:

@@ -1,0 +1,132 @@
+"""
+Write `ranks.csv` and `populations.csv`: what posteriors say of people whose parameters are known.
+
+An hour on one core. The tests read the tables, and make some of their rows again:
+`python -m tests.identification.posterior.make_coverage [ranks | populations] [workers]`.
+"""
+
+import itertools
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+import trustlab as tl
+from tests.identification.posterior import simulated_logs
+from trustlab.identification.posterior import pooling
+from trustlab.identification.posterior.draws import MODEL, physical
+from trustlab.identification.posterior.priors import as_prior, transformed
+
+HERE = Path(__file__).resolve().parent
+PRINTED = ["1", "2", "3", "4", "5", "pilot"]
+PEOPLE = transformed([tl.published_models()[name] for name in PRINTED[:5]])
+
+# Noise that is nearly white, nearly first-order over 5 s, or anything that the weak prior allows.
+NOISES = {
+    "white": tl.Prior(slow=(1e-4, 0.3)),
+    "slow": tl.Prior(slow_time=(5.0, 0.1), white=(1e-3, 0.5)),
+    "means": tl.Prior(),
+}
+
+# How many logs of each kind: people of the prior whose mode changes at random, under thresholds
+# that know them, under a rule that measures; and people of Table 2.1.
+LOGS = {("prior, open", noise): 300 for noise in NOISES}
+LOGS |= {("prior, thresholds", "any"): 300, ("prior, measuring rule", "any"): 300}
+LOGS |= {(f"Table 2.1, {loop}", noise): 100 for loop in ("open", "thresholds") for noise in NOISES}
+
+# Where the five people of a population come from.
+ORIGINS = ("Table 2.1", "spread of Table 2.1", "prior")
+GROUPS = 20
+
+
+def log_of(people, noise, number):
+    """Return a simulated log, the true θ, and the prior that it is to be read with."""
+    rng = np.random.default_rng([29, number, *map(ord, people + noise)])
+    if people == "prior, measuring rule":
+        return *simulated_logs.measured_case(rng), tl.Prior()
+    if people == "prior, thresholds":
+        return *simulated_logs.drawn_case(rng, "any", "closed"), tl.Prior()
+    if people == "prior, open":
+        prior = NOISES[noise]
+        return *simulated_logs.drawn_case(rng, noise, prior=prior), prior
+    loop = "open" if people.endswith("open") else "closed"
+    who = PRINTED[number % len(PRINTED)]
+    return *simulated_logs.printed_case(rng, noise, loop, who=who), tl.Prior()
+
+
+def ranks_of(people, noise, number):
+    """Return the share of draws below the truth, by parameter; nothing where a log is refused."""
+    about = {"people": people, "noise": noise, "number": number}
+    session, theta, prior = log_of(people, noise, number)
+    try:
+        posterior = tl.sample_posterior(session, prior=prior, seed=number)
+    except tl.IdentificationError as error:
+        return about | {"refused": str(error)}
+    truth = physical(theta[None], 0.1).iloc[0]
+    draws = posterior.draws.drop(columns=["human_a", "robot_a"])  # ranks of their time constants
+    known = [name for name in draws if np.isfinite(truth[name])]
+    shares = (draws[known] < truth[known]).mean()
+    return about | shares.to_dict()
+
+
+def five_of(origin, rng):
+    """Return the first seven coordinates of five people."""
+    if origin == "Table 2.1":
+        return PEOPLE
+    if origin == "spread of Table 2.1":
+        spread = PEOPLE.std(axis=0, ddof=1)
+        return PEOPLE.mean(axis=0) + spread * rng.standard_normal(PEOPLE.shape)
+    # What `fit_population` takes for granted: Huang and Wand's distribution of covariances.
+    centre, deviation, _ = as_prior("weak").vectors(0)
+    size = PEOPLE.shape[1]
+    thetas = np.full(PEOPLE.shape, -1.0)
+    while (thetas[:, [2, 5]] <= 0.0).any():  # performances are positive
+        mean = np.sqrt(pooling.OF_MEAN) * rng.standard_normal(size)
+        rates = stats.invgamma(0.5, scale=pooling.SCALE**-2).rvs(size, random_state=rng)
+        scatter = np.diag(2.0 * pooling.FREEDOM / rates)
+        spread = stats.invwishart(pooling.FREEDOM + size - 1, scatter).rvs(random_state=rng)
+        z = rng.multivariate_normal(mean, spread, 5)
+        thetas = centre[:size] + deviation[:size] * z
+    return thetas
+
+
+def population_of(origin, noise, number):
+    """Return every person's truth, estimate and interval, pooled and alone."""
+    rng = np.random.default_rng([31, number, *map(ord, origin + noise)])
+    sessions = {}
+    truths = {}
+    for name, theta in enumerate(five_of(origin, rng), start=1):
+        known = np.zeros(simulated_logs.STATES + 2)
+        known[:7] = theta
+        known[simulated_logs.STATES] = rng.uniform(-4.0, -1.0)
+        run = simulated_logs.run_of(rng, *simulated_logs.model_of(known), "open", 6000)
+        noises = dict.fromkeys(("p_h", "p_r"), simulated_logs.NOISE[noise])
+        window = simulated_logs.WINDOW if noise == "means" else 0.0
+        sessions[str(name)] = simulated_logs.with_noise(rng, run, noises, window)
+        truths[str(name)] = physical(known[None], 0.1).iloc[0]
+    people = tl.fit_population(sessions, seed=number)
+    table = people.table().drop("new person")
+    rows = table[["mean", "ci_low", "ci_high", "alone_mean"]].reset_index()
+    rows["truth"] = [truths[who][name] for who, name in table.index]
+    return rows.assign(origin=origin, noise=noise, number=number)
+
+
+def main(only=None, workers="2"):
+    """Write both tables, or one of them."""
+    with ProcessPoolExecutor(int(workers)) as pool:
+        if only in (None, "ranks"):
+            cases = [(*case, k) for case, count in LOGS.items() for k in range(count)]
+            rows = pool.map(ranks_of, *zip(*cases, strict=True), chunksize=10)
+            pd.DataFrame(rows).round(4).to_csv(HERE / "ranks.csv", index=False)
+        if only in (None, "populations"):
+            cases = list(itertools.product(ORIGINS, ("slow", "means"), range(GROUPS)))
+            tables = pd.concat(pool.map(population_of, *zip(*cases, strict=True)))
+            named = tables[tables["parameter"].isin(MODEL)]
+            named.to_csv(HERE / "populations.csv", index=False, float_format="%.8g")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
