@@ -357,6 +357,6 @@ def least_half_width(setting: str) -> float:
         truth().to_dict() | {"r0": 0.3, "p_r0": 0.3},
     )
     problem = Problem(TSC, runs, at, unwindow="before" in setting)
-    normal = problem.normal(problem.vector(at))
-    error = np.sqrt(np.linalg.inv(normal.matrix).diagonal()[TSC.names.index("human_p_min")])
+    equations = problem.normal_equations(problem.vector(at))
+    error = np.sqrt(np.linalg.inv(equations.matrix).diagonal()[TSC.names.index("human_p_min")])
     return 1.96 * error / (at["human_p_max"] - at["human_p_min"])
