@@ -46,8 +46,8 @@ session: $(VENV)/.stamp  ## a page on a log of your own: make session FILE=run.c
 	@rm -f reports/my_session.html
 	$(BIN)/papermill --cwd notebooks notebooks/00_my_session.ipynb reports/my_session.ipynb \
 	  -p session_file "$(abspath $(FILE))" $(if $(RECIPE),-p recipe "$(abspath $(RECIPE))") $(PARAMS)
-	$(BIN)/jupyter nbconvert --to html --no-input --embed-images \
-	  --HTMLExporter.require_js_url= --HTMLExporter.mathjax_url= --output my_session.html reports/my_session.ipynb
+	$(BIN)/jupyter nbconvert --to html --template classic --no-input --embed-images --output my_session.html \
+	  --HTMLExporter.jquery_url= --HTMLExporter.require_js_url= --HTMLExporter.mathjax_url= reports/my_session.ipynb
 	@echo "the page: reports/my_session.html"
 
 docs: $(VENV)/.stamp  ## write the same book without running any notebook

@@ -117,7 +117,9 @@ def test_four_people(ran):
     for name, *cells in rows:  # the parameters that the logs were made with
         human = tl.published_models()[name[1:]].human
         for cell, truth in zip(
-            cells, (human.a, human.beta, human.p_min, human.p_max), strict=False
+            cells[:4],
+            (0.1 * human.time_constant, human.beta, human.p_min, human.p_max),
+            strict=True,
         ):
             value, error = map(float, cell.split(r" $\pm$ "))
             assert abs(value - truth) <= 4.0 * error
@@ -177,13 +179,18 @@ def test_html_page(ran, environment):
     nbformat.write(notebook, folder / "four.ipynb")
     drawn = environment | {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
     (commands,) = [code for name, *_, code in blocks(HTML) if name == "sh"]
-    for line in commands.splitlines():
+    for line in commands.replace("\\\n", "").splitlines():
         done = subprocess.run(
             shlex.split(line), cwd=folder, env=drawn, capture_output=True, text=True
         )
         assert done.returncode == 0, done.stderr[-2000:]
     page = (folder / "four_run.html").read_text()
     assert len(re.findall(r"<img[^>]*src=\"data:image/png;base64", page)) == 4
+    descriptions = re.findall(r'<img alt="([^"]*)', page)
+    assert len(descriptions) == 4
+    assert all("measured goes from" in words for words in descriptions)
+    assert not re.search(r'(?:src|href)="https?:', page)
+    assert page.count("<td>yes</td>") == 4  # thresholds are offered
     assert re.findall(r"<td>(P\d)</td>", page) == ["P1", "P2", "P3", "P4"]
     assert "fit_tsc" not in page  # no code
     assert f"installed in {environment['PYTHONPATH']}" in page
