@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 from nbformat.v4 import new_code_cell, new_notebook
 from scipy import stats
@@ -156,9 +157,13 @@ def test_own_rule(ran):
 
 
 def test_jittered_scheme(ran):
-    _, error, energy = numbers(printed(ran, "jittered_scheme"))
-    assert 0.0 < error < 1.0
-    assert energy >= -1e-6
+    rows = np.reshape(numbers(printed(ran, "jittered_scheme")), (2, 4))
+    (_, felt, energy, guarded), (_, felt_alone, energy_alone, off) = rows
+    assert energy == 0.0
+    assert energy_alone < -0.1  # not passive by itself
+    assert felt < 0.5 * felt_alone
+    assert guarded > 0.9
+    assert off == 0.0
     assert (ran / "jittered_scheme" / "energies.png").read_bytes().startswith(b"\x89PNG")
 
 

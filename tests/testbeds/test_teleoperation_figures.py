@@ -53,6 +53,9 @@ def test_figures_show_what_was_logged():
     np.testing.assert_array_equal(panels[2].lines[0].get_ydata(), RUNS[0]["alpha"])
     panels = plot_energies(RUNS[0])
     np.testing.assert_array_equal(panels[1].lines[1].get_ydata(), RUNS[0]["energy_robot"])
+    (told,) = [text for line in panels[1].lines if "robot" in (text := str(line.get_label()))]
+    assert told.endswith(f"least {RUNS[0]['energy_robot'].min():z.3f} J")
+    assert len({line.get_linewidth() for line in panels[1].lines[:4]}) == 4
     panels = plot_alpha(RUNS)
     np.testing.assert_array_equal(panels[1].lines[0].get_ydata(), RUNS[1]["alpha"])
     assert "synthetic" in panels[1].get_title()

@@ -200,6 +200,9 @@ def plot_energies(session: Session, axes=None):
     """
     Plot the energies of all ports over time: operator, device, channel, robot, target.
 
+    Of channel, both ports and target the legend has the least energy. Lines that lie on each other
+    are told apart by their widths.
+
     Parameters
     ----------
     session : Session
@@ -220,9 +223,12 @@ def plot_energies(session: Session, axes=None):
     of_class("session", session, Session).require(*PORT_ENERGIES)
     axes = axes_or_new(axes, columns=2, title=session.label, figsize=(8.6, 3.4))
     names = tuple(PORT_ENERGIES)
+    styles = (("-", 4.0), ("--", 2.6), (":", 2.0), ("-.", 1.2))
     for panel, part in ((axes[0], names[:3]), (axes[1], names[3:])):
-        for name, style in zip(part, ("-", "--", ":", "-."), strict=False):
-            panel.plot(session.t, session[name], style, lw=1.4, label=PORT_ENERGIES[name])
+        for name, (style, width) in zip(part, styles, strict=False):
+            least = f", least {session[name].min():z.3f} J" if panel is axes[1] else ""
+            label = f"{PORT_ENERGIES[name]}{least}"
+            panel.plot(session.t, session[name], style, lw=width, label=label)
         panel.axhline(0.0, color="0.6", lw=0.8)
         panel.set(xlabel="time [s]", ylabel="energy [J]")
         panel.legend(fontsize="small", frameon=False)
