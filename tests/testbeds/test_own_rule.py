@@ -109,7 +109,10 @@ def test_rules_that_fail_say_when():
             {"rule": Late()},
             r"rule.step failed at t = 100.0 s, with TSC = .*RuntimeError: out of data",
         ),
-        ({"rule": Hungry()}, r"missing 1 required .* 'r' \(it is called by keyword, as step"),
+        (
+            {"rule": Hungry()},
+            r"called as step\(tsc=…, p_r=…\), but is step\(tsc, p_r, r\): missing",
+        ),
         ({"rule": 3}, "rule must have a method step"),
         ({"rule": Relay(), "condition": "C3"}, "no effect beside rule="),
         ({"rule": Relay(), "thresholds": (0.0, 0.3)}, "no effect beside rule="),

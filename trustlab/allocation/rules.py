@@ -1,5 +1,6 @@
 """Rules that allocate control: thresholds of TSC (2.8), Algorithm 2, or a user's own."""
 
+import inspect
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
@@ -206,6 +207,7 @@ def prepared_rule(rule: object, mode: int | None) -> tuple[Any, int]:
             "rule must have a method step(tsc=…, p_r=…) that returns 1 (manual), 0 (autonomous) "
             f"or None (keep the mode), as ThresholdRule and PerformanceRule have; got {kind}"
         )
+    _check_arguments(rule)
     rule = deepcopy(rule)
     present = whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
     mode = present if mode is None else whole_number("mode", mode, least=0, most=1)
@@ -219,6 +221,20 @@ def prepared_rule(rule: object, mode: int | None) -> tuple[Any, int]:
     return rule, mode
 
 
+def _check_arguments(rule: Any) -> None:
+    """Refuse a rule that cannot be called as step(tsc=…, p_r=…)."""
+    try:
+        arguments = inspect.signature(rule.step)
+    except ValueError:  # compiled functions may not tell
+        return
+    try:
+        arguments.bind(tsc=0.0, p_r=0.0)
+    except TypeError as error:
+        raise ValueError(
+            f"rule.step is called as step(tsc=…, p_r=…), but is step{arguments}: {error}"
+        ) from None
+
+
 def decision(rule: Any, where: str, tsc: float, p_r: float) -> int | None:
     """
     Ask a rule for the mode, 1, 0 or None for the one that is on; `where` is the sample, for errors.
@@ -227,10 +243,7 @@ def decision(rule: Any, where: str, tsc: float, p_r: float) -> int | None:
     try:
         mode = rule.step(tsc=tsc, p_r=p_r)
     except Exception as error:
-        called = ""
-        if isinstance(error, TypeError):
-            called = " (it is called by keyword, as step(tsc=…, p_r=…))"
-        reason = f"{type(error).__name__}: {error}{called}"
+        reason = f"{type(error).__name__}: {error}"
         raise ValueError(f"rule.step failed {here}: {reason}") from error
     if mode is None:
         return None

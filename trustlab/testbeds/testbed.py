@@ -235,13 +235,36 @@ class ConditionTestbed:
         """
         operator, model, default = person_of(person)
         if condition in self.rules:
-            make = self.rules[condition]
-            rule = make(model) if inspect.signature(make).parameters else make()
+            rule = self.rule_of(condition, person)
             return self.run_rule(rule, operator, model, condition, seed)
         task, thresholds = deciding.task_for(
             condition, operator, model, None, default, self.e_max, self.laps
         )
         return self.result(task, operator, model, thresholds, condition, seed)
+
+    def rule_of(self, condition: str, person: Person) -> Any:
+        """
+        Return a new rule of a condition of one's own.
+
+        Parameters
+        ----------
+        condition : str
+            A name in `rules`.
+        person : mapping
+            As for `run`, for what makes a rule of the operator's model.
+
+        Raises
+        ------
+        ValueError
+            If what makes the rule fails, or makes what is none.
+        """
+        make = self.rules[condition]
+        try:
+            rule = make(person_of(person)[1]) if inspect.signature(make).parameters else make()
+            prepared_rule(rule, None)
+        except Exception as error:
+            raise ValueError(f"condition {condition!r}: {error}") from error
+        return rule
 
     def run_rule(
         self, rule: Any, operator: Operator, model: TscModel, condition: str, seed: Seed

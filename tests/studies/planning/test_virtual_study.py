@@ -398,6 +398,12 @@ def test_folders_of_others_are_refused(tmp_path):
 
 # --- refusals -------------------------------------------------------------------------------------
 
+
+class WithoutArguments:
+    def step(self):
+        return 1
+
+
 SQUARE = tl.studies.latin_square_design(["C1", "C2"], 4)
 
 
@@ -422,7 +428,14 @@ SQUARE = tl.studies.latin_square_design(["C1", "C2"], 4)
             {"n": 2, "conditions": ["C1", "C2"]},
             "n = 2 is too small for the design: .* 2 conditions needs 4",
         ),
-        ({"n": 13}, "13 participants do not fill whole squares"),
+        (
+            {"conditions": ["C1", ("mine", WithoutArguments)]},
+            r"condition 'mine': rule.step is called as step\(tsc=…, p_r=…\), but is step\(\)",
+        ),
+        (
+            {"conditions": ["C1", ("mine", lambda: 3)]},
+            "condition 'mine': rule must have a method step",
+        ),
         ({"n": 10.5}, "n must be a whole number"),
         ({"seed": -1}, "seed must be a whole number"),
         (

@@ -290,9 +290,8 @@ def virtual_study(
         Orders of conditions: a complete balanced Latin square drawn from the seed, or a design with
         its conditions and participants (numbered from 1).
     n : int, optional
-        Participants; they must fill whole squares, or, for an odd number of conditions, half of the
-        last one, which leaves carry-over unbalanced. As many as the dissertation's study invited,
-        or the next whole squares.
+        Participants; where they do not fill whole squares, a warning says how many would. As many
+        as the dissertation's study invited, or the next whole squares.
     conditions : sequence of str or (str, callable), optional
         C1 to C5 and the controls "own" and "random" of `run_condition` (ground robot, or a UAV that
         follows a leader), or M, MI, MMI, TMIG, TMIS, OMI (teleoperation of a UAV); those of the
@@ -328,15 +327,15 @@ def virtual_study(
     Raises
     ------
     ValueError
-        If a condition is unknown or of another testbed, n is too small or fills no whole squares,
-        or an argument would have no effect.
+        If a condition is unknown or of another testbed, a rule cannot be made or called, n is too
+        small, or an argument would have no effect.
 
     Warns
     -----
     CampaignWarning
         If participants' runs failed; they are listed in `.failures`.
     UserWarning
-        If the design leaves carry-over unbalanced, if sessions of C1 to C5 are too short for
+        If the design is not balanced, if sessions of C1 to C5 are too short for
         anybody to switch, or if nobody did.
 
     Examples
@@ -352,6 +351,9 @@ def virtual_study(
     bed, conditions = _fitting(testbed, _named(names, design), rules, laps)
     design = _designed(design, n, conditions, seed, bed.printed_n)
     people = bed.people(len(design.participants), assumptions, seed)
+    if isinstance(bed, ConditionTestbed):  # a rule is refused before anybody runs
+        for name in rules:
+            bed.rule_of(name, people.iloc[0].to_dict())
     folder = None if out is None else StudyFolder(out, design, flag("fresh", campaign.fresh))
     fixed = {"testbed": bed, "folder": folder and str(folder.sessions)}
     orders = [json.dumps(order) for order in design.table().to_numpy().tolist()]
@@ -509,7 +511,7 @@ def _designed(
             f"needs {participants_needed(k, 3)} participants"
         )
     if k % 2 == 0 or n % (2 * k) != k:
-        return latin_square_design(conditions, n, seed=seed)
+        return latin_square_design(conditions, n, seed=seed, whole_squares=False)
     # The first k orders of a square for odd k are a Latin square by themselves: every condition
     # once at every position.
     whole = latin_square_design(conditions, n + k, seed=seed)
