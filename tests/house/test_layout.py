@@ -18,12 +18,12 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 MOST_TOKENS = {
     "allocation": 40_500,
     "campaign": 11_000,
-    "identification": 45_200,  # aim: 42,500 (29)
+    "identification": 45_400,  # aim: 42,500 (29)
     "live": 38_700,  # aim: 21,000 (31)
     "models": 10_600,
     "operators": 3_700,
     "publishing": 6_700,  # aim: 4,000 (35)
-    "reproduction": 41_100,
+    "reproduction": 41_300,
     "ros": 8_500,  # aim: 6,000 (33)
     "sessions": 32_000,  # with encodings, and drafts that guess who drives and an even grid
     "studies": 57_400,  # with ordinal models; aim: 53,000 (32)

@@ -234,6 +234,10 @@ def test_what_a_short_log_leaves_open_is_left_to_the_prior():
     axes = posterior.plot()
     assert axes.shape == (3, 3)
     assert "synthetic" in axes[0, 0].figure.get_suptitle()
+    for panel, name in zip(axes.ravel(), MODEL, strict=False):
+        drawn = np.ptp(posterior.draws[name].quantile([0.01, 0.99]))
+        assert drawn > 0.1 * np.ptp(panel.get_xlim())  # no mere line
+    assert "prior: " in axes[1, 0].get_title()
     plt.close("all")
     narrower = tl.sample_posterior(session, prior="published").table()
     assert narrower.loc["human_beta", "sd"] < table.loc["human_beta", "sd"]

@@ -58,6 +58,9 @@ def test_what_was_corrected_is_recognised(anova, p, epsilon, reading):
     assert table["agrees"].all()
     assert {"anova.df1", "anova.df2", "anova.p"} <= set(table.index)
     # Oracle: the p of the reconstructed F at degrees of freedom with the reconstructed ε.
+    if reading.words.startswith("corrected p, uncorrected"):
+        uncorrected = stats.f.sf(float(anova["F"]), 3, 51)
+        assert f"uncorrected, p would be {uncorrected:.3f}".replace("be 0", "be ") in answer.message
     if reading.p and epsilon:
         e = table.loc["epsilon", "reconstructed"]
         expected = stats.f.sf(table.loc["anova.F", "reconstructed"], 3 * e, 51 * e)

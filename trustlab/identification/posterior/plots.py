@@ -15,6 +15,9 @@ LABELS = {
     "robot_p_max": "$P_{r,max}$",
 }
 
+# Share of the prior's range below which a posterior would be a mere line in it.
+NARROW = 0.15
+
 
 def plot_posterior(posterior):
     """Return the axes of `Posterior.plot`."""
@@ -29,6 +32,11 @@ def plot_posterior(posterior):
         panel.hist(
             posterior.draws[name], 30, density=True, color="C0", alpha=0.7, label="posterior"
         )
+        least, most = posterior.draws[name].quantile([0.01, 0.99])
+        if most - least < NARROW * (high - low):
+            panel.set_xlim(least - (most - least), most + (most - least))
+            panel.locator_params(axis="x", nbins=4)
+            panel.set_title(f"prior: {low:.3g} to {high:.3g}", fontsize="small")
         panel.set_xlabel(LABELS[name])
         panel.set_yticks([])
     panels[0].legend(fontsize="small")

@@ -19,7 +19,7 @@ from trustlab.reproduction.reconstruction.constraints import (
     select,
 )
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
-from trustlab.reproduction.reconstruction.readings import ONLY_P, fitting_epsilon
+from trustlab.reproduction.reconstruction.readings import ONLY_P, fitting_epsilon, uncorrected_p
 from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
 
 # How far inside the printed intervals solutions are sought, as shares of their half-widths, one
@@ -179,7 +179,11 @@ class Feasibility:
             doubtful = reading_of(self.study) == ONLY_P or "anova.p" in self.left_out
             if self.epsilon and doubtful:
                 low, high = self.epsilon
-                parts.append(f"A corrected p fits F with ε from {low:.3f} to {high:.3f}.")
+                uncorrected = f"{uncorrected_p(self.study):.3f}".removeprefix("0")
+                parts.append(
+                    f"A corrected p fits F with ε from {low:.3f} to {high:.3f}; uncorrected, p "
+                    f"would be {uncorrected}."
+                )
         return " ".join(parts)
 
     def _contradictions(self) -> list[str]:

@@ -63,6 +63,12 @@ def _too_many_degrees(study: PublishedStudy) -> bool:
     return any(low > limits[name] for name, low in printed.items())
 
 
+def uncorrected_p(study: PublishedStudy) -> float:
+    """Return the p of the printed F without any correction."""
+    f_ratio = float(np.maximum(printed_interval(study.anova["F"]), 0.0).mean())
+    return float(special.fdtrc(study.k - 1, (study.k - 1) * (study.n - 1), f_ratio))
+
+
 def fitting_epsilon(study: PublishedStudy) -> tuple[float, float] | None:
     """
     Return the least and greatest ε with which p, corrected, fits F; None where none does.
