@@ -183,7 +183,8 @@ def optimum():
 
 def trust():
     """Return parameters of a model of trust, fitted to people of a public study."""
-    return tl.fit_trust(tl.read_people("hybrid_vr"), "asymmetric").table()
+    fit = tl.fit_trust(tl.read_people("hybrid_vr"), "asymmetric")
+    return fit.table()[["parameter", "estimate"]]
 
 
 def simulated_study(testbed, n, conditions):

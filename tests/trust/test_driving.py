@@ -1,5 +1,7 @@
 """Models of trust that drive loops and teams: their course on the performance that was logged."""
 
+from dataclasses import dataclass
+
 import networkx as nx
 import numpy as np
 import pytest
@@ -98,3 +100,21 @@ def test_a_trial_without_anything_to_judge_by_is_none():
 def test_a_team_names_a_model_that_is_none():
     with pytest.raises(ValueError, match=r"trust must be.*TrustInLoop"):
         tl.simulate_team(CHAIN, trust="asymmetric")
+
+
+@dataclass(frozen=True)
+class Half(tl.trust.LinearTrust):
+    """A model as a user writes one: trust goes half the way to the performance."""
+
+    def transition(self, event):
+        return 0.5, 0.5 * np.asarray(event.p_r)
+
+
+def test_a_model_of_ones_own_drives_loops_and_teams():
+    course = TrustCourse(tl.trust.TrustInLoop(Half(), every=0.1, start=0.2), 0.1)
+    assert [course.step(p) for p in (1.0, 0.0)] == pytest.approx([0.6, 0.3], abs=1e-14)
+    run = tl.TeleoperationLoop("TMIG", trust=tl.trust.TrustInLoop(Half(), every=0.5)).run(2.0)
+    assert np.ptp(run["trust_hr"]) > 0.01
+    team = tl.simulate_team(CHAIN, trust=Half(), duration=3.0, seed=0)
+    assert team.facts["trust"] == "Half"
+    assert np.ptp(team.trust, axis=0).max() > 0.01

@@ -227,7 +227,7 @@ class TeamLoop:
             driver = of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trust.MODELS")
         self._courses = _courses(driver, len(self.robots), max(DECISION, self._T))
         self._share = np.full(len(self.robots), driver.start if driver else 0.5)
-        self._title_of_trust = driver.model.title if driver else "(4.1)"
+        self._title_of_trust = driver.model.name if driver else "(4.1)"
         plan = _plan(
             self._graphs,
             self._settings,

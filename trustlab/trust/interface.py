@@ -210,6 +210,11 @@ class TrustDynamics:
 
     title: ClassVar[str] = ""
 
+    @property
+    def name(self) -> str:
+        """Its title, or the name of its class."""
+        return self.title or type(self).__name__
+
     @classmethod
     def parameters(cls) -> dict[str, tuple[float, float, float]]:
         """Return default, least and greatest value of every fitted parameter."""

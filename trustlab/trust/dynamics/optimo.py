@@ -109,9 +109,10 @@ class GridTrust(TrustDynamics):
         sd = column(self.rating_sd, len(belief.weights))[:, None]
         error = (np.asarray(rating, dtype=float)[:, None] - CENTRES) / sd
         exponent = np.nan_to_num(-0.5 * np.square(error), nan=0.0)
-        with np.errstate(divide="ignore"):
+        # Where every bin has lost its probability, so has the rating: NaN, which costs the most.
+        with np.errstate(divide="ignore", invalid="ignore"):
             logs = np.log(belief.weights) + exponent
-        weights = np.exp(logs - logs.max(axis=1, keepdims=True))
+            weights = np.exp(logs - logs.max(axis=1, keepdims=True))
         return Grid(weights / weights.sum(axis=1, keepdims=True), belief.before)
 
     def rating(self, belief: Grid) -> GridRating:
