@@ -21,6 +21,7 @@ from latex2mathml.converter import convert
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.transforms import SphinxTransform
+from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 from sphinx.writers.html5 import HTML5Translator
 
@@ -33,6 +34,7 @@ EQUATIONS = tomllib.loads(PRINTED.read_text(encoding="utf-8"))
 BETWEEN_EQUATIONS = re.compile(r"(?<=,)\s*\\quad\s")
 # (2.3), report 03, or Table 03-1.
 NUMBER = re.compile(r"(\((?:\d|A)\.\d+\)|\b[Rr]eport \d\d\b|\b(?:Figure|Table) \d\d-\d+\b)")
+LABEL = re.compile(r"(?:Figure|Table) (\d\d)-\d+")
 STUDIES = {"uav": "UAV study", "teleop": "teleoperation study"}
 REPORT = re.compile(r"\d\d_")
 FINDER = ROOT / "notebooks" / "finder.csv"
@@ -236,16 +238,21 @@ def visit_equation(translator, node: nodes.math_block) -> None:
 
 
 def link_names(app: Sphinx, doctree: nodes.document, docname: str) -> None:
-    """Make numbers of equations, reports, and figures and tables of reports in text links."""
+    """
+    Make numbers of equations, reports, and figures and tables of reports in text links; a figure or
+    table that a report with others does not have is a warning, which fails the book.
+    """
     if docname == EQUATIONS_PAGE:
         return
     page = app.builder.get_relative_uri(docname, EQUATIONS_PAGE)
     places = {f"({number})": f"{page}#{equation_id(number)}" for number in EQUATIONS}
+    numbered = set()
     for report in filter(REPORT.match, app.env.found_docs):
         uri = app.builder.get_relative_uri(docname, report)
         if report != docname:
             places[f"report {report[:2]}"] = uri
         for kind, numbers in app.env.toc_fignumbers.get(report, {}).items():
+            numbered.add(report[:2])
             for anchor, (number,) in numbers.items():
                 places[f"{kind.capitalize()} {number}"] = f"{uri}#{anchor}"
     for text in list(doctree.findall(nodes.Text)):
@@ -255,6 +262,11 @@ def link_names(app: Sphinx, doctree: nodes.document, docname: str) -> None:
         new: list[nodes.Node] = []
         for part in filter(None, parts):
             place = places.get(part.replace("Report", "report"))
+            cited = LABEL.fullmatch(part)
+            if cited and not place and cited[1] in numbered:
+                logging.getLogger(__name__).warning(
+                    "%s is cited, which report %s does not have", part, cited[1], location=docname
+                )
             new.append(
                 nodes.reference("", part, refuri=place, internal=True)
                 if place

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -111,6 +112,17 @@ def test_a_report_has_its_answer_figures_tables_and_origin(world):
     provenance = re.sub("<[^>]*>", "", text[text.index('id="provenance"') :])
     for words in ("not a git checkout", "data/published/equations.toml", "Parameter seed", "numba"):
         assert words in provenance
+
+
+def test_a_table_that_is_cited_exists(world, tmp_path, capfd):
+    root = tmp_path / "tree"
+    shutil.copytree(world[0], root, symlinks=True)
+    chapter = root / "docs" / "03_plain.ipynb"
+    chapter.write_text(chapter.read_text().replace("Words.", "See Table 01-9 and Figure 02-9."))
+    assert not write_book(root)
+    said = capfd.readouterr().err
+    assert "Table 01-9 is cited, which report 01 does not have" in said
+    assert "Figure 02-9" not in said  # 02 failed, and has no figures at all
 
 
 def test_no_path_of_this_machine_is_in_a_report(world):
