@@ -436,5 +436,5 @@ def test_partial_pooling_finds_how_people_differ():
     assert spread["gain"] < 0.35
     rate = np.log(fit.people_table()["a"])
     assert np.corrcoef(rate, truth[:, names.index("a")])[0, 1] > 0.8
-    pooled = fitted(drawn, model, "performance")
+    pooled = fitted(drawn, model)
     assert fit.log_likelihood > pooled.log_likelihood + 50.0

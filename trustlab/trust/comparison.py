@@ -175,15 +175,15 @@ def compare_trust_models(
     splits: dict[str, list] = {"people": [], "last third": []}
     for name, model in chosen.items():
         # Where all people are fitted best is a good place to start from, and nothing more.
-        start = fitted(panel, model, name, free=free).centre
+        start = fitted(panel, model, free=free).centre
         parts = []
         for group in groups:
             rest = panel.of(np.setdiff1d(order, group))
-            fit = fitted(rest, model, name, free=free, start=start)
+            fit = fitted(rest, model, free=free, start=start)
             parts.append(_scores(fit.model, fit.link, panel.of(group), 0))
         splits["people"].append(pd.concat(parts).assign(split="people", model=name))
         if later < panel.trials:
-            fit = fitted(panel, model, name, free=free, until=later, start=start)
+            fit = fitted(panel, model, free=free, until=later, start=start)
             scores = _scores(fit.model, fit.link, panel, later)
             splits["last third"].append(scores.assign(split="last third", model=name))
     tables = [table for split in splits.values() for table in split]
@@ -257,13 +257,13 @@ def recover_trust_models(
     n = whole_number("n", n)
     names = list(chosen)
     shares = pd.DataFrame(0.0, index=pd.Index(names, name="simulated"), columns=names)
-    fits = {name: fitted(panel, model, name) for name, model in chosen.items()}
+    fits = {name: fitted(panel, model) for name, model in chosen.items()}
     for (name, truth), stream in zip(fits.items(), spawned(seed, len(names)), strict=True):
         for child in stream.spawn(n):
             drawn = simulate_ratings(truth.model, panel, np.random.default_rng(child))
             # The search starts where people are fitted best.
             bic = {
-                candidate: fitted(drawn, chosen[candidate], candidate, start=fit.centre).bic
+                candidate: fitted(drawn, chosen[candidate], start=fit.centre).bic
                 for candidate, fit in fits.items()
             }
             shares.loc[name, min(bic, key=bic.__getitem__)] += 1.0 / n

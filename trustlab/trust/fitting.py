@@ -46,8 +46,6 @@ class TrustFit:
     ----------
     model : TrustDynamics
         The model; with pooling "none" or "partial" its parameters are arrays with a row per person.
-    name : str
-        Its name.
     pooling : {"full", "partial", "none"}
         Who shares parameters.
     panel : Panel
@@ -67,7 +65,6 @@ class TrustFit:
     """
 
     model: TrustDynamics
-    name: str
     pooling: str
     panel: Panel
     criterion: str
@@ -214,15 +211,12 @@ def fit_trust(
     of_class("panel", panel, Panel, "tl.read_people(…) reads one")
     one_of("pooling", pooling, ("full", "partial", "none"))
     one_of("criterion", criterion, CRITERIA)
-    chosen = model_class(model)
-    name = model if isinstance(model, str) else chosen.__name__
-    return fitted(panel, chosen, name, pooling, free=criterion == "free")
+    return fitted(panel, model_class(model), pooling, free=criterion == "free")
 
 
 def fitted(
     panel: Panel,
     chosen: type[TrustDynamics],
-    name: str,
     pooling: str = "full",
     *,
     free: bool = False,
@@ -243,7 +237,6 @@ def fitted(
     model = with_parameters(chosen, coordinates)
     return TrustFit(
         model=model,
-        name=name,
         pooling=pooling,
         panel=panel,
         criterion="free" if free else "step",

@@ -45,8 +45,8 @@ def profile_ends(losses: Losses, centre: np.ndarray, people: np.ndarray) -> np.n
     Return the ends of 95 % intervals of pooled coordinates, shape (2, parameters).
 
     At an end the log-likelihood, with all other coordinates at their best, is 1.92 less than at the
-    centre. An end is infinite where a parameter reaches its bound before, and NaN where the search
-    did not settle.
+    centre: D. J. Venzon, S. H. Moolgavkar, Applied Statistics 37(1), 1988. An end is infinite where
+    a parameter reaches its bound before, and NaN where the search did not settle.
     """
     # Every end is searched like a person whose coordinates are all free but one.
     place = np.tile(np.arange(centre.size), 2)
@@ -58,11 +58,12 @@ def profile_ends(losses: Losses, centre: np.ndarray, people: np.ndarray) -> np.n
         return _total(losses, x, people)
 
     least, _, curvature = derivatives(total, centre[None], place[:1])
-    left = np.linalg.inv(definite(curvature[0]))
-    distance = np.minimum(FALL * np.sqrt(np.diag(left)), 1.0)[place]
+    covariance = np.linalg.inv(definite(curvature[0]))
+    variance = np.diag(covariance)
+    distance = np.minimum(FALL * np.sqrt(variance), 1.0)[place]
     # How the others change with a coordinate while the loss is quadratic; those that it leaves open
     # stay about where they are.
-    along = (left / np.diag(left)).T[place] * distance[:, None]
+    along = (covariance / variance).T[place] * distance[:, None]
     along = np.clip(along, -1.0, 1.0) / distance[:, None]
     ends = np.full(place.size, np.nan)
     x = np.tile(centre, (place.size, 1))
@@ -71,17 +72,15 @@ def profile_ends(losses: Losses, centre: np.ndarray, people: np.ndarray) -> np.n
     reached = np.zeros(place.size)
     for _ in range(ROUNDS):
         at = np.clip(centre[place] + side * distance, -EDGE, EDGE)[rows]
-        x[rows] += (at - x[rows, place[rows]])[:, None] * along[rows]
+        change = at - x[rows, place[rows]]
+        x[rows] += change[:, None] * along[rows]
         moved, *_ = newton_step(total, x[rows], rows, x[rows], spread[rows])
         x[rows] = np.clip(moved, -EDGE, EDGE)
         fall = np.sqrt(2.0 * np.maximum(total(x[rows], rows) - least, 1e-12))
         settled = np.abs(fall - before[rows]) < NEAR
         beyond = settled & (np.abs(at) == EDGE) & (fall < FALL)
         ends[rows] = np.where(beyond, np.inf * side[rows], at)
-        # The fall is a power of the distance: a straight line, or steeper where a bound is left.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            power = np.log(fall / before[rows]) / np.log(distance[rows] / reached[rows])
-        power = np.where(np.isfinite(power), np.clip(power, 1.0, 20.0), 1.0)
+        power = _power(fall, before[rows], distance[rows], reached[rows])
         before[rows] = fall
         reached[rows] = distance[rows]
         distance[rows] *= np.clip((FALL / fall) ** (1.0 / power), 0.5, 2.0)
@@ -92,6 +91,17 @@ def profile_ends(losses: Losses, centre: np.ndarray, people: np.ndarray) -> np.n
     # Towards a bound the likelihood may level off before it has fallen enough.
     ends[rows] = np.where(before[rows] < FALL, np.inf * side[rows], np.nan)
     return ends.reshape(2, centre.size)
+
+
+def _power(fall, fall_before, distance, distance_before) -> np.ndarray:
+    """
+    Return the power of the distance that a fall is by its last two values.
+
+    It is 1 where the loss is quadratic, and more where a parameter leaves its bound.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        power = np.log(fall / fall_before) / np.log(distance / distance_before)
+    return np.where(np.isfinite(power), np.clip(power, 1.0, 20.0), 1.0)
 
 
 def derivatives(losses: Losses, x: np.ndarray, people: np.ndarray):
