@@ -348,7 +348,7 @@ TRUTH = {
 @pytest.mark.parametrize("name", TRUTH)
 def test_parameters_return_from_simulations(name):
     """Every parameter that the data determine lies within twice its interval."""
-    people = 12 if name == "optimo" else 60
+    people = 12 if name == "optimo" else 40
     truth = MODELS[name](**TRUTH[name])
     drawn = tl.trust.simulate_ratings(
         truth, panel(people, seed=3, resolution=0.01), np.random.default_rng(4)

@@ -74,8 +74,11 @@ def profile_ends(losses: Losses, centre: np.ndarray, people: np.ndarray) -> np.n
         at = np.clip(centre[place] + side * distance, -EDGE, EDGE)[rows]
         change = at - x[rows, place[rows]]
         x[rows] += change[:, None] * along[rows]
-        moved, *_ = newton_step(total, x[rows], rows, x[rows], spread[rows])
-        x[rows] = np.clip(moved, -EDGE, EDGE)
+        for _ in range(4):
+            stepped, _, moved = newton_step(total, x[rows], rows, x[rows], spread[rows])
+            x[rows] = np.clip(stepped, -EDGE, EDGE)
+            if moved < 0.05:
+                break
         fall = np.sqrt(2.0 * np.maximum(total(x[rows], rows) - least, 1e-12))
         settled = np.abs(fall - before[rows]) < NEAR
         beyond = settled & (np.abs(at) == EDGE) & (fall < FALL)
