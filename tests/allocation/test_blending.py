@@ -118,3 +118,9 @@ def test_bad_states_are_refused(name, bad):
     now = dict.fromkeys(("u_h", "u_a", "e", "rate", "acceleration"), ZERO) | {name: bad}
     with pytest.raises(ValueError, match=f"{name} must "):
         OptimalBlending().step(**now)
+
+
+@pytest.mark.parametrize("alpha", [-0.5, 1.5])
+def test_a_cost_outside_the_range_of_alpha_is_refused(alpha):
+    with pytest.raises(ValueError, match="alpha must lie in"):
+        OptimalBlending().cost(alpha, *situation(0))
