@@ -102,7 +102,7 @@ def test_performance_is_known_by_its_name_and_unit(tmp_path):
     log = tmp_path / "run.csv"
     log.write_text(
         "t_ms,driver,robot_perf_pct,operator_performance [%]\n"
-        + "".join(f"{100 * k},{'human' if k < 5 else 'robot'},{40 + k},61.5\n" for k in range(10))
+        + "".join(f"{100 * k},{'op' if k < 5 else 'auto'},{40 + k},61.5\n" for k in range(10))
     )
     recipe = tl.draft_recipe(log, tmp_path / "lab.toml")
     session = tl.read_session(log, recipe)

@@ -36,7 +36,7 @@ NAMES = {
 }
 # How labs write a unit at the end of a name, beside ours.
 SPELLINGS = {name: name for name in UNITS} | {"pct": "%", "percent": "%", "perc": "%"}
-MANUAL = r"(?i)(manu\w+|human|mensch|person|operator|user|teleop\w*|hand|on|true)"
+MANUAL = r"(?i)(manu\w+|human|mensch|person|op(erator)?|user|teleop\w*|hand|on|true)"
 AUTONOMOUS = r"(?i)(auto\w*|robot\w*|machine|controller|off|false)"
 STEPS = {"s": 5.0, "ms": 5e3, "us": 5e6}  # the longest step between rows that looks like the unit
 
