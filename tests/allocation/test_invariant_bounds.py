@@ -105,6 +105,17 @@ def test_they_enclose_the_cycle_and_tighten_with_more_cells(random_model):
         assert fine.r_high - fine.r_low <= (coarse.r_high - coarse.r_low) * 1.001
 
 
+def test_bounds_of_tsc_are_near_the_cycles(operators):
+    """For the printed people and thresholds, within 0.01 of what the steady cycle reaches."""
+    table = tl.published_table("2.2")
+    for who in "12345":
+        thresholds = table.loc[["TSC_l", "TSC_u"], who].astype(float)
+        bounds = tl.invariant_bounds(operators[who], *thresholds)
+        cycle = tl.limit_cycle(operators[who], *thresholds, starts=1)
+        assert cycle.tsc_low - 0.01 < bounds.tsc_low <= cycle.tsc_low
+        assert cycle.tsc_high <= bounds.tsc_high < cycle.tsc_high + 0.01
+
+
 def test_the_check_catches_bounds_that_are_too_narrow(random_model):
     # Negative control: the cycle's own range of r, taken as a bound, is left by other trajectories'
     # transients.
