@@ -274,7 +274,7 @@ def _resampling(unit: str, values: pd.Series) -> list[str]:
         return []
     steps = values.diff().dropna()
     step = float(steps.median())
-    if not step > 0.0 or ((steps - step).abs() <= 0.01 * step).all():
+    if not step > 0.0 or ((steps - step).abs() < 0.01 * step).all():
         return []
     grid = f"sample_time = {step * UNITS[unit][1]:.3g}   # s; stamps are not even"
     return ["[resampling]", 'method = "linear"', grid, ""]
