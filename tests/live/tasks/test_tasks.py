@@ -405,3 +405,32 @@ def test_every_task_has_what_the_protocol_asks_for():
         assert len(protocol.conditions) > 1
         assert protocol.reported
         assert isinstance(protocol.settings().as_json(), dict)
+
+
+# another model of trust
+# --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("task", "column"), [("team", "trust_1"), ("teleoperation", "trust_hr")])
+def test_another_model_of_trust_drives_and_is_replayed(tmp_path, task, column):
+    """Its trust stays over a trial of half a second, ten rows; the printed one changes in each."""
+    beta = tl.trust.MODELS["beta"](success=2.0, failure=3.0)
+    conditions = list(task_named(task).conditions[:2])
+    courses = {}
+    for name, trust in (("printed", None), ("beta", tl.trust.TrustInLoop(beta, every=0.5))):
+        plan = planned(tmp_path / name, task, conditions, rehearsal=True, trust=trust)
+        plan.rehearse(1)
+        study = tl.read_live_study(plan.folder)
+        assert study.measures["verified"].all()
+        assert study.faults().empty
+        courses[name] = study.sessions()[0][column]
+    changes = {name: np.flatnonzero(np.diff(course)) for name, course in courses.items()}
+    assert len(changes["beta"]) > 0
+    assert set(np.diff(changes["beta"]) % 10) <= {0}
+    assert len(changes["printed"]) > 2 * len(changes["beta"])
+    with pytest.raises(ValueError, match="cannot be replayed from a study's plan"):
+        planned(tmp_path / "own", task, conditions, trust=Own())
+
+
+class Own(tl.trust.TrustDynamics):
+    """A model of one's own, which a plan cannot hold."""

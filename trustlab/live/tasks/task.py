@@ -7,14 +7,17 @@ commands of its rows it must give the same bits.
 """
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib import import_module
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import one_of, shown
+from trustlab.models.checks import of_class, one_of, shown
 from trustlab.sessions.session import Metadata, Session
+from trustlab.trust.driving import TrustInLoop
+from trustlab.trust.dynamics import MODELS
 
 TASKS = ("ground_robot", "teleoperation", "team")
 """Names of the tasks; each is `TASK` of the module of that name beside this one."""
@@ -23,6 +26,33 @@ PERIOD = 0.05
 """How long a command holds in tasks that the server computes [s]."""
 
 LEAST_ROWS = 2
+
+
+def trust_as_json(trust: Any) -> dict[str, Any] | None:
+    """
+    Return a model of trust that drives as plain values for `study.json`; None for the printed one.
+    """
+    if trust is None:
+        return None
+    driver = of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trustlab.trust.MODELS")
+    names = {kind: name for name, kind in MODELS.items()}
+    if type(driver.model) not in names:
+        raise ValueError(
+            f"trust must be one of trustlab.trust.MODELS ({', '.join(MODELS)}), got "
+            f"{type(driver.model).__name__}: what is not in the package cannot be replayed from a "
+            "study's plan"
+        )
+    values = asdict(driver)
+    return values | {"model": names[type(driver.model)], "parameters": values["model"]}
+
+
+def trust_of(content: Mapping[str, Any]) -> TrustInLoop | None:
+    """Return the model of trust that a plan or a configuration holds."""
+    stored = content.get("trust")
+    if stored is None:
+        return None
+    model = MODELS[stored["model"]](**stored["parameters"])
+    return TrustInLoop(model, stored["every"], stored["start"])
 
 
 class LiveRun(Protocol):

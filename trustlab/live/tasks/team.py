@@ -1,12 +1,12 @@
 """A team as a live task: one person leads it to goals through whichever robot leads."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
 
-from trustlab.live.tasks.task import PERIOD, LiveTask
+from trustlab.live.tasks.task import PERIOD, LiveTask, trust_as_json, trust_of
 from trustlab.models.checks import between, positive, whole_number
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.team.leader_policies import POLICIES, TeamSituation
@@ -79,6 +79,9 @@ class LeadingSettings:
     tolerance : float
         How near to a goal all robots must be [m].
 
+    trust : TrustDynamics or TrustInLoop, optional
+        One of `trustlab.trust.MODELS` in place of (4.1).
+
     Raises
     ------
     ValueError
@@ -97,10 +100,12 @@ class LeadingSettings:
     training: float = 60.0
     min_dwell: float = 5.0
     tolerance: float = 0.4
+    trust: Any = None
 
     def __post_init__(self):
         whole_number("robots", self.robots, least=3, most=6)
         whole_number("goals", self.goals, most=20)
+        trust_as_json(self.trust)
         between("duration", self.duration, 1.0, 3600.0)
         between("training", self.training, 1.0, 3600.0)
         between("min_dwell", self.min_dwell, 1.0, 60.0)
@@ -108,7 +113,8 @@ class LeadingSettings:
 
     def as_json(self) -> dict[str, Any]:
         """Return the settings as plain values for `study.json`."""
-        return asdict(self)
+        plain = {each.name: getattr(self, each.name) for each in fields(self)}
+        return plain | {"trust": trust_as_json(self.trust)}
 
 
 def ring(count: int) -> np.ndarray:
@@ -171,6 +177,7 @@ class LeadingRun:
             TeamOperator(guarded=False),
             settings,
             TeamTrial(SAMPLE_TIME, start=np.array(config["start"])),
+            trust=trust_of(config),
         )
         self.periods = self.reached = self.leader = 0
         self.hand = (0.0, 0.0)
@@ -296,6 +303,7 @@ class TeamTask(LiveTask):
             "gains": gains_of(count),
             "min_dwell": content["min_dwell"],
             "tolerance": content["tolerance"],
+            "trust": content.get("trust"),
             "seed": seed,
             "sample_time": PERIOD,
             "samples": round(duration / PERIOD),

@@ -1,13 +1,13 @@
 """Shared teleoperation as a live task: a UAV after its target, under the schemes of Chapter 3."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
 
 from trustlab.live.flight import UNBOUNDED, Flight
-from trustlab.live.tasks.task import PERIOD, LiveTask
+from trustlab.live.tasks.task import PERIOD, LiveTask, trust_as_json, trust_of
 from trustlab.models.checks import between, one_of
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Session
@@ -52,6 +52,9 @@ class TeleoperationSettings:
     guidance : {"at_operator", "through_channel", "tank", "two_port"}
         How the guiding force reaches the device.
 
+    trust : TrustDynamics or TrustInLoop, optional
+        One of `trustlab.trust.MODELS` in place of (3.2).
+
     Raises
     ------
     ValueError
@@ -68,15 +71,18 @@ class TeleoperationSettings:
     training: float = 60.0
     study: str = "main"
     guidance: str = "at_operator"
+    trust: Any = None
 
     def __post_init__(self):
         one_of("study", self.study, TASKS)
+        trust_as_json(self.trust)
         between("duration", self.duration, 1.0, 3600.0)
         between("training", self.training, 1.0, 3600.0)
 
     def as_json(self) -> dict[str, Any]:
         """Return the settings as plain values for `study.json`."""
-        return asdict(self)
+        plain = {each.name: getattr(self, each.name) for each in fields(self)}
+        return plain | {"trust": trust_as_json(self.trust)}
 
 
 class LiveFlight:
@@ -86,6 +92,7 @@ class LiveFlight:
         task = TASKS[config["study"]]
         operator = Teleoperator("live", reach=REACH[config["study"]], noise=0.0)
         arguments = {name: config[name] for name in ("scheme", "study", "guidance", "seed")}
+        arguments["trust"] = trust_of(config)
         self.flight = Flight({**arguments, "operator": operator, "task": task})
         self.samples = config["samples"]
         self.periods = 0
@@ -168,6 +175,7 @@ class TeleoperationTask(LiveTask):
             "allocates": scheme == "MMI",
             "study": content["study"],
             "guidance": content["guidance"],
+            "trust": content.get("trust"),
             "seed": seed,
             "sample_time": PERIOD,
             "samples": round(duration / PERIOD),
