@@ -3,6 +3,9 @@ Noise of live drives. Oracles: SplitMix64 in Python's whole numbers, numpy's gen
 Kolmogorov–Smirnov test.
 """
 
+import subprocess
+import sys
+
 import numba
 import numpy as np
 import pytest
@@ -74,3 +77,17 @@ def test_logarithm():
     ]:
         exact = np.log(np.longdouble(x))
         assert abs(np.longdouble(logarithm(x)) - exact) <= 1.5 * np.spacing(abs(float(exact)))
+
+
+def test_sources_answer_whatever_was_compiled_before():
+    """In a process of its own, which has compiled something else first."""
+    code = (
+        "import numba, numpy as np\n"
+        "numba.njit(lambda x: x + 1)(1)\n"
+        "from trustlab.live.noise import HASHED\n"
+        "source = np.zeros(1, HASHED)[0]\n"
+        "print(numba.njit(lambda s: s.random() + s.standard_normal())(source))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-500:]
+    assert np.isfinite(float(done.stdout))

@@ -64,16 +64,17 @@ def normal(source):
 
 
 # Within compiled steps, a record of HASHED answers to the two methods of numpy's generators that
-# they call.
+# they call. For this processor, target="cpu", and not any: numba then asks here before it looks for
+# a field of that name, whatever was compiled before this module was imported.
 def _is_source(record):
     return set(record.fields) == set(HASHED.names)
 
 
-@overload_method(types.Record, "random")
+@overload_method(types.Record, "random", target="cpu")
 def _random(source):
     return (lambda source: uniform(source)) if _is_source(source) else None
 
 
-@overload_method(types.Record, "standard_normal")
+@overload_method(types.Record, "standard_normal", target="cpu")
 def _standard_normal(source):
     return (lambda source: normal(source)) if _is_source(source) else None
