@@ -14,6 +14,7 @@ import pytest
 import trustlab as tl
 from trustlab.live.build import STATIC
 from trustlab.live.runs import drive_config, driven
+from trustlab.live.tasks.task import task_named
 
 HERE = Path(__file__).with_name("javascript")
 NODE = shutil.which("node")
@@ -35,7 +36,30 @@ def modules(tmp_path_factory):
     rows, _ = driven(config, commands)
     drive = {"config": config, "commands": commands.tolist(), "rows": rows.tolist()}
     (folder / "drive.json").write_text(json.dumps(drive))
+    (folder / "flight.json").write_text(json.dumps(flight()))
     return folder
+
+
+def flight():
+    """A flight by numba, with what a page would draw."""
+    task = task_named("teleoperation")
+    config = task.config(task.settings(duration=5.0).as_json(), "TMIG", {}, seed=3)
+    run = task.begin(config)
+    t = 0.05 * np.arange(config["samples"])
+    commands = np.column_stack([np.sin(t), 0.5 * np.cos(2 * t), np.full(len(t), -1.0)]).tolist()
+    rows, pictures = [], []
+    shown = ("target", "robot", "device", "force", "guide")
+    for command in commands:
+        rows.append(run.step(*command))
+        pictures.append({name: run.picture()[name] for name in shown})
+    config["words"] = {"diverged": "too far"}
+    return {
+        "config": config,
+        "memory": task.memory(config),
+        "commands": commands,
+        "rows": rows,
+        "pictures": pictures,
+    }
 
 
 @pytest.mark.skipif(ESLINT is None, reason="needs eslint: npm ci --prefix tests/live/javascript")
@@ -53,7 +77,7 @@ def test_modules_are_linted(modules):
 
 
 @pytest.mark.skipif(NODE is None, reason="needs node: apt-get install nodejs")
-@pytest.mark.parametrize("name", ["physics", "hands", "view"])
+@pytest.mark.parametrize("name", ["physics", "hands", "view", "flight"])
 def test_modules_in_node(modules, name):
     done = subprocess.run(
         [NODE, "--test", f"{name}.test.js"], cwd=modules, capture_output=True, text=True

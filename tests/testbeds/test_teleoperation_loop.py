@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
+from trustlab.models.portable import exponential
 from trustlab.teleoperation import SCHEMES, STUDIES, Delay, PartError, packet_delay
 from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds import tracking_vehicle
@@ -29,13 +30,12 @@ def tmig(state):
 
 
 def tmig_as_built_in(state):
-    """The same by tanh, as the package computes it."""
-    low, high = (
-        0.5 * (1.0 - np.tanh(5.0 * (state.trust_hr - 0.5))),
-        0.5 * (1.0 - np.tanh(5.0 * (state.trust_rh - 0.5))),
+    """The same by the exponential that the package computes it with."""
+    alpha, beta = state.alpha_max - state.alpha_min, state.beta_max - state.beta_min
+    return (
+        state.alpha_min + alpha / (1.0 + exponential(10.0 * (state.trust_hr - 0.5))),
+        state.beta_min + beta / (1.0 + exponential(10.0 * (state.trust_rh - 0.5))),
     )
-    alpha = state.alpha_min + (state.alpha_max - state.alpha_min) * low
-    return alpha, state.beta_min + (state.beta_max - state.beta_min) * high
 
 
 def columns(session, stem):

@@ -25,16 +25,18 @@ APPENDIX_A = (
 
 
 @njit
-def best_share(weights, states, low, high):
+def best_share(weights, states, low, high, series, slope):
     """
     Return the α in [low, high] of least cost and that cost.
 
     weights, shape (3, DEGREE + 1, 5, 5): the cost's matrices as Chebyshev series in α over [0, 1],
     per axis. states, shape (3, 5): command of the operator and of the controller, error, its first
-    and second derivative, per axis.
+    and second derivative, per axis. series, slope, shapes (DEGREE + 1,) and (DEGREE + 2,): room for
+    the cost as a series and its derivative, as nothing can be allocated in a browser.
     """
     terms = weights.shape[1]
-    series = np.zeros(terms)
+    series[:] = 0.0
+    slope[:] = 0.0
     for axis in range(3):
         for i in range(5):
             for j in range(i + 1):  # the matrices are symmetric
@@ -44,7 +46,6 @@ def best_share(weights, states, low, high):
                         series[m] += pair * weights[axis, m, i, j]
     # derivative in x = 2α − 1, and its value at many points: every change of sign is followed to
     # its root
-    slope = np.zeros(terms + 1)
     for m in range(terms - 1, 0, -1):
         slope[m - 1] = slope[m + 1] + 2.0 * m * series[m]
     slope[0] *= 0.5
@@ -288,7 +289,8 @@ class OptimalBlending:
             If an argument is not three finite numbers.
         """
         states = self._states(u_h, u_a, e, rate, acceleration)
-        alpha, cost = best_share(self.weights, states, self.alpha_min, self.alpha_max)
+        room = np.empty(DEGREE + 1), np.empty(DEGREE + 2)
+        alpha, cost = best_share(self.weights, states, self.alpha_min, self.alpha_max, *room)
         constant = BlendingStep(
             alpha, cost, (alpha,), "global minimum for a share held over the horizon"
         )

@@ -132,7 +132,7 @@ class Attempt:
             for entry in new:
                 self._take(entry)
             rows = {"rows": list(self.rows)} if "begin" in message else {}
-            seen = {"picture": self.served.picture()} if "commands" in self.config else {}
+            seen = {"picture": self.served.picture()} if self.config.get("served") else {}
             return {"have": len(self.rows), **rows, **seen}
 
     @property
@@ -156,7 +156,7 @@ class Attempt:
         rows = message.get("rows", [])
         for row in rows:
             check_row(self.config, row)
-        if "commands" in self.config:
+        if self.config.get("served"):
             rows = self.served.complete(rows)
         new = []
         for row in rows:

@@ -1,5 +1,6 @@
 """
-`python -m trustlab.live.build`: numba's LLVM IR of a tick, compiled to WebAssembly for browsers.
+`python -m trustlab.live.build`: numba's LLVM IR of a tick of the ground robot, and of a period of a
+flight, compiled to WebAssembly for browsers.
 
 The bits are the same because both come from one IR whose arithmetic IEEE 754 fixes: no library
 functions, no contraction to fused multiply-adds, no vectors. Needs llvmlite (numba's own
@@ -67,30 +68,50 @@ def sources_digest() -> str:
     Return a digest of all that the WebAssembly file is made of: functions, constants, records and
     signatures.
     """
-    from trustlab.live import noise, tick
+    from trustlab.live import flown, noise, tick
 
     texts: dict[str, str] = {}
-    for function, _ in tick.ENTRIES.values():
+    for function, _ in (tick.ENTRIES | flown.ENTRIES | flown.PARTS).values():
         sources(function, texts)
     for function in (
         noise.uniform,
         noise.normal,
     ):  # methods of a record there, so that no name leads to them
         sources(function, texts)
-    records = [
-        repr(kind)
-        for kind in (tick.TASK, tick.ROBOT, tick.FORCING, tick.STATE, tick.LOG, noise.HASHED)
-    ]
+    kinds = [tick.TASK, tick.ROBOT, tick.FORCING, tick.STATE, tick.LOG, noise.HASHED]
+    kinds += [flown.HAND, flown.SETUP, flown.STATE, flown.INPUT, flown.HISTORY, flown.ACCOUNT]
+    records = [repr(kind) for kind in kinds]
     return digest(*records, *(f"{name} {text}" for name, text in sorted(texts.items())))
 
 
-def llvm_ir(name: str, function: Any, signature: Any) -> tuple[str, str]:
-    """Return numba's IR of a function, fit for WebAssembly, and the function's name in it."""
+# A power of 2 in two halves, either of which is a normal number: exact where the result is one.
+LDEXP = """
+define internal double @numba_ldexp(double %x, i32 %n) {
+  %half = sdiv i32 %n, 2
+  %rest = sub i32 %n, %half
+  %a = add i32 %half, 1023
+  %b = add i32 %rest, 1023
+  %c = zext i32 %a to i64
+  %d = zext i32 %b to i64
+  %e = shl i64 %c, 52
+  %f = shl i64 %d, 52
+  %g = bitcast i64 %e to double
+  %h = bitcast i64 %f to double
+  %i = fmul double %x, %g
+  %j = fmul double %i, %h
+  ret double %j
+}
+"""
+
+
+def llvm_ir(name: str, function: Any, signature: Any) -> str:
+    """Return numba's IR of a function, fit for WebAssembly, where it has this name."""
     import numba
 
     made = numba.njit(
         signature, no_cpython_wrapper=True, no_cfunc_wrapper=True, error_model="numpy"
     )(function)
+    full = made.overloads[made.signatures[0]].fndesc.mangled_name
     ir = made.inspect_llvm(made.signatures[0])
     ir = re.sub(r'target triple = ".*"', 'target triple = "wasm32-unknown-unknown"', ir)
     ir = re.sub(r'target datalayout = ".*"\n', "", ir)
@@ -102,12 +123,29 @@ def llvm_ir(name: str, function: Any, signature: Any) -> tuple[str, str]:
         f"define internal void @{name}(ptr %x) {{ ret void }}\n"
         for name in ("NRT_incref", "NRT_decref")
     )
+    ir, powers = re.subn(r"declare [^\n]*@numba_ldexp\(.*\n", "", ir)
+    ir += LDEXP if powers else ""
     # WebAssembly has no common symbols.
     ir = re.sub(
         r" = common local_unnamed_addr global (\S+) null", r" = internal global \1 null", ir
     )
-    full = re.search(rf"define [^@]*@(\S*{name}_there\S*?)\(", ir).group(1)
-    return ir, full.strip('"')
+    return ir.replace(f'@"{full}"(', f"@{name}(").replace(f"@{full}(", f"@{name}(")
+
+
+def part_ir(name: str, function: Any, signature: Any) -> str:
+    """Return the IR of a part of a loop, which is called with two pointers and returns nothing."""
+    ir = llvm_ir(f"{name}_status", function, signature)
+    return (
+        ir
+        + f"""
+define void @{name}(ptr %state, ptr %setup) {{
+  %value = alloca ptr
+  %error = alloca ptr
+  %status = call i32 @{name}_status(ptr %value, ptr %error, ptr %state, ptr %setup)
+  ret void
+}}
+"""
+    )
 
 
 def linker() -> list[str]:
@@ -127,28 +165,30 @@ def build() -> None:
     """Write the WebAssembly file and the digest of its sources."""
     import llvmlite.binding as llvm
 
-    from trustlab.live.tick import ENTRIES
+    from trustlab.live import flown, tick
 
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     target = llvm.Target.from_triple("wasm32-unknown-unknown")
+    entries = tick.ENTRIES | flown.ENTRIES
+    texts = {name: llvm_ir(name, *entry) for name, entry in entries.items()}
+    texts |= {name: part_ir(name, *part) for name, part in flown.PARTS.items()}
     with tempfile.TemporaryDirectory() as folder:
-        objects, exports = [], []
-        for name, (function, signature) in ENTRIES.items():
-            ir, full = llvm_ir(name, function, signature)
-            module = llvm.parse_assembly(
-                ir.replace(f'"{full}"', f'"{name}"').replace(f"@{full}(", f"@{name}(")
-            )
+        objects = []
+        for name, ir in texts.items():
+            module = llvm.parse_assembly(ir)
             module.verify()
             path = Path(folder) / f"{name}.o"
             path.write_bytes(
                 target.create_target_machine(opt=2, reloc="static").emit_object(module)
             )
             objects.append(str(path))
-            exports.append(f"--export={name}")
+        exports = [f"--export={name}" for name in texts]
         options = [
             "--no-entry",
             "--export=__heap_base",
+            "--export-table",
+            "--growable-table",
             "--gc-sections",
             "--strip-all",
             "-z",

@@ -31,8 +31,8 @@ class Flight:
         self.sample_time = self.loop.sample_time
         weight = np.broadcast_to(self.settings.weight, 3)[:2]
         self.reach = DEFLECTION * REACH[self.settings.study] / weight
-        late = max(round(self.task.camera_delay / self.sample_time), 1)
-        self.pictures: deque = deque([(np.zeros(3), np.zeros(3))], maxlen=late + 1)
+        self.late = max(round(self.task.camera_delay / self.sample_time), 1)
+        self.pictures: deque = deque([(np.zeros(3), np.zeros(3))], maxlen=self.late + 1)
 
     def held(self, x: float, y: float) -> tuple[float, float, float]:
         """Return where a place in the square holds the device [m]."""

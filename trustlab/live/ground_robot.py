@@ -36,7 +36,7 @@ MODULES = (
     "view.js",
     "drive.js",
     "pad.js",
-    "served.js",
+    "steer.js",
     "widget.js",
 )
 """The browser modules of the widget, each behind those that it imports."""
@@ -81,8 +81,7 @@ class LiveWidget(anywidget.AnyWidget):
     def __init__(self, attempt: Attempt, language: str):
         self.attempt = attempt
         config = {**attempt.config, "words": read_words(language)}
-        # the kernel computes what has commands
-        wasm = b"" if "commands" in config else WASM.read_bytes()
+        wasm = b"" if config.get("served") else WASM.read_bytes()
         super().__init__(config=config, wasm=wasm, key=attempt.key)
         self.on_msg(self._answer)
 

@@ -14,6 +14,7 @@ from trustlab.models.checks import (
     positive,
 )
 from trustlab.models.compiled import njit
+from trustlab.models.portable import exponential
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -29,9 +30,10 @@ def trust_step(trust, share, decay, gain):
 @njit(error_model="numpy", forceinline=True)
 def logistic_scale(low, high, steepness, midpoint, trust):
     """
-    Return the scale of (3.5) at a trust; tanh, unlike exp, does not overflow far from the midpoint.
+    Return the scale of (3.5) at a trust, the same bits on every machine; far from the midpoint the
+    exponential may be infinite, and the scale is `low`.
     """
-    return low + (high - low) * (0.5 * (1.0 - np.tanh(0.5 * steepness * (trust - midpoint))))
+    return low + (high - low) / (1.0 + exponential(steepness * (trust - midpoint)))
 
 
 @njit
@@ -260,7 +262,8 @@ class LogisticScaling:
             The scale, between low and high.
         """
         trust, steepness = _finite("trust", trust), self.steepness / (self.t_max - self.t_min)
-        return _plain(logistic_scale.py_func(self.low, self.high, steepness, self.midpoint, trust))
+        scales = np.vectorize(logistic_scale, otypes=[float])
+        return _plain(scales(self.low, self.high, steepness, self.midpoint, trust))
 
 
 @dataclass(frozen=True)

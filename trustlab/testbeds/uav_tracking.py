@@ -408,7 +408,8 @@ class TeleoperationLoop:
         self._parts = {port: part_of(port, parts[port], self.state) for port in PORTS}
         self.ways = {port: part.way for port, part in self._parts.items()}
         guidance = kernel.GUIDANCE[self.guidance] if self._scheme.bilateral else kernel.no_feedback
-        for port, part in ({"guidance": guidance} | self._parts).items():
+        self._parts["guidance"] = guidance
+        for port, part in self._parts.items():
             setup["parts"][port] = part.address
 
     @property
@@ -487,6 +488,38 @@ class TeleoperationLoop:
             self._reserve(count)
         self._advance(count)
         return self.session
+
+    def arrays(self, duration: float) -> dict[str, np.ndarray]:
+        """
+        Return the arrays that `kernel.advance` is given for a run of this length, by name, as they
+        stand now: a program in another language steps them.
+
+        Parameters
+        ----------
+        duration : float
+            Length of the run [s].
+        """
+        count = samples(duration, self.sample_time)
+        if count > len(self._log):
+            self._reserve(count)
+        return {
+            "setups": self._setups,
+            "states": self._states,
+            "inputs": self._inputs[:count],
+            "delays": np.ascontiguousarray(self._delays[:, :count]),
+            "arrives": np.ascontiguousarray(self._arrives[:, :count]),
+            "accounts": self._accounts,
+            "history": self._history[:count],
+            "sent": np.ascontiguousarray(self._sent[:, :count]),
+            "table": self._table[:count],
+        }
+
+    @property
+    def built_in(self) -> dict[str, str] | None:
+        """Name of the built-in part of each port; None if a part is a user's."""
+        if set(self.ways.values()) != {"built-in"}:
+            return None
+        return {port: part.function.__name__ for port, part in self._parts.items()}
 
     @property
     def session(self) -> Session:

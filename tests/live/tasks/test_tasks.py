@@ -16,6 +16,7 @@ from statsmodels.stats.inter_rater import cohens_kappa
 import trustlab as tl
 from trustlab.live.attempt import Attempt
 from trustlab.live.rows import check_row
+from trustlab.live.study.drives import attempt_name
 from trustlab.live.study.participation import Participation, RefusedError
 from trustlab.live.study.plan import Plan
 from trustlab.live.tasks.agreement import occasions, policy_agreement
@@ -67,6 +68,8 @@ def test_a_run_is_replayed_bit_for_bit_and_a_changed_bit_is_found(task, conditio
         k = len(rows) // 2
         spoiled = rows.copy()
         spoiled[k, column] = np.nextafter(spoiled[k, column], np.inf)
+        if column == 0:  # what the last bit of a command leads to may be the same
+            spoiled[k, column] += 1e-9
         assert protocol.replay(config, spoiled) == k
     longer = np.vstack([rows, rows[-1:]])
     if len(longer) <= config["samples"]:
@@ -246,10 +249,17 @@ def test_a_full_disk_loses_nothing(tmp_path, monkeypatch):
     assert tl.read_live_study(plan.folder).faults().empty
 
 
+def task_config(participation):
+    """The settings of the drive that was begun, with the condition that pages are not told."""
+    step = participation.steps[participation.state()["page"]]
+    return participation.participant.header(attempt_name(step, 0))["config"]
+
+
 def test_of_two_windows_the_last_one_leads(tmp_path):
     plan = planned(tmp_path / "s", "teleoperation", ["M", "MMI"])
     participation, about, config = begun(plan)
-    sent = [[k, 50.0 * k, *row] for k, row in enumerate(commanded(config)[:20].tolist())]
+    rows = stepped(task_config(participation), commanded(config)[:20])  # as the page computes them
+    sent = [[k, 50.0 * k, *row] for k, row in enumerate(rows.tolist())]
     participation.rows(about | {"rows": sent[:5]})
     with pytest.raises(RefusedError, match="not at its end"):
         participation.done(about | {"rows": 5})

@@ -53,7 +53,7 @@ def led(tmp_path_factory, browser):
         until(page, "self.study.driving?.now?.t > 0.2")
         pointing(page, 0.9, 0.5)
         page.keyboard.press("2")
-        until(page, "self.study.driving?.now?.t > 1.0 || self.study.kind !== 'drive'")
+        until(page, "self.study.driving?.now?.t > 0.5")
         said.append(page.inner_text("#drive") if page.query_selector("#drive") else "")
         until(page, "!document.querySelector('#drive')")
 
@@ -137,8 +137,16 @@ def test_a_person_flies_and_allocates_by_the_wheel(tmp_path, browser):
         tmp_path / "s", ["MMI", "TMIG"], 2, task="teleoperation", duration=3.0, training=1.0
     )
 
+    flown = []
+
     def act(page):
-        until(page, "self.study.driving?.now?.t > 0.2")
+        until(page, "self.study.driving?.now?.t > 0.5")
+        flown.append(page.evaluate("self.study.page"))
+        if len(flown) == 2:
+            page.reload()  # computed in the page, the flight goes on from the rows on the disk
+            next_page(page)
+            go_on(page, "drive")
+            until(page, "self.study.driving?.now?.t > 0.4")
         pointing(page, 0.3, -0.4)
         page.mouse.wheel(0, 100)
         page.mouse.wheel(0, 100)

@@ -1,9 +1,10 @@
 // A participant's pages. What is shown next is the server's to say; words are set as text, never as
 // markup.
 import { drive } from "./drive.js";
+import { Flight } from "./flight.js";
 import { element, filled } from "./page.js";
 import { Rows } from "./rows.js";
-import { served } from "./served.js";
+import { steer } from "./steer.js";
 
 const EVERY_COMMAND = 60; // ms between two sendings to a server that computes
 const base = location.pathname.replace(/\/$/, "");
@@ -223,10 +224,12 @@ async function bringLeft(code) {
   }
 }
 
-// Begin what a drive's settings say: here, or with a server that computes it.
-async function beginDrive(root, config, on) {
-  if (config.commands) return served(root, config, on);
-  return drive(root, config, await (await fetch("/static/kernel.wasm")).arrayBuffer(), on);
+// Begin what a drive's settings say: computed by the server, or here.
+async function beginDrive(root, config, memory, on) {
+  if (config.served) return steer(root, config, on);
+  const wasm = await (await fetch("/static/kernel.wasm")).arrayBuffer();
+  if (memory) return steer(root, config, on, await Flight.load(wasm, config, memory));
+  return drive(root, config, wasm, on);
 }
 
 async function showDrive(now) {
@@ -248,7 +251,7 @@ async function showDrive(now) {
       tab,
       (why) => ended({ why, rows }),
       () => driving,
-      begun.config.commands ? EVERY_COMMAND : undefined,
+      begun.config.served ? EVERY_COMMAND : undefined,
     );
     const on = {
       row: (k, values) => {
@@ -259,7 +262,7 @@ async function showDrive(now) {
       end: (summary) => ended({ summary, rows }),
     };
     const config = { ...begun.config, rows: begun.rows };
-    beginDrive(root, config, on).then((made) => {
+    beginDrive(root, config, begun.memory, on).then((made) => {
       driving = status.driving = made;
     }, failed);
   });
@@ -273,7 +276,7 @@ async function showDrive(now) {
     return;
   }
   main.replaceChildren(element("p", { textContent: words.saving }));
-  if (begun.config.commands) {
+  if (begun.config.served) {
     count = outcome.summary.rows;
     await outcome.rows.drop(); // commands beyond the end lead nowhere
   } else await outcome.rows.drain();

@@ -2,7 +2,7 @@
 import { drive } from "./drive.js";
 import { element, keepKeys, say } from "./page.js";
 import { Rows } from "./rows.js";
-import { served } from "./served.js";
+import { steer } from "./steer.js";
 
 // Ask the kernel; the answer carries the number of the question. A kernel that is busy or gone
 // answers late or never.
@@ -49,7 +49,7 @@ async function render({ model, el }) {
 
   // Rows of a window on their way to the kernel.
   function delivery(name) {
-    const every = model.get("config").commands ? 60 : 500;
+    const every = model.get("config").served ? 60 : 500;
     const send = async (batch) => {
       const answer = await ask({ window: name, rows: batch });
       if (answer.refused) {
@@ -98,7 +98,7 @@ async function render({ model, el }) {
       },
       note: (note) => ask({ window: tab, note }),
       async end(summary) {
-        if (config.commands) await rows.drop(); // commands beyond the end lead nowhere
+        if (config.served) await rows.drop(); // commands beyond the end lead nowhere
         else await rows.drain();
         let answer = {};
         while (answer.have === undefined && !answer.refused)
@@ -106,8 +106,8 @@ async function render({ model, el }) {
         if (!answer.refused) root.append(element("p", { textContent: words.over }));
       },
     };
-    driving = await (config.commands
-      ? served(root, config, on)
+    driving = await (config.served
+      ? steer(root, config, on)
       : drive(root, config, bytes, on));
     root.driving = driving;
   }

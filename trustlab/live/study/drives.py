@@ -19,7 +19,7 @@ from trustlab.live.study.pages import Item, Step
 from trustlab.live.study.plan import Plan
 from trustlab.live.study.settings import model_of
 from trustlab.live.study.store import file_origin
-from trustlab.live.tasks.task import sent_columns, task_named, task_of
+from trustlab.live.tasks.task import task_named, task_of
 from trustlab.models.checks import of_class
 from trustlab.models.digest import digest
 from trustlab.models.tsc import TscModel
@@ -137,7 +137,7 @@ def prepare(plan: Plan) -> None:
     """Compile what the server computes of drives, before anybody drives."""
     config = drive_of(plan.content, "training", stand_in(plan, ""), seed=0)
     if "commands" in config:
-        command = [config["limits"][name][0] for name in sent_columns(config)]
+        command = [config["limits"][name][0] for name in config["commands"]]
         task_of(config).begin(config).step(*command)
 
 

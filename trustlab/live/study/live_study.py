@@ -61,7 +61,8 @@ class LiveStudy(Plan):
     drives : DriveSettings, TeleoperationSettings or LeadingSettings, optional
         The drives' settings, of the task's class: their length, for example.
     task : {"ground_robot", "teleoperation", "team"}
-        What people do. Browsers compute the ground robot; the server computes the other two.
+        What people do. Browsers compute the ground robot and flights; the server computes teams,
+        and flights with a model of trust in place of (3.2).
     language : {"en", "de"}
         Language of everything that participants see.
     whole_squares : bool

@@ -142,6 +142,7 @@ class Participation:
         return {
             "attempt": attempt,
             "config": shown_config(self.plan, header["config"]),
+            "memory": task_of(header["config"]).memory(header["config"]),
             "rows": [values for _, _, *values in rows],
         }
 
@@ -164,7 +165,7 @@ class Participation:
                 raise RefusedError("this drive is over", page=progress.page(len(self.steps)))
             return {"have": have, "current": False}
         picture = {}
-        if "commands" in self.configs[name]:
+        if self.configs[name].get("served"):
             run = self._run(name)
             rows = run.complete(rows)
             picture = {"picture": run.picture()}

@@ -23,7 +23,7 @@ TASKS = ("ground_robot", "teleoperation", "team")
 """Names of the tasks; each is `TASK` of the module of that name beside this one."""
 
 PERIOD = 0.05
-"""How long a command holds in tasks that the server computes [s]."""
+"""How long a command holds in flights and teams [s]."""
 
 LEAST_ROWS = 2
 
@@ -73,8 +73,8 @@ class LiveTask:
     """
     A task that people do live.
 
-    This class has what tasks share that are computed where their rows are kept, by the server or a
-    notebook's kernel; the ground robot, which browsers compute, replaces most of it. `practice` are
+    This class has what tasks share whose configurations say so by "served": they are computed where
+    their rows are kept, by the server or a notebook's kernel; others by browsers. `practice` are
     drives besides those under a condition, `reported` the measures that a report analyses,
     `settings` the class of a study's settings.
     """
@@ -106,11 +106,14 @@ class LiveTask:
     def scripted_rows(self, config: Mapping[str, Any], rng: np.random.Generator) -> np.ndarray:
         """Return what a scripted person's page would send of a whole run, a row per period."""
         run, hand = self.begin(config), self.hand(config, rng)
-        commands = []
+        rows = []
         while not run.done:
-            commands.append(hand(run.picture()))
-            run.step(*commands[-1])
-        return np.array(commands)
+            rows.append(run.step(*hand(run.picture())))
+        return np.array(rows)[:, : len(sent_columns(config))]
+
+    def memory(self, config: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Return what a browser needs beside the settings to compute a run; None if it does not."""
+        return None
 
     def measures(self, session: Session) -> dict[str, float]:
         """Return the outcome measures of a run."""
@@ -160,7 +163,7 @@ def task_of(config: Mapping[str, Any]) -> LiveTask:
 
 def sent_columns(config: Mapping[str, Any]) -> list[str]:
     """Return the columns that a page sends: all, or commands where the server computes the rest."""
-    return config.get("commands", config["columns"])
+    return config["commands"] if config.get("served") else config["columns"]
 
 
 def checked_rows(config: Mapping[str, Any], rows: Any) -> np.ndarray:

@@ -311,6 +311,7 @@ class TeamTask(LiveTask):
             "field": FIELD + START,
             "columns": [*COLUMNS, *(f"trust_{i}" for i in range(1, count + 1))],
             "commands": list(COMMANDS),
+            "served": True,
             "limits": {
                 "pointer_x": [-1.0, 1.0],
                 "pointer_y": [-1.0, 1.0],

@@ -1,5 +1,6 @@
 """Shared teleoperation as a live task: a UAV after its target, under the schemes of Chapter 3."""
 
+from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
@@ -7,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from trustlab.live.flight import UNBOUNDED, Flight
+from trustlab.live.flown import HAND, HISTORY, INPUT, SETUP, STATE
 from trustlab.live.tasks.task import PERIOD, LiveTask, trust_as_json, trust_of
 from trustlab.models.checks import between, one_of
 from trustlab.operators.teleoperator import REACH, Teleoperator
@@ -111,7 +113,7 @@ class LiveFlight:
         """Fly one period; a share below 0 is left to the scheme."""
         x, y, choice = command
         low, high = self.bounds
-        alpha = None if choice < 0.0 else low + choice * (high - low)
+        alpha = None if choice < 0.0 else low + choice * (high - low)  # as flown.fly_there does
         try:
             if not self.failed:
                 self._fly(x, y, alpha)
@@ -132,6 +134,50 @@ class LiveFlight:
         if self.failed:  # its numbers may be infinite
             return {"t": self.periods * PERIOD, "over": self.failed}
         return self.flight.shown()
+
+    def memory(self) -> dict[str, Any]:
+        """
+        Return the loop's arrays as a browser needs them, and where in them stands what it logs and
+        shows.
+        """
+        flight, loop = self.flight, self.flight.loop
+        arrays = loop.arrays(self.samples * PERIOD)
+        reach, bounds = flight.reach.tolist(), list(self.bounds)
+        arrays["hand"] = np.array([(*reach, *bounds)], HAND)
+        vectors = [_offset(STATE, name) + 8 * axis for name in VECTORS for axis in (0, 1)]
+        parts = SETUP.fields["parts"]
+        return {
+            "arrays": [_packed(name, array) for name, array in arrays.items()],
+            "parts": [
+                {"part": part, "offset": parts[1] + _offset(parts[0], port)}
+                for port, part in loop.built_in.items()
+            ],
+            "logged": vectors + [_offset(STATE, name) for name in NUMBERS],
+            "shown": [_offset(STATE, name) for name in ("device", "f_m", "guide")],
+            "input": {"size": INPUT.itemsize, "reference": _offset(INPUT, "reference")},
+            "past": {"size": HISTORY.itemsize, "error": _offset(HISTORY, "error")},
+            "every": self.every,
+            "samples": self.samples * self.every,
+            "late": flight.late,
+            "view": flight.task.view,
+            "reach": reach,
+            "scaling": flight.settings.force_scaling,
+        }
+
+
+def _offset(kind: np.dtype, name: str) -> int:
+    """Return where a field of a record begins."""
+    return kind.fields[name][1]
+
+
+WRITTEN = ("history", "sent", "table")
+"""Arrays that are empty before a run."""
+
+
+def _packed(name: str, array: np.ndarray) -> dict[str, Any]:
+    """Return an array for a browser, without its content where it has none yet."""
+    packed = {"name": name, "size": array.nbytes}
+    return packed if name in WRITTEN else packed | {"data": b64encode(array.tobytes()).decode()}
 
 
 class TrackingHand:
@@ -183,6 +229,7 @@ class TeleoperationTask(LiveTask):
             "half": view.view if view.view < UNBOUNDED else view.size_x,
             "columns": list(COLUMNS),
             "commands": commands,
+            "served": content.get("trust") is not None,
             "limits": limits,
             "clock": "real",
             "hand": None,
@@ -191,6 +238,10 @@ class TeleoperationTask(LiveTask):
     def begin(self, config: Mapping[str, Any]) -> LiveFlight:
         """Return a flight at its beginning."""
         return LiveFlight(config)
+
+    def memory(self, config: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Return the loop's arrays for a browser; a model of trust in it runs in Python alone."""
+        return None if config["served"] else LiveFlight(config).memory()
 
     def hand(self, config: Mapping[str, Any], rng: np.random.Generator) -> TrackingHand:
         """Return a scripted hand."""

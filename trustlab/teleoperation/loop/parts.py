@@ -75,6 +75,11 @@ INPUT = record(
 # leaves its window.
 HISTORY = record(vectors="error", numbers="good_r good_h in_near in_far")
 
+# Room that scheme OMI computes in: what lies ahead, the cost as a series in α, its derivative.
+BLENDING = np.dtype(
+    [("ahead", float, (3, 5)), ("series", float, DEGREE + 1), ("slope", float, DEGREE + 2)]
+)
+
 # The state proper: lagging wish of the hand, integral of the controller, acceleration; and what
 # came with this sample.
 KEPT = "acceleration wish integral drift reference_velocity pushed motor hand error"
@@ -97,10 +102,10 @@ STATE = np.dtype(
     ).descr
     + [(f"{port}_memory", float, MEMORY) for port in PORTS]
     + record(flags="sees finds found_before raised").descr
-    + [("ledger", LEDGER)]
+    + [("ledger", LEDGER), ("blending", BLENDING)]
 )
 # What a user's function sees of it.
-SHARED = STATE[list(STATE.names[:-1])]
+SHARED = STATE[list(STATE.names[:-2])]
 
 # Exact one-sample matrices of (position, velocity, acceleration) per axis.
 VEHICLE = np.dtype([("phi", float, (3, 3, 3)), ("gamma", float, (3, 3))])

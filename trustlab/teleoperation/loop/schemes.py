@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from trustlab.allocation.blending import best_share
 from trustlab.models.checks import one_of, shown
 from trustlab.models.compiled import njit
@@ -63,16 +61,16 @@ def by_hand(state, setup):
 @Part
 def optimal(state, setup):
     """Set α by Appendix A, from what the operator commanded in the sample before."""
-    ahead = np.empty((3, 5))
+    room = state.blending
+    ahead = room.ahead
     for i in range(3):
-        # one by one, for a row that is set at once compiles an error message for unequal lengths,
-        # in two seconds
         ahead[i, 0] = state.r_s[i] / state.alpha
         ahead[i, 1] = state.u_a[i]
         ahead[i, 2] = state.error[i]
         ahead[i, 3] = state.reference_velocity[i] - state.velocity[i]
         ahead[i, 4] = -state.acceleration[i]
-    state.alpha = best_share(setup.blend, ahead, state.alpha_min, state.alpha_max)[0]
+    low, high = state.alpha_min, state.alpha_max
+    state.alpha = best_share(setup.blend, ahead, low, high, room.series, room.slope)[0]
     state.beta = state.beta_max
 
 

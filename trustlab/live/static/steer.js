@@ -1,8 +1,9 @@
-// A task that the server or a notebook's kernel computes: commands go there, twenty a second, and
-// what comes back is drawn.
+// A task that a hand steers in a square, twenty commands a second. Commands go to the server or a
+// notebook's kernel, which computes the task, and what comes back is drawn; or to a flight that is
+// computed here.
 //
-// served(root, config, on) has the contract of drive.js; heard(answer) takes what the other side
-// says: {have, picture}.
+// steer(root, config, on, flight) has the contract of drive.js; heard(answer) takes what the other
+// side says: {have, picture}.
 import { MIDDLE, PAD_STYLE, SIZE, Stick, dot, drawPad, drawPicture } from "./pad.js";
 import { clamp, dress, element, filled, keepKeys, say } from "./page.js";
 
@@ -155,7 +156,7 @@ function furnishTask(root, config) {
   return { left: left.getContext("2d"), right, below, status };
 }
 
-export async function served(root, config, on) {
+export async function steer(root, config, on, flight = null) {
   const dt = (1000 * config.sample_time) / (config.pace ?? 1),
     leaving = new AbortController(),
     signal = leaving.signal,
@@ -176,8 +177,10 @@ export async function served(root, config, on) {
   function command() {
     hand = config.hand ? pulled(now, config.hand) : stick.read();
     extra.read?.(stick.pad);
-    on.row(k, [...hand, extra.value]);
+    const values = [...hand, extra.value];
+    on.row(k, flight ? flight.step(values) : values);
     k += 1;
+    if (flight) heard({ have: k, picture: flight.picture() });
   }
 
   const mayGo = () => running && k < config.samples && k - have < MOST_AHEAD;
@@ -240,9 +243,9 @@ export async function served(root, config, on) {
     requestAnimationFrame(frame);
   }
 
-  // Tests and rehearsals go as fast as they are answered.
+  // Tests and rehearsals go as fast as they are answered, or computed.
   const rush = () => {
-    while (mayGo()) command();
+    for (let n = 0; mayGo() && n < 200; n += 1) command();
   };
   const timer = setInterval(config.clock === "accelerated" ? rush : advance, 20);
   document.addEventListener(
@@ -250,8 +253,11 @@ export async function served(root, config, on) {
     () => on.note(document.hidden ? "the page is hidden" : "the page is seen again"),
     { signal },
   );
-  // Its answer brings the picture.
-  if (have) on.row(have - 1, config.rows.at(-1).slice(0, config.commands.length));
+  const earlier = (config.rows ?? []).map((row) => row.slice(0, config.commands.length));
+  if (flight && have) {
+    earlier.forEach((values) => flight.step(values)); // the same commands give the same rows
+    heard({ have, picture: flight.picture() });
+  } else if (have) on.row(have - 1, earlier.at(-1)); // its answer brings the picture
   requestAnimationFrame(frame);
   const telemetry = () => ({
     fps: frames.length > 1 ? (1000 * (frames.length - 1)) / (frames.at(-1) - frames[0]) : 0,
