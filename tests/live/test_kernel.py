@@ -11,6 +11,7 @@ import pytest
 
 import trustlab as tl
 from trustlab.live import build
+from trustlab.live.flown import fly_there
 from trustlab.live.hand import HumanHand, scripted_drive
 from trustlab.live.noise import HASHED
 from trustlab.live.runs import Drive, commands_of, drive_config, driven, replay
@@ -164,6 +165,9 @@ def test_the_digest_sees_functions_constants_and_calls():
         "TSC",
     } <= names
     assert "PERFORMANCE_TOLERANCE" in " ".join(found.values())
+    build.sources(fly_there, found := {})
+    names = {name.rsplit(".", 1)[-1] for name in found}
+    assert {"advance", "read_wave", "midpoint_velocity", "look_up", "SLACK"} <= names
 
 
 def test_replay_finds_the_first_row_that_differs():

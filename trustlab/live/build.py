@@ -53,13 +53,17 @@ def sources(function: Any, texts: dict[str, str]) -> None:
         tokenize.NL,
     }  # kernels hold no texts but their docstrings
     texts[name] = " ".join(token.string for token in tokens if token.type not in idle)
-    for word in sorted(set(plain.__code__.co_names) & set(plain.__globals__)):
-        value = plain.__globals__[word]
+    words = set(plain.__code__.co_names)
+    values = {word: plain.__globals__[word] for word in words & set(plain.__globals__)}
+    for module in list(values.values()):
+        if inspect.ismodule(module) and module.__name__.startswith("trustlab"):
+            values |= {word: getattr(module, word) for word in words & set(vars(module))}
+    for word, value in sorted(values.items()):
         if hasattr(value, "py_func"):
             sources(value, texts)
         elif hasattr(value, "_fields"):
             texts[f"{name}.{word}"] = repr(value._fields)
-        elif not callable(value) and not inspect.ismodule(value):
+        elif isinstance(value, int | float | tuple):
             texts[f"{name}.{word}"] = repr(value)
 
 

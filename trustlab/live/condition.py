@@ -1,9 +1,13 @@
 """Conditions of live drives: those of the dissertation, and a lab's own."""
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
-from trustlab.models.checks import flag, not_negative, one_of, shown
+from trustlab.allocation.correction.corrector import threshold_pair
+from trustlab.live.tick import SCORE, SIGNALS
+from trustlab.models.checks import finite_number, flag, not_negative, one_of, shown
 from trustlab.testbeds.deciding import CONDITIONS, OWN, PERFORMANCE, TSC
 
 NOTICE = 3.0
@@ -25,13 +29,17 @@ class LiveCondition:
     ----------
     name : str
         What the study calls it: letters, digits, - and _; participants do not see it.
-    suggestions : {"none", "tsc", "performance"}
+    suggestions : {"none", "tsc", "performance"} or mapping
         None: people switch when they like, as in C1. By TSC and its thresholds (2.8), as in C2 and
-        C3. By the robot's performance, Algorithm 2, as in C4 and C5.
+        C3. By the robot's performance, Algorithm 2, as in C4 and C5. Or a rule of one's own:
+        weights of "tsc", "p_r", "p_h" and "r", whose weighted sum takes the place of TSC in (2.8).
     forced : bool
         Whether a suggestion is carried out if the person has not accepted it before.
     notice : float
         How long after the suggestion that happens [s]; 3 in C3 and C5.
+    thresholds : (float, float), optional
+        Of a rule of one's own: the person is to drive where the sum is at or below the first, the
+        robot where it is at or above the second; between them the mode stays.
 
     Raises
     ------
@@ -45,12 +53,18 @@ class LiveCondition:
     >>> slow = tl.LiveCondition("slow", suggestions="tsc", forced=True, notice=10.0)
     >>> tl.LiveStudy(tempfile.mkdtemp() + "/notices", ["C3", slow], 4, rehearsal=True)
     LiveStudy('notices': 4 participants, C3, slow)
+
+    A busy operator hands over, a rested one takes over again:
+
+    >>> tl.LiveCondition("rest", suggestions={"r": 1.0}, thresholds=(0.3, 0.6)).thresholds
+    (0.3, 0.6)
     """
 
     name: str
-    suggestions: str = "none"
+    suggestions: str | Mapping[str, float] = "none"
     forced: bool = False
     notice: float = NOTICE
+    thresholds: tuple[float, float] | None = None
 
     def __post_init__(self):
         if not isinstance(self.name, str) or not NAME.fullmatch(self.name):
@@ -60,14 +74,46 @@ class LiveCondition:
             )
         if self.name in (*CONDITIONS, "training", "identification"):
             raise ValueError(f"{self.name!r} is a drive of the package's own; choose another name")
-        one_of("suggestions", self.suggestions, SUGGESTIONS)
+        if isinstance(self.suggestions, Mapping):
+            self._check_rule(self.suggestions)
+        else:
+            one_of("suggestions", self.suggestions, SUGGESTIONS, also="weights of signals")
+            if self.thresholds is not None:
+                raise ValueError(
+                    "thresholds go with weights of signals; those of TSC are each participant's own"
+                )
         not_negative("notice", self.notice)
         if flag("forced", self.forced) and self.suggestions == "none":
             raise ValueError(
                 'forced=True needs suggestions="tsc" or "performance": there is nothing to follow'
             )
 
+    def _check_rule(self, weights: Mapping[str, float]) -> None:
+        """Check a rule of one's own."""
+        for signal, weight in weights.items():
+            one_of("a signal of suggestions", signal, SIGNALS)
+            finite_number(f"the weight of {signal}", weight)
+        if not any(weights.values()):
+            raise ValueError("a rule needs a weight that is not zero")
+        if self.thresholds is None:
+            raise ValueError("weights of signals need thresholds=(lower, upper)")
+        pair = threshold_pair("threshold", self.thresholds)
+        if not pair[0] < pair[1]:
+            raise ValueError(f"the lower threshold must be below the upper one, got {pair}")
+        object.__setattr__(self, "thresholds", pair)
+
     @property
     def scheme(self) -> int:
         """What the kernel calls the source of suggestions."""
-        return SUGGESTIONS[self.suggestions]
+        return SCORE if isinstance(self.suggestions, Mapping) else SUGGESTIONS[self.suggestions]
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """The weight of each signal in a rule of one's own."""
+        rule = self.suggestions if isinstance(self.suggestions, Mapping) else {}
+        return {signal: float(rule.get(signal, 0.0)) for signal in SIGNALS}
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the condition as plain values for `study.json`."""
+        pair = None if self.thresholds is None else list(self.thresholds)
+        return asdict(self) | {"thresholds": pair}

@@ -14,6 +14,8 @@ from trustlab.live.tick import (
     FORCING,
     LOG,
     ROBOT,
+    SCORE,
+    SIGNALS,
     STATE,
     TASK,
     Command,
@@ -136,6 +138,10 @@ def drive_config(
         What is seen, in place of `VIEW`.
     """
     name, scheme, forced, notice = _rule_of(condition)
+    weights = dict.fromkeys(SIGNALS, 0.0)
+    if isinstance(condition, LiveCondition):
+        weights = condition.weights
+        thresholds = condition.thresholds or thresholds
     robot = of_class("robot", Pioneer(max_speed=LIVE_SPEED) if robot is None else robot, Pioneer)
     course = of_class("course", default_course() if course is None else course, Course)
     phases = (
@@ -160,7 +166,7 @@ def drive_config(
     task = task_of(scheme, E_MAX, forced, laps, lower, upper, model, first)._asdict()
     free = name in ("training", "identification")
     task |= {"settling": 0.0 if free else SETTLING, "notice": notice}
-    task |= {"a": model.human.a if model else 0.9991}
+    task |= {"a": model.human.a if model else 0.9991} | weights
     numbers = robot.numbers._asdict()
     return {
         "live_task": "ground_robot",
@@ -327,6 +333,9 @@ def session_of(config: Mapping[str, Any], rows: np.ndarray, **metadata: Any) -> 
     }
     facts |= {"laps": task["laps"]} if task["laps"] else {}
     facts |= {"TSC_l": task["lower"], "TSC_u": task["upper"]} if task["scheme"] == TSC else {}
+    if task["scheme"] == SCORE:
+        facts |= {"rule": {signal: task[signal] for signal in SIGNALS if task[signal]}}
+        facts |= {"rule_thresholds": [task["lower"], task["upper"]]}
     facts |= {"stamp_error": 0.0}  # the drive switches on a sample
     facts |= {"lap_times": driven(config, commands_of(table))[1].tolist()}
     frame = pd.DataFrame(table, columns=COLUMNS, index=pd.Index(sample_times(len(table)), name="t"))

@@ -14,22 +14,29 @@ from numba import carray, from_dtype, types
 from trustlab.live.noise import HASHED
 from trustlab.models.compiled import njit
 from trustlab.models.human import next_utilization
+from trustlab.models.tsc import threshold_mode
 from trustlab.teleoperation.records import record
 from trustlab.testbeds.deciding import OWN, SCHEDULE, Task, suggest
 from trustlab.testbeds.ground_robot.course import CourseNumbers
 from trustlab.testbeds.ground_robot.kernel import LOG, STATE, enter, locate, perform, place, roll
 from trustlab.testbeds.ground_robot.pioneer import PioneerNumbers
 
+SCORE = 5
+"""A source of suggestions beside those of `deciding`: thresholds of a weighted sum of signals."""
+
+SIGNALS = ("tsc", "p_r", "p_h", "r")
+"""What is summed."""
+
 WHOLE = ("scheme", "forced", "laps", "window", "first_mode")
 TASK = np.dtype(
     [
         (name, np.int64 if name in WHOLE else float)
-        for name in (*Task._fields, "settling", "notice", "a")
+        for name in (*Task._fields, "settling", "notice", "a", *SIGNALS)
     ]
 )
 """
 A `Task` and what only live drives need: the time before which nobody switches and that between a
-forced suggestion and its being carried out [s], and a of (2.5).
+forced suggestion and its being carried out [s], a of (2.5), and the weights of a rule of one's own.
 """
 
 ROBOT = record(numbers=" ".join((*PioneerNumbers._fields, "anchor")))
@@ -91,7 +98,12 @@ def decide(task, t, mode, state, forcing):
     """
     if t < task.settling:
         return
-    if task.scheme != OWN and task.scheme != SCHEDULE:
+    if task.scheme == SCORE:
+        score = task.tsc * state.tsc + task.p_r * state.p_r
+        score += task.p_h * state.p_h + task.r * state.r
+        standing = state.mode if state.suggested < 0 else state.suggested
+        state.suggested = threshold_mode(score, state.lower, state.upper, standing)
+    elif task.scheme != OWN and task.scheme != SCHEDULE:
         suggest(task, state)
     if not task.forced:
         state.mode = 1 if mode == 1.0 else 0

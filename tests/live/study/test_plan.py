@@ -6,11 +6,12 @@ square of the design.
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import trustlab as tl
 from trustlab.live.hand import HumanHand
-from trustlab.live.runs import Drive
+from trustlab.live.runs import Drive, session_of
 from trustlab.live.study import live_study as planning
 from trustlab.live.study.__main__ import main
 from trustlab.live.study.drives import drive_of
@@ -159,6 +160,33 @@ def test_conditions_and_courses_of_ones_own_are_driven(make_plan):
     assert study.measures["verified"].all()
 
 
+def test_a_rule_of_ones_own_is_driven(make_plan):
+    """Oracle: the rule written out over the log's columns; wasmtime is held to numba elsewhere."""
+    rest = tl.LiveCondition("rest", {"r": 1.0, "p_h": -0.5}, thresholds=(0.1, 0.3))
+    options = {"laps": 3, "training": 5.0, "rehearsal": True}
+    plan = make_plan(["C1", rest], 2, **options)
+    assert make_plan(["C1", rest], 2, **options).content == plan.content
+    config = drive_of(plan.content, "rest", plan.content["stand_in"], seed=1)
+    drive, hand = Drive(config), HumanHand(config, 1)
+    while not drive.done:  # a hand that accepts everything
+        suggested = drive.state["suggested"]
+        mode = drive.state["mode"] if suggested < 0 else suggested
+        drive.step(*hand.step(drive.state), float(mode))
+    log = pd.DataFrame(drive.rows[: drive.k], columns=COLUMNS)
+    score = log["r"] - 0.5 * log["p_h"]
+    standing, expected = 1, []
+    for k, value in enumerate(score):
+        if 0.1 * k < 100.0 - 1e-9:
+            expected.append(-1)
+            continue
+        standing = 0 if value >= 0.3 else 1 if value <= 0.1 else standing
+        expected.append(standing)
+    assert log["suggested_mode"].tolist() == expected
+    assert set(log["mode"]) == {0, 1}
+    session = session_of(config, drive.rows[: drive.k])
+    assert session.metadata.more["rule"] == {"p_h": -0.5, "r": 1.0}
+
+
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
@@ -167,6 +195,11 @@ def test_conditions_and_courses_of_ones_own_are_driven(make_plan):
         ({"name": "a", "suggestions": "tcs"}, "did you mean 'tsc'"),
         ({"name": "a", "forced": True}, "there is nothing to follow"),
         ({"name": "a", "suggestions": "tsc", "notice": -1.0}, "notice"),
+        ({"name": "a", "suggestions": {"trust": 1.0}, "thresholds": (0, 1)}, "a signal of sugg"),
+        ({"name": "a", "suggestions": {"r": 1.0}}, "need thresholds"),
+        ({"name": "a", "suggestions": {"r": 0.0}, "thresholds": (0, 1)}, "not zero"),
+        ({"name": "a", "suggestions": {"r": 1.0}, "thresholds": (0.5, 0.2)}, "below the upper"),
+        ({"name": "a", "suggestions": "tsc", "thresholds": (0.1, 0.2)}, "participant's own"),
     ],
 )
 def test_faults_of_conditions(settings, says):

@@ -279,6 +279,7 @@ export function reason(config, suggested, row) {
   };
   if (task.scheme === 2)
     return filled(suggested ? words.trust_has_fallen : words.trust_has_risen, values);
+  if (task.scheme === 5) return words.rule_suggests;
   return filled(suggested ? words.below_its_best : words.at_its_best, values);
 }
 

@@ -3,7 +3,7 @@
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +107,7 @@ class LiveStudy(Plan):
         kind = protocol.settings
         drives = replace(kind() if drives is None else of_class("drives", drives, kind), **settings)
         conditions = protocol.conditions if conditions is None else conditions
-        personal = {c.name: asdict(c) for c in conditions if isinstance(c, LiveCondition)}
+        personal = {c.name: c.as_json() for c in conditions if isinstance(c, LiveCondition)}
         if personal and task != "ground_robot":
             raise ValueError(f"a LiveCondition belongs to the ground robot; {task} has its own")
         names = [c.name if isinstance(c, LiveCondition) else c for c in conditions]
