@@ -110,10 +110,16 @@ def inverses(a):
     count, size, _ = a.shape
     out = np.empty((count, size, size))
     column = np.zeros((count, size))
+    # Numbers one by one here and below, for numba takes seconds to compile assignments of rows, and
+    # sorting.
     for j in range(size):
-        column[:] = 0.0
-        column[:, j] = 1.0
-        out[:, :, j] = solutions(a, column)
+        for c in range(count):
+            for i in range(size):
+                column[c, i] = 1.0 if i == j else 0.0
+        solved = solutions(a, column)
+        for c in range(count):
+            for i in range(size):
+                out[c, i, j] = solved[c, i]
     return out
 
 
@@ -126,7 +132,7 @@ def symmetric_eigen(a):
     first entry of each vector that is not near zero is positive.
     """
     count, size, _ = a.shape
-    values = np.empty((count, size))
+    values = np.full((count, size), np.nan)
     vectors = np.empty((count, size, size))
     for c in range(count):
         matrix = a[c].copy()
@@ -134,11 +140,24 @@ def symmetric_eigen(a):
         for _ in range(SWEEPS):
             if not _rotate_once_round(matrix, basis):
                 break
-        order = np.argsort(np.diag(matrix).copy(), kind="mergesort")
-        for j in range(size):
-            values[c, j] = matrix[order[j], order[j]]
-            vectors[c, :, j] = _with_positive_start(basis[:, order[j]])
+        for place in range(size):
+            j = _rank(matrix, place)
+            values[c, j] = matrix[place, place]
+            vector = _with_positive_start(basis[:, place])
+            for i in range(size):
+                vectors[c, i, j] = vector[i]
     return values, vectors
+
+
+@njit
+def _rank(matrix, place):
+    """Return how many entries of the diagonal come before this one in ascending order."""
+    value = matrix[place, place]
+    rank = 0
+    for i in range(len(matrix)):
+        if matrix[i, i] < value or (matrix[i, i] == value and i < place):
+            rank += 1
+    return rank
 
 
 @njit

@@ -73,7 +73,9 @@ def curvature(x, target):
         at[i] = x[i] + WIDE_STEP
         above = gradient(at, target)
         at[i] = x[i] - WIDE_STEP
-        out[i] = (gradient(at, target) - above) / (2.0 * WIDE_STEP)
+        below = gradient(at, target)
+        for j in range(size):
+            out[i, j] = (below[j] - above[j]) / (2.0 * WIDE_STEP)
         at[i] = x[i]
     for i in range(size):
         for j in range(i):
@@ -293,24 +295,36 @@ def fit_noise(theta, target):
 
 
 @njit
-def screened(thetas, target, keep):
-    """Return `keep` of the rows θ, completed by least squares, the best in P_h first."""
+def fit_humans(thetas, target):
+    """Complete each row θ by least squares in P_h, in place; return what they leave over."""
     squares = np.empty(len(thetas))
     for i in range(len(thetas)):
         squares[i] = fit_human(thetas[i], target)
-    order = np.argsort(squares)[:keep]
-    out = thetas[order].copy()
-    for i in range(keep):
+    return squares
+
+
+@njit
+def fit_the_rest(thetas, target):
+    """Complete each row θ by least squares in P_r and by its noise, in place."""
+    for theta in thetas:
         best = np.inf
-        candidate = out[i].copy()
+        candidate = theta.copy()
         for shift in GRID:
             candidate[TAU_P] = target.mean[TAU_P] + shift * target.deviation[TAU_P]
             error = fit_robot(candidate, target)
             if error < best:
                 best = error
-                out[i] = candidate
-        fit_noise(out[i], target)
-    return out
+                for i in range(theta.size):  # an assignment of the row would compile for seconds
+                    theta[i] = candidate[i]
+        fit_noise(theta, target)
+
+
+def screened(thetas: np.ndarray, target: Target, keep: int) -> np.ndarray:
+    """Return `keep` of the rows θ, completed by least squares, the best in P_h first."""
+    order = np.argsort(fit_humans(thetas, target), kind="stable")
+    best = thetas[order[:keep]]
+    fit_the_rest(best, target)
+    return best
 
 
 def starting_points(target: Target, rng: np.random.Generator, draws: int, most: int) -> list:
