@@ -93,14 +93,15 @@ def solutions(a, b):
                 for k in range(j, size):
                     matrix[i, k] -= ratio * matrix[j, k]
                 right[i] -= ratio * right[j]
-        if not regular:
-            out[c] = np.nan
-            continue
+        # numbers one by one, for numba takes seconds to compile assignments of rows
         for i in range(size - 1, -1, -1):
+            if not regular:
+                out[c, i] = np.nan
+                continue
             for k in range(i + 1, size):
                 right[i] -= matrix[i, k] * right[k]
             right[i] /= matrix[i, i]
-        out[c] = right
+            out[c, i] = right[i]
     return out
 
 
@@ -110,8 +111,6 @@ def inverses(a):
     count, size, _ = a.shape
     out = np.empty((count, size, size))
     column = np.zeros((count, size))
-    # Numbers one by one here and below, for numba takes seconds to compile assignments of rows, and
-    # sorting.
     for j in range(size):
         for c in range(count):
             for i in range(size):
