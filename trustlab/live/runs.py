@@ -138,10 +138,8 @@ def drive_config(
         What is seen, in place of `VIEW`.
     """
     name, scheme, forced, notice = _rule_of(condition)
-    weights = dict.fromkeys(SIGNALS, 0.0)
-    if isinstance(condition, LiveCondition):
-        weights = condition.weights
-        thresholds = condition.thresholds or thresholds
+    weights, pair = _own_rule(condition)
+    thresholds = pair or thresholds
     robot = of_class("robot", Pioneer(max_speed=LIVE_SPEED) if robot is None else robot, Pioneer)
     course = of_class("course", default_course() if course is None else course, Course)
     phases = (
@@ -201,6 +199,15 @@ def _rule_of(condition: str | LiveCondition) -> tuple[str, int, bool, float]:
         return condition.name, condition.scheme, condition.forced, condition.notice
     scheme, forced = DRIVES[one_of("condition", condition, DRIVES)]
     return condition, scheme, forced, NOTICE
+
+
+def _own_rule(
+    condition: str | LiveCondition,
+) -> tuple[dict[str, float], tuple[float, float] | None]:
+    """Return the weights and thresholds of a rule of one's own, zeros and None without one."""
+    if isinstance(condition, LiveCondition):
+        return condition.weights, condition.thresholds
+    return dict.fromkeys(SIGNALS, 0.0), None
 
 
 def _samples(

@@ -37,8 +37,9 @@ export class Flight {
       table.set(place, exports[part]);
       this.view.setBigInt64(this.at.setups + offset, BigInt(place), true);
     }
-    const order = "hand setups states states inputs delays arrives accounts history sent table table";
-    this.arguments = order.split(" ").map((name) => this.at[name]); // as fly_there takes them
+    // as fly_there takes them: the log's row is the beginning of the state
+    const first = ["hand", "setups", "states", "states", "inputs", "delays", "arrives", "accounts"];
+    this.arguments = [...first, "history", "sent", "table", "table"].map((name) => this.at[name]);
     this.status = start;
     this.k = 0; // periods
     this.failed = false;
