@@ -111,14 +111,14 @@ class Served:
             warnings.simplefilter(
                 "ignore", UserWarning
             )  # so many participants need not fill whole squares here
-            tl.LiveStudy(folder, ["C1", "C3"], participants, training=training, whole_squares=False)
+            plan = tl.LiveStudy(
+                folder, ["C1", "C3"], participants, training=training, whole_squares=False
+            )
         self.folder, self.port = folder, "0"
         base = self.start()
         self.port = base.rpartition(":")[2]  # where it comes back after a crash
         tokens = read_tokens(folder)
-        self.links = {
-            code: f"{base}/p/{token}" for code, token in tokens.items() if code != "experimenter"
-        }
+        self.links = {code: f"{base}/p/{tokens[code]}" for code in plan.orders}
 
     def start(self) -> str:
         """Start the server; return the beginning of its links."""
