@@ -401,7 +401,8 @@ def parts() -> Iterator[Row]:
         "Teleoperation loop, guidance at the operator, 120 s at 1 kHz",
         "a user's scheme, compiled",
     )
-    if not same.data.equals(log.data):
+    # both have an exponential, whose last bits differ
+    if not np.allclose(same.data, log.data, rtol=0.0, atol=1e-6):
         yield Row(case, ours, "the built-in scheme", fault="its log differs")
         return
     mine, other, ratio = in_turns(here(lambda: again(own)), here(lambda: again(built_in)), 9)
