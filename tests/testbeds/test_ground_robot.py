@@ -394,6 +394,23 @@ def test_followed_suggestions_by_hand():
     assert len(followed_suggestions(tl.Session(always))) == 50
 
 
+@pytest.mark.parametrize(("until", "state"), [(25, "withdrawn"), (24, "open"), (40, "withdrawn")])
+def test_a_withdrawn_suggestion_is_open_until_its_deadline(until, state):
+    """Shown from 10 s to 12 s, deadline 15 s: at 25 s nobody can follow it any more."""
+    t = np.arange(until + 1.0)
+    suggested = np.where((t >= 10.0) & (t <= 12.0), 0.0, -1.0)
+    frame = pd.DataFrame({"mode": np.ones(t.size), "suggested_mode": suggested}, index=t)
+    assert followed_suggestions(tl.Session(frame))["state"].tolist() == [state]
+
+
+@pytest.mark.parametrize(("shown", "state"), [(15, "not followed"), (14, "withdrawn")])
+def test_a_suggestion_that_stands_for_its_deadline_is_not_followed(shown, state):
+    t = np.arange(60.0)
+    suggested = np.where((t >= 10.0) & (t <= 10.0 + shown), 0.0, -1.0)
+    frame = pd.DataFrame({"mode": np.ones(t.size), "suggested_mode": suggested}, index=t)
+    assert followed_suggestions(tl.Session(frame))["state"].tolist() == [state]
+
+
 # Reproducible, readable, quick, and clear about what is wrong
 
 

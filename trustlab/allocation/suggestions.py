@@ -78,17 +78,18 @@ def suggestion_episodes(t, mode, suggested, deadline):
     """
     first = list(range(0))
     last = list(range(0))
-    # Whether the mode has changed, or the aid has agreed with it, since the last one was shown
-    broken = False
+    # Whether none was shown yet, or the mode has changed, or the aid has agreed with it, since the
+    # last one was
+    broken = True
     for k in range(t.size):
         before = mode[max(k - 1, 0)]
         if suggested[k] >= 0.0 and suggested[k] != before:
             same = (
-                len(first) > 0
+                not broken
                 and suggested[first[-1]] == suggested[k]
                 and t[k] - t[last[-1]] <= deadline
             )
-            if same and not broken:
+            if same:
                 last[-1] = k
             else:
                 first.append(k)
