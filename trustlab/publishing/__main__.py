@@ -26,7 +26,7 @@ def _arguments(words: list[str] | None) -> argparse.Namespace:
         metavar=("NAME", "VALUE"),
         help="a declared parameter",
     )
-    add("--jobs", default="auto", metavar="N", help="notebooks run at once; auto: one per CPU")
+    add("--jobs", default="auto", metavar="N", help="notebooks run at once; auto: CPUs + 1")
     add("--timeout", metavar="SECONDS", type=float, help="time limit of each cell (default: none)")
     add("--force", action="store_true", help="run also what is up to date")
     add("--no-run", action="store_true", help="run nothing: write the book of what was run")

@@ -92,7 +92,7 @@ def publish(
     parameters : dict, optional
         Parameter → value; a notebook gets those it declares. Strings are read as Python.
     jobs : int or "auto"
-        Notebooks run at once; ``"auto"`` for the number of CPUs there are.
+        Notebooks run at once; ``"auto"`` for one more than there are CPUs.
     force : bool
         Whether to run what is up to date.
     timeout : float, optional
@@ -121,7 +121,8 @@ def publish(
     say = report or (lambda line: None)
     chosen = find_notebooks(root, names)
     values = choose_parameters(chosen, parameters or {})
-    most = cpu_count() if jobs == "auto" else whole_number("jobs", jobs)
+    # one more than CPUs, for notebooks that start, or wait for a browser, leave one idle
+    most = cpu_count() + 1 if jobs == "auto" else whole_number("jobs", jobs)
     limit = None if timeout is None else positive("timeout", timeout)
     prepare_environment(root)
     for path in _chapters(root):
