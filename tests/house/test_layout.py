@@ -306,3 +306,10 @@ def test_the_checks_see_what_they_should():
     assert classes({"a": "class A: pass", "b": "class A: pass"}) == {"A": ["a", "b"]}
     assert wide_tuples("a, b, c = 1, 2, 3\na, b = 1, 2\na, b, c = f()\n") == [1]
     assert len(code_tokens("'''Prose.'''\nx = 1  # a comment\n")) == 3
+
+
+def test_a_group_of_tests_stays_in_one_worker(request):
+    """pytest-xdist tells a group by the test's name; some versions of pytest undo that in silence."""
+    if not hasattr(request.config, "workerinput"):
+        pytest.skip("tests run in one process")
+    assert request.node.nodeid.endswith("@layout")
