@@ -309,7 +309,7 @@ def test_the_checks_see_what_they_should():
 
 
 def test_a_group_of_tests_stays_in_one_worker(request):
-    """pytest-xdist tells a group by the test's name; some versions of pytest undo that in silence."""
+    """pytest-xdist tells a group by a test's name; some versions of pytest undo that unseen."""
     if not hasattr(request.config, "workerinput"):
         pytest.skip("tests run in one process")
     assert request.node.nodeid.endswith("@layout")
