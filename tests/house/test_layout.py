@@ -19,7 +19,7 @@ MOST_TOKENS = {
     "allocation": 40_500,
     "campaign": 11_000,
     "identification": 45_400,  # aim: 42,500 (29)
-    "live": 40_900,  # aim: 21,000 (31)
+    "live": 43_800,  # with flights and teams in browsers; aim: 21,000 (31)
     "models": 10_700,
     "operators": 3_700,
     "publishing": 6_700,  # aim: 4,000 (35)
@@ -27,8 +27,8 @@ MOST_TOKENS = {
     "ros": 8_500,  # aim: 6,000 (33)
     "sessions": 32_000,  # with encodings, and drafts that guess who drives and an even grid
     "studies": 57_400,  # with ordinal models; aim: 53,000 (32)
-    "teleoperation": 31_800,
-    "testbeds": 35_600,
+    "teleoperation": 32_100,
+    "testbeds": 35_800,
     "trust": 13_450,  # with teams, studies and tables as panels, and profiles; aim: 12_000 (32)
     "trustlab": 500,
 }

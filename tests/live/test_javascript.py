@@ -37,29 +37,41 @@ def modules(tmp_path_factory):
     drive = {"config": config, "commands": commands.tolist(), "rows": rows.tolist()}
     (folder / "drive.json").write_text(json.dumps(drive))
     (folder / "flight.json").write_text(json.dumps(flight()))
+    (folder / "lead.json").write_text(json.dumps(lead()))
     return folder
 
 
-def flight():
-    """A flight by numba, with what a page would draw."""
-    task = task_named("teleoperation")
-    config = task.config(task.settings(duration=5.0).as_json(), "TMIG", {}, seed=3)
-    run = task.begin(config)
-    t = 0.05 * np.arange(config["samples"])
-    commands = np.column_stack([np.sin(t), 0.5 * np.cos(2 * t), np.full(len(t), -1.0)]).tolist()
-    rows, pictures = [], []
-    shown = ("target", "robot", "device", "force", "guide")
+def made(task, config, commands):
+    """A run by numba, with what a page would draw."""
+    run, rows, pictures = task.begin(config), [], []
     for command in commands:
         rows.append(run.step(*command))
-        pictures.append({name: run.picture()[name] for name in shown})
+        pictures.append(run.picture())
+    memory = task.memory(config)
     config["words"] = {"diverged": "too far"}
-    return {
-        "config": config,
-        "memory": task.memory(config),
-        "commands": commands,
-        "rows": rows,
-        "pictures": pictures,
-    }
+    written = {"config": config, "memory": memory, "commands": commands}
+    return written | {"rows": rows, "pictures": pictures}
+
+
+def flight():
+    """A flight."""
+    task = task_named("teleoperation")
+    config = task.config(task.settings(duration=5.0).as_json(), "TMIG", {}, seed=3)
+    t = 0.05 * np.arange(config["samples"])
+    commands = np.column_stack([np.sin(t), 0.5 * np.cos(2 * t), np.full(len(t), -1.0)]).tolist()
+    written = made(task, config, commands)
+    shown = ("target", "robot", "device", "force", "guide")
+    pictures = [{name: picture[name] for name in shown} for picture in written["pictures"]]
+    return written | {"pictures": pictures}
+
+
+def lead():
+    """A team of which the person lets another robot lead half-way."""
+    task = task_named("team")
+    config = task.config(task.settings(duration=20.0).as_json(), "suggested", {}, seed=1)
+    t = 0.05 * np.arange(config["samples"])
+    commands = np.column_stack([np.sin(0.3 * t), np.cos(0.2 * t), 2 * (t >= 10)]).tolist()
+    return made(task, config, commands)
 
 
 @pytest.mark.skipif(ESLINT is None, reason="needs eslint: npm ci --prefix tests/live/javascript")
@@ -77,7 +89,7 @@ def test_modules_are_linted(modules):
 
 
 @pytest.mark.skipif(NODE is None, reason="needs node: apt-get install nodejs")
-@pytest.mark.parametrize("name", ["physics", "hands", "view", "flight"])
+@pytest.mark.parametrize("name", ["physics", "hands", "view", "flight", "lead"])
 def test_modules_in_node(modules, name):
     done = subprocess.run(
         [NODE, "--test", f"{name}.test.js"], cwd=modules, capture_output=True, text=True

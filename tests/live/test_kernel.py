@@ -11,10 +11,10 @@ import pytest
 
 import trustlab as tl
 from trustlab.live import build
-from trustlab.live.flown import fly_there
 from trustlab.live.hand import HumanHand, scripted_drive
 from trustlab.live.noise import HASHED
 from trustlab.live.runs import Drive, commands_of, drive_config, driven, replay
+from trustlab.live.tasks.flown import fly_there
 from trustlab.models.digest import digest
 from trustlab.models.portable import cos_sin
 from trustlab.testbeds import GroundRobot, run_condition

@@ -1,6 +1,6 @@
 """
 `python -m trustlab.live.build`: numba's LLVM IR of a tick of the ground robot, and of a period of a
-flight, compiled to WebAssembly for browsers.
+flight and of a team, compiled to WebAssembly for browsers.
 
 The bits are the same because both come from one IR whose arithmetic IEEE 754 fixes: no library
 functions, no contraction to fused multiply-adds, no vectors. Needs llvmlite (numba's own
@@ -72,10 +72,12 @@ def sources_digest() -> str:
     Return a digest of all that the WebAssembly file is made of: functions, constants, records and
     signatures.
     """
-    from trustlab.live import flown, noise, tick
+    from trustlab.live import noise, tick
+    from trustlab.live.tasks import flown, led
+    from trustlab.teleoperation.team import kernel
 
     texts: dict[str, str] = {}
-    for function, _ in (tick.ENTRIES | flown.ENTRIES | flown.PARTS).values():
+    for function, _ in (tick.ENTRIES | flown.ENTRIES | flown.PARTS | led.ENTRIES).values():
         sources(function, texts)
     for function in (
         noise.uniform,
@@ -83,7 +85,9 @@ def sources_digest() -> str:
     ):  # methods of a record there, so that no name leads to them
         sources(function, texts)
     kinds = [tick.TASK, tick.ROBOT, tick.FORCING, tick.STATE, tick.LOG, noise.HASHED]
-    kinds += [flown.HAND, flown.SETUP, flown.STATE, flown.INPUT, flown.HISTORY, flown.ACCOUNT]
+    kinds += [flown.ADDRESSES, flown.HAND, flown.SETUP, flown.STATE, flown.INPUT, flown.HISTORY]
+    kinds += [led.ADDRESSES, led.LEAD, led.FOLLOWER, led.ROW, led.ACCOUNT]
+    kinds += [kernel.NUMBERS, kernel.ROBOT, kernel.SAMPLE, kernel.STATE]
     records = [repr(kind) for kind in kinds]
     return digest(*records, *(f"{name} {text}" for name, text in sorted(texts.items())))
 
@@ -169,12 +173,13 @@ def build() -> None:
     """Write the WebAssembly file and the digest of its sources."""
     import llvmlite.binding as llvm
 
-    from trustlab.live import flown, tick
+    from trustlab.live import tick
+    from trustlab.live.tasks import flown, led
 
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     target = llvm.Target.from_triple("wasm32-unknown-unknown")
-    entries = tick.ENTRIES | flown.ENTRIES
+    entries = tick.ENTRIES | flown.ENTRIES | led.ENTRIES
     texts = {name: llvm_ir(name, *entry) for name, entry in entries.items()}
     texts |= {name: part_ir(name, *part) for name, part in flown.PARTS.items()}
     with tempfile.TemporaryDirectory() as folder:

@@ -73,5 +73,5 @@ class LiveTeam(LiveWidget):
         settings = LeadingSettings() if settings is None else settings
         content = of_class("settings", settings, LeadingSettings).as_json()
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
-        config = TASK.config(content, condition, {}, seed)
+        config = TASK.config(content, condition, {}, seed) | {"served": True}
         super().__init__(Attempt.of(folder, str(participant), config), language)

@@ -303,6 +303,35 @@ class TeamLoop:
             return self._memory.w.T + self._goal
         return np.where(self._graph.present[:, None], self._read("positions"), np.nan)
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """
+        Return the arrays of a run that has not begun, by name: a program in another language steps
+        them. `draws` and `drift` are what is drawn of packets and of robots' drift; `low` and what
+        follows belong to trust in robots.
+        """
+        if self._formation is None:
+            self._regroup(self._graphs[0], 0)
+        size, plan = len(self.robots), self._plan
+        arrays: dict[str, Any] = {
+            "numbers": self._numbers,
+            "ends": self._ends,
+            "states": self._states,
+            "low": self._low,
+            "span": self._span,
+            "share": self._share,
+            "decay": self._decay,
+            "gain": self._gain,
+            "draws": np.zeros((2, len(plan.decision))),
+            "drift": np.zeros((len(plan.graph), 3, size)),
+        }
+        arrays |= self._memory._asdict()
+        for name in ("values", "vectors", "into", "solve", "stiffness"):
+            arrays[name] = getattr(self._formation, name)
+        if self._faults is not None:
+            arrays["draws"] = self._faults.draws
+            arrays["drift"][:, :, self._faults.drifting] = self._faults.drift
+        return arrays
+
     def step(self, hand=None, leader: Hashable = None) -> View:
         """
         Advance one sample and return the state.
@@ -503,13 +532,14 @@ class TeamLoop:
         """Return how robots moved in the last sample, and how (4.22) asks them to, (N, 3) each."""
         team, (w_before, z_before) = self._formation, self._before
         w, z = self._memory.w, self._memory.z
-        q, zeta = 0.5 * (w + w_before), 0.5 * (z + z_before)
+        rows = np.empty((6, w.shape[1]))
         if team.directed:
-            asked = multiplied(zeta, team.laplacian) - multiplied(q, team.laplacian.T)
+            q, zeta = 0.5 * (w + w_before), 0.5 * (z + z_before)
+            rows[:3] = (w - w_before) / self._T
+            rows[3:] = multiplied(zeta, team.laplacian) - multiplied(q, team.laplacian.T)
         else:
-            asked = team.values * (zeta - q)
+            kernel.moves_undirected(team, self._memory, w_before, z_before, self._T, rows)
         # one product for all, as matrices of large teams are slow to read
-        rows = np.concatenate([(w - w_before) / self._T, asked])
         moves = multiplied(rows, team.vectors.T)
         asked = (moves[3:] / self._speeds).T
         sample = self._memory.samples[self._done - 1]

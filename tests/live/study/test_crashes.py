@@ -18,6 +18,7 @@ import pytest
 from trustlab.live.study.live_study import LiveStudy
 from trustlab.live.study.store import read_tokens
 from trustlab.live.tasks.task import ServedRun
+from trustlab.trust.dynamics import MODELS
 
 WIDTH = 15
 
@@ -132,17 +133,20 @@ def test_two_kills_lose_nothing(make_plan, client):
     check(make_plan(training=600.0), client, 2, seed=1)
 
 
-def test_a_team_goes_on_bit_for_bit_after_a_kill(tmp_path, client):
+def team_plan(folder):
+    """A study of a team with a model of trust in Python, which the server computes."""
     conditions = ["by_hand", "suggested"]
-    plan = LiveStudy(tmp_path / "s", conditions, 2, task="team", training=300.0)
-    check(plan, client, 1, 3, led)
+    trust = MODELS["asymmetric"]()
+    return LiveStudy(folder, conditions, 2, task="team", training=300.0, trust=trust)
+
+
+def test_a_team_goes_on_bit_for_bit_after_a_kill(tmp_path, client):
+    check(team_plan(tmp_path / "s"), client, 1, 3, led)
 
 
 @pytest.mark.long
 def test_a_team_goes_on_bit_for_bit_after_twenty_kills(tmp_path, client):
-    conditions = ["by_hand", "suggested"]
-    plan = LiveStudy(tmp_path / "s", conditions, 2, task="team", training=300.0)
-    check(plan, client, 20, 4, led)
+    check(team_plan(tmp_path / "s"), client, 20, 4, led)
 
 
 @pytest.mark.long

@@ -5,67 +5,26 @@ numba's machine code, and node.
 
 import base64
 import json
-import struct
 
 import numpy as np
 import pytest
 
-from trustlab.live import build
-from trustlab.live.flown import PARTS, SETUP
+from tests.live.tasks import computed
+from trustlab.live.tasks.flown import PARTS, SETUP
 from trustlab.live.tasks.task import sent_columns, task_named
 from trustlab.live.tasks.teleoperation import SCHEMES, TeleoperationSettings
 from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.trust.dynamics import MODELS
 
-wasmtime = pytest.importorskip("wasmtime")
-
 TASK = task_named("teleoperation")
 
 
-class Module:
-    """The WebAssembly file in wasmtime, with a flight's arrays in its memory."""
+class Module(computed.Module):
+    """A flight."""
 
-    def __init__(self, config, memory):
-        engine = wasmtime.Engine()
-        self.store = wasmtime.Store(engine)
-        module = wasmtime.Module(engine, build.WASM.read_bytes())
-        self.exports = wasmtime.Instance(self.store, module, []).exports(self.store)
-        self.heap, self.plan, self.periods = self.exports["memory"], memory, 0
-        self.status = top = (self.exports["__heap_base"].value(self.store) + 64) & ~15
-        size = sum(array["size"] + 16 for array in memory["arrays"])
-        self.heap.grow(self.store, size // 65_536 + 2)
-        self.at = {}
-        top += 32
-        for array in memory["arrays"]:
-            self.at[array["name"]] = top
-            if "data" in array:
-                self.heap.write(self.store, base64.b64decode(array["data"]), top)
-            top = (top + array["size"] + 15) & ~15
-        table = self.exports["__indirect_function_table"]
-        for part in memory["parts"]:
-            place = table.grow(self.store, 1, self.exports[part["part"]])
-            where = self.at["setups"] + part["offset"]
-            self.heap.write(self.store, struct.pack("<q", place), where)
-
-    def step(self, x, y, choice):
-        at, every = self.at, self.plan["every"]
-        first = self.periods * every
-        self.periods += 1
-        arrays = [at["hand"], at["setups"], at["states"], at["states"], at["inputs"], at["delays"]]
-        arrays += [at["arrives"], at["accounts"], at["history"], at["sent"]]
-        arrays += [at["table"], at["table"]]
-        command = (first, first + every, x, y, choice, self.plan["samples"])
-        places = self.status, self.status + 16
-        assert self.exports["fly"](self.store, *places, *command, *arrays) == 0
-        return [x, y, choice, *(self.number(place) for place in self.plan["logged"])]
-
-    def number(self, place):
-        where = self.at["states"] + place
-        return struct.unpack("<d", self.heap.read(self.store, where, where + 8))[0]
-
-    @property
-    def end(self):
-        return struct.unpack("<i", self.heap.read(self.store, self.status, self.status + 4))[0]
+    def step(self, *command):
+        self.end = self.period(*command)
+        return [*command, *(self.numbers("states", place)[0] for place in self.plan["logged"])]
 
 
 def configured(scheme, **settings):
@@ -87,7 +46,7 @@ def commands_of(config, seed=1):
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_every_row_is_the_same_in_webassembly(scheme, guidance, study):
     config = configured(scheme, guidance=guidance, study=study)
-    there, run = Module(config, TASK.memory(config)), TASK.begin(config)
+    there, run = Module("fly", TASK.memory(config)), TASK.begin(config)
     rows = [there.step(*command) for command in commands_of(config)]
     assert rows == [run.step(*command) for command in commands_of(config)]
     assert TASK.replay(config, rows) is True
@@ -105,7 +64,7 @@ def test_a_flight_that_diverges_stands_still_in_both():
     for records in (changed, run.flight.loop._setups):
         records["vehicle"]["phi"] *= 3.0  # a vehicle that nobody can hold
     setups["data"] = base64.b64encode(changed.tobytes()).decode()
-    there = Module(config, memory)
+    there = Module("fly", memory)
     for command in commands_of(config):
         row = run.step(*command)
         if run.failed:

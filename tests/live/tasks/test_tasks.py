@@ -26,6 +26,7 @@ from trustlab.live.tasks.teleoperation import TeleoperationSettings
 from trustlab.operators.teleoperator import REACH
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, TeamTrial
+from trustlab.trust.dynamics import MODELS
 
 SHORT = {"team": {"duration": 9.0, "goals": 2}, "teleoperation": {"duration": 3.0}}
 CASES = [("team", "by_hand"), ("team", "suggested"), ("teleoperation", "TMIG")]
@@ -169,7 +170,7 @@ def test_a_team_at_its_goals_ends_before_its_time():
     content = LeadingSettings(duration=60.0, goals=1, tolerance=1.0).as_json()
     protocol = task_named("team")
     config = protocol.config(content, "most_trusted", {}, 5)
-    rows = stepped(config, protocol.scripted_rows(config, np.random.default_rng(0)))
+    rows = protocol.scripted_rows(config, np.random.default_rng(0))
     session = protocol.session(config, rows)
     assert len(rows) < config["samples"]
     assert session["goals_reached"][-1] == 1
@@ -205,7 +206,7 @@ def test_rows_that_are_sent_again_come_out_the_same():
 
 @pytest.mark.parametrize("value", [7, 1.5, -1, float("nan"), "1", None])
 def test_commands_that_nobody_can_give_are_refused(value):
-    config = configured("team", "by_hand")
+    config = configured("team", "by_hand") | {"served": True}  # commands alone are sent
     check_row(config, [0, 0.0, 0.5, -1.0, 4])
     with pytest.raises(ValueError, match=r"leader_choice|finite numbers"):
         check_row(config, [0, 0.0, 0.5, -1.0, value])
@@ -230,7 +231,8 @@ def begun(plan, code="P01"):
 
 
 def test_a_full_disk_loses_nothing(tmp_path, monkeypatch):
-    plan = planned(tmp_path / "s", "team", ["by_hand", "suggested"])
+    trust = MODELS["asymmetric"]()  # in Python: the server computes what the commands lead to
+    plan = planned(tmp_path / "s", "team", ["by_hand", "suggested"], trust=trust)
     participation, about, config = begun(plan)
     sent = [[k, 50.0 * k, *row] for k, row in enumerate(commanded(config)[:20].tolist())]
     assert participation.rows(about | {"rows": sent[:5]})["have"] == 5

@@ -16,6 +16,7 @@ from tests.live.test_widget import Notebook
 from trustlab.live.attempt import Attempt
 from trustlab.live.study.server import StudyServer
 from trustlab.live.tasks.team import LeadingSettings
+from trustlab.trust.dynamics import MODELS
 
 pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -55,6 +56,14 @@ def led(tmp_path_factory, browser):
         page.keyboard.press("2")
         until(page, "self.study.driving?.now?.t > 0.5")
         said.append(page.inner_text("#drive") if page.query_selector("#drive") else "")
+        if len(said) == 2:
+            number = page.evaluate("self.study.page")
+            page.reload()  # computed in the page, the run goes on from the rows on the disk
+            next_page(page, number - 1)
+            go_on(page, "drive")
+            until(page, "self.study.driving?.now?.t > 0.4")
+            pointing(page, 0.9, 0.5)
+            page.keyboard.press("2")
         until(page, "!document.querySelector('#drive')")
 
     with StudyServer(plan) as server:
@@ -84,7 +93,13 @@ def test_a_person_leads_a_team_in_the_browser(led):
 
 def test_a_server_that_begins_anew_goes_on_with_the_run(tmp_path, browser):
     plan = tl.LiveStudy(
-        tmp_path / "s", ["most_trusted", "by_hand"], 2, task="team", duration=4.0, training=4.0
+        tmp_path / "s",
+        ["most_trusted", "by_hand"],
+        2,
+        task="team",
+        duration=4.0,
+        training=4.0,
+        trust=MODELS["asymmetric"](),  # a model in Python: the server computes the run
     )
     with StudyServer(plan) as server:
         port, links = server.port, server.links()

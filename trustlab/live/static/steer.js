@@ -1,8 +1,8 @@
 // A task that a hand steers in a square, twenty commands a second. Commands go to the server or a
-// notebook's kernel, which computes the task, and what comes back is drawn; or to a flight that is
+// notebook's kernel, which computes the task, and what comes back is drawn; or to a run that is
 // computed here.
 //
-// steer(root, config, on, flight) has the contract of drive.js; heard(answer) takes what the other
+// steer(root, config, on, run) has the contract of drive.js; heard(answer) takes what the other
 // side says: {have, picture}.
 import { MIDDLE, PAD_STYLE, SIZE, Stick, dot, drawPad, drawPicture } from "./pad.js";
 import { clamp, dress, element, filled, keepKeys, say } from "./page.js";
@@ -156,7 +156,7 @@ function furnishTask(root, config) {
   return { left: left.getContext("2d"), right, below, status };
 }
 
-export async function steer(root, config, on, flight = null) {
+export async function steer(root, config, on, run = null) {
   const dt = (1000 * config.sample_time) / (config.pace ?? 1),
     leaving = new AbortController(),
     signal = leaving.signal,
@@ -178,9 +178,9 @@ export async function steer(root, config, on, flight = null) {
     hand = config.hand ? pulled(now, config.hand) : stick.read();
     extra.read?.(stick.pad);
     const values = [...hand, extra.value];
-    on.row(k, flight ? flight.step(values) : values);
+    on.row(k, run ? run.step(values) : values);
     k += 1;
-    if (flight) heard({ have: k, picture: flight.picture() });
+    if (run) heard({ have: k, picture: run.picture() });
   }
 
   const mayGo = () => running && k < config.samples && k - have < MOST_AHEAD;
@@ -254,9 +254,9 @@ export async function steer(root, config, on, flight = null) {
     { signal },
   );
   const earlier = (config.rows ?? []).map((row) => row.slice(0, config.commands.length));
-  if (flight && have) {
-    earlier.forEach((values) => flight.step(values)); // the same commands give the same rows
-    heard({ have, picture: flight.picture() });
+  if (run && have) {
+    earlier.forEach((values) => run.step(values)); // the same commands give the same rows
+    heard({ have, picture: run.picture() });
   } else if (have) on.row(have - 1, earlier.at(-1)); // its answer brings the picture
   requestAnimationFrame(frame);
   const telemetry = () => ({

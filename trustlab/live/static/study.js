@@ -2,10 +2,12 @@
 // markup.
 import { drive } from "./drive.js";
 import { Flight } from "./flight.js";
+import { Lead } from "./lead.js";
 import { element, filled } from "./page.js";
 import { Rows } from "./rows.js";
 import { steer } from "./steer.js";
 
+const COMPUTED = { teleoperation: Flight, team: Lead };
 const EVERY_COMMAND = 60; // ms between two sendings to a server that computes
 const base = location.pathname.replace(/\/$/, "");
 const main = document.querySelector("main"),
@@ -228,7 +230,8 @@ async function bringLeft(code) {
 async function beginDrive(root, config, memory, on) {
   if (config.served) return steer(root, config, on);
   const wasm = await (await fetch("/static/kernel.wasm")).arrayBuffer();
-  if (memory) return steer(root, config, on, await Flight.load(wasm, config, memory));
+  const run = memory && (await COMPUTED[config.live_task].load(wasm, config, memory));
+  if (run) return steer(root, config, on, run);
   return drive(root, config, wasm, on);
 }
 

@@ -61,8 +61,8 @@ class LiveStudy(Plan):
     drives : DriveSettings, TeleoperationSettings or LeadingSettings, optional
         The drives' settings, of the task's class: their length, for example.
     task : {"ground_robot", "teleoperation", "team"}
-        What people do. Browsers compute the ground robot and flights; the server computes teams,
-        and flights with a model of trust in place of (3.2).
+        What people do. Browsers compute it; the server does where a model of trust stands in place
+        of (3.2) or (4.1).
     language : {"en", "de"}
         Language of everything that participants see.
     whole_squares : bool

@@ -6,9 +6,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from trustlab.live.tasks.browser import offset, plan_of
+from trustlab.live.tasks.led import ADDRESSES, EMPTY, FOLLOWER, LEAD, ROW, about
 from trustlab.live.tasks.task import PERIOD, LiveTask, trust_as_json, trust_of
 from trustlab.models.checks import between, positive, whole_number
 from trustlab.sessions.session import Session
+from trustlab.teleoperation.records import filled
 from trustlab.teleoperation.team.leader_policies import POLICIES, TeamSituation
 from trustlab.teleoperation.team.settings import (
     TeamOperator,
@@ -16,11 +19,14 @@ from trustlab.teleoperation.team.settings import (
     TeamSettings,
     TeamTrial,
 )
-from trustlab.testbeds.robot_team import TeamLoop
+from trustlab.testbeds.robot_team import DECISION, TeamLoop
 
 BY_HAND, SUGGESTED = "by_hand", "suggested"
 ADVISERS: dict[str, Any] = {name: POLICIES[name] for name in ("most_trusted", "hysteresis")}
 """Policies whose picks are logged, in every condition."""
+
+CHOOSES = ("most_trusted", "hysteresis", SUGGESTED, BY_HAND)
+"""Who chooses the leader, by the numbers of `led`."""
 
 COMMANDS = ("pointer_x", "pointer_y", "leader_choice")
 COLUMNS = (
@@ -202,10 +208,11 @@ class LeadingRun:
         self.periods += 1
         self.leader = self.loop.robots.index(self.loop.leader) + 1
         places, goal = self.loop.positions[:, :2], self.goal
-        error = float(np.hypot(*(places - goal).T).max())
+        middle = np.empty(2)
+        error = float(about(places, np.array(goal), middle))
         if error <= self.config["tolerance"]:
             self.reached += 1
-        vectors = (places[self.leader - 1], places.mean(axis=0), goal, state.f_m[:2])
+        vectors = (places[self.leader - 1], middle, goal, state.f_m[:2])
         return [
             *command,
             *(float(number) for vector in vectors for number in vector),
@@ -217,6 +224,44 @@ class LeadingRun:
             self.reached,
             *self.loop.trust.tolist(),
         ]
+
+    def memory(self) -> dict[str, Any]:
+        """Return the loop's arrays as a browser needs them, before the first step."""
+        loop, config = self.loop, self.config
+        robots = len(loop.robots)
+        arrays: dict[str, Any] = loop.arrays()
+        settings = {
+            "step": DECISION,
+            "pull": PULL,
+            "tolerance": config["tolerance"],
+            "min_dwell": config["min_dwell"],
+            "margin": ADVISERS["hysteresis"].margin,
+            "samples": len(arrays["samples"]),
+            "decisions": len(arrays["drift"]),
+            "per_decision": round(DECISION / SAMPLE_TIME),
+            "robots": robots,
+            "goals": len(self.goals),
+            "chooses": CHOOSES.index(config["condition"]),
+            "leader": -1,
+        }
+        arrays["leads"] = filled(LEAD, **settings)
+        followers = arrays["followers"] = np.zeros(robots, FOLLOWER)
+        followers["place"], followers["trust"] = config["start"], loop.trust
+        for name in ("speed", "loss"):
+            followers[name] = [robot[name] for robot in config["robots"]]
+        for name in ("low", "span", "decay", "gain", "share"):
+            followers[name] = arrays.pop(name)
+        arrays["goals"] = np.array([(*goal, 0.0) for goal in self.goals])
+        arrays["before"] = np.zeros((2, 3, robots))
+        arrays["rows"] = np.zeros((6, robots))
+        arrays["row"] = np.zeros(1, ROW)
+        return plan_of(arrays, ADDRESSES, EMPTY) | {
+            "every": round(PERIOD / SAMPLE_TIME),
+            "columns": len(ROW.names),
+            "robot": {name: offset(FOLLOWER, name) for name in ("place", "trust")},
+            "size": FOLLOWER.itemsize,
+            "wait": offset(LEAD, "wait"),
+        }
 
     def picture(self) -> dict[str, Any]:
         """Return what the page draws."""
@@ -311,7 +356,7 @@ class TeamTask(LiveTask):
             "field": FIELD + START,
             "columns": [*COLUMNS, *(f"trust_{i}" for i in range(1, count + 1))],
             "commands": list(COMMANDS),
-            "served": True,
+            "served": content.get("trust") is not None,
             "limits": {
                 "pointer_x": [-1.0, 1.0],
                 "pointer_y": [-1.0, 1.0],
@@ -324,6 +369,10 @@ class TeamTask(LiveTask):
     def begin(self, config: Mapping[str, Any]) -> LeadingRun:
         """Return a run at its beginning."""
         return LeadingRun(config)
+
+    def memory(self, config: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Return the loop's arrays for a browser; a model of trust in it runs in Python alone."""
+        return None if config["served"] else LeadingRun(config).memory()
 
     def at_end(self, config: Mapping[str, Any], session: Session) -> bool:
         """Whether all goals were reached, or time is over."""

@@ -1,6 +1,5 @@
 """Shared teleoperation as a live task: a UAV after its target, under the schemes of Chapter 3."""
 
-from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
@@ -8,7 +7,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from trustlab.live.flight import UNBOUNDED, Flight
-from trustlab.live.flown import HAND, HISTORY, INPUT, SETUP, STATE
+from trustlab.live.tasks.browser import offset, plan_of
+from trustlab.live.tasks.flown import ADDRESSES, HAND, HISTORY, INPUT, SETUP, STATE
 from trustlab.live.tasks.task import PERIOD, LiveTask, trust_as_json, trust_of
 from trustlab.models.checks import between, one_of
 from trustlab.operators.teleoperator import REACH, Teleoperator
@@ -143,21 +143,19 @@ class LiveFlight:
         flight, loop = self.flight, self.flight.loop
         arrays = loop.arrays(self.samples * PERIOD)
         reach, bounds = flight.reach.tolist(), list(self.bounds)
-        arrays["hand"] = np.array([(*reach, *bounds)], HAND)
-        vectors = [_offset(STATE, name) + 8 * axis for name in VECTORS for axis in (0, 1)]
+        arrays["hand"] = np.array([(*reach, *bounds, self.samples * self.every)], HAND)
+        vectors = [offset(STATE, name) + 8 * axis for name in VECTORS for axis in (0, 1)]
         parts = SETUP.fields["parts"]
-        return {
-            "arrays": [_packed(name, array) for name, array in arrays.items()],
+        return plan_of(arrays, ADDRESSES, WRITTEN) | {
             "parts": [
-                {"part": part, "offset": parts[1] + _offset(parts[0], port)}
+                {"part": part, "offset": parts[1] + offset(parts[0], port)}
                 for port, part in loop.built_in.items()
             ],
-            "logged": vectors + [_offset(STATE, name) for name in NUMBERS],
-            "shown": [_offset(STATE, name) for name in ("device", "f_m", "guide")],
-            "input": {"size": INPUT.itemsize, "reference": _offset(INPUT, "reference")},
-            "past": {"size": HISTORY.itemsize, "error": _offset(HISTORY, "error")},
+            "logged": vectors + [offset(STATE, name) for name in NUMBERS],
+            "shown": [offset(STATE, name) for name in ("device", "f_m", "guide")],
+            "input": {"size": INPUT.itemsize, "reference": offset(INPUT, "reference")},
+            "past": {"size": HISTORY.itemsize, "error": offset(HISTORY, "error")},
             "every": self.every,
-            "samples": self.samples * self.every,
             "late": flight.late,
             "view": flight.task.view,
             "reach": reach,
@@ -165,19 +163,8 @@ class LiveFlight:
         }
 
 
-def _offset(kind: np.dtype, name: str) -> int:
-    """Return where a field of a record begins."""
-    return kind.fields[name][1]
-
-
 WRITTEN = ("history", "sent", "table")
 """Arrays that are empty before a run."""
-
-
-def _packed(name: str, array: np.ndarray) -> dict[str, Any]:
-    """Return an array for a browser, without its content where it has none yet."""
-    packed = {"name": name, "size": array.nbytes}
-    return packed if name in WRITTEN else packed | {"data": b64encode(array.tobytes()).decode()}
 
 
 class TrackingHand:

@@ -431,6 +431,19 @@ def move_directed(n, team, w, z, blown, state):
         state.error_loss += np.dot(q, pulled) / n.lead_gain
 
 
+@njit(error_model="numpy", forceinline=True, _nrt=False)
+def moves_undirected(team, m, w_before, z_before, sample_time, rows):
+    """
+    Set how robots moved in the last sample, and how (4.22) asks them to, in the eigenbasis: three
+    rows each.
+    """
+    for i in range(3):
+        for j in range(m.w.shape[1]):
+            middle, inner = 0.5 * (m.w[i, j] + w_before[i, j]), 0.5 * (m.z[i, j] + z_before[i, j])
+            rows[i, j] = (m.w[i, j] - w_before[i, j]) / sample_time
+            rows[3 + i, j] = team.values[j] * (inner - middle)
+
+
 @njit(error_model="numpy", forceinline=True)
 def account_energy(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from trustlab.models.checks import finite_array, not_negative, one_of, positive, set_checked
+from trustlab.models.compiled import njit
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +133,21 @@ def _hold(dwell: float, step: float) -> int:
     return int(np.ceil(dwell / step - 1e-9))
 
 
+@njit(error_model="numpy")
+def most_trusted(trust, leader, free, margin):
+    """
+    Return who leads next: the most trusted robot where the present leader, −1 for none, is free to
+    go and trusted less by more than a margin.
+    """
+    best = 0
+    for robot in range(1, trust.size):
+        if trust[robot] > trust[best]:
+            best = robot
+    if leader < 0:
+        return best
+    return best if free and trust[best] > trust[leader] + margin else leader
+
+
 @dataclass(frozen=True)
 class MostTrusted:
     """
@@ -198,11 +214,8 @@ class MostTrusted:
         now : TeamSituation
             Time, trust, who is present, who leads since when.
         """
-        best = int(np.argmax(now.trust))
-        if now.leader is None:
-            return best
-        better = now.trust[best] > now.trust[now.leader] + self.margin
-        return best if now.free and better else now.leader
+        leader = -1 if now.leader is None else now.leader
+        return most_trusted(now.trust, leader, now.free, self.margin)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from trustlab.models.checks import one_of
+from trustlab.models.compiled import njit
 from trustlab.teleoperation.loop.settings import PartError
 
 # Performance that is drawn at random and says nothing of the robots: for tests of theorems.
@@ -63,6 +64,35 @@ class Motion:
         return self.read("asked")
 
 
+@njit(error_model="numpy")
+def rate_move(velocity, asked):
+    """Return 1 − ‖v − v̂‖/(‖v‖ + ‖v̂‖) of one robot; NaN where nothing moves."""
+    off = moved = wanted = 0.0
+    for i in range(3):
+        off += (velocity[i] - asked[i]) ** 2
+        moved += velocity[i] ** 2
+        wanted += asked[i] ** 2
+    moving = np.sqrt(moved) + np.sqrt(wanted)
+    if not moving > LEAST_SPEED:
+        return np.nan
+    return np.rint(1000.0 * (1.0 - np.sqrt(off) / moving)) / 1000.0
+
+
+@njit(error_model="numpy")
+def rate_moves(velocities, asked):
+    """Return the same of every robot."""
+    rated = np.empty(len(velocities))
+    for robot in range(rated.size):
+        rated[robot] = rate_move(velocities[robot], asked[robot])
+    return rated
+
+
+@njit(error_model="numpy")
+def with_packets(rated, received):
+    """Return how well the leader moves, times the share of its packets that arrived."""
+    return received if np.isnan(rated) else rated * received
+
+
 def tracking(motion: Motion) -> np.ndarray:
     """
     Return how well robots move as (4.22) asks, 1 − ‖v − v̂‖/(‖v‖ + ‖v̂‖); NaN where nothing moves.
@@ -75,11 +105,7 @@ def tracking(motion: Motion) -> np.ndarray:
     motion : Motion
         What is measured.
     """
-    v, asked = motion.velocities, motion.asked
-    off = np.linalg.norm(v - asked, axis=1)
-    moving = np.linalg.norm(v, axis=1) + np.linalg.norm(asked, axis=1)
-    rated = 1.0 - off / np.maximum(moving, LEAST_SPEED)
-    return np.where(moving > LEAST_SPEED, np.round(rated, 3), np.nan)
+    return rate_moves(motion.velocities, motion.asked)
 
 
 def packets(motion: Motion) -> np.ndarray:
@@ -127,7 +153,7 @@ def motion(motion: Motion) -> np.ndarray:
         What is measured.
     """
     rated = tracking(motion)
-    rated[motion.leader] = np.nan_to_num(rated[motion.leader], nan=1.0) * motion.received
+    rated[motion.leader] = with_packets(rated[motion.leader], motion.received)
     return rated
 
 
