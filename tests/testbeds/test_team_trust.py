@@ -270,6 +270,18 @@ class TestLoop:
         with pytest.raises(ValueError, match="longer duration than 12 s"):
             loop.step()
 
+    def test_many_samples_at_once_are_so_many_steps(self):
+        one, many = (tl.TeamLoop(CHAIN, duration=3.0, **self.options) for _ in range(2))
+        for hand in np.random.default_rng(0).normal(0.0, 0.1, (42, 3)):  # 7 samples each
+            many.step(hand, samples=7)
+            for _ in range(7):
+                one.step(hand)
+        assert one.t == many.t == 2.94
+        assert many.run().data.equals(one.run().data)
+        for samples in (0, 1, 2.5):  # the loop is at its end
+            with pytest.raises(ValueError, match=r"samples must|longer duration"):
+                one.step(samples=samples)
+
     def test_a_wish_waits_for_the_dwell_time(self):
         loop = tl.TeamLoop(CHAIN, duration=20.0, performance="random", trial=TeamTrial(0.01))
         first = loop.step(leader=2)

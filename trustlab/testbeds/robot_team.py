@@ -10,7 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import between, finite_array, finite_number, of_class, spawned
+from trustlab.models.checks import (
+    between,
+    finite_array,
+    finite_number,
+    of_class,
+    spawned,
+    whole_number,
+)
 from trustlab.models.trust import trust_run, trust_step
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.filters import WaveFilter, passivity_margin
@@ -332,9 +339,9 @@ class TeamLoop:
             arrays["drift"][:, :, self._faults.drifting] = self._faults.drift
         return arrays
 
-    def step(self, hand=None, leader: Hashable = None) -> View:
+    def step(self, hand=None, leader: Hashable = None, samples: int = 1) -> View:
         """
-        Advance one sample and return the state.
+        Advance one sample, or several under one hand, and return the state.
 
         Parameters
         ----------
@@ -345,6 +352,8 @@ class TeamLoop:
             Name of the robot that leads from the next decision on in which the present leader has
             led for τ_min, until another is named or it leaves the team; the policy's when none was
             named.
+        samples : int
+            How many samples the hand stays there; many at once take less time than one by one.
 
         Returns
         -------
@@ -358,17 +367,18 @@ class TeamLoop:
         DivergenceError
             If the run grows without bound.
         """
-        if self._done == len(self._plan.decision):
+        stop = self._done + whole_number("samples", samples)
+        if stop > len(self._plan.decision):
             raise ValueError(
                 f"the loop ends at t = {self.t:g} s; make it with a longer duration than "
                 f"{self.duration:g} s"
             )
         if hand is not None:
             place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
-            self._memory.samples["hand"][self._done] = place
+            self._memory.samples["hand"][self._done : stop] = place
         if leader is not None:
             self._leading.name(leader, self._plan.decision[self._done])
-        self._advance(self._done + 1)
+        self._advance(stop)
         return self.state
 
     def run(self, until: float | None = None) -> TeamRun:

@@ -203,8 +203,8 @@ class LeadingRun:
         x, y, choice = command
         self.hand = x, y
         self.policy.wish = int(choice)
-        for _ in range(round(PERIOD / SAMPLE_TIME)):
-            state = self.loop.step(hand=(PULL * x, PULL * y, 0.0))
+        hand = (PULL * x, PULL * y, 0.0)
+        state = self.loop.step(hand, samples=round(PERIOD / SAMPLE_TIME))
         self.periods += 1
         self.leader = self.loop.robots.index(self.loop.leader) + 1
         places, goal = self.loop.positions[:, :2], self.goal
