@@ -46,7 +46,7 @@ class GridTrust(TrustDynamics):
     text.
     """
 
-    title: ClassVar[str] = "grid (OPTIMo)"
+    title: ClassVar[str] = "OPTIMo (Xu and Dudek)"
     constant: float = parameter(-0.05, -1.0, 1.0)
     level: float = parameter(0.1, -1.0, 1.0)
     change: float = parameter(0.01, -1.0, 1.0)
