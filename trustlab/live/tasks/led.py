@@ -58,16 +58,15 @@ EMPTY = ("samples", "arrives", "u_l", "u_r", "before", "rows", "row")
 
 
 @njit(error_model="numpy")
-def about(places, goal, middle):
-    """Set the middle of a team [m]; return how far its farthest robot is from a goal [m]."""
-    middle[0] = middle[1] = farthest = 0.0
+def about(places, goal):
+    """Return the middle of a team and how far its farthest robot is from a goal: x, y, far [m]."""
+    x = y = far = 0.0
     for j in range(places.shape[0]):
-        away = 0.0
-        for i in range(2):
-            middle[i] += places[j, i] / places.shape[0]
-            away += (places[j, i] - goal[i]) ** 2
-        farthest = max(farthest, np.sqrt(away))
-    return farthest
+        away = (places[j, 0] - goal[0]) ** 2 + (places[j, 1] - goal[1]) ** 2
+        far = max(far, np.sqrt(away))
+        x += places[j, 0] / places.shape[0]
+        y += places[j, 1] / places.shape[0]
+    return x, y, far
 
 
 @njit(error_model="numpy")
@@ -150,9 +149,7 @@ def remember(m, before):
 @njit(error_model="numpy")
 def fill_row(lead, goal, state, robots, row):
     """Set a row of the log, after the samples of its period."""
-    middle = robots[0].asked  # worked out anew at each decision: here, room for two numbers
-    row.path_error = about(robots["place"], goal, middle)
-    row.team_x, row.team_y = middle[0], middle[1]
+    row.team_x, row.team_y, row.path_error = about(robots["place"], goal)
     row.robot_x, row.robot_y = robots[lead.leader].place[0], robots[lead.leader].place[1]
     row.goal_x, row.goal_y = goal[0], goal[1]
     row.f_m_x, row.f_m_y = state.f_m[0], state.f_m[1]

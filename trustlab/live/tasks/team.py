@@ -208,8 +208,7 @@ class LeadingRun:
         self.periods += 1
         self.leader = self.loop.robots.index(self.loop.leader) + 1
         places, goal = self.loop.positions[:, :2], self.goal
-        middle = np.empty(2)
-        error = float(about(places, np.array(goal), middle))
+        *middle, error = about(places, np.array(goal))
         if error <= self.config["tolerance"]:
             self.reached += 1
         vectors = (places[self.leader - 1], middle, goal, state.f_m[:2])
