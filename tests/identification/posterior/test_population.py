@@ -118,7 +118,9 @@ def test_everyone_is_held_by_the_others(people):
     posterior = people.posterior("1")
     assert posterior.method == "population"
     assert len(posterior) == 500
-    assert people.message.startswith("3 people; of a new one they predict human_time_constant")
+    assert people.message.startswith(
+        "3 people; of a new one they predict operator's time constant [s]"
+    )
     axes = people.plot()
     assert axes.shape == (7,)
     assert "synthetic" in axes[0].figure.get_suptitle()

@@ -25,15 +25,18 @@ from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 
-MODEL = (
-    "human_time_constant",
-    "human_beta",
-    "human_p_min",
-    "human_p_max",
-    "robot_time_constant",
-    "robot_p_min",
-    "robot_p_max",
-)
+WORDS = {
+    "human_time_constant": "operator's time constant [s]",
+    "human_beta": "operator's best utilization β",
+    "human_p_min": "least human performance",
+    "human_p_max": "greatest human performance",
+    "robot_time_constant": "robot's time constant [s]",
+    "robot_p_min": "least robot performance",
+    "robot_p_max": "greatest robot performance",
+}
+"""The model's parameters in words."""
+
+MODEL = tuple(WORDS)
 
 
 def physical(thetas: np.ndarray, step: float) -> pd.DataFrame:

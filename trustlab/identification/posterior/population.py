@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.posterior.coordinates import Target
-from trustlab.identification.posterior.draws import MODEL, interval_words, physical, summary
+from trustlab.identification.posterior.draws import MODEL, WORDS, interval_words, physical, summary
 from trustlab.identification.posterior.importance import Sample, resampled, smoothed
 from trustlab.identification.posterior.likelihood import H_MIN, P_MIN, SHARED, STATES
 from trustlab.identification.posterior.plots import plot_shrinkage
@@ -127,7 +127,7 @@ class Population:
     def message(self) -> str:
         """What is expected of a new person, and whose draws to doubt."""
         table = self.table().loc[NEW]
-        expected = [f"{name} {interval_words(row)}" for name, row in table.iterrows()]
+        expected = [f"{WORDS[name]} {interval_words(row)}" for name, row in table.iterrows()]
         sentences = [f"{len(self)} people; of a new one they predict {', '.join(expected)}."]
         for name, posterior in self.posteriors.items():
             sentences += [f"{name}: {doubt}" for doubt in posterior.doubts()]

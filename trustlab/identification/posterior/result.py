@@ -7,7 +7,13 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.posterior.coordinates import Target
-from trustlab.identification.posterior.draws import MODEL, interval_words, summary, tsc_models
+from trustlab.identification.posterior.draws import (
+    MODEL,
+    WORDS,
+    interval_words,
+    summary,
+    tsc_models,
+)
 from trustlab.identification.posterior.likelihood import SHARED, simulate
 from trustlab.identification.posterior.plots import plot_posterior
 from trustlab.identification.posterior.priors import Prior
@@ -118,12 +124,13 @@ class Posterior:
         table = self.table().loc[list(MODEL)]
         told = table[table["narrower"] >= 1.0 - DETERMINED]
         open_ = [name for name in MODEL if name not in told.index]
-        values = [f"{name} {interval_words(row)}" for name, row in told.iterrows()]
         sentences = []
-        if values:
-            sentences.append(f"These data determine {', '.join(values)}.")
+        if len(told):
+            values = [f"{WORDS[name]} {interval_words(row)}" for name, row in told.iterrows()]
+            sentences.append(f"These data determine: {'; '.join(values)}.")
         if open_:
-            sentences.append(f"They leave {', '.join(open_)} mostly to the prior.")
+            unknown = ", ".join(WORDS[name] for name in open_)
+            sentences.append(f"They leave mostly to the prior: {unknown}.")
         sentences += self.doubts()
         return " ".join(sentences)
 
