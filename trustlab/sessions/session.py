@@ -21,7 +21,8 @@ STEP_TOLERANCE = 0.01
 
 # What to do about a missing column, by the beginning of its name.
 REMEDIES = {
-    "p_": "; session.with_performance(…) computes p_r and p_h",
+    "p_": "; where the log has performance under another name, its recipe says so; "
+    "session.with_performance(…) computes p_r and p_h from the motion",
     "step_": '; other measures: "uav_tracking", "mixed_initiative"; add one of your own by '
     "with_columns",
     "u_": "; where positions are commanded, they are the commands: "

@@ -80,7 +80,9 @@ class PosteriorChoice:
         from trustlab.models.axes import axes_or_new
 
         axes = axes_or_new(axes, figsize=(5, 4))
-        shown = axes.scatter("lower", "upper", c="p_encloses", data=self.candidates, vmin=0, vmax=1)
+        shown = axes.scatter(
+            "lower", "upper", c="p_encloses", data=self.candidates, vmin=0, vmax=1, label="pair"
+        )
         axes.figure.colorbar(shown, ax=axes, label="probability of switching around β")
         label = "choice" if self.offered else "nearest"
         axes.plot(self.lower, self.upper, "k*", ms=12, label=label)
