@@ -28,7 +28,8 @@ MOST_DECIMALS = 8
 SAME_SCALE = 1
 # The standard error of a row says how many decimals these have.
 ERRORS = {"stderr", "se"}
-ESTIMATES = {"value", "estimate", "mean", "M", "mean_difference", "ci_low", "ci_high", *ERRORS}
+ESTIMATES = {"value", "estimate", "mean", "M", "difference", "mean_difference", "simulated"}
+ESTIMATES |= {"ci_low", "ci_high", *ERRORS}
 MOST_ROWS = 1000
 
 
