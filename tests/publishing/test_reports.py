@@ -271,6 +271,13 @@ def test_an_estimate_has_the_decimals_of_its_standard_error():
     assert texts == ["0.995998", "0.000042", "0.310", "0.012"]
 
 
+@pytest.mark.parametrize("name", ["difference", "simulated"])
+def test_an_effect_has_the_decimals_of_its_interval(name):
+    frame = pd.DataFrame({name: [0.003441, -0.1102], "ci_low": [-0.0036, -0.24]})
+    texts = re.findall("<data[^>]*>([^<]*)", table_html(frame.assign(ci_high=[0.0105, 0.02])))
+    assert texts == ["0.0034", "−0.0036", "0.0105", "−0.11", "−0.24", "0.02"]
+
+
 def test_a_column_that_never_changes_is_said_in_the_caption():
     frame = pd.DataFrame({"n": [24] * 3, "x": [1, 2, 3]})
     text = table_html(figures.caption(frame, "Means."))

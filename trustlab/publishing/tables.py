@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from trustlab.identification.posterior.draws import WORDS
+
 P_VALUE = re.compile(
     r"p|p, .*|mauchly_p"
     r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman"
@@ -28,8 +30,17 @@ MOST_DECIMALS = 8
 SAME_SCALE = 1
 # The standard error of a row says how many decimals these have.
 ERRORS = {"stderr", "se"}
-ESTIMATES = {"value", "estimate", "mean", "M", "difference", "mean_difference", "simulated"}
-ESTIMATES |= {"ci_low", "ci_high", *ERRORS}
+ESTIMATES = ERRORS | {
+    "M",
+    "ci_high",
+    "ci_low",
+    "difference",
+    "estimate",
+    "mean",
+    "mean_difference",
+    "simulated",
+    "value",
+}
 MOST_ROWS = 1000
 
 
@@ -37,7 +48,9 @@ MOST_ROWS = 1000
 def words() -> dict[str, dict[str, str]]:
     """Return names in code and what a table shows instead: in heads (th), in cells too (td)."""
     text = (Path(__file__).parent / "templates" / "columns.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)
+    read = tomllib.loads(text)
+    read["td"] |= WORDS
+    return read
 
 
 def table_html(frame: pd.DataFrame) -> str:
@@ -142,10 +155,10 @@ def common_decimals(values: np.ndarray, digits: int = DIGITS) -> int | None:
     wanted = max(wanted, 0)
     if wanted > MOST_DECIMALS:
         return None
-    exact = (
-        count for count in range(wanted) if np.allclose(finite, finite.round(count), 1e-9, 0.0)
-    )
-    return next(exact, wanted)
+    for count in range(wanted):
+        if np.allclose(finite, finite.round(count), 1e-9, 0.0):
+            return count
+    return wanted
 
 
 def _plain(value: object) -> str:
@@ -155,7 +168,7 @@ def _plain(value: object) -> str:
 
 def cell(value: object, p: bool = False, decimals: int | None = None) -> str:
     """Return a value as a table shows it; a p-value with three decimals or as a bound."""
-    if isinstance(value, bool) or type(value).__name__ == "bool":
+    if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
     if pd.api.types.is_scalar(value) and pd.isna(value):
         return "–"
