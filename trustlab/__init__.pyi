@@ -102,7 +102,6 @@ from .sessions import (
     Session as Session,
     SessionError as SessionError,
     draft_recipe as draft_recipe,
-    join_sessions as join_sessions,
     read_frame as read_frame,
     read_session as read_session,
     read_sessions as read_sessions,

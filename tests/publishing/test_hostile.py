@@ -36,7 +36,7 @@ from trustlab.publishing.tables import table_html
 from trustlab.reproduction.calibration import Calibration
 from trustlab.reproduction.performance_line import PerformanceLine
 from trustlab.reproduction.reconstruction.reconstruction import reconstruct_study
-from trustlab.sessions.metadata import Metadata
+from trustlab.sessions.session import Metadata
 from trustlab.sessions.session import Session
 from trustlab.studies.analysis.rank_tests import friedman
 from trustlab.studies.analysis.report import report

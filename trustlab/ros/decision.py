@@ -21,7 +21,7 @@ from trustlab.ros.inputs import FIELDS, Input
 from trustlab.ros.settings import CoreSettings
 from trustlab.ros.window import WindowMean
 from trustlab.sessions.errors import SessionError
-from trustlab.sessions.metadata import Metadata
+from trustlab.sessions.session import Metadata
 from trustlab.sessions.metrics import goal_speed, manoeuvring
 from trustlab.sessions.session import Session
 from trustlab.testbeds.deciding import CONDITIONS

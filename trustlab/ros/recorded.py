@@ -16,10 +16,10 @@ from trustlab.ros.feed import Feed
 from trustlab.ros.journal import read_journal
 from trustlab.ros.run import RUN, STATES, RunSettings
 from trustlab.sessions.errors import SessionError, damage_named
-from trustlab.sessions.readers import read_session
-from trustlab.sessions.readers.bags import PREFIX
+from trustlab.sessions.reading import read_session
+from trustlab.sessions.bags import PREFIX
 from trustlab.sessions.session import Session
-from trustlab.sessions.writers import write_recording, write_session
+from trustlab.sessions.writing import write_recording, write_session
 from trustlab.studies.planning.virtual_study import KEYS
 from trustlab.testbeds.condition_run import condition_measures
 

@@ -307,7 +307,7 @@ def _model_of(table: Mapping[str, Any], folder: Path) -> tuple[TscModel, float |
         return models[one_of("model.published", str(table["published"]), models)], None
     if set(table) == {"session"}:
         from trustlab.identification.tsc import fit_tsc
-        from trustlab.sessions.readers import read_session
+        from trustlab.sessions.reading import read_session
 
         session = read_session(folder / table["session"])
         fit = fit_tsc(session)

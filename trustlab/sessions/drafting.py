@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 import os
 import re
 from datetime import datetime
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from trustlab.sessions.errors import SessionError, damage_named
+import pandas as pd
+
+from trustlab.sessions.columns import BLANKS
+from trustlab.sessions.errors import SessionError, damage_named, nearest_file
+from trustlab.sessions.reading import MOST_PERFORMANCE
 from trustlab.sessions.recipe import NUMBER
+from trustlab.sessions.tables import TEXTS, suffix_of
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ROWS = 20_000
 PERFORMANCE = '# {} = {{ column = "..." }}   # performance, if it is logged; else with_performance'
@@ -51,7 +54,7 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
     Parameters
     ----------
     path : path-like
-        A ``.csv``, ``.tsv``, ``.txt`` or ``.parquet`` file.
+        A ``.csv``, ``.csv.gz``, ``.tsv``, ``.txt`` or ``.parquet`` file.
     out : path-like, optional
         The recipe; by default the table's name with ``.toml`` in the working directory. An
         existing file is not replaced.
@@ -80,29 +83,26 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
     target = Path(f"{source.name.split('.')[0]}.toml" if out is None else out)
     if target.exists():
         raise SessionError(f"{target} exists already; give another name as out=...")
-    suffix = source.suffix.lower()
-    if suffix not in (".csv", ".tsv", ".txt", ".parquet"):
+    if suffix_of(source) not in (*TEXTS, ".parquet"):
         raise SessionError(
-            f"{source}: draft_recipe reads .csv, .tsv, .txt and .parquet tables; for a bag, name "
+            f"{source}: draft_recipe reads {', '.join(TEXTS)} and .parquet tables; for a bag, name "
             "topics and fields as in docs/start.md"
         )
+    if not source.is_file():
+        raise SessionError(f"{source}: there is no such file{nearest_file(source)}")
     with damage_named(f"{source} cannot be read as a table", "check the file"):
-        frame, layout = _read(source) if suffix != ".parquet" else (_parquet(source), [])
+        if source.suffix.lower() == ".parquet":
+            import pyarrow.parquet as pq
+
+            frame, layout = next(pq.ParquetFile(source).iter_batches(ROWS)).to_pandas(), []
+        else:
+            frame, layout = _read(source)
     target.write_text(_recipe(source, frame, layout), encoding="utf-8")
     return target
 
 
-def _parquet(path: Path) -> pd.DataFrame:
-    import pyarrow.parquet as pq
-
-    batch = next(pq.ParquetFile(path).iter_batches(ROWS))
-    return batch.to_pandas()
-
-
 def _read(path: Path) -> tuple[pd.DataFrame, list[str]]:
     """Return the first rows of a text table, and the lines of [table] that read it."""
-    import pandas as pd
-
     encoding = "utf-8-sig"
     try:
         lines = _first_lines(path, encoding)
@@ -111,8 +111,8 @@ def _read(path: Path) -> tuple[pd.DataFrame, list[str]]:
         lines = _first_lines(path, encoding)
     skipped = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
     rows = lines[skipped:]
-    delimiter = csv.Sniffer().sniff("".join(rows[:50]), ",;\t|").delimiter
-    cells = list(csv.reader(rows, delimiter=delimiter))
+    delimiter = _delimiter(rows[:50])
+    cells = _cells(rows, delimiter)
     decimal = any(re.fullmatch(r"[+-]?\d+,\d+", cell) for row in cells[1:50] for cell in row)
     header = not all(NUMBER.fullmatch(cell.replace(",", ".")) for cell in cells[0])
     layout = [
@@ -122,23 +122,38 @@ def _read(path: Path) -> tuple[pd.DataFrame, list[str]]:
         *([f"skip_lines = {skipped}"] if skipped else []),
         *([f"encoding = {json.dumps(encoding)}"] if encoding == "cp1252" else []),
     ]
-    names: Any = [name.strip() for name in cells[0]] if header else range(len(cells[0]))
-    width = len(names)
+    width = len(cells[0])
+    names: Any = [name.strip() for name in cells[0]] if header else range(width)
     frame = pd.DataFrame([row for row in cells[header:] if len(row) == width], columns=names)
     return frame.apply(lambda column: _numbers(column, decimal)), layout
 
 
 def _first_lines(path: Path, encoding: str) -> list[str]:
-    with path.open(encoding=encoding, newline="") as file:
+    opened = gzip.open if path.suffix.lower() == ".gz" else open
+    with opened(path, "rt", encoding=encoding, newline="") as file:
         return list(islice(file, ROWS))
+
+
+def _delimiter(rows: list[str]) -> str:
+    """Return what separates the cells: the first mark that gives each row as many of them."""
+    for mark in ";\t|, ":
+        widths = {len(cells) for cells in _cells(rows, mark)}
+        if len(widths) == 1 and widths != {1}:
+            return mark
+    return ","
+
+
+def _cells(rows: list[str], delimiter: str) -> list[list[str]]:
+    if delimiter == " ":  # a run of which separates once
+        rows = [row.strip() for row in rows]
+    spaces = delimiter == " "
+    return [row for row in csv.reader(rows, delimiter=delimiter, skipinitialspace=spaces) if row]
 
 
 def _numbers(column: pd.Series, decimal: bool) -> pd.Series:
     """Return a column of texts as numbers where all its cells are, blanks aside."""
-    import pandas as pd
-
     texts = column.str.strip()
-    texts = texts.mask(texts == "")
+    texts = texts.mask(texts.isin(BLANKS))
     numbers = pd.to_numeric(texts.str.replace(",", ".") if decimal else texts, errors="coerce")
     return numbers if numbers.notna().sum() == texts.notna().sum() else texts
 
@@ -243,6 +258,9 @@ def _rule(ours: str, name: Any, values: pd.Series) -> str:
     remarks = [] if str(name) == ours else [f"guessed by its {reason}"]
     if unit not in ("1", "measure") or (str(name) != ours and _unit(str(name))):
         keys.append(f'unit = "{_unit(str(name)) or ("?" if str(name) != ours else unit)}"')
+    elif _per_cent(ours, values):
+        keys.append('unit = "%"')
+        remarks.append(f"values reach {values.max():.4g}")
     codes = list(dict.fromkeys(values.dropna()))
     text = _is_text(values)
     if text or (ours == "mode" and not set(codes) <= {0, 1}):
@@ -257,6 +275,13 @@ def _rule(ours: str, name: Any, values: pd.Series) -> str:
         remarks.append(f"{values.isna().sum()} blank cells repeat the value before")
     comment = f"  # {'; '.join(remarks)}" if remarks else ""
     return f"{ours} = {{ {', '.join(keys)} }}{comment}"
+
+
+def _per_cent(ours: str, values: pd.Series) -> bool:
+    """Return whether values of 0 to 100 stand where the session has shares or performance."""
+    share = ours in ("p_r", "p_h") or (ours != "mode" and VOCABULARY[ours].high == 1.0)
+    most = MOST_PERFORMANCE if ours in ("p_r", "p_h") else 1.0
+    return share and not _is_text(values) and most < values.max() <= 100.0 and values.min() >= 0.0
 
 
 def _code(code: Any) -> str:

@@ -1,9 +1,8 @@
 """Errors of logs and recipes, and the parts that their messages share."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from trustlab.models.checks import did_you_mean
 
@@ -18,9 +17,6 @@ class SessionError(ValueError):
         What was found and what to do about it.
     source : str, optional
         The file in which it was found; it precedes the message.
-    row : int, optional
-        The sample at which it was found, from 0; decides which of two faults comes first in the
-        file.
 
     Examples
     --------
@@ -32,38 +28,13 @@ class SessionError(ValueError):
     data/sessions/pilot.csv
     """
 
-    def __init__(self, message: str, source: str | None = None, row: int | None = None):
+    def __init__(self, message: str, source: str | None = None):
         super().__init__(f"{source}: {message}" if source else message)
         self.source = source
-        self.row = row
-        self.faults = [message]
 
 
 class RecipeError(SessionError):
     """A recipe that does not exist or cannot be followed; arguments as for SessionError."""
-
-
-def raise_together(faults: list[str], kind: type[SessionError] = RecipeError) -> None:
-    """Raise one error that lists all faults; nothing where there are none."""
-    if faults:
-        each = "\n- ".join(faults)
-        error = kind(faults[0] if len(faults) == 1 else f"{len(faults)} faults:\n- {each}")
-        error.faults = faults
-        raise error
-
-
-def all_or_faults(calls: Iterable[Callable], kind: type[SessionError] = RecipeError) -> list[Any]:
-    """Return what all calls return; where some raise, one error with the faults of all."""
-    results = []
-    faults = []
-    for call in calls:
-        try:
-            results.append(call())
-        except SessionError as error:
-            kind = type(error)
-            faults += error.faults
-    raise_together(faults, kind)
-    return results
 
 
 @contextmanager
@@ -81,8 +52,8 @@ def source_named(source: str | None) -> Iterator[None]:
 @contextmanager
 def damage_named(damage: str, remedy: str) -> Iterator[None]:
     """Turn any error of a decoder into a SessionError that names the damage and the remedy."""
-    # Decoders meet damaged files with errors of their own, struct.error, KeyError, AssertionError,
-    # zlib and database errors, MemoryError … There is no common base, so that this one place,
+    # Decoders meet damaged files with errors of their own: struct.error, KeyError, AssertionError,
+    # zlib and database errors, MemoryError … They have no common base, so that this one place,
     # around calls into a decoder and little else, takes every Exception and hands on the cause.
     try:
         yield
@@ -93,16 +64,12 @@ def damage_named(damage: str, remedy: str) -> Iterator[None]:
         raise SessionError(f"{damage} ({type(error).__name__}: {reason}); {remedy}") from error
 
 
-def listed(names: Iterable[object]) -> str:
-    """Return names for an error message, separated by commas and cut to 30 short ones."""
-    names = list(names)
-    return ", ".join(str(name)[:40] for name in names[:30]) + (" …" if len(names) > 30 else "")
-
-
 def alternatives(name: object, known: Iterable[object], words: str = "known") -> str:
     """Return the end of an error about an unknown name: the nearest known name, then all."""
     known = list(known)
-    return f"{did_you_mean(name, known)} ({words}: {listed(known)})"
+    listing = ", ".join(str(each)[:40] for each in known[:30])
+    more = " …" if len(known) > 30 else ""
+    return f"{did_you_mean(name, known)} ({words}: {listing}{more})"
 
 
 def nearest_file(path: Path, suffix: str = "") -> str:

@@ -7,7 +7,6 @@ import pandas as pd
 
 from trustlab.models.checks import array_between, finite_array, mode_array, one_of, positive, warn
 from trustlab.sessions.errors import SessionError
-from trustlab.sessions.metadata import Metadata
 
 # Commands below this are none [m/s, rad/s]: a stick at rest is not quite at zero.
 IDLE = 1e-2
@@ -114,7 +113,7 @@ def command_quality(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndarra
     """
     Return 1 − ‖u_i − u_h‖₁/Δu_max, the quality of the operator's commands in Section 2.4.2.
 
-    The text prints the deviation itself (`command_deviation`), which grows as the operator gets
+    The text prints the deviation itself, Σ (u_i − u_h)/Δu_max, which grows as the operator gets
     worse.
 
     Parameters
@@ -125,20 +124,6 @@ def command_quality(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndarra
         Δu_max, the deviation that counts as 0, in the unit of the commands.
     """
     return nearness(_norm1(u_h, u_i), u_max)
-
-
-def command_deviation(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndarray:
-    """
-    Return Σ (u_i − u_h)/Δu_max as in Section 2.4.2: signed; larger is worse.
-
-    Parameters
-    ----------
-    u_h, u_i : array_like, shape (N, axes)
-        The operator's and the ideal command.
-    u_max : float
-        Δu_max, in the unit of the commands.
-    """
-    return _difference(u_i, u_h).sum(axis=1) / positive("u_max", u_max)
 
 
 def mixed_initiative(
@@ -175,16 +160,12 @@ def mixed_initiative(
 
 
 def _norm1(command: np.ndarray, ideal: np.ndarray) -> np.ndarray:
-    return np.abs(_difference(command, ideal)).sum(axis=1)
-
-
-def _difference(command: np.ndarray, ideal: np.ndarray) -> np.ndarray:
     command, ideal = np.asarray(command, dtype=float), np.asarray(ideal, dtype=float)
     if command.ndim != 2 or command.shape != ideal.shape:
         raise ValueError(
             f"commands must both have shape (N, axes), got {command.shape} and {ideal.shape}"
         )
-    return command - ideal
+    return np.abs(command - ideal).sum(axis=1)
 
 
 def with_performance(
@@ -262,9 +243,11 @@ def with_performance(
         )
         warn(f"{short}: every value is the mean of what there was so far")
     note = f"{equations}, window {window:g} s"
-    return session.with_columns(p_r=p_r, p_h=p_h).with_metadata(
+    measured = session.with_columns(p_r=p_r, p_h=p_h).with_metadata(
         performance=note, performance_window=float(window)
     )
+    # The new means begin where the session does, also where older ones had been cut.
+    return measured.without_metadata("performance_cut")
 
 
 def _warn_of_idle_commands(session) -> None:
@@ -273,7 +256,8 @@ def _warn_of_idle_commands(session) -> None:
         return
     idle = (np.abs(session["v_command"]) < IDLE) & (np.abs(session["w_command"]) < IDLE)
     autonomous = session["mode"] < 0.5
-    if autonomous.any() and idle[autonomous].mean() > 0.5 > idle[~autonomous].mean():
+    idle_by_hand = idle[~autonomous].mean() if not autonomous.all() else 0.0
+    if autonomous.any() and idle[autonomous].mean() > 0.5 > idle_by_hand:
         warn(
             f"{session.label}: the operator's commands are zero in "
             f"{100 * idle[autonomous].mean():.0f} % of the autonomous phases. (2.7) asks for what "
@@ -308,10 +292,9 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     SessionError
         If a trial lacks path_error or one of the metadata, or a block has no trial left.
     """
-    # One session alone is known by its metadata: its class uses this file, so that this file cannot
-    # import it.
-    alone = isinstance(getattr(sessions, "metadata", None), Metadata)
-    trials = pd.DataFrame([_trial(session) for session in ([sessions] if alone else sessions)])
+    # A session alone is iterable too, over the names of its columns.
+    trials = [sessions] if hasattr(sessions, "metadata") else sessions
+    trials = pd.DataFrame([_trial(session) for session in trials])
     if trials.empty or trials["training"].all():
         raise SessionError("no trial to average: all are training, or none was given")
     trials = trials[~trials["training"].astype(bool)].copy()

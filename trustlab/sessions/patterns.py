@@ -1,4 +1,4 @@
-"""Patterns for paths of files, and paths to a field inside a message."""
+"""Patterns for paths of files, and paths to a number inside a message."""
 
 import os
 import re
@@ -8,9 +8,8 @@ from string import Formatter
 
 from trustlab.models.checks import one_of, shown
 
-_MOST_STARS = 3
-# The lengths are bounded, so that no digits of a path overflow and no match takes long.
-_TYPES = {
+# Of each type of a field: what its text looks like, and what makes a value of it.
+TYPES = {
     "int": (r"\d{1,15}", int),
     "float": (r"-?\d{1,15}(?:\.\d{1,15})?", float),
     "str": (r"[^/]+?", str),
@@ -47,66 +46,43 @@ class PathPattern:
     """
 
     text: str
-    fields: Mapping[str, type] = field(init=False, compare=False, repr=False)
-    depth: int = field(init=False, compare=False, repr=False)
-    _regex: re.Pattern = field(init=False, compare=False, repr=False)
+    types: Mapping[str, str] = field(init=False, compare=False, repr=False)
+    regex: re.Pattern = field(init=False, compare=False, repr=False)
 
     def __post_init__(self):
+        where = f"pattern {shown(self.text)}"
         if not isinstance(self.text, str) or not self.text.strip("/ "):
-            raise ValueError(
-                f"a pattern must be like 'trial{{trial:int}}.csv', got {shown(self.text)}"
-            )
+            raise ValueError(f"{where} must be like 'trial{{trial:int}}.csv'")
         if {".", ".."} & set(self.text.split("/")):
-            raise ValueError(
-                f"pattern {self.text!r}: leads from a folder down, so that it has no . or .. in it"
-            )
-        if max(part.count("*") for part in self.text.split("/")) > _MOST_STARS:
-            fault = f"has more than {_MOST_STARS} * in one name; name what they stand for"
-            raise ValueError(f"pattern {self.text!r}: {fault}")
-        types: dict[str, type] = {}
-        parts: list[str] = []
-        # Where the last field of any length stands in `parts`, if fixed text alone has followed
-        text_field = None
-        for literal, name, kind, _ in self._parts():
-            parts.append("[^/]*".join(map(re.escape, literal.replace(os.sep, "/").split("*"))))
-            text_field = None if "*" in literal else text_field
+            raise ValueError(f"{where}: leads from a folder down, so that it has no . or .. in it")
+        try:
+            parts = list(Formatter().parse(self.text))
+        except ValueError as error:
+            raise ValueError(f"{where}: a brace is not closed, or not opened ({error})") from None
+        types: dict[str, str] = {}
+        regex = ""
+        for literal, name, kind, _ in parts:
+            regex += "[^/]*".join(map(re.escape, literal.split("*")))
             if name is None:
                 continue
             if not name.isidentifier():
-                raise ValueError(f"pattern {self.text!r}: a field needs a name, got {name!r}")
-            kind = one_of(
-                f"pattern {self.text!r}: the type of field {name!r}", kind or "str", _TYPES
-            )
-            if kind == "str" and name not in types and text_field is not None:
-                # The field before ends where its text first stands: a later place would only leave
-                # less for this one. So no other place is tried, and the time to match stays in
-                # proportion to the path.
-                parts[text_field:] = [f"(?>{''.join(parts[text_field:])})"]
-            text_field = len(parts) if kind == "str" and name not in types else None
-            parts.append(f"(?P={name})" if name in types else f"(?P<{name}>{_TYPES[kind][0]})")
-            types.setdefault(name, _TYPES[kind][1])
-        object.__setattr__(self, "fields", types)
-        object.__setattr__(self, "_regex", re.compile("".join(parts)))
-        object.__setattr__(self, "depth", self.text.strip("/").count("/") + 1)
-
-    def _parts(self) -> list[tuple]:
-        """Return the texts between the fields, each with name and type of the field after it."""
-        try:
-            return list(Formatter().parse(self.text))
-        except ValueError as error:
-            raise ValueError(
-                f"pattern {self.text!r}: a brace is not closed, or not opened ({error})"
-            ) from None
+                raise ValueError(f"{where}: a field needs a name, got {name!r}")
+            kind = one_of(f"{where}: the type of field {name!r}", kind or "str", TYPES)
+            regex += f"(?P={name})" if name in types else f"(?P<{name}>{TYPES[kind][0]})"
+            types.setdefault(name, kind)
+        object.__setattr__(self, "types", types)
+        object.__setattr__(self, "regex", re.compile(regex))
 
     def match(self, path: str | os.PathLike) -> PathMatch | None:
         """Return the fields of a path whose end fits the pattern, or None."""
         parts = os.path.abspath(path).replace(os.sep, "/").split("/")
-        match = self._regex.fullmatch("/".join(parts[-self.depth :]))
+        depth = self.text.strip("/").count("/") + 1
+        match = self.regex.fullmatch("/".join(parts[-depth:]))
         if match is None:
             return None
         texts = match.groupdict()
-        fields = {name: self.fields[name](text) for name, text in texts.items()}
-        return PathMatch("/".join(parts[: -self.depth]) or "/", fields, texts)
+        fields = {name: TYPES[self.types[name]][1](text) for name, text in texts.items()}
+        return PathMatch("/".join(parts[:-depth]) or "/", fields, texts)
 
     def of_texts(self) -> "PathPattern":
         """Return the pattern whose fields may be any text."""
@@ -114,7 +90,7 @@ class PathPattern:
 
     def fill(self, texts: Mapping[str, object]) -> str:
         """Return the pattern with its fields filled in."""
-        return "".join(literal + str(texts.get(name, "")) for literal, name, _, _ in self._parts())
+        return re.sub(r"{(\w+)(:\w+)?}", lambda field: str(texts[field[1]]), self.text)
 
 
 @dataclass(frozen=True)
@@ -128,7 +104,7 @@ class Selector:
         return f'[{self.key}="{self.value}"]'
 
 
-_STEP = re.compile(r"""(?:^|\.)([A-Za-z_]\w*)|\[(\d{1,9})\]|\[([A-Za-z_][\w.]*)=(["'])(.*?)\4\]""")
+STEP = re.compile(r"""(?:^|\.)([A-Za-z_]\w*)|\[(\d{1,9})\]|\[([A-Za-z_][\w.]*)=(["'])(.*?)\4\]""")
 
 
 @dataclass(frozen=True)
@@ -146,25 +122,20 @@ class FieldPath:
     yaw: bool = field(init=False, compare=False, repr=False)
 
     def __post_init__(self):
-        path, yaw = self.text, False
-        if isinstance(path, str) and path.startswith("yaw(") and path.endswith(")"):
-            path, yaw = path[4:-1], True
-        matches = list(_STEP.finditer(path)) if isinstance(path, str) else []
-        written = "".join(each.group() for each in matches)
-        if not matches or not matches[0].group(1) or written != path:
-            example = (
-                "'twist.twist.linear.x', 'axes[1]', 'position[name=\"left\"]' or "
-                "'yaw(pose.pose.orientation)'"
-            )
+        text = self.text if isinstance(self.text, str) else ""
+        heading = re.fullmatch(r"yaw\((.*)\)", text)
+        path = heading[1] if heading else text
+        matches = list(STEP.finditer(path))
+        if not matches or not matches[0][1] or "".join(each[0] for each in matches) != path:
+            example = "'twist.twist.linear.x', 'axes[1]' or 'position[name=\"left\"]'"
             raise ValueError(
                 f"cannot read the field path {shown(self.text)}; write it like {example}"
             )
         steps: list[str | int | Selector] = []
-        for each in matches:
-            name, index, key, _, value = each.groups()
+        for name, index, key, _, value in (each.groups() for each in matches):
             steps.append(name or (Selector(key, value) if key else int(index)))
         object.__setattr__(self, "steps", tuple(steps))
-        object.__setattr__(self, "yaw", yaw)
+        object.__setattr__(self, "yaw", heading is not None)
 
     @property
     def selectors(self) -> str:

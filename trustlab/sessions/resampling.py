@@ -1,56 +1,61 @@
-"""Raw logs, as readers make them, and how their streams come to one uniform time axis."""
+"""Streams of samples that share their times, and how they come to one uniform time axis."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pandas as pd
 
 from trustlab.models.checks import warn
 from trustlab.sessions.errors import RecipeError, SessionError
-from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.recipe import STATES, ColumnRule, Resampling
+from trustlab.sessions.session import ROW, Metadata, Place
 
-# The longest log that is read or made by resampling (five and a half hours at 1 kHz).
+# The longest log that is made by resampling, or read from a bag (five and a half hours at 1 kHz).
 MAX_SAMPLES = 20_000_000
 
 
-@dataclass
+@dataclass(frozen=True)
 class Stream:
     """
     Samples that share their times: the columns of a table, or what is read from one topic of a bag.
 
-    `t` [s] and every array of `columns` have shape (N,), in SI units; `place(k)` says where sample
-    k stands in the file. `holds` is True where the last sample lasts until the log ends; `remedy`
-    is what to do about times that do not rise, beside sorting and splitting the log.
+    `frame` has them in SI units, indexed by time [s]; `place(k)` says where sample k stands in the
+    file. `holds` is True where the last sample lasts until the log ends.
     """
 
-    t: np.ndarray
-    columns: dict[str, np.ndarray]
-    place: Callable[[int], str]
+    frame: pd.DataFrame
+    place: Place = ROW
     topic: str = ""
     holds: bool = False
-    remedy: str = ""
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time [s], shape (N,)."""
+        return self.frame.index.to_numpy()
+
+    def of(self, frame: pd.DataFrame) -> "Stream":
+        """Return the stream of other samples, which are no longer those of the file's rows."""
+        place = f"topic {self.topic!r}, sample {{}}".format if self.topic else "sample {}".format
+        return replace(self, frame=frame, place=place)
 
 
-@dataclass
-class RawLog:
+@dataclass(frozen=True)
+class Log:
     """
-    The streams of one file, not yet checked.
+    The streams of one file.
 
-    `metadata` is what the file says about itself, `fault` why reading stopped after the samples
-    there are, and `notes` are metadata that reading adds (start_time, resampled). `digests` are
-    those of the columns as they were written.
+    `metadata` is what the file says about itself, and `notes` are what reading adds to it
+    (start_time, resampled, what was filled, merged or split).
     """
 
     source: str
     streams: list[Stream]
-    metadata: Metadata | None = None
-    fault: SessionError | None = None
+    metadata: Metadata = field(default_factory=Metadata)
     notes: dict[str, object] = field(default_factory=dict)
-    digests: Mapping[str, str] = field(default_factory=dict)
 
 
-def require_common_times(log: RawLog) -> None:
+def require_common_times(log: Log) -> None:
     """Raise where the streams of a log have different times: only resampling joins them."""
     first = log.streams[0]
     for stream in log.streams[1:]:
@@ -64,25 +69,24 @@ def require_common_times(log: RawLog) -> None:
 
 
 def resample(
-    log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule]
+    log: Log, resampling: Resampling, rules: Mapping[str, ColumnRule]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return a uniform time axis and the columns of a checked log on it; note how."""
     # Where every stream has samples: from the last first sample to the first last one. A stream
     # that is held has a value beyond its last sample, so that it does not end this interval unless
     # all are held.
-    bounding = [stream for stream in log.streams if not stream.holds]
+    bounding = [stream for stream in log.streams if not stream.holds] or [
+        max(log.streams, key=lambda stream: stream.t[-1])
+    ]
     method, sample_time = resampling.method, resampling.sample_time
-    start = max(stream.t[0] for stream in log.streams)
-    stop = (
-        min(stream.t[-1] for stream in bounding) if bounding else max(s.t[-1] for s in log.streams)
-    )
+    late = max(log.streams, key=lambda stream: stream.t[0])
+    early = min(bounding, key=lambda stream: stream.t[-1])
+    start, stop = late.t[0], early.t[-1]
     if len(log.streams) > 1 and stop <= start:
-        last = max(log.streams, key=lambda stream: stream.t[0])
-        early = min(bounding or log.streams, key=lambda stream: stream.t[-1])
-        fault = f"{early.topic!r} ends {start - stop:.6g} s before {last.topic!r} starts"
+        fault = f"{early.topic!r} ends {start - stop:.6g} s before {late.topic!r} starts"
         hint = "set hold = true for a topic whose last message holds to the end"
         raise SessionError(f"topics do not overlap: {fault} ({hint})")
-    grid = _time_grid(start, stop, sample_time)
+    grid = _time_grid(float(start), float(stop), sample_time)
     # A grid time that rounding put just before a sample belongs to that sample; dates in seconds
     # are rounded to 0.24 µs.
     slack = np.clip(
@@ -93,12 +97,12 @@ def resample(
     columns = {
         name: _interpolate(stream, name, grid, slack, _method(name, method, rules.get(name)))
         for stream in log.streams
-        for name in stream.columns
+        for name in stream.frame
     }
-    gap = max(
-        (float(np.diff(stream.t).max()) for stream in bounding if stream.t.size > 1), default=0.0
+    gaps = [np.diff(stream.t).max(initial=0.0) for stream in bounding]
+    log.notes["resampled"] = (
+        f"{method} at {sample_time:g} s; longest gap in the log {max(gaps):.6g} s"
     )
-    log.notes["resampled"] = f"{method} at {sample_time:g} s; longest gap in the log {gap:.6g} s"
     if len(log.streams) == 1:
         _warn_of_gap(log.streams[0].t, sample_time, log.source)
     return grid, columns
@@ -106,20 +110,13 @@ def resample(
 
 def _time_grid(start: float, stop: float, sample_time: float) -> np.ndarray:
     """Return start, start + sample_time … up to stop, which is not passed."""
-    start, stop = float(start), float(stop)
-    steps = (stop - start) / float(sample_time)
-    if not steps < MAX_SAMPLES:
-        fault = (
-            f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps:.3g} samples"
-        )
+    steps = (stop - start) / sample_time
+    if not 1.0 <= steps + 1e-9 < MAX_SAMPLES:
         raise SessionError(
-            f"{fault}; at most {MAX_SAMPLES} are made; check the times and their unit"
+            f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps + 1.0:.3g} "
+            f"samples, but 2 to {MAX_SAMPLES:,} are needed; check the times and their unit"
         )
     count = int(steps + 1e-9) + 1  # rounding must not cost the last sample
-    if count < 2:
-        raise SessionError(
-            f"at {sample_time:g} s fewer than two samples are left of {stop - start:.6g} s"
-        )
     return np.minimum(start + sample_time * np.arange(count), stop)
 
 
@@ -134,7 +131,7 @@ def _interpolate(
     stream: Stream, name: str, grid: np.ndarray, slack: float, method: str
 ) -> np.ndarray:
     """Return a column at the times of the grid; `slack` [s] is rounding."""
-    times, values = stream.t, stream.columns[name]
+    times, values = stream.t, stream.frame[name].to_numpy()
     if method == "linear":
         if name != "yaw":
             return np.interp(grid, times, values)
@@ -143,11 +140,12 @@ def _interpolate(
         return (
             turned if np.abs(values).max() > np.pi else np.arctan2(np.sin(turned), np.cos(turned))
         )
-    if method == "nearest":
-        right = np.clip(np.searchsorted(times, grid), 1, len(times) - 1) if len(times) > 1 else 0
-        left = np.maximum(right - 1, 0)
-        return values[np.where(grid - times[left] <= times[right] - grid, left, right)]
-    return values[np.maximum(np.searchsorted(times, grid + slack, side="right") - 1, 0)]
+    before = np.maximum(np.searchsorted(times, grid + slack, side="right") - 1, 0)
+    if method == "previous":
+        return values[before]
+    right = np.clip(np.searchsorted(times, grid), min(1, len(times) - 1), len(times) - 1)
+    left = np.maximum(right - 1, 0)
+    return values[np.where(grid - times[left] <= times[right] - grid, left, right)]
 
 
 def _warn_of_gap(t: np.ndarray, sample_time: float, source: str) -> None:

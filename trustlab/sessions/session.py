@@ -1,19 +1,29 @@
-"""One logged run: the table that everything else reads, and the checks that make a table one."""
+"""One logged run: its metadata, the table that everything else reads, and the checks of both."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean
+from trustlab.models.checks import did_you_mean, shown
 from trustlab.models.html import as_html
 from trustlab.sessions.errors import SessionError, alternatives, source_named
-from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.vocabulary import VOCABULARY
+
+# Metadata with a name of their own, and the types that a file may give them; all else goes to
+# `more`.
+FIELDS = {
+    "participant": (str, int, type(None)),
+    "condition": (str, int, float, type(None)),
+    "source": (str, type(None)),
+    "synthetic": (bool,),
+}
 
 # How far a time step may differ from the median step, as a share of it, before sampling counts as
 # irregular.
@@ -28,6 +38,104 @@ REMEDIES = {
     "u_": "; where positions are commanded, they are the commands: "
     "session.with_columns(u_h_x=session['human_x'], …)",
 }
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """
+    What a session says about itself.
+
+    Parameters
+    ----------
+    participant : str, int or None
+        Who took part.
+    condition : str, int, float or None
+        The experimental condition, for example "C1".
+    source : str or None
+        The file or the generator that the session came from.
+    synthetic : bool
+        True when the data were simulated; every figure and table made from them says so.
+    more : mapping
+        Whatever else the log names (trial, block, autonomy …): names to plain values.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> metadata = tl.Metadata(participant=3, condition="C1", more={"trial": 2})
+    >>> metadata.changed(condition="C2", site="north wing").more
+    mappingproxy({'trial': 2, 'site': 'north wing'})
+    """
+
+    participant: str | int | None = None
+    condition: str | int | float | None = None
+    source: str | None = None
+    synthetic: bool = False
+    more: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        object.__setattr__(self, "more", MappingProxyType(dict(self.more)))
+
+    def __reduce__(self):
+        # A MappingProxyType cannot be pickled; the constructor makes it again from a dictionary.
+        return (
+            Metadata,
+            (self.participant, self.condition, self.source, self.synthetic, dict(self.more)),
+        )
+
+    def changed(self, **changes: Any) -> Metadata:
+        """
+        Return metadata with entries added or replaced.
+
+        Parameters
+        ----------
+        **changes : object
+            participant, condition, source, synthetic, or any other name, which goes to `more`.
+        """
+        fields = {name: changes.pop(name) for name in FIELDS if name in changes}
+        return replace(self, **fields, more={**self.more, **changes})
+
+    def as_dict(self) -> dict[str, object]:
+        """Return everything in one flat dictionary."""
+        return {name: getattr(self, name) for name in FIELDS} | dict(self.more)
+
+
+def _plain(value: object) -> object:
+    """Return a NumPy number as Python's own, for JSON."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} is not a plain value")
+
+
+def metadata_to_json(metadata: Metadata, **extra: object) -> str:
+    """Return metadata (but the source) and extra entries as JSON that reads back the same."""
+    content = {name: getattr(metadata, name) for name in FIELDS if name != "source"}
+    for name, value in [*content.items(), *metadata.more.items()]:
+        try:
+            same = bool(json.loads(json.dumps(value, default=_plain)) == value)
+        except (TypeError, ValueError, RecursionError):  # ValueError also where == gives an array
+            same = False
+        if not same:
+            raise SessionError(
+                f"metadata {name!r} would not read back the same: {shown(value)}; use plain "
+                "numbers, texts, lists or dictionaries with text keys"
+            )
+    return json.dumps(content | {"more": dict(metadata.more)} | extra, default=_plain)
+
+
+def metadata_from_json(text: str) -> tuple[Metadata, dict]:
+    """Return the metadata written by `metadata_to_json`, and what else was written there."""
+    try:
+        content = json.loads(text)
+        facts = {name: content.pop(name) for name in FIELDS if name in content}
+        more = dict(content.pop("more", {}))
+        wrong = [name for name, value in facts.items() if not isinstance(value, FIELDS[name])]
+    except (AttributeError, TypeError, ValueError, RecursionError) as error:
+        fault = f"the trustlab metadata are damaged ({error})"
+        raise SessionError(f"{fault}; write the file again") from error
+    if wrong:
+        fault = f"the trustlab metadata give {wrong[0]} as {shown(facts[wrong[0]])}"
+        raise SessionError(f"{fault}; write the file again")
+    return Metadata(**facts, more=more), content
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +310,18 @@ class Session:
         """
         return Session(self.data, self.metadata.changed(**changes))
 
+    def without_metadata(self, *names: str) -> Session:
+        """
+        Return a session without entries of its `metadata.more`.
+
+        Parameters
+        ----------
+        *names : str
+            The entries; those that it does not have are passed over.
+        """
+        more = {name: value for name, value in self.metadata.more.items() if name not in names}
+        return Session(self.data, replace(self.metadata, more=more))
+
     def between(self, start: float, stop: float) -> Session:
         """
         Return the part of the session with start ≤ t ≤ stop.
@@ -292,15 +412,19 @@ class Session:
         return f"Session({self.label}: {samples}, columns {', '.join(self.columns)}{more})"
 
 
-def keep_table(data: pd.DataFrame, metadata: Metadata) -> Session:
+Place = Callable[[int], str]
+ROW = "row {}".format
+
+
+def keep_table(data: pd.DataFrame, metadata: Metadata, place: Place = ROW) -> Session:
     """Return the session of a table that nobody else holds: checked, and not copied."""
-    _checked(data)
+    _checked(data, place)
     session = object.__new__(Session)
     vars(session).update(data=data, metadata=metadata)
     return session
 
 
-def _checked(data: pd.DataFrame) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def _checked(data: pd.DataFrame, place: Place = ROW) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the times and the columns of a session's table, every value checked."""
     if not isinstance(data, pd.DataFrame):
         raise SessionError(
@@ -314,40 +438,43 @@ def _checked(data: pd.DataFrame) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     if data.index.dtype.kind not in "fiu":
         raise SessionError(f"the index must be time in seconds, found {data.index.dtype}")
     t = data.index.to_numpy(dtype=float)
-    check_time(t)
+    check_uniform(t, place)
     if data.shape[1] == 0:
         raise SessionError("a session needs at least one column besides t")
     if data.columns.has_duplicates:
         twice = data.columns[data.columns.duplicated()][0]
         raise SessionError(f"column {twice!r} occurs twice; rename or remove one")
-    return t, {name: check_column(name, data[name].to_numpy(), t) for name in data.columns}
+    return t, {name: check_column(name, data[name].to_numpy(), t, place) for name in data.columns}
 
 
-def check_rising(
-    t: np.ndarray, place: Callable[[int], str] = "row {}".format, remedy: str = ""
-) -> np.ndarray:
+def check_rising(t: np.ndarray, place: Place = ROW) -> np.ndarray:
     """Return the time steps [s]; raise where a time is not finite, repeats or runs backwards."""
     if not np.isfinite(t).all():
         k = int(np.argmax(~np.isfinite(t)))
-        raise SessionError(f"{place(k)}, column t: time is {t[k]}; every row needs a time", row=k)
+        raise SessionError(f"{place(k)}, column t: time is {t[k]}; every row needs a time")
     with np.errstate(over="ignore"):
         steps = np.diff(t)
     if not (steps > 0.0).all():
         k = int(np.argmax(steps <= 0.0)) + 1
-        fault = "repeats" if steps[k - 1] == 0.0 else "runs backwards"
-        fault = f"{place(k)}, column t: time {fault} ({t[k - 1]} s, then {t[k]} s)"
-        raise SessionError(f"{fault}; {remedy}sort or split the log where this happens", row=k)
+        fault = "runs backwards"
+        remedy = (
+            "if the rows are out of order, a recipe sorts them ([time] sort = true); if the clock "
+            'was set back, it splits the log there ([time] jumps = "split")'
+        )
+        if steps[k - 1] == 0.0:
+            fault = "repeats"
+            remedy = 'a recipe merges such rows ([time] repeated = "first", "last" or "mean")'
+        raise SessionError(
+            f"{place(k)}, column t: time {fault} ({t[k - 1]} s, then {t[k]} s); {remedy}"
+        )
     return steps
 
 
-def check_time(
-    t: np.ndarray, place: Callable[[int], str] = "row {}".format, remedy: str = ""
-) -> None:
+def check_uniform(t: np.ndarray, place: Place = ROW) -> None:
     """Raise where a time axis does not rise uniformly, within STEP_TOLERANCE."""
-    t = np.asarray(t, dtype=float)
-    if t.ndim != 1 or t.size < 2:
+    if t.size < 2:
         raise SessionError(f"a session needs at least two samples, found {t.size}")
-    steps = check_rising(t, place, remedy)
+    steps = check_rising(t, place)
     with np.errstate(over="ignore", invalid="ignore"):
         # Where the longest and the shortest step are as near as that, no step is off, and a long
         # log needs no median.
@@ -364,20 +491,16 @@ def check_time(
             f"{int(off.sum())} of {steps.size} steps are off by more than {STEP_TOLERANCE:.0%}); "
             "ask for resampling by name, for example "
             f'read_session(..., resample="linear", sample_time={step:.3g}), or by the lines '
-            f'[resampling], method = "linear" and sample_time = {step:.3g} of a recipe',
-            row=k,
+            f'[resampling], method = "linear" and sample_time = {step:.3g} of a recipe'
         )
 
 
-def check_column(
-    name: str, values: np.ndarray, t: np.ndarray, place: Callable[[int], str] = "row {}".format
-) -> np.ndarray:
+def check_column(name: str, values: np.ndarray, t: np.ndarray, place: Place = ROW) -> np.ndarray:
     """Return a column as floats; raise at its first value that is missing or out of range."""
     if name not in VOCABULARY:
         remedy = "map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()"
         hint = did_you_mean(name, VOCABULARY)
         raise SessionError(f"column {name!r} is not in the vocabulary{hint} ({remedy})")
-    values = np.asarray(values)
     if values.dtype.kind not in "fiub":
         raise SessionError(f"column {name!r} must hold numbers, found {values.dtype}")
     values = np.asarray(values, dtype=float)
@@ -385,7 +508,7 @@ def check_column(
     low = -np.inf if column.low is None else column.low
     high = np.inf if column.high is None else column.high
     # Both are NaN where any value is.
-    least, most = (values.min(), values.max()) if values.size else (0.0, 0.0)
+    least, most = values.min(), values.max()
     if np.isfinite([least, most]).all() and low <= least and most <= high:
         return values
     bad = ~np.isfinite(values)
@@ -403,4 +526,4 @@ def check_column(
                 "column"
             )
     k = int(np.argmax(bad))
-    raise SessionError(f"{place(k)}, column {name!r}, t = {t[k]:.6g} s: {values[k]} {why}", row=k)
+    raise SessionError(f"{place(k)}, column {name!r}, t = {t[k]:.6g} s: {values[k]} {why}")

@@ -26,7 +26,7 @@ from trustlab.live.study.progress import Progress, progress_of
 from trustlab.live.tasks.task import ServedRun, task_of
 from trustlab.models.digest import digest
 from trustlab.sessions.errors import SessionError
-from trustlab.sessions.writers import write_session
+from trustlab.sessions.writing import write_session
 
 MOST_NOTES = 500
 """Notes of one participant."""

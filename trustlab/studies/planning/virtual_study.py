@@ -19,7 +19,7 @@ from trustlab.campaign.folder import folder_path, refuse, writing_in
 from trustlab.campaign.run import run_campaign, where_to_run
 from trustlab.models.checks import flag, of_class, one_of, warn, whole_number
 from trustlab.models.html import as_html
-from trustlab.sessions.writers import write_session
+from trustlab.sessions.writing import write_session
 from trustlab.studies.analysis.plots import panels
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
@@ -193,7 +193,7 @@ class VirtualStudy:
         ValueError
             If the study was run without a folder.
         """
-        from trustlab.sessions.readers import read_sessions
+        from trustlab.sessions.reading import read_sessions
 
         if self.folder is None:
             raise ValueError("this study kept no sessions; run it with out= the name of a folder")

@@ -1,0 +1,399 @@
+"""What a recipe makes of the columns of a log: numbers in SI units, times, parts, sessions."""
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import warn
+from trustlab.sessions.errors import RecipeError, SessionError
+from trustlab.sessions.recipe import (
+    NUMBER,
+    STATES,
+    ColumnRule,
+    MetadataRule,
+    Recipe,
+    Resampling,
+    TableTime,
+    looked_up,
+    plain_key,
+)
+from trustlab.sessions.resampling import Log, Stream, require_common_times, resample
+from trustlab.sessions.session import (
+    Metadata,
+    Place,
+    Session,
+    check_column,
+    check_rising,
+    check_uniform,
+    keep_table,
+)
+
+# How cells without a number are written.
+BLANKS = ("", "nan", "NaN", "NAN", "na", "NA", "n/a", "N/A", "null", "NULL", "none", "None", "-")
+
+
+@dataclass(frozen=True)
+class Table:
+    """
+    Rows as a file has them: a column for each rule, by the name that the session gives it.
+
+    `frame` holds numbers or texts, times in its column "t"; `place(row)` says where a row stands.
+    """
+
+    frame: pd.DataFrame
+    place: Place
+    metadata: Metadata = field(default_factory=Metadata)
+    notes: dict[str, object] = field(default_factory=dict)
+
+    def error(self, row: int, label: str, words: object) -> SessionError:
+        """Return the error about a cell."""
+        return SessionError(f"{self.place(row)}, {label}: {words}")
+
+
+def stream_of(
+    table: Table, t: np.ndarray, rules: Sequence[ColumnRule], decimal: str = ".", topic: str = ""
+) -> Stream:
+    """Return the columns of a table that rules name, in SI units, at times in seconds."""
+    columns = {rule.name: numbers(table, rule, decimal) for rule in rules}
+    whole = np.ones(t.size, dtype=bool)
+    for rule in rules:
+        if rule.blank:
+            columns[rule.name] = _filled(columns[rule.name], t, rule, whole, table.notes)
+    place = table.place
+    if not whole.all() and whole.any():
+        first, last = np.flatnonzero(whole)[[0, -1]]
+        cut = f"{first} at the start and {t.size - 1 - last} at the end"
+        table.notes["rows cut"] = f"{cut}, where blanks have no neighbour"
+        t = t[first : last + 1]
+        columns = {name: values[first : last + 1] for name, values in columns.items()}
+        place = lambda row: table.place(first + row)  # noqa: E731
+    for rule in rules:
+        columns[rule.name] = check_column(rule.name, rule.convert(columns[rule.name]), t, place)
+    frame = pd.DataFrame(columns, index=t, copy=False)
+    return Stream(frame, place, topic, any(rule.hold for rule in rules))
+
+
+# --- cells to numbers ---------------------------------------------------------------------------
+
+
+def numbers(table: Table, rule: ColumnRule | None, decimal: str) -> np.ndarray:
+    """Return the numbers of a column, or of times where there is no rule; NaN for blank cells."""
+    values = table.frame[rule.name if rule else "t"]
+    label = rule.label if rule else "column t"
+    read = _reader(rule, decimal)
+    kind = values.dtype.kind
+    if read is None and kind in "iufb":
+        # Large integers stay exact until times are counted from the first of them.
+        exact = kind == "i" and isinstance(values.dtype, np.dtype)
+        return values.to_numpy() if exact else values.to_numpy(dtype=float, na_value=np.nan)
+    if read is None and kind in "mMc":
+        hint = 'write seconds, or set [time] unit = "iso" in a recipe'
+        raise table.error(0, label, f"holds {values.dtype}, not numbers; {hint}")
+    cells = values.map(str, na_action="ignore") if values.dtype == object else values
+    codes, words = pd.factorize(cells)
+    known = np.full(len(words) + 1, np.nan)  # the last is for cells that are missing
+    for k, word in enumerate(words):
+        try:
+            known[k] = read(word) if read else _number(word, decimal)
+        except ValueError as error:
+            raise table.error(int(np.argmax(codes == k)), label, error) from None
+    return known[codes]
+
+
+def _reader(rule: ColumnRule | None, decimal: str) -> Callable[[Any], float] | None:
+    """Return what makes a number of a cell by a map or an item; None without them."""
+    if rule and rule.map is not None:
+        return lambda cell: math.nan if rule.blank and is_blank(cell) else looked_up(rule.map, cell)
+    return partial(_item, rule, decimal) if rule and rule.item is not None else None
+
+
+def is_blank(cell: object) -> bool:
+    """Return whether a cell holds nothing, or one of the words for it."""
+    return str(cell).strip() in BLANKS
+
+
+def _number(cell: object, decimal: str) -> float:
+    written = str(cell).strip()
+    if is_blank(written):
+        return math.nan
+    # With a decimal comma a point has no meaning: "!" makes such a number fail.
+    text = written if decimal == "." else written.replace(".", "!").replace(",", ".")
+    if NUMBER.fullmatch(text):
+        return float(text)
+    remedy = (
+        'correct it, or turn words into numbers with a recipe\'s map ([time] unit = "iso" or '
+        '"clock" reads dates)'
+    )
+    if decimal == "." and re.fullmatch(r"[+-]?\d+,\d+", written):
+        remedy = 'read the file with decimal=",", or set it in a recipe'
+    raise ValueError(f"{written[:60]!r} is not a number; {remedy}")
+
+
+def _item(rule: ColumnRule, decimal: str, cell: object) -> float:
+    """Return one number of a cell such as "(x, y, z)", or "(x; y; z)" with decimal commas."""
+    if rule.blank and is_blank(cell):
+        return math.nan
+    text = str(cell).strip(" ()[]{}")
+    if decimal == "," and "." not in text:
+        text = re.sub(r"(?<=\d),(?=\d)", ".", text)
+    parts = re.split(r"\s*[,;]\s*|\s+", text)
+    if rule.item >= len(parts) or not NUMBER.fullmatch(parts[rule.item]):
+        raise ValueError(f"{str(cell)[:60]!r} has no number {rule.item} (from 0)")
+    return float(parts[rule.item])
+
+
+def _filled(
+    values: np.ndarray, t: np.ndarray, rule: ColumnRule, whole: np.ndarray, notes: dict
+) -> np.ndarray:
+    """Return a column with its blanks filled; rows where they cannot be are not `whole`."""
+    known = np.flatnonzero(~np.isnan(values))
+    if not known.size:  # the check of the column says so
+        return values
+    notes[f"blanks of {rule.name}"] = (
+        f"{values.size - known.size} of {values.size} cells, filled by {rule.blank!r}"
+    )
+    whole[: known[0]] = False
+    if rule.blank == "hold":
+        return pd.Series(values).ffill().to_numpy()
+    whole[known[-1] + 1 :] = False
+    return np.interp(t, t[known], values[known])
+
+
+# --- times --------------------------------------------------------------------------------------
+
+
+def times_of(table: Table, time: TableTime, decimal: str) -> np.ndarray:
+    """Return the times of a table's rows in seconds."""
+    if time.unit == "iso":
+        raw = _dates(table)
+    elif time.unit == "clock":
+        raw = _times_of_day(table)
+    else:
+        raw = numbers(table, None, decimal)
+    if time.from_zero and raw.size and np.isfinite(raw[0]):
+        table.notes["start_time"] = float(time.seconds(raw[0].item()))
+        raw = raw - raw[0]  # before the conversion to float, which would round large integers
+    with np.errstate(over="ignore"):
+        t = np.asarray(time.seconds(raw), dtype=float)
+    if not (time.sort or time.repeated or time.jumps):
+        check_rising(t, table.place)
+    return t
+
+
+def _dates(table: Table) -> np.ndarray:
+    """Return dates as whole nanoseconds since 1970; UTC without a time zone."""
+    texts = table.frame["t"]
+    if texts.dtype.kind != "M":
+        texts = texts.astype("str").str.strip().str.replace(",", ".")
+    stamps = pd.to_datetime(texts, format="ISO8601", utc=True, errors="coerce")
+    known = stamps.dt.year.between(1700, 2200)  # what nanoseconds in 64 bits can hold
+    _check_times(table, ~known, "2026-03-01T12:00:00; or give seconds")
+    return stamps.astype("datetime64[ns, UTC]").astype("int64").to_numpy()
+
+
+def _times_of_day(table: Table) -> np.ndarray:
+    """Return times of the day as seconds since the first midnight."""
+    pattern = r"^\s*(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d{1,12})?)\s*$"
+    parts = table.frame["t"].astype("str").str.extract(pattern, flags=re.ASCII)
+    _check_times(table, parts[0].isna(), "12:00:00.5")
+    parts[2] = parts[2].str.replace(",", ".")
+    t = parts.astype(float).to_numpy() @ [3600.0, 60.0, 1.0]
+    # Half a day back is the day after.
+    days = np.cumsum(np.diff(t, prepend=t[:1]) < -43200.0)
+    if days[-1]:
+        table.notes["midnights"] = f"{days[-1]} passed; times count on"
+    return t + 86400.0 * days
+
+
+def _check_times(table: Table, bad: pd.Series, example: str) -> None:
+    if bad.any():
+        row = int(np.argmax(bad))
+        cell = str(table.frame["t"].iloc[row])[:60]
+        raise table.error(row, "column t", f"{cell!r} is not a time such as {example}")
+
+
+# --- parts of a log -----------------------------------------------------------------------------
+
+
+def parts_of(log: Log, recipe: Recipe) -> list[Log]:
+    """Return the parts of a log that make a session each: all of it, or what the recipe splits."""
+    streams = log.streams
+    if recipe.time.sort:
+        streams = [_sorted(stream, log.notes) for stream in streams]
+    if recipe.time.repeated:
+        streams = [_merged(stream, recipe.time.repeated, log.notes) for stream in streams]
+    parts, reasons = [streams], []
+    if recipe.time.jumps:
+        reasons.append("where time runs back")
+        frame = streams[0].frame
+        back = np.diff(frame.index, prepend=-np.inf) < 0.0
+        parts = [[streams[0].of(part)] for _, part in frame.groupby(np.cumsum(back))]
+    if recipe.splitting:
+        reasons.append(f"at gaps of more than {recipe.splitting.gap:g} s")
+        parts = [part for each in parts for part in _between_gaps(each, recipe.splitting.gap)]
+    if not reasons:
+        return [replace(log, streams=streams)]
+    # One sample has no sample time; of several topics each needs one to be resampled.
+    least = 2 if len(streams) == 1 else 1
+    whole = [part for part in parts if min(len(stream.frame) for stream in part) >= least]
+    if not whole:
+        raise SessionError(f"split {' and '.join(reasons)}, no part has two samples")
+    words = f"split {' and '.join(reasons)}; {len(parts) - len(whole)} too short"
+    numbered = [
+        {"part": k, "split": f"part {k} (from 0) of {len(whole)}, {words}"}
+        for k in range(len(whole))
+    ]
+    return [
+        replace(log, streams=part, notes=log.notes | notes)
+        for part, notes in zip(whole, numbered, strict=True)
+    ]
+
+
+def _sorted(stream: Stream, notes: dict) -> Stream:
+    """Return a stream in the order of time; note how many samples were out of it."""
+    count = int((np.diff(stream.t) < 0.0).sum())
+    if not count:
+        return stream
+    notes[f"sorted {stream.topic}".strip()] = f"{count} samples stood after a later one"
+    return stream.of(stream.frame.sort_index(kind="stable"))
+
+
+def _merged(stream: Stream, rule: str, notes: dict) -> Stream:
+    """Merge samples that share a time: first, last, or mean (of states and angles the last)."""
+    groups = np.cumsum(np.diff(stream.t, prepend=-np.inf) != 0.0)
+    if groups[-1] == groups.size:
+        return stream
+    means = set(stream.frame) - {*STATES, "yaw"} if rule == "mean" else set()
+    last = "first" if rule == "first" else "last"
+    ways = {name: "mean" if name in means else last for name in stream.frame}
+    merged = stream.frame.groupby(groups).agg(ways)
+    merged.index = stream.frame.index[np.flatnonzero(np.diff(groups, prepend=0))]
+    label = f"repeated times {stream.topic}".strip()
+    notes[label] = f"{groups.size - groups[-1]} of {groups.size} samples merged by {rule!r}"
+    return stream.of(merged)
+
+
+def _between_gaps(streams: list[Stream], gap: float) -> list[list[Stream]]:
+    """Return the streams between gaps [s] of all streams whose values do not hold."""
+    for stream in streams:
+        check_rising(stream.t, stream.place)
+    bounding = [stream for stream in streams if not stream.holds] or streams[:1]
+    times = np.unique(np.concatenate([stream.t for stream in bounding]))
+    ends = times[1:][np.diff(times) > gap]
+    spans = zip([-np.inf, *ends], [*ends, np.inf], strict=True)
+    return [[_within(stream, *span) for stream in streams] for span in spans]
+
+
+def _within(stream: Stream, start: float, stop: float) -> Stream:
+    """Return the samples with start ≤ t < stop, and the one that holds at the start."""
+    t = stream.t
+    first, end = np.searchsorted(t, [start, stop])
+    held = stream.holds and first > 0 and not (first < end and t[first] == start)
+    part = stream.frame.iloc[first - held : end]
+    return stream.of(part.set_axis(np.maximum(part.index, start)) if held else part)
+
+
+# --- sessions -----------------------------------------------------------------------------------
+
+
+def session_of(
+    log: Log,
+    recipe: Recipe,
+    values: Mapping[str, Any],
+    selection: Sequence[str],
+    resampling: Resampling | None,
+) -> Session:
+    """Return the session of a log; `values` are those of `derived_values`."""
+    if resampling is None:
+        t = log.streams[0].t
+        if len(log.streams) > 1:
+            require_common_times(log)
+        check_uniform(t, log.streams[0].place)
+        frames = [stream.frame for stream in log.streams]
+        columns = {name: frame[name].to_numpy() for frame in frames for name in frame}
+    else:
+        for stream in log.streams:
+            check_rising(stream.t, stream.place)
+        t, columns = resample(log, resampling, recipe.columns)
+    for name, rule in recipe.columns.items():
+        if rule.kind in ("value", "from"):
+            columns[name] = np.full(t.size, _constant(rule, values))
+        elif rule.above is not None and name in columns:
+            _note_division(log, rule, columns[name])
+    for name, rule in recipe.columns.items():
+        if rule.needs and name in selection:
+            columns[name] = _computed(rule, columns)
+    # Arrays that belong to others (a frame, a mapped file) are read-only, and those alone are
+    # copied.
+    own = partial(np.require, dtype=float, requirements="CW")
+    table = {name: own(columns[name]) for name in selection}
+    frame = pd.DataFrame(table, index=pd.Index(own(t), name="t"), copy=False)
+    entries = {name: values[name] for name in recipe.metadata}
+    if not isinstance(entries.get("synthetic", False), bool):
+        fault = f"metadata 'synthetic' must be true or false, got {entries['synthetic']!r}"
+        raise RecipeError(fault)
+    return keep_table(frame, log.metadata.changed(**log.notes | entries, source=log.source))
+
+
+def _note_division(log: Log, rule: ColumnRule, values: np.ndarray) -> None:
+    """Note how many samples lie above a column's limit; warn where it divides none."""
+    count = int(values.sum())
+    log.notes[f"{rule.name} above {rule.above:g}"] = f"{count} of {values.size} samples"
+    if count in (0, values.size):
+        same = f"column {rule.name} is {min(count, 1)} throughout"
+        warn(f"{log.source}: {same}: {rule.above:g} divides no sample from the others")
+
+
+def _computed(rule: ColumnRule, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the distance between two positions, or from the sample before."""
+    places = np.array([columns[name] for name in rule.needs])
+    with np.errstate(over="ignore"):  # the session refuses what is not finite
+        if rule.kind == "distance":
+            axes = len(rule.axes)
+            return np.linalg.norm(places[:axes] - places[axes:], axis=0)
+        steps = np.linalg.norm(np.diff(places), axis=0)
+    # Nothing stands before the first sample: it gets the second one's distance.
+    return np.r_[steps[:1], steps]
+
+
+def derived_values(recipe: Recipe, known: Mapping[str, object]) -> dict[str, object]:
+    """Return what is known of a session (path fields, header cells) with the recipe's metadata."""
+    values = dict(known)
+    for name, rule in recipe.metadata.items():
+        if not rule.origin:
+            values[name] = rule.value
+        elif name not in known or rule.origin in known:
+            values[name] = _derived(rule, values, f"metadata {name!r} (from {rule.origin})")
+    return values
+
+
+def _derived(rule: MetadataRule | ColumnRule, values: Mapping[str, object], where: str) -> Any:
+    """Return what comes from a value known already."""
+    value = values.get(rule.origin, "")
+    if value == "":
+        listing = ", ".join(values) or "nothing; fields of the path come from [files] pattern"
+        raise SessionError(f"{where}: there is no {rule.origin}, or it is empty (known: {listing})")
+    default = getattr(rule, "default", None)
+    if rule.map is None or (default is not None and plain_key(value) not in rule.map):
+        return value if rule.map is None else default
+    try:
+        return looked_up(rule.map, value)
+    except ValueError as error:
+        raise SessionError(f"{where}: {error}") from None
+
+
+def _constant(rule: ColumnRule, values: Mapping[str, object]) -> float:
+    """Return the number of a column that is the same throughout."""
+    if rule.kind == "value":
+        return float(rule.convert(rule.value))
+    where = f"column {rule.name!r} (from {rule.origin})"
+    value = _derived(rule, values, where)
+    if not isinstance(value, int | float):
+        raise RecipeError(f"{where}: {value!r} is not a number; give it a map")
+    return float(rule.convert(value))

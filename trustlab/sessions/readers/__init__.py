@@ -1,5 +1,0 @@
-"""Readers: from files of a lab to sessions."""
-
-import lazy_loader as lazy
-
-__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

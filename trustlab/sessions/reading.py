@@ -1,0 +1,503 @@
+"""Read logged sessions: one, all of a folder, or a data frame."""
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import of_class, one_of, positive, shown, warn
+from trustlab.sessions.bags import read_bag, read_written
+from trustlab.sessions.columns import (
+    Table,
+    derived_values,
+    parts_of,
+    session_of,
+    stream_of,
+    times_of,
+)
+from trustlab.sessions.errors import (
+    RecipeError,
+    SessionError,
+    alternatives,
+    nearest_file,
+    source_named,
+)
+from trustlab.sessions.folders import Header, logs_in, matching
+from trustlab.sessions.patterns import natural_key
+from trustlab.sessions.recipe import (
+    ColumnRule,
+    Method,
+    Recipe,
+    Resampling,
+    TableRule,
+    TableTime,
+    load_recipe,
+    parse,
+)
+from trustlab.sessions.resampling import Log
+from trustlab.sessions.session import Session
+from trustlab.sessions.tables import (
+    BAGS,
+    SUFFIXES,
+    TEXTS,
+    Choice,
+    frame_table,
+    read_arrow,
+    read_csv,
+    suffix_of,
+    vocabulary_columns,
+)
+from trustlab.sessions.vocabulary import VOCABULARY
+
+
+def read_session(
+    path: str | os.PathLike,
+    recipe: str | os.PathLike | Recipe | None = None,
+    columns: Sequence[str] | None = None,
+    resample: str | None = None,
+    sample_time: float | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+) -> Session:
+    """
+    Read one logged session.
+
+    Parameters
+    ----------
+    path : path-like
+        A ``.csv``, ``.csv.gz``, ``.tsv`` or ``.txt`` table, a ``.parquet``, ``.feather``, ``.bag``
+        (ROS 1), ``.mcap`` or ``.db3`` file, or a rosbag2 folder.
+    recipe : str, path-like or Recipe, optional
+        How the log's columns become ours: a name from `list_recipes()`, the path of a TOML file, or
+        a Recipe. A table with the vocabulary's names in SI units, and t in seconds, needs none; nor
+        does anything that `write_session` wrote.
+    columns : sequence of str, optional
+        Read only these columns of the session; all when not given.
+    resample : {"previous", "linear", "nearest"}, optional
+        Bring the log to a uniform time axis, within the times it covers, and record it in the
+        metadata. "linear" holds the previous value of mode and suggested_mode, and turns yaw the
+        short way.
+    sample_time : float, optional
+        Time between samples [s] after resampling.
+    delimiter, decimal : str, optional
+        The separator of the cells of a text table read without a recipe ("," ";" "|" tab or space),
+        and the decimal mark of its numbers ("." or ","); a comma (in .tsv files a tab) and a point
+        when not given. A recipe states them in its [table]; other formats have neither.
+
+    Returns
+    -------
+    Session
+
+    Raises
+    ------
+    SessionError
+        If the file cannot be read or its first fault: the error names the file, the line, row or
+        message, the column, and the remedy.
+    RecipeError
+        If the recipe is unknown or cannot be followed.
+    ValueError
+        If another argument is not valid, or does not apply to the file's format.
+
+    Warns
+    -----
+    UserWarning
+        If times or performance are hardly meant as they are read, or the last line has no end.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> session = tl.read_session("data/sessions/pilot.csv")
+    >>> session.columns, session.sample_time
+    (['mode', 'p_r', 'p_h'], 0.1)
+    """
+    reader = Reader(recipe, columns, resample, sample_time, delimiter, decimal)
+    sessions = reader.read(path)
+    reader.warn()
+    return _only(sessions, str(path))
+
+
+def read_frame(
+    frame: pd.DataFrame,
+    recipe: str | os.PathLike | Recipe | None = None,
+    columns: Sequence[str] | None = None,
+    resample: str | None = None,
+    sample_time: float | None = None,
+    **metadata: object,
+) -> Session:
+    """
+    Return the session in a data frame, by the same recipes and rules as `read_session`.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        A table as a file would hold it; an index with a name is a column as well.
+    recipe : str, path-like or Recipe, optional
+        How its columns become ours, of kind "table"; a frame with the vocabulary's names in SI
+        units, and t, needs none.
+    columns : sequence of str, optional
+        Only these columns of the session.
+    resample : {"previous", "linear", "nearest"}, optional
+        As for `read_session`.
+    sample_time : float, optional
+        Time between samples [s] after resampling.
+    **metadata : object
+        participant, condition or any other name. Where the recipe takes metadata from the path of a
+        file, they stand for the fields of its pattern.
+
+    Raises
+    ------
+    SessionError
+        For the first fault: it names the row, the column and the remedy.
+    ValueError
+        If another argument is not valid.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> frame = pd.DataFrame({"t": [0.0, 0.1, 0.2], "mode": [1, 1, 0], "p_r": [0.30, 0.31, 0.31]})
+    >>> tl.read_frame(frame, participant=3).label
+    'participant 3'
+    """
+    of_class("frame", frame, pd.DataFrame)
+    reader = Reader(recipe, columns, resample, sample_time)
+    sessions = reader.read_frame(frame, metadata)
+    reader.warn()
+    return _only(sessions, "data frame")
+
+
+def _only(sessions: list[Session], source: str) -> Session:
+    """Return the only session of a log."""
+    if len(sessions) != 1:
+        fault = f"the recipe splits the log into {len(sessions)} sessions"
+        raise SessionError(f"{fault}; read_sessions returns all of a folder's", source)
+    return sessions[0]
+
+
+class Sessions(list):
+    """
+    A list of sessions, and what was left out when they were read.
+
+    Parameters
+    ----------
+    sessions : iterable of Session
+        What was read.
+    faults : pandas.DataFrame
+        Columns file and error: one row for each file left out.
+    """
+
+    def __init__(self, sessions: Iterable[Session], faults: pd.DataFrame):
+        super().__init__(sessions)
+        self.faults = faults
+
+
+def read_sessions(
+    folder: str | os.PathLike,
+    recipe: str | os.PathLike | Recipe | None = None,
+    *,
+    on_error: str = "raise",
+    progress: Callable[[int, int], object] | None = None,
+    columns: Sequence[str] | None = None,
+    resample: str | None = None,
+    sample_time: float | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+) -> Sessions:
+    """
+    Read all sessions of a folder.
+
+    Parameters
+    ----------
+    folder : path-like
+        With a recipe that has a files pattern: all files at any depth whose paths fit it (the
+        folder may be any folder above them, or the one they are in). Without: all logs in the
+        folder itself.
+    recipe : str, path-like or Recipe, optional
+        As for `read_session`.
+    on_error : {"raise", "collect"}
+        What to do about a file that has a fault: raise it, or leave the file out and list it in the
+        result's `faults`.
+    progress : callable, optional
+        Called after each file with the number of files read and the number of all.
+    columns : sequence of str, optional
+        Read only these columns of the sessions.
+    resample : {"previous", "linear", "nearest"}, optional
+        As for `read_session`.
+    sample_time : float, optional
+        Time between samples [s] after resampling.
+    delimiter, decimal : str, optional
+        As for `read_session`.
+
+    Returns
+    -------
+    Sessions
+        A list, ordered by participant, then trial, then path, numbers as numbers; its attribute
+        `faults` is a table of the files left out, with columns file and error.
+
+    Raises
+    ------
+    SessionError
+        If nothing is found, if the rows of a header file and the files do not correspond one to
+        one, or if a file has a fault.
+    RecipeError
+        If the recipe is unknown or cannot be followed.
+    ValueError
+        If another argument is not valid.
+
+    Warns
+    -----
+    UserWarning
+        As for `read_session`, once for all files with the same doubt.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> sessions = tl.read_sessions("data/sessions")
+    >>> [session.metadata.participant for session in sessions]
+    ['pilot', '1', '2', '3', '4', '5']
+    """
+    one_of("on_error", on_error, ("raise", "collect"))
+    if progress is not None and not callable(progress):
+        raise ValueError(f"progress must be a function of two numbers, got {shown(progress)}")
+    reader = Reader(recipe, columns, resample, sample_time, delimiter, decimal)
+    source = path_of("folder", folder)
+    if not os.path.isdir(source):
+        hint = "; read a single file with read_session" if os.path.exists(source) else ""
+        raise SessionError(f"there is no such folder{hint}", source)
+    pattern = reader.recipe.pattern if reader.recipe else None
+    paths = matching(source, pattern, reader.header) if pattern else logs_in(source)
+    sessions, faults = [], []
+    for done, path in enumerate(paths, start=1):
+        try:
+            sessions.extend(reader.read(path))
+        except SessionError as error:
+            if on_error == "raise":
+                raise
+            faults.append((path, str(error)))
+        if progress is not None:
+            progress(done, len(paths))
+    reader.warn()
+
+    def order(session: Session) -> list[tuple]:
+        facts = session.metadata
+        keys = (facts.participant, facts.more.get("trial"), facts.source, facts.more.get("part"))
+        return [natural_key(key) for key in keys]
+
+    return Sessions(sorted(sessions, key=order), pd.DataFrame(faults, columns=["file", "error"]))
+
+
+class Reader:
+    """The arguments of `read_session`, checked, for one file or for many."""
+
+    def __init__(self, recipe, columns, resample, sample_time, delimiter=None, decimal=None):
+        self.recipe = None if recipe is None else load_recipe(recipe)
+        self.columns = None if columns is None else self._selected(columns)
+        self.resampling = self.recipe.resampling if self.recipe else None
+        if resample is not None or sample_time is not None:
+            method: Any = one_of("resample", resample, get_args(Method))
+            step = positive("sample_time", sample_time)
+            self.resampling = Resampling(method=method, sample_time=step)
+        self.header = Header(self.recipe.header) if self.recipe and self.recipe.header else None
+        asked = {"delimiter": delimiter, "decimal": decimal}
+        self.separators = {name: value for name, value in asked.items() if value is not None}
+        self.layout = self.recipe.table if self.recipe else TableRule()
+        if self.separators:
+            self.layout = parse(TableRule, self.separators, "delimiter and decimal")
+        if self.separators and self.recipe:
+            fault = "delimiter and decimal are given beside a recipe: state them in its [table]"
+            raise RecipeError(fault, self.recipe.source)
+        # What to doubt in values that could be read, and the files where that is so.
+        self.doubts: dict[str, list[str]] = {}
+
+    def _selected(self, columns: Sequence[str]) -> list[str]:
+        """Return the columns of the session that are asked for."""
+        names = columns if isinstance(columns, list | tuple) else []
+        names = [name for name in dict.fromkeys(names) if name != "t"]
+        if not names or not all(isinstance(name, str) for name in names):
+            raise SessionError(f"columns must be a list of names besides t, got {shown(columns)}")
+        for name in names:
+            if self.recipe and name not in self.recipe.columns:
+                known = alternatives(name, self.recipe.columns, "it has")
+                raise SessionError(f"columns: the recipe has no column {name!r}{known}")
+        return names
+
+    def read(self, path: str | os.PathLike) -> list[Session]:
+        """Return the sessions of one file or rosbag2 folder: one, unless the recipe splits it."""
+        source = path_of("path", path)
+        with source_named(source):
+            try:
+                return self._read(_existing(Path(source)), source)
+            except OSError as error:
+                raise SessionError(f"cannot be read ({error.strerror or error})") from error
+
+    def _read(self, path: Path, source: str) -> list[Session]:
+        suffix = suffix_of(path)
+        bag = path.is_dir() or suffix in BAGS
+        self._check_kind("bag" if bag else "table")
+        values = self._values_of(source)
+        if self.separators and suffix not in TEXTS:
+            raise SessionError(f"delimiter and decimal do not apply to {suffix or 'a folder'}")
+        if bag and self.recipe:
+            log = read_bag(path, self.recipe, self._measured())
+            return self._sessions(log, self.recipe, values)
+        if bag:
+            log = read_written(path, self.columns)
+            return self._sessions(log, plain_recipe(list(log.streams[0].frame)), values)
+        choose, texts = self._choice()
+        if suffix in TEXTS:
+            return self._of_table(read_csv(path, choose, self.layout, texts), source, values)
+        return self._of_table(read_arrow(path, choose, self.layout), source, values)
+
+    def read_frame(self, frame: pd.DataFrame, metadata: Mapping[str, object]) -> list[Session]:
+        """Return the session in a data frame, or all that the recipe splits it into."""
+        recipe = self.recipe
+        fields = recipe.pattern.types if recipe and recipe.pattern else {}
+        with source_named("data frame"):
+            self._check_kind("table")
+            rules: Any = recipe.metadata if recipe else {}
+            for name, rule in rules.items():
+                if rule.origin in fields and not {name, rule.origin} & metadata.keys():
+                    fault = f"the recipe takes {name} from the path of a file"
+                    raise SessionError(f"{fault}: give it as read_frame(…, {rule.origin}=…)")
+            table = frame_table(frame, self._choice()[0], self.layout)
+            sessions = self._of_table(table, "data frame", metadata)
+        more = {name: value for name, value in metadata.items() if name not in fields}
+        return [session.with_metadata(**more) for session in sessions] if more else sessions
+
+    def _check_kind(self, kind: str) -> None:
+        if self.recipe and self.recipe.kind != kind:
+            fault = f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a {kind}"
+            raise RecipeError(fault)
+
+    def _values_of(self, source: str) -> dict[str, object]:
+        """Return what the path of a file and the header say of its session."""
+        pattern = self.recipe.pattern if self.recipe else None
+        match = pattern.match(source) if pattern else None
+        if match:
+            return {**match.fields, **(self.header.row(match) if self.header else {})}
+        rules = (*self.recipe.metadata.values(), *self.recipe.columns.values()) if pattern else ()
+        if any(rule.origin for rule in rules):
+            remedy = "rename the file or its folder, or take nothing from the path"
+            fault = f"the path does not fit the recipe's pattern {pattern.text!r}"
+            raise SessionError(f"{fault}; {remedy}")
+        return {}
+
+    def _measured(self) -> list[ColumnRule]:
+        """Return the rules of the columns that come from the log, and of those these need."""
+        columns = self.recipe.columns
+        names = self.columns or list(columns)
+        names = [*names, *(need for name in names for need in columns[name].needs)]
+        rules = [columns[name] for name in dict.fromkeys(names)]
+        return [rule for rule in rules if rule.kind in ("column", "topic")]
+
+    def _choice(self) -> tuple[Choice, set[str]]:
+        """Return which columns of a table to read, and those whose cells are read as texts."""
+        if self.recipe is None:
+            names = {name: name for name in ("t", *(self.columns or ()))}
+            return (lambda _: names) if self.columns else vocabulary_columns, set()
+        rules = self._measured()
+        chosen = {"t": self.recipe.time.column} | {rule.name: rule.column for rule in rules}
+        texts = {rule.name for rule in rules if rule.map or rule.item is not None}
+        if self.recipe.time.unit in ("iso", "clock"):
+            texts.add("t")
+        return lambda _: chosen, texts
+
+    def _of_table(self, table: Table, source: str, values: Mapping) -> list[Session]:
+        """Return the sessions of a table."""
+        recipe = self.recipe or plain_recipe([name for name in table.frame if name != "t"])
+        rules = self._measured() if self.recipe else list(recipe.columns.values())
+        t = times_of(table, recipe.time, self.layout.decimal)
+        stream = stream_of(table, t, rules, self.layout.decimal)
+        return self._sessions(Log(source, [stream], table.metadata, table.notes), recipe, values)
+
+    def _sessions(self, log: Log, recipe: Recipe, values: Mapping[str, Any]) -> list[Session]:
+        """Return the sessions that a log makes."""
+        values = derived_values(recipe, values)
+        selection = self.columns or list(recipe.columns)
+        parts = parts_of(log, recipe)
+        sessions = [session_of(part, recipe, values, selection, self.resampling) for part in parts]
+        for session in sessions:
+            for doubt in doubts(session):
+                self.doubts.setdefault(doubt, []).append(log.source)
+        return sessions
+
+    def warn(self) -> None:
+        """Warn of each doubt once, however many files it is about."""
+        for doubt, files in self.doubts.items():
+            count = len(set(files)) - 1
+            more = f" (and {count} more of the files)" if count else ""
+            warn(f"{files[0]}{more}: {doubt}")
+
+
+def path_of(name: str, value: object) -> str:
+    """Return a path as text."""
+    source = os.fspath(value) if isinstance(value, str | os.PathLike) else value
+    if not isinstance(source, str) or not source or "\0" in source:
+        raise SessionError(f"{name} must be a path, got {shown(value)}")
+    return source
+
+
+def plain_recipe(names: Sequence[str]) -> Recipe:
+    """Return the recipe of a log whose columns are those of the vocabulary, in SI units."""
+    columns = {}
+    for name in names:
+        if name not in VOCABULARY:
+            raise SessionError(f"column {name!r} is not in the vocabulary")
+        unit = VOCABULARY[name].unit
+        unit = None if unit in ("1", "measure") else unit
+        columns[name] = ColumnRule(name=name, kind="column", column=name, unit=unit)
+    return Recipe(kind="table", time=TableTime(unit="s"), columns=columns)
+
+
+def _existing(path: Path) -> Path:
+    """Return the path when something that can be read is there."""
+    if not path.exists():
+        looked = "" if path.is_absolute() else f" (looked in {path.parent.absolute()})"
+        raise SessionError(f"there is no such file{looked}{nearest_file(path)}")
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        remedy = "use read_sessions for a folder of sessions, `ros2 bag reindex` for a recording"
+        raise SessionError(f"a folder without metadata.yaml is not a rosbag2 recording; {remedy}")
+    if path.is_file() and suffix_of(path) not in SUFFIXES:
+        hint = alternatives(path.suffix, [*SUFFIXES, "rosbag2 folders"])
+        way = "read the file into a data frame, then trustlab.read_frame(frame)"
+        raise SessionError(f"cannot read {path.suffix or 'files without a suffix'}{hint}; {way}")
+    if path.is_file() and path.stat().st_size == 0:
+        raise SessionError("the file is empty")
+    return path
+
+
+# Samples further apart [s] than this: nobody logs control that slowly.
+SLOWEST = 10.0
+
+# Performance above which a measure, in m/s or a share of 1, is no longer plausible.
+MOST_PERFORMANCE = 10.0
+
+
+def doubts(session: Session) -> list[str]:
+    """Return what is hardly meant as it was read: times, performance, a line cut short."""
+    words = []
+    step = session.sample_time
+    if step >= SLOWEST:
+        # Of a log at 1 to 1,000 Hz.
+        unit = "ns" if step >= 1e6 else "us" if step >= 1e3 else "ms"
+        remedy = f'if its times are in {unit}, a recipe says so: [time] unit = "{unit}"'
+        words.append(f"samples are {step:g} s apart; {remedy}")
+    for name in ("p_r", "p_h"):
+        if name not in session.columns:
+            continue
+        if np.min(session[name]) < 0.0:
+            words.append(
+                f"column {name} has negative values, but performance is never negative; map the "
+                "measure to one that is 0 at its worst (offset in a recipe's column)"
+            )
+        elif np.max(session[name]) > MOST_PERFORMANCE:
+            words.append(
+                f"column {name} goes beyond {MOST_PERFORMANCE:g}, but performance is in m/s or a "
+                'share of 1; if it is in per cent, a recipe says so: unit = "%" in the column'
+            )
+    if "last line" in session.metadata.more:
+        words.append(f"the last line {session.metadata.more['last line']}")
+    return words

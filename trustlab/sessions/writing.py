@@ -1,0 +1,149 @@
+"""Write sessions: CSV, Parquet and MCAP bags that read back the same."""
+
+import os
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from trustlab.models.checks import of_class, one_of
+from trustlab.models.extras import extra
+from trustlab.models.files import write_atomically
+from trustlab.sessions.bags import PREFIX
+from trustlab.sessions.errors import SessionError, source_named
+from trustlab.sessions.folders import TEMPORARY
+from trustlab.sessions.session import Session, metadata_to_json
+from trustlab.sessions.tables import COMMENT
+
+FORMATS = (".csv", ".parquet", ".mcap")
+
+
+def write_session(session: Session, path: str | os.PathLike) -> Path:
+    """
+    Write a session so that `read_session` returns an equal one, every number bit for bit.
+
+    The metadata go along, but for the source, which will be the new file: in a CSV as a first line
+    ``# trustlab {…}``, in Parquet as schema metadata, in a bag as a std_msgs/String on
+    /trustlab/metadata beside one std_msgs/Float64 topic per column and one for t. What is there
+    already is replaced at once, at the end.
+
+    Parameters
+    ----------
+    session : Session
+        What to write.
+    path : path-like
+        Where; its suffix is the format: ``.csv``, ``.parquet`` or ``.mcap`` (ROS 2). Its folder
+        must exist.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    SessionError
+        If the format is unknown, the place cannot be written to, or metadata would not read back
+        the same.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import trustlab as tl
+    >>> session = tl.read_session("data/sessions/pilot.csv")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     again = tl.read_session(tl.write_session(session, f"{folder}/pilot.parquet"))
+    >>> again == session
+    True
+    """
+    of_class("session", session, Session)
+    path = Path(path)
+    suffix = one_of(f"the suffix of path {str(path)!r}", path.suffix.lower(), FORMATS)
+    with source_named(str(path)):
+        if not path.parent.is_dir():
+            raise SessionError("its folder does not exist; create it first")
+        try:
+            if suffix == ".mcap":
+                write_recording(session, path)
+            else:
+                write_atomically(path, _csv(session) if suffix == ".csv" else _parquet(session))
+        except OSError as error:
+            raise SessionError(f"cannot be written ({error.strerror or error})") from error
+    return path
+
+
+def _csv(session: Session) -> str:
+    table = session.table().to_csv(index=False, lineterminator="\n")  # repr: bit for bit
+    return f"{COMMENT}{metadata_to_json(session.metadata)}\n{table}"
+
+
+def _parquet(session: Session) -> bytes:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    table = pa.table({name: np.ascontiguousarray(session[name]) for name in session})
+    table = table.replace_schema_metadata({"trustlab": metadata_to_json(session.metadata)})
+    content = pa.BufferOutputStream()
+    pyarrow.parquet.write_table(table, content)
+    return content.getvalue().to_pybytes()
+
+
+def write_recording(
+    session: Session,
+    path: Path,
+    types: Mapping[str, str] = MappingProxyType({}),
+    messages: Iterable[tuple[str, int, bytes]] = (),
+) -> None:
+    """
+    Write an MCAP bag of a session and of the messages that it was made from: topic, time [ns] and
+    data as CDR, of standard types by topic.
+    """
+    with extra("ros"):
+        from rosbags import rosbag2
+        from rosbags.typesys import Stores, get_typestore
+
+    typestore = get_typestore(Stores.ROS2_HUMBLE)
+    text, number = "std_msgs/msg/String", "std_msgs/msg/Float64"
+
+    def encoded(kind: str, value: object) -> bytes:
+        return typestore.serialize_cdr(typestore.types[kind](value), kind)
+
+    with tempfile.TemporaryDirectory(prefix=TEMPORARY, dir=path.parent) as folder:
+        place = Path(folder) / path.name
+        writer = rosbag2.Writer(place, version=8, storage_plugin=rosbag2.StoragePlugin.MCAP)
+        if types:  # covariances are mostly zeros
+            writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
+        with writer:
+
+            def topic(name: str, kind: str):
+                return writer.add_connection(name, kind, typestore=typestore)
+
+            recorded = {name: topic(name, kind) for name, kind in types.items()}
+            start = 0
+            for name, stamp, data in messages:
+                start = start or stamp
+                writer.write(recorded[name], stamp, data)
+            metadata = metadata_to_json(session.metadata, samples=len(session))
+            writer.write(topic(f"{PREFIX}metadata", text), start, encoded(text, metadata))
+            columns = {name: topic(PREFIX + name, number) for name in session}
+            for k, stamp in enumerate(_stamps(session.t)):
+                for name, connection in columns.items():
+                    value = encoded(number, float(session[name][k]))
+                    writer.write(connection, start + stamp, value)
+        os.replace(next(place.glob("*.mcap")), path)
+
+
+def _stamps(t: np.ndarray) -> list[int]:
+    """Return rising stamps [ns] from 0; the exact times are on /trustlab/t."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        nanoseconds = np.round((t - t[0]) * 1e9)
+    # ROS 2 has 63 bits for the nanoseconds.
+    if (
+        np.isfinite(nanoseconds).all()
+        and nanoseconds[-1] < 4e18
+        and (np.diff(nanoseconds) >= 1.0).all()
+    ):
+        return nanoseconds.astype(np.int64).tolist()
+    return [k * 1_000_000 for k in range(t.size)]
