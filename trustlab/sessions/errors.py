@@ -32,6 +32,13 @@ class SessionError(ValueError):
         super().__init__(f"{source}: {message}" if source else message)
         self.source = source
 
+    def of(self, source: str | None) -> "SessionError":
+        """Return the error with the name of the file in front, unless it names one already."""
+        if source and self.source is None:
+            self.source = source
+            self.args = (f"{source}: {self}",)
+        return self
+
 
 class RecipeError(SessionError):
     """A recipe that does not exist or cannot be followed; arguments as for SessionError."""
@@ -43,10 +50,7 @@ def source_named(source: str | None) -> Iterator[None]:
     try:
         yield
     except SessionError as error:
-        if source and error.source is None:
-            error.source = source
-            error.args = (f"{source}: {error}",)
-        raise
+        raise error.of(source)
 
 
 @contextmanager

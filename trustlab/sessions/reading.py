@@ -327,11 +327,12 @@ class Reader:
     def read(self, path: str | os.PathLike) -> list[Session]:
         """Return the sessions of one file or rosbag2 folder: one, unless the recipe splits it."""
         source = path_of("path", path)
-        with source_named(source):
-            try:
-                return self._read(_existing(Path(source)), source)
-            except OSError as error:
-                raise SessionError(f"cannot be read ({error.strerror or error})") from error
+        try:
+            return self._read(_existing(Path(source)), source)
+        except SessionError as error:
+            raise error.of(source)
+        except OSError as error:
+            raise SessionError(f"cannot be read ({error.strerror or error})", source) from error
 
     def _read(self, path: Path, source: str) -> list[Session]:
         suffix = suffix_of(path)
@@ -357,8 +358,8 @@ class Reader:
         fields = recipe.pattern.types if recipe and recipe.pattern else {}
         with source_named("data frame"):
             self._check_kind("table")
-            rules: Any = recipe.metadata if recipe else {}
-            for name, rule in rules.items():
+            metadata_rules: Any = recipe.metadata if recipe else {}
+            for name, rule in metadata_rules.items():
                 if rule.origin in fields and not {name, rule.origin} & metadata.keys():
                     fault = f"the recipe takes {name} from the path of a file"
                     raise SessionError(f"{fault}: give it as read_frame(…, {rule.origin}=…)")
