@@ -330,7 +330,8 @@ class Reader:
         try:
             return self._read(_existing(Path(source)), source)
         except SessionError as error:
-            raise error.of(source)
+            error.name_source(source)
+            raise
         except OSError as error:
             raise SessionError(f"cannot be read ({error.strerror or error})", source) from error
 
@@ -379,8 +380,8 @@ class Reader:
         match = pattern.match(source) if pattern else None
         if match:
             return {**match.fields, **(self.header.row(match) if self.header else {})}
-        rules = (*self.recipe.metadata.values(), *self.recipe.columns.values()) if pattern else ()
-        if any(rule.origin for rule in rules):
+        rules: Any = [self.recipe.metadata, self.recipe.columns] if pattern else []
+        if any(rule.origin for each in rules for rule in each.values()):
             remedy = "rename the file or its folder, or take nothing from the path"
             fault = f"the path does not fit the recipe's pattern {pattern.text!r}"
             raise SessionError(f"{fault}; {remedy}")

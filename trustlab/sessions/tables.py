@@ -141,6 +141,7 @@ def read_csv(path: Path, choose: Choice, layout: TableRule, texts: Collection[st
         names = [name.strip() for name in names]
         places = _places(choose, names, layout.header)
     except (SessionError, csv.Error) as error:
+        _refuse_encoding(content, layout.encoding)
         fault = _layout_fault(names, content, layout) or error
         raise SessionError(f"line {before + 1}: {fault}") from error
     before += layout.header
