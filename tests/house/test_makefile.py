@@ -176,7 +176,7 @@ def test_the_environment_is_built_once_and_every_recipe_runs(house, uv):
 
 @pytest.mark.parametrize("broken", ["", "trustlab.publishing", "pytest"])
 def test_continuous_integration_runs_reports_then_tests_and_stops_at_a_failure(house, broken):
-    tools, tree, run = house
+    _, tree, run = house
     run("make", ".venv/.stamp")
     program = tree / ".venv" / "bin" / "python"
     failure = f'case "$*" in *"-m {broken or "nothing"}"*) exit 1 ;; esac\n'

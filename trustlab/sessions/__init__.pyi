@@ -1,6 +1,7 @@
 from . import metrics as metrics, recipe as recipe, recipes as recipes
 from .drafting import draft_recipe as draft_recipe
 from .errors import RecipeError as RecipeError, SessionError as SessionError
+from .example import example as example
 from .external import external_data as external_data
 from .metadata import Metadata as Metadata
 from .metrics import tracking_error as tracking_error
