@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, shown
+from trustlab.models.checks import shown
 from trustlab.models.html import as_html
 from trustlab.sessions.errors import SessionError, alternatives, source_named
-from trustlab.sessions.vocabulary import VOCABULARY
+from trustlab.sessions.vocabulary import known_column
 
 # Metadata with a name of their own, and the types that a file may give them; all else goes to
 # `more`.
@@ -497,14 +497,10 @@ def check_uniform(t: np.ndarray, place: Place = ROW) -> None:
 
 def check_column(name: str, values: np.ndarray, t: np.ndarray, place: Place = ROW) -> np.ndarray:
     """Return a column as floats; raise at its first value that is missing or out of range."""
-    if name not in VOCABULARY:
-        remedy = "map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()"
-        hint = did_you_mean(name, VOCABULARY)
-        raise SessionError(f"column {name!r} is not in the vocabulary{hint} ({remedy})")
+    column = known_column(name)
     if values.dtype.kind not in "fiub":
         raise SessionError(f"column {name!r} must hold numbers, found {values.dtype}")
     values = np.asarray(values, dtype=float)
-    column = VOCABULARY[name]
     low = -np.inf if column.low is None else column.low
     high = np.inf if column.high is None else column.high
     # Both are NaN where any value is.
