@@ -80,7 +80,7 @@ def test_without_a_folder_to_write_to_it_works_and_says_so_once(first, tmp_path)
     assert (
         run(
             copy,
-            "from trustlab.models.human import yerkes_dodson",
+            "from trustlab.models.tsc import yerkes_dodson",
             TRUSTLAB_CACHE_DIR=copy / "named",
         )[1]
         == ""

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import trustlab as tl
-from trustlab.models.human import performance_range, yerkes_dodson
+from trustlab.models.tsc import performance_range, yerkes_dodson
 
 betas = st.floats(0.02, 0.98)
 

@@ -18,9 +18,8 @@ from trustlab.allocation.decision.steady import survey
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
 from trustlab.identification.fit_result import FitResult
 from trustlab.identification.posterior.result import Posterior
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_number, of_class, warn, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html, axes_or_new
 from trustlab.models.tsc import TscModel
 
 

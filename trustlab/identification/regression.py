@@ -17,7 +17,7 @@ from trustlab.identification.fit_result import (
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Structure
 from trustlab.models.checks import whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 
 # Up to this condition number (equilibrated) the normal equations are used, beyond it a singular
 # value decomposition.

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.vocabulary import VOCABULARY

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import flag, of_class, spawned, warn, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.studies.columns import column_of, labels_of, refuse_missing_labels
 
 

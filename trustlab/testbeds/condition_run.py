@@ -16,9 +16,8 @@ from trustlab.allocation.suggestions import (
     followed_suggestions,
     suggestion_episodes,
 )
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_array, one_of
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html, axes_or_new
 from trustlab.models.tsc import TscModel
 from trustlab.operators.answers import allocation_answers
 from trustlab.operators.ground_robot import Operator

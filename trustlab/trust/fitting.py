@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from trustlab.models.checks import of_class, one_of
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.interface import TrustDynamics, coordinates_of, with_parameters
 from trustlab.trust.likelihood import log_likelihood, predict

@@ -9,9 +9,8 @@ import pandas as pd
 from trustlab.allocation.correction.corrector import ThresholdCorrector, threshold_pair
 from trustlab.allocation.correction.model_tests import ModelTests
 from trustlab.allocation.correction.setting import CorrectionSetting, CorrectionTest
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import of_class, one_of, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html, axes_or_new
 
 # Columns of the data, with their order.
 COLUMNS = [

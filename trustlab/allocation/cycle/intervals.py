@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import open_unit
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 
 # Draws of a posterior that are followed.
 DRAWS = 200

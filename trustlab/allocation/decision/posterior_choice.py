@@ -11,7 +11,7 @@ from trustlab.identification.posterior.draws import physical, tsc_models
 from trustlab.identification.posterior.likelihood import SHARED
 from trustlab.identification.posterior.result import Posterior
 from trustlab.models.checks import between, one_of, open_unit, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.models.tsc import TscModel
 
 # Draws by which pairs are judged.
@@ -77,7 +77,7 @@ class PosteriorChoice:
         -------
         matplotlib.axes.Axes
         """
-        from trustlab.models.axes import axes_or_new
+        from trustlab.models.display import axes_or_new
 
         axes = axes_or_new(axes, figsize=(5, 4))
         shown = axes.scatter(

@@ -19,7 +19,7 @@ from trustlab.identification.posterior.result import Posterior
 from trustlab.identification.posterior.sampling import sample_posterior
 from trustlab.identification.runs import LogSettings
 from trustlab.models.checks import one_of, open_unit, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.sessions.session import Session
 
 # Draws of each person that the population is sampled from.

@@ -19,7 +19,7 @@ from trustlab.identification.posterior.plots import plot_posterior
 from trustlab.identification.posterior.priors import Prior
 from trustlab.identification.posterior.sampler import MOST_K
 from trustlab.models.checks import open_unit
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.models.tsc import TscModel
 
 # Width of an interval, as a share of the prior's, up to which data count as telling the value.

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import (
     ADJUSTMENTS,

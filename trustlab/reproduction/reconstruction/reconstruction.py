@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.models.linear_algebra import polar_factor, products, transposed
 from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.random import SeedSequence
 
 from trustlab.models.checks import of_class, one_of, open_unit, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.studies.analysis.apa import apa_number
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import (

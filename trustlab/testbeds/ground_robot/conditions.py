@@ -9,7 +9,6 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import (
     did_you_mean,
     finite_array,
@@ -18,6 +17,7 @@ from trustlab.models.checks import (
     spawned,
     whole_number,
 )
+from trustlab.models.display import axes_or_new
 from trustlab.models.published import published_models, published_table
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, operator
