@@ -31,6 +31,7 @@ from trustlab.allocation.decision.posterior_choice import PosteriorChoice
 from trustlab.identification.posterior.draws import MODEL as MODEL_NAMES
 from trustlab.identification.posterior.population import Population
 from trustlab.identification.regression import ArxResult
+from trustlab.models.display import Result
 from trustlab.publishing.book import publish, write_book
 from trustlab.publishing.tables import table_html
 from trustlab.reproduction.calibration import Calibration
@@ -137,7 +138,8 @@ def classes_with_html():
             if (
                 isinstance(kind, type)
                 and kind.__module__ == module.name
-                and "_repr_html_" in vars(kind)
+                and hasattr(kind, "_repr_html_")
+                and kind is not Result
             ):
                 found[name] = kind
     return found

@@ -1,7 +1,7 @@
 """How results show themselves: as text, in a notebook, and on axes."""
 
 import html
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
@@ -17,8 +17,15 @@ class Result:
     Printed, it is title and message; a notebook adds the table.
     """
 
-    title: str
-    message: str
+    if TYPE_CHECKING:  # fields of some classes, properties of others
+
+        @property
+        def title(self) -> str:
+            """What names the result."""
+
+        @property
+        def message(self) -> str:
+            """What follows from it, in a sentence or two."""
 
     def table(self) -> pd.DataFrame:
         """Return the numbers, one row for each thing, nothing rounded."""

@@ -14,7 +14,8 @@ class ByName(dict):
 
     def __missing__(self, key):
         meant = did_you_mean(key, self) if isinstance(key, str) else ""
-        raise KeyError(f"nothing is called {key!r:.60}{meant} (there are {', '.join(self)})")
+        names = ", ".join(map(repr, self))
+        raise KeyError(f"nothing is called {key!r:.60}{meant} (there are {names})")
 
 
 def data_folder(name: str) -> Path:
@@ -83,8 +84,8 @@ def published_models() -> dict[str, TscModel]:
     Returns
     -------
     dict of str to TscModel
-        Keys "pilot", "1" … "5". b_pr follows from (2.3); the printed one is this,
-        rounded to four decimals.
+        Keys "pilot", "1" … "5". b_pr follows from (2.3); the printed one is this, rounded to four
+        decimals.
 
     Examples
     --------

@@ -4,7 +4,6 @@ A robot on a course, an operator, and who drives: a simulated stand-in for the S
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -61,7 +60,7 @@ class GroundRobotRun(ConditionRun):
         When each lap ended [s].
     """
 
-    title: ClassVar[str] = "Ground-robot run"
+    title = "Ground-robot run"
 
     course: Course
     robot: Pioneer
@@ -105,12 +104,6 @@ class GroundRobotRun(ConditionRun):
         matplotlib.axes.Axes
         """
         return plot_path(self.session, self.course, start, stop, axes)
-
-    def __repr__(self) -> str:
-        return (
-            f"GroundRobotRun({self.session.label}: {self.lap_times.size} laps in "
-            f"{self.session.duration:.0f} s)"
-        )
 
 
 def drive_modes(
