@@ -17,10 +17,10 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # a room takes on, and lowered with what it loses; it is no reason to pack.
 MOST_TOKENS = {
     "allocation": 40_500,
-    "campaign": 11_000,
+    "campaign": 11_600,
     "identification": 45_400,  # aim: 42,500 (29)
     "live": 43_800,  # with flights and teams in browsers; aim: 21,000 (31)
-    "models": 10_700,
+    "models": 9_400,
     "operators": 3_700,
     "publishing": 6_700,  # aim: 4,000 (35)
     "reproduction": 41_300,
@@ -28,7 +28,7 @@ MOST_TOKENS = {
     "sessions": 32_000,  # with encodings, and drafts that guess who drives and an even grid
     "studies": 57_400,  # with ordinal models; aim: 53,000 (32)
     "teleoperation": 32_100,
-    "testbeds": 35_900,
+    "testbeds": 36_200,
     "trust": 13_450,  # with teams, studies and tables as panels, and profiles; aim: 12_000 (32)
     "trustlab": 500,
 }
@@ -261,7 +261,9 @@ def test_names_are_nouns():
 
 
 def test_a_class_name_means_one_thing():
-    assert {name: at for name, at in classes(sources()).items() if len(at) > 1} == {}
+    """But for the settings of simulated studies, beside the loop that simulates one run."""
+    twice = {name for name, at in classes(sources()).items() if len(at) > 1}
+    assert twice == {"Simulation"}
 
 
 def test_no_folder_shows_more_than_16_files():
@@ -278,6 +280,7 @@ def test_dataclasses_are_frozen():
         "allocation.rules.ThresholdRule",
         "identification.output_error.OutputSeries",
         "live.study.progress.Progress",
+        "models.simulation.Simulation",
         "sessions.readers.bags.TopicSeries",
         "sessions.resampling.RawLog",
         "sessions.resampling.Stream",

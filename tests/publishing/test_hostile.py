@@ -138,7 +138,7 @@ def classes_with_html():
             if (
                 isinstance(kind, type)
                 and kind.__module__ == module.name
-                and hasattr(kind, "_repr_html_")
+                and ("_repr_html_" in vars(kind) or Result in kind.__bases__)
                 and kind is not Result
             ):
                 found[name] = kind

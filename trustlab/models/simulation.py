@@ -8,7 +8,12 @@ import numpy as np
 
 
 class DivergenceError(ArithmeticError):
-    """A simulation grew without bound; the message names the block and the sample."""
+    """
+    A simulation grew without bound; the message names the block and when. `.session` holds the run
+    so far, where two samples were done.
+    """
+
+    session: Any = None
 
 
 @dataclass(eq=False)

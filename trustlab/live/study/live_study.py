@@ -27,11 +27,11 @@ from trustlab.models.checks import (
     spawned,
     whole_number,
 )
-from trustlab.models.display import Result
+from trustlab.models.display import as_html
 from trustlab.studies.designs import latin_square_design
 
 
-class LiveStudy(Result, Plan):
+class LiveStudy(Plan):
     """
     A within-subject study that people take part in with a browser.
 
@@ -241,27 +241,26 @@ class LiveStudy(Result, Plan):
         present = [code for code in self.orders if code not in self.deleted()]
         rehearse([Participation(self, code) for code in present], spawned(seed, len(present)))
 
-    @property
-    def title(self) -> str:
-        """The study, by its folder."""
-        return f"Live study {self.folder.name}"
-
-    @property
-    def message(self) -> str:
-        """Who takes part in what."""
-        kind = " Rehearsal by scripted hands." if self.rehearsal else ""
-        return (
-            f"{len(self.orders)} participants, conditions "
-            f"{', '.join(self.content['conditions'])}, seed {self.content['seed']}, task "
-            f"{self.content['task']}.{kind}"
-        )
-
     def table(self) -> pd.DataFrame:
         """Return everybody's order: a row per participant, a column per position."""
         positions = range(1, len(self.content["conditions"]) + 1)
         index = pd.Index(self.orders, name="participant")
         return pd.DataFrame(list(self.orders.values()), index, positions).rename_axis(
             columns="position"
+        )
+
+    def _repr_html_(self) -> str:
+        kind = " Rehearsal by scripted hands." if self.rehearsal else ""
+        words = (
+            f"{len(self.orders)} participants, seed {self.content['seed']}, task "
+            f"{self.content['task']}.{kind}"
+        )
+        return as_html(words, self.table(), title=f"Live study {self.folder.name}")
+
+    def __repr__(self) -> str:
+        return (
+            f"LiveStudy({self.folder.name!r}: {len(self.orders)} participants, "
+            f"{', '.join(self.content['conditions'])})"
         )
 
 
