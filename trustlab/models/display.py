@@ -1,6 +1,7 @@
 """How results show themselves: as text, in a notebook, and on axes."""
 
 import html
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -14,7 +15,7 @@ class Result:
     What an analysis returns: `title` names it, `message` says what follows from it, `table()` holds
     its numbers, and `plot()` draws those that people look at.
 
-    Printed, it is title and message; a notebook adds the table.
+    Printed, it is a line of title and message; a notebook adds the table.
     """
 
     if TYPE_CHECKING:  # fields of some classes, properties of others
@@ -32,7 +33,8 @@ class Result:
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        return f"<{self.title}: {self.message}>"
+        text = textwrap.shorten(f"{self.title}: {self.message}", 180, placeholder=" …")
+        return f"<{text}>"
 
     def _repr_html_(self) -> str:
         return as_html(self.message, self.table(), title=self.title)
