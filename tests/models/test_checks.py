@@ -62,6 +62,8 @@ def test_ends_of_ranges():
     assert between("x", 1, 0.0, 1.0) == 1.0
     assert not_negative("x", 0) == 0.0
     assert whole_number("seed", 10**400, 0) == 10**400
+    with pytest.raises(ValueError, match=r"0 or more, got 1e\+300"):
+        whole_number("seed", 1e300, 0)
     for check, value in ((positive, 0.0), (open_unit, 0.0), (open_unit, 1.0)):
         with pytest.raises(ValueError, match=r"^x must "):
             check("x", value)

@@ -23,6 +23,7 @@ def test_a_result_is_one_line_and_in_a_notebook_its_table_too():
     result = Found("1 < 2 & more", (1.23456789, None))
     assert repr(result) == "<A <b>: 1 < 2 & more>"
     assert len(repr(Found("long " * 100, (1, 2)))) < 200
+    assert repr(Found("long " * 100, (1, 2))).endswith("long …>")
     shown = result._repr_html_()
     assert shown.startswith(
         '<div class="tex2jax_ignore"><p><b>A &lt;b&gt;</b>: 1 &lt; 2 &amp; more'

@@ -55,10 +55,10 @@ def simulated(*stops, inputs=None, **options):
 
 
 class Relay:
-    """A rule with hysteresis, for both loops; it counts how often it is asked."""
+    """A rule with hysteresis, for both loops; it counts how often it is asked, and for how long."""
 
     def __init__(self):
-        self.asked, self.mode = 0, 1.0
+        self.asked, self.mode, self.spans = 0, 1.0, set()
 
     def step(self, tsc, p_r):
         self.asked += 1
@@ -66,6 +66,7 @@ class Relay:
         return self.mode
 
     def decide(self, state, inputs):
+        self.spans.add(len(inputs))
         inputs["mode"] = self.step(state["tsc"][0], None)
 
 
@@ -95,6 +96,7 @@ def test_a_rule_is_asked_when_it_is_due_and_its_run_repeated_without_it(every):
     run = simulated(decide=rule.decide, every=every)
     portions = simulated(1, 2, 15, 20, 20, 2001, decide=again.decide, every=every)
     assert rule.asked == again.asked == SAMPLES // every
+    assert rule.spans == again.spans == {every}
     np.testing.assert_array_equal(portions.log, run.log)
     np.testing.assert_array_equal(simulated(17, inputs=run.inputs).log, run.log)
     expected = tl.simulate_allocation(tl.published_models()["2"], rule=allocation, steps=SAMPLES)
