@@ -96,10 +96,10 @@ def _cache_root() -> Path:
     """
     home = os.environ.get("LOCALAPPDATA") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     own = PACKAGE / "__pycache__" / "compiled"
-    named = os.environ.get("TRUSTLAB_CACHE_DIR", own)
-    for folder in (named, own, Path(home, "trustlab").expanduser()):
-        with contextlib.suppress(OSError):
-            root = Path(folder)
+    named = os.environ.get("TRUSTLAB_CACHE_DIR") or own
+    for folder in (named, own, Path(home, "trustlab")):
+        with contextlib.suppress(OSError, RuntimeError):  # not writable, or the user has no home
+            root = Path(folder).expanduser()
             root.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=root).close()
             return root
