@@ -11,9 +11,9 @@ import pytest
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
+from trustlab.sessions.metadata import metadata_to_json
 
 from trustlab.sessions import RecipeError, SessionError, read_session, read_sessions, write_session
-from trustlab.sessions.metadata import metadata_to_json
 from trustlab.sessions.recipe import Recipe
 
 START = 1_700_000_000_123_456_789  # [ns]

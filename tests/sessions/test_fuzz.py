@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import HealthCheck, example, given, settings, strategies as st
+from trustlab.sessions.readers.csv_files import _fast, _scan
+from trustlab.sessions.readers.tables import SourceColumn
 
 from trustlab.sessions import (
     Metadata,
@@ -19,8 +21,6 @@ from trustlab.sessions import (
     read_session,
     write_session,
 )
-from trustlab.sessions.readers.csv_files import _fast, _scan
-from trustlab.sessions.readers.tables import SourceColumn
 from trustlab.sessions.recipe import Recipe, TableRule, load_recipe
 
 MORE = (

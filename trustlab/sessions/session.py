@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import shown
-from trustlab.models.html import as_html
+from trustlab.models.display import Result, as_html
 from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.vocabulary import known_column
 
@@ -138,8 +138,8 @@ def metadata_from_json(text: str) -> tuple[Metadata, dict]:
     return Metadata(**facts, more=more), content
 
 
-@dataclass(frozen=True, eq=False)
-class Session:
+@dataclass(frozen=True, eq=False, repr=False)
+class Session(Result):
     """
     One logged run on a uniform time axis.
 
@@ -398,18 +398,19 @@ class Session:
 
         return plot_session(self, columns)
 
-    def _repr_html_(self) -> str:
-        words = f"{self.label}; {len(self)} samples at {self.sample_time:g} s"
-        return as_html(words, self.data.describe().T, title="Session")
+    title = "Session"
 
-    def __repr__(self) -> str:
-        more = (
-            f"; metadata.more: {', '.join(map(str, self.metadata.more))}"
-            if self.metadata.more
-            else ""
-        )
+    @property
+    def message(self) -> str:
+        """Whose session it is, how it was sampled, and what it holds."""
+        more = f"; metadata.more: {', '.join(map(str, self.metadata.more))}"
         samples = f"{len(self)} samples at {self.sample_time:g} s"
-        return f"Session({self.label}: {samples}, columns {', '.join(self.columns)}{more})"
+        columns = f"columns {', '.join(self.columns)}"
+        return f"{self.label}; {samples}; {columns}{more if self.metadata.more else ''}"
+
+    def _repr_html_(self) -> str:
+        # Thousands of rows say less than their summary.
+        return as_html(self.message, self.data.describe().T, title=self.title)
 
 
 Place = Callable[[int], str]
