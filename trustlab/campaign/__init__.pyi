@@ -1,5 +1,4 @@
 from .parameters import (
-    ParameterGrid as ParameterGrid,
     parameter_draws as parameter_draws,
     parameter_grid as parameter_grid,
 )

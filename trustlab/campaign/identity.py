@@ -7,6 +7,7 @@ package, or all modules beside its script, since nobody can say for certain whic
 """
 
 import dis
+import functools
 import hashlib
 import io
 import re
@@ -36,7 +37,7 @@ class Identity:
         self.modules: set[str] = set()  # of functions and classes that are known by name
         self.imports: set[str] = set()  # what code imports when it runs
         self.task = self.digest("the task", task)
-        while hasattr(task, "func"):  # of functools.partial
+        while isinstance(task, functools.partial):
             task = task.func
         self.home = task.__module__
         self.modules.add(self.home)
@@ -61,20 +62,24 @@ class Identity:
 
     def sources(self) -> dict[str, str]:
         """Return a digest of each source file that belongs to the modules."""
-        files: dict[str, Path] = {}
+        files: set[tuple[str, Path]] = set()
         for name in self.modules:
             module = sys.modules.get(name)
             top = (getattr(module, "__package__", None) or "").partition(".")[0]
-            folders = list(map(Path, getattr(sys.modules.get(top), "__path__", ())))
-            search: Callable = _below
-            if not folders and (name == "__main__" or getattr(module, "__file__", None)):
+            package = [Path(p) for p in getattr(sys.modules.get(top), "__path__", ())]
+            folders = package
+            if not package and (name == "__main__" or getattr(module, "__file__", None)):
                 # A notebook has no file.
                 folders = [Path(getattr(module, "__file__", "notebook")).resolve().parent]
-                search = self._beside
             for folder in folders:
                 if name == self.home or not _is_installed(folder):
-                    files |= {f.relative_to(folder.parent).as_posix(): f for f in search(folder)}
-        return {name: digest(files[name].read_bytes()) for name in sorted(files)}
+                    found = _below(folder) if package else self._beside(folder)
+                    above = folder.parent if package else folder
+                    files |= {(path.relative_to(above).as_posix(), path) for path in found}
+        digests: dict[str, str] = {}
+        for name, path in sorted(files):  # modules of several folders may share a name
+            digests[name] = digests.get(name, "") + digest(path.read_bytes())
+        return digests
 
     def _beside(self, folder: Path) -> Iterator[Path]:
         """Yield the sources in a folder that are loaded or may be imported, however far."""
@@ -94,10 +99,11 @@ class _Digester(Pickler):
     """Pickles code by its content, and equal values of whatever process to equal bytes."""
 
     def __init__(self, stream: io.BytesIO, identity: Identity):
+        # Read once, by the constructor.
+        self.dispatch_table = ChainMap({CodeType: self._code}, Pickler.dispatch_table)
         super().__init__(stream)
         self.identity = identity
         self.classes: list[type] = []
-        self.dispatch_table = ChainMap({CodeType: self._code}, Pickler.dispatch_table)
 
     def persistent_id(self, value: Any) -> object:
         """Note modules; return a replacement for what differs between processes."""

@@ -1,8 +1,8 @@
 """Parameters of many runs: grids and draws."""
 
-import math
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from numbers import Integral, Real
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -13,48 +13,7 @@ from trustlab.models.checks import in_order, shown, whole_number
 RESERVED = ("run", "seed", "failed", "error", "traceback")
 
 
-class ParameterGrid(Sequence):
-    """
-    Every combination of values, each made when it is asked for.
-
-    Parameters
-    ----------
-    axes : dict of list
-        Values by name; those of the last name vary fastest.
-    repeats : int
-        How often each combination stands in a row: runs that differ only by their seed.
-    """
-
-    def __init__(self, axes: Mapping[str, Iterable], repeats: int = 1):
-        if not axes:
-            raise ValueError("a grid needs values, such as parameter_grid(lower=[0.0, 0.1])")
-        self.axes = {name: _listed(name, values) for name, values in axes.items()}
-        self.repeats = whole_number("repeats", repeats)
-        self.shape = tuple(map(len, self.axes.values()))
-
-    def __len__(self) -> int:
-        return math.prod(self.shape) * self.repeats
-
-    def __getitem__(self, i: Any) -> Any:
-        runs = range(len(self))[i]
-        if isinstance(runs, range):  # a slice
-            return [self[run] for run in runs]
-        places = np.unravel_index(runs // self.repeats, self.shape)
-        return {name: self.axes[name][k] for name, k in zip(self.axes, places, strict=True)}
-
-
-def _listed(name: str, values: Any) -> list:
-    if isinstance(values, str | bytes | Mapping) or not isinstance(values, Iterable):
-        raise ValueError(
-            f"{name} must be a list of values, got {shown(values)}; write [{shown(values)}] for one"
-        )
-    values = values.tolist() if isinstance(values, np.ndarray) else list(values)
-    if not values:
-        raise ValueError(f"{name} has no values; give at least one")
-    return values
-
-
-def parameter_grid(repeats: int = 1, **axes: Iterable) -> ParameterGrid:
+def parameter_grid(repeats: int = 1, **axes: Iterable) -> list[dict]:
     """
     Return every combination of values, as parameters of a campaign.
 
@@ -67,8 +26,8 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> ParameterGrid:
 
     Returns
     -------
-    ParameterGrid
-        A sequence of dicts; the last name varies fastest.
+    list of dict
+        One per run; the last name varies fastest, repeats faster still.
 
     Raises
     ------
@@ -80,7 +39,20 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> ParameterGrid:
     >>> list(parameter_grid(lower=[0.0, 0.1], upper=[0.4, 0.5]))[1]
     {'lower': 0.0, 'upper': 0.5}
     """
-    return ParameterGrid(axes, repeats)
+    for name, values in axes.items():
+        if isinstance(values, str | bytes | Mapping) or not np.iterable(values):
+            raise ValueError(
+                f"{name} must be a list of values, got {shown(values)}; write [{shown(values)}] "
+                "for one"
+            )
+    lists = [v.tolist() if isinstance(v, np.ndarray) else list(v) for v in axes.values()]
+    repeated = range(whole_number("repeats", repeats))
+    grid = [
+        dict(zip(axes, row, strict=True)) for row in itertools.product(*lists) for _ in repeated
+    ]
+    if not axes or not grid:
+        raise ValueError(f"give at least one value for each name, got {shown(axes)}")
+    return grid
 
 
 def parameter_draws(
@@ -170,30 +142,26 @@ def checked_names(parameters: Any) -> list[str]:
         raise ValueError(
             f"parameters must be a list of dicts, one per run, got {shown(parameters)}{remedy}"
         )
-    # All runs of a grid have the names of its axes.
-    runs = parameters[:1] if isinstance(parameters, ParameterGrid) else parameters
-    for run, values in enumerate(runs):
-        if not isinstance(values, Mapping) or values.keys() != runs[0].keys():
+    first = parameters[0]
+    for run, values in enumerate(parameters):
+        if not isinstance(values, Mapping) or values.keys() != first.keys():
             raise ValueError(
-                f"every run needs a dict with the same names, but run 0 has {shown(runs[0])} and "
+                f"every run needs a dict with the same names, but run 0 has {shown(first)} and "
                 f"run {run} has {shown(values)}"
             )
-    for name in runs[0]:
+    for name in first:
         if not isinstance(name, str) or name in RESERVED:
             raise ValueError(
                 f"a parameter cannot be called {name!r}: names are text and not among "
                 f"{', '.join(RESERVED)}, which a campaign uses"
             )
-    return list(runs[0])
+    return list(first)
 
 
 def plain(value: Any) -> bool | int | float | str | None:
     """Return a plain value as Python's own type; raise `TypeError` for anything else."""
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value[()]
-    if value is None or isinstance(value, bool | str):
+    if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
+        value = value.item()
+    if value is None or isinstance(value, int | float | str):  # a bool is an int
         return value
-    for kind, convert in ((np.bool_, bool), (Integral, int), (Real, float)):
-        if isinstance(value, kind):
-            return convert(value)
     raise TypeError(f"{type(value).__name__} is no plain value")

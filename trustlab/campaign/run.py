@@ -1,4 +1,4 @@
-"""Many runs of one task: seeds by index, results kept on disk as they come, resumed after a kill."""
+"""Many runs of one task: a seed by index, results on disk as they come, resumed after a kill."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from numbers import Integral
 from pathlib import Path
 from pickle import PicklingError
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from joblib import Parallel, delayed, effective_n_jobs, parallel_config
+from joblib.externals.loky import get_reusable_executor
+from tqdm import tqdm
 
+from trustlab.campaign.identity import Identity, digest
 from trustlab.campaign.parameters import RESERVED, checked_names, plain, seed_sequence
 from trustlab.models.checks import flag, shown, warn
 from trustlab.models.files import write_atomically
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from trustlab.campaign.identity import Identity
 
 FORMAT = 3
 MANIFEST = "campaign.json"
@@ -124,8 +124,6 @@ def run_campaign(
     >>> len(table)
     100
     """
-    from tqdm import tqdm
-
     start = perf_counter()
     names = checked_names(parameters)
     _check_task(task, names)
@@ -149,7 +147,7 @@ def run_campaign(
                 folder.save()
     table = _table({name: [values[name] for values in parameters] for name in names}, rows)
     table.attrs |= {"resumed": resumed, "seconds": perf_counter() - start}
-    if table["failed"].any():
+    if table.attrs["failed"]:
         warn(f"{table.attrs['summary']} (see failed, error and traceback)", CampaignWarning)
     return table
 
@@ -188,15 +186,14 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     >>> table.equals(run)
     True
     """
-    import pandas as pd
-
     path = Path(folder)
     parts = _parts(path)
     if parts is None:
         raise CampaignError(f"{path} holds no campaign: {MANIFEST} is not there")
     rows = _stored(path, parts)
-    columns = pd.DataFrame([rows[run].pop("parameters") for run in sorted(rows)])
-    table = _table(columns, rows)
+    parameters = [rows[run]["parameters"] for run in sorted(rows)]
+    names = parameters[0] if parameters else ()
+    table = _table({name: [values[name] for values in parameters] for name in names}, rows)
     table.attrs["versions"] = {k: parts[k] for k in parts if k.startswith("version of ")}
     return table
 
@@ -219,8 +216,6 @@ def _finished(
     n_jobs: int,
 ) -> Iterator[dict[int, dict]]:
     """Yield the rows of runs, as processes return them."""
-    from joblib import Parallel, delayed, effective_n_jobs
-
     waiting = deque(missing)
     processes = min(effective_n_jobs(n_jobs), len(missing))
     if processes > 1:
@@ -249,10 +244,6 @@ def _finished(
 
 def _end_outdated_processes(task: Callable) -> None:
     """End the processes that joblib keeps if what they have imported may have changed since."""
-    from joblib.externals.loky import get_reusable_executor
-
-    from trustlab.campaign.identity import Identity
-
     sources = Identity(task).sources()
     if any(_imported.get(file, content) != content for file, content in sources.items()):
         get_reusable_executor().shutdown()
@@ -263,8 +254,6 @@ def _chunk(
     task: Callable, parameters: dict[int, Mapping], seed: np.random.SeedSequence
 ) -> tuple[dict[int, dict], list[int], float]:
     """Return rows by run, the runs for which there was no time, and the seconds it took."""
-    from joblib import parallel_config
-
     start = perf_counter()
     rows: dict[int, dict] = {}
     with parallel_config("sequential"):  # within a task: the other cores are taken
@@ -325,8 +314,6 @@ class _Folder:
         parameters: Sequence[Mapping],
         seed: np.random.SeedSequence,
     ):
-        from trustlab.campaign.identity import Identity
-
         if not isinstance(out, str | os.PathLike) or not os.fspath(out):
             raise ValueError(f"out must be the path of a folder, got {shown(out)}")
         self.path = Path(out)
@@ -410,8 +397,6 @@ def _changes(before: Mapping[str, str], now: Mapping[str, str]) -> Iterable[str]
 
 
 def _digest(content: dict) -> str:
-    from trustlab.campaign.identity import digest
-
     return digest(json.dumps(content).encode())
 
 
@@ -439,10 +424,8 @@ def _stored(folder: Path, parts: dict[str, str]) -> dict[int, dict]:
     return {int(run): row for file in files for run, row in _read(file).items()}
 
 
-def _table(columns: Mapping[str, Any], rows: Mapping[int, dict]) -> pd.DataFrame:
+def _table(columns: Mapping[str, Iterable], rows: Mapping[int, dict]) -> pd.DataFrame:
     """Return the table of a campaign; a run with other results than most has failed."""
-    import pandas as pd
-
     runs = sorted(rows)
     results = [rows[run]["results"] for run in runs]
     errors = [rows[run]["error"] for run in runs]
@@ -456,27 +439,18 @@ def _table(columns: Mapping[str, Any], rows: Mapping[int, dict]) -> pd.DataFrame
                 f"CampaignError: returned {', '.join(values)}, where most runs returned "
                 f"{', '.join(names)}; return the same names from every run"
             )
-    data = {"run": np.array(runs, dtype=np.int64)}
-    data |= {name: _column(values) for name, values in columns.items()}
-    data |= {name: _column([(values or {}).get(name) for values in results]) for name in names}
-    data["failed"] = np.array([values is None for values in results], dtype=bool)
-    data["error"] = _column(errors, "str")
-    data["traceback"] = _column([rows[run]["traceback"] for run in runs], "str")
-    table = pd.DataFrame(data)
-    failed = int(table["failed"].sum())
-    summary = f"{len(table):,} runs, {failed:,} failed"
-    if failed:
-        first = table[table["failed"]].iloc[0]
-        summary += f"; run {first['run']}: {first['error']}"
-    table.attrs = {"runs": len(table), "failed": failed, "summary": summary}
-    return table
-
-
-def _column(values: Iterable, dtype: str | None = None) -> pd.Series:
-    import pandas as pd
-
-    values = [np.nan if value is None else value for value in values]
+    data = {"run": runs, **columns}
+    data |= {name: [(values or {}).get(name) for values in results] for name in names}
+    data |= {"failed": [values is None for values in results], "error": errors}
+    data["traceback"] = [rows[run]["traceback"] for run in runs]
+    data = {name: [np.nan if x is None else x for x in values] for name, values in data.items()}
     try:
-        return pd.Series(values, dtype=dtype)
-    except UnicodeEncodeError:  # half a surrogate pair, as of a file name
-        return pd.Series(values, dtype=object)
+        table = pd.DataFrame(data).astype({"error": "str", "traceback": "str"})
+    except UnicodeEncodeError:  # half a surrogate pair, as file names may hold
+        table = pd.DataFrame(data, dtype=object)
+    failed = table[table["failed"].astype(bool)]
+    summary = f"{len(table):,} runs, {len(failed):,} failed"
+    if len(failed):
+        summary += f"; run {failed['run'].iloc[0]}: {failed['error'].iloc[0]}"
+    table.attrs = {"runs": len(table), "failed": len(failed), "summary": summary}
+    return table
