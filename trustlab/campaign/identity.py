@@ -8,7 +8,6 @@ package, or all modules beside its script, since nobody can say for certain whic
 
 import dis
 import functools
-import hashlib
 import io
 import re
 import sys
@@ -23,6 +22,7 @@ from typing import Any
 from cloudpickle import Pickler
 
 from trustlab import __version__
+from trustlab.models.digest import digest
 
 # Attributes of a class that say nothing of what it does.
 BOILERPLATE = {"__dict__", "__weakref__", "__module__", "__firstlineno__", "_abc_impl"}
@@ -130,11 +130,6 @@ class _Digester(Pickler):
                 self.identity.imports.add(instruction.argval.partition(".")[0])
         names = (code.co_names, code.co_varnames, code.co_freevars)
         return tuple, ((code.co_code, code.co_consts, names),)
-
-
-def digest(content: bytes) -> str:
-    """Return 16 hexadecimal digits that change with every byte."""
-    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def _below(folder: Path) -> Iterator[Path]:

@@ -22,18 +22,22 @@ from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 from joblib.externals.loky import get_reusable_executor
 from tqdm import tqdm
 
-from trustlab.campaign.identity import Identity, digest
+from trustlab.campaign.identity import Identity
 from trustlab.campaign.parameters import RESERVED, checked_names, plain, seed_sequence
 from trustlab.models.checks import flag, shown, warn
+from trustlab.models.digest import digest
 from trustlab.models.files import write_atomically
 
 FORMAT = 3
 MANIFEST = "campaign.json"
 REMEDY = "Use another folder, or remove this one"
 
-# Seconds of work that a process is sent at a time, as far as the runs before it tell; after which
-# it returns those that it has not begun; and between two files of results.
-SENT, MOST, SAVED = 1.0, 5.0, 2.0
+# Seconds of work that a process is sent at a time, as far as the runs before it tell.
+SENT = 1.0
+# Seconds after which it returns the runs that it has not begun: some may take longer.
+MOST = 5.0
+# Seconds between two files of results.
+SAVED = 2.0
 
 # Digests of the source files that the processes kept by joblib may have imported.
 _imported: dict[str, str] = {}
@@ -129,7 +133,9 @@ def run_campaign(
     _check_task(task, names)
     seed = seed_sequence(seed)
     if isinstance(n_jobs, bool) or not isinstance(n_jobs, Integral) or n_jobs == 0:
-        raise ValueError(f"n_jobs must be a number of processes or -1, got {shown(n_jobs)}")
+        raise ValueError(
+            f"n_jobs must be a whole number of processes, -1 for all cores, got {shown(n_jobs)}"
+        )
     hidden = None if progress is None else not flag("progress", progress)
     folder = None if out is None else _Folder(out, task, parameters, seed)
     rows = {} if folder is None else folder.rows()
@@ -397,7 +403,7 @@ def _changes(before: Mapping[str, str], now: Mapping[str, str]) -> Iterable[str]
 
 
 def _digest(content: dict) -> str:
-    return digest(json.dumps(content).encode())
+    return digest(json.dumps(content))[:16]
 
 
 def _read(path: Path) -> Any:
