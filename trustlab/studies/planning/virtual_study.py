@@ -544,7 +544,7 @@ class StudyFolder:
     """
 
     def __init__(self, path: str | os.PathLike, design: LatinSquareDesign):
-        if not isinstance(path, str | os.PathLike) or Path(path).is_file():
+        if not isinstance(path, str | os.PathLike):
             raise ValueError(f"out must be the path of a folder, got {shown(path)}")
         self.path = Path(path)
         self.sessions, self.campaign = self.path / "sessions", self.path / "campaign"
@@ -560,7 +560,12 @@ class StudyFolder:
                     f"{folder} holds {min(strange)}, which is not known to be of this study; give "
                     "a new or empty folder"
                 )
-        self.sessions.mkdir(parents=True, exist_ok=True)
+        try:
+            self.sessions.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ValueError(
+                f"cannot write in {self.path}: {error.strerror}; give a folder that you may write to"
+            ) from error
 
     def finish(self, study: VirtualStudy) -> None:
         """Check that every session is there, and write the tables beside them."""
