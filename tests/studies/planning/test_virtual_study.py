@@ -364,7 +364,9 @@ def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
     assert stamps == {file: file.stat().st_mtime_ns for file in stamps}
     with pytest.raises(CampaignError, match="seed was 1, is 2"):
         tl.virtual_study(**(arguments | {"design": first.design, "conditions": None, "seed": 2}))
-    with pytest.raises(ValueError, match=r"sessions holds .*, which is not known to be of this study"):
+    with pytest.raises(
+        ValueError, match=r"sessions holds .*, which is not known to be of this study"
+    ):
         tl.virtual_study(**(arguments | {"conditions": ["C1", "C5"]}))
     next(iter(stamps)).unlink()
     with pytest.raises(ValueError, match="1 of 8 sessions are missing from"):
@@ -374,7 +376,9 @@ def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
 def test_folders_of_others_are_refused(tmp_path):
     arguments = {"n": 4, "conditions": ["C1", "C4"], "laps": 1}
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(ValueError, match=r"holds notes.txt, which is not known to be of this study"):
+    with pytest.raises(
+        ValueError, match=r"holds notes.txt, which is not known to be of this study"
+    ):
         tl.virtual_study(**arguments, out=tmp_path)
     with pytest.raises(ValueError, match=r"cannot write in .*notes\.txt: Not a directory"):
         tl.virtual_study(**arguments, out=tmp_path / "notes.txt")

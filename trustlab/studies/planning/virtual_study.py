@@ -564,7 +564,7 @@ class StudyFolder:
             self.sessions.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ValueError(
-                f"cannot write in {self.path}: {error.strerror}; give a folder that you may write to"
+                f"cannot write in {self.path}: {error.strerror}; give one that you may write to"
             ) from error
 
     def finish(self, study: VirtualStudy) -> None:

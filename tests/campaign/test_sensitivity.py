@@ -1,0 +1,110 @@
+"""Sobol' indices. Oracles: the closed form of the Ishigami function, of sums, and SciPy's own."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import trustlab as tl
+
+PI = math.pi
+BOX = {"x1": (-PI, PI), "x2": (-PI, PI), "x3": (-PI, PI)}
+
+
+def ishigami(x1, x2, x3, seed):
+    y = math.sin(x1) + 7.0 * math.sin(x2) ** 2 + 0.1 * x3**4 * math.sin(x1)
+    return {"y": y, "double": 2.0 * y + 5.0, "constant": 1.0, "word": "w"}
+
+
+def closed_form(a=7.0, b=0.1):
+    """First-order and total indices (Ishigami and Homma 1990)."""
+    v1, v2 = 0.5 * (1.0 + b * PI**4 / 5.0) ** 2, a**2 / 8.0
+    v13 = b**2 * PI**8 * (1.0 / 18.0 - 1.0 / 50.0)
+    v = v1 + v2 + v13
+    return np.array([v1, v2, 0.0]) / v, np.array([v1 + v13, v2, v13]) / v
+
+
+def test_indices_of_the_ishigami_function(tmp_path):
+    arguments = {"n_jobs": 1, "resamples": 100, "seed": 2, "out": tmp_path}
+    indices = tl.sobol_indices(ishigami, BOX, 1024, **arguments)
+    table = indices.table().set_index("result")
+    assert list(table.index.unique()) == ["y", "double", "constant"]
+    first, total = closed_form()
+    for name in ("y", "double"):  # scale and origin have no effect
+        rows = table.loc[name]
+        for order, exact in (("first", first), ("total", total)):
+            estimate = rows["first_order" if order == "first" else "total"]
+            np.testing.assert_allclose(estimate, exact, atol=0.05)
+            assert (rows[f"{order}_low"] <= exact + 0.02).all()
+            assert (exact - 0.02 <= rows[f"{order}_high"]).all()
+            assert (rows[f"{order}_low"] < estimate).all()
+            assert (rows[f"{order}_high"] - rows[f"{order}_low"] < 0.3).all()
+    assert table.loc["constant"].drop(columns="parameter").isna().all(axis=None)
+    assert len(tl.read_campaign(tmp_path)) == 1024 * 5  # one campaign holds all points
+    assert tl.sobol_indices(ishigami, BOX, 1024, **arguments).table().equals(indices.table())
+
+
+def test_estimates_are_those_of_scipy_with_its_own_points():
+    def values(x):
+        return np.sin(x[0]) + 7.0 * np.sin(x[1]) ** 2 + 0.1 * x[2] ** 4 * np.sin(x[0])
+
+    points = np.random.SeedSequence(3, spawn_key=(2**31,)).spawn(2)[0]
+    box = [stats.uniform(-PI, 2.0 * PI)] * 3
+    exact = stats.sobol_indices(func=values, n=256, dists=box, rng=np.random.default_rng(points))
+    indices = tl.sobol_indices(
+        ishigami, BOX, 256, results=["y"], n_jobs=1, resamples=20, seed=3
+    ).table()
+    np.testing.assert_allclose(indices["first_order"], exact.first_order, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(indices["total"], exact.total_order, rtol=1e-9, atol=1e-12)
+
+
+def test_noise_is_independent_between_points_and_distributions_may_differ():
+    """
+    y = 2 x + ε, x normal with σ = 1/2, ε normal with σ = 1: S_x = 1/2, and ε is in all total
+    indices.
+    """
+
+    def noisy(x, z, seed):
+        return {"y": 2.0 * x + np.random.default_rng(seed).normal()}
+
+    ranges = {"x": stats.norm(5.0, 0.5), "z": (0.0, 1.0)}
+    table = tl.sobol_indices(noisy, ranges, 4096, n_jobs=1, resamples=20).table()
+    np.testing.assert_allclose(table["first_order"], [0.5, 0.0], atol=0.06)
+    np.testing.assert_allclose(table["total"], [1.0, 0.5], atol=0.06)
+
+
+def test_the_plot_has_a_panel_per_result():
+    import matplotlib.pyplot as plt
+
+    indices = tl.sobol_indices(
+        ishigami, BOX, 16, results=["y", "double"], n_jobs=1, resamples=20, level=0.9
+    )
+    axes = indices.plot()
+    assert [panel.get_title() for panel in axes] == ["y", "double"]
+    assert [text.get_text() for text in axes[0].get_yticklabels()] == ["x1", "x2", "x3"]
+    rows = indices.table().query("result == 'double'")
+    for container, order in zip(axes[1].containers, ("first", "total"), strict=True):
+        points, _, (bars,) = container.lines
+        column = "first_order" if order == "first" else "total"
+        np.testing.assert_allclose(points.get_xdata().astype(float), rows[column])
+        ends = [segment[:, 0].astype(float) for segment in bars.get_segments()]
+        np.testing.assert_allclose(ends, rows[[f"{order}_low", f"{order}_high"]].to_numpy())
+    plt.close("all")
+
+
+@pytest.mark.filterwarnings("ignore::trustlab.campaign.CampaignWarning")
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"n": 100}, "power of 2, such as 128, got 100"),
+        ({"ranges": {"x1": (0, 1)}}, "at least two parameters"),
+        ({"results": ["word"]}, r"numbers in every run, y, double, constant, got \['word'\]"),
+        ({"task": lambda x1, x2, x3, seed: {"y": math.nan}}, "at 40 of 40 a result is not finite"),
+        ({"task": lambda x1, x2, x3, seed: {"y": 1 / 0}}, "40 runs, 40 failed; run 0: ZeroDiv"),
+    ],
+)
+def test_remedies(change, said):
+    arguments = {"task": ishigami, "ranges": BOX, "n": 8, "n_jobs": 1} | change
+    with pytest.raises(ValueError, match=said):
+        tl.sobol_indices(**arguments)
