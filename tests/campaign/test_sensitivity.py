@@ -99,7 +99,7 @@ def test_the_plot_has_a_panel_per_result():
     [
         ({"n": 100}, "power of 2, such as 128, got 100"),
         ({"ranges": {"x1": (0, 1)}}, "at least two parameters"),
-        ({"results": ["word"]}, r"numbers in every run, y, double, constant, got \['word'\]"),
+        ({"results": ["word"]}, r"are numbers, y, double, constant, got \['word'\]"),
         ({"task": lambda x1, x2, x3, seed: {"y": math.nan}}, "at 40 of 40 a result is not finite"),
         ({"task": lambda x1, x2, x3, seed: {"y": 1 / 0}}, "40 runs, 40 failed; run 0: ZeroDiv"),
     ],

@@ -65,14 +65,11 @@ class Identity:
         files: set[tuple[str, Path]] = set()
         for name in self.modules:
             module = sys.modules.get(name)
+            file = getattr(module, "__file__", None) or ("notebook" if name == "__main__" else "")
             top = (getattr(module, "__package__", None) or "").partition(".")[0]
-            package = [Path(p) for p in getattr(sys.modules.get(top), "__path__", ())]
-            folders = package
-            if not package and (name == "__main__" or getattr(module, "__file__", None)):
-                # A notebook has no file.
-                folders = [Path(getattr(module, "__file__", "notebook")).resolve().parent]
-            for folder in folders:
-                if name == self.home or not _is_installed(folder):
+            package = getattr(sys.modules.get(top), "__path__", None)
+            for folder in map(Path, package or [Path(file).resolve().parent]):
+                if file and (name == self.home or not _is_installed(folder)):
                     found = _below(folder) if package else self._beside(folder)
                     above = folder.parent if package else folder
                     files |= {(path.relative_to(above).as_posix(), path) for path in found}
@@ -83,16 +80,18 @@ class Identity:
 
     def _beside(self, folder: Path) -> Iterator[Path]:
         """Yield the sources in a folder that are loaded or may be imported, however far."""
-        places = {p.stem: p for p in folder.iterdir() if p.suffix == ".py" or p.is_dir()}
-        loaded = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
-        below = [Path(f) for f in loaded if f and Path(f).is_relative_to(folder)]
-        names = self.imports | {Path(f.relative_to(folder).parts[0]).stem for f in below}
-        while names:
-            place = places.pop(names.pop(), folder / "none")
-            for file in [place] if place.is_file() else _below(place):
-                yield file
-                for line in IMPORT.findall(file.read_text(encoding="utf-8", errors="replace")):
-                    names |= set(re.findall(r"\w+", line))
+        loaded = (getattr(module, "__file__", None) for module in list(sys.modules.values()))
+        below = [Path(f).relative_to(folder) for f in loaded if f and folder in Path(f).parents]
+        names = self.imports | {path.parts[0].removesuffix(".py") for path in below}
+        done: set[str] = set()
+        while names - done:
+            name = min(names - done)
+            done.add(name)
+            for file in [folder / f"{name}.py", *_below(folder / name)]:
+                if file.is_file():
+                    yield file
+                    for line in IMPORT.findall(file.read_text(encoding="utf-8", errors="replace")):
+                        names |= set(re.findall(r"\w+", line))
 
 
 class _Digester(Pickler):

@@ -333,20 +333,20 @@ class _Folder:
         if before is None:
             self._write(MANIFEST, {"format": FORMAT, "parts": self.parts})
         elif before != self.parts:
-            changes = "; ".join(_changes(before, self.parts))
-            raise CampaignError(f"{self.path} holds another campaign: {changes}. {REMEDY}")
+            raise self._other(_changes(before, self.parts))
+
+    def _other(self, changes: Iterable[str]) -> CampaignError:
+        return CampaignError(f"{self.path} holds another campaign: {'; '.join(changes)}. {REMEDY}")
 
     def rows(self) -> dict[int, dict]:
         """Return the rows that are there, by run; raise if they have other parameters."""
-        stored = _stored(self.path, self.parts)
-        rows = {run: stored[run] for run in stored if run < len(self.parameters)}
-        for run, row in sorted(rows.items()):
+        rows = _stored(self.path, self.parts)
+        rows = {run: rows[run] for run in sorted(rows) if run < len(self.parameters)}
+        for run, row in rows.items():
             before, now = row["parameters"], self.parameters[run]
-            if json.dumps(before) != json.dumps(now):  # which tells 1, 1.0 and True apart
-                raise CampaignError(
-                    f"{self.path} holds another campaign: the parameters of run {run} were "
-                    f"{before}, are {now}. {REMEDY}"
-                )
+            # As texts, which tell 1, 1.0 and True apart.
+            if json.dumps(before, sort_keys=True) != json.dumps(now, sort_keys=True):
+                raise self._other([f"the parameters of run {run} were {before}, are {now}"])
         return rows
 
     def add(self, rows: Mapping[int, dict]) -> None:
@@ -360,8 +360,8 @@ class _Folder:
     def save(self) -> None:
         """Write what is not yet written."""
         if self.unsaved:
-            name = f"runs-{_digest(self.parts)}-{_digest(self.unsaved)}.json"
-            self._write(name, self.unsaved)
+            content = digest(json.dumps(self.unsaved))[:16]
+            self._write(f"{_prefix(self.parts)}{content}.json", self.unsaved)
         self.unsaved = {}
         self.saved = perf_counter()
 
@@ -402,15 +402,18 @@ def _changes(before: Mapping[str, str], now: Mapping[str, str]) -> Iterable[str]
             yield f"{name} was {before[name]}, is {now[name]}" if readable else f"{name} changed"
 
 
-def _digest(content: dict) -> str:
-    return digest(json.dumps(content))[:16]
+def _prefix(parts: Mapping[str, str]) -> str:
+    """Return how the names of a campaign's files of runs begin."""
+    return f"runs-{digest(json.dumps(parts))[:16]}-"
 
 
 def _read(path: Path) -> Any:
     try:
         return json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
-        raise CampaignError(f"{path} cannot be read: {error}. {REMEDY}") from error
+        raise CampaignError(
+            f"{path} cannot be read: {error}; remove it, and what it holds is computed again"
+        ) from error
 
 
 def _parts(folder: Path) -> dict[str, str] | None:
@@ -426,7 +429,7 @@ def _parts(folder: Path) -> dict[str, str] | None:
 
 def _stored(folder: Path, parts: dict[str, str]) -> dict[int, dict]:
     """Return the rows in all files of a campaign, by run."""
-    files = folder.glob(f"runs-{_digest(parts)}-*.json")
+    files = folder.glob(f"{_prefix(parts)}*.json")
     return {int(run): row for file in files for run, row in _read(file).items()}
 
 

@@ -56,21 +56,17 @@ class SobolIndices:
         numpy.ndarray of matplotlib.axes.Axes, shape (results,)
         """
         groups = self.indices.groupby("result", sort=False)
-        size = (max(4.0, 3.2 * len(groups)), 1.4 + 0.4 * len(self.indices) / len(groups))
-        axes = axes_or_new(columns=len(groups), squeeze=False, sharey=True, figsize=size)[0]
+        axes = axes_or_new(columns=len(groups), squeeze=False, sharey=True)[0]
         for panel, (result, rows) in zip(axes, groups, strict=True):
-            for k, (value, order) in enumerate((("first_order", "first"), ("total", "total"))):
-                low, high = rows[value] - rows[f"{order}_low"], rows[f"{order}_high"] - rows[value]
-                places = np.arange(len(rows)) + 0.24 * k - 0.12
-                label = ("alone (first order)", "with interactions (total)")[k]
-                panel.errorbar(
-                    rows[value], places, xerr=np.abs([low, high]), fmt="o", capsize=3, label=label
-                )
+            for value, order, shift in (("first_order", "first", -0.1), ("total", "total", 0.1)):
+                ends = [rows[value] - rows[f"{order}_low"], rows[f"{order}_high"] - rows[value]]
+                places = np.arange(len(rows)) + shift
+                panel.errorbar(rows[value], places, xerr=np.abs(ends), fmt="o", label=value)
             panel.axvline(0.0, color="0.8", zorder=0)
             panel.set(title=result, xlabel=f"share of variance, {100 * self.level:g} % intervals")
         axes[0].set_yticks(range(len(rows)), rows["parameter"])
         axes[0].invert_yaxis()
-        axes[0].legend(fontsize="small")
+        axes[0].legend()
         return axes
 
 
@@ -205,25 +201,24 @@ def _distributions(ranges: Any) -> list:
 
 
 def _numeric(table: pd.DataFrame, names: list[str], selected: list[str] | None) -> list[str]:
-    """Return the results to analyse; raise unless they are finite in every run."""
-    if table["failed"].any():
+    """Return the results to analyse; raise unless they are finite at every point."""
+    if table.attrs["failed"]:
         raise CampaignError(
-            f"indices need every point, but {table.attrs['summary']}; narrow the ranges or mend "
-            "the task"
+            f"indices need every point: {table.attrs['summary']}; narrow the ranges, or mend the "
+            "task"
         )
-    known = table.columns.drop(["run", *names, "failed", "error", "traceback"])
-    numeric = table[known].select_dtypes(["number", "bool"]).columns.tolist()
-    chosen = numeric if selected is None else list(selected)
-    if not chosen or not {*chosen} <= {*numeric}:
+    results = table.drop(columns=["run", *names, "failed", "error", "traceback"])
+    known = results.select_dtypes(["number", "bool"]).columns.tolist()
+    chosen = known if selected is None else list(selected)
+    if not chosen or not set(chosen) <= set(known):
         raise ValueError(
-            f"results must be among those that are numbers in every run, {', '.join(numeric)}, "
-            f"got {shown(selected)}"
+            f"results must be among those that are numbers, {', '.join(known)}, got {shown(chosen)}"
         )
-    finite = np.isfinite(table[chosen].astype(float)).all(axis=1)
-    if not finite.all():
-        point = table.loc[~finite, [*names, *chosen]].iloc[0].to_dict()
+    gaps = table[~np.isfinite(table[chosen].astype(float)).all(axis=1)]
+    if len(gaps):
         raise ValueError(
-            f"indices need every point, but at {int((~finite).sum())} of {len(table)} a result is "
-            f"not finite, first at {point}; narrow the ranges, or choose other results"
+            f"indices need every point, but at {len(gaps)} of {len(table)} a result is not finite, "
+            f"first at {gaps[[*names, *chosen]].iloc[0].to_dict()}; narrow the ranges, or choose "
+            "other results"
         )
     return chosen
