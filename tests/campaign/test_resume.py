@@ -209,7 +209,9 @@ def test_damage_and_places_that_cannot_be_used_are_named(tmp_path):
     go(tmp_path / "out")
     chunk = next(tmp_path.glob("out/runs-*"))
     chunk.write_bytes(chunk.read_bytes()[:-5])
-    with pytest.raises(CampaignError, match=rf"{chunk.name} cannot be read"):
+    with pytest.raises(
+        CampaignError, match=rf"{chunk.name} cannot be read: .*Remove it, and its runs"
+    ):
         go(tmp_path / "out")
     with pytest.raises(CampaignError, match=r"cannot write in .*json: File exists; give a folder"):
         go(chunk)

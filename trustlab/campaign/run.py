@@ -10,6 +10,7 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
+from contextlib import closing
 from numbers import Integral
 from pathlib import Path
 from pickle import PicklingError
@@ -141,9 +142,11 @@ def run_campaign(
     rows = {} if folder is None else folder.rows()
     resumed = len(rows)
     missing = [run for run in range(len(parameters)) if run not in rows]
-    with tqdm(total=len(parameters), initial=resumed, unit="run", disable=hidden) as bar:
+    computed = _finished(task, parameters, seed, missing, n_jobs)
+    bar = tqdm(total=len(parameters), initial=resumed, unit="run", disable=hidden)
+    with bar, closing(computed):  # an interrupt ends what is under way
         try:
-            for finished in _finished(task, parameters, seed, missing, n_jobs):
+            for finished in computed:
                 rows |= finished
                 bar.update(len(finished))
                 if folder is not None:
@@ -407,13 +410,11 @@ def _prefix(parts: Mapping[str, str]) -> str:
     return f"runs-{digest(json.dumps(parts))[:16]}-"
 
 
-def _read(path: Path) -> Any:
+def _read(path: Path, remedy: str) -> Any:
     try:
         return json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
-        raise CampaignError(
-            f"{path} cannot be read: {error}; remove it, and what it holds is computed again"
-        ) from error
+        raise CampaignError(f"{path} cannot be read: {error}. {remedy}") from error
 
 
 def _parts(folder: Path) -> dict[str, str] | None:
@@ -421,7 +422,7 @@ def _parts(folder: Path) -> dict[str, str] | None:
     path = folder / MANIFEST
     if not path.exists():
         return None
-    content = _read(path)
+    content = _read(path, REMEDY)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise CampaignError(f"{path} is of another version of trustlab. {REMEDY}")
     return content["parts"]
@@ -430,7 +431,8 @@ def _parts(folder: Path) -> dict[str, str] | None:
 def _stored(folder: Path, parts: dict[str, str]) -> dict[int, dict]:
     """Return the rows in all files of a campaign, by run."""
     files = folder.glob(f"{_prefix(parts)}*.json")
-    return {int(run): row for file in files for run, row in _read(file).items()}
+    remedy = "Remove it, and its runs are computed again"
+    return {int(run): row for file in files for run, row in _read(file, remedy).items()}
 
 
 def _table(columns: Mapping[str, Iterable], rows: Mapping[int, dict]) -> pd.DataFrame:
