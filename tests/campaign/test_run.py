@@ -114,6 +114,7 @@ def test_within_a_task_all_cores_means_its_own_process():
         ({"i": 1}, "a result cannot be called 'i'"),
         ({"failed": 1}, "a result cannot be called 'failed'"),
         ({"x": 1, "y": 2}, "returned x, y, where most runs returned x"),
+        ({"y": 1}, "returned y, where most runs returned x"),
     ],
 )
 def test_a_run_with_other_results_has_failed(results, said):
