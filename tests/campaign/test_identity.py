@@ -145,6 +145,26 @@ def test_a_changed_task_is_refused_and_the_same_goes_on(tmp_path, place, changes
     assert place(tmp_path, *sources) == f"{values} 2\n"
 
 
+@pytest.mark.parametrize("package", ["", "site-packages/lab/"])
+def test_modules_that_are_imported_later_count_also_of_an_installed_package(tmp_path, package):
+    folder = tmp_path / package
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "__init__.py").touch()
+    prefix = "lab." if package else ""
+    helper = f"def task(x, seed):\n    import {prefix}deeper as d\n    return {{'y': d.VALUE}}"
+    (folder / "helper.py").write_text(helper)
+    script = (
+        f"import sys; sys.path.append('site-packages')\nfrom {prefix}helper import task\n{CALL}"
+    )
+    said = []
+    for value in (1, 1, 2):
+        (folder / "deeper.py").write_text(f"VALUE = {value}")
+        said.append(run(tmp_path, script))
+    name = f"{prefix.replace('.', '/')}deeper.py"
+    assert said[:2] == ["[1, 1] 0\n", "[1, 1] 2\n"]
+    assert f"another campaign: {name} changed. Use" in said[2]
+
+
 def scaled(x, seed, factor=1):
     return {"y": factor * x}
 

@@ -115,7 +115,7 @@ def run_campaign(
     Results in `out` are used again only while nothing that they depend on has changed: all source
     files of the task's package, or all modules beside its script, or the functions, classes and
     values that a notebook's task uses; arguments bound to the task; the versions of trustlab,
-    Python, numpy, scipy and numba. Files that the task reads and other packages do not count.
+    Python, numpy, scipy and numba. Data files and other installed packages do not count.
 
     Several processes may run one campaign in the same folder: they may repeat each other's work,
     and do no harm.
