@@ -74,6 +74,19 @@ def test_noise_is_independent_between_points_and_distributions_may_differ():
     np.testing.assert_allclose(table["total"], [1.0, 0.5], atol=0.06)
 
 
+def test_intervals_have_their_level_on_both_sides():
+    """Half of a nearly normal distribution lies within 0.674 sd, 95 % within 1.96 sd."""
+    arguments = {"results": ["y"], "n_jobs": 1, "resamples": 1000}
+    half, most = (
+        tl.sobol_indices(ishigami, BOX, 1024, level=level, **arguments).table().iloc[:2]
+        for level in (0.5, 0.95)
+    )
+    for column, end in (("first_order", "first"), ("total", "total")):
+        for side in ("low", "high"):
+            widths = (np.abs(table[f"{end}_{side}"] - table[column]) for table in (half, most))
+            np.testing.assert_allclose(np.divide(*widths), 0.674 / 1.96, rtol=0.35)
+
+
 def test_the_plot_has_a_panel_per_result():
     import matplotlib.pyplot as plt
 
