@@ -301,10 +301,14 @@ def leaves(value, above=()):
             yield from leaves(getattr(value, name, None), above)
 
 
+PLAIN = ("builtins", "numpy", "pandas", "types")
+
+
 def content(call, answer):
     """Return what can be compared of an answer, and whether NaN is in it."""
     if inspect.isclass(call.function):  # its arguments, not the memory that it has set aside
-        answer = {name: getattr(answer, name, None) for name in call.arguments}
+        stored = {name: getattr(answer, name, None) for name in call.arguments}
+        answer = {name: x for name, x in stored.items() if type(x).__module__ in PLAIN}
     plain = list(leaves(answer))
     return repr(plain), any(isinstance(x, float | np.floating) and math.isnan(x) for x in plain)
 
@@ -344,6 +348,26 @@ def fault_of_error(error, call):
     return None
 
 
+STATED = {
+    r"\bin \(0, 1\)|strictly between 0 and 1": lambda x: 0.0 < x < 1.0,
+    r"\bin \[0, 1\]|\bfrom 0 to 1\b": lambda x: 0.0 <= x <= 1.0,
+    r"\bpositive\b|\babove 0\b": lambda x: x > 0.0,
+    r"\b0 or more\b|\bnot negative\b": lambda x: x >= 0.0,
+}
+"""Words for a range in the description of an argument, and whether a number lies in it."""
+
+
+def stated_out_of_range(call, argument, value):
+    """Say whether a number lies outside of the range that the docstring gives an argument."""
+    entry = rf"^(?:\w+, )*{argument}(?:, \w+)* : .*\n((?:    .*\n|\n)*)"
+    found = re.search(entry, f"{inspect.getdoc(call.function)}\n", re.MULTILINE)
+    if not found or not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    description = found[1].split(".\n")[0]
+    ranges = [inside for words, inside in STATED.items() if re.search(words, description)]
+    return bool(ranges) and not ranges[0](value)
+
+
 def fault_of_answer(call, argument, value, new_nan):
     """Return what is wrong with an answer to a value, or None."""
     kind = call.annotation(argument)
@@ -355,6 +379,7 @@ def fault_of_answer(call, argument, value, new_nan):
         or (isinstance(value, float) and math.isnan(value) and number and not free)
         or (kind == "bool" and not isinstance(value, bool | np.bool_))
         or (kind.endswith("Callable") and not callable(value))
+        or stated_out_of_range(call, argument, value)
     )
     return "is taken" if never else "gives NaN" if new_nan else None
 

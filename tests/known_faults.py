@@ -8,6 +8,7 @@ ALLOWED = {
         "p_h": "NaN is a message that did not come",
         "mode": "NaN is a message that did not come",
     },
+    "Operator": {"trust_bias": "positive is a word of the description, not the range"},
     "PerformanceRule.step": {"tsc": "rules take the same arguments"},
     "Session.with_metadata": {"misspelt": "any fact may be added"},
     "StudyReport.write": {"": "writes the time of day"},
@@ -50,6 +51,7 @@ ALLOWED = {
     "RepeatedMeasures.pairs": {"factor": "one factor", "at": "one factor", "error": "one factor"},
     "bayes_factor": {"missing": "nothing is missing"},
     "read_people": {"recipe": "the name has a recipe of its own"},
+    "testbeds.Pioneer": {"heading_drift": "positive is a word of the description, not the range"},
     "reproduction.recompute": {
         "draws": "twice a number is exact",
         "seed": "twice a number is exact",
@@ -65,6 +67,80 @@ ALLOWED = {
 """Arguments that may be NaN, or of any name, or that change nothing in the good call; and answers
 that differ each time.
 """
+
+REBUILT = {
+    "HumanModel.performance": {
+        "r": "foreign errors",
+    },
+    "Metadata": {
+        "participant": "anything is taken",
+        "condition": "anything is taken",
+        "source": "anything is taken",
+        "synthetic": "anything is taken",
+        "more": "foreign errors, NaN is taken",
+    },
+    "Metadata.changed": {
+        "condition": "NaN is taken",
+        "site": "NaN is taken",
+    },
+    "Session.between": {
+        "start": "foreign errors, no difference",
+        "stop": "foreign errors",
+    },
+    "Session.plot": {
+        "columns": "foreign errors",
+    },
+    "TrustModel": {
+        "allow_unbounded": "anything is taken",
+    },
+    "TscModel.value": {
+        "p_r": "foreign errors, NaN is taken",
+        "p_h": "foreign errors, NaN is taken",
+    },
+    "draft_recipe": {
+        "path": "foreign errors, no argument named",
+        "out": "foreign errors",
+    },
+    "join_sessions": {
+        "sessions": "foreign errors",
+    },
+    "parameter_draws": {
+        "n": "foreign errors",
+        "laps": "NaN is taken",
+    },
+    "parameter_grid": {
+        "lower": "NaN is taken",
+        "upper": "NaN is taken",
+    },
+    "published_table": {
+        "number": "no argument named",
+    },
+    "read_campaign": {
+        "folder": "foreign errors, no argument named",
+    },
+    "read_frame": {
+        "columns": "foreign errors",
+    },
+    "read_session": {
+        "path": "no argument named",
+        "columns": "foreign errors",
+    },
+    "read_sessions": {
+        "progress": "foreign errors",
+        "columns": "foreign errors",
+    },
+    "run_campaign": {
+        "other_versions": "foreign errors",
+    },
+    "sobol_indices": {
+        "results": "foreign errors",
+        "resamples": "foreign errors",
+    },
+    "write_session": {
+        "path": "foreign errors",
+    },
+}
+"""Faults of models, sessions and campaign, by name and argument."""
 
 REBUILT = {
     "HumanModel.performance": {
