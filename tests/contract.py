@@ -438,3 +438,21 @@ def faults(call):
         if lines:
             found[argument] = lines
     return found
+
+
+KINDS = {
+    " raises ": "foreign errors",
+    "object at .* is taken|'misspelt' is taken|None is taken": "anything is taken",
+    "is taken|gives NaN": "NaN is taken",
+    "no argument is named": "no argument named",
+    "makes no difference": "no difference",
+    "another answer": "another answer",
+}
+
+
+def kinds(lines):
+    """Return the few words with which `tests/known_faults.py` lists the faults of an argument."""
+    found = [words for pattern, words in KINDS.items() if re.search(pattern, "\n".join(lines))]
+    if "anything is taken" in found:
+        found.remove("NaN is taken")
+    return ", ".join(found)

@@ -290,6 +290,80 @@ REBUILT = {
 }
 """Faults of models, sessions and campaign, by name and argument."""
 
+REBUILT = {
+    "HumanModel.performance": {
+        "r": "foreign errors",
+    },
+    "Metadata": {
+        "participant": "anything is taken",
+        "condition": "anything is taken",
+        "source": "anything is taken",
+        "synthetic": "anything is taken",
+        "more": "foreign errors, NaN is taken",
+    },
+    "Metadata.changed": {
+        "condition": "NaN is taken",
+        "site": "NaN is taken",
+    },
+    "Session.between": {
+        "start": "foreign errors, no difference",
+        "stop": "foreign errors",
+    },
+    "Session.plot": {
+        "columns": "foreign errors",
+    },
+    "TrustModel": {
+        "allow_unbounded": "anything is taken",
+    },
+    "TscModel.value": {
+        "p_r": "foreign errors, NaN is taken",
+        "p_h": "foreign errors, NaN is taken",
+    },
+    "draft_recipe": {
+        "path": "foreign errors, no argument named",
+        "out": "foreign errors",
+    },
+    "join_sessions": {
+        "sessions": "foreign errors",
+    },
+    "parameter_draws": {
+        "n": "foreign errors",
+        "laps": "NaN is taken",
+    },
+    "parameter_grid": {
+        "lower": "NaN is taken",
+        "upper": "NaN is taken",
+    },
+    "published_table": {
+        "number": "no argument named",
+    },
+    "read_campaign": {
+        "folder": "foreign errors, no argument named",
+    },
+    "read_frame": {
+        "columns": "foreign errors",
+    },
+    "read_session": {
+        "path": "no argument named",
+        "columns": "foreign errors",
+    },
+    "read_sessions": {
+        "progress": "foreign errors",
+        "columns": "foreign errors",
+    },
+    "run_campaign": {
+        "other_versions": "foreign errors",
+    },
+    "sobol_indices": {
+        "results": "foreign errors",
+        "resamples": "foreign errors",
+    },
+    "write_session": {
+        "path": "foreign errors",
+    },
+}
+"""Faults of models, sessions and campaign, by name and argument."""
+
 KNOWN = {
     "EnergyLedger.receive": {
         "wave": "foreign errors",
