@@ -18,7 +18,7 @@ from trustlab.allocation.decision.steady import survey
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
 from trustlab.identification.fit_result import FitResult
 from trustlab.identification.posterior.result import Posterior
-from trustlab.models.checks import finite_number, of_class, warn, whole_number
+from trustlab.models.checks import finite_number, flag, of_class, open_unit, warn, whole_number
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscModel
 
@@ -189,6 +189,8 @@ def choose_thresholds(
     >>> round(choice.lower, 3), round(choice.upper, 3)
     (-0.057, 0.439)
     """
+    open_unit("confidence", confidence)
+    flag("enclose_beta", enclose_beta)
     if isinstance(tsc, Posterior):
         return choose_under_posterior(tsc, confidence, objective, enclose_beta, points or 14)
     check_objective(objective)

@@ -16,7 +16,7 @@ from trustlab.identification.fit_result import (
 )
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Structure
-from trustlab.models.checks import whole_number
+from trustlab.models.checks import flag, whole_number
 from trustlab.models.display import Result
 
 # Up to this condition number (equilibrated) the normal equations are used, beyond it a singular
@@ -209,7 +209,7 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
                 f"y has {len(y)} runs and u has {len(u)}; give one input array for every run"
             )
         pairs = list(zip(y, u, strict=True))
-    na = whole_number("na", na, least=0)
+    na, intercept = whole_number("na", na, least=0), flag("intercept", intercept)
     parts = []
     for y_run, u_run in pairs:
         y_run = np.ascontiguousarray(y_run, dtype=float)

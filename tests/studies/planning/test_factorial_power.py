@@ -11,7 +11,7 @@ import pytest
 from scipy import special, stats
 
 import trustlab as tl
-from tests.arguments import settled
+from tests.studies.planning.settings import settled
 from trustlab.studies import Proportions, graded_covariance
 
 mpl.use("Agg")

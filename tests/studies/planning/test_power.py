@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 from scipy import stats
 
 import trustlab as tl
-from tests.arguments import settled
+from tests.studies.planning.settings import settled
 from trustlab.studies import clopper_pearson, graded_covariance, noncentral_f_power, noncentrality
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
 from trustlab.studies.planning import power as simulation

@@ -10,7 +10,7 @@ from trustlab.allocation.limits import threshold_limits
 from trustlab.identification.posterior.draws import physical, tsc_models
 from trustlab.identification.posterior.likelihood import SHARED
 from trustlab.identification.posterior.result import Posterior
-from trustlab.models.checks import between, one_of, open_unit, whole_number
+from trustlab.models.checks import between, one_of, whole_number
 from trustlab.models.display import Result
 from trustlab.models.tsc import TscModel
 
@@ -104,7 +104,6 @@ def choose_under_posterior(
     points: int = 14,
 ) -> PosteriorChoice:
     """Return the pair of the best expected objective among those that are probable enough."""
-    open_unit("confidence", confidence)
     check_objective(objective)
     points = whole_number("points", points, least=4, most=60)
     models = posterior.models[:DRAWS]

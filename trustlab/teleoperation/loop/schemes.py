@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from trustlab.allocation.blending import best_share
-from trustlab.models.checks import one_of, shown
+from trustlab.models.checks import flag, one_of, shown
 from trustlab.models.compiled import njit
 from trustlab.models.trust import logistic_scale
 from trustlab.teleoperation.loop.parts import Part
@@ -118,6 +118,7 @@ class Scheme:
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name:
             raise ValueError(f"name must be a text, got {shown(self.name)}")
+        flag("bilateral", self.bilateral)
         if not (callable(self.shares) or isinstance(self.shares, Part)):
             raise ValueError(
                 f"shares must be a function of the state, got {type(self.shares).__name__}"

@@ -7,6 +7,7 @@ import numpy as np
 
 from trustlab.models.checks import (
     finite_array,
+    flag,
     not_negative,
     positive,
     rounded_down,
@@ -186,6 +187,7 @@ class HapticDevice:
             if (diagonal < 0.0).any() or (least == "positive" and (diagonal == 0.0).any()):
                 raise ValueError(f"{name} must be {least} on its diagonal, got {diagonal.tolist()}")
             object.__setattr__(self, name, matrix)
+        set_checked(self, flag, "require_passive")
         set_checked(self, positive, "force_scaling")
         set_checked(self, not_negative, "port_damping")
         if self.require_passive and not self.is_passive:

@@ -1,0 +1,87 @@
+"""Small models, sessions, tables and graphs that tests share, each made once per process."""
+
+from functools import cache
+
+import networkx as nx
+import numpy as np
+import pandas as pd
+
+import trustlab as tl
+
+CORNERS = ((0.0, 0.0), (9.0, 0.0), (9.0, 9.0), (0.0, 9.0))
+THRESHOLDS = {"lower": 0.0, "upper": 0.35}
+
+
+@cache
+def model():
+    """The printed operator 2, whose thresholds make a limit cycle."""
+    return tl.published_models()["2"]
+
+
+@cache
+def driver():
+    return tl.testbeds.published_operator(2)
+
+
+@cache
+def drive():
+    """Two laps of condition C3 with its suggestions."""
+    return tl.run_condition("C3", participant=2, laps=2, seed=0)
+
+
+@cache
+def flight():
+    return tl.simulate_teleoperation("TMIG", seed=0, duration=5.0)
+
+
+@cache
+def team():
+    return tl.simulate_team(graph(), seed=0, duration=5.0)
+
+
+@cache
+def graph():
+    return nx.cycle_graph(4)
+
+
+@cache
+def log():
+    """The pilot log at one sample in two seconds, which is enough to fit models to."""
+    pilot = tl.read_session("data/sessions/pilot.csv")
+    return tl.Session(pilot.data.iloc[::20], pilot.metadata)
+
+
+@cache
+def study():
+    """A printed study of two conditions, whose data are found at once."""
+    means, sds = {"A": "2.31", "B": "3.05"}, {"A": "0.84", "B": "0.79"}
+    return tl.PublishedStudy("mine", n=12, mean=means, sd=sds, t_test={"t": "-3.42"})
+
+
+@cache
+def response():
+    """A step of a command and the velocity that follows it with a time constant of 2 s."""
+    command = np.repeat([0.0, 1.0, -1.0], 50)
+    velocity, noise = np.zeros(150), np.random.default_rng(0).normal(size=150)
+    for k in range(149):
+        velocity[k + 1] = 0.995 * velocity[k] + 0.005 * command[k]
+    return command, velocity + 1e-4 * noise
+
+
+@cache
+def scores():
+    """Scores of six subjects in three conditions, long."""
+    rng = np.random.default_rng(0)
+    rows = pd.MultiIndex.from_product([range(1, 7), list("ABC")], names=["subject", "condition"])
+    return pd.DataFrame({"value": rng.normal(size=18)}, index=rows).reset_index()
+
+
+@cache
+def panel():
+    """The first four people of a published study of trust."""
+    return tl.read_people("hybrid_vr").of(range(4))
+
+
+@cache
+def scattering():
+    return tl.Scattering(b=2.0, alpha_min=0.2, alpha_max=1.0, beta_min=0.05, beta_max=0.5)

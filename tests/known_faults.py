@@ -1,0 +1,687 @@
+"""What the walk of `tests/contract.py` allows, and what it finds and nobody has mended yet."""
+
+ALLOWED = {
+    "Metadata.changed": {"misspelt": "any fact may be added"},
+    "OnlineCorrection.update": {
+        "": "measures its own time",
+        "p_r": "NaN is a message that did not come",
+        "p_h": "NaN is a message that did not come",
+        "mode": "NaN is a message that did not come",
+    },
+    "Operator": {"trust_bias": "positive is a word of the description, not the range"},
+    "PerformanceRule.step": {"tsc": "rules take the same arguments"},
+    "Session.with_metadata": {"misspelt": "any fact may be added"},
+    "StudyReport.write": {"": "writes the time of day"},
+    "ThresholdCorrector.step": {"": "measures its own time"},
+    "ThresholdRule.step": {"p_r": "rules take the same arguments"},
+    "EnergyLedger.receive": {
+        "number": "answers whether the wave is kept",
+        "wave": "answers whether the wave is kept",
+    },
+    "HapticDevice.output": {"x": "the same arguments as the other methods"},
+    "HapticDevice.dissipation": {"x": "the same arguments as the other methods"},
+    "equivalence": {"missing": "nothing is missing"},
+    "estimate_thresholds": {
+        "model": "a drive of four laps has too few switches",
+        "within": "a drive of four laps has too few switches",
+        "resamples": "a drive of four laps has too few switches",
+        "seed": "a drive of four laps has too few switches",
+        "after": "a drive of four laps has too few switches",
+        "sessions": "a drive of four laps has too few switches",
+    },
+    "formula_model": {"seed": "without a bootstrap", "points": "of a normal response"},
+    "ordinal_model": {"seed": "without a bootstrap"},
+    "paired_t_test": {"missing": "nothing is missing"},
+    "read_session": {"max_bytes": "the file is small"},
+    "read_sessions": {"max_bytes": "the files are small", "on_error": "no file is faulty"},
+    "repeated_measures": {"missing": "nothing is missing"},
+    "run_correction": {"": "measures its own time"},
+    "score_likert": {"missing": "nothing is missing"},
+    "score_nasa_tlx": {"missing": "nothing is missing"},
+    "simulate_allocation": {"mode": "none of 50 samples is near a threshold"},
+    "smallest_n": {"most": "fewer suffice"},
+    "FitResult.residuals": {"output": "the example has one output"},
+    "FitResult.residual_correlations": {"output": "the example has one output"},
+    "TransferFunctionFit.residuals": {"output": "there is one output"},
+    "TransferFunctionFit.residual_correlations": {"output": "there is one output"},
+    "latin_square_design": {"whole_squares": "eight are whole squares"},
+    "run_campaign": {"out": "the table is the same"},
+    "RecordedStudy.export": {"path": "the file is the same"},
+    "HapticDevice.step": {"x": "one step", "f_m": "acts one sample later"},
+    "RepeatedMeasures.pairs": {"factor": "one factor", "at": "one factor", "error": "one factor"},
+    "bayes_factor": {"missing": "nothing is missing"},
+    "read_people": {"recipe": "the name has a recipe of its own"},
+    "testbeds.Pioneer": {"heading_drift": "positive is a word of the description, not the range"},
+    "reproduction.recompute": {
+        "draws": "twice a number is exact",
+        "seed": "twice a number is exact",
+    },
+    "reproduction.smallest_change": {"units": "few are needed"},
+    "teleoperation.packet_delay": {"sent": "the answer holds a function"},
+    "teleoperation.random_walk_delay": {
+        "seed": "the answer holds a function",
+        "hold": "the answer holds a function",
+    },
+    "draft_recipe": {"out": "the recipe is the same"},
+}
+"""Arguments that may be NaN, or of any name, or that change nothing in the good call; and answers
+that differ each time.
+"""
+
+REBUILT = {
+    "HumanModel.performance": {
+        "r": "foreign errors",
+    },
+    "Metadata": {
+        "participant": "anything is taken",
+        "condition": "anything is taken",
+        "source": "anything is taken",
+        "synthetic": "anything is taken",
+        "more": "foreign errors, NaN is taken",
+    },
+    "Metadata.changed": {
+        "condition": "NaN is taken",
+        "site": "NaN is taken",
+    },
+    "Session.between": {
+        "start": "foreign errors, no difference",
+        "stop": "foreign errors",
+    },
+    "Session.plot": {
+        "columns": "foreign errors",
+    },
+    "TrustModel": {
+        "allow_unbounded": "anything is taken",
+    },
+    "TscModel.value": {
+        "p_r": "foreign errors, NaN is taken",
+        "p_h": "foreign errors, NaN is taken",
+    },
+    "draft_recipe": {
+        "path": "foreign errors, no argument named",
+        "out": "foreign errors",
+    },
+    "join_sessions": {
+        "sessions": "foreign errors",
+    },
+    "parameter_draws": {
+        "n": "foreign errors",
+        "laps": "NaN is taken",
+    },
+    "parameter_grid": {
+        "lower": "NaN is taken",
+        "upper": "NaN is taken",
+    },
+    "published_table": {
+        "number": "no argument named",
+    },
+    "read_campaign": {
+        "folder": "foreign errors, no argument named",
+    },
+    "read_frame": {
+        "columns": "foreign errors",
+    },
+    "read_session": {
+        "path": "no argument named",
+        "columns": "foreign errors",
+    },
+    "read_sessions": {
+        "progress": "foreign errors",
+        "columns": "foreign errors",
+    },
+    "run_campaign": {
+        "other_versions": "foreign errors",
+    },
+    "sobol_indices": {
+        "results": "foreign errors",
+        "resamples": "foreign errors",
+    },
+    "write_session": {
+        "path": "foreign errors",
+    },
+}
+"""Faults of models, sessions and campaign, by name and argument."""
+
+KNOWN = {
+    "EnergyLedger.receive": {
+        "wave": "foreign errors",
+    },
+    "HapticDevice": {
+        "mass": "foreign errors",
+        "damping": "foreign errors",
+        "stiffness": "foreign errors",
+        "weight": "foreign errors",
+        "dimensions": "foreign errors",
+    },
+    "HapticDevice.step": {
+        "sample_time": "foreign errors",
+    },
+    "LinearForm": {
+        "coefficients": "anything is taken",
+        "equations": "anything is taken",
+        "parameters": "anything is taken",
+        "initial": "anything is taken",
+        "caution": "anything is taken",
+    },
+    "LiveCondition": {
+        "suggestions": "no argument named",
+    },
+    "LiveGroundRobot": {
+        "folder": "foreign errors",
+    },
+    "LiveStudy": {
+        "folder": "foreign errors",
+        "conditions": "foreign errors",
+        "participants": "foreign errors",
+        "pages": "foreign errors",
+    },
+    "LiveTeam": {
+        "folder": "foreign errors",
+    },
+    "OptimalBlending": {
+        "gains": "foreign errors",
+    },
+    "Parameter": {
+        "low": "foreign errors",
+        "high": "foreign errors",
+        "span": "anything is taken",
+        "hint": "anything is taken",
+        "ends": "NaN is taken",
+    },
+    "PassivityController": {
+        "cap": "foreign errors",
+    },
+    "PassivityController.step": {
+        "velocity": "foreign errors",
+        "force": "foreign errors",
+    },
+    "Prior": {
+        "correlation": "foreign errors",
+    },
+    "PublishedStudy": {
+        "conditions": "foreign errors",
+        "significant_without_p": "foreign errors",
+        "title": "anything is taken",
+        "where": "anything is taken",
+    },
+    "PublishedStudy.from_dict": {
+        "values": "no argument named",
+        "name": "anything is taken, no difference",
+    },
+    "PublishedStudy.pair": {
+        "name": "foreign errors",
+    },
+    "Scattering.check_scales": {
+        "alpha": "foreign errors",
+        "beta": "foreign errors",
+    },
+    "Scattering.master": {
+        "r_m": "foreign errors, NaN is taken",
+        "v_l": "foreign errors, NaN is taken",
+    },
+    "Scattering.slave": {
+        "f_s": "foreign errors, NaN is taken",
+        "v_r": "foreign errors, NaN is taken",
+    },
+    "Scheme": {
+        "title": "anything is taken",
+    },
+    "Structure": {
+        "name": "anything is taken",
+        "parameters": "foreign errors",
+        "outputs": "foreign errors, NaN is taken",
+        "initial": "foreign errors",
+        "inputs": "foreign errors, NaN is taken",
+        "sensitivities": "NaN is taken",
+        "affected_by": "NaN is taken",
+        "guess": "NaN is taken",
+        "model": "NaN is taken",
+        "derived": "NaN is taken",
+        "check": "NaN is taken",
+        "linear": "anything is taken",
+        "step": "anything is taken",
+        "remedy": "anything is taken",
+    },
+    "TeamLoop": {
+        "performance": "NaN is taken",
+    },
+    "TeamLoop.step": {
+        "leader": "foreign errors",
+        "samples": "no argument named",
+    },
+    "TeleoperationLoop": {
+        "delay_1": "NaN is taken",
+        "delay_2": "NaN is taken",
+        "alpha": "anything is taken",
+        "push": "anything is taken",
+        "lost": "anything is taken",
+        "delay": "NaN is taken",
+    },
+    "ThresholdCorrector": {
+        "incentive": "foreign errors",
+    },
+    "TrackingTask.path": {
+        "t": "foreign errors, NaN is taken",
+        "height": "foreign errors, anything is taken",
+        "phase": "foreign errors, NaN is taken",
+    },
+    "arx": {
+        "y": "foreign errors",
+        "u": "foreign errors",
+    },
+    "ArxResult.table": {
+        "level": "no difference",
+    },
+    "bayes_factor": {
+        "scale": "no difference",
+    },
+    "channel_run": {
+        "alpha": "foreign errors",
+        "beta": "foreign errors, no difference",
+        "read_out": "no difference",
+    },
+    "ChannelRun.plot": {
+        "ax": "foreign errors",
+    },
+    "choose_thresholds": {
+        "objective": "no difference",
+        "confidence": "no difference",
+        "enclose_beta": "no difference",
+    },
+    "compare": {
+        "values": "foreign errors, no argument named",
+        "printed": "foreign errors, no argument named",
+        "stderr": "foreign errors, no difference",
+    },
+    "compare_trust_models": {
+        "models": "foreign errors",
+        "against": "foreign errors",
+    },
+    "TrustComparison.paired": {
+        "against": "foreign errors",
+    },
+    "cronbach_alpha": {
+        "items": "NaN is taken",
+    },
+    "estimate_thresholds": {
+        "sessions": "foreign errors",
+    },
+    "feasibility": {
+        "without": "foreign errors",
+        "explain": "foreign errors, anything is taken, no difference",
+    },
+    "fit": {
+        "guess": "foreign errors",
+    },
+    "FitResult.plot": {
+        "most": "foreign errors, NaN is taken",
+    },
+    "fit_human": {
+        "method": "foreign errors",
+    },
+    "fit_robot": {
+        "method": "NaN is taken",
+        "p_h_max": "NaN is taken",
+    },
+    "fit_transfer_function": {
+        "sample_time": "foreign errors",
+    },
+    "TransferFunctionFit.plot": {
+        "ax": "foreign errors",
+    },
+    "fit_trust": {
+        "pooling": "NaN is taken",
+    },
+    "invariant_bounds": {
+        "cycles": "foreign errors",
+    },
+    "latin_square_design": {
+        "participants": "foreign errors",
+    },
+    "limit_cycle": {
+        "lower": "NaN is taken",
+        "upper": "NaN is taken",
+    },
+    "LimitCycle.plot": {
+        "axes": "foreign errors",
+    },
+    "optimal_allocation": {
+        "min_dwell": "foreign errors",
+        "sample_time": "no difference",
+    },
+    "order_effects": {
+        "frame": "foreign errors, no difference",
+    },
+    "ordinal_model": {
+        "within": "foreign errors",
+        "covariates": "foreign errors",
+        "random": "foreign errors",
+        "points": "foreign errors",
+    },
+    "PairedTTest.plot": {
+        "axes": "foreign errors",
+    },
+    "PowerAnalysis.plot": {
+        "against": "foreign errors",
+        "test": "foreign errors",
+        "axes": "foreign errors",
+    },
+    "read_live_study": {
+        "folder": "foreign errors",
+    },
+    "RecordedStudy.export": {
+        "path": "foreign errors",
+    },
+    "read_people": {
+        "name": "foreign errors, no argument named",
+    },
+    "Panel.event": {
+        "k": "foreign errors",
+    },
+    "Panel.of": {
+        "rows": "foreign errors",
+    },
+    "Panel.with_ratings": {
+        "ratings": "anything is taken",
+    },
+    "reconstruct": {
+        "p_adjust": "no difference",
+        "without": "foreign errors",
+    },
+    "reconstruct_study": {
+        "without": "foreign errors",
+    },
+    "repeated_measures": {
+        "within": "foreign errors",
+        "between": "foreign errors",
+        "covariate": "foreign errors",
+    },
+    "RepeatedMeasures.aligned_ranks": {
+        "error": "NaN is taken",
+    },
+    "RepeatedMeasures.pairs": {
+        "factor": "foreign errors",
+        "at": "foreign errors",
+    },
+    "RepeatedMeasures.plot": {
+        "axes": "foreign errors",
+    },
+    "RepeatedMeasuresBatch.study": {
+        "s": "foreign errors",
+    },
+    "report": {
+        "within": "foreign errors",
+        "thresholds": "no difference",
+    },
+    "StudyReport.plot": {
+        "axes": "foreign errors",
+    },
+    "StudyReport.write": {
+        "path": "foreign errors, no argument named",
+        "digits": "foreign errors",
+    },
+    "GroundRobotRun.plot_path": {
+        "axes": "foreign errors",
+    },
+    "run_correction": {
+        "setting": "foreign errors",
+    },
+    "CorrectionRun.plot": {
+        "target": "foreign errors",
+    },
+    "sample_posterior": {
+        "seed": "foreign errors",
+    },
+    "Posterior.simulated": {
+        "most": "foreign errors",
+    },
+    "ScaleScores.reliability": {
+        "confidence": "anything is taken, no difference",
+    },
+    "score_satisfaction": {
+        "points": "foreign errors",
+        "items": "foreign errors",
+        "reversed": "foreign errors",
+    },
+    "simulate_team": {
+        "performance": "NaN is taken",
+    },
+    "TeamRun.animate": {
+        "path": "foreign errors",
+    },
+    "TeamRun.plot_distance": {
+        "axis": "foreign errors",
+        "label": "foreign errors, anything is taken",
+    },
+    "simulated_answers": {
+        "points": "foreign errors",
+    },
+    "simulated_effects": {
+        "n": "foreign errors, no difference",
+        "trust": "anything is taken, no difference",
+    },
+    "SteadyStateBounds.plot": {
+        "sample_time": "foreign errors, NaN is taken",
+    },
+    "teleoperation_measures": {
+        "sessions": "foreign errors",
+    },
+    "virtual_study": {
+        "n": "foreign errors",
+        "testbed": "no difference",
+    },
+    "VirtualStudy.analysis": {
+        "conditions": "foreign errors, no argument named",
+    },
+    "VirtualStudy.plot": {
+        "measures": "foreign errors, no argument named",
+    },
+    "allocation.ModelTests": {
+        "p_r0": "anything is taken",
+    },
+    "live.TeleoperationSettings": {
+        "guidance": "anything is taken",
+    },
+    "reproduction.matching_digits": {
+        "value": "foreign errors, NaN is taken",
+    },
+    "reproduction.part_of": {
+        "where": "foreign errors, no argument named",
+    },
+    "reproduction.read_calibration": {
+        "study": "no argument named",
+        "folder": "foreign errors, no argument named",
+    },
+    "reproduction.recompute": {
+        "inputs": "no argument named",
+        "outputs": "no argument named",
+    },
+    "ros.AllocationCore": {
+        "thresholds": "foreign errors, no argument named",
+        "settings": "foreign errors",
+    },
+    "ros.CoreSettings": {
+        "watchdogs": "foreign errors",
+    },
+    "ros.RunSettings": {
+        "model": "anything is taken",
+        "condition": "anything is taken",
+        "thresholds": "anything is taken",
+        "rule": "NaN is taken",
+        "share": "NaN is taken",
+        "correction": "NaN is taken",
+        "settings": "anything is taken",
+        "topics": "foreign errors",
+        "facts": "NaN is taken",
+    },
+    "studies.CampaignOptions": {
+        "executor": "anything is taken",
+        "progress": "anything is taken",
+        "fresh": "anything is taken",
+        "other_versions": "anything is taken",
+    },
+    "studies.LikertScale": {
+        "items": "foreign errors",
+        "reversed": "foreign errors",
+        "subscales": "foreign errors",
+        "step": "foreign errors",
+        "source": "anything is taken",
+    },
+    "studies.Simulation": {
+        "n_jobs": "anything is taken",
+        "executor": "anything is taken",
+    },
+    "studies.StudyColumns": {
+        "dv": "NaN is taken",
+        "within": "NaN is taken",
+        "subject": "NaN is taken",
+        "between": "NaN is taken",
+        "order": "NaN is taken",
+    },
+    "studies.Subscale": {
+        "name": "anything is taken",
+        "items": "anything is taken",
+        "reversed": "anything is taken",
+    },
+    "studies.apa_number": {
+        "value": "foreign errors, NaN is taken",
+        "digits": "foreign errors",
+        "below_one": "foreign errors, anything is taken",
+    },
+    "studies.apa_p": {
+        "p": "foreign errors, NaN is taken",
+    },
+    "studies.apa_table": {
+        "frame": "foreign errors",
+        "digits": "foreign errors",
+    },
+    "studies.bonferroni": {
+        "p": "foreign errors, NaN is taken",
+    },
+    "studies.clopper_pearson": {
+        "total": "foreign errors",
+    },
+    "studies.graded_covariance": {
+        "sd": "foreign errors",
+    },
+    "studies.holm": {
+        "p": "foreign errors, NaN is taken",
+    },
+    "studies.noncentral_f_power": {
+        "n": "foreign errors",
+        "k": "foreign errors",
+        "noncentrality": "NaN is taken",
+    },
+    "studies.noncentrality": {
+        "n": "foreign errors",
+        "k": "foreign errors",
+    },
+    "studies.partial_eta_interval": {
+        "df2": "foreign errors",
+    },
+    "studies.satisfaction_scale": {
+        "points": "foreign errors",
+        "items": "foreign errors",
+        "reversed": "foreign errors",
+    },
+    "studies.williams_square": {
+        "n": "foreign errors",
+    },
+    "teleoperation.GivenSequence": {
+        "robots": "NaN is taken",
+    },
+    "teleoperation.TeamChannel": {
+        "delay": "NaN is taken",
+        "delay_back": "NaN is taken",
+    },
+    "teleoperation.TeamSettings": {
+        "weight": "foreign errors",
+    },
+    "teleoperation.TeamTrial": {
+        "start": "anything is taken",
+        "inner": "anything is taken",
+        "push": "anything is taken",
+    },
+    "teleoperation.corrected_filter": {
+        "cutoff": "foreign errors",
+        "product": "no argument named",
+    },
+    "teleoperation.gains": {
+        "beta": "no difference",
+    },
+    "teleoperation.packet_delay": {
+        "received": "foreign errors, no argument named",
+    },
+    "teleoperation.passivity_margin": {
+        "k12": "no difference",
+        "k21": "no difference",
+    },
+    "teleoperation.printed_filter": {
+        "cutoff": "foreign errors",
+    },
+    "teleoperation.random_walk_delay": {
+        "seed": "foreign errors",
+    },
+    "teleoperation.rendered_impedance": {
+        "environment": "foreign errors",
+        "alpha": "no difference",
+        "beta": "no difference",
+    },
+    "teleoperation.sinusoid_energy": {
+        "duration": "foreign errors",
+    },
+    "teleoperation.team_graph": {
+        "require_connected": "foreign errors, anything is taken, no difference",
+    },
+    "testbeds.GroundRobot": {
+        "rules": "foreign errors",
+    },
+    "testbeds.UavFollowing": {
+        "rules": "foreign errors",
+    },
+    "testbeds.following_operator": {
+        "participant": "foreign errors",
+    },
+    "testbeds.plot_alpha": {
+        "sessions": "foreign errors",
+        "axes": "foreign errors",
+    },
+    "testbeds.plot_energies": {
+        "session": "foreign errors",
+        "axes": "foreign errors",
+    },
+    "testbeds.plot_signals": {
+        "session": "foreign errors",
+        "axes": "foreign errors",
+    },
+    "testbeds.plot_trajectory": {
+        "session": "foreign errors",
+        "axes": "foreign errors",
+    },
+    "trust.panel_from_table": {
+        "table": "foreign errors",
+        "low": "foreign errors",
+        "high": "foreign errors",
+        "source": "anything is taken",
+        "cautions": "anything is taken",
+    },
+    "trust.parameter": {
+        "default": "anything is taken",
+        "low": "anything is taken",
+        "high": "anything is taken",
+    },
+    "trust.predict": {
+        "model": "foreign errors",
+        "panel": "foreign errors",
+        "free": "foreign errors, anything is taken",
+        "known": "anything is taken, no difference",
+    },
+    "trust.simulate_ratings": {
+        "model": "foreign errors",
+        "panel": "foreign errors",
+        "rng": "foreign errors",
+    },
+}
+"""Faults of the other rooms, by name and argument."""
+
+KNOWN |= REBUILT
