@@ -189,10 +189,8 @@ def set_in_order(record: Any, low: str, high: str) -> None:
     record.__dict__.update(zip((low, high), pair, strict=True))
 
 
-def finite_array(name: str, values: Any, *, length: int | None = None) -> np.ndarray:
-    """
-    Return a one-dimensional float array without gaps, of `length` samples where that is stated.
-    """
+def finite_numbers(name: str, values: Any) -> np.ndarray:
+    """Return a number, or numbers of any shape, as a float array without gaps."""
     try:
         array = np.asarray(values)
         text = array.dtype.kind == "O" and any(isinstance(x, str | bytes) for x in array.flat)
@@ -203,16 +201,24 @@ def finite_array(name: str, values: Any, *, length: int | None = None) -> np.nda
         raise ValueError(
             f"{name} must be an array of numbers, got {type(values).__name__}"
         ) from None
-    if np.ndim(values) != 1 or array.size == 0:
-        raise ValueError(
-            f"{name} must be one-dimensional with at least one sample, got shape {np.shape(values)}"
-        )
-    if length is not None and array.size != length:
-        raise ValueError(f"{name} must have {length} samples, got {array.size}")
     finite = np.isfinite(array)
     if not finite.all():
         k = int(np.argmin(finite))
-        raise ValueError(f"{name} must be finite, but sample {k} is {array[k]}")
+        raise ValueError(f"{name} must be finite, but sample {k} is {array.flat[k]}")
+    return array.reshape(np.shape(values))
+
+
+def finite_array(name: str, values: Any, *, length: int | None = None) -> np.ndarray:
+    """
+    Return a one-dimensional float array without gaps, of `length` samples where that is stated.
+    """
+    array = finite_numbers(name, values)
+    if array.ndim != 1 or array.size == 0:
+        raise ValueError(
+            f"{name} must be one-dimensional with at least one sample, got shape {array.shape}"
+        )
+    if length is not None and array.size != length:
+        raise ValueError(f"{name} must have {length} samples, got {array.size}")
     return array
 
 

@@ -4,8 +4,17 @@ import contextlib
 import os
 from pathlib import Path
 
+from trustlab.models.checks import shown
+
 # Part of the name of a file that is being written; what a killed process leaves has it too.
 PARTIAL = ".partial-"
+
+
+def path_of(name: str, value: object) -> Path:
+    """Return a path that a user has given; `name` is the argument."""
+    if not isinstance(value, str | os.PathLike) or not str(value) or "\0" in str(value):
+        raise ValueError(f"{name} must be a path, got {shown(value)}")
+    return Path(value)
 
 
 def write_atomically(path: str | os.PathLike, content: bytes | str, mode: int = 0o666) -> None:

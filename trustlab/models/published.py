@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean
+from trustlab.models.checks import did_you_mean, one_of
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
 
@@ -60,9 +60,7 @@ def published_table(number: str) -> pd.DataFrame:
         p.stem.removeprefix("table_").replace("_", "."): p
         for p in sorted(folder.glob("table_*.csv"))
     }
-    name = str(number).strip() if isinstance(number, str | float) else None
-    if name not in paths:
-        raise ValueError(f"no printed table {number!r:.60}; there are {', '.join(paths)}")
+    name = one_of("number", str(number).strip() if isinstance(number, float) else number, paths)
     return _read(paths[name], 2 if name == "2.3" else 1).copy()
 
 

@@ -13,6 +13,7 @@ from trustlab.models.checks import (
     between,
     finite_array,
     finite_number,
+    finite_numbers,
     mode_array,
     not_negative,
     open_unit,
@@ -329,7 +330,7 @@ class HumanModel:
         ValueError
             If a utilization lies outside [0, 1].
         """
-        array = np.asarray(r, dtype=float)
+        array = finite_numbers("r", r)
         inside = (array >= 0.0) & (array <= 1.0)
         if not inside.all():
             raise ValueError(f"utilization r must lie in [0, 1], got {array[~inside].flat[0]}")
@@ -450,7 +451,7 @@ class TscModel:
         p_r, p_h : float or array_like
             Robot and human performance, of shapes that broadcast.
         """
-        robot, human = (np.asarray(values, dtype=float)[()] for values in (p_r, p_h))
+        robot, human = finite_numbers("p_r", p_r)[()], finite_numbers("p_h", p_h)[()]
         return self.a_T * robot - self.b_T * human
 
     def delta(self, delta_p_r: float, delta_p_h: float) -> float:

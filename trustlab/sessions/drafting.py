@@ -13,6 +13,7 @@ from typing import Any
 
 import pandas as pd
 
+from trustlab.models.files import path_of
 from trustlab.sessions.columns import BLANKS
 from trustlab.sessions.errors import SessionError, damage_named, nearest_file
 from trustlab.sessions.reading import MOST_PERFORMANCE
@@ -80,8 +81,8 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
     >>> session.columns
     ['mode', 'p_r', 'p_h']
     """
-    source = Path(path)
-    target = Path(f"{source.name.split('.')[0]}.toml" if out is None else out)
+    source = path_of("path", path)
+    target = path_of("out", f"{source.name.split('.')[0]}.toml" if out is None else out)
     if target.exists():
         raise SessionError(f"{target} exists already; give another name as out=...")
     if suffix_of(source) not in (*TEXTS, ".parquet"):

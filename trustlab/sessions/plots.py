@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trustlab.models.checks import shown
 from trustlab.models.display import axes_or_new
+from trustlab.sessions.errors import SessionError
 from trustlab.sessions.vocabulary import VOCABULARY
 
 # Columns in words, for axes.
@@ -42,6 +44,8 @@ def plot_session(session, columns: str | list[str] | None = None):
         columns = [columns]
     if columns is None:
         columns = [name for name in ("p_r", "p_h", "r") if name in session] or session.columns
+    if not isinstance(columns, list | tuple) or not columns:
+        raise SessionError(f"columns must be a list of names, got {shown(columns)}")
     session.require(*columns)
     title = session.label + (" (manual phases shaded)" if "mode" in session else "")
     size = (8, 1.2 + 1.5 * len(columns))

@@ -8,7 +8,8 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, of_class, one_of, positive, shown, warn
+from trustlab.models.checks import of_class, one_of, positive, shown, warn
+from trustlab.models.files import path_of
 from trustlab.models.published import data_folder
 from trustlab.sessions.bags import read_bag, read_written
 from trustlab.sessions.columns import (
@@ -199,12 +200,7 @@ def example(name: str = "pilot") -> Session:
     True
     """
     paths = {path.stem: path for path in data_folder("sessions").glob("*.csv")}
-    if name not in paths:
-        raise ValueError(
-            f"no example is called {name!r}{did_you_mean(name, paths)}; "
-            f"there are: {', '.join(sorted(paths))}"
-        )
-    return read_session(paths[name])
+    return read_session(paths[one_of("name", name, paths)])
 
 
 def _only(sessions: list[Session], source: str) -> Session:
@@ -301,7 +297,7 @@ def read_sessions(
     if progress is not None and not callable(progress):
         raise ValueError(f"progress must be a function of two numbers, got {shown(progress)}")
     reader = Reader(recipe, columns, resample, sample_time, delimiter, decimal)
-    source = path_of("folder", folder)
+    source = str(path_of("folder", folder))
     if not os.path.isdir(source):
         hint = "; read a single file with read_session" if os.path.exists(source) else ""
         raise SessionError(f"there is no such folder{hint}", source)
@@ -364,7 +360,7 @@ class Reader:
 
     def read(self, path: str | os.PathLike) -> list[Session]:
         """Return the sessions of one file or rosbag2 folder: one, unless the recipe splits it."""
-        source = path_of("path", path)
+        source = str(path_of("path", path))
         try:
             return self._read(_existing(Path(source)), source)
         except SessionError as error:
@@ -471,14 +467,6 @@ class Reader:
             count = len(set(files)) - 1
             more = f" (and {count} more of the files)" if count else ""
             warn(f"{files[0]}{more}: {doubt}")
-
-
-def path_of(name: str, value: object) -> str:
-    """Return a path as text."""
-    source = os.fspath(value) if isinstance(value, str | os.PathLike) else value
-    if not isinstance(source, str) or not source or "\0" in source:
-        raise SessionError(f"{name} must be a path, got {shown(value)}")
-    return source
 
 
 def plain_recipe(names: Sequence[str]) -> Recipe:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from numbers import Real
+from types import MappingProxyType, NoneType
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,9 @@ from trustlab.sessions.vocabulary import known_column
 # Metadata with a name of their own, and the types that a file may give them; all else goes to
 # `more`.
 FIELDS = {
-    "participant": (str, int, type(None)),
-    "condition": (str, int, float, type(None)),
-    "source": (str, type(None)),
+    "participant": (str, int, NoneType),
+    "condition": (str, int, float, NoneType),
+    "source": (str, NoneType),
     "synthetic": (bool,),
 }
 
@@ -73,6 +74,15 @@ class Metadata:
     more: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
+        for name, kinds in FIELDS.items():
+            value = getattr(self, name)
+            value = value.item() if isinstance(value, np.generic) else value
+            if not isinstance(value, kinds) or value != value:
+                words = " or ".join("None" if kind is NoneType else kind.__name__ for kind in kinds)
+                raise SessionError(f"{name} must be {words}, got {shown(value)}")
+            object.__setattr__(self, name, value)
+        if not isinstance(self.more, Mapping):
+            raise SessionError(f"more must be a mapping of names to values, got {shown(self.more)}")
         object.__setattr__(self, "more", MappingProxyType(dict(self.more)))
 
     def __reduce__(self):
@@ -127,15 +137,10 @@ def metadata_from_json(text: str) -> tuple[Metadata, dict]:
     try:
         content = json.loads(text)
         facts = {name: content.pop(name) for name in FIELDS if name in content}
-        more = dict(content.pop("more", {}))
-        wrong = [name for name, value in facts.items() if not isinstance(value, FIELDS[name])]
+        return Metadata(**facts, more=content.pop("more", {})), content
     except (AttributeError, TypeError, ValueError, RecursionError) as error:
         fault = f"the trustlab metadata are damaged ({error})"
         raise SessionError(f"{fault}; write the file again") from error
-    if wrong:
-        fault = f"the trustlab metadata give {wrong[0]} as {shown(facts[wrong[0]])}"
-        raise SessionError(f"{fault}; write the file again")
-    return Metadata(**facts, more=more), content
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -336,8 +341,9 @@ class Session(Result):
         SessionError
             If start is not before stop, or fewer than two samples lie between.
         """
-        if not start < stop:
-            raise SessionError(f"start must be before stop, got {start} and {stop}")
+        if not (isinstance(start, Real) and isinstance(stop, Real) and start < stop):
+            times = f"{shown(start)} and {shown(stop)}"
+            raise SessionError(f"start and stop must be times [s], start first, got {times}")
         part = self.data.loc[start:stop]
         if len(part) < 2:
             fault = f"no two samples lie between {start} s and {stop} s"

@@ -10,7 +10,7 @@ import numpy as np
 
 from trustlab.models.checks import of_class, one_of
 from trustlab.models.extras import extra
-from trustlab.models.files import write_atomically
+from trustlab.models.files import path_of, write_atomically
 from trustlab.sessions.bags import PREFIX
 from trustlab.sessions.errors import SessionError, source_named
 from trustlab.sessions.folders import TEMPORARY
@@ -59,7 +59,7 @@ def write_session(session: Session, path: str | os.PathLike) -> Path:
     True
     """
     of_class("session", session, Session)
-    path = Path(path)
+    path = path_of("path", path)
     suffix = one_of(f"the suffix of path {str(path)!r}", path.suffix.lower(), FORMATS)
     with source_named(str(path)):
         if not path.parent.is_dir():
