@@ -96,9 +96,9 @@ def test_what_a_draft_cannot_know_is_asked_for(tmp_path):
     log.write_text("stamp,ctrl,heading\n10,A,0.1\n20,B,0.2\n30,A,0.3\n")
     tl.draft_recipe(log, recipe)
     for old, new, words in [
+        ('unit = "?"', 'unit = "deg"', r"\[columns\] yaw: unknown unit '\?'"),
         ('"A" = "?"', '"A" = 1', r"\[columns\] mode: map entry 'A' must be a number, got '\?'"),
         ('"B" = "?"', '"B" = 0', r"\[columns\] mode: map entry 'B'"),
-        ('unit = "?"', 'unit = "deg"', r"\[columns\] yaw: unknown unit '\?'"),
     ]:
         with pytest.raises(tl.sessions.RecipeError, match=words):
             tl.read_session(log, recipe)

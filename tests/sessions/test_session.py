@@ -113,7 +113,9 @@ def test_parts_and_added_columns():
     assert more == more.with_columns(mode=1.0) == tl.Session(more.data[["r", "p_r", "mode"]])
     with pytest.raises(tl.SessionError, match=r"column 'p_r' is of shape \(2,\), .* 11 samples"):
         session.with_columns(p_r=[1.0, 2.0])
-    with pytest.raises(tl.SessionError, match=r"2\.0 s and 3\.0 s; the session runs from 0 s to 1 s"):
+    with pytest.raises(
+        tl.SessionError, match=r"2\.0 s and 3\.0 s; the session runs from 0 s to 1 s"
+    ):
         session.between(2.0, 3.0)
     assert session.columns == ["mode"]
 

@@ -233,7 +233,7 @@ robot_x = { column = "x", unit = "cm" }""")
     assert session.t.tolist() == [0.0, 1_000 * 1e-9, 2_000 * 1e-9]
     assert session["mode"].tolist() == [1.0, 0.0, 1.0]
     assert session["robot_x"].tolist() == [0.0, 0.5, 1.0]
-    assert session.metadata.more["start_time"] == START / 1e9
+    assert session.metadata.more["start_time"] == pytest.approx(START / 1e9, abs=1e-6)
     frame.loc[1, "who"] = "RR"
     with pytest.raises(SessionError, match=r"row 1 \(from 0\), column 'who' \(mode\): 'RR' is not"):
         read_frame(frame, recipe)
