@@ -4,7 +4,7 @@ little memory.
 
 Times are the processor's, so that a busy machine does not make a log look slow.
 
-Run it by hand: `python tests/sessions/fuzz.py --logs 100000`. Each format has a process of its own,
+Run it by hand: `python -m tests.sessions.fuzz --logs 100000`. Each format has a process of its own,
 one after the other; what fails is printed with its seed, and `--only FORMAT --first SEED --logs 1`
 repeats it. With `--section recipes` it is what recipes say that is damaged, and the cells of the
 tables that they read: rules of every kind put together at random, selectors, splitting at gaps,
@@ -17,7 +17,6 @@ import json
 import logging
 import multiprocessing
 import resource
-import sqlite3
 import sys
 import tempfile
 import time
@@ -29,10 +28,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from tests.sessions.logs import HAND, NUMBER, TEXT, Bag, hands, stamped
 from trustlab.sessions import (
     Metadata,
     Session,
@@ -77,27 +74,19 @@ unit = "m"
 """)
 
 
-CLOCK = "builtin_interfaces/msg/Time"
-HAND = "std_msgs/Header header\nfloat64 grip\n"
 FILES = ["csv", "tsv", "txt", "csv.gz", "parquet", "feather"]
 RECIPES = {"rules": RULES, "tf": TF}
 
 
 def recording(path: Path) -> Path:
     """Write the session as a bag of ours, in the formats that `write_session` does not write."""
-    ros1 = path.suffix == ".bag"
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+    bag = Bag(path)
     facts = {"participant": 3, "condition": "C1", "more": {"trial": 2}, "samples": 40}
-    messages = {"metadata": ("std_msgs/msg/String", [json.dumps(facts)])}
+    bag.add("/trustlab/metadata", 0, TEXT, data=json.dumps(facts))
     for name, values in session().table().items():
-        messages[name] = ("std_msgs/msg/Float64", values)
-    with Writer1(path) if ros1 else Writer(path, version=8) as writer:
-        for name, (kind, values) in messages.items():
-            topic = writer.add_connection(f"/trustlab/{name}", kind, typestore=store)
-            for k, value in enumerate(values):
-                writer.write(topic, k * 10**8, serialize(store.types[kind](value), kind))
-    return path
+        for k, value in enumerate(values):
+            bag.add(f"/trustlab/{name}", 0.1 * k, NUMBER, data=value)
+    return bag.write()
 
 
 def transforms(path: Path) -> Path:
@@ -105,59 +94,18 @@ def transforms(path: Path) -> Path:
     Write a bag in which two robots publish their places in turn, and a wheeled one the state of its
     joints.
     """
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    of = lambda kind, **fields: store.types[kind](**fields)  # noqa: E731
-    with Writer(path, version=8) as writer:
-        topic = writer.add_connection("/tf", "tf2_msgs/msg/TFMessage", typestore=store)
-        for k in range(40):
-            stamp = of(CLOCK, sec=k, nanosec=0)
-            transform = of(
-                "geometry_msgs/msg/Transform",
-                translation=of("geometry_msgs/msg/Vector3", x=0.1 * k, y=0.0, z=0.0),
-                rotation=of("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
-            )
-            stamped = of(
-                "geometry_msgs/msg/TransformStamped",
-                header=of("std_msgs/msg/Header", stamp=stamp, frame_id="map"),
-                child_frame_id="ab"[k % 2],
-                transform=transform,
-            )
-            message = of("tf2_msgs/msg/TFMessage", transforms=[stamped])
-            writer.write(topic, k * 10**9, store.serialize_cdr(message, "tf2_msgs/msg/TFMessage"))
-        topic = writer.add_connection(
-            "/joint_states", "sensor_msgs/msg/JointState", typestore=store
-        )
-        for k in range(40):
-            stamp = of(CLOCK, sec=k, nanosec=10**8 * (k % 3))
-            joints = of(
-                "sensor_msgs/msg/JointState",
-                header=of("std_msgs/msg/Header", stamp=stamp, frame_id=""),
-                name=["wheel_left", "wheel_right"][: 1 + k % 2],
-                position=np.array([0.1 * k, -0.1 * k])[: 1 + k % 2],
-                velocity=np.array([]),
-                effort=np.array([]),
-            )
-            writer.write(
-                topic, k * 10**9 + 1, store.serialize_cdr(joints, "sensor_msgs/msg/JointState")
-            )
-    return path
-
-
-def undefined(path: Path) -> Path:
-    """Write a bag as ROS 2 before Iron wrote it, which does not define its messages."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(HAND, "lab_msgs/msg/Hand"))
-    hand, header, clock = (
-        store.types[kind] for kind in ("lab_msgs/msg/Hand", "std_msgs/msg/Header", CLOCK)
-    )
-    with Writer(path, version=8) as writer:
-        topic = writer.add_connection("/hand", "lab_msgs/msg/Hand", typestore=store)
-        for k in range(20):
-            message = hand(header=header(stamp=clock(sec=k, nanosec=0), frame_id=""), grip=0.05 * k)
-            writer.write(topic, k * 10**9, store.serialize_cdr(message, "lab_msgs/msg/Hand"))
-    with sqlite3.connect(next(path.glob("*.db3"))) as database:
-        database.execute("DELETE FROM message_definitions")
-    return path
+    bag = Bag(path)
+    for k in range(40):
+        place = {"translation": {"x": 0.1 * k}, "rotation": {"w": 1.0}}
+        frame = {"header": stamped(k * 10**9), "child_frame_id": "ab"[k % 2], "transform": place}
+        bag.add("/tf", k, "tf2_msgs/msg/TFMessage", transforms=[frame])
+        joints = {
+            "header": stamped(k * 10**9 + 10**8 * (k % 3)),
+            "name": ["wheel_left", "wheel_right"][: 1 + k % 2],
+            "position": np.array([0.1 * k, -0.1 * k])[: 1 + k % 2],
+        }
+        bag.add("/joint_states", k + 1e-9, "sensor_msgs/msg/JointState", **joints)
+    return bag.write()
 
 
 def originals(folder: Path) -> dict[str, tuple[Path, Path]]:
@@ -545,7 +493,7 @@ def reading(name: str, folder: Path) -> Callable[[np.random.Generator], list[Ses
         (folder / "read" / "lab_msgs").mkdir(parents=True)
         bags = [
             (files["tf"][0], ["/tf", "/joint_states"]),
-            (undefined(folder / "hand"), ["/hand"]),
+            (hands(folder / "hand"), ["/hand"]),
         ]
         return partial(read_by_random_recipe, name, folder / "read", bags)
     path, file = files[name]

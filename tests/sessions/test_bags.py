@@ -1,14 +1,23 @@
 """ROS bags as a lab records them, written by rosbags. Oracle: the numbers written."""
 
 import math
-import sqlite3
 
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
-from tests.sessions.logs import NUMBER, START, TEXT, Bag, bag_of_numbers, bag_recipe, stamped
+from tests.sessions.logs import (
+    HAND,
+    NUMBER,
+    START,
+    TEXT,
+    Bag,
+    bag_of_numbers,
+    bag_recipe,
+    hands,
+    stamped,
+)
 from trustlab.sessions import RecipeError, SessionError, read_session, read_sessions
 
 KINDS = ["lab.bag", "lab.mcap", "lab"]
@@ -180,16 +189,7 @@ def test_a_joint_by_its_name(tmp_path):
 
 
 def test_definitions_beside_a_bag_without(tmp_path):
-    definition = "std_msgs/Header header\nfloat64 grip\n"
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(definition, "lab_msgs/msg/Hand"))
-    bag = Bag(tmp_path / "bag", store)
-    for k in range(3):
-        bag.add("/hand", k, "lab_msgs/msg/Hand", grip=0.25 * k)
-    path, recipe = bag.write(), tmp_path / "lab.toml"
-    # As ROS 2 before Iron wrote it: the database says the types' names only.
-    with sqlite3.connect(next(path.glob("*.db3"))) as database:
-        database.execute("DELETE FROM message_definitions")
+    path, recipe = hands(tmp_path / "bag"), tmp_path / "lab.toml"
     text = 'kind = "bag"\n[columns]\np_r = { topic = "/hand", field = "grip" }\n'
     recipe.write_text(text)
     with pytest.raises(SessionError, match=r"no definition of lab_msgs/msg/Hand; put its \.msg"):
@@ -198,8 +198,8 @@ def test_definitions_beside_a_bag_without(tmp_path):
     with pytest.raises(RecipeError, match=r"no \.msg files"):
         read_session(path, recipe)
     (tmp_path / "msgs" / "lab_msgs" / "msg").mkdir(parents=True)
-    (tmp_path / "msgs" / "lab_msgs" / "msg" / "Hand.msg").write_text(definition)
-    assert read_session(path, recipe)["p_r"].tolist() == [0.0, 0.25, 0.5]
+    (tmp_path / "msgs" / "lab_msgs" / "msg" / "Hand.msg").write_text(HAND)
+    assert read_session(path, recipe)["p_r"].tolist() == [0.05 * k for k in range(20)]
 
 
 ERROR = '[columns]\npath_error = { topic = "/e", field = "data", unit = "m" }\n'

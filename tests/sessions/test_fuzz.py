@@ -10,12 +10,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
-import pytest
 from hypothesis import given, settings, strategies as st
 
 from tests.sessions import fuzz
 from tests.sessions.test_recipes import LAB
-from trustlab.sessions import RecipeError, load_recipe, read_session
+from trustlab.sessions import RecipeError, read_session
 from trustlab.sessions.recipe import Recipe
 
 # A number of examples for a longer search, other ones each time.
@@ -39,7 +38,7 @@ def read_or_refuse(path, **options):
 
 
 def test_damaged_logs_and_recipes_at_random(tmp_path):
-    """`python tests/sessions/fuzz.py` searches further."""
+    """`python -m tests.sessions.fuzz` searches further."""
     failures = queue.Queue()
     for name in (*fuzz.originals(tmp_path), *fuzz.READS):
         good = fuzz.fuzz(name, first=0, logs=30, failures=failures)
@@ -76,49 +75,6 @@ def test_any_bytes(tmp_path_factory, data, start, suffix):
     assert not read_or_refuse(path)
 
 
-CELLS = st.sampled_from(
-    "0 1 -0.0 1e308 -1e308 1e-320 1e400 nan inf -inf NaN NA 0.30000000000000004 +.5 5. 1e5 abc "  # noqa: SIM905
-    """1_0 0x1f ١ '' 1,5 2026-01-01 true 9007199254740993 - ä "0.4" "a""b" " """.split()
-) | st.sampled_from(["", " ", " 0.1 ", "\t7", "\0", "1 2"])
-NAMES = st.sampled_from(["t", "mode", "p_r", "time", "P_r", "modus", "", "#", "1", " t ", '"r"'])
-
-
-@st.composite
-def tables(draw):
-    """Return the text of a table that is nearly right."""
-    width, rows = draw(st.integers(1, 4)), draw(st.integers(0, 6))
-    names = ["t", *draw(st.permutations(["mode", "p_r", "robot_x"]))][:width]
-    cells = [[f"{0.1 * k!r}", *(["0.5"] * (width - 1))] for k in range(rows)]
-    for _ in range(draw(st.integers(0, 3))):
-        if rows and draw(st.booleans()):
-            row = cells[draw(st.integers(0, rows - 1))]
-            if row:
-                row[draw(st.integers(0, len(row) - 1))] = draw(CELLS)
-        elif draw(st.booleans()):
-            names[draw(st.integers(0, width - 1))] = draw(NAMES)
-        elif rows:
-            row = cells[draw(st.integers(0, rows - 1))]
-            row.append(draw(CELLS)) if draw(st.booleans()) else row.pop() if row else None
-    end = draw(st.sampled_from(["\n", "\r\n", "\r"]))
-    lines = [",".join(names), *(",".join(row) for row in cells)]
-    if draw(st.integers(0, 5)) == 0:
-        lines.insert(draw(st.integers(0, len(lines))), "")
-    return end.join(lines) + draw(st.sampled_from(["", end, end + end]))
-
-
-@settings(deterministic, max_examples=3 * EXAMPLES)
-@given(
-    text=tables(),
-    resample=st.sampled_from([None, "linear", "previous", "nearest"]),
-    step=st.sampled_from([0.05, 1e-9]),
-)
-def test_tables_that_are_nearly_right(tmp_path_factory, text, resample, step):
-    path = tmp_path_factory.mktemp("nearly") / "run.csv"
-    path.write_bytes(text.encode())
-    options = {"resample": resample, "sample_time": step} if resample else {}
-    read_or_refuse(path, **options)
-
-
 WORDS = st.sampled_from(re.split(r"[\s={}]+", LAB.strip())) | st.sampled_from(
     "[] {} -1 nan inf 1e400 true '' 1979-05-27 [[columns]] bag [1,2]".split()  # noqa: SIM905
 )
@@ -135,12 +91,3 @@ def test_damaged_recipes(old, new, seed, words):
         assert str(error).startswith("recipe: ")  # noqa: PT017
     else:
         assert recipe.columns
-
-
-@deterministic
-@given(data=st.binary(max_size=60))
-def test_recipe_files_of_any_bytes(tmp_path_factory, data):
-    path = tmp_path_factory.mktemp("any") / "any.toml"
-    path.write_bytes(data)
-    with pytest.raises(RecipeError):
-        load_recipe(path)

@@ -19,39 +19,6 @@ import trustlab as tl
 from trustlab.sessions import SessionError, external_data, read_session, read_sessions
 from trustlab.sessions.recipe import Recipe
 
-DEMO = """
-kind = "table"
-[time]
-column = "time"
-unit = "s"
-[columns]
-p_r = { column = "sine_a" }
-p_h = { column = "sine_b" }
-mode = { column = "status_flags", map = { 0x00 = 0, 0x02 = 0, 0x11 = 1, 0x31 = 1 } }
-"""
-JOINTS = """
-kind = "bag"
-[time]
-stamp = "header"
-[resampling]
-method = "previous"
-sample_time = 0.01
-[columns]
-p_r = { topic = "/fake_joints_state", field = 'position[name="joint_3"]' }
-"""
-MOTOR = """
-kind = "table"
-[time]
-column = "t"
-unit = "s"
-repeated = "first"
-[resampling]
-method = "linear"
-sample_time = 0.001
-[columns]
-v_command = { column = "velocity", unit = "m/s" }
-p_r = { column = "motor_speed", scale = 0.001 }
-"""
 # ROS 1: an operator leads a turtle through turtlesim, and another follows it on /tf (the tutorial
 # of tf, recorded in 2014).
 TURTLES = """
@@ -198,25 +165,6 @@ LOGS = {
         "65d8c941de755ad0f97d2839335741debe239cdf5d2dd42de89767f318881862",
         CLOUD,
     ),
-    "fake_joint_state.bag": Log(
-        "https://github.com/facontidavide/PlotJuggler at ddcbd05b: "
-        "datasamples/fake_joint_state.bag",
-        "MPL-2.0",
-        "8468b520caf307e5835a52a1701e55ef4c20a17526f62ad14b5b95a1ddae6413",
-        JOINTS,
-    ),
-    "motor_data.csv": Log(
-        "https://github.com/facontidavide/PlotJuggler at ddcbd05b: datasamples/motor_data.csv",
-        "MPL-2.0",
-        "fc261901c81fa9b634a1e27b18af3626a6947ee4b29783ed77df975bd4478b61",
-        MOTOR,
-    ),
-    "annotations_demo.csv": Log(
-        "https://github.com/facontidavide/PlotJuggler at 5510257: datasamples/annotations_demo.csv",
-        "MPL-2.0",
-        "e01381af39a0ee7bf0b6f94d29cf3ee4ab9b9cd82d1a1a5518128c34615247e9",
-        DEMO,
-    ),
 }
 
 
@@ -336,43 +284,3 @@ def test_a_car_on_a_mobile_network():
     assert session["step_distance"][1:].sum() == pytest.approx(speed.sum() * 0.05, rel=0.005)
     with pytest.raises(SessionError, match="has no column 'mode'"):
         tl.fit_human(session)
-
-
-def test_an_export_in_the_manner_of_plotjuggler():
-    path, recipe = public("annotations_demo.csv")
-    session, frame = read_session(path, recipe=recipe), pd.read_csv(path)
-    np.testing.assert_array_equal(session["p_r"], frame["sine_a"])
-    np.testing.assert_array_equal(
-        session["mode"], [int(flag, 16) & 1 for flag in frame["status_flags"]]
-    )
-
-
-def test_a_bag_of_joints_selected_by_name():
-    path, recipe = public("fake_joint_state.bag")
-    session = read_session(path, recipe=recipe)
-    from rosbags.highlevel import AnyReader
-
-    with AnyReader([path]) as reader:
-        own = [
-            reader.deserialize(data, connection.msgtype)
-            for connection, _, data in reader.messages()
-        ]
-    stamps = np.array(
-        [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in own]
-    )
-    times = (stamps - stamps[0]) / 1e9
-    positions = np.array([message.position[message.name.index("joint_3")] for message in own])
-    held = positions[np.searchsorted(times, session.t + 1e-8, side="right") - 1]
-    np.testing.assert_array_equal(session["p_r"], held)
-    assert session.metadata.more["start_time"] == stamps[0] / 1e9
-
-
-def test_a_motor_logged_at_a_kilohertz():
-    path, recipe = public("motor_data.csv")
-    session, frame = read_session(path, recipe=recipe), pd.read_csv(path).drop_duplicates("t")
-    np.testing.assert_allclose(
-        session["v_command"], np.interp(session.t, frame["t"], frame["velocity"]), atol=1e-9
-    )
-    np.testing.assert_allclose(
-        session["p_r"], 0.001 * np.interp(session.t, frame["t"], frame["motor_speed"]), atol=1e-9
-    )
