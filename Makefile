@@ -106,7 +106,7 @@ simulated: $(VENV)/.stamp  ## make the simulations again that the reports only r
 kernel: $(VENV)/.stamp  ## compile the live drive's physics to WebAssembly again (needs wasm-ld or the package ziglang)
 	$(BIN)/python -m trustlab.live.build
 
-digest: $(VENV)/.stamp  ## results of public functions on this machine, beside the expected ones
+digest: $(VENV)/.stamp  ## compare results of public functions on this machine with the stored ones
 	$(BIN)/python data/digests/make_digests.py
 
 lock:  ## resolve environment.lock again (needs uv)

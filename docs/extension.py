@@ -29,7 +29,6 @@ import trustlab
 
 ROOT = Path(__file__).parents[1]
 EQUATIONS_PAGE = "concepts/equations"
-QUESTIONS_PAGE = "questions"
 PRINTED = ROOT / "data" / "published" / "equations.toml"
 EQUATIONS = tomllib.loads(PRINTED.read_text(encoding="utf-8"))
 BETWEEN_EQUATIONS = re.compile(r"(?<=,)\s*\\quad\s")
@@ -299,8 +298,8 @@ def _is_literal(node: nodes.Node) -> bool:
 
 class FinderEntries(SphinxTransform):
     """
-    Index what the finder leads to, "Table 2.1", and the page of questions at their sections: a
-    search for just this, or for most of a question, lists the section first.
+    Index what the finder leads to, "Table 2.1", at its section: a search for just this lists the
+    section first.
     """
 
     default_priority = 400  # before Sphinx collects the index
@@ -312,8 +311,6 @@ class FinderEntries(SphinxTransform):
         for section in self.document.findall(nodes.section):
             title = section.next_node(nodes.title).astext()
             names = [row["entry"] for row in rows if row["section"] == title]
-            if self.env.docname == QUESTIONS_PAGE:
-                names.append(title.removesuffix("?"))
             entries = [("single", name, section["ids"][0], "main", None) for name in names]
             section.insert(1, addnodes.index(entries=entries))
 

@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from pathlib import Path
 
 import pytest
 from numba.core.caching import _CacheLocator
@@ -55,15 +54,11 @@ def bring_compiled(site):
     for it.
     """
     place = site / "trustlab" / "__pycache__" / "compiled"
-    for folder in compiled._cache_root().iterdir():
-        source = Path("trustlab", *folder.name.rpartition("-")[0].split(".")).with_suffix(".py")
-        ours, theirs = ROOT / source, site / source
-        if ours.is_file() and theirs.is_file() and ours.read_bytes() == theirs.read_bytes():
-            # numba knows a source file by its time, and names the folder by the place of the
-            # source.
-            os.utime(theirs, ns=(ours.stat().st_atime_ns, ours.stat().st_mtime_ns))
-            own, new = (
-                _CacheLocator.get_suitable_cache_subpath(str(path)) for path in (ours, theirs)
-            )
-            if (folder / own).is_dir():
-                shutil.copytree(folder / own, place / folder.name / new)
+    # numba knows a source file by its time, and names folders by the place of the source.
+    for ours in (ROOT / "trustlab").rglob("*.py"):
+        theirs = site / ours.relative_to(ROOT)
+        os.utime(theirs, ns=(ours.stat().st_atime_ns, ours.stat().st_mtime_ns))
+        own, new = (_CacheLocator.get_suitable_cache_subpath(str(path)) for path in (ours, theirs))
+        for cache in compiled._cache_root().iterdir():
+            if (cache / own).is_dir() and not (place / cache.name / new).exists():
+                shutil.copytree(cache / own, place / cache.name / new)

@@ -7,5 +7,4 @@ import lazy_loader as lazy
 
 __version__ = "0.1.0"
 
-_lazy_getattr, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
-__getattr__ = _lazy_getattr
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -19,8 +19,7 @@ import pandas as pd
 os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
 )  # the matrices are small: threads would take more time, not less
-from trustlab.identification import tsc
-from trustlab.models.digest import source_digest
+from trustlab.models.digest import room_digest
 
 HERE = Path(__file__).resolve().parent
 FITS = HERE / "fits.csv"
@@ -44,7 +43,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=200)
     given = parser.parse_args()
     made = settings()
-    source = source_digest(tsc.__file__)
+    source = room_digest("identification")
     planned = [
         (name, i)
         for i in range(200)

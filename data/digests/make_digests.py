@@ -1,104 +1,121 @@
 """
-Results of public functions, to compare two machines: `make digest`.
+Compare results of public functions with those of the repository, on any machine: `make digest`.
 
-Each case has a digest of its numbers. Those marked `bits` are the same to the last bit on every
-machine; the others, which go through LAPACK or an optimiser, agree to 1e-9, or to 1e-6 where a
-search ends in differences. `digests.json` holds
-what is expected; `python data/digests/make_digests.py --write` writes it again.
+`expected.json` has, for each case of `cases.py`, each column of its result: the values of a short
+column; of a long one some rows, their number, and the mean, least and greatest of all.
+Computed numbers agree to 1e-7, estimates to 1e-3 of their standard error (means of a posterior: of
+its standard deviation), and decisions exactly: whole numbers, flags and words.
+
+`python data/digests/make_digests.py --write [case ...]` stores what this machine computes.
 """
 
 import argparse
-import hashlib
 import json
+import math
 import sys
 import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import scipy
 from cases import CASES
 
-EXPECTED = Path(__file__).parent / "digests.json"
-OTHER_VERSIONS = 1e-7  # with other versions of NumPy or SciPy than those of the lock
+EXPECTED = Path(__file__).parent / "expected.json"
+MOST_ROWS = 20
+COMPUTED = 1e-7
+ESTIMATED = 1e-3
+# Of the largest number in a column: what is left of larger ones that cancel.
+CANCELLED = 1e-13
 
 
-def values(result):
-    """Return every number and text of a result, in order."""
+def tabled(result):
+    """Return a result as a table with the names of its rows in columns."""
     if isinstance(result, pd.DataFrame):
-        frame = result.reset_index() if result.index.name or result.index.nlevels > 1 else result
-        return [x for name in frame for x in [str(name), *values(frame[name].to_numpy())]]
-    if isinstance(result, np.ndarray) and result.dtype != object:
-        return result.ravel().tolist()
-    return [x.item() if isinstance(x, np.generic) else x for x in result]
+        named = result.index.name or result.index.nlevels > 1
+        return result.reset_index() if named else result
+    if isinstance(result, np.ndarray):
+        result = result.ravel()
+    return pd.DataFrame(result if isinstance(result, dict) else {"value": list(result)})
 
 
-def text(value):
-    """Return a text of a value that no bit of it escapes."""
-    return value.hex() if isinstance(value, float) else str(value)
+def stored(value):
+    """Return a value as JSON holds it, numbers with ten digits."""
+    if isinstance(value, float):
+        return float(f"{value:.10g}")
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    raise TypeError(f"{value!r:.60} is neither a number nor a word")
 
 
-def measured(name):
-    """Return what this machine computes: digest, and the numbers where bits may differ."""
-    close, compute = CASES[name]
+def summary(column):
+    """Return row → value of a short column; of a long one some rows, and what sums up the rest."""
+    values = column.tolist()
+    step = math.ceil(len(values) / MOST_ROWS) or 1
+    cells = {str(row): values[row] for row in range(0, len(values), step)} | {"rows": len(values)}
+    if step > 1:
+        numbers = [x for x in values if isinstance(x, float) and math.isfinite(x)]
+        decisions = [x for x in values if not isinstance(x, float)]
+        if numbers:
+            mean = math.fsum(numbers) / len(numbers)
+            cells |= {"mean": mean, "least": min(numbers), "greatest": max(numbers)}
+        if decisions:
+            cells["checksum"] = zlib.crc32(repr(decisions).encode())
+    return {row: stored(value) for row, value in cells.items()}
+
+
+def computed(name):
+    """Return the columns of a case's result, as this machine computes it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        content = values(compute())
-    digest = hashlib.sha256("\n".join(map(text, content)).encode()).hexdigest()[:16]
-    entry = {"bits": close == 0.0, "digest": digest}
-    return entry if close == 0.0 else entry | {"values": content}
+        table = tabled(CASES[name]())
+    return {str(column): summary(table[column]) for column in table}
 
 
-def difference(numbers, expected):
-    """Return the greatest relative difference of numbers; infinite where anything else differs."""
-    if len(numbers) != len(expected):
-        return np.inf
-    worst = 0.0
-    for x, y in zip(numbers, expected, strict=True):
-        if type(x) is float and type(y) is float and x == x and y == y:
-            worst = max(worst, abs(x - y) / max(1.0, abs(y)) if x != y else 0.0)
-        elif str(x) != str(y):
-            return np.inf
-    return worst
+def tolerance(columns, column, row):
+    """Return how far a number may lie from the expected one."""
+    if "standard_error" in columns:
+        return ESTIMATED * columns["standard_error"][row]
+    numbers = [abs(x) for x in columns[column].values() if isinstance(x, float)]
+    largest = max(filter(math.isfinite, numbers), default=0.0)
+    return COMPUTED * abs(columns[column][row]) + CANCELLED * largest
 
 
-def versions():
-    """Return the versions on which last digits may depend."""
-    return {"numpy": np.__version__, "scipy": scipy.__version__}
-
-
-def compared(names):
-    """Yield name, verdict and whether it is as expected, for each case."""
-    expected = json.loads(EXPECTED.read_text(encoding="utf-8"))
-    least = 0.0 if expected["versions"] == versions() else OTHER_VERSIONS
-    for name in names:
-        close = max(CASES[name][0], least)
-        entry = measured(name)
-        if entry["digest"] == expected[name]["digest"]:
-            yield name, "the same bits", True
-        elif entry["bits"]:
-            yield name, f"DIFFERS: {entry['digest']}, expected {expected[name]['digest']}", False
-        else:
-            gap = difference(entry["values"], expected[name]["values"])
-            words = f"agrees to {gap:.1e}" if gap <= close else f"DIFFERS by {gap:.1e}"
-            yield name, words, gap <= close
+def differences(columns, expected):
+    """Yield column, row, value and expected value of every place where a result differs."""
+    for column in expected | columns:
+        cells, targets = columns.get(column, {}), expected.get(column, {})
+        for row in targets | cells:
+            value, target = cells.get(row, "nothing"), targets.get(row, "nothing")
+            if type(value) is type(target) is float:
+                close = value == target or (math.isnan(value) and math.isnan(target))
+                close = close or abs(value - target) <= tolerance(expected, column, row)
+            else:
+                close = type(value) is type(target) and value == target
+            if not close:
+                yield column, row, value, target
 
 
 def main():
-    """Compare this machine with the digests in the repository, or write them."""
+    """Compare this machine's results with those of the repository, or store them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="cases; all by default")
-    parser.add_argument("--write", action="store_true", help="write digests.json again")
+    parser.add_argument("--write", action="store_true", help="store what this machine computes")
     options = parser.parse_args()
     names = options.names or list(CASES)
+    expected = json.loads(EXPECTED.read_text(encoding="utf-8")) if EXPECTED.is_file() else {}
     if options.write:
-        content = {"versions": versions()} | {name: measured(name) for name in names}
-        EXPECTED.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        expected |= {name: computed(name) for name in names}
+        lines = [f"{json.dumps(name)}: {json.dumps(expected[name])}" for name in CASES]
+        EXPECTED.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
         return 0
     agree = True
-    for name, verdict, fine in compared(names):
-        print(f"{name:24} {verdict}", flush=True)
-        agree &= fine
+    for name in names:
+        places = list(differences(computed(name), expected[name]))
+        print(f"{name:33} {'DIFFERS' if places else 'agrees'}", flush=True)
+        for column, row, value, target in places:
+            print(f"    {column}, row {row}: {value} here, {target} expected")
+        agree &= not places
     return 0 if agree else 1
 
 

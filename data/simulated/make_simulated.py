@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 
 import trustlab as tl
 from trustlab.allocation import bound_failures
-from trustlab.models.digest import PACKAGE, source_digest
+from trustlab.models.digest import room_digest
 from trustlab.reproduction import read_calibration
 from trustlab.reproduction.calibration import TELEOPERATOR_PRIORS
 from trustlab.sessions.metrics import window_mean
@@ -426,31 +426,31 @@ def trust_teams() -> pd.DataFrame:
 
 
 TABLES = {
-    adjustments: "reproduction/reconstruction/feasibility.py",
-    failures: "allocation/bound_failures.py",
-    guidance: "testbeds/guidance_comparison.py",
-    trust_value: "testbeds/robot_team.py",
-    compensation: "testbeds/uav_tracking.py",
-    orders: "testbeds/populations.py",
-    felt: "testbeds/uav_tracking.py",
-    checks: "reproduction/calibration.py",
-    recording: "allocation/decision/posterior_choice.py",
-    recording_summary: "allocation/decision/posterior_choice.py",
-    trust_scores: "trust/comparison.py",
-    trust_recovery: "trust/comparison.py",
-    trust_effects: "reproduction/effects_simulated.py",
-    trust_teams: "testbeds/robot_team.py",
+    adjustments: "reproduction",
+    failures: "allocation",
+    guidance: "testbeds",
+    trust_value: "testbeds",
+    compensation: "testbeds",
+    orders: "testbeds",
+    felt: "testbeds",
+    checks: "reproduction",
+    recording: "allocation",
+    recording_summary: "allocation",
+    trust_scores: "trust",
+    trust_recovery: "trust",
+    trust_effects: "reproduction",
+    trust_teams: "testbeds",
 }
-"""Each table, and the file whose imports, direct or not, are what it comes from."""
+"""Each table, and the lowest room that it comes from."""
 
 if __name__ == "__main__":
-    for make, source in TABLES.items():
+    for make, room in TABLES.items():
         if sys.argv[1:] in ([], [make.__name__]):
             make().to_csv(HERE / f"{make.__name__}.csv", index=False)
             about = {
                 "seed": SEED,
                 "origin": make.__doc__.strip(),
-                "source_digest": source_digest(PACKAGE / source),
+                "source_digest": room_digest(room),
             }
             (HERE / f"{make.__name__}.json").write_text(
                 json.dumps(about, indent=1) + "\n", encoding="utf-8"

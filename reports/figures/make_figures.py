@@ -1,16 +1,10 @@
-"""
-Make the figures that README.md and the pages of tasks show: python -m reports.figures.make_figures.
-"""
+"""Make the figures that README.md shows: python -m reports.figures.make_figures."""
 
-import contextlib
-import shutil
-import tempfile
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 
 import trustlab as tl
-from tests.house.documents import ROOT, python, write_files
 from trustlab.publishing.figures import use_house_style
 from trustlab.sessions.plots import shade_manual
 
@@ -19,7 +13,7 @@ HERE = Path(__file__).parent
 
 def identification() -> None:
     """Measured and fitted performance of the pilot operator's synthetic session."""
-    session = tl.read_session(HERE.parents[1] / "data" / "sessions" / "pilot.csv")
+    session = tl.sessions.example("pilot")
     robot, human = tl.fit_robot(session), tl.fit_human(session)
     figure, axes = plt.subplots(2, 1, sharex=True, figsize=(9, 4.4), layout="constrained")
     for axis, fit, name, label in zip(
@@ -71,18 +65,7 @@ def chain() -> None:
     plt.close(figure)
 
 
-def task(page: str, picture: str) -> None:
-    """Run the code of a task's page, and keep the picture that it saves as ``task_...png``."""
-    path = ROOT / "docs" / "how_to" / "tasks" / f"{page}.md"
-    with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
-        write_files(path, Path(place))
-        exec(compile(python(path), page, "exec"), {})
-        shutil.copy(picture, HERE / f"task_{picture}")
-
-
 if __name__ == "__main__":
-    task("four_people", "fit.png")
-    task("jittered_scheme", "energies.png")
     use_house_style()
     identification()
     chain()

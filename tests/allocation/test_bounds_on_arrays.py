@@ -9,8 +9,7 @@ import pytest
 
 from trustlab.allocation.limits import limits_as_printed
 from trustlab.allocation.steady_state import performance_as_printed, utilization_as_printed
-from trustlab.models.robot import gain_of_human_performance
-from trustlab.models.tsc import TscConstants, performance_weights
+from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
 
 
 def gains(v):

@@ -16,9 +16,7 @@ import pytest
 
 from trustlab.allocation.correction.dynamics import simulate_correction
 from trustlab.allocation.correction.exact import ExactEngine
-from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
 
 def instance(rng):

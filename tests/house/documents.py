@@ -36,7 +36,6 @@ def python(path):
 
 def write_files(path, folder):
     """Write what a page's captioned blocks hold, which is what its code reads."""
-    (folder / "data").symlink_to(ROOT / "data")
     for _, caption, _, code in blocks(path):
         if caption:
             (folder / caption).parent.mkdir(parents=True, exist_ok=True)

@@ -1,85 +1,130 @@
 """
-The same numbers on every machine: digests of public results, as another CPU would compute them.
+The same digits on every machine: results as another CPU would compute them, beside those stored.
 
 Each setting runs in a process of its own, because linear algebra, NumPy and numba choose their code
 when they are loaded.
 """
 
+import copy
 import importlib.util
+import json
+import math
 import os
 import platform
-import re
 import subprocess
 import sys
-from pathlib import Path
 
-import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.house.documents import ROOT
+
 SCRIPT = ROOT / "data" / "digests" / "make_digests.py"
-COMMON = [{"OPENBLAS_CORETYPE": "Sandybridge"}, {"OPENBLAS_CORETYPE": "Nehalem"}]
 RARE = [
+    {"OPENBLAS_CORETYPE": "Sandybridge"},
     {"OPENBLAS_CORETYPE": "Haswell"},
     {"OPENBLAS_NUM_THREADS": "2"},
     {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL"},
     {"NUMBA_CPU_NAME": "generic", "OPENBLAS_CORETYPE": "Prescott"},
 ]
-pytestmark = pytest.mark.skipif(
+
+
+@pytest.mark.skipif(
     (platform.system(), platform.machine()) != ("Linux", "x86_64"),
-    reason="digests are of Linux on x86-64 (docs/concepts/reproducible.md)",
+    reason="the settings choose code for x86-64 on Linux",
 )
-
-
-def under(setting):
-    """Return what the script prints with the setting, and its return code."""
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"OPENBLAS_CORETYPE": "Nehalem"},
+        *(pytest.param(setting, marks=pytest.mark.long) for setting in RARE),
+    ],
+    ids=lambda setting: "-".join(setting.values()),
+)
+def test_another_cpu_computes_the_same_digits_and_decisions(setting):
     environment = os.environ | setting | {"PYTHONWARNINGS": "ignore", "PYTHONPATH": str(ROOT)}
     run = subprocess.run(
         [sys.executable, str(SCRIPT)], env=environment, cwd=ROOT, capture_output=True, text=True
     )
-    return run.stdout + run.stderr[-2000:], run.returncode
+    assert run.returncode == 0, run.stdout + run.stderr[-2000:]
 
 
-@pytest.mark.parametrize(
-    "setting",
-    [*COMMON, *(pytest.param(setting, marks=pytest.mark.long) for setting in RARE)],
-    ids=lambda setting: "-".join(setting.values()),
-)
-def test_another_cpu_computes_the_same(setting):
-    lines, code = under(setting)
-    assert "DIFFERS" not in lines, lines
-    assert code == 0, lines
-
-
-def test_every_case_stands_on_the_page():
-    """The page says of every case whether it has the same bits or the same digits."""
-    page = (ROOT / "docs" / "concepts" / "reproducible.md").read_text(encoding="utf-8")
-    bits, digits = re.split(r"(?m)^## ", page)[1:3]
-    cases = loaded("cases", SCRIPT.parent / "cases.py")
-    for section, names in ((bits, cases.SAME_BITS), (digits, cases.SAME_DIGITS | cases.SIX_DIGITS)):
-        assert set(re.findall(r"`(\w+)`", section)) >= set(names)
-
-
-def test_a_change_is_noticed():
-    """One bit for results of the same bits, 1e-8 for others, and every other word."""
-    digests = loaded("make_digests", SCRIPT)
-    close, _ = digests.CASES["fit_tsc"]
-    assert close == 1e-9
-    assert digests.text(1.0) != digests.text(np.nextafter(1.0, 2.0))
-    assert digests.difference([1.0, "C1"], [1.0, "C1"]) == 0.0
-    assert digests.difference([1.0 + 1e-8], [1.0]) > close
-    assert digests.difference([2e9 * (1.0 + 1e-8)], [2e9]) > close
-    for values in ([1.0, "C2"], [1.0], [True, "C1"], [float("nan"), "C1"]):
-        assert not digests.difference(values, [1.0, "C1"]) <= close
-
-
-def loaded(name, path):
-    """Import a script by its path."""
-    sys.path.insert(0, str(path.parent))
+@pytest.fixture(scope="module")
+def digests():
+    """The script as a module."""
+    sys.path.insert(0, str(SCRIPT.parent))
     try:
-        spec = importlib.util.spec_from_file_location(name, path)
+        spec = importlib.util.spec_from_file_location("make_digests", SCRIPT)
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
     finally:
-        sys.path.remove(str(path.parent))
+        sys.path.remove(str(SCRIPT.parent))
     return module
+
+
+@pytest.mark.parametrize("case", ["published_models", "limit_cycle", "incentive_bounds"])
+def test_every_number_is_told_from_one_a_millionth_away(digests, case):
+    expected = json.loads(digests.EXPECTED.read_text())[case]
+    numbers = [
+        (column, row, value)
+        for column, cells in expected.items()
+        for row, value in cells.items()
+        if isinstance(value, float) and math.isfinite(value)
+    ]
+    assert len(numbers) > 1
+    for column, row, value in numbers:
+        moved = copy.deepcopy(expected)
+        moved[column][row] = value * (1.0 + 1e-8)
+        assert list(digests.differences(moved, expected)) == []
+        moved[column][row] = value * (1.0 + 1e-6)
+        assert list(digests.differences(moved, expected)) == [
+            (column, row, moved[column][row], value)
+        ]
+
+
+def test_estimates_are_told_by_their_standard_errors_and_decisions_exactly(digests):
+    expected = {
+        "parameter": {"0": "beta", "rows": 1},
+        "estimate": {"0": 0.7, "rows": 1},
+        "standard_error": {"0": 0.02, "rows": 1},
+        "determined": {"0": True, "rows": 1},
+    }
+
+    def told(column, value):
+        return list(digests.differences(expected | {column: {"0": value, "rows": 1}}, expected))
+
+    assert told("estimate", 0.7 + 1e-4 * 0.02) == told("standard_error", 0.02 + 1e-4 * 0.02) == []
+    assert told("estimate", 0.7 + 1e-2 * 0.02) == [("estimate", "0", 0.7 + 1e-2 * 0.02, 0.7)]
+    assert told("standard_error", 0.0201)
+    assert told("estimate", float("nan"))
+    assert told("parameter", "Beta")
+    assert told("determined", False)
+    assert told("determined", 1)
+    fewer = {column: cells for column, cells in expected.items() if column != "determined"}
+    assert ("determined", "0", "nothing", True) in list(digests.differences(fewer, expected))
+
+
+def test_a_long_column_is_told_from_one_with_a_single_other_value(digests):
+    """Also where the changed row itself is not stored."""
+    frame = digests.tabled({"x": [0.5 + 0.001 * k for k in range(1000)], "who": ["C1"] * 1000})
+    other = frame.copy()
+    other.loc[777, ["x", "who"]] = [0.7, "C2"]
+    for column, cell in (("x", "mean"), ("who", "checksum")):
+        stored, changed = ({column: digests.summary(f[column])} for f in (frame, other))
+        assert "777" not in stored[column]
+        assert [place[:2] for place in digests.differences(changed, stored)] == [(column, cell)]
+
+
+def test_a_difference_names_case_place_and_both_values(digests, tmp_path, monkeypatch, capsys):
+    stored = json.loads(digests.EXPECTED.read_text())
+    right = stored["threshold_limits"]["value"]["1"]
+    stored["threshold_limits"]["value"]["1"] = moved = right * (1.0 + 1e-6)
+    monkeypatch.setattr(digests, "EXPECTED", tmp_path / "expected.json")
+    digests.EXPECTED.write_text(json.dumps(stored))
+    monkeypatch.setattr(sys, "argv", ["make_digests.py", "threshold_limits", "incentive_bounds"])
+    assert digests.main() == 1
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines[0] == ["threshold_limits", "DIFFERS"]
+    assert lines[1][:3] == ["value,", "row", "1:"]
+    assert float(lines[1][3]) == pytest.approx(right, rel=1e-9)
+    assert lines[1][4:] == ["here,", str(moved), "expected"]
+    assert lines[2] == ["incentive_bounds", "agrees"]

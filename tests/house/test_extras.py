@@ -36,6 +36,35 @@ def test_missing_extra_is_named(use, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["notebooks", "run.bag"]
 
 
+NO_LIVE = """
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {"anywidget", "tornado", "traitlets"}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+"""
+
+
+@pytest.mark.parametrize("module", ["tl", "tl.live"])
+def test_names_of_a_missing_extra_are_absent_and_asking_for_one_says_what_to_install(module):
+    """Oracle: the protocol of hasattr and inspect.getmembers, which pass over AttributeError."""
+    code = (
+        f"{NO_LIVE}\nimport inspect\nimport trustlab as tl\n"
+        f"names = [name for name, _ in inspect.getmembers({module})]\n"
+        f"print(hasattr({module}, 'LiveGroundRobot'), 'LiveGroundRobot' in names)\n"
+        f"print(hasattr({module}, 'DriveSettings'), 'DriveSettings' in names)\n"
+        f"{module}.LiveGroundRobot\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.split() == ["False", "False", "True", "True"], done.stderr
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("AttributeError: anywidget is not installed")
+    assert 'pip install "trustlab[live]"' in last
+
+
 def test_extras_are_declared_and_all_has_them():
     extras = PROJECT["optional-dependencies"]
     assert {extra for extra, _, _ in USES.values()} <= set(extras)

@@ -117,7 +117,7 @@ def test_the_check_sees_what_it_should():
     ]
     assert faults("models", "from trustlab import sessions") == ["models imports sessions"]
     assert faults("helpers", "") == ["helpers is no room"]
-    assert faults("sessions", "import trustlab.models.robot") == []
+    assert faults("sessions", "import trustlab.models.tsc") == []
 
 
 def test_the_check_sees_circles_for_types_too():

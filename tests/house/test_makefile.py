@@ -160,7 +160,6 @@ def test_the_environment_is_built_once_and_every_recipe_runs(house, uv):
         assert done.returncode == 0, done.stderr
         assert said in asked[-1]
         assert uv or not any("install" in line for line in asked if target != "bench")
-    assert run(".ci/run")[0].returncode == 0
     done, asked = run("make", "lock")
     assert (done.returncode == 0) is uv
     done, _ = run("make", "clean")
@@ -173,6 +172,20 @@ def test_the_environment_is_built_once_and_every_recipe_runs(house, uv):
     }
     assert not any("__pycache__" in name or name.startswith("docs") for name in left)
     assert {"data/a.csv", "notebooks/a.ipynb", "environment.lock"} <= left
+
+
+@pytest.mark.parametrize("broken", ["", "trustlab.publishing", "pytest"])
+def test_continuous_integration_runs_reports_then_tests_and_stops_at_a_failure(house, broken):
+    _, tree, run = house
+    run("make", ".venv/.stamp")
+    program = tree / ".venv" / "bin" / "python"
+    failure = f'case "$*" in *"-m {broken or "nothing"}"*) exit 1 ;; esac\n'
+    program.write_text(program.read_text() + failure)
+    done, asked = run(".ci/run")
+    modules = ["trustlab.publishing", "pytest"]
+    ran = [name for line in asked for name in modules if f"python -m {name}" in line]
+    assert ran == (modules[:1] if broken == modules[0] else modules)
+    assert (done.returncode == 0) is (not broken)
 
 
 @pytest.mark.parametrize(

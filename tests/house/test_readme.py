@@ -38,8 +38,7 @@ def test_links_and_figures_are_there(path):
     assert [place for place in missing if not place.startswith(made)] == []
 
 
-# Pages of tasks are run from the wheel, in tests/docs.
-SCRIPTS = [path for path in DOCUMENTS if python(path) and path.parent.name != "tasks"]
+SCRIPTS = [path for path in DOCUMENTS if python(path)]
 
 
 # One worker runs them all, so that what they compile and read is there for all.
@@ -48,6 +47,7 @@ SCRIPTS = [path for path in DOCUMENTS if python(path) and path.parent.name != "t
 @pytest.mark.parametrize("path", SCRIPTS, ids=name_of)
 def test_code_runs(path, tmp_path, monkeypatch, capsys):
     write_files(path, tmp_path)
+    (tmp_path / "data").symlink_to(ROOT / "data")
     monkeypatch.chdir(tmp_path)
     with mpl.rc_context({"backend": "Agg"}):
         exec(compile(python(path), name_of(path), "exec"), {"__name__": "__main__"})

@@ -34,6 +34,7 @@ def test_the_wheel_has_everything_that_the_package_reads(built):
     expected |= {
         f"trustlab/data/published/{path.name}" for path in (ROOT / "data" / "published").iterdir()
     }
+    expected.add("trustlab/data/sessions/pilot.csv")
     assert expected - names == set()
     assert not any(name.startswith(("tests/", "benchmarks/")) for name in names)
 
@@ -57,8 +58,8 @@ def test_the_sdist_can_be_tested(built):
 
 def test_pages_run(installed, tmp_path):
     """
-    Each page in a folder and a namespace of its own, all in one process, which imports and loads
-    what they need once.
+    Each page in a namespace of its own and a folder with nothing but the files that it shows, all
+    in one process, which imports and loads what they need once.
     """
     code = (
         "import contextlib, io, os, trustlab\nassert "

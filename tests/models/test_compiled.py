@@ -1,6 +1,6 @@
 """
-Compiled functions are cached under a digest of everything they call: an edit elsewhere is never
-missed.
+Compiled functions are found again only where nothing that they may use has changed. Oracle: what a
+copy of the package, whose sources are edited, prints and compiles in a process of its own.
 """
 
 import os
@@ -8,11 +8,10 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
-from trustlab.models.compiled import NOTICE, _Notice
+from trustlab.models.digest import ROOMS, digest
 
 ROOT = Path(__file__).parents[2]
 RUN = """
@@ -32,15 +31,8 @@ def package_in(folder):
     return folder
 
 
-@pytest.fixture(scope="module")
-def first(tmp_path_factory):
-    """A copy of the package in which `RUN` has compiled what it needs, and what it printed."""
-    folder = package_in(tmp_path_factory.mktemp("first"))
-    (value, _), _ = run(folder)
-    return folder, value
-
-
 def run(folder, code=RUN, **environment):
+    """What a process prints on both streams that imports the package from a folder."""
     inherited = {name: value for name, value in os.environ.items() if name != "TRUSTLAB_CACHE_DIR"}
     env = inherited | {"PYTHONPATH": str(folder)} | {k: str(v) for k, v in environment.items()}
     done = subprocess.run(
@@ -50,15 +42,28 @@ def run(folder, code=RUN, **environment):
     return done.stdout.split(), done.stderr
 
 
+def caches(folder):
+    return sorted((folder / "trustlab" / "__pycache__" / "compiled").iterdir())
+
+
 def compiled(folder):
-    return {path.relative_to(folder) for path in folder.rglob("*.nbc")}
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*.nbc")}
 
 
-def test_a_second_start_compiles_nothing(first):
-    copy, _ = first
-    ages = {path: path.stat().st_mtime_ns for path in copy.rglob("*.nbc")}
-    run(copy)
-    assert {path: path.stat().st_mtime_ns for path in copy.rglob("*.nbc")} == ages
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """A copy of the package in which `RUN` has compiled what it needs, and what it printed."""
+    folder = package_in(tmp_path_factory.mktemp("first"))
+    return folder, *run(folder)
+
+
+def test_the_first_run_says_that_it_compiles_and_the_second_compiles_nothing(first):
+    folder, printed, said = first
+    assert said.count("trustlab is compiling") == 1
+    before = compiled(folder)
+    assert before
+    assert run(folder) == (printed, "")
+    assert compiled(folder) == before
 
 
 def test_the_users_own_setting_of_numba_is_left_alone(first, tmp_path):
@@ -71,69 +76,66 @@ def test_without_a_folder_to_write_to_it_works_and_says_so_once(first, tmp_path)
     copy = package_in(tmp_path)
     (copy / "trustlab" / "__pycache__").mkdir()
     (copy / "trustlab" / "__pycache__" / "compiled").write_text("in the way")
-    (value, _), said = run(
-        copy, HOME=os.devnull, XDG_CACHE_HOME=os.devnull, LOCALAPPDATA=os.devnull
-    )
+    nowhere = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA"), os.devnull)
+    printed, said = run(copy, **nowhere)
     assert said.count("TRUSTLAB_CACHE_DIR") == 1
-    assert compiled(copy) == set()
-    assert value == first[1]
-    assert (
-        run(
-            copy,
-            "from trustlab.models.human import yerkes_dodson",
-            TRUSTLAB_CACHE_DIR=copy / "named",
-        )[1]
-        == ""
-    )
-    assert (copy / "named").is_dir()
+    assert compiled(copy) == {}
+    assert printed == first[1]
+    named = copy / "named"
+    _, said = run(copy, "import trustlab.models.tsc", TRUSTLAB_CACHE_DIR=named, **nowhere)
+    assert "TRUSTLAB_CACHE_DIR" not in said
+    assert next(named.glob("models-*")).is_dir()
 
 
-def test_an_edit_of_a_function_in_another_file_is_seen(first):
-    folder, before = first
-    human = folder / "trustlab" / "models" / "human.py"
-    text = human.read_text()
-    kept = compiled(folder)
-    assert kept
-    human.write_text(text.replace("if r <= 0.0 or r >= 1.0:", "if r > 0.5:"))
-    (edited, _), _ = run(folder)
-    assert edited != before
-    # What depends on the edited file is swept and compiled again; what does not, as the robot's
-    # model, is kept.
-    unchanged = {path.parts[3].rpartition("-")[0] for path in kept & compiled(folder)}
-    assert "models.robot" in unchanged
-    assert not unchanged & {"models.human", "models.tsc", "allocation.simulation"}
-    human.write_text(text)
-    assert run(folder)[0][0] == before
+def test_an_edit_recompiles_the_rooms_below_and_none_above(first):
+    folder, printed, _ = first
+    models = folder / "trustlab" / "models" / "tsc.py"
+    allocation = folder / "trustlab" / "allocation" / "limits.py"
+    text, before = models.read_text(), compiled(folder)
+    allocation.write_text(allocation.read_text() + "# edited\n")
+    assert run(folder)[0] == printed
+    rooms = {
+        path.relative_to(folder).parts[3].split("-")[0] for path in compiled(folder) - before.keys()
+    }
+    assert rooms == {"allocation"}
+    models.write_text(text.replace("if r <= 0.0 or r >= 1.0:", "if r > 0.5:"))
+    assert run(folder)[0] != printed
+    models.write_text(text)
+    assert run(folder)[0] == printed
 
 
-def compilation_in(module):
-    """What numba says of compiling a function of a module."""
-    function = SimpleNamespace(py_func=SimpleNamespace(__module__=module))
-    return SimpleNamespace(data={"dispatcher": function})
+def test_caches_of_older_sources_go_after_a_day_and_not_before(first):
+    folder = first[0]
+    yesterday, fresh = (caches(folder)[0].with_name(f"models-{name}") for name in ("old", "new"))
+    for cache in (yesterday, fresh):
+        (cache / "inside").mkdir(parents=True)
+    for cache in caches(folder):
+        if cache != fresh:
+            os.utime(cache, (0, 0))
+    run(folder, "import trustlab.models.tsc")
+    left = caches(folder)
+    assert yesterday not in left
+    assert fresh in left
+    # The cache in use is touched, and an import of this room says nothing of others.
+    assert {cache.name.split("-")[0] for cache in left} == {"models", "allocation"}
 
 
-def test_compilation_is_announced_once_after_two_seconds_and_quick_ones_not_at_all(capsys):
-    quick, slow = _Notice(), _Notice()
-    ours = compilation_in("trustlab.models.trust")
-    quick.on_start(ours)
-    quick.on_end(ours)
-    quick.timer.join()
-    assert capsys.readouterr().err == ""
-    slow.spent = 1.99  # of functions compiled before
-    for _ in range(2):
-        slow.on_start(ours)
-        slow.on_start(ours)  # one that the first calls
-        slow.timer.join()
-        slow.on_end(ours)
-        slow.on_end(ours)
-    assert capsys.readouterr().err == NOTICE + "\n"
+def test_parallel_first_starts_agree(first, tmp_path):
+    copy = package_in(tmp_path)
+    command, env = [sys.executable, "-c", RUN], os.environ | {"PYTHONPATH": str(copy)}
+    starts = [
+        subprocess.Popen(command, env=env, cwd=copy, stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    assert [start.communicate()[0].split()[0] for start in starts] == [first[1][0]] * 2
 
 
-def test_compilation_of_a_users_function_is_not_announced(capsys):
-    notice = _Notice()
-    notice.spent = 1.99
-    for module in ("mine", "trustlabelled"):
-        notice.on_start(compilation_in(module))
-        assert notice.timer is None
-        notice.on_end(compilation_in(module))
-    assert (notice.spent, capsys.readouterr().err) == (1.99, "")
+def test_every_room_is_listed():
+    folders = {path.parent.name for path in (ROOT / "trustlab").glob("*/__init__.py")}
+    assert folders == set(ROOMS)
+
+
+def test_parts_of_a_digest_do_not_run_together():
+    assert digest("ab", "c") != digest("a", "bc")
+    assert digest("a", "b") != digest("b", "a")
+    assert digest("ü") == digest("ü".encode())

@@ -1,5 +1,9 @@
-"""(2.1)-(2.2) by what they are made for, and the printed step bound of Remark 3."""
+"""
+Equations (2.1)-(2.6) against closed forms, the printed expressions and exact fractions, and the
+models' numbers against those printed.
+"""
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -7,129 +11,215 @@ import pytest
 from hypothesis import given, strategies as st
 
 import trustlab as tl
-from trustlab.models.tsc import advance, human_at, human_range, threshold_mode, tsc_at
+from trustlab.models.published import printed_pilot
+from trustlab.models.tsc import (
+    advance,
+    human_at,
+    human_range,
+    threshold_mode,
+    tsc_at,
+    yerkes_dodson,
+)
+
+rates = st.floats(0.5, 0.9999)
+shares = st.floats(0.0, 1.0)
+betas = st.floats(0.02, 0.98)
 
 
 @st.composite
-def models(draw):
-    r_min, h_min = draw(st.floats(0.0, 0.5)), draw(st.floats(0.0, 0.5))
-    robot = tl.RobotModel(0.99, r_min, r_min + draw(st.floats(0.02, 0.5)), 0.9)
-    return tl.TscModel(
-        robot,
-        tl.HumanModel(0.999, draw(st.floats(0.1, 0.9)), h_min, h_min + draw(st.floats(0.02, 0.5))),
+def robots(draw):
+    low = draw(st.floats(0.0, 0.5))
+    return tl.RobotModel(
+        draw(rates), low, low + draw(st.floats(0.02, 1.0)), draw(st.floats(0.1, 2))
     )
 
 
-@given(models())
-def test_extremes_are_plus_and_minus_one(model):
-    robot, human = model.robot, model.human
-    assert model.value(robot.p_max, human.p_min) == pytest.approx(1.0, abs=1e-12)
-    assert model.value(robot.p_min, human.p_max) == pytest.approx(-1.0, abs=1e-12)
-    grid = model.value(
-        np.linspace(robot.p_min, robot.p_max, 50)[:, None],
-        np.linspace(human.p_min, human.p_max, 50)[None, :],
-    )
-    assert np.abs(grid).max() <= 1.0 + 1e-12
+@st.composite
+def humans(draw):
+    low = draw(st.floats(0.0, 0.5))
+    return tl.HumanModel(draw(rates), draw(betas), low, low + draw(st.floats(0.02, 0.5)))
 
 
-def test_step_bound_of_the_pilot_is_the_printed_one(operators):
-    # Remark 3: δ_Pr = 0.00069 and δ_Ph = 0.00021 give 0.0084.
+models = st.builds(tl.TscModel, robots(), humans())
+
+
+@given(humans(), shares, shares)
+def test_utilization_follows_the_closed_form(human, r0, mode):
+    r, _ = human.simulate(np.full(300, mode), r0)
+    np.testing.assert_allclose(r, mode + (r0 - mode) * human.a ** np.arange(300), atol=1e-12)
+
+
+@given(betas, shares)
+def test_human_performance_is_the_printed_expression(beta, r):
+    human = tl.HumanModel(0.999, beta, 0.3, 0.5)
+    printed = (0.5 - 0.3) * (r / beta) ** beta * ((1 - r) / (1 - beta)) ** (1 - beta) + 0.3
+    assert human.performance(r) == pytest.approx(printed, abs=1e-14)
+
+
+@given(betas)
+def test_human_performance_is_greatest_at_beta_and_least_at_the_ends(beta):
+    human, r = tl.HumanModel(0.999, beta, 0.3, 0.5), np.linspace(0.0, 1.0, 1001)
+    curve = human.performance(r)
+    assert human.performance(beta) == pytest.approx(0.5, abs=1e-15)
+    assert curve.max() <= 0.5 + 1e-15
+    assert curve[0] == curve[-1] == 0.3
+    assert (np.diff(curve)[r[1:] <= beta] > 0).all()
+    assert [yerkes_dodson(beyond, beta) for beyond in (-0.5, 0.0, 1.0, 1.5)] == [0.0] * 4
+
+
+def test_performance_has_the_shape_of_utilization_which_lies_in_the_unit_interval():
+    human = tl.HumanModel(0.9991, 0.74, 0.391, 0.4602)
+    r, p_h = human.simulate(np.repeat([1.0, 0.3, 0.0], 500), 0.1)
+    np.testing.assert_array_equal(p_h, human.performance(r))
+    assert type(human.performance(0.7)) is float
+    assert human.performance([[0.7, 0.2, 0.1]]).shape == (1, 3)
+    with pytest.raises(ValueError, match=r"utilization r must lie in \[0, 1\], got 1\.25$"):
+        human.performance([0.5, 1.25, -3.0])
+
+
+@given(
+    st.floats(0.0, 1.0, exclude_min=True, exclude_max=True),
+    st.lists(shares, min_size=20, max_size=20),
+    st.sampled_from([0.0, 1e-300, 0.5, 1.0 - 2.0**-53, 1.0]),
+)
+def test_rounding_never_takes_utilization_out_of_the_unit_interval(a, mode, r0):
+    human = tl.HumanModel(a, 0.7, 0.39, 0.46)
+    for modes in (mode, np.round(mode), np.ones(20), np.zeros(20)):
+        r, _ = human.simulate(modes, r0)
+        assert r.min() >= 0.0
+        assert r.max() <= 1.0
+
+
+@given(robots(), shares, shares)
+def test_robot_performance_follows_the_closed_form(robot, mode, part):
+    p_h, k = part * robot.p_h_max, np.arange(300)
+    p_r = robot.simulate(np.full(300, mode), np.full(300, p_h), p_r0=robot.p_max)
+    gain = (1.0 - robot.a) * (robot.p_max - robot.p_min) / robot.p_h_max
+    settled = robot.p_min + mode * gain * p_h / (1.0 - robot.a)
+    np.testing.assert_allclose(p_r, settled + (robot.p_max - settled) * robot.a**k, atol=1e-12)
+    assert robot.steady_state(mode, p_h) == pytest.approx(settled, abs=1e-14)
+
+
+@given(robots(), st.integers(0, 2**32 - 1))
+def test_robot_performance_stays_between_its_bounds(robot, seed):
+    rng = np.random.default_rng(seed)
+    start = rng.uniform(robot.p_min, robot.p_max)
+    p_r = robot.simulate(rng.random(500), rng.random(500) * robot.p_h_max, start)
+    assert p_r.min() >= robot.p_min - 1e-12
+    assert p_r.max() <= robot.p_max + 1e-12
+
+
+def test_bounds_need_the_gain_of_2_3():
+    """Negative control: a larger gain lifts performance above P_r,max."""
+    robot = tl.RobotModel(a=0.99, p_min=0.2, p_max=0.4, p_h_max=0.5, b=0.01)
+    assert robot.simulate(np.ones(2000), np.full(2000, 0.5))[-1] > 0.4
+
+
+@pytest.mark.parametrize("name", ["pilot", "1", "2", "3", "4", "5"])
+def test_gains_are_those_printed(operators, name):
+    printed = printed_pilot() if name == "pilot" else tl.published_table("2.1")[name]
+    assert f"{operators[name].robot.b:.4f}" == printed["b_pr"]
+    assert operators[name].human.b == pytest.approx(float(printed["b_r"]), abs=1e-12)
+    assert replace(operators[name].robot, b=0.0013).b == 0.0013
+
+
+def test_the_step_bound_of_the_pilot_is_the_printed_one(operators):
+    """Remark 3: δ_Pr = 0.00069 and δ_Ph = 0.00021 give 0.0084."""
     assert round(operators["pilot"].delta(0.00069, 0.00021), 4) == 0.0084
 
 
-def test_simulation_is_the_two_models_in_turn(operators, switching):
-    model = operators["pilot"]
-    run = model.simulate(switching, r0=0.2, p_r0=0.25)
-    r, p_h = model.human.simulate(switching, 0.2)
-    np.testing.assert_array_equal(run["r"], r)
-    np.testing.assert_array_equal(run["p_r"], model.robot.simulate(switching, p_h, 0.25))
-    np.testing.assert_allclose(
-        run["tsc"], model.a_T * run["p_r"] - model.b_T * run["p_h"], atol=1e-15
-    )
-    assert list(run.columns) == ["r", "p_r", "p_h", "tsc", "mode"]
-    rested = model.simulate(switching)
-    assert (rested["r"].iloc[0], rested["p_r"].iloc[0]) == (0.0, model.robot.p_min)
+def test_time_constants_share_one_definition(operators):
+    human = operators["pilot"].human
+    decay = human.simulate(np.zeros(2000), 1.0)[0]
+    after = np.interp(human.time_constant, np.arange(2000), decay)
+    assert after == pytest.approx(np.exp(-1.0), rel=1e-6)
+    assert tl.RobotModel(human.a, 0.24, 0.39, 0.4602).time_constant == human.time_constant
 
 
-def test_refuses():
-    robot, human = tl.RobotModel(0.99, 0.2, 0.4, 0.5), tl.HumanModel(0.999, 0.7, 0.3, 0.5)
-    with pytest.raises(ValueError, match="in this order; got HumanModel and RobotModel"):
-        tl.TscModel(human, robot)
-    with pytest.raises(ValueError, match="got HumanModel and HumanModel"):
-        tl.TscModel(human, human)
-    with pytest.raises(ValueError, match="delta_p_r must not be negative"):
-        tl.TscModel(robot, human).delta(-0.1, 0.0)
+@given(models)
+def test_tsc_is_plus_and_minus_one_at_the_extremes_and_between_them_elsewhere(model):
+    robot, human = model.robot, model.human
+    assert model.value(robot.p_max, human.p_min) == pytest.approx(1.0, abs=1e-12)
+    assert model.value(robot.p_min, human.p_max) == pytest.approx(-1.0, abs=1e-12)
+    p_r = np.linspace(robot.p_min, robot.p_max, 50)[:, None]
+    assert np.abs(model.value(p_r, np.linspace(human.p_min, human.p_max, 50))).max() <= 1.0 + 1e-12
 
 
-@pytest.mark.parametrize(
-    ("of_robot", "of_human"),
-    [
-        ((-0.4, 0.2), (0.3, 0.5)),
-        ((-0.5, 0.5), (0.2, 0.4)),  # b_T = 0
-        ((0.2, 0.4), (-0.5, 0.5)),  # a_T = 0
-        ((-1.0, 1.0), (-1.0, 1.0)),  # no denominator
-        ((-2.0, -1.0), (-2.0, -1.0)),  # quotients of negative numbers
-        ((-2.0, 0.5), (-2.0, 0.5)),
-    ],
-)
-def test_ranges_without_weights_are_refused(of_robot, of_human):
-    with pytest.raises(ValueError, match=r"a_T and b_T of \(2\.2\) must be positive"):
-        tl.TscModel(tl.RobotModel(0.99, *of_robot, 0.5), tl.HumanModel(0.999, 0.7, *of_human))
+def recursion(model, mode, r, p_r):
+    """Rows r, P_r, P_h and TSC, as (2.1)-(2.6) are printed."""
+    robot, human, rows = model.robot, model.human, []
+    scale = robot.p_max * human.p_max - robot.p_min * human.p_min
+    for m in mode:
+        shape = (r / human.beta) ** human.beta * ((1 - r) / (1 - human.beta)) ** (1 - human.beta)
+        p_h = (human.p_max - human.p_min) * shape + human.p_min
+        of_robot = (human.p_max + human.p_min) * p_r
+        rows.append((r, p_r, p_h, (of_robot - (robot.p_max + robot.p_min) * p_h) / scale))
+        r = human.a * r + (1 - human.a) * m
+        p_r = robot.a * p_r + (1 - robot.a) * robot.p_min + m * robot.b * p_h
+    return np.array(rows)
 
 
-@given(st.floats(-1.0, 1.0), st.floats(1e-3, 1.0), st.floats(-1.0, 1.0), st.floats(1e-3, 1.0))
-def test_ranges_are_accepted_where_both_weights_and_their_denominator_are_positive(a, b, c, d):
-    """Oracle: (2.2) written out in exact fractions."""
-    r_min, r_max, h_min, h_max = map(Fraction, (a, a + b, c, c + d))
-    scale = r_max * h_max - r_min * h_min
-    right = scale > 0 and (h_min + h_max) / scale > 0 and (r_min + r_max) / scale > 0
-    models = tl.RobotModel(0.99, a, a + b, 0.5), tl.HumanModel(0.999, 0.7, c, c + d)
-    if right:
-        assert tl.TscModel(*models).a_T > 0.0
-    else:
-        with pytest.raises(ValueError, match="must be positive"):
-            tl.TscModel(*models)
-
-
-def test_compiled_equations_are_those_of_the_models(operators, switching):
-    model = operators["pilot"]
-    c, run = model.constants(), model.simulate(switching, r0=0.2, p_r0=0.25)
-    assert c._asdict() == {
-        "a_r": model.human.a,
-        "beta": model.human.beta,
-        "p_h_min": model.human.p_min,
-        "p_h_max": model.human.p_max,
-        "a_pr": model.robot.a,
-        "b_pr": model.robot.b,
-        "p_r_min": model.robot.p_min,
-        "p_r_max": model.robot.p_max,
-        "a_T": model.a_T,
-        "b_T": model.b_T,
-    }
-    r, p_r = 0.2, 0.25
-    for row in run.head(500).itertuples():
-        assert (r, p_r) == (row.r, row.p_r)
+@given(models, shares, st.integers(0, 1000))
+def test_simulation_and_compiled_equations_are_the_printed_recursion(model, r0, seed):
+    mode = np.random.default_rng(seed).choice([0.0, 0.3, 1.0], 200)
+    start = 0.5 * (model.robot.p_min + model.robot.p_max)
+    printed = recursion(model, mode, r0, start)
+    run, c = model.simulate(mode, r0, start), model.constants()
+    np.testing.assert_allclose(run[["r", "p_r", "p_h", "tsc"]], printed, atol=1e-11)
+    np.testing.assert_array_equal(run["mode"], mode)
+    r, p_r = r0, start
+    for row in run.itertuples():
         p_h = human_at(r, c)
-        assert p_h == row.p_h
-        assert tsc_at(p_r, p_h, c) == row.tsc
+        assert (r, p_r, p_h, tsc_at(p_r, p_h, c)) == (row.r, row.p_r, row.p_h, row.tsc)
         r, p_r = advance(r, p_r, p_h, row.mode, c)
 
 
-@given(models(), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_the_range_of_human_performance_is_that_of_a_fine_grid(model, one, other):
-    low, high = sorted((one, other))
+def test_a_simulation_begins_rested_with_the_robot_at_its_least(operators):
+    model = operators["pilot"]
+    first = model.simulate([1, 0, 0]).iloc[0]
+    assert (first["r"], first["p_r"], first["p_h"]) == (0.0, model.robot.p_min, model.human.p_min)
+
+
+@given(models, shares, shares)
+def test_the_range_of_human_performance_is_that_of_a_fine_grid(model, low, high):
+    low, high = sorted((low, high))
     values = model.human.performance(np.linspace(low, high, 400))
     least, greatest = human_range(low, high, model.constants())
     assert least == pytest.approx(values.min(), abs=1e-12)
     assert values.max() - 1e-12 <= greatest <= values.max() + 0.005
 
 
+def test_a_range_that_ends_at_beta_has_the_printed_maximum_to_the_bit():
+    """(P_max − P_min) + P_min rounds; P_max itself does not."""
+    rng, rounded = np.random.default_rng(99), 0
+    for p_min, p_max, beta in rng.uniform([0.0, 0.5, 0.1], [0.5, 1.0, 0.9], (200, 3)):
+        human = tl.HumanModel(0.99, beta, p_min, p_max)
+        c = tl.TscModel(tl.RobotModel(0.99, 0.1, 0.3, p_max), human).constants()
+        rounded += (p_max - p_min) + p_min != p_max
+        assert human_range(0.0, beta, c)[1] == human_range(beta, 1.0, c)[1] == p_max
+    assert rounded > 10
+
+
 def test_the_rule_switches_at_the_thresholds_and_holds_between_them():
-    assert [threshold_mode(tsc, 0.1, 0.4, mode) for tsc in (0.1, 0.25, 0.4) for mode in (0, 1)] == [
-        1,
-        1,
-        0,
-        1,
-        0,
-        0,
-    ]
+    modes = [[threshold_mode(tsc, 0.1, 0.4, mode) for mode in (0, 1)] for tsc in (0.1, 0.25, 0.4)]
+    assert modes == [[1, 1], [0, 1], [0, 0]]
+
+
+@given(st.floats(-1.0, 1.0), st.floats(1e-3, 1.0), st.floats(-1.0, 1.0), st.floats(1e-3, 1.0))
+def test_models_need_positive_weights_with_a_positive_denominator(a, b, c, d):
+    """Oracle: (2.2) written out in exact fractions."""
+    r_min, r_max, h_min, h_max = map(Fraction, (a, a + b, c, c + d))
+    scale = r_max * h_max - r_min * h_min
+    right = scale > 0 and (h_min + h_max) / scale > 0 and (r_min + r_max) / scale > 0
+    parts = tl.RobotModel(0.99, a, a + b, 0.5), tl.HumanModel(0.999, 0.7, c, c + d)
+    if right:
+        assert tl.TscModel(*parts).a_T == pytest.approx(float((h_min + h_max) / scale))
+    else:
+        with pytest.raises(ValueError, match="use measures of performance that are not negative"):
+            tl.TscModel(*parts)
+
+
+def test_models_in_the_wrong_order_are_told_apart(operators):
+    model = operators["pilot"]
+    with pytest.raises(ValueError, match="in this order; got HumanModel and RobotModel"):
+        tl.TscModel(model.human, model.robot)

@@ -25,9 +25,8 @@ LEAST = 0.95
 
 # Module of the package, and the tests that should notice a change of it, quick ones first.
 MODULES = {
-    "models/human": "models/test_human.py models/test_tsc.py",
-    "models/robot": "models/test_robot.py",
     "models/tsc": "models/test_tsc.py",
+    "models/simulation": "models/test_simulation.py",
     "models/trust": "models/test_trust.py",
     "models/uav": "models/test_uav.py",
     "models/linear_algebra": "models/test_linear_algebra.py",
@@ -143,7 +142,7 @@ def is_known(diff, reasons):
 def main():
     """Run the modules asked for, and print what survived."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("modules", nargs="*", help="such as models/human; all by default")
+    parser.add_argument("modules", nargs="*", help="such as models/tsc; all by default")
     parser.add_argument("--sample", type=int, help="changes tried of each module; all by default")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--python", default=str(ROOT / ".venv" / "bin" / "python"))

@@ -31,13 +31,13 @@ from trustlab.allocation.decision.posterior_choice import PosteriorChoice
 from trustlab.identification.posterior.draws import MODEL as MODEL_NAMES
 from trustlab.identification.posterior.population import Population
 from trustlab.identification.regression import ArxResult
+from trustlab.models.display import Result
 from trustlab.publishing.book import publish, write_book
 from trustlab.publishing.tables import table_html
 from trustlab.reproduction.calibration import Calibration
 from trustlab.reproduction.performance_line import PerformanceLine
 from trustlab.reproduction.reconstruction.reconstruction import reconstruct_study
-from trustlab.sessions.session import Metadata
-from trustlab.sessions.session import Session
+from trustlab.sessions.session import Metadata, Session
 from trustlab.studies.analysis.rank_tests import friedman
 from trustlab.studies.analysis.report import report
 from trustlab.studies.planning.virtual_study import VirtualStudy
@@ -137,7 +137,8 @@ def classes_with_html():
             if (
                 isinstance(kind, type)
                 and kind.__module__ == module.name
-                and "_repr_html_" in vars(kind)
+                and ("_repr_html_" in vars(kind) or Result in kind.__bases__)
+                and kind is not Result
             ):
                 found[name] = kind
     return found

@@ -177,16 +177,20 @@ def test_unknown_names_are_refused_before_any_run(world, capsys, monkeypatch):
     assert (root / "docs" / "01_good.ipynb").stat().st_mtime_ns == before
 
 
-def test_what_was_not_run_says_so_and_what_is_gone_goes(tmp_path, monkeypatch, capsys):
-    root = make(tmp_path, n01_a=["# A\n\nWords.", new_code_cell("1 / 0")])
+def test_a_failed_notebook_fails_the_command_and_what_is_gone_goes(tmp_path, monkeypatch, capsys):
+    """Oracle: the exit status that make sees, 0 for the same book before anything ran."""
+    good = ["# B", new_code_cell("print('shown')")]
+    root = make(tmp_path, n01_a=["# A\n\nWords.", new_code_cell("1 / 0")], n02_b=good)
     monkeypatch.chdir(root)
     assert main(["--no-run"]) == 0
     assert "It was not run yet" in html(root, "01_a")
     assert "1 / 0" not in html(root, "01_a")
-    assert main(["01"]) == 1
+    assert main([]) == 1
     assert "01_a failed in cell 2" in capsys.readouterr().err
-    (root / "notebooks" / "01_a.ipynb").rename(root / "notebooks" / "02_a.ipynb")
-    assert [notebook.name for notebook in publish(root=root)] == ["02_a"]
+    assert "This report failed." in html(root, "01_a")
+    assert "shown" in html(root, "02_b")
+    (root / "notebooks" / "01_a.ipynb").rename(root / "notebooks" / "03_a.ipynb")
+    assert [notebook.name for notebook in publish(root=root)] == ["02_b", "03_a"]
     assert not (root / "docs" / "01_a.ipynb").exists()
 
 

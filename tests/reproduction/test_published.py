@@ -1,6 +1,5 @@
 """Printed tables come back as printed; digits are counted as a reader would."""
 
-import numpy as np
 import pytest
 
 import trustlab as tl
@@ -70,12 +69,9 @@ def test_verdicts():
 def test_models_and_studies_are_dictionaries_that_say_what_they_hold():
     models, studies = published_models(), tl.published_studies()
     assert isinstance(models, dict)
-    assert models[2] is models["2"]
-    assert models[np.int64(2)] is models["2"]
     assert models.get("6") is None
-    with pytest.raises(KeyError, match=r"nothing is called '6' .*pilot, 1, 2, 3, 4, 5"):
-        models["6"]
-    with pytest.raises(KeyError, match="True"):
-        models[True]
+    for key in ("6", 2):
+        with pytest.raises(KeyError, match=f"nothing is called {key!r} .*'pilot', '1', '2'"):
+            models[key]
     with pytest.raises(KeyError, match=r"'uav\.tlxx'; did you mean 'uav\.tlx'"):
         studies["uav.tlxx"]

@@ -8,9 +8,7 @@ from trustlab.allocation.limits import threshold_limits
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.allocation.steady_state import SteadyStateBounds, steady_state_bounds
 from trustlab.models.checks import of_class, whole_number
-from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
 # How many of the longest time constant pass before extremes are taken, and while they are.
 SETTLING, RECORDED = 12.0, 5.0

@@ -14,9 +14,8 @@ from trustlab.models.checks import (
     of_class,
     rounded_down,
 )
-from trustlab.models.html import as_html
-from trustlab.models.human import next_utilization
-from trustlab.models.tsc import TscConstants, TscModel
+from trustlab.models.display import as_html
+from trustlab.models.tsc import TscConstants, TscModel, next_utilization
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,9 @@ from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.campaign.parameters import ParameterGrid
 from trustlab.campaign.run import run_campaign
 from trustlab.campaign.sensitivity import SobolIndices, sobol_indices
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_array, finite_number, of_class, one_of, whole_number
-from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel, gain_of_human_performance
-from trustlab.models.tsc import TscModel
+from trustlab.models.display import axes_or_new
+from trustlab.models.tsc import HumanModel, RobotModel, TscModel, gain_of_human_performance
 
 # What is mapped, all of the steady cycle under rule (2.8).
 QUANTITIES = {

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.models.tsc import TscModel
 
 # Rows of tables of ranges, and how the names of their ends begin.

@@ -15,8 +15,8 @@ from trustlab.allocation.limits import (
 )
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.allocation.steady_ranges import SteadyRanges
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between
+from trustlab.models.display import axes_or_new
 from trustlab.models.tsc import TscConstants, TscModel
 
 

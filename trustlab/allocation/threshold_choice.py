@@ -18,14 +18,13 @@ from trustlab.allocation.decision.steady import survey
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
 from trustlab.identification.fit_result import FitResult
 from trustlab.identification.posterior.result import Posterior
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_number, of_class, warn, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscModel
 
 
-@dataclass(frozen=True, eq=False)
-class ThresholdChoice:
+@dataclass(frozen=True, eq=False, repr=False)
+class ThresholdChoice(Result):
     """
     Chosen thresholds, the motion that they lead to, and the alternatives.
 
@@ -71,22 +70,16 @@ class ThresholdChoice:
         """Return the Pareto front: pairs beaten by no pair in performance and utilization."""
         return self.candidates[self.candidates["on_front"]].sort_values("mean_r", ignore_index=True)
 
+    @property
+    def title(self) -> str:
+        """The pair."""
+        return f"TSC_l = {self.lower:.4f}, TSC_u = {self.upper:.4f}"
+
     def table(self) -> pd.DataFrame:
         """Return the ranges of the steady motion and the bounds for every trajectory."""
         cycle = self.cycle.table()
         bounds = self.bounds.table()
         return cycle.assign(bound_low=bounds["low"], bound_high=bounds["high"])
-
-    def _repr_html_(self) -> str:
-        title = f"TSC_l = {self.lower:.4f}, TSC_u = {self.upper:.4f}"
-        return as_html(self.message, self.table(), title=title)
-
-    def __repr__(self) -> str:
-        return (
-            f"ThresholdChoice(lower={self.lower:.6g}, upper={self.upper:.6g}, "
-            f"encloses_beta={self.encloses_beta}, delta_p_h={self.limits.delta_p_h:.4g}, "
-            f"{len(self.candidates)} candidates)"
-        )
 
     def plot(self):
         """

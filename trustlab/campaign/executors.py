@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from trustlab.campaign.errors import CampaignError
+from trustlab.campaign.imported import forget_sources, package_of, source_digest
 from trustlab.campaign.worker import exit_with_parent, pickled, run_chunk, run_pickled, running_task
-from trustlab.models.digest import forget_sources, package_of, source_digest
 
 # Seconds after which idle processes end.
 IDLE = 300

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from trustlab import __version__
-from trustlab.models.digest import digest, forget_sources, imported_files, package_of
+from trustlab.campaign.imported import forget_sources, imported_files, package_of
+from trustlab.models.digest import digest
 
 PLAIN = (bool, int, float, str, bytes, type(None))
 

@@ -13,8 +13,8 @@ import pandas as pd
 from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.parameters import interval
 from trustlab.campaign.run import run_campaign
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import open_unit, whole_number
+from trustlab.models.display import axes_or_new
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from trustlab.identification.residuals import (
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import Structure
 from trustlab.models.checks import one_of, open_unit, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.sessions.plots import shade_manual
 
 LABELS = {"p_r": "robot performance $P_r$", "p_h": "human performance $P_h$"}

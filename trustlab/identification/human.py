@@ -28,7 +28,7 @@ from trustlab.identification.structure import (
     Structure,
 )
 from trustlab.models.compiled import njit
-from trustlab.models.human import (
+from trustlab.models.tsc import (
     HumanModel,
     next_utilization,
     performance_curve,

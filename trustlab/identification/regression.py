@@ -17,15 +17,15 @@ from trustlab.identification.fit_result import (
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Structure
 from trustlab.models.checks import whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import Result
 
 # Up to this condition number (equilibrated) the normal equations are used, beyond it a singular
 # value decomposition.
 CONDITION_LIMIT = 1e5
 
 
-@dataclass(frozen=True, eq=False)
-class ArxResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class ArxResult(Result):
     """
     A fitted ARX model, y(k) + a_1 y(k−1) + … + a_na y(k−na) = b_1 u(k−nk) + … + b_nb u(k−nk−nb+1) +
     c + e(k).
@@ -47,6 +47,8 @@ class ArxResult:
     intercept : bool
         Whether c was estimated.
     """
+
+    title = "ARX"
 
     names: tuple[str, ...]
     coefficients: np.ndarray
@@ -72,6 +74,11 @@ class ArxResult:
         """Equations less coefficients, n − p."""
         return self.residuals.size - self.coefficients.size
 
+    @property
+    def message(self) -> str:
+        """How many equations were solved."""
+        return f"{self.residuals.size} equations"
+
     def table(self, level: float = 0.95):
         """
         Return estimates with standard errors and t intervals.
@@ -89,9 +96,6 @@ class ArxResult:
         columns = {"value": self.coefficients, "stderr": self.stderr}
         table = pd.DataFrame(columns, index=pd.Index(self.names, name="parameter"))
         return with_intervals(table, level, self.degrees_of_freedom)
-
-    def _repr_html_(self) -> str:
-        return as_html(f"{self.residuals.size} equations", self.table(), title="ARX")
 
 
 class LeastSquares(NamedTuple):

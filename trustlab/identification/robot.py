@@ -31,7 +31,7 @@ from trustlab.identification.runs import LogSettings, Run, joined, log_settings,
 from trustlab.identification.structure import POSTERIOR, IdentificationError
 from trustlab.identification.tsc import TSC
 from trustlab.models.checks import one_of, positive
-from trustlab.models.robot import gain_of_human_performance
+from trustlab.models.tsc import gain_of_human_performance
 from trustlab.sessions.session import Session
 
 

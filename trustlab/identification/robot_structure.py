@@ -22,7 +22,7 @@ from trustlab.identification.structure import (
     Structure,
 )
 from trustlab.models.compiled import njit
-from trustlab.models.robot import RobotModel
+from trustlab.models.tsc import RobotModel
 
 SLOPES = np.dtype([(name, float) for name in ("a", "p_min", "p_max", "p_r0")])
 

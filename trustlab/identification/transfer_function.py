@@ -10,8 +10,8 @@ from trustlab.identification.fit_result import FitResult
 from trustlab.identification.fitting import check_data, estimate_runs, result
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Parameter, Structure
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_array, positive, whole_number
+from trustlab.models.display import axes_or_new
 from trustlab.models.uav import TransferFunction
 
 # Relative step of complex-step derivatives: no digits cancel, so it may be as small as one likes.

@@ -34,8 +34,7 @@ from trustlab.identification.structure import (
     Structure,
 )
 from trustlab.models.compiled import njit
-from trustlab.models.robot import gain_of_human_performance
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import TscModel, gain_of_human_performance
 from trustlab.sessions.session import Session
 
 

@@ -13,8 +13,7 @@ from numba import carray, from_dtype, types
 
 from trustlab.live.noise import HASHED
 from trustlab.models.compiled import njit
-from trustlab.models.human import next_utilization
-from trustlab.models.tsc import threshold_mode
+from trustlab.models.tsc import next_utilization, threshold_mode
 from trustlab.teleoperation.records import record
 from trustlab.testbeds.deciding import OWN, SCHEDULE, Task, suggest
 from trustlab.testbeds.ground_robot.course import CourseNumbers

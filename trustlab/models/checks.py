@@ -46,29 +46,26 @@ def did_you_mean(name: object, known: Iterable[object]) -> str:
     return f"; did you mean {words[close[0]]!r}?" if close else ""
 
 
-def rounded_up(value: float, digits: int = 3) -> float:
-    """Return a positive number with few digits, not below it: for a remedy that says "at least"."""
-    unit = 10.0 ** (math.floor(math.log10(value)) + 1 - digits)
-    return float(f"{math.ceil(value / unit) * unit:.{digits}g}")
-
-
 def rounded_down(value: float, digits: int = 3) -> float:
-    """Return a positive number with few digits, not above it: for a remedy that says "at most"."""
-    unit = 10.0 ** (math.floor(math.log10(value)) + 1 - digits)
+    """Return a number with few digits, not above it: for a remedy that says "at most"."""
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
     return float(f"{math.floor(value / unit) * unit:.{digits}g}")
+
+
+def rounded_up(value: float, digits: int = 3) -> float:
+    """Return a number with few digits, not below it: for a remedy that says "at least"."""
+    return -rounded_down(-value, digits)
 
 
 def finite_number(name: str, value: Any) -> float:
     """Return one finite real number as a float; text, booleans and arrays are refused."""
     if type(value) is float and math.isfinite(value):  # as nearly always; what follows takes longer
         return value
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value[()]
-    if isinstance(value, bool | np.bool_ | str | bytes | np.ndarray) or not hasattr(
-        value, "__float__"
-    ):
-        raise ValueError(f"{name} must be a number, got {shown(value)}")
+    if isinstance(value, np.ndarray):
+        value = value[()]  # a scalar, where it has no dimensions
     try:
+        if isinstance(value, bool | np.bool_ | str | bytes) or np.ndim(value) > 0:
+            raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError, RuntimeError):
         raise ValueError(f"{name} must be a number, got {shown(value)}") from None
@@ -124,21 +121,16 @@ def whole_number(name: str, value: Any, least: int = 1, most: int | None = None)
     Return a whole number from `least` to `most` as an int; a float counts where it is whole and
     below 2⁵³.
     """
-    if type(value) is int and value >= least and (most is None or value <= most):
-        return value
-    allowed = f"{least} or more" if most is None else f"from {least} to {most}"
-    if isinstance(value, np.ndarray) and value.ndim == 0:
+    if isinstance(value, np.ndarray):
         value = value[()]
     whole = not isinstance(value, bool | np.bool_) and (
         isinstance(value, Integral)
         or (isinstance(value, Real) and abs(float(value)) < 2.0**53 and float(value).is_integer())
     )
-    if not whole:
+    if not whole or value < least or (most is not None and value > most):
+        allowed = f"{least} or more" if most is None else f"from {least} to {most}"
         raise ValueError(f"{name} must be a whole number, {allowed}, got {shown(value)}")
-    number = int(value)
-    if number < least or (most is not None and number > most):
-        raise ValueError(f"{name} must be a whole number, {allowed}, got {shown(number)}")
-    return number
+    return int(value)
 
 
 def flag(name: str, value: Any) -> bool:
@@ -150,8 +142,8 @@ def flag(name: str, value: Any) -> bool:
 
 def one_of(name: str, value: Any, allowed: Iterable[str], also: str = "") -> str:
     """
-    Return a word that is among those allowed; `also` says what else an argument may be, for the
-    error only.
+    Return a word that is among those allowed; the error names `also` as well, what else an argument
+    may be.
     """
     allowed = list(allowed)
     if isinstance(value, str) and value in allowed:
@@ -178,46 +170,42 @@ def of_class(name: str, value: object, kind: type[Kind], remedy: str = "") -> Ki
 
 
 def spawned(seed: int | np.random.SeedSequence, count: int) -> list[np.random.SeedSequence]:
-    """
-    Return `count` independent children of a seed, the same at every call; a SeedSequence given is
-    not changed.
-    """
-    if isinstance(seed, np.random.SeedSequence):
-        # Spawning advances a SeedSequence, so that the second call would give other children: spawn
-        # from a copy.
-        child = np.random.SeedSequence(
-            seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size
-        )
-    else:
-        child = np.random.SeedSequence(whole_number("seed", seed, least=0))
-    return child.spawn(count)
+    """Return `count` independent children of a seed, the same at every call."""
+    if not isinstance(seed, np.random.SeedSequence):
+        seed = np.random.SeedSequence(whole_number("seed", seed, least=0))
+    # seed.spawn would count its children, and return others at the second call.
+    keys = ((*seed.spawn_key, i) for i in range(count))
+    return [np.random.SeedSequence(seed.entropy, spawn_key=key) for key in keys]
 
 
-def set_checked(record: object, check: Callable[[str, Any], Any], *names: str) -> None:
+def set_checked(record: Any, check: Callable[[str, Any], Any], *names: str) -> None:
     """Replace fields of a frozen dataclass by what a check makes of them."""
-    for name in names:
-        object.__setattr__(record, name, check(name, getattr(record, name)))
+    record.__dict__.update({name: check(name, getattr(record, name)) for name in names})
+
+
+def set_in_order(record: Any, low: str, high: str) -> None:
+    """Replace two fields of a frozen dataclass by finite floats, the first below the second."""
+    pair = in_order(low, getattr(record, low), high, getattr(record, high))
+    record.__dict__.update(zip((low, high), pair, strict=True))
 
 
 def finite_array(name: str, values: Any, *, length: int | None = None) -> np.ndarray:
     """
-    Return a one-dimensional float array without gaps, of `length` samples where that is given.
+    Return a one-dimensional float array without gaps, of `length` samples where that is stated.
     """
     try:
-        given = np.asarray(values)
-        kind = given.dtype.kind
-        if kind not in "biufO" or (
-            kind == "O" and any(isinstance(x, str | bytes) for x in given.flat)
-        ):
+        array = np.asarray(values)
+        text = array.dtype.kind == "O" and any(isinstance(x, str | bytes) for x in array.flat)
+        if text or array.dtype.kind not in "biufO":
             raise TypeError
-        array = np.asarray(given, dtype=float)
+        array = np.ascontiguousarray(array, dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(
             f"{name} must be an array of numbers, got {type(values).__name__}"
         ) from None
-    if array.ndim != 1 or array.size == 0:
+    if np.ndim(values) != 1 or array.size == 0:
         raise ValueError(
-            f"{name} must be one-dimensional with at least one sample, got shape {array.shape}"
+            f"{name} must be one-dimensional with at least one sample, got shape {np.shape(values)}"
         )
     if length is not None and array.size != length:
         raise ValueError(f"{name} must have {length} samples, got {array.size}")
@@ -225,13 +213,13 @@ def finite_array(name: str, values: Any, *, length: int | None = None) -> np.nda
     if not finite.all():
         k = int(np.argmin(finite))
         raise ValueError(f"{name} must be finite, but sample {k} is {array[k]}")
-    return np.ascontiguousarray(array)
+    return array
 
 
 def array_between(name: str, values: Any, low: float, high: float, meaning: str) -> np.ndarray:
     """
-    Return a float array, as `finite_array`, within [low, high]; `meaning` says what these are, for
-    the error only.
+    Return a float array, as `finite_array`, within [low, high]; the error explains them by
+    `meaning`.
     """
     array = finite_array(name, values)
     outside = (array < low) | (array > high)
@@ -249,48 +237,3 @@ def mode_array(mode: Any) -> np.ndarray:
     them.
     """
     return array_between("mode", mode, 0.0, 1.0, "1 manual, 0 autonomous, or a share")
-
-
-# Least eigenvalue, as a share of the greatest, that counts as positive.
-LEAST_EIGENVALUE = 1e-12
-
-
-def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -> np.ndarray:
-    """
-    Return a matrix that is square, symmetric and positive definite; the error names the eigenvalue
-    that is not.
-    """
-    try:
-        array = np.asarray(values)
-    except ValueError:  # rows of different lengths
-        array = np.empty(0, dtype=object)
-    numbers = array.dtype.kind in "fiu"
-    if not numbers or array.ndim != 2 or array.shape[0] != array.shape[1] or array.size == 0:
-        kind = f"shape {array.shape}" if numbers else type(values).__name__
-        raise ValueError(f"{name} must be a square matrix of numbers, got {kind}")
-    matrix = array.astype(float)
-    if size is not None and len(matrix) != size:
-        raise ValueError(
-            f"{name} must be {size} × {size}, one row per condition, got {len(matrix)} × "
-            f"{len(matrix)}"
-        )
-    if not np.isfinite(matrix).all():
-        i, j = np.argwhere(~np.isfinite(matrix))[0]
-        raise ValueError(f"{name} must be finite, but row {i}, column {j} is {matrix[i, j]}")
-    scale = np.abs(matrix).max()
-    off = np.abs(matrix - matrix.T)
-    if off.max() > 1e-8 * scale:
-        i, j = np.unravel_index(int(np.argmax(off)), off.shape)
-        raise ValueError(
-            f"{name} must be symmetric, but [{i}, {j}] is {matrix[i, j]:g} and [{j}, {i}] is "
-            f"{matrix[j, i]:g}"
-        )
-    matrix = 0.5 * (matrix + matrix.T)
-    eigenvalues = np.linalg.eigvalsh(matrix)
-    if not eigenvalues[0] > LEAST_EIGENVALUE * eigenvalues[-1]:
-        raise ValueError(
-            f"{name} is not positive definite: its least eigenvalue is {eigenvalues[0]:.6g} "
-            f"(greatest {eigenvalues[-1]:.6g}); zero means that one condition is a linear function "
-            "of the others. Check its variances and correlations"
-        )
-    return matrix

@@ -1,27 +1,21 @@
 """What the dissertation prints, as strings, from data/published/."""
 
 from functools import cache
-from numbers import Integral
 from pathlib import Path
 
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean
-from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
 
 class ByName(dict):
-    """A dictionary by name that takes 2 for "2" and lists its names in a KeyError."""
+    """A dictionary by name whose KeyError lists its names."""
 
     def __missing__(self, key):
-        if isinstance(key, Integral) and not isinstance(key, bool) and str(key) in self:
-            return self[str(key)]
         meant = did_you_mean(key, self) if isinstance(key, str) else ""
-        raise KeyError(
-            f"nothing is called {key!r:.60}{meant} (there are {', '.join(map(str, self))})"
-        )
+        names = ", ".join(map(repr, self))
+        raise KeyError(f"nothing is called {key!r:.60}{meant} (there are {names})")
 
 
 def data_folder(name: str) -> Path:
@@ -90,8 +84,8 @@ def published_models() -> dict[str, TscModel]:
     Returns
     -------
     dict of str to TscModel
-        Keys "pilot", "1" … "5" (or 1 … 5). b_pr follows from (2.3); the printed one is this,
-        rounded to four decimals.
+        Keys "pilot", "1" … "5". b_pr follows from (2.3); the printed one is this, rounded to four
+        decimals.
 
     Examples
     --------

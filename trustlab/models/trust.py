@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,8 +11,9 @@ from trustlab.models.checks import (
     between,
     finite_array,
     finite_number,
-    in_order,
     positive,
+    set_checked,
+    set_in_order,
 )
 from trustlab.models.compiled import njit
 from trustlab.models.portable import exponential
@@ -30,8 +32,9 @@ def trust_step(trust, share, decay, gain):
 @njit(error_model="numpy", forceinline=True)
 def logistic_scale(low, high, steepness, midpoint, trust):
     """
-    Return the scale of (3.5) at a trust, the same bits on every machine; far from the midpoint the
-    exponential may be infinite, and the scale is `low`.
+    Return the scale of (3.5) at a trust.
+
+    Far from the midpoint the exponential may be infinite, and the scale is `low`.
     """
     return low + (high - low) / (1.0 + exponential(steepness * (trust - midpoint)))
 
@@ -41,12 +44,11 @@ def trust_run(share, decay, gain, start):
     """
     Run trust, as a share of its range, over performance shares that are each held for one sample.
     """
-    out, now = np.empty(share.size + 1), start
+    trust = np.empty(share.size + 1)
+    trust[0] = start
     for k in range(share.size):
-        out[k] = now
-        now = trust_step(now, share[k], decay, gain)
-    out[share.size] = now
-    return out
+        trust[k + 1] = trust_step(trust[k], share[k], decay, gain)
+    return trust
 
 
 @dataclass(frozen=True)
@@ -96,14 +98,9 @@ class TrustModel:
     allow_unbounded: bool = False
 
     def __post_init__(self):
-        for name in ("a", "b"):
-            value = finite_number(name, getattr(self, name))
-            if not 0.0 < value <= 1.0:
-                raise ValueError(f"{name} must lie in (0, 1], got {value}")
-            self.__dict__[name] = value
-        t_min, t_max = in_order("t_min", self.t_min, "t_max", self.t_max)
-        p_min, p_max = in_order("p_min", self.p_min, "p_max", self.p_max)
-        self.__dict__.update(t_min=t_min, t_max=t_max, p_min=p_min, p_max=p_max)
+        set_checked(self, _sensitivity, "a", "b")
+        set_in_order(self, "t_min", "t_max")
+        set_in_order(self, "p_min", "p_max")
         if self.b > self.a and not self.allow_unbounded:
             raise ValueError(
                 f"with b = {self.b} > a = {self.a} trust settles above t_max at full performance, "
@@ -111,15 +108,9 @@ class TrustModel:
                 "allow_unbounded=True"
             )
 
-    def _share(self, performance: float) -> float:
-        value = between("performance", performance, self.p_min, self.p_max)
-        return (value - self.p_min) / (self.p_max - self.p_min)
-
     def decay(self, sample_time: float) -> float:
         """
-        Return the share of trust kept over a sample without performance.
-
-        It is exp(−a T/(T_max − T_min)).
+        Return exp(−a T/(T_max − T_min)), the share of trust kept over a sample without performance.
 
         Parameters
         ----------
@@ -142,7 +133,8 @@ class TrustModel:
         performance : float
             Between p_min and p_max.
         """
-        return self.t_min + (self.t_max - self.t_min) * self.b / self.a * self._share(performance)
+        share = self._share(between("performance", performance, self.p_min, self.p_max))
+        return self.t_min + (self.t_max - self.t_min) * self.b / self.a * share
 
     def step(self, trust: float, performance: float, sample_time: float) -> float:
         """
@@ -191,17 +183,78 @@ class TrustModel:
             If a sample is not finite or out of range.
         """
         values = array_between("performance", performance, self.p_min, self.p_max, "p_min, p_max")
-        span = self.t_max - self.t_min
         start = self.t_min if trust0 is None else finite_number("trust0", trust0)
-        share = (values[:-1] - self.p_min) / (self.p_max - self.p_min)
-        run = trust_run(
-            share, self.decay(sample_time), self.b / self.a, (start - self.t_min) / span
+        span, decay = self.t_max - self.t_min, self.decay(sample_time)
+        share = self._share(values[:-1])
+        return self.t_min + span * trust_run(
+            share, decay, self.b / self.a, (start - self.t_min) / span
         )
-        return self.t_min + span * run
+
+    def _share(self, performance: Any) -> Any:
+        return (performance - self.p_min) / (self.p_max - self.p_min)
+
+
+def _sensitivity(name: str, value: Any) -> float:
+    number = finite_number(name, value)
+    if not 0.0 < number <= 1.0:
+        raise ValueError(f"{name} must lie in (0, 1], got {number}")
+    return number
+
+
+class _Scaling:
+    """What both scalings share: bounds, the middle of the range of trust, and their checks."""
+
+    low: float
+    high: float
+    midpoint: float | None
+    t_min: float
+    t_max: float
+
+    def __post_init__(self):
+        set_checked(self, finite_number, "low", "high")
+        if self.low > self.high:
+            raise ValueError(
+                f"low must not exceed high, got low = {self.low} and high = {self.high}"
+            )
+        if not self.low > 0.0:
+            raise ValueError(
+                f"low must be positive, got {self.low}: a scale of zero leaves one-way "
+                "teleoperation (3.1)"
+            )
+        set_in_order(self, "t_min", "t_max")
+        if self.midpoint is None:
+            self.__dict__["midpoint"] = (self.t_min + self.t_max) / 2.0
+        set_checked(self, finite_number, "midpoint")
+        if not self.t_min < self.midpoint < self.t_max:
+            raise ValueError(
+                f"midpoint must lie strictly between t_min = {self.t_min} and t_max = "
+                f"{self.t_max}, got {self.midpoint}"
+            )
+
+    def value(self, trust: float | np.ndarray) -> Any:
+        """
+        Return the scale at a trust.
+
+        Parameters
+        ----------
+        trust : float or array_like, shape (N,)
+            Trust; the scale is defined outside its range as well.
+
+        Returns
+        -------
+        float or numpy.ndarray, shape (N,)
+            The scale, between low and high.
+        """
+        if np.ndim(trust) == 0:
+            return self._scale(finite_number("trust", trust))
+        return np.array([self._scale(level) for level in finite_array("trust", trust)])
+
+    def _scale(self, trust: float) -> float:
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class LogisticScaling:
+class LogisticScaling(_Scaling):
     """
     A scale that falls smoothly from `high` to `low` as trust grows, equation (3.5).
 
@@ -239,42 +292,28 @@ class LogisticScaling:
     t_max: float = 1.0
 
     def __post_init__(self):
-        _check_scaling(self)
-        self.__dict__["steepness"] = finite_number("steepness", self.steepness)
+        super().__post_init__()
+        set_checked(self, finite_number, "steepness")
         if self.steepness < 10.0:
             raise ValueError(
                 "steepness must be at least 10, so that the scale nearly meets its bounds, got "
                 f"{self.steepness}"
             )
 
-    def value(self, trust):
-        """
-        Return the scale at a trust.
-
-        Parameters
-        ----------
-        trust : float or array_like, shape (N,)
-            Trust; the scale is defined outside its range as well.
-
-        Returns
-        -------
-        float or numpy.ndarray, shape (N,)
-            The scale, between low and high.
-        """
-        trust, steepness = _finite("trust", trust), self.steepness / (self.t_max - self.t_min)
-        scales = np.vectorize(logistic_scale, otypes=[float])
-        return _plain(scales(self.low, self.high, steepness, self.midpoint, trust))
+    def _scale(self, trust):
+        steepness = self.steepness / (self.t_max - self.t_min)
+        return logistic_scale(self.low, self.high, steepness, self.midpoint, trust)
 
 
 @dataclass(frozen=True)
-class StepScaling:
+class StepScaling(_Scaling):
     """
     A scale that drops from `high` to `low` where trust reaches a threshold, equation (3.6).
 
     Parameters
     ----------
     low, high : float
-        Bounds of the scale, 0 < low ≤ high.
+        Bounds of the scale, 0 < low ≤ high; it is low at the threshold itself.
     midpoint : float, optional
         The threshold of trust, strictly inside its range; the middle when not given.
     t_min, t_max : float
@@ -298,50 +337,5 @@ class StepScaling:
     t_min: float = 0.0
     t_max: float = 1.0
 
-    def __post_init__(self):
-        _check_scaling(self)
-
-    def value(self, trust):
-        """
-        Return the scale at a trust.
-
-        Parameters
-        ----------
-        trust : float or array_like, shape (N,)
-            Trust.
-
-        Returns
-        -------
-        float or numpy.ndarray, shape (N,)
-            low at and above the threshold, high below.
-        """
-        return _plain(np.where(_finite("trust", trust) >= self.midpoint, self.low, self.high))
-
-
-def _check_scaling(scaling) -> None:
-    low, high = finite_number("low", scaling.low), finite_number("high", scaling.high)
-    if low > high:
-        raise ValueError(f"low must not exceed high, got low = {low} and high = {high}")
-    if not low > 0.0:
-        raise ValueError(
-            f"low must be positive, got {low}: a scale of zero leaves one-way teleoperation (3.1)"
-        )
-    t_min, t_max = in_order("t_min", scaling.t_min, "t_max", scaling.t_max)
-    middle = (t_min + t_max) / 2.0
-    if scaling.midpoint is not None:
-        middle = finite_number("midpoint", scaling.midpoint)
-    if not t_min < middle < t_max:
-        raise ValueError(
-            f"midpoint must lie strictly between t_min = {t_min} and t_max = {t_max}, got {middle}"
-        )
-    scaling.__dict__.update(low=low, high=high, midpoint=middle, t_min=t_min, t_max=t_max)
-
-
-def _finite(name: str, values) -> np.ndarray:
-    if np.ndim(values) == 0:
-        return np.asarray(finite_number(name, values))
-    return finite_array(name, values)
-
-
-def _plain(values: np.ndarray):
-    return float(values) if values.ndim == 0 else values
+    def _scale(self, trust):
+        return self.low if trust >= self.midpoint else self.high

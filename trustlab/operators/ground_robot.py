@@ -20,9 +20,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.compiled import njit
-from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
 # Largest values of an operator's numbers, far beyond what people do; TSC itself lies in [-1, 1].
 MOST = {

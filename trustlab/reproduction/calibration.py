@@ -29,12 +29,10 @@ from scipy import special
 from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign, where_to_run
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between, in_order, one_of, whole_number
-from trustlab.models.digest import source_digest as digest_of
+from trustlab.models.digest import room_digest
+from trustlab.models.display import as_html, axes_or_new
 from trustlab.models.files import write_atomically
-from trustlab.models.html import as_html
-from trustlab.reproduction import effects_simulated
 from trustlab.reproduction.effects import Effect
 from trustlab.reproduction.effects_simulated import (
     ALLOCATION,
@@ -553,7 +551,7 @@ def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> No
         "priors": calibration.priors,
         "settings": calibration.settings,
         "origin": "simulated operators",
-        "source_digest": source_digest(),
+        "source_digest": room_digest("reproduction"),
     }
     path = place / calibration.study
     write_atomically(f"{path}.json", json.dumps(about, indent=1) + "\n")
@@ -586,14 +584,6 @@ def read_calibration(study: str, folder: str | os.PathLike) -> Calibration:
     facts = json.loads(about.read_text(encoding="utf-8"))
     priors = {name: tuple(pair) for name, pair in facts["priors"].items()}
     return calibrated(study, priors, pd.read_csv(table), facts["settings"])
-
-
-def source_digest() -> str:
-    """
-    Return a digest of all source that simulated effects come from: that of a written calibration
-    differs after a change.
-    """
-    return digest_of(effects_simulated.__file__)
 
 
 def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:

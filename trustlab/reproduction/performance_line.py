@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import one_of
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html, axes_or_new
 from trustlab.reproduction.published import published_table
 from trustlab.reproduction.published_study import published_studies
 

@@ -15,15 +15,13 @@ from trustlab.allocation.correction.corrector import ThresholdCorrector
 from trustlab.allocation.correction.online import OnlineCorrection
 from trustlab.allocation.rules import PerformanceRule, ThresholdRule, decision, prepared_rule
 from trustlab.models.checks import between, finite_number, of_class, one_of, whole_number
-from trustlab.models.human import next_utilization
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import TscModel, next_utilization
 from trustlab.ros.inputs import FIELDS, Input
 from trustlab.ros.settings import CoreSettings
 from trustlab.ros.window import WindowMean
 from trustlab.sessions.errors import SessionError
-from trustlab.sessions.session import Metadata
 from trustlab.sessions.metrics import goal_speed, manoeuvring
-from trustlab.sessions.session import Session
+from trustlab.sessions.session import Metadata, Session
 from trustlab.testbeds.deciding import CONDITIONS
 
 COLUMNS = (

@@ -15,9 +15,9 @@ from trustlab.ros.decision import Decision
 from trustlab.ros.feed import Feed
 from trustlab.ros.journal import read_journal
 from trustlab.ros.run import RUN, STATES, RunSettings
+from trustlab.sessions.bags import PREFIX
 from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.reading import read_session
-from trustlab.sessions.bags import PREFIX
 from trustlab.sessions.session import Session
 from trustlab.sessions.writing import write_recording, write_session
 from trustlab.studies.planning.virtual_study import KEYS

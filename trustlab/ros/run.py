@@ -11,10 +11,8 @@ from typing import Any, cast
 
 from trustlab.allocation.correction.corrector import ThresholdCorrector
 from trustlab.models.checks import one_of
-from trustlab.models.human import HumanModel
 from trustlab.models.published import published_models
-from trustlab.models.robot import RobotModel
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 from trustlab.ros.decision import AllocationCore
 from trustlab.ros.inputs import FIELDS, Watchdog
 from trustlab.ros.settings import CoreSettings

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import shown
 from trustlab.models.extras import extra
 from trustlab.sessions.columns import Table, stream_of
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named
@@ -21,6 +20,7 @@ from trustlab.sessions.patterns import Selector
 from trustlab.sessions.recipe import ColumnRule, Recipe
 from trustlab.sessions.resampling import MAX_SAMPLES, Log, Stream
 from trustlab.sessions.session import metadata_from_json
+from trustlab.sessions.tables import Choice, positions
 
 # Where the topics of a bag stand that `write_session` wrote: t, metadata and one per column.
 PREFIX = "/trustlab/"
@@ -39,30 +39,26 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> Log:
         return _read_topics(reader, rules, recipe, str(path))
 
 
-def read_written(path: Path, selection: Sequence[str] | None) -> Log:
-    """Return the log in a bag that `write_session` wrote."""
+def read_written(path: Path, choose: Choice) -> Table:
+    """Return the table in a bag that `write_session` wrote."""
     with _open(path) as reader:
         types = _types(reader)
         names = [topic.removeprefix(PREFIX) for topic in types if topic.startswith(PREFIX)]
-        if not {"t", "metadata"} <= {*names}:
+        if "metadata" not in names:
             known = ", ".join(list(types)[:30])
             raise SessionError(f"not written by trustlab, so it needs a recipe (topics: {known})")
-        for name in selection or ():
-            if name not in names:
-                known = alternatives(name, names, "the bag has")
-                raise SessionError(f"column {name!r} is missing{known}")
-        wanted = {"t", "metadata", *(selection or names)}
-        topics = {PREFIX + name: [] for name in names if name in wanted}
+        names.remove("metadata")
+        places = positions(choose, names)
+        topics = {PREFIX + name: [] for name in ("metadata", *places)}
         for topic, _, message in _messages(reader, topics):
             topics[topic].append(getattr(message, "data", None))
     with _guard():
         metadata, more = metadata_from_json(topics.pop(f"{PREFIX}metadata")[0])
-        columns = {topic.removeprefix(PREFIX): values for topic, values in topics.items()}
-        frame = pd.DataFrame(columns, dtype=float).set_index("t")
+        frame = pd.DataFrame({name: topics[PREFIX + name] for name in places}, dtype=float)
     if len(frame) != more.get("samples"):
         fault = f"has {len(frame)} samples where its metadata say {more.get('samples')}"
         raise SessionError(f"{DAMAGED} (it {fault}); write it again")
-    return Log(str(path), [Stream(frame, "message {} (from 0)".format)], metadata)
+    return Table(frame, "message {} (from 0)".format, metadata)
 
 
 def _define(reader, folder: Path) -> None:
@@ -88,13 +84,9 @@ def _types(reader) -> dict[str, str]:
     """Return the topics of an open bag and the types of their messages."""
     types: dict[str, str] = {}
     for connection in reader.connections:
-        if not isinstance(connection.topic, str) or not isinstance(connection.msgtype, str):
-            raise SessionError(
-                f"{DAMAGED} (a topic is called {shown(connection.topic)}); record it again"
-            )
-        known = types.setdefault(connection.topic, connection.msgtype)
-        if known != connection.msgtype:
-            types[connection.topic] = f"{known} and {connection.msgtype}"
+        topic, kind = str(connection.topic), str(connection.msgtype)
+        known = types.setdefault(topic, kind)
+        types[topic] = kind if known == kind else f"{known} and {kind}"
     return types
 
 

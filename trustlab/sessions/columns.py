@@ -25,12 +25,12 @@ from trustlab.sessions.recipe import (
 )
 from trustlab.sessions.resampling import Log, Stream, require_common_times, resample
 from trustlab.sessions.session import (
+    ROW,
     Metadata,
     Place,
     Session,
     check_column,
     check_rising,
-    check_uniform,
     keep_table,
 )
 
@@ -75,7 +75,7 @@ def stream_of(
         place = lambda row: table.place(first + row)  # noqa: E731
     for rule in rules:
         columns[rule.name] = check_column(rule.name, rule.convert(columns[rule.name]), t, place)
-    frame = pd.DataFrame(columns, index=t, copy=False)
+    frame = pd.DataFrame(columns, index=pd.Index(t, copy=False), copy=False)
     return Stream(frame, place, topic, any(rule.hold for rule in rules))
 
 
@@ -180,10 +180,7 @@ def times_of(table: Table, time: TableTime, decimal: str) -> np.ndarray:
         table.notes["start_time"] = float(time.seconds(raw[0].item()))
         raw = raw - raw[0]  # before the conversion to float, which would round large integers
     with np.errstate(over="ignore"):
-        t = np.asarray(time.seconds(raw), dtype=float)
-    if not (time.sort or time.repeated or time.jumps):
-        check_rising(t, table.place)
-    return t
+        return np.asarray(time.seconds(raw), dtype=float)
 
 
 def _dates(table: Table) -> np.ndarray:
@@ -310,38 +307,34 @@ def session_of(
     resampling: Resampling | None,
 ) -> Session:
     """Return the session of a log; `values` are those of `derived_values`."""
-    if resampling is None:
-        t = log.streams[0].t
-        if len(log.streams) > 1:
-            require_common_times(log)
-        check_uniform(t, log.streams[0].place)
-        frames = [stream.frame for stream in log.streams]
-        columns = {name: frame[name].to_numpy() for frame in frames for name in frame}
-    else:
+    first = log.streams[0]
+    place = first.place
+    if resampling is not None:
         for stream in log.streams:
             check_rising(stream.t, stream.place)
-        t, columns = resample(log, resampling, recipe.columns)
+        frame, place = resample(log, resampling, recipe.columns), ROW
+    elif len(log.streams) > 1:
+        require_common_times(log)
+        frame = pd.concat([stream.frame for stream in log.streams], axis=1)
+    else:
+        frame = first.frame.copy(deep=False)
     for name, rule in recipe.columns.items():
         if rule.kind in ("value", "from"):
-            columns[name] = np.full(t.size, _constant(rule, values))
-        elif rule.above is not None and name in columns:
-            _note_division(log, rule, columns[name])
+            frame[name] = _constant(rule, values)
+        elif rule.above is not None and name in frame:
+            _note_division(log, rule, frame[name])
     for name, rule in recipe.columns.items():
         if rule.needs and name in selection:
-            columns[name] = _computed(rule, columns)
-    # Arrays that belong to others (a frame, a mapped file) are read-only, and those alone are
-    # copied.
-    own = partial(np.require, dtype=float, requirements="CW")
-    table = {name: own(columns[name]) for name in selection}
-    frame = pd.DataFrame(table, index=pd.Index(own(t), name="t"), copy=False)
+            frame[name] = _computed(rule, frame)
     entries = {name: values[name] for name in recipe.metadata}
     if not isinstance(entries.get("synthetic", False), bool):
         fault = f"metadata 'synthetic' must be true or false, got {entries['synthetic']!r}"
         raise RecipeError(fault)
-    return keep_table(frame, log.metadata.changed(**log.notes | entries, source=log.source))
+    metadata = log.metadata.changed(**log.notes | entries, source=log.source)
+    return keep_table(frame[list(selection)].rename_axis(index="t"), metadata, place)
 
 
-def _note_division(log: Log, rule: ColumnRule, values: np.ndarray) -> None:
+def _note_division(log: Log, rule: ColumnRule, values: pd.Series) -> None:
     """Note how many samples lie above a column's limit; warn where it divides none."""
     count = int(values.sum())
     log.notes[f"{rule.name} above {rule.above:g}"] = f"{count} of {values.size} samples"
@@ -350,9 +343,9 @@ def _note_division(log: Log, rule: ColumnRule, values: np.ndarray) -> None:
         warn(f"{log.source}: {same}: {rule.above:g} divides no sample from the others")
 
 
-def _computed(rule: ColumnRule, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+def _computed(rule: ColumnRule, frame: pd.DataFrame) -> np.ndarray:
     """Return the distance between two positions, or from the sample before."""
-    places = np.array([columns[name] for name in rule.needs])
+    places = frame[list(rule.needs)].to_numpy().T
     with np.errstate(over="ignore"):  # the session refuses what is not finite
         if rule.kind == "distance":
             axes = len(rule.axes)

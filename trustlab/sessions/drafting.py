@@ -8,7 +8,6 @@ import json
 import os
 import re
 from datetime import datetime
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +38,8 @@ NAMES = {
 }
 # How labs write a unit at the end of a name, beside ours.
 SPELLINGS = {name: name for name in UNITS} | {"pct": "%", "percent": "%", "perc": "%"}
+SPELLED = "|".join(sorted(map(re.escape, SPELLINGS), key=len, reverse=True))
+UNIT_AT_END = re.compile(rf"(.+?)(?:\s*[\[(]\s*({SPELLED})\s*[\])]|[_ ]({SPELLED}))")
 MANUAL = r"(?i)(manu\w+|human|mensch|person|op(erator)?|user|teleop\w*|hand|on|true)"
 AUTONOMOUS = r"(?i)(auto\w*|robot\w*|machine|controller|off|false)"
 STEPS = {"s": 5.0, "ms": 5e3, "us": 5e6}  # the longest step between rows that looks like the unit
@@ -94,82 +95,73 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
         if source.suffix.lower() == ".parquet":
             import pyarrow.parquet as pq
 
-            frame, layout = next(pq.ParquetFile(source).iter_batches(ROWS)).to_pandas(), []
+            batch = next(pq.ParquetFile(source).iter_batches(ROWS))
+            frame, layout = batch.to_pandas(ignore_metadata=True), {}
         else:
             frame, layout = _read(source)
     target.write_text(_recipe(source, frame, layout), encoding="utf-8")
     return target
 
 
-def _read(path: Path) -> tuple[pd.DataFrame, list[str]]:
-    """Return the first rows of a text table, and the lines of [table] that read it."""
-    encoding = "utf-8-sig"
+def _read(path: Path) -> tuple[pd.DataFrame, dict[str, object]]:
+    """Return the first rows of a text table, and the entries of [table] that read it."""
+    with (gzip.open if path.suffix.lower() == ".gz" else open)(path, "rb") as file:
+        head = file.read(1 << 20)
     try:
-        lines = _first_lines(path, encoding)
-    except UnicodeDecodeError:  # the text of Windows, which has a letter for almost every byte
-        encoding = "cp1252"
-        lines = _first_lines(path, encoding)
+        encoding, text = "utf-8", head.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        # The text of Windows has a letter for almost every byte; a last one may be cut in two.
+        encoding = "cp1252" if error.start < len(head) - 3 else "utf-8"
+        text = head.decode(encoding, "ignore")
+    lines = text.splitlines()[:50]
     skipped = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
-    rows = lines[skipped:]
-    delimiter = _delimiter(rows[:50])
-    cells = _cells(rows, delimiter)
-    decimal = any(re.fullmatch(r"[+-]?\d+,\d+", cell) for row in cells[1:50] for cell in row)
-    header = not all(NUMBER.fullmatch(cell.replace(",", ".")) for cell in cells[0])
-    layout = [
-        *([] if header else ["header = false"]),
-        *([] if delimiter == "," else [f"delimiter = {json.dumps(delimiter)}"]),
-        *(['decimal = ","'] if decimal else []),
-        *([f"skip_lines = {skipped}"] if skipped else []),
-        *([f"encoding = {json.dumps(encoding)}"] if encoding == "cp1252" else []),
-    ]
-    width = len(cells[0])
-    names: Any = [name.strip() for name in cells[0]] if header else range(width)
-    frame = pd.DataFrame([row for row in cells[header:] if len(row) == width], columns=names)
-    return frame.apply(lambda column: _numbers(column, decimal)), layout
+    delimiter = next((mark for mark in ";\t|, " if _even(lines[skipped:], mark)), ",")
+    first, *rows = csv.reader(lines[skipped:], delimiter=delimiter, skipinitialspace=True)
+    decimal = any(re.fullmatch(r"[+-]?\d+,\d+", cell) for row in rows for cell in row)
+    header = not all(NUMBER.fullmatch(cell.replace(",", ".")) for cell in first)
+    frame = pd.read_csv(
+        path,
+        sep=r"\s+" if delimiter == " " else delimiter,
+        header=0 if header else None,
+        decimal="," if decimal else ".",
+        skiprows=skipped,
+        nrows=ROWS,
+        encoding=encoding,
+        na_values=list(BLANKS),
+        skipinitialspace=True,
+        on_bad_lines="skip",
+        index_col=False,
+    )
+    layout = {
+        "header": header,
+        "delimiter": delimiter,
+        "decimal": "," if decimal else ".",
+        "skip_lines": skipped,
+        "encoding": encoding,
+    }
+    usual = {"header": True, "delimiter": ",", "decimal": ".", "skip_lines": 0, "encoding": "utf-8"}
+    return frame, {name: value for name, value in layout.items() if value != usual[name]}
 
 
-def _first_lines(path: Path, encoding: str) -> list[str]:
-    opened = gzip.open if path.suffix.lower() == ".gz" else open
-    with opened(path, "rt", encoding=encoding, newline="") as file:
-        return list(islice(file, ROWS))
+def _even(lines: list[str], mark: str) -> bool:
+    """Return whether a mark divides each line into as many cells, more than one."""
+    rows = csv.reader([line.strip(" ") for line in lines], delimiter=mark, skipinitialspace=True)
+    widths = {len(row) for row in rows if row}
+    return len(widths) == 1 and widths != {1}
 
 
-def _delimiter(rows: list[str]) -> str:
-    """Return what separates the cells: the first mark that gives each row as many of them."""
-    for mark in ";\t|, ":
-        widths = {len(cells) for cells in _cells(rows, mark)}
-        if len(widths) == 1 and widths != {1}:
-            return mark
-    return ","
-
-
-def _cells(rows: list[str], delimiter: str) -> list[list[str]]:
-    if delimiter == " ":  # a run of which separates once
-        rows = [row.strip() for row in rows]
-    spaces = delimiter == " "
-    return [row for row in csv.reader(rows, delimiter=delimiter, skipinitialspace=spaces) if row]
-
-
-def _numbers(column: pd.Series, decimal: bool) -> pd.Series:
-    """Return a column of texts as numbers where all its cells are, blanks aside."""
-    texts = column.str.strip()
-    texts = texts.mask(texts.isin(BLANKS))
-    numbers = pd.to_numeric(texts.str.replace(",", ".") if decimal else texts, errors="coerce")
-    return numbers if numbers.notna().sum() == texts.notna().sum() else texts
-
-
-def _recipe(path: Path, frame: pd.DataFrame, layout: list[str]) -> str:
+def _recipe(path: Path, frame: pd.DataFrame, layout: dict[str, object]) -> str:
     """Return the text of the draft."""
     time = _time_column(frame)
     guesses: dict[str, str] = {}
     rest: dict[Any, str] = {}
     for name in frame.columns:
-        ours = "" if name == time else _ours(str(name))
+        ours = "" if name == time else _ours(name)
         if ours and ours not in guesses:
             guesses[ours] = _rule(ours, name, frame[name])
         elif name != time:
             rest[name] = f"#   {name}: {_shown(frame[name])}"
-    words = [name for name in rest if _two_words(frame[name])]
+    words = [name for name in rest if _is_text(frame[name]) and frame[name].nunique() == 2]
     if "mode" not in guesses and words:
         guesses["mode"] = _rule("mode", words[0], frame[words[0]])
         del rest[words[0]]
@@ -185,7 +177,9 @@ def _recipe(path: Path, frame: pd.DataFrame, layout: list[str]) -> str:
         'kind = "table"',
         "# performance_window = 100   # if p_r and p_h are moving means: over how many seconds",
         "",
-        *(["[table]", *layout, ""] if layout else []),
+        *(["[table]"] if layout else []),
+        *(f"{name} = {json.dumps(value)}" for name, value in layout.items()),
+        *([""] if layout else []),
         "[time]",
         f"column = {_quoted(time)}",
         f'unit = "{unit}"{remark}',
@@ -206,47 +200,32 @@ def _recipe(path: Path, frame: pd.DataFrame, layout: list[str]) -> str:
 
 
 def _quoted(name: Any) -> str:
-    return str(name) if isinstance(name, int) else json.dumps(str(name), ensure_ascii=False)
+    return str(name) if isinstance(name, int) else json.dumps(str(name).strip(), ensure_ascii=False)
 
 
 def _time_column(frame: pd.DataFrame) -> Any:
     """Return the column that looks like time: by its name, else the first that rises."""
-    named = [name for name in frame if re.fullmatch(f"(?i){TIME}", _bare(str(name)))]
+    named = [name for name in frame if re.fullmatch(TIME, _parts(name)[0])]
     rising = [name for name in frame if frame[name].is_monotonic_increasing]
     return (named or rising or [frame.columns[0]])[0]
 
 
-def _bare(name: str) -> str:
-    """Return a name without its unit, in small letters and underscores."""
-    stem = name[: name.rindex(_spelling(name))].rstrip(" [(_") if _unit(name) else name
-    return re.sub(r"[\s.\-]+", "_", stem.strip()).lower()
-
-
-def _unit(name: str) -> str:
-    """Return the unit that a name ends with, as in "err [mm]" or "time_ms"; empty if none."""
-    return SPELLINGS.get(_spelling(name), "")
-
-
-def _spelling(name: str) -> str:
-    """Return what may be the unit that a name ends with, as it is written there."""
-    match = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$|[_ ]([a-z/%]+)$", name)
-    return (match[1] or match[2]) if match else ""
-
-
-def _two_words(values: pd.Series) -> bool:
-    """Return whether a column alternates between two words, as who drives does."""
-    return _is_text(values) and values.nunique() == 2
+def _parts(name: Any) -> tuple[str, str]:
+    """Return a name in small letters and underscores, and the unit that it ends with, or ""."""
+    match = UNIT_AT_END.fullmatch(str(name).strip())
+    stem = match[1] if match else str(name).strip()
+    return re.sub(r"[\s.\-]+", "_", stem).lower(), SPELLINGS[match[2] or match[3]] if match else ""
 
 
 def _is_text(values: pd.Series) -> bool:
     return values.dtype == object or str(values.dtype) == "str"
 
 
-def _ours(name: str) -> str:
+def _ours(name: Any) -> str:
     """Return the column of the vocabulary that a lab's name suggests; empty if none."""
-    bare = _bare(name)
-    if name in VOCABULARY or bare in VOCABULARY:
-        return name if name in VOCABULARY else bare
+    bare = _parts(name)[0]
+    if bare in VOCABULARY or str(name) in VOCABULARY:
+        return bare if bare in VOCABULARY else str(name)
     return next((ours for ours, words in NAMES.items() if re.fullmatch(words, bare)), "")
 
 
@@ -254,10 +233,11 @@ def _rule(ours: str, name: Any, values: pd.Series) -> str:
     """Return the line of one column."""
     unit = VOCABULARY[ours].unit
     keys = [f"column = {_quoted(name)}"]
-    reason = "name" if _ours(str(name)) == ours else "values"
+    reason = "name" if _ours(name) == ours else "values"
     remarks = [] if str(name) == ours else [f"guessed by its {reason}"]
-    if unit not in ("1", "measure") or (str(name) != ours and _unit(str(name))):
-        keys.append(f'unit = "{_unit(str(name)) or ("?" if str(name) != ours else unit)}"')
+    written = _parts(name)[1]
+    if unit not in ("1", "measure") or (written and str(name) != ours):
+        keys.append(f'unit = "{written or ("?" if str(name) != ours else unit)}"')
     elif _per_cent(ours, values):
         keys.append('unit = "%"')
         remarks.append(f"values reach {values.max():.4g}")
@@ -307,7 +287,7 @@ def _resampling(unit: str, values: pd.Series) -> list[str]:
 
 def _time_unit(name: str, values: pd.Series) -> tuple[str, str]:
     """Return the unit of time, and a remark."""
-    if unit := _unit(name):
+    if unit := _parts(name)[1]:
         return unit, ""
     if _is_text(values):
         first = str(values.iloc[0])

@@ -32,12 +32,11 @@ class SessionError(ValueError):
         super().__init__(f"{source}: {message}" if source else message)
         self.source = source
 
-    def of(self, source: str | None) -> "SessionError":
-        """Return the error with the name of the file in front, unless it names one already."""
+    def name_source(self, source: str | None) -> None:
+        """Put the name of the file in front of the message, unless one is there already."""
         if source and self.source is None:
             self.source = source
             self.args = (f"{source}: {self}",)
-        return self
 
 
 class RecipeError(SessionError):
@@ -50,7 +49,8 @@ def source_named(source: str | None) -> Iterator[None]:
     try:
         yield
     except SessionError as error:
-        raise error.of(source)
+        error.name_source(source)
+        raise
 
 
 @contextmanager

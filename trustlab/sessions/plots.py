@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trustlab.models.axes import axes_or_new
+from trustlab.models.display import axes_or_new
 from trustlab.sessions.vocabulary import VOCABULARY
 
 # Columns in words, for axes.

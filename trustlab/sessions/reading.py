@@ -50,7 +50,7 @@ from trustlab.sessions.tables import (
     suffix_of,
     vocabulary_columns,
 )
-from trustlab.sessions.vocabulary import VOCABULARY
+from trustlab.sessions.vocabulary import known_column
 
 
 def read_session(
@@ -330,7 +330,8 @@ class Reader:
         try:
             return self._read(_existing(Path(source)), source)
         except SessionError as error:
-            raise error.of(source)
+            error.name_source(source)
+            raise
         except OSError as error:
             raise SessionError(f"cannot be read ({error.strerror or error})", source) from error
 
@@ -344,13 +345,14 @@ class Reader:
         if bag and self.recipe:
             log = read_bag(path, self.recipe, self._measured())
             return self._sessions(log, self.recipe, values)
-        if bag:
-            log = read_written(path, self.columns)
-            return self._sessions(log, plain_recipe(list(log.streams[0].frame)), values)
         choose, texts = self._choice()
-        if suffix in TEXTS:
-            return self._of_table(read_csv(path, choose, self.layout, texts), source, values)
-        return self._of_table(read_arrow(path, choose, self.layout), source, values)
+        if bag:
+            table = read_written(path, choose)
+        elif suffix in TEXTS:
+            table = read_csv(path, choose, self.layout, texts)
+        else:
+            table = read_arrow(path, choose, self.layout)
+        return self._of_table(table, source, values)
 
     def read_frame(self, frame: pd.DataFrame, metadata: Mapping[str, object]) -> list[Session]:
         """Return the session in a data frame, or all that the recipe splits it into."""
@@ -379,8 +381,8 @@ class Reader:
         match = pattern.match(source) if pattern else None
         if match:
             return {**match.fields, **(self.header.row(match) if self.header else {})}
-        rules = (*self.recipe.metadata.values(), *self.recipe.columns.values()) if pattern else ()
-        if any(rule.origin for rule in rules):
+        rules: Any = [self.recipe.metadata, self.recipe.columns] if pattern else []
+        if any(rule.origin for each in rules for rule in each.values()):
             remedy = "rename the file or its folder, or take nothing from the path"
             fault = f"the path does not fit the recipe's pattern {pattern.text!r}"
             raise SessionError(f"{fault}; {remedy}")
@@ -443,13 +445,13 @@ def path_of(name: str, value: object) -> str:
 
 def plain_recipe(names: Sequence[str]) -> Recipe:
     """Return the recipe of a log whose columns are those of the vocabulary, in SI units."""
-    columns = {}
-    for name in names:
-        if name not in VOCABULARY:
-            raise SessionError(f"column {name!r} is not in the vocabulary")
-        unit = VOCABULARY[name].unit
-        unit = None if unit in ("1", "measure") else unit
-        columns[name] = ColumnRule(name=name, kind="column", column=name, unit=unit)
+    units = {name: known_column(name).unit for name in names}
+    columns = {
+        name: ColumnRule(
+            name=name, kind="column", column=name, unit=None if unit == "measure" else unit
+        )
+        for name, unit in units.items()
+    }
     return Recipe(kind="table", time=TableTime(unit="s"), columns=columns)
 
 

@@ -315,7 +315,8 @@ class ColumnRule:
         unit = self.unit or ("rad" if self.path and self.path.yaw else None)
         if unit is None and needed not in ("1", "measure"):
             raise ValueError(f"needs its unit (the session holds {needed})")
-        object.__setattr__(self, "size", to_si(unit or "1", needed))
+        if unit not in (None, needed):
+            object.__setattr__(self, "size", to_si(unit, needed))
 
     @property
     def needs(self) -> tuple[str, ...]:

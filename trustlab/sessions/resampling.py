@@ -68,10 +68,8 @@ def require_common_times(log: Log) -> None:
             raise RecipeError(f"{fault}; name how to bring them together: {how}")
 
 
-def resample(
-    log: Log, resampling: Resampling, rules: Mapping[str, ColumnRule]
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return a uniform time axis and the columns of a checked log on it; note how."""
+def resample(log: Log, resampling: Resampling, rules: Mapping[str, ColumnRule]) -> pd.DataFrame:
+    """Return the columns of a checked log on a uniform time axis; note how."""
     # Where every stream has samples: from the last first sample to the first last one. A stream
     # that is held has a value beyond its last sample, so that it does not end this interval unless
     # all are held.
@@ -105,7 +103,7 @@ def resample(
     )
     if len(log.streams) == 1:
         _warn_of_gap(log.streams[0].t, sample_time, log.source)
-    return grid, columns
+    return pd.DataFrame(columns, index=grid)
 
 
 def _time_grid(start: float, stop: float, sample_time: float) -> np.ndarray:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, shown
-from trustlab.models.html import as_html
+from trustlab.models.checks import shown
+from trustlab.models.display import Result, as_html
 from trustlab.sessions.errors import SessionError, alternatives, source_named
-from trustlab.sessions.vocabulary import VOCABULARY
+from trustlab.sessions.vocabulary import known_column
 
 # Metadata with a name of their own, and the types that a file may give them; all else goes to
 # `more`.
@@ -138,8 +138,8 @@ def metadata_from_json(text: str) -> tuple[Metadata, dict]:
     return Metadata(**facts, more=more), content
 
 
-@dataclass(frozen=True, eq=False)
-class Session:
+@dataclass(frozen=True, eq=False, repr=False)
+class Session(Result):
     """
     One logged run on a uniform time axis.
 
@@ -398,18 +398,19 @@ class Session:
 
         return plot_session(self, columns)
 
-    def _repr_html_(self) -> str:
-        words = f"{self.label}; {len(self)} samples at {self.sample_time:g} s"
-        return as_html(words, self.data.describe().T, title="Session")
+    title = "Session"
 
-    def __repr__(self) -> str:
-        more = (
-            f"; metadata.more: {', '.join(map(str, self.metadata.more))}"
-            if self.metadata.more
-            else ""
-        )
+    @property
+    def message(self) -> str:
+        """Whose session it is, how it was sampled, and what it holds."""
+        more = f"; metadata.more: {', '.join(map(str, self.metadata.more))}"
         samples = f"{len(self)} samples at {self.sample_time:g} s"
-        return f"Session({self.label}: {samples}, columns {', '.join(self.columns)}{more})"
+        columns = f"columns {', '.join(self.columns)}"
+        return f"{self.label}; {samples}; {columns}{more if self.metadata.more else ''}"
+
+    def _repr_html_(self) -> str:
+        # Thousands of rows say less than their summary.
+        return as_html(self.message, self.data.describe().T, title=self.title)
 
 
 Place = Callable[[int], str]
@@ -497,14 +498,10 @@ def check_uniform(t: np.ndarray, place: Place = ROW) -> None:
 
 def check_column(name: str, values: np.ndarray, t: np.ndarray, place: Place = ROW) -> np.ndarray:
     """Return a column as floats; raise at its first value that is missing or out of range."""
-    if name not in VOCABULARY:
-        remedy = "map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()"
-        hint = did_you_mean(name, VOCABULARY)
-        raise SessionError(f"column {name!r} is not in the vocabulary{hint} ({remedy})")
+    column = known_column(name)
     if values.dtype.kind not in "fiub":
         raise SessionError(f"column {name!r} must hold numbers, found {values.dtype}")
     values = np.asarray(values, dtype=float)
-    column = VOCABULARY[name]
     low = -np.inf if column.low is None else column.low
     high = np.inf if column.high is None else column.high
     # Both are NaN where any value is.

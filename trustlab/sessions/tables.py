@@ -9,14 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean
 from trustlab.sessions.columns import BLANKS, Table
 from trustlab.sessions.errors import SessionError, alternatives, damage_named
 from trustlab.sessions.recipe import NUMBER, TableRule
 from trustlab.sessions.session import Metadata, metadata_from_json
-from trustlab.sessions.vocabulary import VOCABULARY
+from trustlab.sessions.vocabulary import known_column
 
 # Suffixes of the files that can be read; a rosbag2 recording may also be a folder.
 TEXTS = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
@@ -41,24 +41,16 @@ def suffix_of(path: Path) -> str:
 
 def vocabulary_columns(names: Sequence[str]) -> Mapping[str, str | int]:
     """Return the columns of a file without a recipe, whose names belong to the vocabulary."""
-    if 2 * sum(NUMBER.fullmatch(name) is not None for name in names) > len(names):
-        remedy = (
-            "add a line of names, or read the file with a recipe that has the lines [table] and "
-            "header = false"
-        )
-        raise SessionError(f"found numbers instead of column names; {remedy}")
     for name in names:
-        if name not in VOCABULARY and name != "t":
-            hint = did_you_mean(name, VOCABULARY) or _time_hint([name])
-            remedy = "map it with a recipe, leave it out with columns=[...], or rename it"
-            if not name:
-                hint, remedy = "", "name it, or remove it (pandas: index=False)"
-            fault = f"column {name[:100]!r} is not in the vocabulary{hint}"
-            raise SessionError(f"{fault} ({remedy}; see trustlab.sessions.vocabulary())")
+        if NUMBER.fullmatch(name):
+            remedy = "add a line of names, or a recipe with the lines [table] and header = false"
+            raise SessionError(f"found numbers instead of column names; {remedy}")
+        if name != "t":
+            known_column(name)
     return {name: name for name in ("t", *names)}
 
 
-def _places(choose: Choice, names: Sequence[str], header: bool) -> dict[str, int]:
+def positions(choose: Choice, names: Sequence[str], header: bool = True) -> dict[str, int]:
     """Return where the chosen columns stand in a file; without a header they have numbers."""
     titles: list[Any] = [*names] if header else [*range(len(names))]
     places = {}
@@ -66,18 +58,12 @@ def _places(choose: Choice, names: Sequence[str], header: bool) -> dict[str, int
         if titles.count(column) != 1:
             fault = "occurs twice; rename or remove one"
             if column not in titles:
-                hint = _time_hint(names) if header and column == "t" else ""
-                fault = f"is missing{hint}{alternatives(column, titles, 'the file has')}"
+                hint = "; time needs the name t" if column == "t" else ""
+                fault = f"is missing{hint}{alternatives(column, titles, 'there are')}"
             use = "" if column == name else f" (for {name})"
             raise SessionError(f"column {column!r}{use} {fault}")
         places[name] = titles.index(column)
     return places
-
-
-def _time_hint(names: Sequence[str]) -> str:
-    likely = r"(?i)(t|time|stamp|secs?|clock)([^a-z]|$|stamp)"
-    name = next((name for name in names if re.match(likely, name)), None)
-    return f"; if {name!r} is time in seconds, rename it to t" if name else ""
 
 
 def read_arrow(path: Path, choose: Choice, layout: TableRule) -> Table:
@@ -93,7 +79,7 @@ def read_arrow(path: Path, choose: Choice, layout: TableRule) -> Table:
             if reader is pa.parquet
             else pa.ipc.open_file(pa.memory_map(str(path))).schema
         )
-        places = _places(choose, schema.names, layout.header)
+        places = positions(choose, schema.names, layout.header)
         needed = list(dict.fromkeys(schema.names[place] for place in places.values()))
         content = reader.read_table(path, columns=needed)
         content.validate(full=True)
@@ -107,8 +93,8 @@ def read_arrow(path: Path, choose: Choice, layout: TableRule) -> Table:
 def frame_table(frame: pd.DataFrame, choose: Choice, layout: TableRule) -> Table:
     """Return the table in a data frame; an index with a name is a column as well."""
     frame = frame.reset_index(drop=frame.index.name is None)
-    places = _places(choose, [str(name) for name in frame.columns], layout.header)
-    columns = {name: frame.iloc[:, place] for name, place in places.items()}
+    places = positions(choose, [str(name) for name in frame.columns], layout.header)
+    columns = {name: frame.iloc[:, place].copy() for name, place in places.items()}
     return _table(pd.DataFrame(columns, copy=False), "row {} (from 0)".format, Metadata())
 
 
@@ -120,33 +106,35 @@ def _table(frame: pd.DataFrame, place: Callable[[int], str], metadata: Metadata)
 
 def read_csv(path: Path, choose: Choice, layout: TableRule, texts: Collection[str]) -> Table:
     """Return the table in a text file; `texts` are columns that no numbers are made of here."""
-    layout = replace(
-        layout, delimiter=layout.delimiter or ("\t" if ".tsv" in path.name.lower() else ",")
-    )
-    content = path.read_bytes()
+    usual = "\t" if suffix_of(path).startswith(".tsv") else ","
+    layout = replace(layout, delimiter=layout.delimiter or usual)
+    source: Any = path
     if path.suffix.lower() == ".gz":
         with damage_named("not a gzip file, or a damaged or truncated one", "copy it again"):
-            content = gzip.decompress(content)
+            source = gzip.decompress(path.read_bytes())
     if layout.delimiter == " ":  # a run of which separates once
-        content = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", re.sub(rb" {2,}", b" ", content))
-    head = io.TextIOWrapper(
-        io.BytesIO(content[:HEAD]), layout.encoding, errors="surrogateescape", newline=""
-    )
-    lines = head.read().removeprefix("\ufeff").splitlines(keepends=True)
+        spaced = re.sub(rb" {2,}", b" ", path.read_bytes() if source is path else source)
+        source = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", spaced)
+    with io.BytesIO(source) if isinstance(source, bytes) else path.open("rb") as file:
+        head = file.read(HEAD)
+        file.seek(max(0, file.seek(0, io.SEEK_END) - HEAD))
+        end = file.read()
+    text = io.TextIOWrapper(io.BytesIO(head), layout.encoding, "surrogateescape", newline="")
+    lines = text.read().removeprefix("\ufeff").splitlines(keepends=True)
     before, metadata = layout.skip_lines, Metadata()
     if lines[0].startswith(COMMENT) and not before:
         before, metadata = 1, metadata_from_json(lines[0][len(COMMENT) :])[0]
     try:
         names = next(csv.reader(lines[before:], delimiter=layout.delimiter), [])
         names = [name.strip() for name in names]
-        places = _places(choose, names, layout.header)
+        places = positions(choose, names, layout.header)
     except (SessionError, csv.Error) as error:
-        fault = _layout_fault(names, content, layout) or error
+        _refuse_encoding(source, layout.encoding)
+        fault = _layout_fault(names, head, layout) or error
         raise SessionError(f"line {before + 1}: {fault}") from error
     before += layout.header
-    frame = _parsed(content, before, len(names), places, layout, {places[name] for name in texts})
-    ends = content[-HEAD:]
-    ends = ends[len(ends.rstrip(b"\r\n")) :]
+    frame = _parsed(source, before, len(names), places, layout, {places[name] for name in texts})
+    ends = end[len(end.rstrip(b"\r\n")) :]
     empty = max(ends.count(b"\n") or ends.count(b"\r"), 1) - 1
     table = _table(
         frame.iloc[: len(frame) - empty], lambda row: f"line {before + 1 + row}", metadata
@@ -156,9 +144,9 @@ def read_csv(path: Path, choose: Choice, layout: TableRule, texts: Collection[st
     return table
 
 
-def _layout_fault(names: Sequence[str], content: bytes, layout: TableRule) -> str:
+def _layout_fault(names: Sequence[str], head: bytes, layout: TableRule) -> str:
     """Say what the line of names shows of a table that is written in another way; else nothing."""
-    if b"\0" in content[:HEAD]:
+    if b"\0" in head:
         return "this is no text in UTF-8; save the file as UTF-8"
     if not "".join(names):
         return "is empty; the names of the columns or the first row should be here"
@@ -178,7 +166,7 @@ def _layout_fault(names: Sequence[str], content: bytes, layout: TableRule) -> st
 
 
 def _parsed(
-    content: bytes,
+    source: bytes | Path,
     before: int,
     width: int,
     places: Mapping[str, int],
@@ -189,63 +177,63 @@ def _parsed(
     import pyarrow as pa
     import pyarrow.csv
 
-    odd: list[Any] = []
-
-    def skip(row: Any) -> str:
-        odd.append(row)
-        return "skip"
-
-    def parse(threads: bool) -> Any:
-        kinds = {str(k): pa.string() if k in texts else pa.float64() for k in places.values()}
-        return pa.csv.read_csv(
-            pa.BufferReader(content),
-            pa.csv.ReadOptions(
-                column_names=[*map(str, range(width))],
-                skip_rows=before,
-                encoding=layout.encoding,
-                use_threads=threads,
-            ),
-            pa.csv.ParseOptions(
-                delimiter=layout.delimiter, ignore_empty_lines=False, invalid_row_handler=skip
-            ),
-            pa.csv.ConvertOptions(
-                include_columns=[*kinds],
-                column_types=kinds,
-                null_values=BLANKS,
-                strings_can_be_null=False,
-                decimal_point=layout.decimal,
-            ),
-        )
-
     table = None
     while table is None:
+        kinds = {str(k): pa.string() if k in texts else pa.float64() for k in places.values()}
         try:
-            table = parse(threads=True)
+            # Block by block, so that the text of a long log is never in memory as a whole.
+            with pa.csv.open_csv(
+                pa.BufferReader(source) if isinstance(source, bytes) else source,
+                pa.csv.ReadOptions(
+                    column_names=[*map(str, range(width))],
+                    skip_rows=before,
+                    encoding=layout.encoding,
+                    block_size=1 << 22,
+                    use_threads=False,  # which counts the rows
+                ),
+                pa.csv.ParseOptions(delimiter=layout.delimiter, ignore_empty_lines=False),
+                pa.csv.ConvertOptions(
+                    include_columns=[*kinds],
+                    column_types=kinds,
+                    null_values=BLANKS,
+                    strings_can_be_null=False,
+                    decimal_point=layout.decimal,
+                ),
+            ) as blocks:
+                table = blocks.read_all()
         except (pa.ArrowInvalid, UnicodeDecodeError) as error:
-            column = re.search(r"In CSV column #(\d+): .* conversion error to double", str(error))
-            if column:  # read its cells as texts, so that the first odd one can be named
-                texts = {*texts, int(column[1])}
-            elif content.count(b"\n") <= before:
+            fault = str(error)
+            column = re.search(r"In CSV column #(\d+): .* conversion error to double", fault)
+            if "Empty CSV" in fault or "Could not skip" in fault:
                 return pd.DataFrame(columns=list(places))
-            else:
-                _refuse_encoding(content, layout.encoding)
-                raise SessionError(f"not a CSV file ({error}); write it again") from error
-    if odd:
-        odd.clear()
-        parse(threads=False)  # which counts the rows
-        row = odd[0]
-        hint = "complete the row, or remove the extra commas (a decimal comma?)"
-        if row.text.count('"') % 2:
-            hint = "a quotation mark that opens here does not close in this line"
-        cells = f"has {row.actual_columns} cells, but the first line has {width}"
-        raise SessionError(f"line {row.number}: {cells}; {hint}")
-    frame = table.to_pandas(split_blocks=True, self_destruct=True)
-    del table
-    return pd.DataFrame({name: frame[str(k)] for name, k in places.items()}, copy=False)
+            if not column:
+                _refuse_encoding(source, layout.encoding)
+                raise SessionError(_ragged(fault)) from error
+            # Read its cells as texts, so that the first odd one can be named.
+            texts = {*texts, int(column[1])}
+    columns = {}
+    for title in table.column_names:
+        cells = table.column(title)
+        text = int(title) in texts
+        # What Arrow holds itself is read-only.
+        columns[int(title)] = cells.to_pandas() if text else np.require(cells.to_numpy(), None, "W")
+    return pd.DataFrame({name: columns[k] for name, k in places.items()}, copy=False)
 
 
-def _refuse_encoding(content: bytes, encoding: str) -> None:
+def _ragged(fault: str) -> str:
+    """Return in our words what Arrow says of a row with too many or too few cells."""
+    row = re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+): (.*)", fault, re.DOTALL)
+    if not row:
+        return f"not a CSV file ({fault.splitlines()[0][:200]}); write it again"
+    hint = "complete the row, or remove the extra commas (a decimal comma?)"
+    if row[4].count('"') % 2:
+        hint = "a quotation mark that opens here does not close in this line"
+    return f"line {row[1]}: has {row[3]} cells, but the first line has {row[2]}; {hint}"
+
+
+def _refuse_encoding(source: bytes | Path, encoding: str) -> None:
     """Raise where a text has bytes that its encoding has not."""
+    content = source if isinstance(source, bytes) else source.read_bytes()
     try:
         content.decode(encoding)
     except UnicodeDecodeError as error:

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from trustlab.models.checks import shown
-from trustlab.sessions.errors import alternatives
+from trustlab.models.checks import did_you_mean, shown
+from trustlab.sessions.errors import SessionError, alternatives
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,18 @@ def _columns() -> Iterator[Column]:
 
 
 VOCABULARY: dict[str, Column] = {column.name: column for column in _columns()}
+
+
+def known_column(name: str) -> Column:
+    """Return a column of the vocabulary by its name."""
+    if name not in VOCABULARY:
+        hint = did_you_mean(name, VOCABULARY)
+        remedy = "map it with a recipe, rename it, or leave it out with columns=[…]"
+        raise SessionError(
+            f"column {name[:100]!r} is not in the vocabulary{hint} ({remedy}; see "
+            "trustlab.sessions.vocabulary())"
+        )
+    return VOCABULARY[name]
 
 
 def vocabulary():

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import flag, of_class, spawned, warn, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import Result, as_html
 from trustlab.studies.columns import column_of, labels_of, refuse_missing_labels
 
 
@@ -199,8 +199,8 @@ def design_balance(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class LatinSquareDesign:
+@dataclass(frozen=True, eq=False, repr=False)
+class LatinSquareDesign(Result):
     """
     The order of conditions for each participant.
 
@@ -218,11 +218,18 @@ class LatinSquareDesign:
         The row of the square that each participant follows.
     """
 
+    title = "Latin square"
+
     conditions: tuple[Hashable, ...]
     participants: tuple[Hashable, ...]
     seed: int
     square: pd.DataFrame
     rows: tuple[int, ...]
+
+    @property
+    def message(self) -> str:
+        """How many orders, and the seed of their draw."""
+        return f"{len(self.square)} orders in a square, seed {self.seed}"
 
     def table(self) -> pd.DataFrame:
         """Return the plan for the lab: a row per participant, a column per position."""
@@ -237,9 +244,6 @@ class LatinSquareDesign:
     def balance(self) -> DesignBalance:
         """Return the counts of positions and of first-order carry-over over all participants."""
         return design_balance(self.orders())
-
-    def _repr_html_(self) -> str:
-        return as_html(f"{len(self.square)} orders in a square, seed {self.seed}", self.table())
 
 
 def latin_square_design(

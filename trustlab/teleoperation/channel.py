@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_array, of_class, one_of, positive
 from trustlab.models.compiled import njit
+from trustlab.models.display import axes_or_new
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.ports import waves as equations
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts, read_waves

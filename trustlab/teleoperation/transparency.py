@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import (
     between,
     finite_array,
@@ -19,6 +18,7 @@ from trustlab.models.checks import (
     one_of,
     positive,
 )
+from trustlab.models.display import axes_or_new
 from trustlab.models.trust import LogisticScaling, StepScaling
 from trustlab.teleoperation.loop.settings import STUDIES, LoopSettings
 from trustlab.teleoperation.ports.waves import Scattering

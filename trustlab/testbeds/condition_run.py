@@ -5,7 +5,7 @@ suggestions, answers.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,9 +16,8 @@ from trustlab.allocation.suggestions import (
     followed_suggestions,
     suggestion_episodes,
 )
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_array, one_of
-from trustlab.models.html import as_html
+from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscModel
 from trustlab.operators.answers import allocation_answers
 from trustlab.operators.ground_robot import Operator
@@ -82,8 +81,8 @@ def condition_measures(
     return measures
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ConditionRun:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ConditionRun(Result):
     """
     One simulated run under one of the conditions C1–C5.
 
@@ -101,7 +100,7 @@ class ConditionRun:
         TSC_l and TSC_u, where given.
     """
 
-    title: ClassVar[str] = "UAV that follows a leader"
+    title = "UAV that follows a leader"
 
     log: np.ndarray
     metadata: Metadata
@@ -140,6 +139,12 @@ class ConditionRun:
             self.model,
             getattr(self, "lap_times", None),
         )
+
+    @property
+    def message(self) -> str:
+        """Which run it is, and what it stands for."""
+        note = self.metadata.more.get("note", "")
+        return f"{self.session.label}, {self.session.duration:.0f} s; {note}"
 
     def table(self) -> pd.DataFrame:
         """Return participant, condition, synthetic and the measures in one row."""
@@ -197,10 +202,3 @@ class ConditionRun:
         )
         axes[0].figure.suptitle(f"{session.label} (manual phases shaded{lines})", fontsize="medium")
         return axes
-
-    def _repr_html_(self) -> str:
-        words = f"{self.session.label}; {self.metadata.more.get('note', '')}"
-        return as_html(words, self.table(), title=self.title)
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.session.label}: {self.session.duration:.0f} s)"

@@ -14,8 +14,7 @@ from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.allocation.rules import decision, performance_suggestion
 from trustlab.models.checks import between, one_of, warn
 from trustlab.models.compiled import njit
-from trustlab.models.human import performance_at
-from trustlab.models.tsc import TscModel, threshold_mode
+from trustlab.models.tsc import TscModel, performance_at, threshold_mode
 from trustlab.operators.ground_robot import Operator
 
 # Who allocates: a given sequence of modes, the operator, suggestions by (2.8), by Algorithm 2, at

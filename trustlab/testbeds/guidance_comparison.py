@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from trustlab.campaign.run import run_campaign
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import one_of, whole_number
+from trustlab.models.display import axes_or_new
 from trustlab.operators.teleoperator import Teleoperator
 from trustlab.teleoperation.loop.schemes import SCHEMES, scheme_named
 from trustlab.teleoperation.loop.settings import STUDY_NAMES

@@ -14,9 +14,7 @@ from scipy import linalg, special
 
 from trustlab.allocation.limits import threshold_limits
 from trustlab.identification.posterior.population import Population
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import (
-    checked_covariance,
     finite_array,
     finite_number,
     of_class,
@@ -24,6 +22,7 @@ from trustlab.models.checks import (
     positive,
     whole_number,
 )
+from trustlab.models.display import axes_or_new
 from trustlab.models.published import published_models, published_table
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, model_of, person_of, share_drawn
@@ -34,6 +33,7 @@ from trustlab.operators.teleoperator import (
     assumed,
     checked_teleoperation,
 )
+from trustlab.testbeds.covariance import checked_covariance
 from trustlab.testbeds.deciding import SAMPLE_TIME
 
 # Mixed into the seed, so that people and their runs have different streams.

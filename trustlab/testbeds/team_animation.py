@@ -3,6 +3,8 @@ A simulated team in motion: an HTML page with its data and script inside, and fo
 that needs no script.
 """
 
+import base64
+import hashlib
 import html
 import json
 from collections.abc import Iterable
@@ -13,7 +15,12 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import finite_number, positive
-from trustlab.models.html import policy
+
+# What a page may do: show what it brings, and fetch nothing.
+POLICY = (
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; form-action 'none'; "
+    "base-uri 'none'"
+)
 
 # Frames at most, and coordinates in a page at most.
 FRAMES, NUMBERS = 1500, 150_000
@@ -52,6 +59,19 @@ class AnimationPage(str):
 
     def __repr__(self) -> str:
         return f"AnimationPage({len(self)} characters of HTML; write it with run.animate(path))"
+
+
+def policy(*scripts: str) -> str:
+    """
+    Return the element of a page's head that lets it run these scripts, to the letter, and fetch
+    nothing.
+    """
+    hashes = [
+        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts
+    ]
+    allowed = "".join(f" 'sha256-{part}'" for part in hashes)
+    more = f"; script-src{allowed}" if scripts else ""
+    return f'<meta http-equiv="Content-Security-Policy" content="{POLICY}{more}">'
 
 
 def animation_page(run, rate: float = 5.0) -> str:

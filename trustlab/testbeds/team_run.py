@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from trustlab.models.axes import axes_or_new
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html, axes_or_new
 from trustlab.sessions.session import Metadata, Session
 
 if TYPE_CHECKING:

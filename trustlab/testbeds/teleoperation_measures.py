@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import pandas as pd
 
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import of_class
+from trustlab.models.display import axes_or_new
 from trustlab.sessions.session import Session
 
 SIGNALS = ("path_error", "p_r", "p_h", "alpha", "beta", "port_share")

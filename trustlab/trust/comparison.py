@@ -8,7 +8,7 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import of_class, one_of, spawned, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.fitting import CRITERIA, Link, fitted, model_class
 from trustlab.trust.interface import LEAST, TrustDynamics

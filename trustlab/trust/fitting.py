@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from trustlab.models.checks import of_class, one_of
-from trustlab.models.html import as_html
+from trustlab.models.display import Result
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.interface import TrustDynamics, coordinates_of, with_parameters
 from trustlab.trust.likelihood import log_likelihood, predict
@@ -37,8 +37,8 @@ class Link(NamedTuple):
     slope: float
 
 
-@dataclass(frozen=True, eq=False)
-class TrustFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class TrustFit(Result):
     """
     A model of trust fitted to a panel.
 
@@ -101,6 +101,16 @@ class TrustFit:
         losses = _losses(self.panel, type(self.model))
         return profile_ends(losses, self.centre, np.arange(len(self.panel)))
 
+    @property
+    def title(self) -> str:
+        """The name of the model."""
+        return self.model.name
+
+    @property
+    def message(self) -> str:
+        """How many people and ratings it was fitted to."""
+        return f"{len(self.panel)} people, {self.ratings} ratings, pooling {self.pooling}"
+
     def table(self) -> pd.DataFrame:
         """
         Return the pooled parameters with 95 % intervals, or those of a typical person with the
@@ -148,10 +158,6 @@ class TrustFit:
             for name in self.model.parameters()
         }
         return pd.DataFrame({"person": self.panel.people} | values)
-
-    def _repr_html_(self) -> str:
-        text = f"{len(self.panel)} people, {self.ratings} ratings, pooling {self.pooling}"
-        return as_html(text, self.table(), title=self.model.name)
 
 
 def model_class(model: str | type[TrustDynamics]) -> type[TrustDynamics]:

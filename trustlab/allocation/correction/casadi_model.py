@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from trustlab.allocation.correction.casadi_additions import Additions, Extras
-from trustlab.models.human import next_utilization
-from trustlab.models.robot import next_performance
-from trustlab.models.tsc import TscModel, tsc_at
+from trustlab.models.tsc import TscModel, next_performance, next_utilization, tsc_at
 
 # Utilization below which (2.6) is taken as P_h,min; its second derivative is still finite there.
 TINY = 1e-100

@@ -9,9 +9,8 @@ import pandas as pd
 from trustlab.allocation.correction.corrector import ThresholdCorrector, threshold_pair
 from trustlab.allocation.correction.model_tests import ModelTests
 from trustlab.allocation.correction.setting import CorrectionSetting, CorrectionTest
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import of_class, one_of, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import Result, axes_or_new
 
 # Columns of the data, with their order.
 COLUMNS = [
@@ -24,8 +23,8 @@ COLUMNS = [
 SIDES = (("lower", "c_l"), ("upper", "c_u"))
 
 
-@dataclass(frozen=True, eq=False)
-class CorrectionRun:
+@dataclass(frozen=True, eq=False, repr=False)
+class CorrectionRun(Result):
     """
     Consecutive tests during which the thresholds of the suggestions are corrected.
 
@@ -44,12 +43,20 @@ class CorrectionRun:
         The sessions that the data were taken from, one per test; on a testbed only.
     """
 
+    title = "Correction run"
+
     data: pd.DataFrame
     start: tuple[float, float]
     target: tuple[float, float]
     operator: str
     source: str
     sessions: tuple = ()
+
+    @property
+    def message(self) -> str:
+        """How many tests, of which operator, and where the data come from."""
+        tests = self.data["test"].nunique()
+        return f"{tests} tests, operator {self.operator}; {self.source}"
 
     def table(self) -> pd.DataFrame:
         """
@@ -118,18 +125,6 @@ class CorrectionRun:
             frameon=False,
         )
         return axes[0]
-
-    def _repr_html_(self) -> str:
-        return as_html(
-            f"operator {self.operator}; {self.source}", self.table(), title="Correction run"
-        )
-
-    def __repr__(self) -> str:
-        tests = self.data["test"].nunique()
-        return (
-            f"CorrectionRun({tests} tests, {len(self.data)} samples, operator {self.operator}; "
-            f"{self.source})"
-        )
 
 
 def run_correction(

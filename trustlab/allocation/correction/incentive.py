@@ -5,8 +5,7 @@ import numpy as np
 from trustlab.models.checks import between, finite_number, positive, warn
 from trustlab.models.compiled import njit
 from trustlab.models.published import published_models
-from trustlab.models.robot import RobotModel
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import RobotModel, TscModel
 
 # By how much, as a share of its range, robot performance may lie outside and still count as the end
 # of the range.

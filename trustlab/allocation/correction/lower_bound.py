@@ -8,9 +8,14 @@ import numpy as np
 
 from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.compiled import njit
-from trustlab.models.human import next_utilization
-from trustlab.models.robot import next_performance
-from trustlab.models.tsc import TscConstants, advance, human_at, human_range
+from trustlab.models.tsc import (
+    TscConstants,
+    advance,
+    human_at,
+    human_range,
+    next_performance,
+    next_utilization,
+)
 
 # A rectangle of states.
 BOX = np.dtype([("r_low", float), ("r_high", float), ("p_low", float), ("p_high", float)])

@@ -11,9 +11,14 @@ from trustlab.allocation.correction.incentive import within_range
 from trustlab.allocation.correction.online import OnlineCorrection
 from trustlab.allocation.correction.setting import CorrectionTest
 from trustlab.models.checks import between, not_negative, positive, set_checked, whole_number
-from trustlab.models.human import next_utilization, performance_at
-from trustlab.models.robot import next_performance
-from trustlab.models.tsc import TscConstants, threshold_mode, tsc_at
+from trustlab.models.tsc import (
+    TscConstants,
+    next_performance,
+    next_utilization,
+    performance_at,
+    threshold_mode,
+    tsc_at,
+)
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ from trustlab.allocation.correction.corrector import ThresholdCorrector, check_m
 from trustlab.allocation.correction.dynamics import suggestion_now
 from trustlab.allocation.correction.incentive import ROUNDING
 from trustlab.allocation.correction.plan import CorrectionStatus
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between, finite_number, of_class, one_of
-from trustlab.models.human import next_utilization
-from trustlab.models.tsc import tsc_at
+from trustlab.models.display import axes_or_new
+from trustlab.models.tsc import next_utilization, tsc_at
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from enum import Enum
 import numpy as np
 import pandas as pd
 
-from trustlab.models.axes import axes_or_new
+from trustlab.models.display import axes_or_new
 
 # Rows of arrays that hold both thresholds.
 LOWER, UPPER = 0, 1

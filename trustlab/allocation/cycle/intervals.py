@@ -7,14 +7,14 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import open_unit
-from trustlab.models.html import as_html
+from trustlab.models.display import Result
 
 # Draws of a posterior that are followed.
 DRAWS = 200
 
 
-@dataclass(frozen=True, eq=False)
-class RangeIntervals:
+@dataclass(frozen=True, eq=False, repr=False)
+class RangeIntervals(Result):
     """
     Ranges of a motion under one pair of thresholds, over the draws of a posterior.
 
@@ -26,6 +26,8 @@ class RangeIntervals:
         For which draws the rule keeps switching, or the bounds are guaranteed.
     """
 
+    title = "Ranges over draws"
+
     results: list
     holds: np.ndarray
 
@@ -33,6 +35,12 @@ class RangeIntervals:
     def probability(self) -> float:
         """Share of the draws for which the rule keeps switching, or bounds are guaranteed."""
         return float(self.holds.mean())
+
+    @property
+    def message(self) -> str:
+        """How probable the motion is, and over how many draws."""
+        words = f"exists with probability {self.probability:.2f}; medians and 95 % intervals"
+        return f"{words} over {len(self.results)} draws"
 
     def table(self, level: float = 0.95) -> pd.DataFrame:
         """
@@ -68,13 +76,6 @@ class RangeIntervals:
                 zip((column, f"{column}_ci_low", f"{column}_ci_high"), found, strict=True)
             )
         return pd.DataFrame(columns, index=template.index)
-
-    def __repr__(self) -> str:
-        return f"RangeIntervals({len(self.results)} draws, probability={self.probability:.3g})"
-
-    def _repr_html_(self) -> str:
-        words = f"exists with probability {self.probability:.2f}; medians and 95 % intervals"
-        return as_html(words, self.table())
 
 
 def over_draws(models: list, result: Any, condition: str) -> RangeIntervals:

@@ -15,8 +15,8 @@ from trustlab.allocation.cycle.intervals import RangeIntervals, over_draws
 from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.steady_ranges import SteadyRanges
 from trustlab.identification.posterior.result import Posterior
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import whole_number
+from trustlab.models.display import axes_or_new
 from trustlab.models.tsc import TscModel
 
 # Cycles that are recorded of a motion that does not repeat, if they are no more than EFFORT

@@ -17,7 +17,7 @@ from trustlab.allocation.decision.steady import SteadyMotions, grid_of_pairs, po
 from trustlab.allocation.limits import threshold_limits
 from trustlab.models.checks import between, not_negative, of_class, open_unit, positive
 from trustlab.models.compiled import njit
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.models.tsc import TscModel, human_at
 
 # Utilizations at which the certificate is evaluated.

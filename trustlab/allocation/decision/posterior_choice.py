@@ -11,7 +11,7 @@ from trustlab.identification.posterior.draws import physical, tsc_models
 from trustlab.identification.posterior.likelihood import SHARED
 from trustlab.identification.posterior.result import Posterior
 from trustlab.models.checks import between, one_of, open_unit, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import Result
 from trustlab.models.tsc import TscModel
 
 # Draws by which pairs are judged.
@@ -23,8 +23,8 @@ LONGER = (2, 4, 8, 16)
 OBJECTIVES = ("peak", "mean")
 
 
-@dataclass(frozen=True, eq=False)
-class PosteriorChoice:
+@dataclass(frozen=True, eq=False, repr=False)
+class PosteriorChoice(Result):
     """
     Thresholds chosen under uncertainty, or the reason why none are offered.
 
@@ -60,6 +60,11 @@ class PosteriorChoice:
     message: str
     candidates: pd.DataFrame
 
+    @property
+    def title(self) -> str:
+        """Whether thresholds are offered."""
+        return "Thresholds" if self.offered else "No thresholds offered"
+
     def table(self) -> pd.DataFrame:
         """Return means and intervals of what the pair leads to."""
         return self.ranges.copy()
@@ -77,7 +82,7 @@ class PosteriorChoice:
         -------
         matplotlib.axes.Axes
         """
-        from trustlab.models.axes import axes_or_new
+        from trustlab.models.display import axes_or_new
 
         axes = axes_or_new(axes, figsize=(5, 4))
         shown = axes.scatter(
@@ -89,13 +94,6 @@ class PosteriorChoice:
         axes.set(xlabel="lower threshold $TSC_l$", ylabel="upper threshold $TSC_u$")
         axes.legend(fontsize="small")
         return axes
-
-    def __repr__(self) -> str:
-        return f"PosteriorChoice(offered={self.offered}: {self.message})"
-
-    def _repr_html_(self) -> str:
-        title = "Thresholds" if self.offered else "No thresholds offered"
-        return as_html(self.message, self.table(), title=title)
 
 
 def choose_under_posterior(

@@ -21,9 +21,7 @@ from trustlab.identification.posterior.likelihood import (
     TAU_R,
     WHITE,
 )
-from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
 WORDS = {
     "human_time_constant": "operator's time constant [s]",

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.models.compiled import njit
-from trustlab.models.human import yerkes_dodson
+from trustlab.models.tsc import yerkes_dodson
 
 # Places in the vector θ of unbounded parameters: logarithms of times and ranges, log odds of
 # shares.

@@ -19,7 +19,7 @@ from trustlab.identification.posterior.result import Posterior
 from trustlab.identification.posterior.sampling import sample_posterior
 from trustlab.identification.runs import LogSettings
 from trustlab.models.checks import one_of, open_unit, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import Result
 from trustlab.sessions.session import Session
 
 # Draws of each person that the population is sampled from.
@@ -33,8 +33,8 @@ WIDER = 1.2
 NEW = "new person"
 
 
-@dataclass(frozen=True, eq=False)
-class Population:
+@dataclass(frozen=True, eq=False, repr=False)
+class Population(Result):
     """
     People who were recorded alike, and what they say of one who was not.
 
@@ -94,6 +94,12 @@ class Population:
         """Whether any of the data were simulated."""
         return any(each.synthetic for each in self.posteriors.values())
 
+    @property
+    def title(self) -> str:
+        """How many people."""
+        origin = ", synthetic data" if self.synthetic else ""
+        return f"Population of {len(self)}{origin}"
+
     def table(self, level: float = 0.95) -> pd.DataFrame:
         """
         Return every person's parameters beside what their own sessions alone say.
@@ -143,13 +149,6 @@ class Population:
             Seven panels: intervals of each person alone and pooled, and of a new person.
         """
         return plot_shrinkage(self)
-
-    def __repr__(self) -> str:
-        return f"Population({self.message})"
-
-    def _repr_html_(self) -> str:
-        origin = " Synthetic data." if self.synthetic else ""
-        return as_html(self.message + origin, self.table(), title=f"Population of {len(self)}")
 
 
 def fit_population(

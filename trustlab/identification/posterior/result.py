@@ -19,7 +19,7 @@ from trustlab.identification.posterior.plots import plot_posterior
 from trustlab.identification.posterior.priors import Prior
 from trustlab.identification.posterior.sampler import MOST_K
 from trustlab.models.checks import open_unit
-from trustlab.models.html import as_html
+from trustlab.models.display import Result
 from trustlab.models.tsc import TscModel
 
 # Width of an interval, as a share of the prior's, up to which data count as telling the value.
@@ -32,8 +32,8 @@ NOT_WHITE = 1e-3
 UNEXPECTED = 3.0
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
+@dataclass(frozen=True, eq=False, repr=False)
+class Posterior(Result):
     """
     What a log says of a person and a robot, as equally likely draws of all parameters.
 
@@ -92,6 +92,12 @@ class Posterior:
     def reliable(self) -> bool:
         """Whether the draws may be trusted and the noise model fits the residuals."""
         return self.k_hat <= MOST_K and min(self.whiteness.values()) >= NOT_WHITE
+
+    @property
+    def title(self) -> str:
+        """How many draws, and how well they follow the posterior."""
+        origin = ", synthetic data" if self.synthetic else ""
+        return f"Posterior, {len(self)} draws, k_hat {self.k_hat:.2g} ({self.method}){origin}"
 
     def table(self, level: float = 0.95) -> pd.DataFrame:
         """
@@ -181,12 +187,3 @@ class Posterior:
             Seven marginals, then human and robot performance of the first run.
         """
         return plot_posterior(self)
-
-    def __repr__(self) -> str:
-        return (
-            f"Posterior({len(self)} draws, k_hat={self.k_hat:.2g}, {self.method}: {self.message})"
-        )
-
-    def _repr_html_(self) -> str:
-        origin = " Synthetic data." if self.synthetic else ""
-        return as_html(self.message + origin, self.table(), title=f"Posterior, {len(self)} draws")

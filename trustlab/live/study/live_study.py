@@ -27,7 +27,7 @@ from trustlab.models.checks import (
     spawned,
     whole_number,
 )
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.studies.designs import latin_square_design
 
 

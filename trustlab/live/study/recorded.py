@@ -23,7 +23,7 @@ from trustlab.live.study.records import Fault, ParticipantRecord, faults_of, rea
 from trustlab.live.study.store import EVENTS, PLAN
 from trustlab.live.tasks.task import LiveTask, task_named
 from trustlab.models.checks import one_of
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.sessions.reading import read_session
 from trustlab.sessions.session import Session
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures

@@ -7,8 +7,8 @@ from pathlib import Path
 from trustlab.live.study.store import EVENTS, PLAN
 from trustlab.models.extras import extra
 from trustlab.models.files import write_atomically
-from trustlab.models.html import policy
 from trustlab.publishing.provenance import PACKAGE, SHORT, file_digest, provenance
+from trustlab.testbeds.team_animation import policy
 
 NOTEBOOK = Path(__file__).with_name("report.ipynb")
 HEAD = """<!DOCTYPE html>

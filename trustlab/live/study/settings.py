@@ -6,9 +6,7 @@ from typing import Any
 
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.models.checks import finite_number, of_class, positive, shown, whole_number
-from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 from trustlab.testbeds.ground_robot.conditions import published_model, published_thresholds
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer

@@ -6,8 +6,8 @@ from dataclasses import astuple, fields, replace
 
 import pandas as pd
 
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import shown
+from trustlab.models.display import axes_or_new
 from trustlab.reproduction.audit.catalogue import printed_numbers, why_unchecked
 from trustlab.reproduction.audit.joint_consistency import joint_rows
 from trustlab.reproduction.audit.remarks import relation_checks, remarks

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import Result
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import (
     ADJUSTMENTS,
@@ -99,8 +99,8 @@ def decide(
     return Verdict("not found", best, tried)
 
 
-@dataclass(frozen=True, eq=False)
-class Feasibility:
+@dataclass(frozen=True, eq=False, repr=False)
+class Feasibility(Result):
     """
     Whether printed numbers can belong to one data set.
 
@@ -189,6 +189,11 @@ class Feasibility:
     def _contradictions(self) -> list[str]:
         return [why for why in self.left_out.values() if why != REQUESTED]
 
+    @property
+    def title(self) -> str:
+        """The study."""
+        return f"Feasibility of {self.study.name}"
+
     def table(self) -> pd.DataFrame:
         """
         Return what is printed, what it allows, and its part in a conflict.
@@ -205,9 +210,6 @@ class Feasibility:
             rows.append((s.name, s.text, low, high, *marks, self.left_out.get(s.name, "")))
         columns = ["statistic", "printed", "low", "high", "in_conflict", "remedy", "left_out"]
         return pd.DataFrame(rows, columns=columns).set_index("statistic")
-
-    def _repr_html_(self) -> str:
-        return as_html(self.message, self.table())
 
 
 def feasibility(

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.html import as_html
+from trustlab.models.display import Result
 from trustlab.models.linear_algebra import polar_factor, products, transposed
 from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
@@ -47,8 +47,8 @@ class ReconstructionError(ValueError):
     """No data with the printed statistics were found; the message says what to try."""
 
 
-@dataclass(frozen=True, eq=False)
-class Reconstruction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Reconstruction(Result):
     """
     Data that have the statistics printed for a study.
 
@@ -71,6 +71,13 @@ class Reconstruction:
     seed: int
     values: np.ndarray
     left_out: Mapping[str, str]
+
+    message = NOTE
+
+    @property
+    def title(self) -> str:
+        """The study."""
+        return f"Reconstruction of {self.study.name}"
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -105,9 +112,6 @@ class Reconstruction:
         table = pd.DataFrame(rows, columns=columns).set_index("statistic")
         table.attrs = dict(RECONSTRUCTED)
         return table
-
-    def _repr_html_(self) -> str:
-        return as_html(NOTE, self.table())
 
 
 def reconstruct(

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.studies.analysis.anova import (
     between_design,
     checked_scores,

@@ -9,7 +9,7 @@ import pandas as pd
 from scipy import special
 from scipy.optimize import minimize_scalar
 
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.studies.analysis.score_table import ScoreTable, read_scores
 from trustlab.studies.analysis.sphericity import orthonormal_contrasts
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import open_unit
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.studies.analysis.batch import analyse_table
 from trustlab.studies.analysis.descriptives import describe, t_half_width
 from trustlab.studies.analysis.rank_tests import normality_of_differences, wilcoxon

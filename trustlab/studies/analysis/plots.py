@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import one_of
+from trustlab.models.display import axes_or_new
 from trustlab.studies.analysis.score_table import ScoreTable
 
 _BLUE, _GREY = "#1f5a8c", "0.6"

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 
 # Scores of at most so many different whole numbers (0 to 10) are taken for a rating item's.
 _MOST_STEPS = 11

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import one_of, open_unit
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.studies.analysis import contrasts
 from trustlab.studies.analysis.anova import checked_scores, effect_tests, regress
 from trustlab.studies.analysis.batch import (

@@ -19,9 +19,7 @@ import pandas as pd
 from trustlab.identification import FitResult
 from trustlab.models.checks import one_of, shown
 from trustlab.models.extras import extra
-from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 from trustlab.studies.analysis.apa import apa_number, apa_table
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 

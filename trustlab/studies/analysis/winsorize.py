@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, finite_array, one_of, positive, rounded_down
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.studies.analysis.score_table import ScoreTable, read_scores
 from trustlab.studies.columns import labels_of
 

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.optimize import brentq
 
 from trustlab.models.checks import (
-    checked_covariance,
     finite_array,
     finite_number,
     positive,
@@ -21,6 +20,7 @@ from trustlab.models.checks import (
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
 from trustlab.studies.columns import labels_of
 from trustlab.studies.planning.settings import StudyColumns
+from trustlab.testbeds.covariance import checked_covariance
 
 
 @dataclass(frozen=True, eq=False)

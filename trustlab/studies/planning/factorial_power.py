@@ -16,7 +16,6 @@ from scipy import special
 
 from trustlab.models.checks import (
     array_between,
-    checked_covariance,
     not_negative,
     whole_number,
 )
@@ -34,6 +33,7 @@ from trustlab.studies.analysis.sphericity import CORRECTIONS, greenhouse_geisser
 from trustlab.studies.planning.closed_form_power import clopper_pearson
 from trustlab.studies.planning.settings import Simulation, StudyColumns
 from trustlab.studies.regression.cumulative_model import Cumulative, Logistic
+from trustlab.testbeds.covariance import checked_covariance
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,8 @@ import numpy as np
 import pandas as pd
 from numpy.random import SeedSequence
 
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import did_you_mean, of_class, one_of, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html, axes_or_new
 from trustlab.studies.analysis.anova import chunks
 from trustlab.studies.analysis.batch import repeated_measures_batch
 from trustlab.studies.analysis.sphericity import CORRECTIONS

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.random import SeedSequence
 
 from trustlab.models.checks import of_class, one_of, open_unit, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import Result
 from trustlab.studies.analysis.apa import apa_number
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import (
@@ -40,8 +40,8 @@ from trustlab.studies.planning.settings import (
 AHEAD = 4
 
 
-@dataclass(frozen=True, eq=False)
-class SmallestN:
+@dataclass(frozen=True, eq=False, repr=False)
+class SmallestN(Result):
     """
     The smallest number of subjects whose simulated power reaches what was wanted.
 
@@ -70,6 +70,8 @@ class SmallestN:
         Where the numbers come from, for headers and captions.
     """
 
+    title = "Smallest number of participants"
+
     n: int
     power: float
     ci_low: float
@@ -82,6 +84,11 @@ class SmallestN:
     simulation: Simulation
     evaluations: pd.DataFrame
     origin: str
+
+    @property
+    def message(self) -> str:
+        """Where the numbers come from."""
+        return self.origin
 
     def table(self) -> pd.DataFrame:
         """Return one row: test, wanted, n, power, ci_low, ci_high, whole_squares."""
@@ -110,9 +117,6 @@ class SmallestN:
             f"of {apa_number(people.correlation)} between conditions.{source} With standard "
             f"deviations half or twice as large, n would be about {half} or {twice} (noncentral F)."
         )
-
-    def _repr_html_(self) -> str:
-        return as_html(self.origin, self.table())
 
 
 def smallest_n(

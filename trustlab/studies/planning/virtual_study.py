@@ -18,7 +18,7 @@ from numpy.random import SeedSequence
 from trustlab.campaign.folder import folder_path, refuse, writing_in
 from trustlab.campaign.run import run_campaign, where_to_run
 from trustlab.models.checks import flag, of_class, one_of, warn, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.sessions.writing import write_session
 from trustlab.studies.analysis.plots import panels
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures

@@ -10,7 +10,7 @@ from numpy.random import SeedSequence
 from scipy import special
 
 from trustlab.models.checks import of_class, one_of, spawned, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.studies.analysis.score_table import labelled
 from trustlab.studies.columns import column_of, origin_of, refuse_missing_labels
 from trustlab.studies.regression.cumulative_model import (

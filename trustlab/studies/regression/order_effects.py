@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import of_class
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.studies.analysis.batch import holm
 from trustlab.studies.analysis.score_table import labelled, levels_of, read_scores
 from trustlab.studies.columns import column_of

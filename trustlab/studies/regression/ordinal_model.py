@@ -10,7 +10,7 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import finite_array, of_class, spawned, whole_number
-from trustlab.models.html import as_html
+from trustlab.models.display import as_html
 from trustlab.studies.analysis.batch import holm
 from trustlab.studies.analysis.score_table import labelled, levels_of
 from trustlab.studies.columns import column_of, origin_of, refuse_missing_labels

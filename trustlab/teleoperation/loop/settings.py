@@ -19,6 +19,7 @@ from trustlab.models.checks import (
     set_checked,
 )
 from trustlab.models.linear_algebra import matrix_exponential
+from trustlab.models.simulation import DivergenceError as DivergenceError
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
 from trustlab.models.uav import TransferFunction, three_axes
 from trustlab.sessions.session import Session
@@ -30,15 +31,6 @@ from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.teleoperation.records import filled
 
 STUDY_NAMES = ("preliminary", "main")
-
-
-class DivergenceError(ArithmeticError):
-    """
-    A run grew without bound: says when, in which block, and its energy. `.session` has the run so
-    far, if two samples.
-    """
-
-    session: Session | None = None
 
 
 class PartError(ValueError):

@@ -4,12 +4,10 @@ A robot on a course, an operator, and who drives: a simulated stand-in for the S
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import (
     did_you_mean,
     finite_array,
@@ -18,6 +16,7 @@ from trustlab.models.checks import (
     spawned,
     whole_number,
 )
+from trustlab.models.display import axes_or_new
 from trustlab.models.published import published_models, published_table
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, operator
@@ -61,7 +60,7 @@ class GroundRobotRun(ConditionRun):
         When each lap ended [s].
     """
 
-    title: ClassVar[str] = "Ground-robot run"
+    title = "Ground-robot run"
 
     course: Course
     robot: Pioneer
@@ -105,12 +104,6 @@ class GroundRobotRun(ConditionRun):
         matplotlib.axes.Axes
         """
         return plot_path(self.session, self.course, start, stop, axes)
-
-    def __repr__(self) -> str:
-        return (
-            f"GroundRobotRun({self.session.label}: {self.lap_times.size} laps in "
-            f"{self.session.duration:.0f} s)"
-        )
 
 
 def drive_modes(

@@ -19,9 +19,8 @@ import numpy as np
 from trustlab.allocation.correction.in_loop import correct_thresholds
 from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.compiled import njit
-from trustlab.models.human import next_utilization
 from trustlab.models.portable import cos_sin, direction, wrapped
-from trustlab.models.tsc import threshold_mode
+from trustlab.models.tsc import next_utilization, threshold_mode
 from trustlab.operators.ground_robot import driving_style, joystick
 from trustlab.teleoperation.records import record
 from trustlab.testbeds.deciding import (

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.models.compiled import njit
-from trustlab.models.human import next_utilization
+from trustlab.models.tsc import next_utilization
 from trustlab.teleoperation.records import record
 from trustlab.testbeds.deciding import COUNTS, FLAGS, NUMBERS, allocate, begin, measure, skill_now
 

@@ -1,0 +1,21 @@
+"""The session that comes with the package. Oracle: pandas on the file in the repository."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import trustlab as tl
+from tests.house.documents import ROOT
+
+
+def test_the_pilot_is_the_file_of_the_repository_wherever_one_works(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = pd.read_csv(ROOT / "data" / "sessions" / "pilot.csv", comment="#", index_col="t")
+    session = tl.sessions.example("pilot")
+    assert session.metadata.synthetic
+    np.testing.assert_array_equal(session.data[["mode", "p_r", "p_h"]], file)
+
+
+def test_a_misspelt_example_lists_those_there_are():
+    with pytest.raises(ValueError, match=r"'pilott'; did you mean 'pilot'.*; there are: pilot$"):
+        tl.sessions.example("pilott")

@@ -1,0 +1,119 @@
+"""A compiled loop that can pause at any sample, so that Python decides in between."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+class DivergenceError(ArithmeticError):
+    """
+    A simulation grew without bound; the message names the block and when. `.session` holds the run
+    so far, where two samples were done.
+    """
+
+    session: Any = None
+
+
+@dataclass(eq=False)
+class Simulation:
+    """
+    A compiled kernel, the records that it works on, and who decides in between.
+
+    A sample begins at its pause: everything has arrived, and built-in parts have left in the state
+    what they propose. `decide` looks at the state there and writes its decisions into `inputs`,
+    where NaN leaves a decision to the built-in part. As decisions are inputs, a run is repeated
+    without Python: the same start and these inputs, `decide` left out.
+
+    Parameters
+    ----------
+    kernel : callable
+        kernel(first, stop, setup, state, inputs, log) does the samples from `first` to before
+        `stop`, writes a row of `log` for each, and leaves the state at the pause of sample `stop`.
+        It returns (samples done, −1), or (sample, block) where a block diverged in that sample. It
+        must do the same whether samples are done in one call or in several.
+    setup, state, log
+        Records, or tuples of them: constants; what a sample hands to the next, changed in place and
+        at first at the pause of sample 0; one row per sample.
+    inputs : numpy.ndarray, shape (N,)
+        Records of what comes from outside at each sample, decisions included; ``np.full(N, np.nan,
+        dtype)`` where nothing is decided yet. A hand or a robot may write them as they come.
+    decide : callable, optional
+        decide(state, inputs) with the inputs of the samples until the next decision.
+    every : int
+        Samples from one decision to the next.
+    blocks : sequence of str
+        Names of the blocks that may diverge, by their number.
+    sample_time : float, optional
+        T [s], for the message of a divergence.
+
+    Attributes
+    ----------
+    done : int
+        Samples that have been done.
+
+    Examples
+    --------
+    A tank that leaks, filled by a valve that a rule opens at a low level.
+
+    >>> import numba
+    >>> import numpy as np
+    >>> @numba.njit
+    ... def tank(first, stop, setup, state, inputs, log):
+    ...     for k in range(first, stop):
+    ...         log[k] = state[0]
+    ...         valve = inputs[k].valve
+    ...         state[0] = 0.9 * state[0] + (0.0 if np.isnan(valve) else valve)
+    ...     return stop, -1
+    >>> def rule(state, inputs):
+    ...     if state[0] < 1.0:
+    ...         inputs["valve"] = 0.5
+    >>> inputs = np.full(8, np.nan, [("valve", float)])
+    >>> run = Simulation(tank, (), np.ones(1), inputs, np.empty(8), decide=rule, every=2)
+    >>> run.advance(8)
+    >>> run.log.round(3)
+    array([1.   , 0.9  , 0.81 , 1.229, 1.606, 1.445, 1.301, 1.171])
+    """
+
+    kernel: Callable
+    setup: Any
+    state: Any
+    inputs: np.ndarray
+    log: Any
+    decide: Callable | None = None
+    every: int = 1
+    blocks: tuple[str, ...] = ()
+    sample_time: float | None = None
+    done: int = 0
+
+    def advance(self, stop: int) -> None:
+        """
+        Do the samples before `stop`, with a pause for `decide` wherever a decision is due.
+
+        Parameters
+        ----------
+        stop : int
+            At most the rows of `inputs` and `log`; nothing happens where it is done already.
+
+        Raises
+        ------
+        DivergenceError
+            If a block diverges; the rows of the log before that sample are valid.
+        """
+        while self.done < stop:
+            until = stop
+            if self.decide is not None:
+                following = (self.done // self.every + 1) * self.every
+                if self.done % self.every == 0:
+                    self.decide(self.state, self.inputs[self.done : following])
+                until = min(stop, following)
+            records = self.setup, self.state, self.inputs, self.log
+            self.done, block = self.kernel(self.done, until, *records)
+            if block >= 0:
+                seconds = (
+                    "" if self.sample_time is None else f" ({self.done * self.sample_time:g} s)"
+                )
+                raise DivergenceError(
+                    f"{self.blocks[block]} diverged at sample {self.done}{seconds}"
+                )
