@@ -244,6 +244,15 @@ def test_topics_that_cannot_be_used(tmp_path):
     assert read_session(path, recipe)["beta"].tolist() == [0.5] * 3
 
 
+@pytest.mark.parametrize("w", [1.02, 0.98, 0.0])
+def test_a_quaternion_that_is_none(tmp_path, w):
+    bag = Bag(tmp_path / "a.mcap")
+    text = '[columns]\nyaw = { topic = "/pose", field = "yaw(orientation)" }'
+    bag.add("/pose", 0.0, "geometry_msgs/msg/Pose", orientation={"w": w})
+    with pytest.raises(SessionError, match=rf"message 0 .*the quaternion has norm {w:g}, but"):
+        read_session(bag.write(), bag_recipe(text))
+
+
 def test_a_topic_without_messages_and_a_count_that_the_index_denies(tmp_path):
     with Writer(tmp_path / "empty", version=8) as writer:
         writer.add_connection("/e", NUMBER, typestore=get_typestore(Stores.ROS2_HUMBLE))
@@ -268,12 +277,3 @@ def test_missing_pages_of_a_database_would_read_as_zeros(tmp_path, monkeypatch):
     # Negative control: without the check of its size, a number is another one.
     monkeypatch.setattr("trustlab.sessions.bags._check_database", lambda file: None)
     assert (read_session(path, bag_recipe(ERROR))["path_error"] != values).sum() == 1
-
-
-def test_the_recipe_for_ground_robots_reads_folders_of_bags(tmp_path):
-    for name in ("anna_run10", "anna_run2", "ben_run1.mcap", "ben_run3.bag"):
-        lab_bag(tmp_path / name).write()
-    sessions = read_sessions(tmp_path, recipe="ros_ground_robot")
-    runs = [(each.metadata.participant, each.metadata.more["trial"]) for each in sessions]
-    assert runs == [("anna", 2), ("anna", 10), ("ben", 1), ("ben", 3)]
-    assert sessions[0].sample_time == 0.1

@@ -33,11 +33,10 @@ LOGS = {
         ["line 1: column 'p_rr' is not in the vocabulary; did you mean 'p_r'?", "map it with a"],
         PLAIN.replace('"p_r"', '"p_rr"'),
     ),
-    "no time": ("mode,p_r\n1,1\n1,1\n", None, ["line 1: column 't' is missing"], None),
     "time": (
         GOOD.replace("t,", "time,"),
-        None,
-        ["line 1: column 'time'", "if 'time' is time in seconds, rename it to t"],
+        PLAIN,
+        ["line 1: column 't' is missing; time needs the name t"],
         f'[time]\ncolumn = "time"\nunit = "s"\n{PLAIN}',
     ),
     "twice": (
@@ -46,7 +45,6 @@ LOGS = {
         ["line 1: column 'mode' occurs twice; rename or remove one"],
         None,
     ),
-    "no name": ("," + GOOD, None, ["line 1", "name it, or remove it (pandas: index=False)"], None),
     "no names": (
         "0,1,1\n1,1,1\n",
         None,
