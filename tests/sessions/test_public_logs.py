@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.sessions import SessionError, external_data, read_session, read_sessions
+from trustlab.sessions import SessionError, external_data, read_session
 from trustlab.sessions.recipe import Recipe
 
 # ROS 1: an operator leads a turtle through turtlesim, and another follows it on /tf (the tutorial
@@ -59,20 +59,6 @@ sample_time = 0.05
 v_command = { column = "/turtle1/cmd_vel/linear/x", unit = "m/s", blank = "hold" }
 w_command = { column = "/turtle1/cmd_vel/angular/z", unit = "rad/s", blank = "hold" }
 u_a_x = { column = "/turtle2/cmd_vel/linear/x", blank = "hold" }
-"""
-# ROS 1: a turtle is driven in circles by hand, to the left and after a pause to the right.
-CIRCLES = """
-kind = "bag"
-[files]
-pattern = "turtlesim.bag"
-[splitting]
-gap = 2.5
-[resampling]
-method = "previous"
-sample_time = 0.5
-[columns]
-v_command = { topic = "/turtle1/cmd_vel", field = "linear.x", unit = "m/s" }
-w_command = { topic = "/turtle1/cmd_vel", field = "angular.z", unit = "rad/s" }
 """
 # One of several automated vehicles that a remote operator leads past road works (Colley et al., CHI
 # 2025). mode says whether the operator had this vehicle in the main view; lengths are as logged.
@@ -144,12 +130,6 @@ LOGS = {
         "MPL-2.0",
         "3031e721d1b34dabd90e2ff9542e37ac559027e026d859b7f3daea737044c018",
         EXPORT,
-    ),
-    "turtlesim.bag": Log(
-        "https://github.com/stl-apu/advanced_experiment_2022 at 69f5a13: turtlesim.bag",
-        "GPL-3.0",
-        "e46c09c89d105b9bc8757597fd9e2546d3f4128f25ffe40fb16267ab0c7815e2",
-        CIRCLES,
     ),
     "log_CT19_10_3.csv": Log(
         "https://github.com/M-Colley/roads-chi25-data at 7e0c504: "
@@ -223,24 +203,6 @@ def test_the_same_turtles_as_plotjuggler_exports_them():
     speed = 0.5 * np.interp(t[during], run.t, run["path_error"])
     assert during.sum() > 200
     np.testing.assert_allclose(speed, sent["/turtle2/cmd_vel/linear/x"][during], atol=0.03)
-
-
-def test_a_turtle_driven_in_circles(tmp_path):
-    path, recipe = public("turtlesim.bag")
-    with pytest.raises(SessionError, match="splits the log into 2 sessions"):
-        read_session(path, recipe=recipe)
-    (tmp_path / path.name).symlink_to(path)
-    left, right = read_sessions(tmp_path, recipe=recipe)
-    assert (left.duration, right.duration) == (23.0, 25.0)
-    assert (
-        left.metadata.more["split"]
-        == "part 0 (from 0) of 2, split at gaps of more than 2.5 s; 0 too short"
-    )
-    for session, turn in ((left, 1.2), (right, -1.2)):
-        assert set(session["v_command"]) == {2.0}
-        assert set(session["w_command"]) == {turn}
-    with pytest.raises(SessionError, match=r"has no column 'mode' \(needed: mode, p_h"):
-        tl.fit_human(left)
 
 
 def test_a_vehicle_led_by_a_remote_operator():

@@ -39,7 +39,6 @@ def test_what_there_is(sessions):
         assert session.metadata.condition == more["autonomy"]
         assert more["training"] == (more["trial"] <= 5)
         assert more["block"] == (more["trial"] - 1) // 5
-        assert set(more) == {"autonomy", "trial", "block", "training", "trajectory"}
         assert session.sample_time == pytest.approx(0.024)
         np.testing.assert_array_equal(session["mode"], round(1 - more["autonomy"], 1))
         # Column 10 is the distance in y and z.

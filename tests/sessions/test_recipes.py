@@ -105,21 +105,6 @@ def test_every_rule(lab):
     assert read_session(lab, recipe, columns=["path_error"]).columns == ["path_error"]
 
 
-def test_a_frame_says_what_the_path_of_a_file_would(lab):
-    rows = [(5000, 0, 5, 180, "HUMAN"), (5100, 100, 1.5, -90, "ROBOT")]
-    frame = pd.DataFrame(rows, columns=["stamp", "x", "y", "heading", "driver"])
-    text = LAB[LAB.index("[files]") :].replace('r = { from = "header.share", unit = "%" }', "")
-    text = text.replace(text[text.index("[header]") : text.index("[table]")], "")
-    recipe = table_recipe(text.replace("header.level", "level"))
-    session = read_frame(frame, recipe, who=2, trial=1, level="high", visit="second")
-    facts = session.metadata
-    assert (facts.participant, facts.condition, facts.more["training"]) == (2, "high", True)
-    assert (facts.more["group"], facts.more["visit"]) == ("B", "second")
-    assert session["beta"].tolist() == [0.9] * 2
-    with pytest.raises(SessionError, match=r"takes group .*: give it as read_frame\(…, who=…\)"):
-        read_frame(frame, recipe, participant=2, trial=1, level="low")
-
-
 def test_a_participant_beside_a_frame(read):
     """Where the recipe takes the participant from the path, the argument stands for it."""
     text = """[files]

@@ -179,12 +179,9 @@ def test_columns_leaves_out_by_name(read):
         read(text, columns=["p_r"])
 
 
-def test_separators_without_a_recipe(read):
-    """Oracle: the numbers as an editor shows them; a run of spaces separates once."""
-    comma = read("t;p_r\n0;0,5\n1;0,25\n", delimiter=";", decimal=",")
-    assert comma["p_r"].tolist() == [0.5, 0.25]
-    spaces = read("  t    p_r\n 0.0   1  \n 0.5  2\n 1.0 3\r\n", name="a.txt", delimiter=" ")
-    assert (spaces.t.tolist(), spaces["p_r"].tolist()) == ([0.0, 0.5, 1.0], [1.0, 2.0, 3.0])
+def test_a_run_of_spaces_separates_once(read):
+    session = read("  t    p_r\n 0.0   1  \n 0.5  2\n 1.0 3\r\n", name="a.txt", delimiter=" ")
+    assert (session.t.tolist(), session["p_r"].tolist()) == ([0.0, 0.5, 1.0], [1.0, 2.0, 3.0])
     assert read("t,p_r\n0,1\n1,2\n", name="a.tsv", delimiter=",")["p_r"].tolist() == [1.0, 2.0]
 
 
@@ -239,22 +236,6 @@ robot_x = { column = "x", unit = "cm" }""")
         read_frame(frame, recipe)
 
 
-def test_text_that_windows_wrote(read):
-    text = "t;Größe;Fahrer\n0;1,5;Übung\n1;2,5;x\n"
-    recipe = """[table]
-delimiter = ";"
-decimal = ","
-encoding = "cp1252"
-[columns]
-p_r = { column = "Größe" }
-mode = { column = "Fahrer", map = { "Übung" = 1, x = 0 } }"""
-    session = read(text.encode("cp1252"), recipe)
-    assert session.data.to_dict("list") == {"p_r": [1.5, 2.5], "mode": [1.0, 0.0]}
-    assert read(text, recipe.replace("cp1252", "utf-8")) == session
-    with pytest.raises(SessionError, match=r"line 2, column 'Fahrer' \(mode\): 'Übung' is not in"):
-        read(text.encode("cp1252"), recipe.replace('"Übung"', '"Ubung"'))
-
-
 @pytest.mark.parametrize(
     ("cells", "decimal", "numbers"),
     [
@@ -262,11 +243,10 @@ mode = { column = "Fahrer", map = { "Übung" = 1, x = 0 } }"""
         (["1,5 2,5 3", "1,5 3,5 3"], ",", [2.5, 3.5]),
         (["(0.00, -0.44, 3)", "(1.00, 2.44, 3)"], ",", [-0.44, 2.44]),
         (["{1.5, 2.5}", "[1.5,3.5]"], ".", [2.5, 3.5]),
-        (["[ 1.  nan  3.]"], ".", None),
+        (["(1, nan, 3)"], ".", None),
         (["(1,,3)"], ".", None),
         (["x: 1.5, y: 2.5"], ".", None),
         (["(1,2,3)"], ",", None),
-        (["(1)"], ".", None),
     ],
 )
 def test_the_second_number_of_a_cell_or_none(read, cells, decimal, numbers):

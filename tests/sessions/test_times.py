@@ -3,7 +3,6 @@ Times, blanks, gaps, jumps, resampling. Oracle: pandas, numpy.interp, and loops 
 """
 
 import re
-import warnings
 from fractions import Fraction
 
 import numpy as np
@@ -201,6 +200,7 @@ def test_words_for_blanks(read, word):
     sample=st.integers(1, 30),
 )
 @pytest.mark.parametrize("method", ["linear", "previous", "nearest"])
+@pytest.mark.filterwarnings("ignore:.*bridges a gap")
 def test_resampling_against_loops_over_hundredths(method, steps, start, sample):
     times = np.cumsum([start, *steps])
     grid = np.arange(times[0], times[-1] + 1, sample)
@@ -212,9 +212,7 @@ def test_resampling_against_loops_over_hundredths(method, steps, start, sample):
         with pytest.raises(SessionError, match="but 2 to 20,000,000 are needed"):
             read_frame(frame, **options)
         return
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of gaps
-        session = read_frame(frame, **options)
+    session = read_frame(frame, **options)
     np.testing.assert_allclose(session.t, grid / 100, rtol=0, atol=1e-12)
     before = [max(k for k in range(times.size) if times[k] <= g) for g in grid]
     note = f"{method} at {sample / 100:g} s; longest gap in the log {max(steps) / 100:g} s"

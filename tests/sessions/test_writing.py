@@ -127,9 +127,8 @@ def test_metadata_that_would_not_read_back(tmp_path):
     for value in ((1, 2), {1: 2}, np.arange(2), object()):
         with pytest.raises(SessionError, match=r"a\.csv: metadata 'when' would not read back"):
             write_session(session().with_metadata(when=value), tmp_path / "a.csv")
-    written = write_session(session().with_metadata(when=np.int64(3)), tmp_path / "a.csv")
+    written = write_session(session().with_metadata(when=np.int64(3)), tmp_path / "a.CSV")
     assert read_session(written).metadata.more["when"] == 3
-    assert write_session(session(), tmp_path / "b.CSV").read_text().startswith("# trustlab {")
 
 
 # --- whole or not there -------------------------------------------------------------------------
