@@ -86,27 +86,6 @@ vehicle = { from = "vehicle" }
 """
 
 
-# A car whose messages go to a cloud and back over a mobile network (Zhang et al., 2025): columns
-# separated by spaces, stamps in milliseconds since 1970.
-CLOUD = """
-kind = "table"
-[table]
-delimiter = " "
-[time]
-column = "pub_time(ms)"
-unit = "ms"
-from_zero = true
-[resampling]
-method = "linear"
-sample_time = 0.05
-[columns]
-robot_x = { column = "utmX(m)", unit = "m" }
-robot_y = { column = "utmY(m)", unit = "m" }
-yaw = { column = "heading(rad)", unit = "rad" }
-step_distance = { travelled = "robot", axes = ["x", "y"] }
-"""
-
-
 class Log(NamedTuple):
     """
     A public log: where it is (repository at commit: path), its licence, its SHA-256 and our recipe.
@@ -137,13 +116,6 @@ LOGS = {
         "MIT (its LICENSE), CC BY 4.0 (its README)",
         "897b7e9e3ba054eca0977c2c6e69c5a72abb70ca1446d514c18d50758212ef40",
         REMOTE,
-    ),
-    "arterial_n78_v50_run01.txt": Log(
-        "https://github.com/zxr805/CICV5G at ea215aa: data/Arterial "
-        "road/n78/50/arterial_n78_v50_run01.txt",
-        "CC BY 4.0 (its README)",
-        "65d8c941de755ad0f97d2839335741debe239cdf5d2dd42de89767f318881862",
-        CLOUD,
     ),
 }
 
@@ -229,20 +201,3 @@ def test_a_vehicle_led_by_a_remote_operator():
         read_session(
             path, recipe=Recipe.from_toml(REMOTE.replace('delimiter = ";"\ndecimal = ","', ""))
         )
-
-
-def test_a_car_on_a_mobile_network():
-    path, recipe = public("arterial_n78_v50_run01.txt")
-    session, frame = read_session(path, recipe=recipe), pd.read_csv(path, sep=r"\s+")
-    t = (frame["pub_time(ms)"] - frame["pub_time(ms)"][0]) / 1000.0
-    np.testing.assert_allclose(
-        session["robot_x"], np.interp(session.t, t, frame["utmX(m)"]), rtol=1e-12
-    )
-    # The heading turns the short way where it passes π.
-    heading = np.interp(session.t, t, np.unwrap(frame["heading(rad)"]))
-    np.testing.assert_allclose(np.exp(1j * session["yaw"]), np.exp(1j * heading), atol=1e-9)
-    assert np.abs(session["yaw"]).max() <= np.pi
-    speed = np.interp(session.t, t, frame["velocity(m/s)"])
-    assert session["step_distance"][1:].sum() == pytest.approx(speed.sum() * 0.05, rel=0.005)
-    with pytest.raises(SessionError, match="has no column 'mode'"):
-        tl.fit_human(session)
