@@ -135,6 +135,13 @@ def test_what_a_measure_needs_is_named(arguments, words):
         arm().with_performance(**arguments)
 
 
+def test_a_log_without_mode_has_performance_all_the_same(recwarn):
+    session = drive(50)
+    alone = tl.Session(session.data.drop(columns="mode")).with_performance(window=1.0)
+    assert alone["p_h"].tolist() == session.with_performance(window=1.0)["p_h"].tolist()
+    assert not recwarn.list
+
+
 def trial(number, block, level, error, training=False, participant=1):
     more = {"trial": number, "block": block, "autonomy": level, "training": training}
     data = pd.DataFrame({"path_error": error}, index=pd.Index(np.arange(4) * 0.1, name="t"))
