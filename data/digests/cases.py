@@ -246,7 +246,6 @@ def measures():
         "manoeuvring": metrics.manoeuvring(speed, np.sin(error), error),
         "nearness": metrics.nearness(error, 2.0),
         "window_mean": metrics.window_mean(speed, 0.1, 3.0),
-        "command_deviation": metrics.command_deviation(speed[:, None], error[:, None], 3.0),
         "command_quality": metrics.command_quality(speed[:, None], error[:, None], 3.0),
     }
 

@@ -1,260 +1,221 @@
-"""What counts as another task, and what does not."""
+"""
+Whether a campaign sees that its task has changed, in a package, a script and a notebook.
 
-import functools
-import importlib
-import json
-import linecache
-import os
-import subprocess
-import sys
-
-import numpy as np
-import pytest
-from hypothesis import given, settings, strategies as st
-
-import trustlab as tl
-from trustlab.campaign import CampaignError
-from trustlab.campaign.identity import code_text, differences, task_identity, value_text
-
-
-def define(source, name="task", file="<notebook cell 1>"):
-    """Run a cell as a notebook does: its source is in linecache, its module is __main__."""
-    linecache.cache[file] = (len(source), None, source.splitlines(True), file)
-    space = {"__name__": "__main__", "np": np}
-    exec(compile(source, file, "exec"), space)
-    return space[name]
-
-
-BASE = """
-SCALE = 2.0
-
-def inner(x):
-    return x + 1
-
-def task(x, seed, power=2):
-    return {"y": SCALE * inner(x) ** power + sum(OFFSET for _ in range(2))}
-
-OFFSET = 1
+Oracle: each state of the sources runs in processes of its own, which can only give its own values.
 """
 
+import functools
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("** power", "* power", "source of __main__.task changed"),
-        ("x + 1", "x + 2", r"source of __main__.inner changed"),
-        ("SCALE = 2.0", "SCALE = 2.5", "SCALE in __main__.task was 2.0, is 2.5"),
-        ("OFFSET = 1", "OFFSET = 3", "OFFSET in __main__.task was 1, is 3"),
-        ("power=2", "power=3", "source of __main__.task changed"),
-    ],
-)
-def test_a_change_is_seen_and_named(old, new, said):
-    before = task_identity(define(BASE))
-    assert len(differences(before, task_identity(define(BASE.replace(old, new))))) >= 1
-    text = "; ".join(differences(before, task_identity(define(BASE.replace(old, new)))))
-    import re
+import pytest
 
-    assert re.search(said, text)
+import trustlab as tl
+
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(tl.__file__).parents[1])}
+
+# A class of the task's module, whose method calls a function of the module and has a base class.
+TASK = """
+import dataclasses, enum, functools
+import numba
+{imports}
+
+GAIN = 1.0
+KNOWN = {{"alpha", "beta", "gamma", "delta"}}
+
+def gain():
+    return GAIN
+
+class Order(enum.Enum):
+    FIRST = 1
+
+@dataclasses.dataclass
+class Base:
+    offset: float = 0.0
+
+    @property
+    def doubled(self):
+        return 2 * self.offset
+
+class Plant(Base):
+    @staticmethod
+    def scale():
+        return 1.0
+
+    def run(self, x):
+        return gain() * self.scale() * x + self.doubled + len(KNOWN) + Order.FIRST.value
+
+@numba.njit
+def compiled(x):
+    return x + 1.0
+
+plant = Plant()
+square = lambda x: x * x
+
+def task(x, seed):
+    import lazy
+    return {{"y": plant.run(x) + compiled(x) + square(x) + helper.constant() + lazy.VALUE}}
+"""
+CALL = """
+import trustlab as tl
+try:
+    table = tl.run_campaign(task, tl.parameter_grid(x=[1.0, 2.0]), n_jobs=1, out="out")
+    print(table["y"].tolist(), table.attrs["resumed"])
+except tl.campaign.CampaignError as error:
+    print(error)
+"""
+HELPER = "def constant():\n    return 0.0\n"
+CHANGES = [
+    ("GAIN = 1.0", "GAIN = 5.0"),
+    ("return GAIN", "return 5.0 * GAIN"),
+    ("offset: float = 0.0", "offset: float = 50.0"),
+    ("return 2 * self.offset", "return 3 * self.offset"),
+    ("return 1.0", "return 2.0"),
+    ("FIRST = 1", "FIRST = 4"),
+    ('"delta"', '"epsilon"'),
+    ("x + 1.0", "x + 2.0"),
+    ("x * x", "x * x * x"),
+    ("    return 0.0", "    return 100.0"),
+    ("VALUE = 0", "VALUE = 1"),
+]
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
-        BASE,
-        BASE.replace("return x + 1", "return (x   +  1)  # one more"),
-        BASE.replace("def inner", "\n\n# about it\ndef inner"),
-        BASE + "\nOTHER = 5\ndef unused(): return 1\n",
-    ],
-)
-def test_layout_comments_and_what_is_not_used_do_not_count(changed):
-    assert task_identity(define(BASE)) == task_identity(define(changed))
-
-
-def test_a_task_of_a_notebook_runs_in_processes_and_is_known_again(tmp_path):
-    runs = tl.parameter_grid(x=range(8))
-    table = tl.run_campaign(define(BASE), runs, n_jobs=2, out=tmp_path)
-    assert list(table["y"]) == [2.0 * (x + 1) ** 2 + 2 for x in range(8)]
-    assert tl.run_campaign(define(BASE), runs, n_jobs=2, out=tmp_path).attrs["resumed"] == 8
-    with pytest.raises(CampaignError, match=r"source of __main__.inner changed"):
-        tl.run_campaign(define(BASE.replace("x + 1", "x + 3")), runs, n_jobs=2, out=tmp_path)
-
-
-def test_what_a_task_carries_counts():
-    def make(value):
-        return lambda x, seed: {"y": x * value}
-
-    assert task_identity(make(1)) == task_identity(make(1))
-    for a, b in [
-        (1, 2),
-        (1, 1.0),
-        (np.arange(3), np.arange(4)),
-        ({"a": 1}, {"a": 2}),
-        (make(1), make(2)),
-    ]:
-        assert task_identity(make(a)) == task_identity(make(a))
-        assert differences(task_identity(make(a)), task_identity(make(b)))
-    bound = [functools.partial(make(1), x=x) for x in (1, 1, 2)]
-    assert task_identity(bound[0]) == task_identity(bound[1])
-    assert differences(task_identity(bound[0]), task_identity(bound[2]))[0].startswith(
-        "task: arguments bound was"
+def in_package(folder, task, helper, lazy):
+    (folder / "lab").mkdir(exist_ok=True)
+    task = task.format(imports="from lab import helper").replace(
+        "import lazy", "from . import lazy"
     )
-    one, other = (lambda x, seed: {"y": x}), (lambda x, seed: {"y": -x})
-    assert differences(task_identity(one), task_identity(other))
-
-    class Task:
-        def __init__(self, k):
-            self.k = k
-
-        def __call__(self, seed):
-            return {"y": self.k}
-
-        def method(self, seed):
-            return {"y": self.k}
-
-    assert task_identity(Task(1)) == task_identity(Task(1))
-    assert differences(task_identity(Task(1)), task_identity(Task(2)))
-    assert differences(task_identity(Task(1).method), task_identity(Task(2).method))
-
-    def wrapped(k):
-        @functools.wraps(make)
-        def wrapper(**kwargs):
-            return {"y": k}
-
-        return wrapper
-
-    assert differences(task_identity(wrapped(1)), task_identity(wrapped(2)))
+    files = {"__init__": "", "task": task, "helper": helper, "lazy": lazy}
+    for name, text in files.items():
+        (folder / "lab" / f"{name}.py").write_text(text)
+    return run(folder, "from lab.task import task\n" + CALL)
 
 
-def recursive(x, seed):
-    return {"y": 1 if x == 0 else recursive(x - 1, seed)["y"]}
+def in_script(folder, task, helper, lazy):
+    (folder / "helper.py").write_text(helper)
+    (folder / "lazy.py").write_text(lazy)
+    return run(folder, task.format(imports="import helper") + CALL)
 
 
-def test_a_task_that_calls_itself_is_no_trouble():
-    assert len(task_identity(recursive)) == 2
+def run(folder, script):
+    (folder / "script.py").write_text(script)
+    environment = ENVIRONMENT | {"PYTHONDONTWRITEBYTECODE": "1"}
+    return subprocess.check_output(
+        [sys.executable, "script.py"], cwd=folder, env=environment, text=True
+    )
 
 
-@given(
-    st.recursive(
-        st.one_of(
-            st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=3)
-        ),
-        lambda inner: st.one_of(
-            st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=2), inner, max_size=3)
-        ),
-        max_leaves=6,
-    ),
-    st.data(),
+def in_notebook(folder, task, helper, lazy):
+    nbformat = pytest.importorskip("nbformat")
+    preprocessors = pytest.importorskip("nbconvert.preprocessors")
+    (folder / "helper.py").write_text(helper)
+    (folder / "lazy.py").write_text(lazy)
+    path = "import sys; sys.path.insert(0, %r); sys.dont_write_bytecode = True"
+    sources = [path % ENVIRONMENT["PYTHONPATH"]]
+    # One cell each; the call stands twice, with a cell between that shows the results.
+    sources += re.split(r"\n\n(?=\S)", task.format(imports="import helper"))
+    sources += [CALL, "print(table)", CALL]
+    cells = [nbformat.v4.new_code_cell(source) for source in sources]
+    notebook = nbformat.v4.new_notebook(cells=cells)
+    executor = preprocessors.ExecutePreprocessor(timeout=120, allow_errors=True)
+    executor.preprocess(notebook, {"metadata": {"path": str(folder)}})
+    return notebook.cells[-1].outputs[0]["text"]
+
+
+@pytest.mark.parametrize(
+    ("place", "changes"),
+    [(in_package, CHANGES[1:3] + CHANGES[-2:]), (in_script, CHANGES), (in_notebook, CHANGES)],
 )
-@settings(max_examples=100)
-def test_texts_of_values_are_equal_where_values_are(value, data):
-    import copy
-
-    assert value_text(value) == value_text(copy.deepcopy(value))
-    assert value_text([value]) != value_text(value)
-
-
-def test_texts_tell_numbers_apart_to_the_last_bit():
-    assert value_text(0.1) != value_text(np.nextafter(0.1, 1))
-    assert value_text(1) != value_text(1.0)
-    assert value_text(True) != value_text(1)
-    assert value_text("1") != value_text(1)
-    assert value_text(np.float64(0.1)) == value_text(0.1)
-    assert value_text(np.int64(3)) == value_text(3)
-    assert value_text(-0.0) != value_text(0.0)
+def test_a_changed_task_is_refused_and_the_same_goes_on(tmp_path, place, changes):
+    sources = (TASK, HELPER, "VALUE = 0\n")
+    values = "[9.0, 14.0]"
+    assert place(tmp_path, *sources).startswith(values)
+    assert place(tmp_path, *sources) == f"{values} 2\n"  # in another process
+    for old, new in changes:
+        assert any(old in source for source in sources)
+        said = place(tmp_path, *(source.replace(old, new) for source in sources))
+        assert "out holds another campaign" in said, (old, said)
+        if place is in_package:
+            name = {"    return 0.0": "helper", "VALUE = 0": "lazy"}.get(old, "task")
+            assert f"lab/{name}.py changed. Use another folder" in said
+    assert place(tmp_path, *sources) == f"{values} 2\n"
 
 
-def test_equal_objects_have_equal_texts_in_every_process():
-    """Which strings are one object, and the order of sets, differ between processes."""
-    words = ["".join(["al", "pha"]), "".join(["al", "pha"])]
-    shared = [words[0], words[0]]
-    assert value_text(functools.partial(max, words)) == value_text(functools.partial(max, shared))
-    long = [*words, *range(30)]
-    assert value_text(long) == value_text([*shared, *range(30)])
+@pytest.mark.parametrize("package", ["", "site-packages/lab/"])
+def test_modules_that_are_imported_later_count_also_of_an_installed_package(tmp_path, package):
+    folder = tmp_path / package
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "__init__.py").touch()
+    prefix = "lab." if package else ""
+    helper = f"def task(x, seed):\n    import {prefix}deeper as d\n    return {{'y': d.VALUE}}"
+    (folder / "helper.py").write_text(helper)
     script = (
-        "import numpy as np; from trustlab.campaign.identity import value_text as t; import "
-        "trustlab as tl; print(t(set(map(str, range(50)))), t({'m': tl.published_models()['1'], "
-        "'a': np.arange(99.0), 's': {'x', 'y', 'z'}}))"
+        f"import sys; sys.path.append('site-packages')\nfrom {prefix}helper import task\n{CALL}"
     )
-    texts = {
-        subprocess.run(
-            [sys.executable, "-c", script],
-            env=os.environ | {"PYTHONHASHSEED": str(seed)},
-            check=True,
-            capture_output=True,
-            text=True,
-        ).stdout
-        for seed in (1, 2)
-    }
-    assert len(texts) == 1
+    said = []
+    for value in (1, 1, 2):
+        (folder / "deeper.py").write_text(f"VALUE = {value}")
+        said.append(run(tmp_path, script))
+    name = f"{prefix.replace('.', '/')}deeper.py"
+    assert said[:2] == ["[1, 1] 0\n", "[1, 1] 2\n"]
+    assert f"another campaign: {name} changed. Use" in said[2]
 
 
-MODULE = "def task(seed):\n    return {{'y': {value}}}\n"
+def scaled(x, seed, factor=1):
+    return {"y": factor * x}
 
 
-def test_processes_that_imported_an_earlier_version_of_a_task_are_not_used(tmp_path, monkeypatch):
-    """loky keeps processes for the next campaign. Oracle: the task called in this process."""
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
-    file = tmp_path / "campaign_task_of_a_test.py"
-    for value in (1, 2):
-        file.write_text(MODULE.format(value=value))
-        os.utime(file, (value * 1_000_000, value * 1_000_000))
-        importlib.invalidate_caches()
-        sys.modules.pop("campaign_task_of_a_test", None)
-        module = importlib.import_module("campaign_task_of_a_test")
-        table = tl.run_campaign(module.task, [{}, {}], n_jobs=2)
-        assert list(table["y"]) == [module.task(None)["y"]] * 2 == [value] * 2
+def closed_over(factor):
+    return lambda x, seed: {"y": factor * x}
 
 
-def test_edits_of_other_modules_of_the_tasks_package_are_seen(tmp_path):
-    """Each state of the package is identified by a process of its own, as after a restart."""
-    package = tmp_path / "labmodels"
-    files = {
-        "__init__.py": "",
-        "task.py": "from . import plant\n\ndef task(x, seed):\n    return {'y': "
-        "plant.step(x)}\n\ndef unused():\n    pass\n",
-        "plant.py": "def step(x):\n    from labmodels.deep.gains import GAIN as g\n    return g "
-        "* x\n",
-        "deep/__init__.py": "",
-        "deep/gains.py": "from ..constants import BASE\nGAIN = 2 * BASE\n",
-        "constants.py": "import numpy\nimport labmodels.task\nBASE = 1.0\n",  # and back: a circle
-        "other.py": "UNRELATED = 1\n",
-    }
+class Scaled:
+    def __init__(self, factor):
+        self.factor = factor
 
-    def identity(**changed):
-        for name, text in (files | changed).items():
-            (package / name).parent.mkdir(parents=True, exist_ok=True)
-            (package / name).write_text(text)
-        script = (
-            "import json; from labmodels.task import task; from trustlab.campaign.identity "
-            "import task_identity; print(json.dumps(task_identity(task)))"
-        )
-        environment = os.environ | {
-            "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
-            "PYTHONDONTWRITEBYTECODE": "1",
-        }
-        return json.loads(
-            subprocess.check_output([sys.executable, "-c", script], env=environment, text=True)
-        )
+    def __call__(self, x, seed):
+        return {"y": self.factor * x}
 
-    before = identity()
-    assert {key for key in before if key.startswith("module")} == {
-        f"module labmodels/{name}.py"
-        for name in ("__init__", "plant", "deep/gains", "constants", "deep/__init__")
-    }
-    changed = {
-        "deep/gains.py": files["deep/gains.py"].replace("2", "3"),
-        "other.py": "UNRELATED = 2\n",
-    }
-    assert differences(before, identity(**changed)) == ["module labmodels/deep/gains.py changed"]
-    commented = {
-        "constants.py": files["constants.py"] + "# a comment\n",
-        "task.py": files["task.py"] + "\nX = 1\n",
-    }
-    assert differences(before, identity(**commented)) == []
+    def method(self, x, seed):
+        return self(x, seed)
 
 
-def test_code_is_the_same_wherever_it_stands():
-    a, b = define(BASE), define("\n\n\n" + BASE, file="<notebook cell 2>")
-    assert code_text(a.__code__) == code_text(b.__code__)
-    assert code_text(a.__code__) != code_text(recursive.__code__)
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda factor: functools.partial(scaled, factor=factor),
+        closed_over,
+        Scaled,
+        lambda factor: Scaled(factor).method,
+        lambda factor: functools.partial(closed_over(factor)),
+    ],
+)
+@pytest.mark.parametrize("pair", [(1, 2), (1, 1.0), (1, True)])
+def test_values_that_a_task_carries_count(tmp_path, make, pair):
+    for _ in range(2):
+        table = tl.run_campaign(make(pair[0]), [{"x": 1}], n_jobs=1, out=tmp_path)
+    assert table.attrs["resumed"] == 1
+    with pytest.raises(ValueError, match="the task or a value it uses changed"):
+        tl.run_campaign(make(pair[1]), [{"x": 1}], n_jobs=1, out=tmp_path)
+
+
+def test_processes_that_imported_an_earlier_version_are_not_used(tmp_path):
+    """joblib keeps its processes. Oracle: the task called in this process."""
+    script = """
+import importlib, json, os
+from pathlib import Path
+import trustlab as tl
+file = Path("edited.py")
+for value in (1, 2):
+    file.write_text(f"def task(x, seed): return {{'y': {value}}}")
+    os.utime(file, (value * 10**6, value * 10**6))
+    edited = importlib.reload(edited) if value > 1 else importlib.import_module("edited")
+    table = tl.run_campaign(edited.task, [{"x": 1}, {"x": 2}], n_jobs=2)
+    print(json.dumps([*table["y"], edited.task(1, 0)["y"]]))
+"""
+    printed = run(tmp_path, script).splitlines()
+    assert [json.loads(line) for line in printed] == [[1, 1, 1], [2, 2, 2]]

@@ -105,11 +105,11 @@ def test_what_tests_import_is_declared(folder):
 def test_the_check_sees_what_it_should():
     source = (
         "import os, numpy.linalg\nfrom . import a\nwith extra('ros'):\n    import rosbags\n"
-        "def f():\n    import loky\ntry:\n    import IPython\nexcept ImportError:\n    pass\n"
+        "def f():\n    import joblib\ntry:\n    import IPython\nexcept ImportError:\n    pass\n"
     )
     assert dict(imports(source)) == {
         "numpy": True,
         "rosbags": False,
-        "loky": True,
+        "joblib": True,
         "IPython": False,
     }

@@ -239,8 +239,7 @@ def test_the_study_on_the_ground_robot_has_the_rows_of_its_three_tables():
 
 def test_same_seed_same_table_serial_or_parallel():
     frames = [
-        tl.simulated_effects({"r0": 0.6}, n=10, seed=4, only="uav", n_jobs=jobs)
-        for jobs in (None, 2)
+        tl.simulated_effects({"r0": 0.6}, n=10, seed=4, only="uav", n_jobs=jobs) for jobs in (1, 2)
     ]
     pd.testing.assert_frame_equal(*frames, check_exact=True)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.allocation.cycle.limit_cycle import limit_cycle
-from trustlab.campaign.parameters import ParameterGrid
+from trustlab.campaign.parameters import parameter_grid
 from trustlab.campaign.run import run_campaign
 from trustlab.campaign.sensitivity import SobolIndices, sobol_indices
 from trustlab.models.checks import finite_array, finite_number, of_class, one_of, whole_number
@@ -217,7 +217,7 @@ def sweep(
     starts : int
         As in `limit_cycle`: 1 is the quick setting, one motion per point.
     **campaign : object
-        n_jobs, out, executor, progress and fresh, as in `run_campaign`.
+        n_jobs, out and progress, as in `run_campaign`.
 
     Returns
     -------
@@ -240,14 +240,14 @@ def sweep(
     2   0.35     0.325
     """
     names = _checked(tsc, axes, lower, upper)
-    values = {name: finite_array(name, axes[name]) for name in names}
+    values: dict[str, Any] = {name: finite_array(name, axes[name]) for name in names}
     for name, array in values.items():
         if np.unique(array).size < array.size:
             raise ValueError(f"{name} has a value twice; give each once")
     task = functools.partial(
         cycle_at, tsc=tsc, lower=lower, upper=upper, starts=whole_number("starts", starts)
     )
-    table = run_campaign(task, ParameterGrid(values), **campaign)
+    table = run_campaign(task, parameter_grid(**values), **campaign)
     if table["failed"].any():
         bad = table[table["failed"]].iloc[0]
         raise ValueError(f"the point {bad[names].to_dict()} failed: {bad['error']}")
@@ -290,8 +290,8 @@ def cycle_sensitivity(
     quantities : tuple of str
         Keys of `QUANTITIES`.
     **options : object
-        seed, level and resamples, as in `sobol_indices`; n_jobs, out, executor, progress
-        and fresh, as in `run_campaign`.
+        seed, level and resamples, as in `sobol_indices`; n_jobs, out and progress, as in
+        `run_campaign`.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Many runs of one task: seeds, chunks, executors, files, resume."""
+"""Many runs of one task: seeds, chunks, files, resume, sensitivity."""
 
 import lazy_loader as lazy
 

@@ -1,23 +1,55 @@
-"""Many runs of one task: `run_campaign`."""
+"""Many runs of one task: a seed by index, results on disk as they come, resumed after a kill."""
 
 from __future__ import annotations
 
-import contextlib
+import copy
 import inspect
+import json
 import os
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+import traceback
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor
+from contextlib import closing
+from numbers import Integral
+from pathlib import Path
+from pickle import PicklingError
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from joblib import Parallel, delayed, effective_n_jobs, parallel_config
+from joblib.externals.loky import get_reusable_executor
+from tqdm import tqdm
 
-from trustlab.campaign.errors import CampaignWarning
-from trustlab.campaign.parameters import checked_names
-from trustlab.models.checks import flag, one_of, warn, whole_number
+from trustlab.campaign.identity import Identity
+from trustlab.campaign.parameters import RESERVED, checked_names, plain, seed_sequence
+from trustlab.models.checks import flag, shown, warn
+from trustlab.models.digest import digest
+from trustlab.models.files import write_atomically
 
-if TYPE_CHECKING:
-    import pandas as pd
+FORMAT = 3
+MANIFEST = "campaign.json"
+REMEDY = "Use another folder, or remove this one"
+
+# Seconds of work that a process is sent at a time, as far as the runs before it tell.
+SENT = 1.0
+# Seconds after which it returns the runs that it has not begun: some may take longer.
+MOST = 5.0
+# Seconds between two files of results.
+SAVED = 2.0
+
+# Digests of the source files that the processes kept by joblib may have imported.
+_imported: dict[str, str] = {}
+
+
+class CampaignError(ValueError):
+    """A campaign that cannot run or go on; the message says what was found and what to do."""
+
+
+class CampaignWarning(UserWarning):
+    """Some runs of a campaign failed."""
 
 
 def run_campaign(
@@ -27,80 +59,66 @@ def run_campaign(
     seed: int | np.random.SeedSequence = 0,
     n_jobs: int = -1,
     out: str | os.PathLike | None = None,
-    executor: Executor | None = None,
     progress: bool | None = None,
-    fresh: bool = False,
-    other_versions: Sequence[str] = (),
 ) -> pd.DataFrame:
     """
     Run a task once for each set of parameters and return one table.
 
-    Run i gets the child i of `seed.spawn`, so that the table does not depend on which worker ran
-    what and when: serial, parallel, on a cluster, or resumed, it is the same bit for bit (as far as
-    the task is a function of its arguments; the text of an error may hold addresses). A run that
-    fails is recorded, and the others go on.
+    Run i gets the child i of `seed.spawn`, so that the table is the same in whatever order and
+    wherever runs are computed, and after an interruption. A run that fails is recorded, and the
+    others go on.
 
     Parameters
     ----------
     task : callable
-        Called as `task(**parameters, seed=SeedSequence)`; returns a dict of numbers, texts, True,
-        False or None by name, the same names in every run. It works on copies of parameters that
-        are not plain. Functions of notebooks, lambdas and closures can be used.
+        Called as `task(**parameters, seed=SeedSequence)` with copies of the parameters; returns a
+        dict of numbers, texts, True, False or None, with the same names in every run. Functions
+        of notebooks, lambdas and closures can be used.
     parameters : sequence of dict
         One per run, with the same names in each; `parameter_grid` and `parameter_draws` make them.
     seed : int or numpy.random.SeedSequence
         Seed of the campaign.
     n_jobs : int
-        Processes, kept by loky for the next campaign: 1 runs everything in this process; -1 takes
-        as many as there are cores, -2 one fewer. Within a task of another campaign -1 means 1. With
-        `executor`: how many workers it has, where the executor does not know.
+        Processes, as in `joblib.Parallel`: -1 takes as many as there are cores, 1 runs everything
+        in this process. Within a task everything runs in the task's own process. Inside
+        `joblib.parallel_config("dask")`, runs are computed on a Dask cluster.
     out : str or os.PathLike, optional
-        A folder to which finished chunks are written at once. A call with the same arguments goes
-        on where a killed one stopped; at most the chunks under way are lost. Memory then holds no
-        results until the table is read at the end. The campaign may grow: with runs added at the
-        end of `parameters` (or values at the end of a grid's first axis), only these are run.
-    executor : concurrent.futures.Executor, optional
-        Any executor instead of processes of this machine: `client.get_executor()` of a Dask client,
-        `mpi4py.futures.MPIPoolExecutor`, `executorlib.SlurmClusterExecutor`, a ThreadPoolExecutor;
-        it stays open.
+        A folder for the results. A call with the same arguments goes on where a killed one
+        stopped; some seconds of work are lost. A campaign may grow: runs added at the end of
+        `parameters`, or values at the end of a grid's first axis. Other files in the folder are
+        left alone.
     progress : bool, optional
-        Whether to show runs done, rate and time left on stderr; by default where it is a terminal.
-        In a notebook: True.
-    fresh : bool
-        Whether to remove an earlier campaign from `out`.
-    other_versions : sequence of str
-        Of "trustlab", "Python", "numpy" and "numba": those that may have another version than the
-        runs in `out` have, so that the table mixes both; `read_campaign` says which. By default
-        each must be the same.
+        Whether to show progress on stderr; by default where it is a terminal.
 
     Returns
     -------
     pandas.DataFrame
         One row per run, in order: run, parameters, results, failed, error (one line) and traceback.
-        Results of a failed run are NaN. `attrs` holds runs, failed, resumed (runs that were read
-        from `out`), seconds, seconds_in_runs (of all workers together), executor, and a `summary`
-        in words.
+        Results of a failed run are NaN. `attrs` holds runs, failed, resumed (runs read from
+        `out`), seconds, and a `summary` in words.
 
     Raises
     ------
     CampaignError
-        If the folder cannot be used, or holds a campaign with another task, parameters, seed or
-        versions (it says what changed); if the task cannot be sent to workers; if an executor is
-        broken.
+        If `out` holds the results of another task, seed, parameters or versions (the message says
+        what changed), or a process ended; finished runs stay in `out`.
     ValueError
         If an argument is not of its kind.
 
     Warns
     -----
     CampaignWarning
-        If runs failed: how many, and the first.
+        If runs failed: how many, and the error of the first.
 
     Notes
     -----
-    A run also fails if its process dies (it is first tried once more, with nothing beside it), if
-    it returns no dict, or if it returns other names than most runs. Whether a task is the same as
-    before is decided by its module, name and source, see
-    `trustlab.campaign.identity.task_identity`.
+    Results in `out` are used again only while nothing that they depend on has changed: all source
+    files of the task's package, or all modules beside its script, or the functions, classes and
+    values that a notebook's task uses; arguments bound to the task; the versions of trustlab,
+    Python, numpy, scipy and numba. Data files and other installed packages do not count.
+
+    Several processes may run one campaign in the same folder: they may repeat each other's work,
+    and do no harm.
 
     Examples
     --------
@@ -111,130 +129,339 @@ def run_campaign(
     >>> len(table)
     100
     """
-    names = _checked_task(task, parameters)
-    if not isinstance(seed, np.random.SeedSequence):
-        seed = np.random.SeedSequence(whole_number("seed", seed, least=0))
-    if flag("fresh", fresh) and out is None:
-        raise ValueError("fresh=True removes a campaign from a folder, but `out` is not given")
-    for name in other_versions:
-        one_of("other_versions", name, ("trustlab", "Python", "numpy", "numba"))
-    _check_jobs(n_jobs)
     start = perf_counter()
-    with contextlib.ExitStack() as stack:
-        storage: Any = Unsaved()
-        if out is not None:
-            from trustlab.campaign.folder import CampaignFolder
-            from trustlab.campaign.identity import seed_text, task_identity
-
-            identity = {"task": task_identity(task), "seed": seed_text(seed), "names": names}
-            storage = CampaignFolder(out, identity, parameters, fresh, other_versions)
-            stack.enter_context(contextlib.closing(storage))
-        gaps = _gaps([chunk[:2] for chunk in storage.chunks], len(parameters))
-        resumed = len(parameters) - sum(last - first for first, last in gaps)
-        facts = {"executor": "none", "seconds_in_runs": 0.0}
-        if gaps:
-            from tqdm import tqdm
-
-            from trustlab.campaign.dispatch import Dispatcher
-            from trustlab.campaign.executors import workers_for
-
-            workers = workers_for(task, seed, int(n_jobs), executor)
-            # tqdm takes None as "only on a terminal".
-            quiet = None if progress is None else not flag("progress", progress)
-            with tqdm(total=len(parameters), initial=resumed, unit="run", disable=quiet) as bar:
-                seconds = Dispatcher(workers, parameters, storage.store, bar).run(gaps)
-            facts = {"executor": workers.name, "seconds_in_runs": seconds}
-        from trustlab.campaign.table import assembled
-
-        columns = {name: [values[name] for values in parameters] for name in names}
-        table = assembled(range(len(parameters)), storage.outcomes(), columns)
-    return _described(table, resumed, {"seconds": perf_counter() - start} | facts)
-
-
-class Unsaved:
-    """The outcomes of a campaign without a folder."""
-
-    chunks: tuple = ()
-
-    def __init__(self) -> None:
-        self.stored: dict[int, list] = {}
-
-    def store(self, first: int, parameters: object, outcomes: list) -> None:
-        """Keep the outcomes of consecutive runs."""
-        self.stored[first] = outcomes
-
-    def outcomes(self) -> list:
-        """Return the outcomes of all runs, in their order."""
-        return [outcome for _, chunk in sorted(self.stored.items()) for outcome in chunk]
-
-
-def _checked_task(task: object, parameters: Any) -> list[str]:
-    """
-    Return the names of the parameters; raise unless the task can be called with them and a seed.
-    """
-    if not callable(task):
-        raise ValueError(
-            "task must be a function called as task(**parameters, seed=…), got "
-            f"{type(task).__name__}"
-        )
     names = checked_names(parameters)
+    _check_task(task, names)
+    seed = seed_sequence(seed)
+    if isinstance(n_jobs, bool) or not isinstance(n_jobs, Integral) or n_jobs == 0:
+        raise ValueError(
+            f"n_jobs must be a whole number of processes, -1 for all cores, got {shown(n_jobs)}"
+        )
+    hidden = None if progress is None else not flag("progress", progress)
+    folder = None if out is None else _Folder(out, task, parameters, seed)
+    rows = {} if folder is None else folder.rows()
+    resumed = len(rows)
+    missing = [run for run in range(len(parameters)) if run not in rows]
+    computed = _finished(task, parameters, seed, missing, n_jobs)
+    bar = tqdm(total=len(parameters), initial=resumed, unit="run", disable=hidden)
+    with bar, closing(computed):  # an interrupt ends what is under way
+        try:
+            for finished in computed:
+                rows |= finished
+                bar.update(len(finished))
+                if folder is not None:
+                    folder.add(finished)
+        finally:
+            if folder is not None:
+                folder.save()
+    table = _table({name: [values[name] for values in parameters] for name in names}, rows)
+    table.attrs |= {"resumed": resumed, "seconds": perf_counter() - start}
+    if table.attrs["failed"]:
+        warn(f"{table.attrs['summary']} (see failed, error and traceback)", CampaignWarning)
+    return table
+
+
+def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
+    """
+    Read what a campaign has written so far, while it runs or after it was interrupted.
+
+    Parameters
+    ----------
+    folder : str or os.PathLike
+        The `out` of `run_campaign`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The columns of `run_campaign`, one row per finished run, in the order of runs; parameters
+        that are not plain values are text. `attrs` holds runs (finished so far), failed, summary,
+        and the versions with which they were computed.
+
+    Raises
+    ------
+    CampaignError
+        If there is no campaign in the folder, or a file of it is damaged.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import trustlab as tl
+    >>> def task(upper, seed):
+    ...     return {"double": 2 * upper}
+    >>> runs = tl.parameter_grid(upper=[0.2, 0.3])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     run = tl.run_campaign(task, runs, seed=0, n_jobs=1, out=folder)
+    ...     table = tl.read_campaign(folder)
+    >>> table.equals(run)
+    True
+    """
+    path = Path(folder)
+    parts = _parts(path)
+    if parts is None:
+        raise CampaignError(f"{path} holds no campaign: {MANIFEST} is not there")
+    rows = _stored(path, parts)
+    parameters = [rows[run]["parameters"] for run in sorted(rows)]
+    names = parameters[0] if parameters else ()
+    table = _table({name: [values[name] for values in parameters] for name in names}, rows)
+    table.attrs["versions"] = {k: parts[k] for k in parts if k.startswith("version of ")}
+    return table
+
+
+def _check_task(task: Any, names: list[str]) -> None:
     try:
-        signature = inspect.signature(task)
-    except (TypeError, ValueError):  # some built-in functions have none
-        return names
-    called = getattr(task, "__qualname__", type(task).__qualname__)
-    try:
-        signature.bind(**dict.fromkeys([*names, "seed"]))
+        inspect.signature(task).bind(**dict.fromkeys([*names, "seed"]))
     except TypeError as error:
         raise ValueError(
-            f"task {called}{signature} cannot be called with {', '.join([*names, 'seed'])} as "
-            f"named arguments: {error}; every task takes its parameters and `seed`, a "
-            "numpy.random.SeedSequence"
+            f"task must be a function that can be called with {', '.join([*names, 'seed'])} by "
+            f"name, got {shown(task)}: {error}; `seed` is a numpy.random.SeedSequence"
         ) from None
-    return names
 
 
-def _check_jobs(n_jobs: object) -> None:
-    whole = isinstance(n_jobs, int | np.integer) and not isinstance(n_jobs, bool)
-    if not whole or n_jobs == 0:
-        raise ValueError(
-            "n_jobs must be a whole number of processes: 1 for this, -1 for all cores, got "
-            f"{n_jobs!r}"
-        )
+def _finished(
+    task: Callable,
+    parameters: Sequence[Mapping],
+    seed: np.random.SeedSequence,
+    missing: list[int],
+    n_jobs: int,
+) -> Iterator[dict[int, dict]]:
+    """Yield the rows of runs, as processes return them."""
+    waiting = deque(missing)
+    processes = min(effective_n_jobs(n_jobs), len(missing))
+    if processes > 1:
+        _end_outdated_processes(task)
+    mean = SENT  # seconds of a run: the first to be sent go alone
+
+    def chunks() -> Iterator[tuple]:
+        while waiting:
+            # Chunks become smaller towards the end, so that processes finish together.
+            size = max(1, min(int(SENT / mean), len(waiting) // (3 * processes)))
+            runs = [waiting.popleft() for _ in range(size)]
+            yield delayed(_chunk)(task, {run: parameters[run] for run in runs}, seed)
+
+    try:
+        while waiting:  # more than once where processes returned runs that they had not begun
+            parallel = Parallel(processes, return_as="generator_unordered", batch_size=1)
+            for rows, left, seconds in parallel(chunks()):
+                waiting.extend(left)
+                mean = seconds / len(rows)
+                yield rows
+    except (BrokenExecutor, PicklingError) as error:
+        raise CampaignError(
+            f"{error} Finished runs are in `out`, where that was given; the same call goes on"
+        ) from error
 
 
-def where_to_run(n_jobs: int | None, executor: object) -> dict:
-    """Return these arguments of `run_campaign`: by default this process, or all of the executor."""
-    if n_jobs is None:
-        n_jobs = 1 if executor is None else -1
-    return {"n_jobs": n_jobs, "executor": executor}
+def _end_outdated_processes(task: Callable) -> None:
+    """End the processes that joblib keeps if what they have imported may have changed since."""
+    sources = Identity(task).sources()
+    if any(_imported.get(file, content) != content for file, content in sources.items()):
+        get_reusable_executor().shutdown()
+    _imported.update(sources)
 
 
-def _gaps(spans: list[tuple], runs: int) -> list[tuple[int, int]]:
-    """Return first and end of what is still to be run."""
-    gaps = []
-    end = 0
-    for first, last in spans:
-        if first > end:
-            gaps.append((end, first))
-        end = last
-    return [*gaps, (end, runs)] if end < runs else gaps
+def _chunk(
+    task: Callable, parameters: dict[int, Mapping], seed: np.random.SeedSequence
+) -> tuple[dict[int, dict], list[int], float]:
+    """Return rows by run, the runs for which there was no time, and the seconds it took."""
+    start = perf_counter()
+    rows: dict[int, dict] = {}
+    with parallel_config("sequential"):  # within a task: the other cores are taken
+        for run, values in parameters.items():
+            if rows and perf_counter() - start > MOST:
+                break
+            # The child that `seed.spawn` would give at this index.
+            key = (*seed.spawn_key, seed.n_children_spawned + run)
+            child = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
+            rows[run] = _row(task, values, child)
+    return rows, list(parameters)[len(rows) :], perf_counter() - start
 
 
-def _described(table: pd.DataFrame, resumed: int, facts: dict) -> pd.DataFrame:
-    """Add to a table what its campaign was, and warn of failed runs."""
-    failed = int(table["failed"].sum())
-    words = f"{len(table):,} runs, {failed:,} failed"
-    if failed:
-        worst = table.loc[table["failed"], ["run", "error"]].iloc[0]
-        words += f"; first run {worst['run']}: {worst['error']}"
-        warn(
-            f"{failed:,} of {len(table):,} runs failed; run {worst['run']}: {worst['error']} (see "
-            "the columns failed, error and traceback)",
-            CampaignWarning,
-        )
-    if resumed:
-        words += f"; {resumed:,} were there already"
-    facts = {"runs": len(table), "failed": failed, "resumed": resumed} | facts
-    table.attrs = facts | {"summary": words}
+def _row(task: Callable, values: Mapping, seed: np.random.SeedSequence) -> dict[str, Any]:
+    """Return the results of a run by name, or its error in one line and its traceback."""
+    try:
+        # A task that changes its arguments must not change those of other runs.
+        results = _checked(task(**copy.deepcopy(dict(values)), seed=seed), values)
+    except (Exception, SystemExit) as error:
+        line = f"{type(error).__name__}: {error}".partition("\n")[0]
+        lines = traceback.format_exception(error.with_traceback(error.__traceback__.tb_next))
+        return {"results": None, "error": line, "traceback": "".join(lines)}
+    return {"results": results, "error": None, "traceback": None}
+
+
+def _checked(results: Any, parameters: Mapping) -> dict[str, Any]:
+    """Return results as plain Python values."""
+    if not isinstance(results, Mapping) or not results:
+        raise CampaignError(f"a task must return a dict of results by name, got {shown(results)}")
+    checked = {}
+    for name, value in results.items():
+        if not isinstance(name, str) or name in RESERVED or name in parameters:
+            raise CampaignError(
+                f"a result cannot be called {name!r}: names are text, and neither those of "
+                f"parameters nor {', '.join(RESERVED)}"
+            )
+        try:
+            checked[name] = plain(value)
+        except TypeError:
+            raise CampaignError(
+                f"result {name!r} must be a number, text, True, False or None, got {shown(value)}"
+            ) from None
+    return checked
+
+
+class _Folder:
+    """
+    A campaign on disk: a file that says what it depends on, and files of finished runs.
+
+    Files of runs are named by what they depend on and by their content. So nothing is written
+    twice, and results of another campaign are never read as those of this one.
+    """
+
+    def __init__(
+        self,
+        out: Any,
+        task: Callable,
+        parameters: Sequence[Mapping],
+        seed: np.random.SeedSequence,
+    ):
+        if not isinstance(out, str | os.PathLike) or not os.fspath(out):
+            raise ValueError(f"out must be the path of a folder, got {shown(out)}")
+        self.path = Path(out)
+        identity = Identity(task)
+        self.parameters = _texts(identity, parameters)
+        bare = seed.state == np.random.SeedSequence(seed.entropy).state
+        self.parts = {"seed": str(seed.entropy if bare else seed.state)} | identity.parts()
+        self.unsaved: dict[int, dict] = {}
+        self.saved = perf_counter()
+        before = _parts(self.path)
+        if before is None:
+            self._write(MANIFEST, {"format": FORMAT, "parts": self.parts})
+        elif before != self.parts:
+            raise self._other(_changes(before, self.parts))
+
+    def _other(self, changes: Iterable[str]) -> CampaignError:
+        return CampaignError(f"{self.path} holds another campaign: {'; '.join(changes)}. {REMEDY}")
+
+    def rows(self) -> dict[int, dict]:
+        """Return the rows that are there, by run; raise if they have other parameters."""
+        rows = _stored(self.path, self.parts)
+        rows = {run: rows[run] for run in sorted(rows) if run < len(self.parameters)}
+        for run, row in rows.items():
+            before, now = row["parameters"], self.parameters[run]
+            # As texts, which tell 1, 1.0 and True apart.
+            if json.dumps(before, sort_keys=True) != json.dumps(now, sort_keys=True):
+                raise self._other([f"the parameters of run {run} were {before}, are {now}"])
+        return rows
+
+    def add(self, rows: Mapping[int, dict]) -> None:
+        """Take finished runs, and write them with those before every few seconds."""
+        self.unsaved |= {
+            run: row | {"parameters": self.parameters[run]} for run, row in rows.items()
+        }
+        if perf_counter() - self.saved > SAVED:
+            self.save()
+
+    def save(self) -> None:
+        """Write what is not yet written."""
+        if self.unsaved:
+            content = digest(json.dumps(self.unsaved))[:16]
+            self._write(f"{_prefix(self.parts)}{content}.json", self.unsaved)
+        self.unsaved = {}
+        self.saved = perf_counter()
+
+    def _write(self, name: str, content: dict) -> None:
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            write_atomically(self.path / name, json.dumps(content))
+        except OSError as error:
+            raise CampaignError(
+                f"cannot write in {self.path}: {error.strerror}; give a folder that has room and "
+                "that you may write to"
+            ) from error
+
+
+def _texts(identity: Identity, parameters: Sequence[Mapping]) -> list[dict]:
+    """Return parameters as a file keeps them: what is not plain by its type and a digest."""
+    known: dict[int, tuple] = {}  # by id; runs often share a model. Values are held with it.
+
+    def text(name: str, value: Any) -> Any:
+        try:
+            return plain(value)
+        except TypeError:
+            if id(value) not in known:
+                content = identity.digest(f"parameter {name}", value)
+                known[id(value)] = (f"{type(value).__name__} {content}", value)
+            return known[id(value)][0]
+
+    return [{name: text(name, value) for name, value in run.items()} for run in parameters]
+
+
+def _changes(before: Mapping[str, str], now: Mapping[str, str]) -> Iterable[str]:
+    """Yield what differs between two campaigns."""
+    for name in sorted({*before, *now}):
+        if name not in before or name not in now:
+            yield f"{name} is {'new' if name in now else 'gone'}"
+        elif before[name] != now[name]:
+            readable = name == "seed" or name.startswith("version of ")
+            yield f"{name} was {before[name]}, is {now[name]}" if readable else f"{name} changed"
+
+
+def _prefix(parts: Mapping[str, str]) -> str:
+    """Return how the names of a campaign's files of runs begin."""
+    return f"runs-{digest(json.dumps(parts))[:16]}-"
+
+
+def _read(path: Path, remedy: str) -> Any:
+    try:
+        return json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise CampaignError(f"{path} cannot be read: {error}. {remedy}") from error
+
+
+def _parts(folder: Path) -> dict[str, str] | None:
+    """Return what the campaign in a folder depends on; None where there is none."""
+    path = folder / MANIFEST
+    if not path.exists():
+        return None
+    content = _read(path, REMEDY)
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise CampaignError(f"{path} is of another version of trustlab. {REMEDY}")
+    return content["parts"]
+
+
+def _stored(folder: Path, parts: dict[str, str]) -> dict[int, dict]:
+    """Return the rows in all files of a campaign, by run."""
+    files = folder.glob(f"{_prefix(parts)}*.json")
+    remedy = "Remove it, and its runs are computed again"
+    return {int(run): row for file in files for run, row in _read(file, remedy).items()}
+
+
+def _table(columns: Mapping[str, Iterable], rows: Mapping[int, dict]) -> pd.DataFrame:
+    """Return the table of a campaign; a run with other results than most has failed."""
+    runs = sorted(rows)
+    results = [rows[run]["results"] for run in runs]
+    errors = [rows[run]["error"] for run in runs]
+    counts = Counter(frozenset(values) for values in results if values)
+    usual = max(counts, key=counts.__getitem__, default=frozenset())
+    names = next((list(values) for values in results if values and values.keys() == usual), [])
+    for k, values in enumerate(results):
+        if values and values.keys() != usual:
+            results[k] = None
+            errors[k] = (
+                f"CampaignError: returned {', '.join(values)}, where most runs returned "
+                f"{', '.join(names)}; return the same names from every run"
+            )
+    data = {"run": runs, **columns}
+    data |= {name: [(values or {}).get(name) for values in results] for name in names}
+    data |= {"failed": [values is None for values in results], "error": errors}
+    data["traceback"] = [rows[run]["traceback"] for run in runs]
+    data = {name: [np.nan if x is None else x for x in values] for name, values in data.items()}
+    try:
+        table = pd.DataFrame(data).astype({"error": "str", "traceback": "str"})
+    except UnicodeEncodeError:  # half a surrogate pair, as file names may hold
+        table = pd.DataFrame(data, dtype=object)
+    failed = table[table["failed"].astype(bool)]
+    summary = f"{len(table):,} runs, {len(failed):,} failed"
+    if len(failed):
+        summary += f"; run {failed['run'].iloc[0]}: {failed['error'].iloc[0]}"
+    table.attrs = {"runs": len(table), "failed": len(failed), "summary": summary}
     return table

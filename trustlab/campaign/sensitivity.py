@@ -1,7 +1,4 @@
-"""
-Sobol' indices: how much each uncertain parameter of a task contributes to the variance of its
-results.
-"""
+"""Sobol' indices: the share of a result's variance that each uncertain parameter contributes."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -10,11 +7,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.parameters import interval
-from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import open_unit, whole_number
+from trustlab.campaign.run import CampaignError, run_campaign
+from trustlab.models.checks import open_unit, shown, whole_number
 from trustlab.models.display import axes_or_new
+
+COLUMNS = ("first_order", "first_low", "first_high", "total", "total_low", "total_high")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,44 +55,19 @@ class SobolIndices:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (results,)
         """
-        results = list(dict.fromkeys(self.indices["result"]))
-        names = list(dict.fromkeys(self.indices["parameter"]))
-        size = (max(4.0, 3.2 * len(results)), 1.4 + 0.4 * len(names))
-        axes = axes_or_new(
-            columns=len(results), squeeze=False, sharey=True, sharex=True, figsize=size
-        )
-        at = np.arange(len(names))
-        for panel, result in zip(axes[0], results, strict=True):
-            rows = self.indices[self.indices["result"] == result]
-            for shift, value, low, high, color, label in (
-                (-0.12, "first_order", "first_low", "first_high", "#0072b2", "alone (first order)"),
-                (0.12, "total", "total_low", "total_high", "#d55e00", "with interactions (total)"),
-            ):
-                middle = rows[value].to_numpy()
-                spread = np.abs(np.vstack([middle - rows[low], rows[high] - middle]))
-                panel.errorbar(
-                    middle,
-                    at + shift,
-                    xerr=spread,
-                    fmt="o",
-                    ms=4,
-                    capsize=3,
-                    color=color,
-                    label=label,
-                )
-            panel.axvline(0.0, color="0.8", lw=0.8, zorder=0)
-            panel.set_title(result, fontsize="medium")
-            panel.set_xlabel("share of variance")
-        axes[0, 0].set_yticks(at, names)
-        axes[0, 0].invert_yaxis()
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        axes[0, 0].figure.legend(
-            handles, labels, loc="outside lower center", ncols=2, fontsize="small", frameon=False
-        )
-        axes[0, 0].figure.suptitle(
-            f"Sobol' indices, {100 * self.level:g} % intervals", fontsize="medium"
-        )
-        return axes[0]
+        groups = self.indices.groupby("result", sort=False)
+        axes = axes_or_new(columns=len(groups), squeeze=False, sharey=True)[0]
+        for panel, (result, rows) in zip(axes, groups, strict=True):
+            for value, order, shift in (("first_order", "first", -0.1), ("total", "total", 0.1)):
+                ends = [rows[value] - rows[f"{order}_low"], rows[f"{order}_high"] - rows[value]]
+                places = np.arange(len(rows)) + shift
+                panel.errorbar(rows[value], places, xerr=np.abs(ends), fmt="o", label=value)
+            panel.axvline(0.0, color="0.8", zorder=0)
+            panel.set(title=result, xlabel=f"share of variance, {100 * self.level:g} % intervals")
+        axes[0].set_yticks(range(len(rows)), rows["parameter"])
+        axes[0].invert_yaxis()
+        axes[0].legend()
+        return axes
 
 
 def sobol_indices(
@@ -136,7 +109,7 @@ def sobol_indices(
     resamples : int
         Resamples of the bootstrap.
     **campaign : object
-        n_jobs, out, executor, progress, fresh and other_versions, as in `run_campaign`.
+        n_jobs, out and progress, as in `run_campaign`.
 
     Returns
     -------
@@ -165,7 +138,7 @@ def sobol_indices(
     0         x          1.0    1.0
     1         y          0.0    0.0
     """
-    from scipy.stats import sobol_indices as scipy_indices
+    from scipy import stats
 
     n = whole_number("n", n, least=8)
     if n & (n - 1):
@@ -174,124 +147,78 @@ def sobol_indices(
     seed = whole_number("seed", seed, least=0)
     distributions = _distributions(ranges)
     names, d = list(ranges), len(distributions)
-    # Runs take the children 0, 1, … of the seed; points and bootstrap those of another child far
-    # from them.
+    # Runs take the children 0, 1, … of the seed; points and bootstrap those of a child far off.
     points, draws = np.random.SeedSequence(seed, spawn_key=(2**31,)).spawn(2)
-    parameters = [
-        dict(zip(names, map(float, point), strict=True))
-        for point in _points(distributions, n, points)
-    ]
+    unit = stats.qmc.Sobol(2 * d, rng=np.random.default_rng(points), bits=64).random(n)
+    quantiles = [dist.ppf(u) for dist, u in zip(2 * distributions, unit.T, strict=True)]
+    a, b = np.reshape(quantiles, (2, d, n))
+    # Both samples, and for each parameter the first with values of the second.
+    designs = [a, b, *(np.where(np.arange(d)[:, None] == j, b, a) for j in range(d))]
+    rows = np.concatenate(designs, axis=1).T.tolist()
+    parameters = [dict(zip(names, row, strict=True)) for row in rows]
     table = run_campaign(task, parameters, seed=seed, **campaign)
-    names_of_results = _numeric(table, names, results)
-    values = (
-        table[names_of_results].to_numpy(dtype=float).T.reshape(len(names_of_results), d + 2, n)
-    )
-    f_a = values[:, 0]
-    f_b = values[:, 1]
-    f_ab = values[:, 2:].swapaxes(0, 1)
+    chosen = _numeric(table, names, results)
+    values = table[chosen].to_numpy(dtype=float).T.reshape(len(chosen), d + 2, n)
 
     def indices(k: np.ndarray) -> np.ndarray:
-        """Return first-order and total indices from the points k; SciPy drops axes of length 1."""
-        estimate = scipy_indices(
-            func={"f_A": f_a[:, k], "f_B": f_b[:, k], "f_AB": f_ab[..., k]}, n=n
-        )
-        return np.stack([estimate.first_order, estimate.total_order]).reshape(2, -1, d)
+        """Return first-order and total indices from the points k."""
+        f_a, f_b = values[:, 0, k], values[:, 1, k]
+        outputs = {"f_A": f_a, "f_B": f_b, "f_AB": values[:, 2:, k].swapaxes(0, 1)}
+        estimate = stats.sobol_indices(func=outputs, n=n)
+        return np.reshape([estimate.first_order, estimate.total_order], (2, -1, d))
 
+    # SciPy's own bootstrap takes no seed.
     rng = np.random.default_rng(draws)
-    with np.errstate(
-        invalid="ignore", divide="ignore"
-    ):  # a result that does not vary has no shares
-        whole = indices(np.arange(n))
-        again = [indices(rng.integers(n, size=n)) for _ in range(resamples)]
-    low, high = np.nanquantile(again, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
-    # Axes: estimate and its two ends, first order and total, results, parameters.
-    shares = np.stack([whole, low, high])
-    shares[:, :, np.ptp(values[:, :2].reshape(len(names_of_results), -1), axis=1) == 0.0] = np.nan
-    index = pd.MultiIndex.from_product([names_of_results, names], names=["result", "parameter"])
-    columns = [f"{order}_{end}" for order in ("first", "total") for end in ("order", "low", "high")]
-    frame = pd.DataFrame(shares.transpose(2, 3, 1, 0).reshape(len(index), 6), index, columns)
-    return SobolIndices(frame.rename(columns={"total_order": "total"}).reset_index(), n, level)
+    again = [indices(rng.integers(n, size=n)) for _ in range(resamples)]
+    low, high = np.quantile(again, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+    shares = np.stack([indices(np.arange(n)), low, high])  # of order, result, parameter
+    shares[:, :, np.ptp(values, axis=(1, 2)) == 0.0] = np.nan
+    index = pd.MultiIndex.from_product([chosen, names], names=["result", "parameter"])
+    columns = shares.transpose(1, 0, 2, 3).reshape(len(COLUMNS), -1)
+    frame = pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)), index=index)
+    return SobolIndices(frame.reset_index(), n, level)
 
 
-def _points(distributions: dict[str, Any], n: int, seed: np.random.SeedSequence) -> np.ndarray:
-    """
-    Return the points of Saltelli's design, shape (n (d + 2), d): A, B, then for each parameter A
-    with B's column.
-
-    A and B are the halves of one scrambled Sobol' sequence of 2 d dimensions, as in
-    `scipy.stats.sobol_indices`.
-    """
-    from scipy.stats import qmc
-
-    d = len(distributions)
-    unit = qmc.Sobol(2 * d, rng=np.random.default_rng(seed), bits=64).random(n)
-    a, b = (
-        np.column_stack(
-            [
-                distribution.ppf(u)
-                for distribution, u in zip(distributions.values(), half.T, strict=True)
-            ]
-        )
-        for half in np.hsplit(unit, 2)
-    )
-    mixed = [np.where(np.arange(d) == j, b, a) for j in range(d)]
-    return np.concatenate([a, b, *mixed])
-
-
-def _distributions(ranges: Any) -> dict[str, Any]:
+def _distributions(ranges: Any) -> list:
     from scipy import stats
 
-    if not isinstance(ranges, Mapping) or not ranges:
+    if not isinstance(ranges, Mapping) or len(ranges) < 2:
         raise ValueError(
-            "ranges must be a dict of (low, high) by parameter, such as {'beta': (0.6, 0.8)}"
+            "ranges must be a dict of (low, high) by name of at least two parameters, such as "
+            f"{{'beta': (0.6, 0.8), 'upper': (0.2, 0.4)}}, got {shown(ranges)}"
         )
-    if len(ranges) < 2:
-        raise ValueError(
-            "indices divide variance among parameters: give at least two, got "
-            f"{', '.join(ranges)} alone"
-        )
-    distributions = {}
+    distributions = []
     for name, kind in ranges.items():
         if isinstance(kind, tuple):
             low, high = interval(f"ranges[{name!r}]", kind)
-            distributions[name] = stats.uniform(low, high - low)
-        elif callable(getattr(kind, "ppf", None)):
-            distributions[name] = kind
-        else:
+            kind = stats.uniform(low, high - low)
+        if not hasattr(kind, "ppf"):
             raise ValueError(
-                f"ranges[{name!r}] must be (low, high) or a SciPy distribution, got "
-                f"{type(kind).__name__}"
+                f"ranges[{name!r}] must be (low, high) or a SciPy distribution, got {shown(kind)}"
             )
+        distributions.append(kind)
     return distributions
 
 
 def _numeric(table: pd.DataFrame, names: list[str], selected: list[str] | None) -> list[str]:
-    """Return the results to analyse, finite in every run."""
-    if table["failed"].any():
-        bad = table[table["failed"]].iloc[0]
+    """Return the results to analyse; raise unless they are finite at every point."""
+    if table.attrs["failed"]:
         raise CampaignError(
-            f"indices need every point, but {int(table['failed'].sum())} of {len(table)} runs "
-            f"failed, first {bad[names].to_dict()}: {bad['error']}; narrow the ranges or mend the "
+            f"indices need every point: {table.attrs['summary']}; narrow the ranges, or mend the "
             "task"
         )
-    known = [c for c in table.columns if c not in ("run", *names, "failed", "error", "traceback")]
-    if selected is None:
-        selected = [c for c in known if pd.api.types.is_numeric_dtype(table[c])]
-        if not selected:
-            raise ValueError(f"none of the results {', '.join(known)} is a number")
-    for name in selected:
-        if name not in known:
-            raise ValueError(f"results names {name!r}, but the task returns {', '.join(known)}")
-        if not pd.api.types.is_numeric_dtype(table[name]):
-            raise ValueError(
-                f"result {name!r} is not a number in every run, so that it has no variance"
-            )
-        bad = ~np.isfinite(table[name].to_numpy(dtype=float))
-        if bad.any():
-            row = table.iloc[int(np.argmax(bad))]
-            raise ValueError(
-                f"indices need every point, but result {name!r} is {row[name]} at "
-                f"{int(bad.sum())} of {len(table)} points, first at {row[names].to_dict()}; "
-                "narrow the ranges, or choose results that are defined there"
-            )
-    return list(selected)
+    results = table.drop(columns=["run", *names, "failed", "error", "traceback"])
+    known = results.select_dtypes(["number", "bool"]).columns.tolist()
+    chosen = known if selected is None else list(selected)
+    if not chosen or not set(chosen) <= set(known):
+        raise ValueError(
+            f"results must be among those that are numbers, {', '.join(known)}, got {shown(chosen)}"
+        )
+    gaps = table[~np.isfinite(table[chosen].astype(float)).all(axis=1)]
+    if len(gaps):
+        raise ValueError(
+            f"indices need every point, but at {len(gaps)} of {len(table)} a result is not finite, "
+            f"first at {gaps[[*names, *chosen]].iloc[0].to_dict()}; narrow the ranges, or choose "
+            "other results"
+        )
+    return chosen

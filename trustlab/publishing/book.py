@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from loky import cpu_count
+from joblib import cpu_count
 
 from trustlab.models.checks import did_you_mean, positive, whole_number
 from trustlab.models.files import write_atomically

@@ -21,14 +21,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import special
 from scipy.spatial import KDTree
 
-from trustlab.campaign.run import run_campaign, where_to_run
+from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import between, in_order, one_of, whole_number
 from trustlab.models.digest import room_digest
 from trustlab.models.display import as_html, axes_or_new
@@ -278,9 +277,7 @@ class Calibration:
             f"{share:g}"
         )
 
-    def checks(
-        self, studies: int = 40, seed: int = 1, *, n_jobs: int | None = None
-    ) -> pd.DataFrame:
+    def checks(self, studies: int = 40, seed: int = 1, *, n_jobs: int = 1) -> pd.DataFrame:
         """
         Return every effect beside what simulated studies give, under the prior and under the
         posterior.
@@ -291,7 +288,7 @@ class Calibration:
             How many studies to simulate under assumptions drawn from the posterior.
         seed : int
             Of these.
-        n_jobs : int, optional
+        n_jobs : int
             Processes, as for `run_campaign`; no effect on results.
 
         Returns
@@ -308,9 +305,7 @@ class Calibration:
             "records"
         )
         runs = [{"study": self.study, "n": self.settings["n"]} | row for row in drawn]
-        done = run_campaign(
-            simulated_study, runs, seed=seed, progress=False, **where_to_run(n_jobs, None)
-        )
+        done = run_campaign(simulated_study, runs, seed=seed, progress=False, n_jobs=n_jobs)
         rows = []
         for effect in self.observed:
             prior = self.simulations[effect.id].min(), self.simulations[effect.id].max()
@@ -417,8 +412,7 @@ def calibrate(
     *,
     priors: Mapping[str, tuple[float, float]] | None = None,
     out: str | os.PathLike | None = None,
-    n_jobs: int | None = None,
-    executor: Any = None,
+    n_jobs: int = 1,
     progress: bool | None = None,
 ) -> Calibration:
     """
@@ -443,7 +437,7 @@ def calibrate(
     out : path-like, optional
         A folder for the finished simulations: a call with the same arguments goes on where a killed
         one stopped, and one with more simulations runs only those that are new.
-    n_jobs, executor, progress : int, Executor, bool, optional
+    n_jobs, progress : int, bool, optional
         As for `run_campaign`; no effect on results.
 
     Returns
@@ -481,8 +475,7 @@ def calibrate(
     sure = [effect for effect in effects if answered or effect.measure not in ANSWERS]
     _check_enough(simulations, len(sure))
     runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
-    where = where_to_run(n_jobs, executor)
-    done = run_campaign(simulated_study, runs, seed=seed, out=out, progress=progress, **where)
+    done = run_campaign(simulated_study, runs, seed=seed, n_jobs=n_jobs, out=out, progress=progress)
     whole = done[~done["failed"].to_numpy(bool)]
     # questionnaires are not answered under all assumptions
     ids = [effect.id for effect in effects if whole[effect.id].notna().any()]

@@ -10,14 +10,13 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.campaign.run import run_campaign, where_to_run
+from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import one_of, shown, whole_number
 from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import ASSUMPTIONS, checked_assumptions
 from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS, checked_teleoperation
 from trustlab.reproduction.effects import COLUMNS, Effect, effects, model_effects
 from trustlab.studies.analysis.plots import panels
-from trustlab.studies.planning.settings import CampaignOptions
 from trustlab.studies.planning.virtual_study import virtual_study
 from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES
 from trustlab.testbeds.deciding import CONDITIONS
@@ -63,7 +62,7 @@ def simulated_effects(
     *,
     only: str | None = None,
     trust: TrustDynamics | TrustInLoop | None = None,
-    n_jobs: int | None = None,
+    n_jobs: int = 1,
 ) -> pd.DataFrame:
     """
     Return every printed effect beside what simulated people do under named assumptions.
@@ -89,7 +88,7 @@ def simulated_effects(
         given. Rows of other studies are then left out.
     trust : TrustDynamics or TrustInLoop, optional
         A model of `trustlab.trust` in place of (3.2) in the runs of Chapter 3.
-    n_jobs : int, optional
+    n_jobs : int
         Processes, as for `run_campaign`; no effect on results.
 
     Returns
@@ -153,7 +152,7 @@ def effects_of(study: str | None) -> list[Effect]:
 
 
 def _measured(
-    place: str, assumed: dict[str, float], n: int, seed: int, trust: Any, n_jobs: int | None
+    place: str, assumed: dict[str, float], n: int, seed: int, trust: Any, n_jobs: int
 ) -> pd.DataFrame:
     """Return a study's measures by participant (the operator's number) and condition."""
     if place in TELEOPERATION:
@@ -171,7 +170,7 @@ def _measured(
             testbed=place,
             assumptions=_among(ASSUMPTIONS, assumed),
             n_jobs=n_jobs,
-            campaign=CampaignOptions(progress=False),
+            progress=False,
         )
     frame = study.measures.astype({"condition": str})
     if place == "ground_robot" and "satisfaction" in frame:
@@ -180,15 +179,14 @@ def _measured(
 
 
 def _teleoperated(
-    place: str, people: pd.DataFrame, seed: int, trust: Any, n_jobs: int | None
+    place: str, people: pd.DataFrame, seed: int, trust: Any, n_jobs: int
 ) -> pd.DataFrame:
     """Return error and answers of teleoperators under all schemes of a study of Chapter 3."""
     study, schemes, points = TELEOPERATION[place]
     fixed = {"study": study, "schemes": " ".join(schemes), "points": points, "answers": seed}
-    where = where_to_run(n_jobs, None)
     task = teleoperate if trust is None else partial(teleoperate, trust=trust)
     plans = [fixed | row for row in people.to_dict("records")]
-    done = run_campaign(task, plans, seed=seed, progress=False, **where)
+    done = run_campaign(task, plans, seed=seed, n_jobs=n_jobs, progress=False)
     done = done[~done["failed"].to_numpy(bool)]
     names = ("error", "tlx", "satisfaction", "trust")
     parts = [

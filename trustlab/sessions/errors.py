@@ -32,15 +32,16 @@ class SessionError(ValueError):
         super().__init__(f"{source}: {message}" if source else message)
         self.source = source
 
-    def name_source(self, source: str | None) -> None:
-        """Put the name of the file in front of the message, unless one is there already."""
-        if source and self.source is None:
-            self.source = source
-            self.args = (f"{source}: {self}",)
-
 
 class RecipeError(SessionError):
     """A recipe that does not exist or cannot be followed; arguments as for SessionError."""
+
+
+def name_source(error: SessionError, source: str | None) -> None:
+    """Put the name of the file in front of an error's message, unless one is there already."""
+    if source and error.source is None:
+        error.source = source
+        error.args = (f"{source}: {error}",)
 
 
 @contextmanager
@@ -49,7 +50,7 @@ def source_named(source: str | None) -> Iterator[None]:
     try:
         yield
     except SessionError as error:
-        error.name_source(source)
+        name_source(error, source)
         raise
 
 

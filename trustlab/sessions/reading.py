@@ -8,7 +8,8 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, positive, shown, warn
+from trustlab.models.checks import did_you_mean, of_class, one_of, positive, shown, warn
+from trustlab.models.published import data_folder
 from trustlab.sessions.bags import read_bag, read_written
 from trustlab.sessions.columns import (
     Table,
@@ -22,6 +23,7 @@ from trustlab.sessions.errors import (
     RecipeError,
     SessionError,
     alternatives,
+    name_source,
     nearest_file,
     source_named,
 )
@@ -167,6 +169,42 @@ def read_frame(
     sessions = reader.read_frame(frame, metadata)
     reader.warn()
     return _only(sessions, "data frame")
+
+
+def example(name: str = "pilot") -> Session:
+    """
+    Read a session that comes with trustlab.
+
+    Parameters
+    ----------
+    name : {"pilot"}
+        The pilot operator of the dissertation, simulated: 33 minutes at 10 Hz, with `mode`, `p_r`
+        and `p_h` [m/s].
+
+    Returns
+    -------
+    Session
+        The session, marked as synthetic in its metadata.
+
+    Raises
+    ------
+    ValueError
+        If there is no such session; the error lists those there are.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> session = tl.sessions.example("pilot")
+    >>> session.metadata.synthetic
+    True
+    """
+    paths = {path.stem: path for path in data_folder("sessions").glob("*.csv")}
+    if name not in paths:
+        raise ValueError(
+            f"no example is called {name!r}{did_you_mean(name, paths)}; "
+            f"there are: {', '.join(sorted(paths))}"
+        )
+    return read_session(paths[name])
 
 
 def _only(sessions: list[Session], source: str) -> Session:
@@ -330,7 +368,7 @@ class Reader:
         try:
             return self._read(_existing(Path(source)), source)
         except SessionError as error:
-            error.name_source(source)
+            name_source(error, source)
             raise
         except OSError as error:
             raise SessionError(f"cannot be read ({error.strerror or error})", source) from error

@@ -225,10 +225,11 @@ def _ragged(fault: str) -> str:
     row = re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+): (.*)", fault, re.DOTALL)
     if not row:
         return f"not a CSV file ({fault.splitlines()[0][:200]}); write it again"
+    line, width, cells, text = row.groups()
     hint = "complete the row, or remove the extra commas (a decimal comma?)"
-    if row[4].count('"') % 2:
+    if text.count('"') % 2:
         hint = "a quotation mark that opens here does not close in this line"
-    return f"line {row[1]}: has {row[3]} cells, but the first line has {row[2]}; {hint}"
+    return f"line {line}: has {cells} cells, but the first line has {width}; {hint}"
 
 
 def _refuse_encoding(source: bytes | Path, encoding: str) -> None:

@@ -41,7 +41,6 @@ from .planning.covariances import Conditions as Conditions, graded_covariance as
 from .planning.factorial_power import Proportions as Proportions, Ratings as Ratings
 from .planning.power import PowerAnalysis as PowerAnalysis, power_analysis as power_analysis
 from .planning.settings import (
-    CampaignOptions as CampaignOptions,
     Simulation as Simulation,
     StudyColumns as StudyColumns,
 )

@@ -14,7 +14,7 @@ from scipy import special
 
 from trustlab.models.checks import did_you_mean, one_of
 from trustlab.models.published import data_folder
-from trustlab.sessions.external import external_data
+from trustlab.sessions.folders import external_data
 from trustlab.trust.panel import Panel, panel_from_table
 
 HYBRID = (

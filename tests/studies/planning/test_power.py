@@ -3,8 +3,6 @@ Power: closed forms beside scipy and statsmodels, simulation beside closed forms
 refusals.
 """
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -385,9 +383,8 @@ def test_results_do_not_depend_on_where_studies_are_simulated():
         settled(tl.power_analysis, MEANS, matrix, **grid),
         settled(tl.smallest_n, 0.9, MEANS, matrix, **search),
     )
-    with ThreadPoolExecutor(2) as executor:
-        there = settled(tl.power_analysis, MEANS, matrix, **grid, executor=executor)
-        n_there = settled(tl.smallest_n, 0.9, MEANS, matrix, **search, executor=executor)
+    there = settled(tl.power_analysis, MEANS, matrix, **grid, n_jobs=2)
+    n_there = settled(tl.smallest_n, 0.9, MEANS, matrix, **search, n_jobs=2)
     for name in ("table", "pairs", "claims"):
         pd.testing.assert_frame_equal(
             getattr(here, name)(), getattr(there, name)(), check_exact=True

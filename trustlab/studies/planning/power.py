@@ -453,7 +453,7 @@ def run_counts(
         {"population": population, "n": n, "draws": draws, **fixed}
         for population, n, draws in cells
     ]
-    done = run_campaign(task, parameters, **simulation.where)
+    done = run_campaign(task, parameters, n_jobs=simulation.n_jobs)
     if done["failed"].any():
         raise CampaignError(
             f"studies could not be simulated: {done.loc[done['failed'], 'error'].iloc[0]}"

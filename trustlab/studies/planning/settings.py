@@ -1,11 +1,9 @@
 """Settings of simulated studies and of power: where they run, how they draw, what columns are."""
 
-from collections.abc import Hashable, Sequence
-from concurrent.futures import Executor
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any
 
-from trustlab.campaign.run import where_to_run
 from trustlab.models.checks import open_unit, whole_number
 
 LEAST_REPLICATES = 100
@@ -28,9 +26,8 @@ class Simulation:
         Level of all tests, in (0, 1).
     level : float
         Coverage of the Monte-Carlo intervals (Clopper–Pearson), in (0, 1).
-    n_jobs, executor : int, Executor, optional
-        Where studies are simulated, as in `run_campaign`; by default in this process. They have no
-        effect on results.
+    n_jobs : int
+        How many processes simulate studies, as in `run_campaign`; no effect on results.
 
     Raises
     ------
@@ -42,19 +39,13 @@ class Simulation:
     seed: int = 0
     alpha: float = 0.05
     level: float = 0.95
-    n_jobs: int | None = None
-    executor: Executor | None = None
+    n_jobs: int = 1
 
     def __post_init__(self):
         open_unit("alpha", self.alpha)
         open_unit("level", self.level)
         whole_number("replicates", self.replicates, least=LEAST_REPLICATES, most=MOST_REPLICATES)
         whole_number("seed", self.seed, least=0)
-
-    @property
-    def where(self) -> dict[str, Any]:
-        """The arguments of `run_campaign` that say where it runs."""
-        return where_to_run(self.n_jobs, self.executor)
 
 
 @dataclass(frozen=True)
@@ -93,29 +84,5 @@ class StudyColumns:
         return self.between if isinstance(self.between, list) else [self.between]
 
 
-@dataclass(frozen=True)
-class CampaignOptions:
-    """
-    How the runs of a virtual study are made, as for `run_campaign`.
-
-    Parameters
-    ----------
-    executor : Executor, optional
-        Where participants are simulated instead of in this process or `n_jobs` others.
-    progress : bool, optional
-        Whether to show progress.
-    fresh : bool
-        Whether to remove an earlier virtual study, with its sessions, from `out`.
-    other_versions : sequence of str
-        Programs that may have another version than the runs in `out` have.
-    """
-
-    executor: Executor | None = None
-    progress: bool | None = None
-    fresh: bool = False
-    other_versions: Sequence[str] = ()
-
-
-USUAL_CAMPAIGN = CampaignOptions()
 USUAL_SIMULATION = Simulation()
 USUAL_COLUMNS = StudyColumns()

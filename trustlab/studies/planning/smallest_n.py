@@ -208,7 +208,7 @@ def smallest_n(
         counted = run_counts(count_findings, cells, simulation, claims=None)
         return {n: counts[key] for n, counts in zip(sizes, counted, strict=True)}
 
-    ahead = 1 if simulation.where["n_jobs"] == 1 else AHEAD
+    ahead = 1 if simulation.n_jobs == 1 else AHEAD
     n, findings = _search(simulated, expected, target * replicates, most, ahead)
     if n is None:
         share = findings[most] / replicates

@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,14 @@ import numpy as np
 import pandas as pd
 from numpy.random import SeedSequence
 
-from trustlab.campaign.folder import folder_path, refuse, writing_in
-from trustlab.campaign.run import run_campaign, where_to_run
-from trustlab.models.checks import flag, of_class, one_of, warn, whole_number
+from trustlab.campaign.run import run_campaign
+from trustlab.models.checks import of_class, one_of, shown, warn, whole_number
 from trustlab.models.display import as_html
+from trustlab.models.files import PARTIAL
 from trustlab.sessions.writing import write_session
 from trustlab.studies.analysis.plots import panels
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
-from trustlab.studies.planning.settings import USUAL_CAMPAIGN, CampaignOptions
 from trustlab.testbeds.deciding import warn_if_too_short
 from trustlab.testbeds.testbed import TESTBEDS, ConditionTestbed, Testbed, named_testbed
 
@@ -273,9 +271,9 @@ def virtual_study(
     testbed: str | Testbed | None = None,
     assumptions: Mapping[str, float] | None = None,
     laps: int | None = None,
-    n_jobs: int | None = None,
+    n_jobs: int = 1,
     out: str | os.PathLike | None = None,
-    campaign: CampaignOptions = USUAL_CAMPAIGN,
+    progress: bool | None = None,
 ) -> VirtualStudy:
     """
     Simulate a within-subject study from its design to its statistics.
@@ -310,15 +308,14 @@ def virtual_study(
         C5, of `TELEOPERATOR_ASSUMPTIONS` for "uav_tracking".
     laps : int, optional
         Laps of each run of the ground robot; 8, as printed.
-    n_jobs : int, optional
-        How many processes simulate participants, as in `run_campaign`; by default this one alone.
-        It has no effect on results.
+    n_jobs : int
+        How many processes simulate participants, as in `run_campaign`; no effect on results.
     out : path-like, optional
         A folder for sessions/ (Parquet, one file per session, for `read_sessions`),
         participants.csv, orders.csv, measures.csv, about.txt and campaign/; a call with the same
         arguments goes on where a killed one stopped. Eight laps are about 1 MB.
-    campaign : CampaignOptions
-        Executor, progress, and what becomes of an earlier study in `out`.
+    progress : bool, optional
+        Whether to show progress on stderr; by default where it is a terminal.
 
     Returns
     -------
@@ -346,7 +343,6 @@ def virtual_study(
     (13, 3)
     """
     seed = whole_number("seed", seed, least=0)
-    of_class("campaign", campaign, CampaignOptions)
     names, rules = _own_rules(conditions)
     bed, conditions = _fitting(testbed, _named(names, design), rules, laps)
     design = _designed(design, n, conditions, seed, bed.printed_n)
@@ -354,18 +350,16 @@ def virtual_study(
     if isinstance(bed, ConditionTestbed):  # a rule is refused before anybody runs
         for name in rules:
             bed.rule_of(name, people.iloc[0].to_dict())
-    folder = None if out is None else StudyFolder(out, design, flag("fresh", campaign.fresh))
+    folder = None if out is None else StudyFolder(out, design)
     fixed = {"testbed": bed, "folder": folder and str(folder.sessions)}
     orders = [json.dumps(order) for order in design.table().to_numpy().tolist()]
     done = run_campaign(
         run_participant,
         [fixed | person for person in people.assign(order=orders).to_dict("records")],
         seed=seed,
+        n_jobs=n_jobs,
         out=None if folder is None else folder.campaign,
-        progress=campaign.progress,
-        fresh=campaign.fresh,
-        other_versions=campaign.other_versions,
-        **where_to_run(n_jobs, campaign.executor),
+        progress=progress,
     )
     failed = done["failed"].to_numpy(dtype=bool)
     if failed.all():
@@ -549,25 +543,29 @@ class StudyFolder:
     of this study.
     """
 
-    def __init__(self, path: str | os.PathLike, design: LatinSquareDesign, fresh: bool = False):
-        self.path = folder_path(path)
+    def __init__(self, path: str | os.PathLike, design: LatinSquareDesign):
+        if not isinstance(path, str | os.PathLike):
+            raise ValueError(f"out must be the path of a folder, got {shown(path)}")
+        self.path = Path(path)
         self.sessions, self.campaign = self.path / "sessions", self.path / "campaign"
-        with writing_in(self.path):
-            present = {item.name for item in self.path.iterdir()} if self.path.exists() else set()
-            refuse(self.path, "other things", present - {"sessions", "campaign", *FILES})
-            self.sessions.mkdir(parents=True, exist_ok=True)
-        files = {item.name for item in self.sessions.iterdir() if not item.name.startswith(".")}
         known = set()
         if (self.campaign / "campaign.json").is_file():
             known = {session_file(*row) for row in design.orders().itertuples(index=False)}
-            if fresh:
-                known = {
-                    name for name in files if fnmatchcase(name, "participant_*_trial_*.parquet")
-                }
-        refuse(self.sessions, "sessions that are not known to be of this study", files - known)
-        if fresh:
-            for name in known & files:
-                (self.sessions / name).unlink()
+        expected = {"sessions", "campaign", *FILES}
+        for folder, names in ((self.path, expected), (self.sessions, known)):
+            items = folder.iterdir() if folder.is_dir() else ()
+            strange = {item.name for item in items if PARTIAL not in item.name} - names
+            if strange:
+                raise ValueError(
+                    f"{folder} holds {min(strange)}, which is not known to be of this study; give "
+                    "a new or empty folder"
+                )
+        try:
+            self.sessions.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ValueError(
+                f"cannot write in {self.path}: {error.strerror}; give one that you may write to"
+            ) from error
 
     def finish(self, study: VirtualStudy) -> None:
         """Check that every session is there, and write the tables beside them."""
@@ -586,11 +584,10 @@ class StudyFolder:
             f"SIMULATED. {study.summary}\nOne file per session in sessions/: "
             "trustlab.read_sessions reads them.\n"
         )
-        with writing_in(self.path):
-            study.participants.to_csv(self.path / "participants.csv", index=False)
-            orders.to_csv(self.path / "orders.csv", index=False)
-            study.measures.to_csv(self.path / "measures.csv", index=False)
-            (self.path / "about.txt").write_text(about, encoding="utf-8")
+        study.participants.to_csv(self.path / "participants.csv", index=False)
+        orders.to_csv(self.path / "orders.csv", index=False)
+        study.measures.to_csv(self.path / "measures.csv", index=False)
+        (self.path / "about.txt").write_text(about, encoding="utf-8")
 
 
 def session_file(participant: int, position: int, condition: str) -> str:
