@@ -72,21 +72,14 @@ def test_every_text_that_a_recipe_reads_is_drafted(drafted, name, text):
 
 def test_per_cent_are_drafted_by_the_values(drafted, recwarn):
     """So that no file of such a study warns."""
-    rows = "".join(f"{k / 10},{k % 2},{40 + k},61.5,{k},{k / 10}\n" for k in range(11))
-    draft, session = drafted("t,mode,p_r,robot_perf,r,alpha\n" + rows)
+    rows = "".join(f"{100 * k},{k % 2},{40 + k},61.5,{k},{k / 10}\n" for k in range(11))
+    draft, session = drafted("t_ms,mode,p_r,operator_performance [%],r,alpha\n" + rows)
     assert not recwarn.list
     np.testing.assert_allclose(session["p_r"], 0.4 + 0.01 * np.arange(11))
+    np.testing.assert_allclose(session["p_h"], 0.615)
     np.testing.assert_allclose(session["r"], 0.01 * np.arange(11))
     np.testing.assert_allclose(session["alpha"], 0.1 * np.arange(11))
-    assert draft.count('unit = "%"') == 2
-
-
-def test_performance_is_known_by_its_name_and_unit(drafted):
-    rows = "".join(f"{100 * k},{'op' if k < 5 else 'auto'},{40 + k},61.5\n" for k in range(10))
-    _, session = drafted("t_ms,driver,robot_perf_pct,operator_performance [%]\n" + rows)
-    assert session.columns == ["mode", "p_r", "p_h"]
-    np.testing.assert_allclose(session["p_r"], 0.4 + 0.01 * np.arange(10))
-    np.testing.assert_allclose(session["p_h"], 0.615)
+    assert draft.count('unit = "%"') == 3
 
 
 def test_what_a_draft_cannot_know_is_asked_for(tmp_path):

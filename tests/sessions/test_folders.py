@@ -89,8 +89,8 @@ def test_headers_and_files_correspond(tmp_path, header, words):
 
 
 def test_the_same_session_twice(tmp_path):
-    lay(tmp_path / "copy", people=(9,))
-    lay(tmp_path / "raw", people=(9,))
+    for folder in ("copy", "raw"):
+        lay(tmp_path / folder, people=(9,))
     with pytest.raises(SessionError, match=r"are both who 9, trial 1; read one of the folders"):
         read_sessions(tmp_path, table_recipe(INDEXED))
 

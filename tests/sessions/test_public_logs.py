@@ -44,22 +44,6 @@ topic = "/tf"
 field = 'transforms[child_frame_id="turtle1"].transform.translation.y'
 unit = "m"
 """
-# The commands of the same run as PlotJuggler exports them: a line per message, blank where others
-# spoke.
-EXPORT = """
-kind = "table"
-[time]
-column = "__time"
-unit = "s"
-from_zero = true
-[resampling]
-method = "previous"
-sample_time = 0.05
-[columns]
-v_command = { column = "/turtle1/cmd_vel/linear/x", unit = "m/s", blank = "hold" }
-w_command = { column = "/turtle1/cmd_vel/angular/z", unit = "rad/s", blank = "hold" }
-u_a_x = { column = "/turtle2/cmd_vel/linear/x", blank = "hold" }
-"""
 # One of several automated vehicles that a remote operator leads past road works (Colley et al., CHI
 # 2025). mode says whether the operator had this vehicle in the main view; lengths are as logged.
 REMOTE = """
@@ -104,12 +88,6 @@ LOGS = {
         "6f8b495a7215a03099836955e1ffbf80f2abaff7f8bd65a1bdf9e52c809cef5d",
         TURTLES,
     ),
-    "turtle.csv": Log(
-        "https://github.com/facontidavide/PlotJuggler at ddcbd05b: datasamples/turtle.csv",
-        "MPL-2.0",
-        "3031e721d1b34dabd90e2ff9542e37ac559027e026d859b7f3daea737044c018",
-        EXPORT,
-    ),
     "log_CT19_10_3.csv": Log(
         "https://github.com/M-Colley/roads-chi25-data at 7e0c504: "
         "ClearedLogs/ClearedLogs/LogsDay4/CT19/10/log_CT19_10_3.csv",
@@ -151,30 +129,6 @@ def test_a_turtle_that_follows_another():
     assert places.max() < 11.1
     with pytest.raises(tl.IdentificationError, match="mode never changes"):
         tl.fit_human(session.with_performance(window=5.0))
-
-
-def test_the_same_turtles_as_plotjuggler_exports_them():
-    bag, csv = public("example.bag"), public("turtle.csv")
-    session, run = read_session(csv[0], recipe=csv[1]), read_session(bag[0], recipe=bag[1])
-    assert session.metadata.more["blanks of u_a_x"] == "356 of 563 cells, filled by 'hold'"
-    assert session.metadata.more["rows cut"].startswith("6 at the start and 0 at the end")
-    frame = pd.read_csv(csv[0])
-    own = frame.dropna(subset=["/turtle1/cmd_vel/linear/x"])
-    start = session.metadata.more["start_time"]
-    held = np.searchsorted(own["__time"] - start, session.t + 1e-6, side="right") - 1
-    np.testing.assert_array_equal(
-        session["v_command"], own["/turtle1/cmd_vel/linear/x"].to_numpy()[held]
-    )
-    np.testing.assert_array_equal(
-        session["w_command"], own["/turtle1/cmd_vel/angular/z"].to_numpy()[held]
-    )
-    # The tutorial's follower drives at 0.5/s times the distance to the turtle that it follows.
-    sent = frame.dropna(subset=["/turtle2/cmd_vel/linear/x"])
-    t = sent["__time"] - run.metadata.more["start_time"]
-    during = t.between(run.t[0], run.t[-1])
-    speed = 0.5 * np.interp(t[during], run.t, run["path_error"])
-    assert during.sum() > 200
-    np.testing.assert_allclose(speed, sent["/turtle2/cmd_vel/linear/x"][during], atol=0.03)
 
 
 def test_a_vehicle_led_by_a_remote_operator():

@@ -182,6 +182,5 @@ def test_patterns():
     assert (level.base, level.fields) == ("/x", {"level": -0.5})
     assert PathPattern("p{who}/p{who}.csv").match("p1/p2.csv") is None
     assert PathPattern("a.csv").match("x/abcsv") is None
-    assert PathPattern("{a}_{b}_{n:int}.csv").match("/x/1_2_3_4.csv").fields["n"] == 4
     values = ["b", 10, "a10", "a2", 2, None]
     assert sorted(values, key=natural_key) == [2, 10, "a2", "a10", "b", None]

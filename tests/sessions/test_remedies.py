@@ -9,7 +9,6 @@ from tests.sessions.test_bags import COLUMNS, RESAMPLED, TF, lab_bag, turtles  #
 from tests.sessions.test_recipes import LAB
 from trustlab.sessions import (
     RecipeError,
-    Session,
     SessionError,
     load_recipe,
     read_frame,
@@ -272,8 +271,6 @@ def test_what_a_frame_lacks():
             "data frame: row 1 (from 0), column 'p",
         ),
         (lambda: read_frame(dates), 'write seconds, or set [time] unit = "iso" in a recipe'),
-        (lambda: Session(frame["p_r"].to_frame()), 'frame.set_index("t")'),
-        (lambda: read_frame(frame).with_performance(), '"uav_tracking", "mixed_initiative"'),
         (lambda: read_frame(frame).require("p_h"), "session.with_performance(…) computes p_r and"),
         (lambda: read_frame(frame).require("u_h_x"), "with_columns(u_h_x=session['human_x'], …)"),
     ]:

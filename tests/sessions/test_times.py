@@ -46,7 +46,7 @@ def test_a_clock_that_is_set_back_passes_no_midnight(read):
     text = ZERO.replace("UNIT", "clock")
     with pytest.raises(SessionError, match="line 3, column t: time runs backwards"):
         read("t,a\n12:00:01,1\n00:00:02,2\n", text)
-    assert read("t,a\n12:00:01,1\n00:00:00,2\n", text).t[1] == 43199.0
+    assert read("t,a\n12:00:01,1\n00:00:00,2\n", text).duration == 43199.0
 
 
 @pytest.mark.parametrize("zone", ["", "Z", "+01:00"])

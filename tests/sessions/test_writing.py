@@ -98,23 +98,6 @@ def test_a_note_of_a_cut_line_is_of_the_file_that_was_read(read, tmp_path, recwa
     assert not recwarn.list
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_file_cut_anywhere_is_refused_or_warned_of(tmp_path, recwarn, name):
-    path = write_session(session(samples=400), tmp_path / name)
-    data = path.read_bytes()
-    for share in (0.0, 0.3, 0.6, 0.95, 0.9999):
-        path.write_bytes(data[: int(share * len(data))])
-        recwarn.clear()
-        try:
-            assert len(read_session(path)) <= 400
-        except SessionError as error:
-            assert "a." in str(error)  # noqa: PT017
-        else:
-            assert "the last line has no end" in str(recwarn.pop().message)
-    path.write_bytes(data)
-    assert read_session(path) == session(samples=400)
-
-
 def test_a_bag_that_lost_samples_is_noticed(tmp_path, monkeypatch):
     to_json = tl.sessions.session.metadata_to_json
     doubled = lambda metadata, samples: to_json(metadata, samples=2 * samples)  # noqa: E731
