@@ -103,8 +103,9 @@ def test_parts_and_added_columns():
     assert more.columns == ["mode", "p_r", "r"]
     assert (more["r"] == 0.3).all()
     assert more == more.with_columns(mode=1.0) == tl.Session(more.data[["r", "p_r", "mode"]])
-    with pytest.raises(tl.SessionError, match=r"column 'p_r' is of shape \(2,\), .* 11 samples"):
-        session.with_columns(p_r=[1.0, 2.0])
+    for wrong in ([1.0, 2.0], np.zeros((11, 2))):
+        with pytest.raises(tl.SessionError, match=r"column 'p_r' is of shape \(.*, .* 11 samples"):
+            session.with_columns(p_r=wrong)
     with pytest.raises(
         tl.SessionError, match=r"2\.0 s and 3\.0 s; the session runs from 0 s to 1 s"
     ):
