@@ -1,9 +1,30 @@
-"""Drafted recipes. Oracle: the values written out by hand, read without any recipe."""
+"""Drafted recipes. Oracle: the values of the log, written out by hand."""
+
+import gzip
 
 import numpy as np
 import pytest
 
 import trustlab as tl
+
+
+@pytest.fixture
+def drafted(tmp_path):
+    """A function that writes a log and drafts its recipe; it returns the draft and the session."""
+
+    def draft(text, name="run.csv", **filled):
+        log = tmp_path / name
+        content = text if isinstance(text, bytes) else text.encode()
+        log.write_bytes(gzip.compress(content) if name.endswith(".gz") else content)
+        recipe = tl.draft_recipe(log, tmp_path / f"{name}.toml")
+        draft = recipe.read_text(encoding="utf-8")
+        for line in filled.values():
+            draft = draft.replace(*line)
+        recipe.write_text(draft, encoding="utf-8")
+        return draft, tl.read_session(log, recipe)
+
+    return draft
+
 
 LAB = """# rig 2, spring
 Time [ms];Drive Mode;Cross Track Error [mm];pos x [m];pos y [m];note
@@ -14,98 +35,129 @@ Time [ms];Drive Mode;Cross Track Error [mm];pos x [m];pos y [m];note
 """
 
 
-def test_a_draft_reads_a_log_of_another_style(tmp_path):
-    log = tmp_path / "run.csv"
-    log.write_text(LAB)
-    recipe = tl.draft_recipe(log, tmp_path / "lab.toml")
-    session = tl.read_session(log, recipe)
+def test_a_draft_reads_a_log_of_another_style(drafted, tmp_path):
+    draft, session = drafted(LAB)
     np.testing.assert_allclose(session.t, [0.0, 0.1, 0.2, 0.3], atol=1e-12)
     assert session["mode"].tolist() == [1.0, 1.0, 0.0, 0.0]
     np.testing.assert_allclose(session["path_error"], [1.5e-3, 1.6e-3, 1.7e-3, 1.8e-3])
     assert session["robot_x"].tolist() == [0.0, 0.0, 0.2, 0.3]
-    assert "note: a, b, c, d" in recipe.read_text()
-    with pytest.raises(tl.SessionError, match=r"lab\.toml exists already"):
-        tl.draft_recipe(log, recipe)
+    assert session["robot_y"].tolist() == [0.0, 0.1, 0.1, 0.1]
+    assert "note: a, b, c, d" in draft
+    with pytest.raises(tl.SessionError, match=r"run\.csv\.toml exists already"):
+        tl.draft_recipe(tmp_path / "run.csv", tmp_path / "run.csv.toml")
+
+
+SPACES = """  stamp_s   driver   err_cm
+ 0.0   human    10
+ 0.1   robot     9.5
+ 0.2   human   -11
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("run.txt", SPACES),
+        ("run.csv.gz", "stamp_s,driver,err_cm\n0,human,10\n0.1,robot,9.5\n0.2,human,-11\n"),
+        ("run.tsv", "stamp_s\tdriver\terr_cm\n0\thuman\t10\n0.1\trobot\t9.5\n0.2\thuman\t-11\n"),
+        ("run.csv", "stamp_s|driver|err_cm\n0|human|10\n0.1|robot|9.5\n0.2|human|-11\n"),
+    ],
+)
+def test_every_text_that_a_recipe_reads_is_drafted(drafted, name, text):
+    _, session = drafted(text, name)
+    np.testing.assert_allclose(session.t, [0.0, 0.1, 0.2], atol=1e-15)
+    assert session["mode"].tolist() == [1.0, 0.0, 1.0]
+    np.testing.assert_allclose(session["path_error"], [0.1, 0.095, 0.11], atol=1e-15)
+
+
+def test_per_cent_are_drafted_by_the_values(drafted, recwarn):
+    """So that no file of such a study warns."""
+    rows = "".join(f"{100 * k},{k % 2},{40 + k},61.5,{k},{k / 10}\n" for k in range(11))
+    draft, session = drafted("t_ms,mode,p_r,operator_performance [%],r,alpha\n" + rows)
+    assert not recwarn.list
+    np.testing.assert_allclose(session["p_r"], 0.4 + 0.01 * np.arange(11))
+    np.testing.assert_allclose(session["p_h"], 0.615)
+    np.testing.assert_allclose(session["r"], 0.01 * np.arange(11))
+    np.testing.assert_allclose(session["alpha"], 0.1 * np.arange(11))
+    assert draft.count('unit = "%"') == 3
 
 
 def test_what_a_draft_cannot_know_is_asked_for(tmp_path):
-    log = tmp_path / "run.csv"
+    log, recipe = tmp_path / "run.csv", tmp_path / "lab.toml"
     log.write_text("stamp,ctrl,heading\n10,A,0.1\n20,B,0.2\n30,A,0.3\n")
-    recipe = tl.draft_recipe(log, tmp_path / "lab.toml")
-    with pytest.raises(tl.SessionError) as caught:
-        tl.read_session(log, recipe)
-    said = str(caught.value)
-    lines = recipe.read_text().splitlines()
-    for name in ("mode", "yaw"):
-        number = next(k for k, line in enumerate(lines, 1) if line.startswith(f"{name} ="))
-        assert f"line {number}: [columns] {name}: " in said
+    tl.draft_recipe(log, recipe)
+    for old, new, words in [
+        ('unit = "?"', 'unit = "deg"', r"\[columns\] yaw: unknown unit '\?'"),
+        ('"A" = "?"', '"A" = 1', r"\[columns\] mode: map entry 'A' must be a number, got '\?'"),
+        ('"B" = "?"', '"B" = 0', r"\[columns\] mode: map entry 'B'"),
+    ]:
+        with pytest.raises(tl.sessions.RecipeError, match=words):
+            tl.read_session(log, recipe)
+        recipe.write_text(recipe.read_text().replace(old, new))
+    assert tl.read_session(log, recipe)["mode"].tolist() == [1.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 def test_a_draft_of_our_own_file_changes_nothing(tmp_path, suffix):
     pilot = tl.read_session("data/sessions/pilot.csv")
-    path = tmp_path / f"pilot.{suffix}"
-    tl.write_session(pilot, path)
+    path = tl.write_session(pilot, tmp_path / f"pilot.{suffix}")
     read = tl.read_session(path, tl.draft_recipe(path, tmp_path / "lab.toml"))
     assert read.data.equals(pilot.data)
 
 
-def test_files_that_are_no_tables_are_refused(tmp_path):
-    for name, content in (("a.bag", b"#ROSBAG V2.0"), ("a.csv", b""), ("a.parquet", b"no")):
-        path = tmp_path / name
-        path.write_bytes(content)
-        with pytest.raises(tl.SessionError, match=name):
-            tl.draft_recipe(path, tmp_path / "lab.toml")
-
-
-def test_who_drives_is_guessed_from_two_words_in_another_language(tmp_path):
-    log = tmp_path / "fahrt.csv"
-    log.write_text("Zeit (ms);Fahrer;Tempo\n0;Mensch;1,5\n100;Roboter;1,6\n200;Mensch;1,7\n")
-    recipe = tl.draft_recipe(log, tmp_path / "lab.toml")
-    assert "# p_r = " in recipe.read_text()
-    session = tl.read_session(log, recipe)
-    assert session["mode"].tolist() == [1.0, 0.0, 1.0]
-    np.testing.assert_allclose(session.t, [0.0, 0.1, 0.2], atol=1e-12)
-
-
-def test_text_that_windows_wrote_is_drafted_and_read(tmp_path):
+def test_who_drives_is_guessed_from_two_words_in_any_encoding(drafted):
     """Oracle: the same log in UTF-8."""
-    text = "Zeit;Fahrer;Güte (%)\n0;Mensch;1,5\n0,1;Übergabe;1,6\n0,2;Mensch;1,7\n"
-    modes = {"Mensch": 1, "Übergabe": 0}
-    read = []
+    text = "Zeit (ms);Fahrer;Güte (%)\n0;Mensch;1,5\n100;Übergabe;1,6\n200;Mensch;1,7\n"
+    sessions = []
     for encoding in ("utf-8", "cp1252"):
-        log = tmp_path / f"{encoding}.csv"
-        log.write_text(text, encoding=encoding)
-        recipe = tl.draft_recipe(log, tmp_path / f"{encoding}.toml")
-        lines = recipe.read_text(encoding="utf-8").replace('"Übergabe" = "?"', '"Übergabe" = 0')
-        assert ('encoding = "cp1252"' in lines) == (encoding == "cp1252")
-        recipe.write_text(f'{lines}p_r = {{ column = "Güte (%)", unit = "%" }}\n', encoding="utf-8")
-        read.append(tl.read_session(log, recipe))
-    assert read[0].data.equals(read[1].data)
-    assert read[1]["mode"].tolist() == [modes[word] for word in ("Mensch", "Übergabe", "Mensch")]
-    with pytest.raises(tl.SessionError, match=r'line 1: byte 0xfc .*encoding = "cp1252"'):
-        tl.read_session(log, tmp_path / "utf-8.toml")
-    log.write_text(text.replace("1,7", "1,x"), encoding="cp1252")  # row by row, to name the line
-    with pytest.raises(tl.SessionError, match=r"line 4, column 'Güte \(%\)'"):
-        tl.read_session(log, tmp_path / "cp1252.toml")
+        word = ('"Übergabe" = "?"', '"Übergabe" = 0')
+        draft, session = drafted(text.encode(encoding), f"{encoding}.csv", word=word)
+        assert ('encoding = "cp1252"' in draft) == (encoding == "cp1252")
+        assert "# p_r = " in draft
+        sessions.append(session)
+    assert sessions[0].data.equals(sessions[1].data)
+    assert sessions[1]["mode"].tolist() == [1.0, 0.0, 1.0]
+    np.testing.assert_allclose(sessions[1].t, [0.0, 0.1, 0.2], atol=1e-12)
 
 
-def test_stamps_that_jitter_are_drafted_with_an_even_grid(tmp_path):
-    log = tmp_path / "run.csv"
-    log.write_text("stamp_ms,mode,p_r\n0,1,.30\n103,1,.31\n199,0,.32\n300,0,.33\n")
-    recipe = tl.draft_recipe(log, tmp_path / "lab.toml")
-    session = tl.read_session(log, recipe)
-    np.testing.assert_allclose(np.diff(session.t), float(f"{np.median([103, 96, 101]):g}") / 1e3)
+@pytest.mark.parametrize(
+    ("times", "unit"),
+    [
+        ("2026-03-01T12:00:00 2026-03-01T12:00:01 2026-03-01T12:00:02", "iso"),
+        ("12:00:00 12:00:01 12:00:02", "clock"),
+        ("0 1 2", "s"),
+        ("0 20 40", "ms"),
+        ("0 20000 40000", "us"),
+        ("0 20000000 40000000", "ns"),
+    ],
+)
+def test_the_unit_of_time_is_guessed_by_its_values(drafted, times, unit):
+    rows = "".join(f"{time},1,0.3\n" for time in times.split())
+    draft, session = drafted("when,mode,p_r\n" + rows)
+    assert f'unit = "{unit}"' in draft
+    assert session.sample_time == pytest.approx(0.02 if unit in ("ms", "us", "ns") else 1.0)
 
 
-def test_performance_is_known_by_its_name_and_unit(tmp_path):
-    log = tmp_path / "run.csv"
-    log.write_text(
-        "t_ms,driver,robot_perf_pct,operator_performance [%]\n"
-        + "".join(f"{100 * k},{'op' if k < 5 else 'auto'},{40 + k},61.5\n" for k in range(10))
-    )
-    recipe = tl.draft_recipe(log, tmp_path / "lab.toml")
-    session = tl.read_session(log, recipe)
-    assert session.columns == ["mode", "p_r", "p_h"]
-    np.testing.assert_allclose(session.data["p_r"], 0.4 + 0.01 * np.arange(10))
-    np.testing.assert_allclose(session.data["p_h"], 0.615)
+def test_stamps_that_jitter_are_drafted_with_an_even_grid(drafted):
+    draft, session = drafted("stamp_ms,mode,cte_m\n0,1,.30\n103,1,.31\n199,0,0\n300,0,.33\n")
+    assert session.sample_time == 0.101
+    assert "[resampling]" in draft
+    assert "absolute" not in draft
+    assert "[resampling]" not in drafted("stamp_ms,mode\n0,1\n1000,1\n2009,0\n", "even.csv")[0]
+
+
+def test_a_table_without_names_is_drafted_by_number(drafted):
+    line = ('mode = { value = "?" }', "mode = { column = 1 }\np_r = { column = 2 }")
+    draft, session = drafted("0,1,0.5\n1,0,0.25\n", line=line)
+    assert "header = false" in draft
+    assert session.data.to_dict("list") == {"mode": [1.0, 0.0], "p_r": [0.5, 0.25]}
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("a.bag", b"x"), ("a.csv", b""), ("a.parquet", b"no")]
+)
+def test_files_that_are_no_tables(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(tl.SessionError, match=name):
+        tl.draft_recipe(tmp_path / name, tmp_path / "lab.toml")
+    assert not (tmp_path / "lab.toml").exists()

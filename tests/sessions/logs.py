@@ -1,0 +1,107 @@
+"""Recipes and bags that tests of sessions share; bags are written by rosbags alone."""
+
+import shutil
+import sqlite3
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin, Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from trustlab.sessions import Recipe
+
+START = 1_700_000_000_123_456_789  # [ns]
+NUMBER, TEXT = "std_msgs/msg/Float64", "std_msgs/msg/String"
+
+
+def table_recipe(text: str) -> Recipe:
+    """Return a recipe for tables, whose times are seconds where it does not say."""
+    time = "" if "[time]" in text else '[time]\nunit = "s"\n'
+    return Recipe.from_toml(f'kind = "table"\n{time}{text}')
+
+
+def bag_recipe(text: str) -> Recipe:
+    return Recipe.from_toml(f'kind = "bag"\n{text}')
+
+
+def stamped(stamp: int) -> dict:
+    """Return the header of a message measured at a time [ns]."""
+    return {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}}
+
+
+class Bag:
+    """Messages by topic, for a ROS 1 bag (.bag), an .mcap file or a rosbag2 folder."""
+
+    def __init__(self, path, store=None):
+        self.path, self.ros1 = path, path.suffix == ".bag"
+        self.store = store or get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
+        self.entries = []
+
+    def make(self, kind: str, values: dict):
+        """Return a message of these values, dictionaries within; what is left out is zero."""
+        content = {}
+        for name, (node, detail) in self.store.fielddefs[kind][1]:
+            value = values.get(name)
+            if node == Nodetype.NAME:
+                value = self.make(detail, value or {})
+            elif node == Nodetype.ARRAY:
+                value = np.zeros(detail[1])
+            elif node == Nodetype.SEQUENCE and detail[0][0] == Nodetype.NAME:
+                value = [self.make(detail[0][1], each) for each in value]
+            elif node == Nodetype.SEQUENCE and value is None:
+                value = np.zeros(0)
+            elif value is None:
+                value = "" if detail[0] == "string" else 0
+            content[name] = value
+        return self.store.types[kind](**content)
+
+    def add(self, topic: str, seconds: float, kind: str, **values) -> None:
+        stamp = START + round(seconds * 1e9)
+        self.entries.append((topic, stamp, kind, self.make(kind, values)))
+
+    def write(self):
+        """Write the bag; return its path."""
+        serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        mcap = self.path.suffix == ".mcap"
+        folder = self.path.with_suffix(".folder") if mcap else self.path
+        plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
+        topics = {}
+        with (
+            Writer1(folder)
+            if self.ros1
+            else Writer2(folder, version=8, storage_plugin=plugin) as writer
+        ):
+            for topic, stamp, kind, message in self.entries:
+                if (topic, kind) not in topics:
+                    connection = writer.add_connection(topic, kind, typestore=self.store)
+                    topics[topic, kind] = connection
+                writer.write(topics[topic, kind], stamp, serialize(message, kind))
+        if mcap:
+            next(folder.glob("*.mcap")).rename(self.path)
+            shutil.rmtree(folder)
+        return self.path
+
+
+def bag_of_numbers(path, times, topic="/e", **columns):
+    """Write a bag with one topic of numbers for each column, or for values of one topic."""
+    bag = Bag(path)
+    for name, values in columns.items():
+        for t, value in zip(times, values, strict=True):
+            bag.add(topic if name == "values" else f"/{name}", t, NUMBER, data=float(value))
+    return bag.write()
+
+
+HAND = "std_msgs/Header header\nfloat64 grip\n"
+
+
+def hands(path):
+    """Write a bag as ROS 2 before Iron wrote it, which does not define its messages."""
+    bag = Bag(path)
+    bag.store.register(get_types_from_msg(HAND, "lab_msgs/msg/Hand"))
+    for k in range(20):
+        bag.add("/hand", k, "lab_msgs/msg/Hand", grip=0.05 * k)
+    bag.write()
+    with sqlite3.connect(next(path.glob("*.db3"))) as database:
+        database.execute("DELETE FROM message_definitions")
+    return path

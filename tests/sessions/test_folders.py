@@ -1,0 +1,158 @@
+"""Folders of logs: which files, in which order, with which header. Oracle: the files laid out."""
+
+import pytest
+
+from tests.sessions.logs import table_recipe
+from trustlab.sessions import SessionError, read_session, read_sessions
+
+TABLE = "t,a\n0,0.5\n1,0.5\n"
+COLUMNS = '[columns]\np_r = { column = "a" }\n'
+INDEXED = f"""[files]
+pattern = "p{{who:int}}/run{{trial:int}}.csv"
+[header]
+file = "p{{who}}/runs.csv"
+keys = {{ trial = "run" }}
+{COLUMNS}r = {{ from = "header.share", unit = "%" }}
+beta = {{ from = "header.level", map = {{ low = 0.1, high = 0.9 }} }}
+[metadata]
+participant = {{ from = "who" }}
+trial = {{ from = "trial" }}
+"""
+HEADER = "run, share,level\n1,10,low\n2,20,low\n10,30,high\n"
+
+
+def lay(folder, people=(9, 10), runs=(1, 2, 10)):
+    for who in people:
+        (folder / f"p{who}").mkdir(parents=True)
+        (folder / f"p{who}" / "runs.csv").write_text(HEADER)
+        for run in runs:
+            (folder / f"p{who}" / f"run{run}.csv").write_text(TABLE)
+    return folder
+
+
+def runs(sessions):
+    return [(each.metadata.participant, each.metadata.more["trial"]) for each in sessions]
+
+
+@pytest.mark.parametrize("below", [".", "study"])
+def test_files_are_found_at_any_depth_and_ordered_by_number(tmp_path, monkeypatch, below):
+    lay(tmp_path / "study" / "raw")
+    recipe = table_recipe(INDEXED)
+    sessions = read_sessions(tmp_path / below, recipe)
+    assert runs(sessions) == [(who, run) for who in (9, 10) for run in (1, 2, 10)]
+    assert [each["r"][0] for each in sessions] == pytest.approx([0.1, 0.2, 0.3] * 2)
+    assert [each["beta"][0] for each in sessions] == [0.1, 0.1, 0.9] * 2
+    monkeypatch.chdir(tmp_path / "study" / "raw" / "p9")
+    assert runs(read_sessions(".", recipe)) == [(9, 1), (9, 2), (9, 10)]
+    assert read_session("run10.csv", recipe).metadata.more["trial"] == 10
+
+
+def test_a_header_above_the_folder_names_other_sessions_too(tmp_path):
+    lay(tmp_path / "raw")
+    rows = [f"{who},{run},10,low\n" for who in (9, 10) for run in (1, 2, 10)]
+    (tmp_path / "raw" / "index.csv").write_text("who,run,share,level\n" + "".join(rows))
+    text = INDEXED.replace("p{who}/runs.csv", "index.csv").replace(
+        "keys = {", 'keys = { who = "who",'
+    )
+    assert len(read_sessions(tmp_path / "raw", table_recipe(text))) == 6
+    assert len(read_sessions(tmp_path / "raw" / "p9", table_recipe(text))) == 3
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        (HEADER.replace("run,", "rum,"), r"runs\.csv: needs one column 'run'; did you mean 'rum'"),
+        (HEADER.replace("share", "run"), "needs one column 'run'"),
+        (HEADER + "10.0,1,low\n", "line 5: run 10 is empty, or occurs twice"),
+        (HEADER + ",1,low\n", "line 5: run  is empty"),
+        (HEADER.replace("1,10,low", "1,ten,low"), r"run1\.csv: column 'r' .*'ten' is not a number"),
+        (
+            HEADER.replace("1,10,low", "1,10,mid"),
+            r"run1\.csv: column 'beta' .*'mid' is not in .*low",
+        ),
+        (HEADER.replace("1,10,low", "1,,low"), r"run1\.csv.*no header\.share, or it is empty"),
+        (HEADER.replace("share", "part"), r"no header\.share.*header\.part"),
+        (HEADER.replace("2,20,low\n", ""), r"run2\.csv: the header .*no row for run 2; add it"),
+        (HEADER + "11,1,low\n", r"runs\.csv: names run 11, which has no file; add it or remove"),
+        ("", r"runs\.csv: this header file cannot be read"),
+        (b"\xff\xfe", r"runs\.csv: this header file cannot be read"),
+        (None, r"runs\.csv: this header file cannot be read"),
+    ],
+)
+def test_headers_and_files_correspond(tmp_path, header, words):
+    path = lay(tmp_path, people=(9,)) / "p9" / "runs.csv"
+    path.unlink()
+    if header is not None:
+        path.write_bytes(header if isinstance(header, bytes) else header.encode())
+    with pytest.raises(SessionError, match=words):
+        read_sessions(tmp_path, table_recipe(INDEXED))
+
+
+def test_the_same_session_twice(tmp_path):
+    for folder in ("copy", "raw"):
+        lay(tmp_path / folder, people=(9,))
+    with pytest.raises(SessionError, match=r"are both who 9, trial 1; read one of the folders"):
+        read_sessions(tmp_path, table_recipe(INDEXED))
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("vpA.csv", "; vpA.csv would, if its fields were not numbers"), ("notes.md", r" \(there are")],
+)
+def test_a_pattern_that_nothing_fits_names_what_is_near(tmp_path, name, remedy):
+    (tmp_path / name).write_text(TABLE)
+    recipe = table_recipe(f'[files]\npattern = "vp{{participant:int}}.csv"\n{COLUMNS}')
+    with pytest.raises(SessionError, match=r"fits the recipe's pattern '[^']*'" + remedy):
+        read_sessions(tmp_path, recipe)
+
+
+def test_a_path_that_does_not_fit_matters_where_something_is_taken_from_it(read):
+    pattern = f'[files]\npattern = "{{who}}_{{trial:int}}.csv"\n{COLUMNS}'
+    assert len(read(TABLE, pattern)) == 2
+    with pytest.raises(SessionError, match=r"the path does not fit .*'{who}_{trial:int}\.csv'; re"):
+        read(TABLE, pattern + '[metadata]\nparticipant = { from = "who" }\n')
+
+
+def test_faults_are_raised_or_collected(tmp_path):
+    for k in (10, 2, 1):
+        (tmp_path / f"p{k}.csv").write_text("t,p_r\n0,1\n1,x\n" if k == 2 else "t,p_r\n0,1\n1,2\n")
+    (tmp_path / "notes.txt").write_text("not a log")
+    seen = []
+    progress = lambda done, count: seen.append((done, count))  # noqa: E731
+    sessions = read_sessions(tmp_path, on_error="collect", progress=progress)
+    names = [each.metadata.source for each in sessions]
+    assert names == [str(tmp_path / "p1.csv"), str(tmp_path / "p10.csv")]
+    assert sessions.faults["file"].tolist() == [str(tmp_path / "p2.csv")]
+    assert "line 3, column 'p_r': 'x' is not" in sessions.faults["error"][0]
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+    with pytest.raises(SessionError, match=r"p2\.csv: line 3"):
+        read_sessions(tmp_path)
+
+
+def test_a_doubt_about_many_files_is_told_once(tmp_path, recwarn):
+    for k in range(15):
+        (tmp_path / f"p{k}.csv").write_text("t,p_r,p_h\n0,50,60\n1,70,80\n")
+    assert len(read_sessions(tmp_path)) == 15
+    words = [str(each.message) for each in recwarn]
+    assert [each.split(":")[0] for each in words] == [
+        f"{tmp_path / 'p0.csv'} (and 14 more of the files)"
+    ] * 2
+    assert [
+        name in each for name, each in zip(("column p_r", "column p_h"), words, strict=True)
+    ] == [True] * 2
+    assert all(each.filename == __file__ for each in recwarn)
+
+
+@pytest.mark.filterwarnings("ignore:.*samples are 100 s apart")
+def test_files_being_written_and_loops_are_no_sessions(tmp_path):
+    (tmp_path / ".trustlab-host-1-x").mkdir()
+    (tmp_path / ".trustlab-host-1-x" / "run1.csv").write_text(TABLE)
+    (tmp_path / "run2.csv").write_text(TABLE)
+    (tmp_path / "run3.csv.partial-1").write_text("t,a\n0,")
+    (tmp_path / "loop").symlink_to(tmp_path, target_is_directory=True)
+    recipe = table_recipe(f'[files]\npattern = "run{{k:int}}.csv*"\n{COLUMNS}')
+    sources = [each.metadata.source for each in read_sessions(tmp_path, recipe)]
+    assert sources == [str(tmp_path / "run2.csv")]
+    (tmp_path / "run4.csv").symlink_to(tmp_path / "run4.csv")
+    with pytest.raises(SessionError, match=r"run4\.csv: there is no such file"):
+        read_sessions(tmp_path, recipe)

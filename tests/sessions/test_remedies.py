@@ -1,0 +1,279 @@
+"""What an error says: file, line, column and remedy. Where the remedy is a line, it works."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.sessions.logs import bag_of_numbers, bag_recipe, table_recipe
+from tests.sessions.test_bags import COLUMNS, RESAMPLED, TF, lab_bag, turtles  # noqa: F401
+from tests.sessions.test_recipes import LAB
+from trustlab.sessions import (
+    RecipeError,
+    SessionError,
+    load_recipe,
+    read_frame,
+    read_session,
+    read_sessions,
+    write_session,
+)
+
+HEAD = "t,mode,p_r\n"
+GOOD = HEAD + "0,1,1\n1,0,1\n"
+PLAIN = '[columns]\np_r = { column = "p_r" }\n'
+TIME = '[time]\nunit = "s"\n'
+GRID = '[resampling]\nmethod = "linear"\nsample_time = 1\n'
+LOGS = {
+    "empty": ("", None, ["the file is empty"], None),
+    "blank": (" \n\n", None, ["line 1: is empty; the names of the columns"], None),
+    "one row": (HEAD + "0,1,1\n", None, ["at least two samples, found 1"], None),
+    "misspelt": (
+        GOOD.replace("p_r", "p_rr"),
+        None,
+        ["line 1: column 'p_rr' is not in the vocabulary; did you mean 'p_r'?", "map it with a"],
+        PLAIN.replace('"p_r"', '"p_rr"'),
+    ),
+    "time": (
+        GOOD.replace("t,", "time,"),
+        PLAIN,
+        ["line 1: column 't' is missing; time needs the name t"],
+        f'[time]\ncolumn = "time"\nunit = "s"\n{PLAIN}',
+    ),
+    "twice": (
+        "t,mode,mode\n0,1,1\n1,1,1\n",
+        None,
+        ["line 1: column 'mode' occurs twice; rename or remove one"],
+        None,
+    ),
+    "no names": (
+        "0,1,1\n1,1,1\n",
+        None,
+        ["line 1: found numbers instead of column names", "[table] and header = false"],
+        '[table]\nheader = false\n[time]\ncolumn = 0\nunit = "s"\n[columns]\np_r = { column = 1 }',
+    ),
+    "semicolons": (
+        "t;p_r\n0;1\n1;1\n",
+        None,
+        ["line 1: one column only, 't;p_r'", 'read it with delimiter=";"'],
+        {"delimiter": ";"},
+    ),
+    "decimal commas": (
+        't;p_r\n0;"0,5"\n1;1\n',
+        '[table]\ndelimiter = ";"\n' + PLAIN,
+        ["line 2, column 'p_r': '0,5' is not a number", 'decimal=",", or set it in a recipe'],
+        '[table]\ndelimiter = ";"\ndecimal = ","\n' + PLAIN,
+    ),
+    "words": (
+        "t,m\n0,on\n1,off\n",
+        '[columns]\nmode = { column = "m" }',
+        [
+            "line 2, column 'm' (mode): 'on' is not a number",
+            "turn words into numbers with a",
+            "map",
+        ],
+        '[columns]\nmode = { column = "m", map = { on = 1, off = 0 } }',
+    ),
+    "word": (
+        "t,m\n0,on\n1,of\n",
+        '[columns]\nmode = { column = "m", map = { on = 1, off = 0 } }',
+        ["line 3, column 'm' (mode): 'of' is not in the recipe's map; did you mean 'off'?"],
+        None,
+    ),
+    "no word": (
+        "t,m\n0,on\n1,\n",
+        '[columns]\nmode = { column = "m", map = { on = 1 } }',
+        ["line 3", 'the cell is empty; fill it, or add blank = "hold" beside the map'],
+        '[columns]\nmode = { column = "m", map = { on = 1 }, blank = "hold" }',
+    ),
+    "no number": (
+        "t,p_r\n0,1\n1,\n2,1\n",
+        PLAIN,
+        ["line 3, column 'p_r', t = 1 s: nan is missing", '(blank = "hold" or "linear")'],
+        PLAIN.replace(" }", ', blank = "linear" }'),
+    ),
+    "date": (
+        "t,p_r\n0,1\nsoon,1\n",
+        '[time]\nunit = "iso"\n' + PLAIN,
+        ["line 2, column t: '0' is not a time such as 2026-03-01T12:00:00; or give seconds"],
+        None,
+    ),
+    "repeats": (
+        GOOD + "1,0,1\n",
+        None,
+        ["line 4, column t: time repeats (1.0 s, then 1.0 s)", '[time] repeated = "first"'],
+        TIME + 'repeated = "first"\n' + PLAIN,
+    ),
+    "irregular": (
+        GOOD + "3,0,1\n4,0,1\n",
+        None,
+        ["line 4, column t: sampling is irregular", "[resampling], method", "sample_time = 1"],
+        GRID + PLAIN,
+    ),
+    "pedal": (
+        "t,m\n0,0.1\n1,3\n",
+        '[columns]\nmode = { column = "m" }',
+        ["line 3, column 'mode', t = 1 s: 3.0 lies outside [0, 1] (who drives", "(scale, above)"],
+        '[columns]\nmode = { column = "m", above = 2 }',
+    ),
+    "windows": (
+        "t,ä\n0,1\n1,1\n".encode("cp1252"),
+        '[columns]\np_r = { column = "ä" }',
+        ["line 1: byte 0xe4 is not UTF-8 text", '[table] and encoding = "cp1252"'],
+        '[table]\nencoding = "cp1252"\n[columns]\np_r = { column = "ä" }',
+    ),
+    "utf-16": (GOOD.encode("utf-16"), None, ["line 1: this is no text in UTF-8; save"], None),
+    "comment": (
+        "# rig 3\n" + GOOD,
+        PLAIN,
+        ["line 1: found a comment instead of the names; skip it with [table] skip_lines"],
+        "[table]\nskip_lines = 1\n" + PLAIN,
+    ),
+    "metadata": ("# trustlab {broken\n" + GOOD, None, ["the trustlab metadata are damaged"], None),
+    "metadata type": ('# trustlab {"synthetic": "no"}\n' + GOOD, None, ["synthetic as 'no'"], None),
+}
+
+
+@pytest.mark.filterwarnings("ignore:.*is 1 throughout")
+@pytest.mark.parametrize("case", LOGS)
+def test_a_log_that_cannot_be_read_as_it_is(read, tmp_path, case):
+    text, recipe, words, remedy = LOGS[case]
+    with pytest.raises(SessionError) as caught:
+        read(text, recipe)
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / 'run.csv'}: ")
+    assert [each for each in words if each not in message] == [], message
+    assert "\n" not in message
+    assert message.encode().decode() == message  # it can be printed
+    if isinstance(remedy, dict):
+        assert len(read(text, recipe, **remedy)) >= 2
+    elif remedy:
+        assert len(read(text, remedy)) >= 2
+
+
+RECIPES = [
+    ("[columns]", "[colums]", "recipe: unknown key 'colums'; did you mean 'columns'?"),
+    ('kind = "table"', 'kind = "tabel"', "recipe: kind must be one of 'table', 'bag', got 'tabel'"),
+    ('kind = "table"', 'kind = "bag"', '[table] is for kind = "table"'),
+    (
+        "robot_x =",
+        "robot_xx =",
+        "[columns] robot_xx: not in the vocabulary; did you mean 'robot_x'",
+    ),
+    ("yaw =", "t =", "[columns] t: not in the vocabulary; time goes under [time]"),
+    ("yaw =", "performance_window =", "performance_window goes above the first [table]"),
+    ('"%" }', '"m" }', "[columns] r: 'm' measures m, but 1 is needed; leave the unit out"),
+    (', unit = "mm"', "", "[columns] robot_x: needs its unit (the session holds m)"),
+    ('unit = "ms"', 'unit = "ISO8601"', "[time]: unit must be one of 'iso', 'clock', 's'"),
+    ("scale =", "scal =", "[columns] robot_y: unknown key 'scal'; did you mean 'scale'?"),
+    ('column = "x"', 'column = "x", value = 1', "[columns] robot_x: needs exactly one of column"),
+    ('column = "x"', 'topic = "/a", field = "x"', 'topic does not go with kind = "table"'),
+    ("HUMAN = 1", "1 = 1, '1.0' = 1", "[columns] mode: two keys of the map mean the same value"),
+    ('["robot", "reference"]', '["robot", "human"]', "path_error: needs column 'human_x' from"),
+    ('travelled = "robot"', 'travelled = "step"', "step_distance: needs column 'step_x' from"),
+    ('value = "north"', 'value = "north", from = "who"', "site: needs either from or value"),
+    ("{ trial = ", "{ trail = ", "[header]: 'trail' is no field of the files pattern; did you"),
+    ("{who:int}", "{who:integer}", "type of field 'who' must be one of"),
+    ("p{who}/runs", "../runs", "leads from a folder down, so that it has no . or .. in it"),
+    ('delimiter = ";"\n', "", "[table]: decimal and delimiter must differ, both are ','"),
+    ("from_zero", 'sort = true\njumps = "split"\nfrom_zero', "[time]: sort orders all rows"),
+    ("[time]", "[splitting]\ngap = 0\n[time]", "[splitting]: gap must be positive"),
+    ("[time]", "[time", "not a TOML file"),
+    ("site =", "source =", "[metadata] source: this name is taken; choose another"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "words"), RECIPES)
+def test_the_first_fault_of_a_recipe_names_table_and_key(tmp_path, old, new, words):
+    assert old in LAB
+    path = tmp_path / "lab.toml"
+    path.write_text(LAB.replace(old, new, 1))
+    with pytest.raises(RecipeError) as caught:
+        load_recipe(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert words in str(caught.value)
+
+
+BAGS = [
+    ('/odom", field = "yaw', '/odm", field = "yaw', "'/odm' (for yaw) is not in the bag; did you"),
+    (
+        "pose.pose.position.x",
+        "pose.pose.position.xx",
+        "'/odom', message 0 (from 0), field 'pose.pose.position.xx' (robot_x): nav_msgs/msg/Odom.*"
+        "has no field 'xx' there; did you mean 'x'?",
+    ),
+    ("pose.pose.position.x", "pose.pose.position", "not a number; name one number in it"),
+    ("pose.pose.position.x", "pose.pose.position.x[0]", "[0] needs a list"),
+    ("pose.pose.position.x", "child_frame_id", "holds str .*not a number; give it a map"),
+    ("axes[1]", "axes[3]", "'/joy', message 0 (from 0).*the list has 3 entries"),
+    ("axes[1]", "axes[x=1]", "cannot read the field path 'axes[x=1]'; write it like"),
+    ("yaw(pose.pose.orientation)", "yaw(pose.pose.position)", "yaw needs a quaternion"),
+    ("MANUAL = 1", "MANAUL = 1", "'/drive_mode', message 0 .*'MANUAL' is not in the recipe's map"),
+    ("hold = true", "hold = true, resample = 'linear'", "mode: hold keeps the previous value"),
+    ("kind", "kind", 'std_msgs/msg/String has no header stamp; say "receive" for it under [time]'),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "words"), BAGS)
+def test_a_recipe_that_does_not_fit_a_bag(tmp_path, old, new, words):
+    path = lab_bag(tmp_path / "lab.mcap").write()
+    text = COLUMNS.replace(old, new) + RESAMPLED
+    text += '[time]\nstamp = "header"\ntopics = { "/odom" = "receive" }\n' if old == "kind" else ""
+    with pytest.raises(SessionError) as caught:
+        read_session(path, bag_recipe(text))
+    for part in words.split(".*"):
+        assert part in str(caught.value)
+
+
+def test_a_selection_that_names_nothing_or_too_much(turtles):  # noqa: F811
+    for old, new, words in [
+        ("turtle1", "turtle3", 'none of its 20 messages has an entry [child_frame_id="turtle3"]'),
+        ('[child_frame_id="turtle1"]', "[0]", "of frame 'turtle2' here, and of 'turtle1' before; "),
+        ("child_frame_id", "child", "are called 'child'"),
+        ("transforms[", "transform[", "has no field 'transform' there; did you mean 'transforms'?"),
+    ]:
+        with pytest.raises(SessionError) as caught:
+            read_session(turtles, bag_recipe(TF.replace(old, new)))
+        assert words in str(caught.value)
+
+
+def test_what_is_not_there_or_of_no_known_kind(read, tmp_path):
+    read(GOOD)
+    own = write_session(read(GOOD), tmp_path / "own.mcap")
+    bag = bag_of_numbers(tmp_path / "a.mcap", [0, 1], values=[0, 1])
+    (tmp_path / "run.sas7bdat").write_bytes(b"x")
+    for call, words in [
+        (lambda: read_session(tmp_path / "rum.csv"), "no such file; did you mean 'run.csv'?"),
+        (lambda: read_session("rum.csv"), "no such file (looked in "),
+        (lambda: read_session("a\0.csv"), "path must be a path, got 'a"),
+        (lambda: read_session(tmp_path / "run.sas7bdat"), "then trustlab.read_frame(frame)"),
+        (lambda: read_session(bag), "not written by trustlab, so it needs a recipe (topics: /e)"),
+        (lambda: read_session(own, columns=["p_rr"]), "'p_rr' is missing; did you mean 'p_r'?"),
+        (lambda: read_session(own, delimiter=";"), "delimiter and decimal do not apply to .mcap"),
+        (lambda: read_sessions(tmp_path / "run.csv"), "read a single file with read_session"),
+        (lambda: load_recipe("ros_ground_robt"), "did you mean 'ros_ground_robot'? (known: "),
+        (
+            lambda: read_session(own, table_recipe(PLAIN)),
+            "'recipe' reads a table, but this is a bag",
+        ),
+        (lambda: read(GOOD, PLAIN, delimiter=";"), "beside a recipe: state them in its [table]"),
+        (lambda: write_session(read(GOOD), tmp_path / "a.cvs"), "did you mean '.csv'?"),
+    ]:
+        with pytest.raises(ValueError) as caught:
+            call()
+        assert words in str(caught.value)
+
+
+def test_what_a_frame_lacks():
+    frame = pd.DataFrame({"t": [0.0, 1.0], "p_r": [0.5, 0.5]})
+    dates = frame.assign(t=pd.to_datetime(["2026-03-01", "2026-03-02"]))
+    for call, words in [
+        (
+            lambda: read_frame(frame.assign(p_r=[1, np.nan])),
+            "data frame: row 1 (from 0), column 'p",
+        ),
+        (lambda: read_frame(dates), 'write seconds, or set [time] unit = "iso" in a recipe'),
+        (lambda: read_frame(frame).require("p_h"), "session.with_performance(…) computes p_r and"),
+        (lambda: read_frame(frame).require("u_h_x"), "with_columns(u_h_x=session['human_x'], …)"),
+    ]:
+        with pytest.raises(SessionError) as caught:
+            call()
+        assert words in str(caught.value)

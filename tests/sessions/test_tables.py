@@ -1,0 +1,271 @@
+"""Tables of text, Parquet and Feather. Oracle: pandas, and plain Python on the lines of a file."""
+
+import gzip
+import io
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import assume, example, given, strategies as st
+
+from tests.sessions.logs import START, bag_of_numbers, bag_recipe, table_recipe
+from trustlab.sessions import Metadata, SessionError, read_frame, read_session
+
+TABLE = pd.DataFrame(
+    {"t": np.arange(30) * 0.1, "p_r": np.sin(np.arange(30.0)) ** 2, "mode": np.arange(30) % 2}
+)
+
+
+def write_table(path):
+    """Write TABLE with the format's own library."""
+    if path.suffix in (".bag", ".mcap", ""):
+        columns = {"p_r": TABLE["p_r"], "mode": TABLE["mode"]}
+        return bag_of_numbers(path, TABLE["t"], **columns)
+    if path.suffix in (".parquet", ".feather"):
+        getattr(TABLE, f"to_{path.suffix[1:]}")(path)
+    else:
+        TABLE.to_csv(path, sep="\t" if ".tsv" in path.name else ",", index=False)
+    return path
+
+
+TOPICS = """[columns]
+p_r = { topic = "/p_r", field = "data" }
+mode = { topic = "/mode", field = "data" }"""
+
+
+SUFFIXES = [".csv", ".CSV", ".csv.gz", ".tsv", ".tsv.gz", ".txt", ".parquet", ".feather"]
+
+
+@pytest.mark.parametrize(
+    "name", [f"a{end}" for end in (*SUFFIXES, ".bag", ".mcap", "")] + ["frame"]
+)
+def test_one_run_in_every_format_is_the_same_session(tmp_path, name):
+    if name == "frame":
+        session = read_frame(TABLE)
+    else:
+        path = write_table(tmp_path / name)
+        recipe = bag_recipe(TOPICS) if path.suffix in (".bag", ".mcap", "") else None
+        session = read_session(path, recipe=recipe)
+        assert session.metadata.source == str(path)
+    atol = 0.0 if name[1:] not in ("", ".bag", ".mcap") else 1e-12  # stamps are whole nanoseconds
+    np.testing.assert_allclose(session.t, TABLE["t"], rtol=0.0, atol=atol)
+    assert session.columns == ["p_r", "mode"]
+    for column in session.columns:
+        np.testing.assert_array_equal(session[column], TABLE[column])
+
+
+FINITE = st.floats(-1e300, 1e300)
+STYLES = [repr, "{:.3e}".format, "{:+.2f}".format, "{:.17g}".format, "{:.0f}.".format]
+
+
+@given(
+    values=st.lists(st.tuples(FINITE, FINITE), min_size=2, max_size=6),
+    style=st.sampled_from(STYLES),
+    delimiter=st.sampled_from([",", ";", "\t", "|", " "]),
+    comma=st.booleans(),
+    header=st.booleans(),
+    before=st.integers(0, 2),
+    end=st.sampled_from(["\n", "\r\n", "\r"]),
+    wrap=st.sampled_from(["{}", '"{}"']),
+    mark=st.booleans(),
+)
+@example([(1.5, 2.5), (3.0, 4.0)], repr, ";", True, True, 1, "\r\n", '"{}"', True)
+def test_a_table_of_any_layout_reads_as_pandas_reads_it(
+    tmp_path_factory, values, style, delimiter, comma, header, before, end, wrap, mark
+):
+    assume(not (comma and delimiter == ","))
+    cells = [[f"{k / 4}", *map(style, row)] for k, row in enumerate(values)]
+    decimal = "," if comma else "."
+    rows = [[wrap.format(cell.replace(".", decimal)) for cell in row] for row in cells]
+    lines = ["logger v2"] * before + [delimiter.join(row) for row in [["t", "x", "y"]] * header]
+    text = end.join([*lines, *(delimiter.join(row) for row in rows), ""])
+    path = tmp_path_factory.mktemp("layout") / "run.csv"
+    path.write_bytes("\ufeff".encode() * mark + text.encode())
+    names = ["t", "x", "y"] if header else [0, 1, 2]
+    quoted = [f'"{name}"' if header else name for name in names]
+    recipe = table_recipe(f"""
+[table]
+header = {str(header).lower()}
+delimiter = "{delimiter.replace(chr(9), chr(92) + "t")}"
+decimal = "{decimal}"
+skip_lines = {before}
+[time]
+column = {quoted[0]}
+unit = "s"
+[columns]
+robot_x = {{ column = {quoted[1]}, unit = "m" }}
+p_r = {{ column = {quoted[2]} }}
+""")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of performance that is out of scale
+        session = read_session(path, recipe=recipe)
+    expected = pd.read_csv(
+        io.StringIO(text, newline=""),
+        sep=delimiter,
+        decimal=decimal,
+        skiprows=before,
+        header=0 if header else None,
+    ).astype(float)
+    for ours, theirs in zip(["t", "robot_x", "p_r"], names, strict=True):
+        assert session[ours].tobytes() == expected[theirs].to_numpy().tobytes()
+
+
+JUNK = ["abc", "1 2", "1_0", "0x1f", "٣", "--1", "true", "12:00", "1,5", "nan", "", "-", "inf"]
+
+
+@given(
+    n=st.integers(2, 40),
+    data=st.data(),
+    junk=st.sampled_from(JUNK),
+    end=st.sampled_from(["\n", "\r\n", "\r"]),
+)
+def test_a_cell_that_is_no_number_is_named_by_line_and_column(tmp_path_factory, n, data, junk, end):
+    row, column = data.draw(st.integers(0, n - 1)), data.draw(st.integers(0, 2))
+    cells = [[f"{k / 4}", "0.5", "0.25"] for k in range(n)]
+    cells[row][column] = f'"{junk}"'
+    path = tmp_path_factory.mktemp("junk") / "run.csv"
+    lines = ["t,p_r,p_h", *(",".join(each) for each in cells), ""]
+    path.write_bytes(end.join(lines).encode())
+    name = ["t", "p_r", "p_h"][column]
+    words = rf"run\.csv: line {row + 2}, column '?{name}'?[,:]"
+    with pytest.raises(SessionError, match=words):
+        read_session(path)
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("0,1,1\n1,7,1\n2,1\n", "line 4: has 2 cells, but the first line has 3"),
+        ("0,1,1\n1,7,1\n2,1,abc\n", "line 4, column 'p_r': 'abc'"),
+        ("0,1,1\n\n1,1,1\n", "line 3, column 'mode', t = nan s: nan is missing"),
+        ('0,"1,1\n1,1,1\n', "line 2: has 2 cells.*a quotation mark"),
+        ("0,1,1\n1,1,1,1\n", "line 3: has 4 cells"),
+    ],
+)
+def test_a_row_that_is_cut_comes_before_what_other_rows_hold(read, rows, words):
+    with pytest.raises(SessionError, match=words):
+        read("t,mode,p_r\n" + rows)
+
+
+def test_an_odd_row_that_is_no_text_says_so_and_nothing_else(read, monkeypatch):
+    """A traceback printed beside the error would frighten whoever reads it."""
+    printed = []
+    monkeypatch.setattr("sys.unraisablehook", printed.append)
+    with pytest.raises(SessionError, match="line 3: byte 0xe4 is not UTF-8 text"):
+        read(b"t,p_r\n0,0.3\n\xe4\n1,0.3\n")
+    assert printed == []
+
+
+def test_a_last_line_that_was_cut_is_noted_and_warned_of(read):
+    with pytest.warns(UserWarning, match=r"run\.csv: the last line has no end; .* cut short"):
+        session = read("t,p_r\n0,0.31\n1,0.32\n2,0.3")
+    assert session.metadata.more["last line"].startswith("has no end")
+    assert session["p_r"].tolist() == [0.31, 0.32, 0.3]
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r", "\n\n", "\r\n\r\n\r\n"])
+def test_a_last_line_that_ends_is_not_doubted(read, recwarn, end):
+    session = read(f"t,p_r{end[-1]}0,0.3{end[-1]}1,0.31{end}")
+    assert len(session) == 2
+    assert dict(session.metadata.more) == {}
+    assert not recwarn.list
+
+
+def test_columns_leaves_out_by_name(read):
+    text = "t,mode,remark,remark\n0,1,a,b\n1,0,c,d\n"
+    session = read(text, columns=["mode", "t", "mode"])
+    assert session.data.to_dict("list") == {"mode": [1.0, 0.0]}
+    assert session.metadata == Metadata(source=session.metadata.source)
+    with pytest.raises(SessionError, match="'p_r' is missing"):
+        read(text, columns=["p_r"])
+
+
+def test_a_run_of_spaces_separates_once(read):
+    session = read("  t    p_r\n 0.0   1  \n 0.5  2\n 1.0 3\r\n", name="a.txt", delimiter=" ")
+    assert (session.t.tolist(), session["p_r"].tolist()) == ([0.0, 0.5, 1.0], [1.0, 2.0, 3.0])
+    assert read("t,p_r\n0,1\n1,2\n", name="a.tsv", delimiter=",")["p_r"].tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet", "a.feather", "frame"])
+def test_the_columns_of_a_session_are_its_own(tmp_path, name):
+    """Neither the file nor the frame that it came from can change it, and it can be changed."""
+    frame = TABLE.astype({"mode": float}).copy()
+    if name == "frame":
+        session = read_frame(frame)
+        frame.loc[:, "p_r"] = 7.0
+    else:
+        path = write_table(tmp_path / name)
+        session = read_session(path)
+        with path.open("r+b") as file:
+            file.write(bytes(path.stat().st_size))
+    assert session["p_r"].tolist() == TABLE["p_r"].tolist()
+    assert session.data.dtypes.unique().tolist() == [float]
+    session.data.iloc[0, 0] = 4.0
+    assert session["p_r"][0] == 4.0
+
+
+def test_parquet_as_pandas_writes_an_index_and_small_types(tmp_path):
+    small = {"mode": [True, False], "p_r": np.array([1, 2], "float32"), "r": [0, 1]}
+    frame = pd.DataFrame(small, index=pd.Index([0.0, 1.0], name="t"))
+    frame.to_parquet(tmp_path / "run.parquet")
+    expected = {"mode": [1.0, 0.0], "p_r": [1.0, 2.0], "r": [0.0, 1.0]}
+    for session in (read_session(tmp_path / "run.parquet"), read_frame(frame)):
+        assert session.data.to_dict("list") == expected
+
+
+@pytest.mark.parametrize("words", ["object", "str", "category"])
+def test_a_parquet_file_with_a_recipe(tmp_path, words):
+    """Stamps of 1.7e18 ns would be 256 ns apart if they became floats too early."""
+    recipe = table_recipe("""
+[time]
+column = "stamp"
+unit = "ns"
+from_zero = true
+[columns]
+mode = { column = "who", map = { H = 1, R = 0 } }
+robot_x = { column = "x", unit = "cm" }""")
+    stamps = [START, START + 1_000, START + 2_000]
+    frame = pd.DataFrame({"stamp": stamps, "who": ["H", "R", "H"], "x": [0, 50, 100]})
+    frame.astype({"who": words}).to_parquet(tmp_path / "run.parquet")
+    session = read_session(tmp_path / "run.parquet", recipe=recipe)
+    assert session.t.tolist() == [0.0, 1_000 * 1e-9, 2_000 * 1e-9]
+    assert session["mode"].tolist() == [1.0, 0.0, 1.0]
+    assert session["robot_x"].tolist() == [0.0, 0.5, 1.0]
+    assert session.metadata.more["start_time"] == pytest.approx(START / 1e9, abs=1e-6)
+    frame.loc[1, "who"] = "RR"
+    with pytest.raises(SessionError, match=r"row 1 \(from 0\), column 'who' \(mode\): 'RR' is not"):
+        read_frame(frame, recipe)
+
+
+@pytest.mark.parametrize(
+    ("cells", "decimal", "numbers"),
+    [
+        (["(1,5; 2,5; 3)", "(1,5; -3,5; 3)"], ",", [2.5, -3.5]),
+        (["1,5 2,5 3", "1,5 3,5 3"], ",", [2.5, 3.5]),
+        (["(0.00, -0.44, 3)", "(1.00, 2.44, 3)"], ",", [-0.44, 2.44]),
+        (["{1.5, 2.5}", "[1.5,3.5]"], ".", [2.5, 3.5]),
+        (["(1, nan, 3)"], ".", None),
+        (["(1,,3)"], ".", None),
+        (["x: 1.5, y: 2.5"], ".", None),
+        (["(1,2,3)"], ",", None),
+    ],
+)
+def test_the_second_number_of_a_cell_or_none(read, cells, decimal, numbers):
+    lines = "".join(f"{k}|{cell}\n" for k, cell in enumerate(cells))
+    recipe = f"""[table]
+delimiter = "|"
+decimal = "{decimal}"
+[columns]
+robot_x = {{ column = "pos", item = 1, unit = "m" }}"""
+    if numbers:
+        assert read("t|pos\n" + lines, recipe)["robot_x"].tolist() == numbers
+    else:
+        with pytest.raises(SessionError, match=r"line 2, column 'pos' \(robot_x\): .* number 1 \("):
+            read("t|pos\n" + lines, recipe)
+
+
+def test_a_compressed_file_that_is_cut(read):
+    packed = gzip.compress(b"t,p_r\n0,1\n1,2\n")
+    with pytest.raises(SessionError, match=r"run\.csv\.gz: not a gzip file, .*truncated"):
+        read(packed[:-6], name="run.csv.gz")

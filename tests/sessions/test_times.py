@@ -1,0 +1,306 @@
+"""
+Times, blanks, gaps, jumps, resampling. Oracle: pandas, numpy.interp, and loops over whole numbers.
+"""
+
+import re
+from fractions import Fraction
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, strategies as st
+
+from tests.sessions.logs import table_recipe
+from trustlab.sessions import SessionError, read_frame, read_sessions
+
+PLAIN = '[columns]\np_r = { column = "a" }\n'
+ZERO = f'[time]\nunit = "UNIT"\nfrom_zero = true\n{PLAIN}'
+RESAMPLED = '[resampling]\nmethod = "{}"\nsample_time = {}\n'
+
+
+# --- units --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("unit", "times"),
+    [
+        ("iso", ["2026-02-28 23:59:59.9Z", "2026-03-01T01:00:00,4+01:00", "2026-03-01T00:00:00.9"]),
+        ("clock", [" 12:00:00,5", "12:00:01 ", "12:00:01.500"]),
+        ("clock", ["23:59:59.5", "00:00:00", "0:00:00.5"]),  # after midnight
+        ("us", [7, 500_007, 1_000_007]),
+        ("min", [0.0, 0.5 / 60, 1 / 60]),
+    ],
+)
+def test_times_in_other_units(read, unit, times):
+    frame = pd.DataFrame({"t": times, "a": [0.1, 0.2, 0.3]})
+    text = ZERO.replace("UNIT", unit)
+    for session in (read(frame.to_csv(index=False), text), read_frame(frame, table_recipe(text))):
+        np.testing.assert_allclose(session.t, [0.0, 0.5, 1.0], rtol=0, atol=1e-9)
+    note = session.metadata.more.get("midnights")
+    assert note == ("1 passed; times count on" if "23" in str(times[0])[:2] else None)
+
+
+@pytest.mark.filterwarnings("ignore:.*samples are 43199 s apart")
+def test_a_clock_that_is_set_back_passes_no_midnight(read):
+    """Half a day back is the day after, less is a clock that was set."""
+    text = ZERO.replace("UNIT", "clock")
+    with pytest.raises(SessionError, match="line 3, column t: time runs backwards"):
+        read("t,a\n12:00:01,1\n00:00:02,2\n", text)
+    assert read("t,a\n12:00:01,1\n00:00:00,2\n", text).duration == 43199.0
+
+
+@pytest.mark.parametrize("zone", ["", "Z", "+01:00"])
+def test_dates_keep_their_digits(read, zone):
+    """Oracle: fractions of whole numbers, exact to the rounding of one float."""
+    stamps = [999_999_999 + 123_456_789 * k for k in range(400)]  # every step has nine digits
+    times = [f"2026-03-01T12:00:{ns // 10**9:02}.{ns % 10**9:09}{zone}" for ns in stamps]
+    frame = pd.DataFrame({"t": times, "a": 1.0})
+    recipe = table_recipe(ZERO.replace("UNIT", "iso"))
+    sessions = [
+        read(frame.to_csv(index=False), ZERO.replace("UNIT", "iso")),
+        read_frame(frame.assign(t=pd.to_datetime(frame["t"])), recipe),
+    ]
+    start = pd.Timestamp(times[0]).timestamp()
+    for session in sessions:
+        assert session.t.tolist() == [float(Fraction(ns - stamps[0], 10**9)) for ns in stamps]
+        assert session.metadata.more["start_time"] == start
+    since_1970 = read_frame(frame, table_recipe(f'[time]\nunit = "iso"\n{PLAIN}'))
+    np.testing.assert_allclose(since_1970.t, start + sessions[0].t, rtol=0, atol=5e-7)
+
+
+# --- rows out of order, repeated, after a jump or a gap -------------------------------------------
+
+
+@given(counts=st.lists(st.integers(1, 3), min_size=2, max_size=8), seed=st.integers(0, 99))
+@pytest.mark.parametrize("rule", ["first", "last", "mean"])
+def test_sorted_and_merged_rows_are_those_of_pandas(rule, counts, seed):
+    rng = np.random.default_rng(seed)
+    t = rng.permutation(np.repeat(np.arange(len(counts)), counts))
+    columns = {"a": rng.random(t.size), "m": rng.integers(0, 2, t.size), "h": rng.random(t.size)}
+    frame = pd.DataFrame({"t": t, **columns})
+    session = read_frame(
+        frame,
+        table_recipe(
+            f'[time]\nunit = "s"\nsort = true\nrepeated = "{rule}"\n{PLAIN}'
+            'mode = { column = "m" }\nyaw = { column = "h", unit = "rad" }'
+        ),
+    )
+    groups = frame.sort_values("t", kind="stable").groupby("t")
+    np.testing.assert_allclose(session["p_r"], getattr(groups["a"], rule)(), rtol=1e-15)
+    for ours, theirs in (("mode", "m"), ("yaw", "h")):  # a mean of states would be none
+        expected = groups[theirs].first() if rule == "first" else groups[theirs].last()
+        assert session[ours].tolist() == expected.tolist()
+    more = session.metadata.more
+    late = int((np.diff(t) < 0).sum())
+    assert late == 0 or more["sorted"] == f"{late} samples stood after a later one"
+    many = f"{t.size - len(counts)} of {t.size} samples merged by '{rule}'"
+    assert t.size == len(counts) or more["repeated times"] == many
+
+
+@given(steps=st.lists(st.sampled_from([1, 1, 1, 5, 2, -7]), min_size=3, max_size=30))
+def test_parts_are_cut_where_time_jumps(tmp_path_factory, steps):
+    t = np.cumsum([0, *steps])
+    values = np.arange(t.size) / t.size
+    folder = tmp_path_factory.mktemp("jumps")
+    pd.DataFrame({"t": t, "a": values}).to_csv(folder / "run.csv", index=False)
+    recipe = table_recipe(
+        '[files]\npattern = "run.csv"\n[time]\nunit = "s"\njumps = "split"\n'
+        f"[splitting]\ngap = 1\n{PLAIN}"
+    )
+    cuts = np.flatnonzero((np.diff(t) < 0) | (np.diff(t) > 1)) + 1
+    pieces = list(zip(np.split(t, cuts), np.split(values, cuts), strict=True))
+    parts = [(times.tolist(), a.tolist()) for times, a in pieces if times.size > 1]
+    if not parts:
+        with pytest.raises(SessionError, match="no part has two samples"):
+            read_sessions(folder, recipe)
+        return
+    sessions = read_sessions(folder, recipe)
+    assert [(each.t.tolist(), each["p_r"].tolist()) for each in sessions] == parts
+    assert [each.metadata.more["part"] for each in sessions] == list(range(len(parts)))
+    note = sessions[0].metadata.more["split"]
+    short = len(pieces) - len(parts)
+    assert note.startswith(f"part 0 (from 0) of {len(parts)}, split where time runs back and at ")
+    assert note.endswith(f"gaps of more than 1 s; {short} too short")
+
+
+BACK = "t,a\n0,1\n1,2\n2,3\n0.5,4\n1.5,5\n2.5,6\n"
+
+
+def test_a_clock_that_jumps_back_is_mended_by_the_remedy_named(read, tmp_path):
+    with pytest.raises(SessionError, match="line 5, column t: time runs backwards") as caught:
+        read(BACK, PLAIN)
+    for line in ("sort = true", 'jumps = "split"'):
+        assert line in str(caught.value)
+        text = f'[files]\npattern = "run.csv"\n[time]\nunit = "s"\n{line}\n{PLAIN}'
+        starts = [each.t[0] for each in read_sessions(tmp_path, table_recipe(text))]
+        assert starts == ([0.0] if "sort" in line else [0.0, 0.5])
+    with pytest.raises(SessionError, match="splits the log into 2 sessions; read_sessions"):
+        read(BACK, text)
+
+
+# --- blanks -------------------------------------------------------------------------------------
+
+
+CELL = st.none() | st.integers(0, 9)
+
+
+@given(cells=st.lists(st.tuples(CELL, CELL), min_size=4, max_size=12), row=st.integers(0, 2))
+def test_blanks_are_filled_as_pandas_fills_them(cells, row):
+    cells = [*cells[:row], (1, 2), *cells[row:], (None, 4)]
+    table = pd.DataFrame(cells, columns=["a", "b"], dtype=float)
+    text = (
+        '[columns]\np_r = { column = "a", blank = "hold" }\n'
+        'p_h = { column = "b", blank = "linear" }'
+    )
+    frame = table.assign(t=np.arange(len(table)) / 4)
+    session = read_frame(frame, table_recipe(text))
+    filled = pd.DataFrame({"p_r": table["a"].ffill(), "p_h": table["b"].interpolate()})
+    filled.loc[: table["b"].first_valid_index() - 1, "p_h"] = np.nan
+    expected = filled.set_axis(frame["t"]).dropna()
+    assert session.t.tolist() == expected.index.tolist()
+    np.testing.assert_allclose(session.data, expected, rtol=1e-12)
+    blank = f"{table['a'].isna().sum()} of {len(table)} cells, filled by 'hold'"
+    assert session.metadata.more["blanks of p_r"] == blank
+    cut = len(table) - len(expected)
+    note = session.metadata.more.get("rows cut", "0 ")
+    assert note.startswith(f"{cut} ")
+
+
+def test_blanks_at_both_ends_and_the_line_of_a_fault_behind_them(read):
+    text = '[columns]\np_r = { column = "a", blank = "linear" }\nr = { column = "b" }'
+    rows = "t,a,b\n0,,.1\n1,5,.1\n2,,.2\n3,7,.3\n4,,.4\n5,,.5\n"
+    session = read(rows, text)
+    assert (session.t.tolist(), session["p_r"].tolist()) == ([1, 2, 3], [5, 6, 7])
+    assert session.metadata.more["rows cut"].startswith("1 at the start and 2 at the end")
+    with pytest.raises(SessionError, match=r"line 5, column 'r', t = 3 s: 7\.0 lies outside"):
+        read(rows.replace(".3\n", "7\n"), text)
+
+
+@pytest.mark.parametrize("word", ["", "NaN", "NA", "N/A", "null", "None", "-"])
+def test_words_for_blanks(read, word):
+    text = (
+        '[columns]\np_r = { column = "a", blank = "linear" }\n'
+        'mode = { column = "m", blank = "hold", map = { AUTO = 0, NONE = 1 } }\n'
+        'robot_x = { column = "c", unit = "m", blank = "hold", item = 1 }'
+    )
+    rows = f'0,1,AUTO,"(1,2)"\n1,{word},{word},{word}\n2,3,NONE,"(3,4)"\n'
+    session = read("t,a,m,c\n" + rows, text)
+    assert session["p_r"].tolist() == [1, 2, 3]
+    assert session["mode"].tolist() == [0, 0, 1]
+    assert session["robot_x"].tolist() == [2, 2, 4]
+    with pytest.raises(SessionError, match=r"line 3, column 'p_r', t = 1 s: nan is missing.*hold"):
+        read("t,a,m,c\n" + rows, text.replace(', blank = "linear"', ""))
+
+
+# --- resampling ---------------------------------------------------------------------------------
+
+
+@given(
+    steps=st.lists(st.integers(1, 40), min_size=2, max_size=12),
+    start=st.integers(-50, 50),
+    sample=st.integers(1, 30),
+)
+@pytest.mark.parametrize("method", ["linear", "previous", "nearest"])
+@pytest.mark.filterwarnings("ignore:.*bridges a gap")
+def test_resampling_against_loops_over_hundredths(method, steps, start, sample):
+    times = np.cumsum([start, *steps])
+    grid = np.arange(times[0], times[-1] + 1, sample)
+    frame = pd.DataFrame({"t": times / 100, "mode": np.arange(times.size) % 2})
+    frame["p_r"] = np.sin(np.arange(times.size)) ** 2
+    frame["yaw"] = np.arctan2(np.sin(2.9 * frame.index), np.cos(2.9 * frame.index))
+    options = {"resample": method, "sample_time": sample / 100}
+    if grid.size < 2:
+        with pytest.raises(SessionError, match="but 2 to 20,000,000 are needed"):
+            read_frame(frame, **options)
+        return
+    session = read_frame(frame, **options)
+    np.testing.assert_allclose(session.t, grid / 100, rtol=0, atol=1e-12)
+    before = [max(k for k in range(times.size) if times[k] <= g) for g in grid]
+    note = f"{method} at {sample / 100:g} s; longest gap in the log {max(steps) / 100:g} s"
+    assert session.metadata.more["resampled"] == note
+    if method == "nearest":
+        for value, g in zip(session["p_r"], grid, strict=True):
+            nearest = np.flatnonzero(abs(times - g) == abs(times - g).min())
+            assert value in frame["p_r"].to_numpy()[nearest]
+        return
+    assert session["mode"].tolist() == frame["mode"][before].tolist()  # no state is halved
+    if method == "previous":
+        assert session.data.equals(frame.iloc[before, 1:].astype(float).set_axis(session.t))
+        return
+    np.testing.assert_allclose(session["p_r"], np.interp(grid, times, frame["p_r"]), atol=1e-12)
+    turned = np.interp(grid, times, np.unwrap(frame["yaw"]))  # the short way
+    np.testing.assert_allclose(np.exp(1j * (session["yaw"] - turned)), 1.0, atol=1e-12)
+    assert np.abs(session["yaw"]).max() <= np.pi
+
+
+@pytest.mark.parametrize("start", [0.0, 1396293889.454, 1.7e9 + 0.001])
+@pytest.mark.parametrize("step", [0.01, 0.05])
+@pytest.mark.parametrize("from_zero", ["true", "false"])
+def test_samples_stay_their_own_when_times_are_seconds_since_1970(start, step, from_zero):
+    """Times on the grid, so that "previous" returns the samples as they are."""
+    k = np.arange(500)
+    frame = pd.DataFrame({"t": np.round(start + step * k, 3), "a": k / 500})
+    text = ZERO.replace("UNIT", "s").replace("true", from_zero)
+    session = read_frame(frame, table_recipe(RESAMPLED.format("previous", step) + text))
+    assert session["p_r"].tolist() == frame["a"].tolist()
+
+
+def test_a_heading_that_counts_its_turns_goes_on_counting():
+    frame = pd.DataFrame({"t": [0.0, 1.0, 2.0], "yaw": [6.0, 7.0, 8.0]})
+    halves = read_frame(frame, resample="linear", sample_time=0.5)["yaw"]
+    np.testing.assert_allclose(halves, [6.0, 6.5, 7.0, 7.5, 8.0], rtol=1e-15)
+
+
+def test_a_recipe_resamples_each_column_by_its_own_rule(read):
+    text = RESAMPLED.format("linear", 0.5) + (
+        '[columns]\np_r = { column = "a" }\np_h = { column = "a", resample = "previous" }\n'
+        'path_error = { column = "b", unit = "m", absolute = true }'
+    )
+    rows = "t,a,b\n0,0,-2\n1,4,2\n2,0,2\n"
+    session = read(rows, text)
+    assert session["p_r"].tolist() == [0, 2, 4, 2, 0]
+    assert session["p_h"].tolist() == [0, 0, 4, 4, 0]
+    assert session["path_error"].tolist() == [2] * 5  # a distance before it is interpolated
+    caller = read(rows, text, resample="previous", sample_time=1.0)
+    assert caller["p_r"].tolist() == [0, 4, 0]
+    assert caller.metadata.more["resampled"].startswith("previous at 1 s")
+
+
+@pytest.mark.parametrize(("gap", "warned"), [(1.3, True), (0.9, False)])
+def test_a_gap_that_resampling_bridges_is_told(recwarn, gap, warned):
+    """More than ten of the log's steps, and of the new ones."""
+    frame = pd.DataFrame({"t": [0.0, 0.1, 0.2, 0.3, 0.4, 0.4 + gap], "p_r": 0.3})
+    read_frame(frame, resample="linear", sample_time=0.05)
+    words = [str(each.message) for each in recwarn]
+    start = "data frame: resampling bridges a gap of 1.3 s at t = 0.4 s; "
+    assert [each.startswith(start) for each in words] == [True] * warned
+
+
+# --- what is doubted ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("step", "value", "words", "remedy"),
+    [
+        (9.99, 10, None, ""),
+        (100, 1, 'samples are 100 s apart; .* unit = "ms"', "ms"),
+        (1e5, 1, 'samples are 100000 s apart; .* unit = "us"', "us"),
+        (1e8, 1, 'samples are 1e[+]08 s apart; .* unit = "ns"', "ns"),
+        (1, -0.1, "column p_r has negative values.*offset", "offset = 0.1"),
+        (1, 35, 'column p_r goes beyond 10, .*unit = "%"', 'unit = "%"'),
+    ],
+)
+def test_values_hardly_meant_are_told_once_and_the_remedy_works(
+    read, recwarn, step, value, words, remedy
+):
+    rows = "t,a\n" + "".join(f"{1.7e9 + k * step:.2f},{value}\n" for k in range(9))
+    read(rows, PLAIN)
+    told = [str(each.message) for each in recwarn]
+    assert len(told) == (words is not None)
+    if words:
+        assert re.search(rf"run\.csv: {words}", told[0])
+    recwarn.clear()
+    unit = f'[time]\nunit = "{remedy if remedy.isalpha() else "s"}"\n'
+    session = read(rows, unit + PLAIN.replace('"a"', f'"a", {remedy}' if "=" in remedy else '"a"'))
+    assert not recwarn.list
+    assert session["p_r"][0] == pytest.approx({-0.1: 0.0, 35: 0.35}.get(value, value))
