@@ -17,5 +17,5 @@ def test_the_pilot_is_the_file_of_the_repository_wherever_one_works(tmp_path, mo
 
 
 def test_a_misspelt_example_lists_those_there_are():
-    with pytest.raises(ValueError, match=r"'pilott'; did you mean 'pilot'.*; there are: pilot$"):
+    with pytest.raises(ValueError, match=r"one of 'pilot', got 'pilott'; did you mean 'pilot'\?"):
         tl.sessions.example("pilott")

@@ -154,5 +154,5 @@ def test_files_being_written_and_loops_are_no_sessions(tmp_path):
     sources = [each.metadata.source for each in read_sessions(tmp_path, recipe)]
     assert sources == [str(tmp_path / "run2.csv")]
     (tmp_path / "run4.csv").symlink_to(tmp_path / "run4.csv")
-    with pytest.raises(SessionError, match=r"run4\.csv: there is no such file"):
+    with pytest.raises(SessionError, match=r"run4\.csv: there is no file at this path"):
         read_sessions(tmp_path, recipe)

@@ -120,7 +120,7 @@ LOGS = {
         ["line 1: byte 0xe4 is not UTF-8 text", '[table] and encoding = "cp1252"'],
         '[table]\nencoding = "cp1252"\n[columns]\np_r = { column = "ä" }',
     ),
-    "utf-16": (GOOD.encode("utf-16"), None, ["line 1: this is no text in UTF-8; save"], None),
+    "utf-16": (GOOD.encode("utf-16"), None, ["this is UTF-16 or no text at all; save"], None),
     "comment": (
         "# rig 3\n" + GOOD,
         PLAIN,
@@ -128,7 +128,12 @@ LOGS = {
         "[table]\nskip_lines = 1\n" + PLAIN,
     ),
     "metadata": ("# trustlab {broken\n" + GOOD, None, ["the trustlab metadata are damaged"], None),
-    "metadata type": ('# trustlab {"synthetic": "no"}\n' + GOOD, None, ["synthetic as 'no'"], None),
+    "metadata type": (
+        '# trustlab {"synthetic": "no"}\n' + GOOD,
+        None,
+        ["synthetic must be bool, got 'no'"],
+        None,
+    ),
 }
 
 
@@ -241,7 +246,10 @@ def test_what_is_not_there_or_of_no_known_kind(read, tmp_path):
     bag = bag_of_numbers(tmp_path / "a.mcap", [0, 1], values=[0, 1])
     (tmp_path / "run.sas7bdat").write_bytes(b"x")
     for call, words in [
-        (lambda: read_session(tmp_path / "rum.csv"), "no such file; did you mean 'run.csv'?"),
+        (
+            lambda: read_session(tmp_path / "rum.csv"),
+            "no file at this path; did you mean 'run.csv'?",
+        ),
         (lambda: read_session("rum.csv"), "no such file (looked in "),
         (lambda: read_session("a\0.csv"), "path must be a path, got 'a"),
         (lambda: read_session(tmp_path / "run.sas7bdat"), "then trustlab.read_frame(frame)"),

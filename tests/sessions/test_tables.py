@@ -138,7 +138,7 @@ def test_a_cell_that_is_no_number_is_named_by_line_and_column(tmp_path_factory, 
     [
         ("0,1,1\n1,7,1\n2,1\n", "line 4: has 2 cells, but the first line has 3"),
         ("0,1,1\n1,7,1\n2,1,abc\n", "line 4, column 'p_r': 'abc'"),
-        ("0,1,1\n\n1,1,1\n", "line 3, column 'mode', t = nan s: nan is missing"),
+        ("0,1,1\n\n1,1,1\n", "line 3, column t: is blank; every row needs a time"),
         ('0,"1,1\n1,1,1\n', "line 2: has 2 cells.*a quotation mark"),
         ("0,1,1\n1,1,1,1\n", "line 3: has 4 cells"),
     ],

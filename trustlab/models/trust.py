@@ -102,7 +102,7 @@ class TrustModel:
         set_checked(self, _sensitivity, "a", "b")
         set_in_order(self, "t_min", "t_max")
         set_in_order(self, "p_min", "p_max")
-        if self.b > self.a and not flag("allow_unbounded", self.allow_unbounded):
+        if not flag("allow_unbounded", self.allow_unbounded) and self.b > self.a:
             raise ValueError(
                 f"with b = {self.b} > a = {self.a} trust settles above t_max at full performance, "
                 "so that (3.4) does not hold; choose b ≤ a, or ask for it with "

@@ -89,9 +89,10 @@ def numbers(table: Table, rule: ColumnRule | None, decimal: str) -> np.ndarray:
     read = _reader(rule, decimal)
     kind = values.dtype.kind
     if read is None and kind in "iufb":
+        if not isinstance(values.dtype, np.dtype):  # a column of pandas' own, with a mask
+            return values.to_numpy(dtype=float, na_value=np.nan).copy()
         # Large integers stay exact until times are counted from the first of them.
-        exact = kind == "i" and isinstance(values.dtype, np.dtype)
-        return values.to_numpy() if exact else values.to_numpy(dtype=float, na_value=np.nan)
+        return np.asarray(values.array, dtype=None if kind == "i" else float)
     if read is None and kind in "mMc":
         hint = 'write seconds, or set [time] unit = "iso" in a recipe'
         raise table.error(0, label, f"holds {values.dtype}, not numbers; {hint}")
@@ -143,7 +144,8 @@ def _item(rule: ColumnRule, decimal: str, cell: object) -> float:
     if decimal == "," and "." not in text:
         text = re.sub(r"(?<=\d),(?=\d)", ".", text)
     parts = re.split(r"\s*[,;]\s*|\s+", text)
-    if rule.item >= len(parts) or not NUMBER.fullmatch(parts[rule.item]):
+    counted = all(NUMBER.fullmatch(part) or is_blank(part) for part in parts)
+    if not counted or rule.item >= len(parts) or is_blank(parts[rule.item]):
         raise ValueError(f"{str(cell)[:60]!r} has no number {rule.item} (from 0)")
     return float(parts[rule.item])
 
@@ -160,7 +162,7 @@ def _filled(
     )
     whole[: known[0]] = False
     if rule.blank == "hold":
-        return pd.Series(values).ffill().to_numpy()
+        return values[np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(values.size)))]
     whole[known[-1] + 1 :] = False
     return np.interp(t, t[known], values[known])
 
@@ -176,6 +178,9 @@ def times_of(table: Table, time: TableTime, decimal: str) -> np.ndarray:
         raw = _times_of_day(table)
     else:
         raw = numbers(table, None, decimal)
+        blank = np.isnan(raw)
+        if blank.any():
+            raise table.error(int(np.argmax(blank)), "column t", "is blank; every row needs a time")
     if time.from_zero and raw.size and np.isfinite(raw[0]):
         table.notes["start_time"] = float(time.seconds(raw[0].item()))
         raw = raw - raw[0]  # before the conversion to float, which would round large integers

@@ -7,7 +7,6 @@ import gzip
 import json
 import os
 import re
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +49,7 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
     """
     Write a recipe for a table, with what its names and values suggest and "?" where you know more.
 
-    Every guess carries a comment. Reading with the draft lists what is still to be filled in, each
-    with its line.
+    Every guess carries a comment. Reading with the draft names the first thing that is missing.
 
     Parameters
     ----------
@@ -87,11 +85,11 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
         raise SessionError(f"{target} exists already; give another name as out=...")
     if suffix_of(source) not in (*TEXTS, ".parquet"):
         raise SessionError(
-            f"{source}: draft_recipe reads {', '.join(TEXTS)} and .parquet tables; for a bag, name "
-            "topics and fields as in docs/start.md"
+            f"path {source}: draft_recipe reads {', '.join(TEXTS)} and .parquet tables; for a bag, "
+            "name topics and fields as in docs/start.md"
         )
     if not source.is_file():
-        raise SessionError(f"{source}: there is no such file{nearest_file(source)}")
+        raise SessionError(f"path {source}: there is no such file{nearest_file(source)}")
     with damage_named(f"{source} cannot be read as a table", "check the file"):
         if source.suffix.lower() == ".parquet":
             import pyarrow.parquet as pq
@@ -291,12 +289,12 @@ def _time_unit(name: str, values: pd.Series) -> tuple[str, str]:
     if unit := _parts(name)[1]:
         return unit, ""
     if _is_text(values):
-        first = str(values.iloc[0])
-        try:
-            datetime.fromisoformat(first)
-        except ValueError:
-            return "?", '   # "iso" for 2026-03-01T12:00:00, "clock" for 12:00:00.5'
-        return ("iso" if "-" in first else "clock"), ""
+        first = str(values.iloc[0]).strip()
+        if re.match(r"\d{1,2}:\d{2}:\d{2}", first):
+            return "clock", ""
+        if re.match(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}", first):
+            return "iso", ""
+        return "?", '   # "iso" for 2026-03-01T12:00:00, "clock" for 12:00:00.5'
     step = float(values.diff().abs().median())
     unit = next((unit for unit, longest in STEPS.items() if step <= longest), "ns")
     return unit, f"   # guessed: rows are {step:.4g} apart"

@@ -457,7 +457,7 @@ class Reader:
         parts = parts_of(log, recipe)
         sessions = [session_of(part, recipe, values, selection, self.resampling) for part in parts]
         for session in sessions:
-            for doubt in doubts(session):
+            for doubt in doubts(session, log.notes):
                 self.doubts.setdefault(doubt, []).append(log.source)
         return sessions
 
@@ -485,7 +485,7 @@ def _existing(path: Path) -> Path:
     """Return the path when something that can be read is there."""
     if not path.exists():
         looked = "" if path.is_absolute() else f" (looked in {path.parent.absolute()})"
-        raise SessionError(f"there is no such file{looked}{nearest_file(path)}")
+        raise SessionError(f"there is no file at this path{looked}{nearest_file(path)}")
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         remedy = "use read_sessions for a folder of sessions, `ros2 bag reindex` for a recording"
         raise SessionError(f"a folder without metadata.yaml is not a rosbag2 recording; {remedy}")
@@ -505,7 +505,7 @@ SLOWEST = 10.0
 MOST_PERFORMANCE = 10.0
 
 
-def doubts(session: Session) -> list[str]:
+def doubts(session: Session, notes: Mapping[str, object]) -> list[str]:
     """Return what is hardly meant as it was read: times, performance, a line cut short."""
     words = []
     step = session.sample_time
@@ -527,6 +527,6 @@ def doubts(session: Session) -> list[str]:
                 f"column {name} goes beyond {MOST_PERFORMANCE:g}, but performance is in m/s or a "
                 'share of 1; if it is in per cent, a recipe says so: unit = "%" in the column'
             )
-    if "last line" in session.metadata.more:
-        words.append(f"the last line {session.metadata.more['last line']}")
+    if "last line" in notes:
+        words.append(f"the last line {notes['last line']}")
     return words

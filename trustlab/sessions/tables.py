@@ -120,7 +120,7 @@ def read_csv(path: Path, choose: Choice, layout: TableRule, texts: Collection[st
         file.seek(max(0, file.seek(0, io.SEEK_END) - HEAD))
         end = file.read()
     text = io.TextIOWrapper(io.BytesIO(head), layout.encoding, "surrogateescape", newline="")
-    lines = text.read().removeprefix("\ufeff").splitlines(keepends=True)
+    lines = text.read().removeprefix("\ufeff").splitlines(keepends=True) or [""]
     before, metadata = layout.skip_lines, Metadata()
     if lines[0].startswith(COMMENT) and not before:
         before, metadata = 1, metadata_from_json(lines[0][len(COMMENT) :])[0]
@@ -130,7 +130,7 @@ def read_csv(path: Path, choose: Choice, layout: TableRule, texts: Collection[st
         places = positions(choose, names, layout.header)
     except (SessionError, csv.Error) as error:
         _refuse_encoding(source, layout.encoding)
-        fault = _layout_fault(names, head, layout) or error
+        fault = _layout_fault(names, layout) or error
         raise SessionError(f"line {before + 1}: {fault}") from error
     before += layout.header
     frame = _parsed(source, before, len(names), places, layout, {places[name] for name in texts})
@@ -144,10 +144,8 @@ def read_csv(path: Path, choose: Choice, layout: TableRule, texts: Collection[st
     return table
 
 
-def _layout_fault(names: Sequence[str], head: bytes, layout: TableRule) -> str:
+def _layout_fault(names: Sequence[str], layout: TableRule) -> str:
     """Say what the line of names shows of a table that is written in another way; else nothing."""
-    if b"\0" in head:
-        return "this is no text in UTF-8; save the file as UTF-8"
     if not "".join(names):
         return "is empty; the names of the columns or the first row should be here"
     if names[0].startswith("#"):
@@ -235,6 +233,8 @@ def _ragged(fault: str) -> str:
 def _refuse_encoding(source: bytes | Path, encoding: str) -> None:
     """Raise where a text has bytes that its encoding has not."""
     content = source if isinstance(source, bytes) else source.read_bytes()
+    if b"\0" in content[:HEAD]:
+        raise SessionError("this is UTF-16 or no text at all; save the file as UTF-8")
     try:
         content.decode(encoding)
     except UnicodeDecodeError as error:

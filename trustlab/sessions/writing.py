@@ -129,7 +129,7 @@ def write_recording(
             writer.write(topic(f"{PREFIX}metadata", text), start, encoded(text, metadata))
             columns = {name: topic(PREFIX + name, number) for name in session}
             # Rising stamps of receipt; the exact times are on /trustlab/t.
-            step = max(1, round(1e9 * session.sample_time))
+            step = max(1, min(round(1e9 * session.sample_time), 2**62 // len(session)))
             for name, connection in columns.items():
                 for k, value in enumerate(session[name].tolist()):
                     writer.write(connection, start + k * step, encoded(number, value))
