@@ -250,7 +250,7 @@ def test_what_is_not_there_or_of_no_known_kind(read, tmp_path):
             lambda: read_session(tmp_path / "rum.csv"),
             "no file at this path; did you mean 'run.csv'?",
         ),
-        (lambda: read_session("rum.csv"), "no such file (looked in "),
+        (lambda: read_session("rum.csv"), "no file at this path (looked in "),
         (lambda: read_session("a\0.csv"), "path must be a path, got 'a"),
         (lambda: read_session(tmp_path / "run.sas7bdat"), "then trustlab.read_frame(frame)"),
         (lambda: read_session(bag), "not written by trustlab, so it needs a recipe (topics: /e)"),

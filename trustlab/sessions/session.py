@@ -20,7 +20,7 @@ from trustlab.sessions.vocabulary import known_column
 # Metadata with a name of their own, and the types that a file may give them; all else goes to
 # `more`.
 FIELDS = {
-    "participant": (str, int, NoneType),
+    "participant": (str, int, float, NoneType),
     "condition": (str, int, float, NoneType),
     "source": (str, NoneType),
     "synthetic": (bool,),
