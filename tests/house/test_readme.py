@@ -123,7 +123,8 @@ def test_code_that_does_not_run_is_python_and_needs_what_tests_lack(path):
                 "live_study.md",
                 "cluster.md",
                 "robot.md",
-            }  # a server, a cluster, ROS
+                "recipe.md",
+            }  # a server, a cluster, ROS, readers of other formats
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
