@@ -116,7 +116,7 @@ def test_a_process_that_dies_or_is_interrupted_loses_nothing_that_was_finished(t
 
 def test_a_campaign_grows_and_fills_gaps(tmp_path, monkeypatch):
     monkeypatch.setattr("trustlab.campaign.run.SAVED", 0.0)
-    monkeypatch.setattr("trustlab.campaign.run.MOST", 0.0)
+    monkeypatch.setattr("trustlab.campaign.run.SENT", 1e-9)
     expected = tl.run_campaign(task, RUNS, n_jobs=1)
     pd.testing.assert_frame_equal(go(tmp_path), expected)
     before = contents(tmp_path)

@@ -77,20 +77,6 @@ def test_one_process_waits_for_the_other_and_both_work_to_the_end(tmp_path):
     assert table["process"][98] != table["process"][99]
 
 
-def test_runs_that_a_process_had_no_time_for_are_computed_all_the_same(monkeypatch):
-    calls = []
-
-    def counted(n, k, seed):
-        calls.append((n, k))
-        return task(n, k, seed)
-
-    expected = tl.run_campaign(counted, RUNS, seed=3, n_jobs=1)
-    assert len(calls) == 40
-    monkeypatch.setattr("trustlab.campaign.run.MOST", 0.0)
-    pd.testing.assert_frame_equal(tl.run_campaign(counted, RUNS, seed=3, n_jobs=1), expected)
-    assert len(calls) == 80
-
-
 def test_within_a_task_all_cores_means_its_own_process():
     def inner(i, seed):
         return {"process": os.getpid(), "thread": threading.get_ident()}

@@ -12,6 +12,9 @@ from trustlab.models.checks import in_order, shown, whole_number
 # Columns of the table, and the argument of the seed: names of neither parameters nor results.
 RESERVED = ("run", "seed", "failed", "error", "traceback")
 
+# As many parameters as fit into memory.
+MOST_RUNS = 10_000_000
+
 
 def parameter_grid(repeats: int = 1, **axes: Iterable) -> list[dict]:
     """
@@ -46,7 +49,7 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> list[dict]:
                 "for one"
             )
     lists = [v.tolist() if isinstance(v, np.ndarray) else list(v) for v in axes.values()]
-    repeated = range(whole_number("repeats", repeats))
+    repeated = range(whole_number("repeats", repeats, most=MOST_RUNS))
     grid = [
         dict(zip(axes, row, strict=True)) for row in itertools.product(*lists) for _ in repeated
     ]
@@ -92,7 +95,7 @@ def parameter_draws(
     """
     if n is None and isinstance(distributions.get("n"), Real):
         n = distributions.pop("n")
-    n = whole_number("n", n)
+    n = whole_number("n", n, most=MOST_RUNS)
     if not distributions:
         raise ValueError("give at least one parameter, such as beta=(0.6, 0.8)")
     seed = seed_sequence(seed)

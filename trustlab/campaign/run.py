@@ -7,7 +7,7 @@ import inspect
 import json
 import os
 import traceback
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing
@@ -27,7 +27,7 @@ from trustlab.campaign.identity import Identity
 from trustlab.campaign.parameters import RESERVED, checked_names, plain, seed_sequence
 from trustlab.models.checks import flag, shown, warn
 from trustlab.models.digest import digest
-from trustlab.models.files import write_atomically
+from trustlab.models.files import path_of, write_atomically
 
 FORMAT = 3
 MANIFEST = "campaign.json"
@@ -35,8 +35,6 @@ REMEDY = "Use another folder, or remove this one"
 
 # Seconds of work that a process is sent at a time, as far as the runs before it tell.
 SENT = 1.0
-# Seconds after which it returns the runs that it has not begun: some may take longer.
-MOST = 5.0
 # Seconds between two files of results.
 SAVED = 2.0
 
@@ -195,10 +193,10 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     >>> table.equals(run)
     True
     """
-    path = Path(folder)
+    path = path_of("folder", folder)
     parts = _parts(path)
     if parts is None:
-        raise CampaignError(f"{path} holds no campaign: {MANIFEST} is not there")
+        raise CampaignError(f"folder {path} holds no campaign: {MANIFEST} is not there")
     rows = _stored(path, parts)
     parameters = [rows[run]["parameters"] for run in sorted(rows)]
     names = parameters[0] if parameters else ()
@@ -225,26 +223,25 @@ def _finished(
     n_jobs: int,
 ) -> Iterator[dict[int, dict]]:
     """Yield the rows of runs, as processes return them."""
-    waiting = deque(missing)
     processes = min(effective_n_jobs(n_jobs), len(missing))
     if processes > 1:
         _end_outdated_processes(task)
     mean = SENT  # seconds of a run: the first to be sent go alone
 
     def chunks() -> Iterator[tuple]:
-        while waiting:
+        first = 0
+        while first < len(missing):
             # Chunks become smaller towards the end, so that processes finish together.
-            size = max(1, min(int(SENT / mean), len(waiting) // (3 * processes)))
-            runs = [waiting.popleft() for _ in range(size)]
-            yield delayed(_chunk)(task, {run: parameters[run] for run in runs}, seed)
+            left = len(missing) - first
+            last = first + max(1, min(int(SENT / mean), left // (3 * processes)))
+            yield delayed(_chunk)(task, {run: parameters[run] for run in missing[first:last]}, seed)
+            first = last
 
     try:
-        while waiting:  # more than once where processes returned runs that they had not begun
-            parallel = Parallel(processes, return_as="generator_unordered", batch_size=1)
-            for rows, left, seconds in parallel(chunks()):
-                waiting.extend(left)
-                mean = seconds / len(rows)
-                yield rows
+        parallel = Parallel(max(1, processes), return_as="generator_unordered", batch_size=1)
+        for rows, seconds in parallel(chunks()):
+            mean = seconds / len(rows)
+            yield rows
     except (BrokenExecutor, PicklingError) as error:
         raise CampaignError(
             f"{error} Finished runs are in `out`, where that was given; the same call goes on"
@@ -261,19 +258,17 @@ def _end_outdated_processes(task: Callable) -> None:
 
 def _chunk(
     task: Callable, parameters: dict[int, Mapping], seed: np.random.SeedSequence
-) -> tuple[dict[int, dict], list[int], float]:
-    """Return rows by run, the runs for which there was no time, and the seconds it took."""
+) -> tuple[dict[int, dict], float]:
+    """Return rows by run, and the seconds that they took."""
     start = perf_counter()
     rows: dict[int, dict] = {}
     with parallel_config("sequential"):  # within a task: the other cores are taken
         for run, values in parameters.items():
-            if rows and perf_counter() - start > MOST:
-                break
             # The child that `seed.spawn` would give at this index.
             key = (*seed.spawn_key, seed.n_children_spawned + run)
             child = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
             rows[run] = _row(task, values, child)
-    return rows, list(parameters)[len(rows) :], perf_counter() - start
+    return rows, perf_counter() - start
 
 
 def _row(task: Callable, values: Mapping, seed: np.random.SeedSequence) -> dict[str, Any]:
@@ -323,9 +318,7 @@ class _Folder:
         parameters: Sequence[Mapping],
         seed: np.random.SeedSequence,
     ):
-        if not isinstance(out, str | os.PathLike) or not os.fspath(out):
-            raise ValueError(f"out must be the path of a folder, got {shown(out)}")
-        self.path = Path(out)
+        self.path = path_of("out", out)
         identity = Identity(task)
         self.parameters = _texts(identity, parameters)
         bare = seed.state == np.random.SeedSequence(seed.entropy).state

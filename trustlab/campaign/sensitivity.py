@@ -143,7 +143,7 @@ def sobol_indices(
     n = whole_number("n", n, least=8)
     if n & (n - 1):
         raise ValueError(f"n must be a power of 2, such as {2 ** n.bit_length()}, got {n}")
-    level, resamples = open_unit("level", level), whole_number("resamples", resamples, least=20)
+    level, resamples = open_unit("level", level), whole_number("resamples", resamples, 20, 100_000)
     seed = whole_number("seed", seed, least=0)
     distributions = _distributions(ranges)
     names, d = list(ranges), len(distributions)
@@ -209,8 +209,8 @@ def _numeric(table: pd.DataFrame, names: list[str], selected: list[str] | None) 
         )
     results = table.drop(columns=["run", *names, "failed", "error", "traceback"])
     known = results.select_dtypes(["number", "bool"]).columns.tolist()
-    chosen = known if selected is None else list(selected)
-    if not chosen or not set(chosen) <= set(known):
+    chosen = known if selected is None else selected
+    if not isinstance(chosen, list) or not chosen or not set(chosen) <= set(known):
         raise ValueError(
             f"results must be among those that are numbers, {', '.join(known)}, got {shown(chosen)}"
         )
