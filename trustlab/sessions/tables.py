@@ -176,18 +176,17 @@ def _parsed(
     import pyarrow.csv
 
     table = None
+    threads = True
     while table is None:
         kinds = {str(k): pa.string() if k in texts else pa.float64() for k in places.values()}
         try:
-            # Block by block, so that the text of a long log is never in memory as a whole.
-            with pa.csv.open_csv(
+            table = pa.csv.read_csv(
                 pa.BufferReader(source) if isinstance(source, bytes) else source,
                 pa.csv.ReadOptions(
                     column_names=[*map(str, range(width))],
                     skip_rows=before,
                     encoding=layout.encoding,
-                    block_size=1 << 22,
-                    use_threads=False,  # which counts the rows
+                    use_threads=threads,
                 ),
                 pa.csv.ParseOptions(delimiter=layout.delimiter, ignore_empty_lines=False),
                 pa.csv.ConvertOptions(
@@ -197,18 +196,19 @@ def _parsed(
                     strings_can_be_null=False,
                     decimal_point=layout.decimal,
                 ),
-            ) as blocks:
-                table = blocks.read_all()
+            )
         except (pa.ArrowInvalid, UnicodeDecodeError) as error:
             fault = str(error)
             column = re.search(r"In CSV column #(\d+): .* conversion error to double", fault)
             if "Empty CSV" in fault or "Could not skip" in fault:
                 return pd.DataFrame(columns=list(places))
-            if not column:
+            if column:  # read its cells as texts, so that the first odd one can be named
+                texts = {*texts, int(column[1])}
+            elif threads:  # one thread alone counts the rows
+                threads = False
+            else:
                 _refuse_encoding(source, layout.encoding)
                 raise SessionError(_ragged(fault)) from error
-            # Read its cells as texts, so that the first odd one can be named.
-            texts = {*texts, int(column[1])}
     columns = {}
     for title in table.column_names:
         cells = table.column(title)
