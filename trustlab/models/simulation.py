@@ -1,4 +1,4 @@
-"""A compiled loop that can pause at any sample, so that Python decides in between."""
+"""Runs a compiled kernel that can pause at any sample, so that Python decides in between."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,24 +21,27 @@ class Simulation:
     """
     A compiled kernel, the records that it works on, and who decides in between.
 
-    A sample begins at its pause: everything has arrived, and built-in parts have left in the state
-    what they propose. `decide` looks at the state there and writes its decisions into `inputs`,
-    where NaN leaves a decision to the built-in part. As decisions are inputs, a run is repeated
-    without Python: the same start and these inputs, `decide` left out.
+    Before sample k the kernel can stop. `decide` then sees the state and may write the inputs of
+    the samples until the next decision; NaN there means that the kernel decides. As decisions are
+    inputs, a run is repeated without Python: the same start and these inputs, `decide` left out.
 
     Parameters
     ----------
     kernel : callable
-        kernel(first, stop, setup, state, inputs, log) does the samples from `first` to before
-        `stop`, writes a row of `log` for each, and leaves the state at the pause of sample `stop`.
-        It returns (samples done, −1), or (sample, block) where a block diverged in that sample. It
-        must do the same whether samples are done in one call or in several.
-    setup, state, log
-        Records, or tuples of them: constants; what a sample hands to the next, changed in place and
-        at first at the pause of sample 0; one row per sample.
+        kernel(first, stop, setup, state, inputs, log), compiled, does the samples from `first` to
+        before `stop`: for each it takes the inputs, writes a row of `log`, and goes on to where the
+        next sample's decision is due, which is where it leaves the state. It returns (samples done,
+        −1), or (sample, block) where a block diverged in that sample. It must do the same whether
+        samples are done in one call or in several.
+    setup : record, or tuple of records
+        Constants.
+    state : record, or tuple of records
+        What a sample hands to the next; changed in place.
     inputs : numpy.ndarray, shape (N,)
         Records of what comes from outside at each sample, decisions included; ``np.full(N, np.nan,
         dtype)`` where nothing is decided yet. A hand or a robot may write them as they come.
+    log : numpy.ndarray, shape (N,), or tuple of arrays
+        One row for each sample.
     decide : callable, optional
         decide(state, inputs) with the inputs of the samples until the next decision.
     every : int
@@ -104,10 +107,10 @@ class Simulation:
         while self.done < stop:
             until = stop
             if self.decide is not None:
-                following = (self.done // self.every + 1) * self.every
+                next_decision = (self.done // self.every + 1) * self.every
                 if self.done % self.every == 0:
-                    self.decide(self.state, self.inputs[self.done : following])
-                until = min(stop, following)
+                    self.decide(self.state, self.inputs[self.done : next_decision])
+                until = min(stop, next_decision)
             records = self.setup, self.state, self.inputs, self.log
             self.done, block = self.kernel(self.done, until, *records)
             if block >= 0:

@@ -111,7 +111,7 @@ class TrustModel:
 
     def decay(self, sample_time: float) -> float:
         """
-        Return exp(−a T/(T_max − T_min)), the share of trust kept over a sample without performance.
+        Return exp(−a Δt/(T_max − T_min)), the share of trust kept over a sample without performance.
 
         Parameters
         ----------
