@@ -111,12 +111,13 @@ class TrustModel:
 
     def decay(self, sample_time: float) -> float:
         """
-        Return exp(−a Δt/(T_max − T_min)), the share of trust kept over a sample without performance.
+        Return exp(−a Δt/(T_max − T_min)): the share of trust that a sample without performance
+        leaves.
 
         Parameters
         ----------
         sample_time : float
-            T [s], positive.
+            Δt [s], positive.
 
         Raises
         ------
