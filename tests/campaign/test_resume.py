@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -43,7 +44,7 @@ import numpy as np
 import trustlab as tl
 import trustlab.campaign.run
 
-trustlab.campaign.run.SAVED = 0.1
+trustlab.campaign.run.CHUNK = 0.1
 
 def task(x, seed):
     with open("log", "a") as file:
@@ -115,8 +116,7 @@ def test_a_process_that_dies_or_is_interrupted_loses_nothing_that_was_finished(t
 
 
 def test_a_campaign_grows_and_fills_gaps(tmp_path, monkeypatch):
-    monkeypatch.setattr("trustlab.campaign.run.SAVED", 0.0)
-    monkeypatch.setattr("trustlab.campaign.run.SENT", 1e-9)
+    monkeypatch.setattr("trustlab.campaign.run.CHUNK", 1e-9)  # a file for each run
     expected = tl.run_campaign(task, RUNS, n_jobs=1)
     pd.testing.assert_frame_equal(go(tmp_path), expected)
     before = contents(tmp_path)
@@ -139,16 +139,14 @@ def test_a_campaign_grows_and_fills_gaps(tmp_path, monkeypatch):
 
 def test_a_folder_that_is_read_has_the_same_table(tmp_path):
     table = go(tmp_path)
-    read = tl.read_campaign(tmp_path)
-    pd.testing.assert_frame_equal(read, table)
-    assert read.attrs["versions"]["version of numpy"] == np.__version__
+    pd.testing.assert_frame_equal(tl.read_campaign(tmp_path), table)
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         ({"seed": 1}, "seed was 0, is 1"),
-        ({"seed": np.random.SeedSequence(0, spawn_key=(1,))}, "seed was 0, is .*'spawn_key'"),
+        ({"seed": np.random.SeedSequence(0, spawn_key=(1,))}, r"spawn key was \(0,\), is \(1, 0\)"),
         ({"runs": [*RUNS[:12], {"x": 50}]}, "run 12 were {'x': 12}, are {'x': 50}"),
         ({"runs": tl.parameter_grid(x=np.arange(30.0))}, "run 0 were {'x': 0}, are {'x': 0.0}"),
         ({"runs": [*RUNS[:1], {"x": True}]}, "run 1 were {'x': 1}, are {'x': True}"),
@@ -168,10 +166,7 @@ def test_another_campaign_is_refused_by_what_changed(tmp_path, arguments, said):
 def test_other_versions_are_refused(tmp_path, name):
     go(tmp_path)
     path = tmp_path / "campaign.json"
-    manifest = json.loads(path.read_text())
-    assert manifest["parts"].pop(f"version of {name}")
-    manifest["parts"][f"version of {name}"] = "0.0.1"
-    path.write_text(json.dumps(manifest))
+    path.write_text(re.sub(rf'(version of {name}": )"[^"]+"', r'\1"0.0.1"', path.read_text()))
     with pytest.raises(CampaignError, match=rf"version of {name} was 0\.0\.1, is \d+\.\d+"):
         go(tmp_path)
 
@@ -200,7 +195,9 @@ def test_other_files_are_left_alone(tmp_path):
     (tmp_path / "other").mkdir()
     for text in ("mine", "{}", "[1]", '{"format": 2, "runs": 3}'):
         (tmp_path / "other" / "campaign.json").write_text(text)
-        with pytest.raises(CampaignError, match="Use another folder, or remove this one"):
+        with pytest.raises(
+            CampaignError, match=r"campaign.json .*Use another folder, or remove it"
+        ):
             go(tmp_path / "other")
         assert contents(tmp_path / "other") == {tmp_path / "other" / "campaign.json": text.encode()}
 
@@ -209,11 +206,9 @@ def test_damage_and_places_that_cannot_be_used_are_named(tmp_path):
     go(tmp_path / "out")
     chunk = next(tmp_path.glob("out/runs-*"))
     chunk.write_bytes(chunk.read_bytes()[:-5])
-    with pytest.raises(
-        CampaignError, match=rf"{chunk.name} cannot be read: .*Remove it, and its runs"
-    ):
+    with pytest.raises(CampaignError, match=rf"{chunk.name} cannot be read: .*or remove it"):
         go(tmp_path / "out")
-    with pytest.raises(CampaignError, match=r"cannot write in .*json: File exists; give a folder"):
+    with pytest.raises(CampaignError, match=r"cannot write .*File exists; give a folder"):
         go(chunk)
-    with pytest.raises(CampaignError, match=r"holds no campaign: campaign.json is not there"):
+    with pytest.raises(CampaignError, match=r"campaign.json cannot be read: .*No such file"):
         tl.read_campaign(tmp_path)

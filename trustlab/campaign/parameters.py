@@ -10,9 +10,9 @@ import numpy as np
 from trustlab.models.checks import in_order, shown, whole_number
 
 # Columns of the table, and the argument of the seed: names of neither parameters nor results.
-RESERVED = ("run", "seed", "failed", "error", "traceback")
+RESERVED = {"run", "seed", "failed", "error", "traceback"}
 
-# As many parameters as fit into memory.
+# The longest campaign whose parameters fit into memory.
 MOST_RUNS = 10_000_000
 
 
@@ -43,19 +43,16 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> list[dict]:
     {'lower': 0.0, 'upper': 0.5}
     """
     for name, values in axes.items():
-        if isinstance(values, str | bytes | Mapping) or not np.iterable(values):
+        if isinstance(values, str) or not np.iterable(values):
             raise ValueError(
                 f"{name} must be a list of values, got {shown(values)}; write [{shown(values)}] "
                 "for one"
             )
     lists = [v.tolist() if isinstance(v, np.ndarray) else list(v) for v in axes.values()]
-    repeated = range(whole_number("repeats", repeats, most=MOST_RUNS))
-    grid = [
-        dict(zip(axes, row, strict=True)) for row in itertools.product(*lists) for _ in repeated
-    ]
-    if not axes or not grid:
+    if not axes or not all(lists):
         raise ValueError(f"give at least one value for each name, got {shown(axes)}")
-    return grid
+    lists.append([None] * whole_number("repeats", repeats, most=MOST_RUNS))
+    return [dict(zip(axes, values, strict=False)) for values in itertools.product(*lists)]
 
 
 def parameter_draws(
@@ -83,7 +80,7 @@ def parameter_draws(
     Raises
     ------
     ValueError
-        If a distribution is of none of these kinds, its draws are not finite, or a range is empty.
+        If a distribution is of none of these kinds, or a range is empty.
 
     Examples
     --------
@@ -104,31 +101,25 @@ def parameter_draws(
         # The stream follows from the name, whatever other parameters there are.
         key = (*seed.spawn_key, *name.encode())
         child = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
-        columns.append(_drawn(name, kind, n, np.random.default_rng(child)))
+        rng = np.random.default_rng(child)
+        if isinstance(kind, list) and kind:
+            columns.append([kind[k] for k in rng.integers(len(kind), size=n)])
+        else:
+            draws = distribution(name, kind).rvs(size=n, random_state=rng)
+            columns.append(np.asarray(draws).tolist())
     return [dict(zip(distributions, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def _drawn(name: str, kind: Any, n: int, rng: np.random.Generator) -> list:
-    if isinstance(kind, tuple):
-        return rng.uniform(*interval(name, kind), n).tolist()
-    if isinstance(kind, list) and kind:
-        return [kind[k] for k in rng.integers(len(kind), size=n)]
+def distribution(name: str, kind: Any) -> Any:
+    """Return a distribution of SciPy, of a range (low, high) the uniform one."""
+    from scipy import stats
+
+    if isinstance(kind, tuple) and len(kind) == 2:
+        low, high = in_order(f"{name}[0]", kind[0], f"{name}[1]", kind[1])
+        return stats.uniform(low, high - low)
     if not hasattr(kind, "rvs"):
-        raise ValueError(
-            f"{name} must be (low, high), a list of values or a SciPy distribution, got "
-            f"{shown(kind)}"
-        )
-    draws = np.asarray(kind.rvs(size=n, random_state=rng))
-    if draws.shape != (n,) or not np.isfinite(draws).all():
-        raise ValueError(f"the distribution of {name} must give {n} finite numbers")
-    return draws.tolist()
-
-
-def interval(name: str, ends: tuple) -> tuple[float, float]:
-    """Return the ends of a range as floats, low < high."""
-    if len(ends) != 2:
-        raise ValueError(f"{name} must be (low, high), got {shown(ends)}")
-    return in_order(f"{name}[0]", ends[0], f"{name}[1]", ends[1])
+        raise ValueError(f"{name} must be (low, high) or a SciPy distribution, got {shown(kind)}")
+    return kind
 
 
 def seed_sequence(seed: Any) -> np.random.SeedSequence:
@@ -138,33 +129,23 @@ def seed_sequence(seed: Any) -> np.random.SeedSequence:
     return np.random.SeedSequence(whole_number("seed", seed, least=0))
 
 
-def checked_names(parameters: Any) -> list[str]:
-    """Return the names of the parameters; raise unless every run has a dict with the same."""
-    if not isinstance(parameters, Sequence) or isinstance(parameters, str) or not parameters:
-        remedy = "; use frame.to_dict('records')" if hasattr(parameters, "columns") else ""
+def check_parameters(parameters: Any) -> None:
+    """Raise unless every run has a dict with the same names."""
+    of_dicts = isinstance(parameters, Sequence) and all(isinstance(x, Mapping) for x in parameters)
+    if not of_dicts or not parameters:
         raise ValueError(
-            f"parameters must be a list of dicts, one per run, got {shown(parameters)}{remedy}"
+            f"parameters must be a list of dicts, one per run, got {shown(parameters)}; of a "
+            "table, use frame.to_dict('records')"
         )
     first = parameters[0]
     for run, values in enumerate(parameters):
-        if not isinstance(values, Mapping) or values.keys() != first.keys():
+        if values.keys() != first.keys():
             raise ValueError(
-                f"every run needs a dict with the same names, but run 0 has {shown(first)} and "
-                f"run {run} has {shown(values)}"
+                f"every run needs the same names, but run 0 has {shown(dict(first))} and run {run} "
+                f"has {shown(dict(values))}"
             )
-    for name in first:
-        if not isinstance(name, str) or name in RESERVED:
-            raise ValueError(
-                f"a parameter cannot be called {name!r}: names are text and not among "
-                f"{', '.join(RESERVED)}, which a campaign uses"
-            )
-    return list(first)
-
-
-def plain(value: Any) -> bool | int | float | str | None:
-    """Return a plain value as Python's own type; raise `TypeError` for anything else."""
-    if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
-        value = value.item()
-    if value is None or isinstance(value, int | float | str):  # a bool is an int
-        return value
-    raise TypeError(f"{type(value).__name__} is no plain value")
+    if RESERVED & first.keys():
+        raise ValueError(
+            f"a parameter cannot be called {min(RESERVED & first.keys())!r}: a campaign uses "
+            f"{', '.join(sorted(RESERVED))} itself"
+        )

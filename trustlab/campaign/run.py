@@ -7,36 +7,37 @@ import inspect
 import json
 import os
 import traceback
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing
-from numbers import Integral
 from pathlib import Path
 from pickle import PicklingError
+from statistics import mode
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed, effective_n_jobs, parallel_config
+from joblib import Parallel, cpu_count, delayed, effective_n_jobs, parallel_config
 from joblib.externals.loky import get_reusable_executor
 from tqdm import tqdm
 
-from trustlab.campaign.identity import Identity
-from trustlab.campaign.parameters import RESERVED, checked_names, plain, seed_sequence
-from trustlab.models.checks import flag, shown, warn
+from trustlab.campaign.identity import identity, sources, value_digest
+from trustlab.campaign.parameters import RESERVED, check_parameters, seed_sequence
+from trustlab.models.checks import flag, shown, warn, whole_number
 from trustlab.models.digest import digest
 from trustlab.models.files import path_of, write_atomically
 
-FORMAT = 3
 MANIFEST = "campaign.json"
-REMEDY = "Use another folder, or remove this one"
+FORMAT = "trustlab campaign, format 4"
+REMEDY = "Use another folder, or remove it"
 
-# Seconds of work that a process is sent at a time, as far as the runs before it tell.
-SENT = 1.0
-# Seconds between two files of results.
-SAVED = 2.0
+# Seconds of work in a chunk, as far as the runs before it tell; it begins no run later than twice
+# that, since runs may take longer than those before.
+CHUNK = 2.0
+
+PLAIN = bool | int | float | str | None
 
 # Digests of the source files that the processes kept by joblib may have imported.
 _imported: dict[str, str] = {}
@@ -111,9 +112,10 @@ def run_campaign(
     Notes
     -----
     Results in `out` are used again only while nothing that they depend on has changed: all source
-    files of the task's package, or all modules beside its script, or the functions, classes and
-    values that a notebook's task uses; arguments bound to the task; the versions of trustlab,
-    Python, numpy, scipy and numba. Data files and other installed packages do not count.
+    files of the task's package, or the functions, classes and values of a script or notebook that
+    the task uses and all modules beside it that are loaded at the call; arguments bound to the
+    task; the versions of trustlab, Python, numpy, scipy and numba. Data files, other installed
+    packages and modules beside a script that only the running task imports do not count.
 
     Several processes may run one campaign in the same folder: they may repeat each other's work,
     and do no harm.
@@ -128,31 +130,30 @@ def run_campaign(
     100
     """
     start = perf_counter()
-    names = checked_names(parameters)
-    _check_task(task, names)
+    check_parameters(parameters)
+    _check_task(task, [*parameters[0], "seed"])
     seed = seed_sequence(seed)
-    if isinstance(n_jobs, bool) or not isinstance(n_jobs, Integral) or n_jobs == 0:
-        raise ValueError(
-            f"n_jobs must be a whole number of processes, -1 for all cores, got {shown(n_jobs)}"
-        )
+    n_jobs = whole_number("n_jobs", n_jobs, least=-cpu_count())
+    if n_jobs == 0:
+        raise ValueError("n_jobs must be a whole number of processes, or -1 for all cores, got 0")
     hidden = None if progress is None else not flag("progress", progress)
-    folder = None if out is None else _Folder(out, task, parameters, seed)
-    rows = {} if folder is None else folder.rows()
+    rows: dict[int, dict] = {}
+    if out is not None:
+        folder = path_of("out", out)
+        texts = [{name: _text(name, x) for name, x in run.items()} for run in parameters]
+        prefix, rows = _opened(folder, task, seed, texts)
     resumed = len(rows)
-    missing = [run for run in range(len(parameters)) if run not in rows]
-    computed = _finished(task, parameters, seed, missing, n_jobs)
-    bar = tqdm(total=len(parameters), initial=resumed, unit="run", disable=hidden)
-    with bar, closing(computed):  # an interrupt ends what is under way
-        try:
-            for finished in computed:
-                rows |= finished
-                bar.update(len(finished))
-                if folder is not None:
-                    folder.add(finished)
-        finally:
-            if folder is not None:
-                folder.save()
-    table = _table({name: [values[name] for values in parameters] for name in names}, rows)
+    with tqdm(total=len(parameters), initial=resumed, unit="run", disable=hidden) as bar:
+        while missing := [run for run in range(len(parameters)) if run not in rows]:
+            # Closed, so that an interrupt ends what is under way.
+            with closing(_computed(task, parameters, seed, missing, n_jobs)) as chunks:
+                for chunk in chunks:
+                    rows |= chunk
+                    bar.update(len(chunk))
+                    if out is not None:
+                        content = {run: {**chunk[run], "parameters": texts[run]} for run in chunk}
+                        _write(folder / f"{prefix}{digest(json.dumps(content))}.json", content)
+    table = _table(rows, parameters)
     table.attrs |= {"resumed": resumed, "seconds": perf_counter() - start}
     if table.attrs["failed"]:
         warn(f"{table.attrs['summary']} (see failed, error and traceback)", CampaignWarning)
@@ -172,8 +173,8 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     -------
     pandas.DataFrame
         The columns of `run_campaign`, one row per finished run, in the order of runs; parameters
-        that are not plain values are text. `attrs` holds runs (finished so far), failed, summary,
-        and the versions with which they were computed.
+        that are not plain values are text. `attrs` holds runs (finished so far), failed and
+        summary.
 
     Raises
     ------
@@ -194,76 +195,70 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     True
     """
     path = path_of("folder", folder)
-    parts = _parts(path)
-    if parts is None:
-        raise CampaignError(f"folder {path} holds no campaign: {MANIFEST} is not there")
-    rows = _stored(path, parts)
-    parameters = [rows[run]["parameters"] for run in sorted(rows)]
-    names = parameters[0] if parameters else ()
-    table = _table({name: [values[name] for values in parameters] for name in names}, rows)
-    table.attrs["versions"] = {k: parts[k] for k in parts if k.startswith("version of ")}
-    return table
+    rows = _stored(path, _manifest(path))
+    return _table(rows, {run: row["parameters"] for run, row in rows.items()})
 
 
 def _check_task(task: Any, names: list[str]) -> None:
     try:
-        inspect.signature(task).bind(**dict.fromkeys([*names, "seed"]))
+        inspect.signature(task).bind(**dict.fromkeys(names))
     except TypeError as error:
         raise ValueError(
-            f"task must be a function that can be called with {', '.join([*names, 'seed'])} by "
-            f"name, got {shown(task)}: {error}; `seed` is a numpy.random.SeedSequence"
+            f"task must be a function that can be called with {', '.join(names)} by name, got "
+            f"{shown(task)}: {error}; `seed` is a numpy.random.SeedSequence"
         ) from None
 
 
-def _finished(
+def _computed(
     task: Callable,
     parameters: Sequence[Mapping],
     seed: np.random.SeedSequence,
     missing: list[int],
     n_jobs: int,
-) -> Iterator[dict[int, dict]]:
-    """Yield the rows of runs, as processes return them."""
+) -> Generator[dict[int, dict]]:
+    """Yield the rows of runs, as processes return them; not of all, where runs take long."""
     processes = min(effective_n_jobs(n_jobs), len(missing))
     if processes > 1:
         _end_outdated_processes(task)
-    mean = SENT  # seconds of a run: the first to be sent go alone
+    waiting = deque(missing)
+    mean = CHUNK  # seconds of a run: the first to be sent go alone
 
     def chunks() -> Iterator[tuple]:
-        first = 0
-        while first < len(missing):
+        while waiting:
             # Chunks become smaller towards the end, so that processes finish together.
-            left = len(missing) - first
-            last = first + max(1, min(int(SENT / mean), left // (3 * processes)))
-            yield delayed(_chunk)(task, {run: parameters[run] for run in missing[first:last]}, seed)
-            first = last
+            size = max(1, min(int(CHUNK / mean), len(waiting) // (3 * processes)))
+            runs = [waiting.popleft() for _ in range(size)]
+            yield delayed(_chunk)(task, {run: parameters[run] for run in runs}, seed)
 
     try:
-        parallel = Parallel(max(1, processes), return_as="generator_unordered", batch_size=1)
+        parallel = Parallel(processes, return_as="generator_unordered", batch_size=1)
         for rows, seconds in parallel(chunks()):
             mean = seconds / len(rows)
             yield rows
     except (BrokenExecutor, PicklingError) as error:
         raise CampaignError(
-            f"{error} Finished runs are in `out`, where that was given; the same call goes on"
+            f"{error} Once that is mended, the same call goes on with the finished runs in `out`"
         ) from error
 
 
 def _end_outdated_processes(task: Callable) -> None:
     """End the processes that joblib keeps if what they have imported may have changed since."""
-    sources = Identity(task).sources()
-    if any(_imported.get(file, content) != content for file, content in sources.items()):
+    files = sources(task)
+    if any(_imported.get(file, content) != content for file, content in files.items()):
         get_reusable_executor().shutdown()
-    _imported.update(sources)
+    _imported.update(files)
 
 
 def _chunk(
     task: Callable, parameters: dict[int, Mapping], seed: np.random.SeedSequence
 ) -> tuple[dict[int, dict], float]:
-    """Return rows by run, and the seconds that they took."""
+    """Return rows by run, of those for which there was time, and the seconds they took."""
     start = perf_counter()
     rows: dict[int, dict] = {}
     with parallel_config("sequential"):  # within a task: the other cores are taken
         for run, values in parameters.items():
+            if rows and perf_counter() - start > 2.0 * CHUNK:
+                break
             # The child that `seed.spawn` would give at this index.
             key = (*seed.spawn_key, seed.n_children_spawned + run)
             child = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
@@ -275,186 +270,130 @@ def _row(task: Callable, values: Mapping, seed: np.random.SeedSequence) -> dict[
     """Return the results of a run by name, or its error in one line and its traceback."""
     try:
         # A task that changes its arguments must not change those of other runs.
-        results = _checked(task(**copy.deepcopy(dict(values)), seed=seed), values)
+        results = task(**copy.deepcopy(dict(values)), seed=seed)
+        if not isinstance(results, Mapping) or not results:
+            raise CampaignError(f"a task must return a dict of results, got {shown(results)}")
+        results = {name: _plain(value) for name, value in results.items()}
+        for name, value in results.items():
+            if name in RESERVED or name in values:
+                raise CampaignError(f"result {name!r} has the name of another column; rename it")
+            if not isinstance(value, PLAIN):
+                raise CampaignError(
+                    f"result {name!r} must be a number, text, True, False or None, got "
+                    f"{shown(value)}"
+                )
     except (Exception, SystemExit) as error:
         line = f"{type(error).__name__}: {error}".partition("\n")[0]
-        lines = traceback.format_exception(error.with_traceback(error.__traceback__.tb_next))
-        return {"results": None, "error": line, "traceback": "".join(lines)}
+        return {"results": {}, "error": line, "traceback": traceback.format_exc()}
     return {"results": results, "error": None, "traceback": None}
 
 
-def _checked(results: Any, parameters: Mapping) -> dict[str, Any]:
-    """Return results as plain Python values."""
-    if not isinstance(results, Mapping) or not results:
-        raise CampaignError(f"a task must return a dict of results by name, got {shown(results)}")
-    checked = {}
-    for name, value in results.items():
-        if not isinstance(name, str) or name in RESERVED or name in parameters:
-            raise CampaignError(
-                f"a result cannot be called {name!r}: names are text, and neither those of "
-                f"parameters nor {', '.join(RESERVED)}"
-            )
-        try:
-            checked[name] = plain(value)
-        except TypeError:
-            raise CampaignError(
-                f"result {name!r} must be a number, text, True, False or None, got {shown(value)}"
-            ) from None
-    return checked
+def _plain(value: Any) -> Any:
+    """Return a number of NumPy's as Python's own."""
+    return value.item() if getattr(value, "ndim", None) == 0 else value
 
 
-class _Folder:
-    """
-    A campaign on disk: a file that says what it depends on, and files of finished runs.
-
-    Files of runs are named by what they depend on and by their content. So nothing is written
-    twice, and results of another campaign are never read as those of this one.
-    """
-
-    def __init__(
-        self,
-        out: Any,
-        task: Callable,
-        parameters: Sequence[Mapping],
-        seed: np.random.SeedSequence,
-    ):
-        self.path = path_of("out", out)
-        identity = Identity(task)
-        self.parameters = _texts(identity, parameters)
-        bare = seed.state == np.random.SeedSequence(seed.entropy).state
-        self.parts = {"seed": str(seed.entropy if bare else seed.state)} | identity.parts()
-        self.unsaved: dict[int, dict] = {}
-        self.saved = perf_counter()
-        before = _parts(self.path)
-        if before is None:
-            self._write(MANIFEST, {"format": FORMAT, "parts": self.parts})
-        elif before != self.parts:
-            raise self._other(_changes(before, self.parts))
-
-    def _other(self, changes: Iterable[str]) -> CampaignError:
-        return CampaignError(f"{self.path} holds another campaign: {'; '.join(changes)}. {REMEDY}")
-
-    def rows(self) -> dict[int, dict]:
-        """Return the rows that are there, by run; raise if they have other parameters."""
-        rows = _stored(self.path, self.parts)
-        rows = {run: rows[run] for run in sorted(rows) if run < len(self.parameters)}
-        for run, row in rows.items():
-            before, now = row["parameters"], self.parameters[run]
-            # As texts, which tell 1, 1.0 and True apart.
-            if json.dumps(before, sort_keys=True) != json.dumps(now, sort_keys=True):
-                raise self._other([f"the parameters of run {run} were {before}, are {now}"])
-        return rows
-
-    def add(self, rows: Mapping[int, dict]) -> None:
-        """Take finished runs, and write them with those before every few seconds."""
-        self.unsaved |= {
-            run: row | {"parameters": self.parameters[run]} for run, row in rows.items()
-        }
-        if perf_counter() - self.saved > SAVED:
-            self.save()
-
-    def save(self) -> None:
-        """Write what is not yet written."""
-        if self.unsaved:
-            content = digest(json.dumps(self.unsaved))[:16]
-            self._write(f"{_prefix(self.parts)}{content}.json", self.unsaved)
-        self.unsaved = {}
-        self.saved = perf_counter()
-
-    def _write(self, name: str, content: dict) -> None:
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            write_atomically(self.path / name, json.dumps(content))
-        except OSError as error:
-            raise CampaignError(
-                f"cannot write in {self.path}: {error.strerror}; give a folder that has room and "
-                "that you may write to"
-            ) from error
+def _text(name: str, value: Any) -> Any:
+    """Return a parameter as a file keeps it: what is not plain by its type and a digest."""
+    value = _plain(value)
+    if isinstance(value, PLAIN):
+        return value
+    return f"{type(value).__name__} {value_digest(f'parameter {name}', value)}"
 
 
-def _texts(identity: Identity, parameters: Sequence[Mapping]) -> list[dict]:
-    """Return parameters as a file keeps them: what is not plain by its type and a digest."""
-    known: dict[int, tuple] = {}  # by id; runs often share a model. Values are held with it.
-
-    def text(name: str, value: Any) -> Any:
-        try:
-            return plain(value)
-        except TypeError:
-            if id(value) not in known:
-                content = identity.digest(f"parameter {name}", value)
-                known[id(value)] = (f"{type(value).__name__} {content}", value)
-            return known[id(value)][0]
-
-    return [{name: text(name, value) for name, value in run.items()} for run in parameters]
-
-
-def _changes(before: Mapping[str, str], now: Mapping[str, str]) -> Iterable[str]:
-    """Yield what differs between two campaigns."""
-    for name in sorted({*before, *now}):
-        if name not in before or name not in now:
-            yield f"{name} is {'new' if name in now else 'gone'}"
-        elif before[name] != now[name]:
-            readable = name == "seed" or name.startswith("version of ")
-            yield f"{name} was {before[name]}, is {now[name]}" if readable else f"{name} changed"
-
-
-def _prefix(parts: Mapping[str, str]) -> str:
-    """Return how the names of a campaign's files of runs begin."""
-    return f"runs-{digest(json.dumps(parts))[:16]}-"
-
-
-def _read(path: Path, remedy: str) -> Any:
-    try:
-        return json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise CampaignError(f"{path} cannot be read: {error}. {remedy}") from error
-
-
-def _parts(folder: Path) -> dict[str, str] | None:
-    """Return what the campaign in a folder depends on; None where there is none."""
-    path = folder / MANIFEST
-    if not path.exists():
-        return None
-    content = _read(path, REMEDY)
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise CampaignError(f"{path} is of another version of trustlab. {REMEDY}")
-    return content["parts"]
-
-
-def _stored(folder: Path, parts: dict[str, str]) -> dict[int, dict]:
-    """Return the rows in all files of a campaign, by run."""
-    files = folder.glob(f"{_prefix(parts)}*.json")
-    remedy = "Remove it, and its runs are computed again"
-    return {int(run): row for file in files for run, row in _read(file, remedy).items()}
-
-
-def _table(columns: Mapping[str, Iterable], rows: Mapping[int, dict]) -> pd.DataFrame:
+def _table(rows: Mapping[int, dict], parameters: Any) -> pd.DataFrame:
     """Return the table of a campaign; a run with other results than most has failed."""
-    runs = sorted(rows)
-    results = [rows[run]["results"] for run in runs]
-    errors = [rows[run]["error"] for run in runs]
-    counts = Counter(frozenset(values) for values in results if values)
-    usual = max(counts, key=counts.__getitem__, default=frozenset())
-    names = next((list(values) for values in results if values and values.keys() == usual), [])
-    for k, values in enumerate(results):
-        if values and values.keys() != usual:
-            results[k] = None
-            errors[k] = (
-                f"CampaignError: returned {', '.join(values)}, where most runs returned "
-                f"{', '.join(names)}; return the same names from every run"
+    usual = mode(
+        [frozenset(row["results"]) for row in rows.values() if row["results"]] or [frozenset()]
+    )
+    records, errors = [], []
+    for run, row in sorted(rows.items()):
+        results, error = row["results"], row["error"]
+        if results and set(results) != usual:
+            error = (
+                f"CampaignError: returned {', '.join(results)}, where most runs returned "
+                f"{', '.join(sorted(usual))}; return the same names from every run"
             )
-    data = {"run": runs, **columns}
-    data |= {name: [(values or {}).get(name) for values in results] for name in names}
-    data |= {"failed": [values is None for values in results], "error": errors}
-    data["traceback"] = [rows[run]["traceback"] for run in runs]
-    data = {name: [np.nan if x is None else x for x in values] for name, values in data.items()}
-    try:
-        table = pd.DataFrame(data).astype({"error": "str", "traceback": "str"})
-    except UnicodeEncodeError:  # half a surrogate pair, as file names may hold
-        table = pd.DataFrame(data, dtype=object)
+            results = {}
+        records.append({"run": run, **parameters[run], **results})
+        errors.append(error)
+    table = pd.DataFrame(records or {"run": []})
+    table["failed"] = [error is not None for error in errors]
+    table["error"] = pd.Series(errors, dtype="str")
+    table["traceback"] = pd.Series([rows[run]["traceback"] for run in table["run"]], dtype="str")
     failed = table[table["failed"].astype(bool)]
     summary = f"{len(table):,} runs, {len(failed):,} failed"
     if len(failed):
         summary += f"; run {failed['run'].iloc[0]}: {failed['error'].iloc[0]}"
     table.attrs = {"runs": len(table), "failed": len(failed), "summary": summary}
     return table
+
+
+def _opened(
+    folder: Path, task: Callable, seed: np.random.SeedSequence, texts: Sequence[Mapping]
+) -> tuple[str, dict[int, dict]]:
+    """
+    Return how the names of a campaign's files of runs begin, and the rows in them; raise if the
+    folder holds another campaign.
+    """
+    key = str((*seed.spawn_key, seed.n_children_spawned))
+    now = {"seed": str(seed.entropy), "seed's spawn key": key} | identity(task)
+    if not (folder / MANIFEST).exists():
+        _write(folder / MANIFEST, {FORMAT: now})
+    before = _manifest(folder)
+    # Which modules are loaded depends on what else was done: those in one of them do not count.
+    changes = [
+        f"{name} changed" if len(text) == 32 else f"{name} was {text}, is {now[name]}"
+        for name, text in sorted(before.items())
+        if now.get(name, text) != text
+    ]
+    rows = {run: row for run, row in _stored(folder, before).items() if run < len(texts)}
+    changes += [
+        f"the parameters of run {run} were {row['parameters']}, are {texts[run]}"
+        for run, row in sorted(rows.items())
+        if str(row["parameters"]) != str(texts[run])  # tells 1, 1.0 and True apart
+    ][:1]
+    if changes:
+        raise CampaignError(f"{folder} holds another campaign: {'; '.join(changes)}. {REMEDY}")
+    return _prefix(before), rows
+
+
+def _manifest(folder: Path) -> dict[str, str]:
+    """Return what the campaign in a folder depends on."""
+    content = _read(folder / MANIFEST)
+    if not isinstance(content, dict) or FORMAT not in content:
+        raise CampaignError(f"{folder / MANIFEST} is of another version of trustlab. {REMEDY}")
+    return content[FORMAT]
+
+
+def _prefix(parts: dict[str, str]) -> str:
+    """
+    Return how the names of a campaign's files of runs begin.
+
+    They are named by what the runs depend on and by their content. So nothing is written twice,
+    and results of another campaign are never read as those of this one.
+    """
+    return f"runs-{digest(json.dumps(parts, sort_keys=True))[:16]}-"
+
+
+def _stored(folder: Path, parts: dict[str, str]) -> dict[int, dict]:
+    """Return the rows in all files of a campaign, by run."""
+    contents = map(_read, folder.glob(f"{_prefix(parts)}*.json"))
+    return {int(run): row for content in contents for run, row in content.items()}
+
+
+def _read(path: Path) -> Any:
+    try:
+        return json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise CampaignError(f"{path} cannot be read: {error}. {REMEDY}") from error
+
+
+def _write(path: Path, content: dict) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, json.dumps(content))
+    except OSError as error:
+        raise CampaignError(
+            f"cannot write {path}: {error.strerror}; give a folder that you may write to, with room"
+        ) from error

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.campaign.parameters import interval
+from trustlab.campaign.parameters import distribution
 from trustlab.campaign.run import CampaignError, run_campaign
 from trustlab.models.checks import open_unit, shown, whole_number
 from trustlab.models.display import axes_or_new
@@ -62,10 +62,8 @@ class SobolIndices:
                 ends = [rows[value] - rows[f"{order}_low"], rows[f"{order}_high"] - rows[value]]
                 places = np.arange(len(rows)) + shift
                 panel.errorbar(rows[value], places, xerr=np.abs(ends), fmt="o", label=value)
-            panel.axvline(0.0, color="0.8", zorder=0)
             panel.set(title=result, xlabel=f"share of variance, {100 * self.level:g} % intervals")
         axes[0].set_yticks(range(len(rows)), rows["parameter"])
-        axes[0].invert_yaxis()
         axes[0].legend()
         return axes
 
@@ -145,20 +143,26 @@ def sobol_indices(
         raise ValueError(f"n must be a power of 2, such as {2 ** n.bit_length()}, got {n}")
     level, resamples = open_unit("level", level), whole_number("resamples", resamples, 20, 100_000)
     seed = whole_number("seed", seed, least=0)
-    distributions = _distributions(ranges)
-    names, d = list(ranges), len(distributions)
+    if not isinstance(ranges, Mapping) or len(ranges) < 2:
+        raise ValueError(
+            "ranges must be a dict of (low, high) by name of at least two parameters, such as "
+            f"{{'beta': (0.6, 0.8), 'upper': (0.2, 0.4)}}, got {shown(ranges)}"
+        )
+    names, d = list(ranges), len(ranges)
     # Runs take the children 0, 1, … of the seed; points and bootstrap those of a child far off.
-    points, draws = np.random.SeedSequence(seed, spawn_key=(2**31,)).spawn(2)
-    unit = stats.qmc.Sobol(2 * d, rng=np.random.default_rng(points), bits=64).random(n)
-    quantiles = [dist.ppf(u) for dist, u in zip(2 * distributions, unit.T, strict=True)]
+    points, draws = map(
+        np.random.default_rng, np.random.SeedSequence(seed, spawn_key=(2**31,)).spawn(2)
+    )
+    unit = stats.qmc.Sobol(2 * d, rng=points, bits=64).random(n)
+    quantiles = [distribution(x, ranges[x]).ppf(u) for x, u in zip(2 * names, unit.T, strict=True)]
     a, b = np.reshape(quantiles, (2, d, n))
     # Both samples, and for each parameter the first with values of the second.
     designs = [a, b, *(np.where(np.arange(d)[:, None] == j, b, a) for j in range(d))]
     rows = np.concatenate(designs, axis=1).T.tolist()
     parameters = [dict(zip(names, row, strict=True)) for row in rows]
     table = run_campaign(task, parameters, seed=seed, **campaign)
-    chosen = _numeric(table, names, results)
-    values = table[chosen].to_numpy(dtype=float).T.reshape(len(chosen), d + 2, n)
+    chosen, values = _outcomes(table, names, results)
+    values = values.reshape(len(chosen), d + 2, n)
 
     def indices(k: np.ndarray) -> np.ndarray:
         """Return first-order and total indices from the points k."""
@@ -168,57 +172,37 @@ def sobol_indices(
         return np.reshape([estimate.first_order, estimate.total_order], (2, -1, d))
 
     # SciPy's own bootstrap takes no seed.
-    rng = np.random.default_rng(draws)
-    again = [indices(rng.integers(n, size=n)) for _ in range(resamples)]
-    low, high = np.quantile(again, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
-    shares = np.stack([indices(np.arange(n)), low, high])  # of order, result, parameter
+    again = [indices(draws.integers(n, size=n)) for _ in range(resamples)]
+    ends = np.quantile(again, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+    shares = np.stack(
+        [indices(np.arange(n)), *ends]
+    )  # of estimate and ends, order, result, parameter
     shares[:, :, np.ptp(values, axis=(1, 2)) == 0.0] = np.nan
     index = pd.MultiIndex.from_product([chosen, names], names=["result", "parameter"])
-    columns = shares.transpose(1, 0, 2, 3).reshape(len(COLUMNS), -1)
-    frame = pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)), index=index)
-    return SobolIndices(frame.reset_index(), n, level)
+    columns = shares.swapaxes(0, 1).reshape(len(COLUMNS), -1).T
+    return SobolIndices(pd.DataFrame(columns, index, COLUMNS).reset_index(), n, level)
 
 
-def _distributions(ranges: Any) -> list:
-    from scipy import stats
-
-    if not isinstance(ranges, Mapping) or len(ranges) < 2:
-        raise ValueError(
-            "ranges must be a dict of (low, high) by name of at least two parameters, such as "
-            f"{{'beta': (0.6, 0.8), 'upper': (0.2, 0.4)}}, got {shown(ranges)}"
-        )
-    distributions = []
-    for name, kind in ranges.items():
-        if isinstance(kind, tuple):
-            low, high = interval(f"ranges[{name!r}]", kind)
-            kind = stats.uniform(low, high - low)
-        if not hasattr(kind, "ppf"):
-            raise ValueError(
-                f"ranges[{name!r}] must be (low, high) or a SciPy distribution, got {shown(kind)}"
-            )
-        distributions.append(kind)
-    return distributions
-
-
-def _numeric(table: pd.DataFrame, names: list[str], selected: list[str] | None) -> list[str]:
-    """Return the results to analyse; raise unless they are finite at every point."""
+def _outcomes(
+    table: pd.DataFrame, names: list[str], results: list[str] | None
+) -> tuple[list[str], np.ndarray]:
+    """Return the names of the results to analyse, and their values by result and run."""
     if table.attrs["failed"]:
         raise CampaignError(
-            f"indices need every point: {table.attrs['summary']}; narrow the ranges, or mend the "
-            "task"
+            f"indices need every point: {table.attrs['summary']}; narrow the ranges"
         )
-    results = table.drop(columns=["run", *names, "failed", "error", "traceback"])
-    known = results.select_dtypes(["number", "bool"]).columns.tolist()
-    chosen = known if selected is None else selected
-    if not isinstance(chosen, list) or not chosen or not set(chosen) <= set(known):
+    numbers = table.drop(columns=["run", "failed", *names]).select_dtypes(["number", "bool"])
+    chosen = list(numbers) if results is None else results
+    if not isinstance(chosen, list) or not chosen or not {*chosen} <= {*numbers}:
         raise ValueError(
-            f"results must be among those that are numbers, {', '.join(known)}, got {shown(chosen)}"
+            f"results must be among those that are numbers, {', '.join(numbers)}, got "
+            f"{shown(chosen)}"
         )
-    gaps = table[~np.isfinite(table[chosen].astype(float)).all(axis=1)]
-    if len(gaps):
+    values = numbers[chosen].to_numpy(dtype=float).T
+    gaps = np.flatnonzero(~np.isfinite(values).all(axis=0))
+    if gaps.size:
         raise ValueError(
-            f"indices need every point, but at {len(gaps)} of {len(table)} a result is not finite, "
-            f"first at {gaps[[*names, *chosen]].iloc[0].to_dict()}; narrow the ranges, or choose "
-            "other results"
+            f"indices need every point, but at {gaps.size} of {len(table)} a result is not finite, "
+            f"first at {table.loc[gaps[0], [*names, *chosen]].to_dict()}; narrow the ranges"
         )
-    return chosen
+    return chosen, values
