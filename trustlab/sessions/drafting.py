@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 import json
 import os
 import re
@@ -17,11 +18,12 @@ from trustlab.sessions.columns import BLANKS
 from trustlab.sessions.errors import SessionError, damage_named, nearest_file
 from trustlab.sessions.reading import MOST_PERFORMANCE
 from trustlab.sessions.recipe import NUMBER
-from trustlab.sessions.tables import TEXTS, suffix_of
+from trustlab.sessions.tables import HEAD, TEXTS, suffix_of
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY
 
 ROWS = 20_000
 PERFORMANCE = '# {} = {{ column = "..." }}   # performance, if it is logged; else with_performance'
+UNUSED = "# not used; what a column may be called: trustlab.sessions.vocabulary()"
 TIME = r"t|(time|stamp|timestamp|secs?|clock|zeit\w*)\b.*|.*_?time(stamp)?"
 # What labs call the columns that models need, without a unit behind it.
 NAMES = {
@@ -91,122 +93,108 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
     if not source.is_file():
         raise SessionError(f"path {source}: there is no such file{nearest_file(source)}")
     with damage_named(f"{source} cannot be read as a table", "check the file"):
-        if source.suffix.lower() == ".parquet":
+        if suffix_of(source) in TEXTS:
+            layout, frame = _read(source)
+        else:
             import pyarrow.parquet as pq
 
             batch = next(pq.ParquetFile(source).iter_batches(ROWS))
-            frame, layout = batch.to_pandas(ignore_metadata=True), {}
-        else:
-            frame, layout = _read(source)
-    target.write_text(_recipe(source, frame, layout), encoding="utf-8")
+            layout, frame = [], batch.to_pandas(ignore_metadata=True)
+    target.write_text(_recipe(source.name, layout, frame), encoding="utf-8")
     return target
 
 
-def _read(path: Path) -> tuple[pd.DataFrame, dict[str, object]]:
-    """Return the first rows of a text table, and the entries of [table] that read it."""
+def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
+    """Return the lines of [table] that read a text table, and its first rows."""
     with (gzip.open if path.suffix.lower() == ".gz" else open)(path, "rb") as file:
-        head = file.read(1 << 20)
+        head = file.read(HEAD) + file.readline(HEAD)
     try:
         encoding, text = "utf-8", head.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        # The text of Windows has a letter for almost every byte; a last one may be cut in two.
-        encoding = "cp1252" if error.start < len(head) - 3 else "utf-8"
-        text = head.decode(encoding, "ignore")
-    lines = text.splitlines()[:50]
+    except UnicodeDecodeError:  # the text of Windows has a letter for almost every byte
+        encoding, text = "cp1252", head.decode("cp1252", "ignore")
+    lines = text.splitlines()
     skipped = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
-    delimiter = next((mark for mark in ";\t|, " if _even(lines[skipped:], mark)), ",")
-    first, *rows = csv.reader(lines[skipped:], delimiter=delimiter, skipinitialspace=True)
-    decimal = any(re.fullmatch(r"[+-]?\d+,\d+", cell) for row in rows for cell in row)
-    header = not all(NUMBER.fullmatch(cell.replace(",", ".")) for cell in first)
+    sample = [line.strip(" ") for line in lines[skipped : skipped + 50]]
+    for delimiter in ";\t|, ":
+        rows = [*csv.reader(sample, delimiter=delimiter, skipinitialspace=True)]
+        widths = {len(row) for row in rows if row}
+        if len(widths) == 1 and widths != {1}:
+            break
+    else:
+        delimiter, rows = ",", [*csv.reader(sample)]
+    comma = any(re.fullmatch(r"[+-]?\d+,\d+", cell) for row in rows[1:] for cell in row)
+    header = not all(NUMBER.fullmatch(cell.replace(",", ".")) for cell in rows[0])
+    decimal = "," if comma else "."
     frame = pd.read_csv(
-        path,
+        io.StringIO("\n".join(lines[skipped:])),
         sep=r"\s+" if delimiter == " " else delimiter,
         header=0 if header else None,
-        decimal="," if decimal else ".",
-        skiprows=skipped,
-        nrows=ROWS,
-        encoding=encoding,
+        decimal=decimal,
         na_values=list(BLANKS),
         skipinitialspace=True,
         on_bad_lines="skip",
         index_col=False,
     )
-    layout = {
-        "header": header,
-        "delimiter": delimiter,
-        "decimal": "," if decimal else ".",
-        "skip_lines": skipped,
-        "encoding": encoding,
-    }
-    usual = {"header": True, "delimiter": ",", "decimal": ".", "skip_lines": 0, "encoding": "utf-8"}
-    return frame, {name: value for name, value in layout.items() if value != usual[name]}
+    layout = [
+        ("header", header, True),
+        ("delimiter", delimiter, ","),
+        ("decimal", decimal, "."),
+        ("skip_lines", skipped, 0),
+        ("encoding", encoding, "utf-8"),
+    ]
+    return [f"{key} = {json.dumps(value)}" for key, value, usual in layout if value != usual], frame
 
 
-def _even(lines: list[str], mark: str) -> bool:
-    """Return whether a mark divides each line into as many cells, more than one."""
-    rows = csv.reader([line.strip(" ") for line in lines], delimiter=mark, skipinitialspace=True)
-    widths = {len(row) for row in rows if row}
-    return len(widths) == 1 and widths != {1}
-
-
-def _recipe(path: Path, frame: pd.DataFrame, layout: dict[str, object]) -> str:
+def _recipe(title: str, layout: list[str], frame: pd.DataFrame) -> str:
     """Return the text of the draft."""
-    time = _time_column(frame)
-    guesses: dict[str, str] = {}
-    rest: dict[Any, str] = {}
-    for name in frame.columns:
-        ours = "" if name == time else _ours(name)
-        if ours and ours not in guesses:
-            guesses[ours] = _rule(ours, name, frame[name])
-        elif name != time:
-            rest[name] = f"#   {name}: {_shown(frame[name])}"
-    words = [name for name in rest if _is_text(frame[name]) and frame[name].nunique() == 2]
-    if "mode" not in guesses and words:
-        guesses["mode"] = _rule("mode", words[0], frame[words[0]])
-        del rest[words[0]]
-    elif "mode" not in guesses:
-        guesses["mode"] = (
+    named = [name for name in frame if re.fullmatch(TIME, _parts(name)[0])]
+    rising = [name for name in frame if frame[name].is_monotonic_increasing]
+    time = (named or rising or [frame.columns[0]])[0]
+    unit, remark = _time_unit(time, frame[time])
+    rules: dict[str, str] = {}
+    rest = {}
+    for name, values in frame.drop(columns=time).items():
+        ours = _ours(name)
+        if ours and ours not in rules:
+            rules[ours] = _rule(ours, name, values, "name")
+        else:
+            rest[name] = values
+    if "mode" not in rules:
+        rules["mode"] = (
             'mode = { value = "?" }  # who drives: 1 manual, 0 autonomous; or { column = "...", '
             "map = { ... } }"
         )
-    unit, remark = _time_unit(str(time), frame[time])
-    lines = [
-        f"# Drafted from {path.name}: fill in what is marked ?, check what is guessed.",
-        f"name = {json.dumps(path.name.split('.')[0], ensure_ascii=False)}",
-        'kind = "table"',
-        "# performance_window = 100   # if p_r and p_h are moving means: over how many seconds",
-        "",
-        *(["[table]"] if layout else []),
-        *(f"{name} = {json.dumps(value)}" for name, value in layout.items()),
-        *([""] if layout else []),
-        "[time]",
-        f"column = {_quoted(time)}",
-        f'unit = "{unit}"{remark}',
-        "from_zero = true   # counts from the first sample",
-        "",
-        *_resampling(unit, frame[time]),
-        "[columns]",
-        *guesses.values(),
-        *[PERFORMANCE.format(name) for name in ("p_r", "p_h") if name not in guesses],
-        *(
-            ["# not used; what a column may be called: trustlab.sessions.vocabulary()"]
-            if rest
-            else []
-        ),
-        *rest.values(),
+        words = [name for name in rest if not _is_number(rest[name]) and rest[name].nunique() == 2]
+        if words:
+            rules["mode"] = _rule("mode", words[0], rest.pop(words[0]), "values")
+    sections = [
+        [
+            f"# Drafted from {title}: fill in what is marked ?, check what is guessed.",
+            f"name = {_quoted(title.split('.')[0])}",
+            'kind = "table"',
+            "# performance_window = 100   # if p_r and p_h are moving means: over how many seconds",
+        ],
+        ["[table]", *layout] if layout else [],
+        [
+            "[time]",
+            f"column = {_quoted(time)}",
+            f'unit = "{unit}"{remark}',
+            "from_zero = true   # counts from the first sample",
+        ],
+        _resampling(unit, frame[time]),
+        [
+            "[columns]",
+            *rules.values(),
+            *[PERFORMANCE.format(name) for name in ("p_r", "p_h") if name not in rules],
+            *([UNUSED] if rest else []),
+            *[f"#   {name}: {_range(values)}" for name, values in rest.items()],
+        ],
     ]
-    return "\n".join(lines) + "\n"
+    return "\n\n".join("\n".join(lines) for lines in sections if lines) + "\n"
 
 
 def _quoted(name: Any) -> str:
     return str(name) if isinstance(name, int) else json.dumps(str(name).strip(), ensure_ascii=False)
-
-
-def _time_column(frame: pd.DataFrame) -> Any:
-    """Return the column that looks like time: by its name, else the first that rises."""
-    named = [name for name in frame if re.fullmatch(TIME, _parts(name)[0])]
-    rising = [name for name in frame if frame[name].is_monotonic_increasing]
-    return (named or rising or [frame.columns[0]])[0]
 
 
 def _parts(name: Any) -> tuple[str, str]:
@@ -216,93 +204,82 @@ def _parts(name: Any) -> tuple[str, str]:
     return re.sub(r"[\s.\-]+", "_", stem).lower(), SPELLINGS[match[2] or match[3]] if match else ""
 
 
-def _is_text(values: pd.Series) -> bool:
-    return values.dtype == object or str(values.dtype) == "str"
-
-
 def _ours(name: Any) -> str:
     """Return the column of the vocabulary that a lab's name suggests; empty if none."""
     bare = _parts(name)[0]
-    if bare in VOCABULARY or str(name) in VOCABULARY:
-        return bare if bare in VOCABULARY else str(name)
+    if bare in VOCABULARY or name in VOCABULARY:
+        return bare if bare in VOCABULARY else name
     return next((ours for ours, words in NAMES.items() if re.fullmatch(words, bare)), "")
 
 
-def _rule(ours: str, name: Any, values: pd.Series) -> str:
-    """Return the line of one column."""
-    unit = VOCABULARY[ours].unit
-    keys = [f"column = {_quoted(name)}"]
-    reason = "name" if _ours(name) == ours else "values"
-    remarks = [] if str(name) == ours else [f"guessed by its {reason}"]
-    written = _parts(name)[1]
-    if unit not in ("1", "measure") or (written and str(name) != ours):
-        keys.append(f'unit = "{written or ("?" if str(name) != ours else unit)}"')
-    elif _per_cent(ours, values):
-        keys.append('unit = "%"')
-        remarks.append(f"values reach {values.max():.4g}")
-    codes = list(dict.fromkeys(values.dropna()))
-    text = _is_text(values)
-    if text or (ours == "mode" and not set(codes) <= {0, 1}):
-        keys.append(f"map = {{ {', '.join(_code(code) for code in codes[:10])} }}")
+def _rule(ours: str, name: Any, values: pd.Series, reason: str) -> str:
+    """Return the line of one column; `reason` is what it was guessed by."""
+    needed, same, number = VOCABULARY[ours].unit, name == ours, _is_number(values)
+    written = "" if same else _parts(name)[1]
+    keys = {"column": _quoted(name)}
+    remarks = [] if same else [f"guessed by its {reason}"]
+    if written or needed not in ("1", "measure"):
+        keys["unit"] = f'"{written or (needed if same else "?")}"'
+    elif number and ours != "mode" and values.min() >= 0.0:
+        most = MOST_PERFORMANCE if needed == "measure" else VOCABULARY[ours].high
+        if most in (1.0, MOST_PERFORMANCE) and most < values.max() <= 100.0:
+            keys["unit"] = '"%"'
+            remarks.append(f"values reach {values.max():.4g}")
+    codes = values.dropna().unique()
+    if not number or (ours == "mode" and not set(codes) <= {0, 1}):
+        keys["map"] = f"{{ {', '.join(map(_entry, codes[:10]))} }}"
     elif ours == "mode":
         remarks.append("check that 1 is manual")
-    if ours == "path_error" and not text and (values < 0.0).any():
-        keys.append("absolute = true")
+    elif ours == "path_error" and (values < 0.0).any():
+        keys["absolute"] = "true"
         remarks.append("a signed deviation becomes a distance")
-    if values.isna().any():
-        keys.append('blank = "hold"')
+    if values.hasnans:
+        keys["blank"] = '"hold"'
         remarks.append(f"{values.isna().sum()} blank cells repeat the value before")
     comment = f"  # {'; '.join(remarks)}" if remarks else ""
-    return f"{ours} = {{ {', '.join(keys)} }}{comment}"
+    return f"{ours} = {{ {', '.join(map(' = '.join, keys.items()))} }}{comment}"
 
 
-def _per_cent(ours: str, values: pd.Series) -> bool:
-    """Return whether values of 0 to 100 stand where the session has shares or performance."""
-    share = ours in ("p_r", "p_h") or (ours != "mode" and VOCABULARY[ours].high == 1.0)
-    most = MOST_PERFORMANCE if ours in ("p_r", "p_h") else 1.0
-    return share and not _is_text(values) and most < values.max() <= 100.0 and values.min() >= 0.0
-
-
-def _code(code: Any) -> str:
+def _entry(code: Any) -> str:
     """Return an entry of the map of modes: 1 manual, 0 autonomous, "?" where nothing says so."""
     word = str(code)
-    meaning = (
-        "1" if re.fullmatch(MANUAL, word) else "0" if re.fullmatch(AUTONOMOUS, word) else '"?"'
-    )
-    return f"{json.dumps(word, ensure_ascii=False)} = {meaning}"
+    manual, autonomous = re.fullmatch(MANUAL, word), re.fullmatch(AUTONOMOUS, word)
+    return f"{_quoted(word)} = " + ("1" if manual else "0" if autonomous else '"?"')
+
+
+def _is_number(values: pd.Series) -> bool:
+    return values.dtype.kind in "biuf"
+
+
+def _time_unit(name: Any, values: pd.Series) -> tuple[str, str]:
+    """Return the unit of time, and a remark."""
+    if unit := _parts(name)[1]:
+        return unit, ""
+    if _is_number(values):
+        step = float(values.diff().abs().median())
+        unit = next((unit for unit, longest in STEPS.items() if step <= longest), "ns")
+        return unit, f"   # guessed: rows are {step:.4g} apart"
+    first = str(values.iloc[0]).strip()
+    if re.match(r"\d{1,2}:\d{2}:\d{2}", first):
+        return "clock", ""
+    if re.match(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}", first):
+        return "iso", ""
+    return "?", '   # "iso" for 2026-03-01T12:00:00, "clock" for 12:00:00.5'
 
 
 def _resampling(unit: str, values: pd.Series) -> list[str]:
     """Return the section that makes an even grid of stamps that jitter; none for even ones."""
-    if _is_text(values):
-        return []
-    steps = values.diff().dropna()
+    steps = values.diff().dropna() if _is_number(values) else pd.Series(dtype=float)
     step = float(steps.median())
     if not step > 0.0 or ((steps - step).abs() < 0.01 * step).all():
         return []
     grid = f"sample_time = {step * UNITS[unit][1]:.3g}   # s; stamps are not even"
-    return ["[resampling]", 'method = "linear"', grid, ""]
+    return ["[resampling]", 'method = "linear"', grid]
 
 
-def _time_unit(name: str, values: pd.Series) -> tuple[str, str]:
-    """Return the unit of time, and a remark."""
-    if unit := _parts(name)[1]:
-        return unit, ""
-    if _is_text(values):
-        first = str(values.iloc[0]).strip()
-        if re.match(r"\d{1,2}:\d{2}:\d{2}", first):
-            return "clock", ""
-        if re.match(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}", first):
-            return "iso", ""
-        return "?", '   # "iso" for 2026-03-01T12:00:00, "clock" for 12:00:00.5'
-    step = float(values.diff().abs().median())
-    unit = next((unit for unit, longest in STEPS.items() if step <= longest), "ns")
-    return unit, f"   # guessed: rows are {step:.4g} apart"
-
-
-def _shown(values: pd.Series) -> str:
+def _range(values: pd.Series) -> str:
     """Say in few words what a column holds."""
     known = values.dropna()
-    if _is_text(known) or not len(known):
-        return ", ".join(map(str, list(dict.fromkeys(known))[:5])) or "blank"
-    return f"{known.min():.4g} to {known.max():.4g}"
+    if _is_number(known) and len(known):
+        return f"{known.min():.4g} to {known.max():.4g}"
+    return ", ".join(map(str, known.unique()[:5])) or "blank"
