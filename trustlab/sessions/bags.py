@@ -20,7 +20,7 @@ from trustlab.sessions.patterns import Selector
 from trustlab.sessions.recipe import ColumnRule, Recipe
 from trustlab.sessions.resampling import MAX_SAMPLES, Log, Stream
 from trustlab.sessions.session import metadata_from_json
-from trustlab.sessions.tables import Choice, positions
+from trustlab.sessions.tables import Chosen, positions
 
 # Where the topics of a bag stand that `write_session` wrote: t, metadata and one per column.
 PREFIX = "/trustlab/"
@@ -39,7 +39,7 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> Log:
         return _read_topics(reader, rules, recipe, str(path))
 
 
-def read_written(path: Path, choose: Choice) -> Table:
+def read_written(path: Path, chosen: Chosen) -> Table:
     """Return the table in a bag that `write_session` wrote."""
     with _open(path) as reader:
         types = _types(reader)
@@ -48,7 +48,7 @@ def read_written(path: Path, choose: Choice) -> Table:
             known = ", ".join(list(types)[:30])
             raise SessionError(f"not written by trustlab, so it needs a recipe (topics: {known})")
         names.remove("metadata")
-        places = positions(choose, names)
+        places = positions(chosen, names)
         topics = {PREFIX + name: [] for name in ("metadata", *places)}
         for topic, _, message in _messages(reader, topics):
             topics[topic].append(getattr(message, "data", None))
@@ -206,7 +206,7 @@ def _stream(topic: str, entry: str, rules: Sequence[ColumnRule], rows, start: in
     t = (np.array(stamps, dtype=np.int64) - start) / 1e9
     frame = pd.DataFrame({rule.name: each for rule, each in zip(rules, values, strict=True)})
     place = lambda k: f"topic {topic!r}, message {numbers[k]} (from 0)"  # noqa: E731
-    return stream_of(Table(frame, place, notes=notes), t, rules, topic=topic + entry)
+    return stream_of(Table(frame, place, notes=notes), t, rules, topic + entry)
 
 
 def _check_type(reader, topic: str, kind: str) -> None:

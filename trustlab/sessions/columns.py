@@ -2,9 +2,8 @@
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from trustlab.sessions.recipe import (
     Resampling,
     TableTime,
     looked_up,
-    plain_key,
 )
 from trustlab.sessions.resampling import Log, Stream, require_common_times, resample
 from trustlab.sessions.session import (
@@ -50,31 +48,42 @@ class Table:
     place: Place
     metadata: Metadata = field(default_factory=Metadata)
     notes: dict[str, object] = field(default_factory=dict)
+    decimal: str = "."
 
     def error(self, row: int, label: str, words: object) -> SessionError:
         """Return the error about a cell."""
         return SessionError(f"{self.place(row)}, {label}: {words}")
 
 
-def stream_of(
-    table: Table, t: np.ndarray, rules: Sequence[ColumnRule], decimal: str = ".", topic: str = ""
-) -> Stream:
+def stream_of(table: Table, t: np.ndarray, rules: Sequence[ColumnRule], topic: str = "") -> Stream:
     """Return the columns of a table that rules name, in SI units, at times in seconds."""
-    columns = {rule.name: numbers(table, rule, decimal) for rule in rules}
-    whole = np.ones(t.size, dtype=bool)
+    columns = {}
+    first, stop = 0, t.size  # the rows whose blanks have a neighbour to be filled from
     for rule in rules:
-        if rule.blank:
-            columns[rule.name] = _filled(columns[rule.name], t, rule, whole, table.notes)
+        values = columns[rule.name] = numbers(table, rule)
+        known = np.flatnonzero(~np.isnan(values)) if rule.blank else t[:0]
+        if not known.size:  # where all cells are blank, the check of the column says so
+            continue
+        blanks = f"{t.size - known.size} of {t.size} cells, filled by {rule.blank!r}"
+        table.notes[f"blanks of {rule.name}"] = blanks
+        first = max(first, int(known[0]))
+        if rule.blank == "hold":
+            held = np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(t.size)))
+            columns[rule.name] = values[held]
+        else:
+            stop = min(stop, int(known[-1]) + 1)
+            columns[rule.name] = np.interp(t, t[known], values[known])
+    if first >= stop:
+        raise SessionError("no row has a value, or blanks to be filled, in every column")
     place = table.place
-    if not whole.all() and whole.any():
-        first, last = np.flatnonzero(whole)[[0, -1]]
-        cut = f"{first} at the start and {t.size - 1 - last} at the end"
+    if stop - first < t.size:
+        cut = f"{first} at the start and {t.size - stop} at the end"
         table.notes["rows cut"] = f"{cut}, where blanks have no neighbour"
-        t = t[first : last + 1]
-        columns = {name: values[first : last + 1] for name, values in columns.items()}
         place = lambda row: table.place(first + row)  # noqa: E731
+    t = t[first:stop]
     for rule in rules:
-        columns[rule.name] = check_column(rule.name, rule.convert(columns[rule.name]), t, place)
+        values = rule.convert(columns[rule.name][first:stop])
+        columns[rule.name] = check_column(rule.name, values, t, place)
     frame = pd.DataFrame(columns, index=pd.Index(t, copy=False), copy=False)
     return Stream(frame, place, topic, any(rule.hold for rule in rules))
 
@@ -82,47 +91,41 @@ def stream_of(
 # --- cells to numbers ---------------------------------------------------------------------------
 
 
-def numbers(table: Table, rule: ColumnRule | None, decimal: str) -> np.ndarray:
+def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
     """Return the numbers of a column, or of times where there is no rule; NaN for blank cells."""
     values = table.frame[rule.name if rule else "t"]
     label = rule.label if rule else "column t"
-    read = _reader(rule, decimal)
+    special = rule if rule and (rule.map or rule.item is not None) else None
     kind = values.dtype.kind
-    if read is None and kind in "iufb":
-        if not isinstance(values.dtype, np.dtype):  # a column of pandas' own, with a mask
-            return values.to_numpy(dtype=float, na_value=np.nan).copy()
-        # Large integers stay exact until times are counted from the first of them.
-        return np.asarray(values.array, dtype=None if kind == "i" else float)
-    if read is None and kind in "mMc":
-        hint = 'write seconds, or set [time] unit = "iso" in a recipe'
-        raise table.error(0, label, f"holds {values.dtype}, not numbers; {hint}")
+    if special is None:
+        if kind in "iufb":
+            if not isinstance(values.dtype, np.dtype):  # a column of pandas' own, with a mask
+                return values.to_numpy(dtype=float, na_value=np.nan).copy()
+            # Large integers stay exact until times are counted from the first of them.
+            return np.asarray(values.array, dtype=None if kind == "i" else float)
+        if kind in "mMc":
+            hint = 'write seconds, or set [time] unit = "iso" in a recipe'
+            raise table.error(0, label, f"holds {values.dtype}, not numbers; {hint}")
     cells = values.map(str, na_action="ignore") if values.dtype == object else values
     codes, words = pd.factorize(cells)
     known = np.full(len(words) + 1, np.nan)  # the last is for cells that are missing
     for k, word in enumerate(words):
         try:
-            known[k] = read(word) if read else _number(word, decimal)
+            known[k] = _number(word, special, table.decimal)
         except ValueError as error:
             raise table.error(int(np.argmax(codes == k)), label, error) from None
     return known[codes]
 
 
-def _reader(rule: ColumnRule | None, decimal: str) -> Callable[[Any], float] | None:
-    """Return what makes a number of a cell by a map or an item; None without them."""
-    if rule and rule.map is not None:
-        return lambda cell: math.nan if rule.blank and is_blank(cell) else looked_up(rule.map, cell)
-    return partial(_item, rule, decimal) if rule and rule.item is not None else None
-
-
-def is_blank(cell: object) -> bool:
-    """Return whether a cell holds nothing, or one of the words for it."""
-    return str(cell).strip() in BLANKS
-
-
-def _number(cell: object, decimal: str) -> float:
+def _number(cell: object, special: ColumnRule | None, decimal: str) -> float:
+    """Return the number of a cell as it is written, or by the map or the item of a rule."""
     written = str(cell).strip()
-    if is_blank(written):
+    if written in BLANKS and (special is None or special.blank):
         return math.nan
+    if special and special.map:
+        return looked_up(special.map, cell)
+    if special:
+        return _item(written, special.item, decimal)
     # With a decimal comma a point has no meaning: "!" makes such a number fail.
     text = written if decimal == "." else written.replace(".", "!").replace(",", ".")
     if NUMBER.fullmatch(text):
@@ -136,52 +139,29 @@ def _number(cell: object, decimal: str) -> float:
     raise ValueError(f"{written[:60]!r} is not a number; {remedy}")
 
 
-def _item(rule: ColumnRule, decimal: str, cell: object) -> float:
+def _item(cell: str, item: int, decimal: str) -> float:
     """Return one number of a cell such as "(x, y, z)", or "(x; y; z)" with decimal commas."""
-    if rule.blank and is_blank(cell):
-        return math.nan
-    text = str(cell).strip(" ()[]{}")
+    text = cell.strip(" ()[]{}")
     if decimal == "," and "." not in text:
         text = re.sub(r"(?<=\d),(?=\d)", ".", text)
     parts = re.split(r"\s*[,;]\s*|\s+", text)
-    counted = all(NUMBER.fullmatch(part) or is_blank(part) for part in parts)
-    if not counted or rule.item >= len(parts) or is_blank(parts[rule.item]):
-        raise ValueError(f"{str(cell)[:60]!r} has no number {rule.item} (from 0)")
-    return float(parts[rule.item])
-
-
-def _filled(
-    values: np.ndarray, t: np.ndarray, rule: ColumnRule, whole: np.ndarray, notes: dict
-) -> np.ndarray:
-    """Return a column with its blanks filled; rows where they cannot be are not `whole`."""
-    known = np.flatnonzero(~np.isnan(values))
-    if not known.size:  # the check of the column says so
-        return values
-    notes[f"blanks of {rule.name}"] = (
-        f"{values.size - known.size} of {values.size} cells, filled by {rule.blank!r}"
-    )
-    whole[: known[0]] = False
-    if rule.blank == "hold":
-        return values[np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(values.size)))]
-    whole[known[-1] + 1 :] = False
-    return np.interp(t, t[known], values[known])
+    counted = all(NUMBER.fullmatch(part) or part in BLANKS for part in parts)
+    if not counted or item >= len(parts) or parts[item] in BLANKS:
+        raise ValueError(f"{cell[:60]!r} has no number {item} (from 0)")
+    return float(parts[item])
 
 
 # --- times --------------------------------------------------------------------------------------
 
 
-def times_of(table: Table, time: TableTime, decimal: str) -> np.ndarray:
+def times_of(table: Table, time: TableTime) -> np.ndarray:
     """Return the times of a table's rows in seconds."""
-    if time.unit == "iso":
-        raw = _dates(table)
-    elif time.unit == "clock":
-        raw = _times_of_day(table)
-    else:
-        raw = numbers(table, None, decimal)
-        blank = np.isnan(raw)
-        if blank.any():
-            raise table.error(int(np.argmax(blank)), "column t", "is blank; every row needs a time")
-    if time.from_zero and raw.size and np.isfinite(raw[0]):
+    ways = {"iso": _dates, "clock": _times_of_day}
+    raw = ways.get(time.unit, numbers)(table)
+    blank = np.isnan(raw)
+    if blank.any():
+        raise table.error(int(np.argmax(blank)), "column t", "is blank; every row needs a time")
+    if time.from_zero and np.isfinite(raw[0]):
         table.notes["start_time"] = float(time.seconds(raw[0].item()))
         raw = raw - raw[0]  # before the conversion to float, which would round large integers
     with np.errstate(over="ignore"):
@@ -225,20 +205,21 @@ def _check_times(table: Table, bad: pd.Series, example: str) -> None:
 
 def parts_of(log: Log, recipe: Recipe) -> list[Log]:
     """Return the parts of a log that make a session each: all of it, or what the recipe splits."""
+    time, gap = recipe.time, recipe.splitting.gap if recipe.splitting else np.inf
     streams = log.streams
-    if recipe.time.sort:
+    if time.sort:
         streams = [_sorted(stream, log.notes) for stream in streams]
-    if recipe.time.repeated:
-        streams = [_merged(stream, recipe.time.repeated, log.notes) for stream in streams]
+    if time.repeated:
+        streams = [_merged(stream, time.repeated, log.notes) for stream in streams]
     parts, reasons = [streams], []
-    if recipe.time.jumps:
+    if time.jumps:
         reasons.append("where time runs back")
         frame = streams[0].frame
         back = np.diff(frame.index, prepend=-np.inf) < 0.0
         parts = [[streams[0].of(part)] for _, part in frame.groupby(np.cumsum(back))]
-    if recipe.splitting:
-        reasons.append(f"at gaps of more than {recipe.splitting.gap:g} s")
-        parts = [part for each in parts for part in _between_gaps(each, recipe.splitting.gap)]
+    if np.isfinite(gap):
+        reasons.append(f"at gaps of more than {gap:g} s")
+        parts = [part for each in parts for part in _between_gaps(each, gap)]
     if not reasons:
         return [replace(log, streams=streams)]
     # One sample has no sample time; of several topics each needs one to be resampled.
@@ -246,14 +227,14 @@ def parts_of(log: Log, recipe: Recipe) -> list[Log]:
     whole = [part for part in parts if min(len(stream.frame) for stream in part) >= least]
     if not whole:
         raise SessionError(f"split {' and '.join(reasons)}, no part has two samples")
-    words = f"split {' and '.join(reasons)}; {len(parts) - len(whole)} too short"
-    numbered = [
-        {"part": k, "split": f"part {k} (from 0) of {len(whole)}, {words}"}
-        for k in range(len(whole))
-    ]
+    words = f"of {len(whole)}, split {' and '.join(reasons)}; {len(parts) - len(whole)} too short"
     return [
-        replace(log, streams=part, notes=log.notes | notes)
-        for part, notes in zip(whole, numbered, strict=True)
+        replace(
+            log,
+            streams=part,
+            notes=log.notes | {"part": k, "split": f"part {k} (from 0) {words}"},
+        )
+        for k, part in enumerate(whole)
     ]
 
 
@@ -271,9 +252,8 @@ def _merged(stream: Stream, rule: str, notes: dict) -> Stream:
     groups = np.cumsum(np.diff(stream.t, prepend=-np.inf) != 0.0)
     if groups[-1] == groups.size:
         return stream
-    means = set(stream.frame) - {*STATES, "yaw"} if rule == "mean" else set()
-    last = "first" if rule == "first" else "last"
-    ways = {name: "mean" if name in means else last for name in stream.frame}
+    whole = (*STATES, "yaw") if rule == "mean" else ()
+    ways = {name: "last" if name in whole else rule for name in stream.frame}
     merged = stream.frame.groupby(groups).agg(ways)
     merged.index = stream.frame.index[np.flatnonzero(np.diff(groups, prepend=0))]
     label = f"repeated times {stream.topic}".strip()
@@ -318,11 +298,9 @@ def session_of(
         for stream in log.streams:
             check_rising(stream.t, stream.place)
         frame, place = resample(log, resampling, recipe.columns), ROW
-    elif len(log.streams) > 1:
+    else:
         require_common_times(log)
         frame = pd.concat([stream.frame for stream in log.streams], axis=1)
-    else:
-        frame = first.frame.copy(deep=False)
     for name, rule in recipe.columns.items():
         if rule.kind in ("value", "from"):
             frame[name] = _constant(rule, values)
@@ -332,9 +310,6 @@ def session_of(
         if rule.needs and name in selection:
             frame[name] = _computed(rule, frame)
     entries = {name: values[name] for name in recipe.metadata}
-    if not isinstance(entries.get("synthetic", False), bool):
-        fault = f"metadata 'synthetic' must be true or false, got {entries['synthetic']!r}"
-        raise RecipeError(fault)
     metadata = log.metadata.changed(**log.notes | entries, source=log.source)
     return keep_table(frame[list(selection)].rename_axis(index="t"), metadata, place)
 
@@ -377,11 +352,10 @@ def _derived(rule: MetadataRule | ColumnRule, values: Mapping[str, object], wher
     if value == "":
         listing = ", ".join(values) or "nothing; fields of the path come from [files] pattern"
         raise SessionError(f"{where}: there is no {rule.origin}, or it is empty (known: {listing})")
-    default = getattr(rule, "default", None)
-    if rule.map is None or (default is not None and plain_key(value) not in rule.map):
-        return value if rule.map is None else default
+    if rule.map is None:
+        return value
     try:
-        return looked_up(rule.map, value)
+        return looked_up(rule.map, value, getattr(rule, "default", None))
     except ValueError as error:
         raise SessionError(f"{where}: {error}") from None
 

@@ -15,8 +15,8 @@ import pandas as pd
 
 from trustlab.models.files import path_of
 from trustlab.sessions.columns import BLANKS
-from trustlab.sessions.errors import SessionError, damage_named, nearest_file
-from trustlab.sessions.reading import MOST_PERFORMANCE
+from trustlab.sessions.errors import SessionError, damage_named, source_named
+from trustlab.sessions.reading import MOST_PERFORMANCE, existing
 from trustlab.sessions.recipe import NUMBER
 from trustlab.sessions.tables import HEAD, TEXTS, suffix_of
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY
@@ -85,21 +85,21 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
     target = path_of("out", f"{source.name.split('.')[0]}.toml" if out is None else out)
     if target.exists():
         raise SessionError(f"{target} exists already; give another name as out=...")
-    if suffix_of(source) not in (*TEXTS, ".parquet"):
-        raise SessionError(
-            f"path {source}: draft_recipe reads {', '.join(TEXTS)} and .parquet tables; for a bag, "
-            "name topics and fields as in docs/start.md"
-        )
-    if not source.is_file():
-        raise SessionError(f"path {source}: there is no such file{nearest_file(source)}")
-    with damage_named(f"{source} cannot be read as a table", "check the file"):
-        if suffix_of(source) in TEXTS:
-            layout, frame = _read(source)
-        else:
-            import pyarrow.parquet as pq
+    with source_named(str(source)):
+        existing(source)
+        if suffix_of(source) not in (*TEXTS, ".parquet"):
+            raise SessionError(
+                f"draft_recipe reads {', '.join(TEXTS)} and .parquet tables; for a bag, name "
+                "topics and fields as in docs/start.md"
+            )
+        with damage_named("cannot be read as a table", "check the file"):
+            if suffix_of(source) in TEXTS:
+                layout, frame = _read(source)
+            else:
+                import pyarrow.parquet as pq
 
-            batch = next(pq.ParquetFile(source).iter_batches(ROWS))
-            layout, frame = [], batch.to_pandas(ignore_metadata=True)
+                batch = next(pq.ParquetFile(source).iter_batches(ROWS))
+                layout, frame = [], batch.to_pandas(ignore_metadata=True)
     target.write_text(_recipe(source.name, layout, frame), encoding="utf-8")
     return target
 

@@ -8,7 +8,7 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, positive, shown, warn
+from trustlab.models.checks import of_class, one_of, shown, warn
 from trustlab.models.files import path_of
 from trustlab.models.published import data_folder
 from trustlab.sessions.bags import read_bag, read_written
@@ -24,7 +24,6 @@ from trustlab.sessions.errors import (
     RecipeError,
     SessionError,
     alternatives,
-    name_source,
     nearest_file,
     source_named,
 )
@@ -46,12 +45,11 @@ from trustlab.sessions.tables import (
     BAGS,
     SUFFIXES,
     TEXTS,
-    Choice,
+    Chosen,
     frame_table,
     read_arrow,
     read_csv,
     suffix_of,
-    vocabulary_columns,
 )
 from trustlab.sessions.vocabulary import known_column
 
@@ -301,8 +299,7 @@ def read_sessions(
     if not os.path.isdir(source):
         hint = "; read a single file with read_session" if os.path.exists(source) else ""
         raise SessionError(f"there is no such folder{hint}", source)
-    pattern = reader.recipe.pattern if reader.recipe else None
-    paths = matching(source, pattern, reader.header) if pattern else logs_in(source)
+    paths = matching(source, reader.pattern, reader.header) if reader.pattern else logs_in(source)
     sessions, faults = [], []
     for done, path in enumerate(paths, start=1):
         try:
@@ -328,19 +325,20 @@ class Reader:
 
     def __init__(self, recipe, columns, resample, sample_time, delimiter=None, decimal=None):
         self.recipe = None if recipe is None else load_recipe(recipe)
+        self.pattern = self.recipe.pattern if self.recipe else None
+        self.header = Header(self.recipe.header) if self.recipe and self.recipe.header else None
         self.columns = None if columns is None else self._selected(columns)
         self.resampling = self.recipe.resampling if self.recipe else None
         if resample is not None or sample_time is not None:
             method: Any = one_of("resample", resample, get_args(Method))
-            step = positive("sample_time", sample_time)
-            self.resampling = Resampling(method=method, sample_time=step)
-        self.header = Header(self.recipe.header) if self.recipe and self.recipe.header else None
-        asked = {"delimiter": delimiter, "decimal": decimal}
-        self.separators = {name: value for name, value in asked.items() if value is not None}
+            self.resampling = Resampling(method=method, sample_time=sample_time)
         self.layout = self.recipe.table if self.recipe else TableRule()
-        if self.separators:
-            self.layout = parse(TableRule, self.separators, "delimiter and decimal")
-        if self.separators and self.recipe:
+        asked = {"delimiter": delimiter, "decimal": decimal}
+        asked = {name: value for name, value in asked.items() if value is not None}
+        self.text_only = bool(asked)
+        if asked:
+            self.layout = parse(TableRule, asked, "delimiter and decimal")
+        if asked and self.recipe:
             fault = "delimiter and decimal are given beside a recipe: state them in its [table]"
             raise RecipeError(fault, self.recipe.source)
         # What to doubt in values that could be read, and the files where that is so.
@@ -361,45 +359,41 @@ class Reader:
     def read(self, path: str | os.PathLike) -> list[Session]:
         """Return the sessions of one file or rosbag2 folder: one, unless the recipe splits it."""
         source = str(path_of("path", path))
-        try:
-            return self._read(_existing(Path(source)), source)
-        except SessionError as error:
-            name_source(error, source)
-            raise
-        except OSError as error:
-            raise SessionError(f"cannot be read ({error.strerror or error})", source) from error
+        with source_named(source):
+            try:
+                return self._read(existing(Path(source)), source)
+            except OSError as error:
+                raise SessionError(f"cannot be read ({error.strerror or error})") from error
 
     def _read(self, path: Path, source: str) -> list[Session]:
         suffix = suffix_of(path)
         bag = path.is_dir() or suffix in BAGS
         self._check_kind("bag" if bag else "table")
         values = self._values_of(source)
-        if self.separators and suffix not in TEXTS:
+        if self.text_only and suffix not in TEXTS:
             raise SessionError(f"delimiter and decimal do not apply to {suffix or 'a folder'}")
         if bag and self.recipe:
-            log = read_bag(path, self.recipe, self._measured())
+            log = read_bag(path, self.recipe, self._measured(self.recipe))
             return self._sessions(log, self.recipe, values)
-        choose, texts = self._choice()
         if bag:
-            table = read_written(path, choose)
+            table = read_written(path, self._chosen())
         elif suffix in TEXTS:
-            table = read_csv(path, choose, self.layout, texts)
+            table = read_csv(path, self._chosen(), self.layout, self._texts())
         else:
-            table = read_arrow(path, choose, self.layout)
+            table = read_arrow(path, self._chosen(), self.layout)
         return self._of_table(table, source, values)
 
     def read_frame(self, frame: pd.DataFrame, metadata: Mapping[str, object]) -> list[Session]:
         """Return the session in a data frame, or all that the recipe splits it into."""
-        recipe = self.recipe
-        fields = recipe.pattern.types if recipe and recipe.pattern else {}
+        fields = self.pattern.types if self.pattern else {}
         with source_named("data frame"):
             self._check_kind("table")
-            metadata_rules: Any = recipe.metadata if recipe else {}
+            metadata_rules: Any = self.recipe.metadata if self.recipe else {}
             for name, rule in metadata_rules.items():
                 if rule.origin in fields and not {name, rule.origin} & metadata.keys():
                     fault = f"the recipe takes {name} from the path of a file"
                     raise SessionError(f"{fault}: give it as read_frame(…, {rule.origin}=…)")
-            table = frame_table(frame, self._choice()[0], self.layout)
+            table = frame_table(frame, self._chosen(), self.layout)
             sessions = self._of_table(table, "data frame", metadata)
         more = {name: value for name, value in metadata.items() if name not in fields}
         return [session.with_metadata(**more) for session in sessions] if more else sessions
@@ -411,43 +405,45 @@ class Reader:
 
     def _values_of(self, source: str) -> dict[str, object]:
         """Return what the path of a file and the header say of its session."""
-        pattern = self.recipe.pattern if self.recipe else None
-        match = pattern.match(source) if pattern else None
-        if match:
+        if self.recipe is None or self.pattern is None:
+            return {}
+        if match := self.pattern.match(source):
             return {**match.fields, **(self.header.row(match) if self.header else {})}
-        rules: Any = [self.recipe.metadata, self.recipe.columns] if pattern else []
-        if any(rule.origin for each in rules for rule in each.values()):
+        rules: list[Any] = [*self.recipe.metadata.values(), *self.recipe.columns.values()]
+        if any(rule.origin for rule in rules):
+            fault = f"the path does not fit the recipe's pattern {self.pattern.text!r}"
             remedy = "rename the file or its folder, or take nothing from the path"
-            fault = f"the path does not fit the recipe's pattern {pattern.text!r}"
             raise SessionError(f"{fault}; {remedy}")
         return {}
 
-    def _measured(self) -> list[ColumnRule]:
+    def _measured(self, recipe: Recipe) -> list[ColumnRule]:
         """Return the rules of the columns that come from the log, and of those these need."""
-        columns = self.recipe.columns
-        names = self.columns or list(columns)
-        names = [*names, *(need for name in names for need in columns[name].needs)]
-        rules = [columns[name] for name in dict.fromkeys(names)]
+        names = self.columns or list(recipe.columns)
+        names = [*names, *(need for name in names for need in recipe.columns[name].needs)]
+        rules = [recipe.columns[name] for name in dict.fromkeys(names)]
         return [rule for rule in rules if rule.kind in ("column", "topic")]
 
-    def _choice(self) -> tuple[Choice, set[str]]:
-        """Return which columns of a table to read, and those whose cells are read as texts."""
+    def _chosen(self) -> Chosen:
+        """Return which columns of a table to read: the session's name of each, to the table's."""
         if self.recipe is None:
-            names = {name: name for name in ("t", *(self.columns or ()))}
-            return (lambda _: names) if self.columns else vocabulary_columns, set()
-        rules = self._measured()
-        chosen = {"t": self.recipe.time.column} | {rule.name: rule.column for rule in rules}
-        texts = {rule.name for rule in rules if rule.map or rule.item is not None}
-        if self.recipe.time.unit in ("iso", "clock"):
-            texts.add("t")
-        return lambda _: chosen, texts
+            return {name: name for name in ("t", *self.columns)} if self.columns else None
+        rules = self._measured(self.recipe)
+        return {"t": self.recipe.time.column} | {rule.name: rule.column for rule in rules}
+
+    def _texts(self) -> set[str]:
+        """Return the columns whose cells are read as texts."""
+        if self.recipe is None:
+            return set()
+        rules = self._measured(self.recipe)
+        times = {"t"} if self.recipe.time.unit in ("iso", "clock") else set()
+        return times | {rule.name for rule in rules if rule.map or rule.item is not None}
 
     def _of_table(self, table: Table, source: str, values: Mapping) -> list[Session]:
         """Return the sessions of a table."""
+        if table.frame.empty:
+            raise SessionError("nothing follows the column names; the log has no samples")
         recipe = self.recipe or plain_recipe([name for name in table.frame if name != "t"])
-        rules = self._measured() if self.recipe else list(recipe.columns.values())
-        t = times_of(table, recipe.time, self.layout.decimal)
-        stream = stream_of(table, t, rules, self.layout.decimal)
+        stream = stream_of(table, times_of(table, recipe.time), self._measured(recipe))
         return self._sessions(Log(source, [stream], table.metadata, table.notes), recipe, values)
 
     def _sessions(self, log: Log, recipe: Recipe, values: Mapping[str, Any]) -> list[Session]:
@@ -471,17 +467,14 @@ class Reader:
 
 def plain_recipe(names: Sequence[str]) -> Recipe:
     """Return the recipe of a log whose columns are those of the vocabulary, in SI units."""
-    units = {name: known_column(name).unit for name in names}
     columns = {
-        name: ColumnRule(
-            name=name, kind="column", column=name, unit=None if unit == "measure" else unit
-        )
-        for name, unit in units.items()
+        name: ColumnRule(name=name, kind="column", column=name, unit=known_column(name).unit)
+        for name in names
     }
     return Recipe(kind="table", time=TableTime(unit="s"), columns=columns)
 
 
-def _existing(path: Path) -> Path:
+def existing(path: Path) -> Path:
     """Return the path when something that can be read is there."""
     if not path.exists():
         looked = "" if path.is_absolute() else f" (looked in {path.parent.absolute()})"

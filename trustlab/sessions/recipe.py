@@ -241,11 +241,11 @@ def plain_key(value: object) -> str:
     return written
 
 
-def looked_up(entries: Mapping[str, Any], value: object) -> Any:
-    """Return what a map of the recipe makes of a value."""
+def looked_up(entries: Mapping[str, Any], value: object, default: object = None) -> Any:
+    """Return what a map of the recipe makes of a value; `default` of one that is not in it."""
     entry = plain_key(value)
-    if entry in entries:
-        return entries[entry]
+    if entry in entries or default is not None:
+        return entries.get(entry, default)
     if not entry:
         raise ValueError('the cell is empty; fill it, or add blank = "hold" beside the map')
     hint = alternatives(str(value).strip(), entries)

@@ -4,7 +4,7 @@ import csv
 import gzip
 import io
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,9 +29,9 @@ COMMENT = "# trustlab "
 # The bytes at the start and the end of a text that show how it is written.
 HEAD = 1 << 20
 
-# Given the names in a file, returns the columns to read: the session's name of each, to its name or
-# number in the file.
-Choice = Callable[[Sequence[str]], Mapping[str, str | int]]
+# The columns to read: the session's name of each, to its name or number in the file. None stands
+# for all columns of a file whose names are those of the vocabulary.
+Chosen = Mapping[str, str | int] | None
 
 
 def suffix_of(path: Path) -> str:
@@ -39,22 +39,21 @@ def suffix_of(path: Path) -> str:
     return "".join(path.suffixes[-2 if path.suffix.lower() == ".gz" else -1 :]).lower()
 
 
-def vocabulary_columns(names: Sequence[str]) -> Mapping[str, str | int]:
-    """Return the columns of a file without a recipe, whose names belong to the vocabulary."""
-    for name in names:
-        if NUMBER.fullmatch(name):
-            remedy = "add a line of names, or a recipe with the lines [table] and header = false"
-            raise SessionError(f"found numbers instead of column names; {remedy}")
-        if name != "t":
-            known_column(name)
-    return {name: name for name in ("t", *names)}
-
-
-def positions(choose: Choice, names: Sequence[str], header: bool = True) -> dict[str, int]:
+def positions(chosen: Chosen, names: Sequence[str], header: bool = True) -> dict[str, int]:
     """Return where the chosen columns stand in a file; without a header they have numbers."""
+    if chosen is None:
+        for name in names:
+            if NUMBER.fullmatch(name):
+                remedy = (
+                    "add a line of names, or a recipe with the lines [table] and header = false"
+                )
+                raise SessionError(f"found numbers instead of column names; {remedy}")
+            if name != "t":
+                known_column(name)
+        chosen = {name: name for name in ("t", *names)}
     titles: list[Any] = [*names] if header else [*range(len(names))]
     places = {}
-    for name, column in choose(names if header else []).items():
+    for name, column in chosen.items():
         if titles.count(column) != 1:
             fault = "occurs twice; rename or remove one"
             if column not in titles:
@@ -66,58 +65,51 @@ def positions(choose: Choice, names: Sequence[str], header: bool = True) -> dict
     return places
 
 
-def read_arrow(path: Path, choose: Choice, layout: TableRule) -> Table:
+def read_arrow(path: Path, chosen: Chosen, layout: TableRule) -> Table:
     """Return the table in a Parquet or Feather (Arrow IPC) file."""
     import pyarrow as pa
     import pyarrow.feather
     import pyarrow.parquet
 
-    reader = pa.parquet if path.suffix.lower() == ".parquet" else pa.feather
     with damage_named("not a table of this format, or a damaged one", "copy or write it again"):
-        schema = (
-            reader.read_schema(path)
-            if reader is pa.parquet
-            else pa.ipc.open_file(pa.memory_map(str(path))).schema
-        )
-        places = positions(choose, schema.names, layout.header)
-        needed = list(dict.fromkeys(schema.names[place] for place in places.values()))
-        content = reader.read_table(path, columns=needed)
+        if path.suffix.lower() == ".parquet":
+            read, schema = pa.parquet.read_table, pa.parquet.read_schema(path)
+        else:
+            read, schema = pa.feather.read_table, pa.ipc.open_file(pa.memory_map(str(path))).schema
+        places = positions(chosen, schema.names, layout.header)
+        content = read(path, columns=[*{schema.names[k]: k for k in places.values()}])
         content.validate(full=True)
         frame = content.to_pandas(ignore_metadata=True)
     frame = pd.DataFrame({name: frame[schema.names[k]] for name, k in places.items()}, copy=False)
     text = (schema.metadata or {}).get(b"trustlab")
     metadata = metadata_from_json(text.decode("utf-8", "replace"))[0] if text else Metadata()
-    return _table(frame, "row {} (from 0)".format, metadata)
+    return Table(frame, "row {} (from 0)".format, metadata, decimal=layout.decimal)
 
 
-def frame_table(frame: pd.DataFrame, choose: Choice, layout: TableRule) -> Table:
+def frame_table(frame: pd.DataFrame, chosen: Chosen, layout: TableRule) -> Table:
     """Return the table in a data frame; an index with a name is a column as well."""
     frame = frame.reset_index(drop=frame.index.name is None)
-    places = positions(choose, [str(name) for name in frame.columns], layout.header)
+    places = positions(chosen, [str(name) for name in frame.columns], layout.header)
     columns = {name: frame.iloc[:, place].copy() for name, place in places.items()}
-    return _table(pd.DataFrame(columns, copy=False), "row {} (from 0)".format, Metadata())
+    frame = pd.DataFrame(columns, copy=False)
+    return Table(frame, "row {} (from 0)".format, decimal=layout.decimal)
 
 
-def _table(frame: pd.DataFrame, place: Callable[[int], str], metadata: Metadata) -> Table:
-    if frame.empty:
-        raise SessionError("nothing follows the column names; the log has no samples")
-    return Table(frame, place, metadata)
-
-
-def read_csv(path: Path, choose: Choice, layout: TableRule, texts: Collection[str]) -> Table:
+def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[str]) -> Table:
     """Return the table in a text file; `texts` are columns that no numbers are made of here."""
     usual = "\t" if suffix_of(path).startswith(".tsv") else ","
     layout = replace(layout, delimiter=layout.delimiter or usual)
-    source: Any = path
+    source: bytes | Path = path
     if path.suffix.lower() == ".gz":
         with damage_named("not a gzip file, or a damaged or truncated one", "copy it again"):
             source = gzip.decompress(path.read_bytes())
     if layout.delimiter == " ":  # a run of which separates once
-        spaced = re.sub(rb" {2,}", b" ", path.read_bytes() if source is path else source)
+        with _opened(source) as file:
+            spaced = re.sub(rb" {2,}", b" ", file.read())
         source = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", spaced)
-    with io.BytesIO(source) if isinstance(source, bytes) else path.open("rb") as file:
+    with _opened(source) as file:
         head = file.read(HEAD)
-        file.seek(max(0, file.seek(0, io.SEEK_END) - HEAD))
+        file.seek(max(0, file.size() - HEAD))
         end = file.read()
     text = io.TextIOWrapper(io.BytesIO(head), layout.encoding, "surrogateescape", newline="")
     lines = text.read().removeprefix("\ufeff").splitlines(keepends=True) or [""]
@@ -127,7 +119,7 @@ def read_csv(path: Path, choose: Choice, layout: TableRule, texts: Collection[st
     try:
         names = next(csv.reader(lines[before:], delimiter=layout.delimiter), [])
         names = [name.strip() for name in names]
-        places = positions(choose, names, layout.header)
+        places = positions(chosen, names, layout.header)
     except (SessionError, csv.Error) as error:
         _refuse_encoding(source, layout.encoding)
         fault = _layout_fault(names, layout) or error
@@ -136,12 +128,17 @@ def read_csv(path: Path, choose: Choice, layout: TableRule, texts: Collection[st
     frame = _parsed(source, before, len(names), places, layout, {places[name] for name in texts})
     ends = end[len(end.rstrip(b"\r\n")) :]
     empty = max(ends.count(b"\n") or ends.count(b"\r"), 1) - 1
-    table = _table(
-        frame.iloc[: len(frame) - empty], lambda row: f"line {before + 1 + row}", metadata
-    )
-    if not ends:
-        table.notes["last line"] = "has no end; the file may have been cut short in it"
-    return table
+    cut = "has no end; the file may have been cut short in it"
+    notes: dict[str, object] = {} if ends else {"last line": cut}
+    place = lambda row: f"line {before + 1 + row}"  # noqa: E731
+    return Table(frame.iloc[: len(frame) - empty], place, metadata, notes, layout.decimal)
+
+
+def _opened(source: bytes | Path) -> Any:
+    """Return a text to read, in memory or in a file, as Arrow's readers take it."""
+    import pyarrow as pa
+
+    return pa.BufferReader(source) if isinstance(source, bytes) else pa.OSFile(str(source))
 
 
 def _layout_fault(names: Sequence[str], layout: TableRule) -> str:
@@ -181,7 +178,7 @@ def _parsed(
         kinds = {str(k): pa.string() if k in texts else pa.float64() for k in places.values()}
         try:
             table = pa.csv.read_csv(
-                pa.BufferReader(source) if isinstance(source, bytes) else source,
+                _opened(source),
                 pa.csv.ReadOptions(
                     column_names=[*map(str, range(width))],
                     skip_rows=before,
@@ -232,7 +229,7 @@ def _ragged(fault: str) -> str:
 
 def _refuse_encoding(source: bytes | Path, encoding: str) -> None:
     """Raise where a text has bytes that its encoding has not."""
-    content = source if isinstance(source, bytes) else source.read_bytes()
+    content = _opened(source).read()
     if b"\0" in content[:HEAD]:
         raise SessionError("this is UTF-16 or no text at all; save the file as UTF-8")
     try:
