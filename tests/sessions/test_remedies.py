@@ -202,12 +202,12 @@ BAGS = [
     (
         "pose.pose.position.x",
         "pose.pose.position.xx",
-        "'/odom', message 0 (from 0), field 'pose.pose.position.xx' (robot_x): nav_msgs/msg/Odom.*"
+        "'/odom', message 0 (from 0), field 'pose.pose.position.xx' (robot_x) of nav_msgs/.*"
         "has no field 'xx' there; did you mean 'x'?",
     ),
     ("pose.pose.position.x", "pose.pose.position", "not a number; name one number in it"),
     ("pose.pose.position.x", "pose.pose.position.x[0]", "[0] needs a list"),
-    ("pose.pose.position.x", "child_frame_id", "holds str .*not a number; give it a map"),
+    ("pose.pose.position.x", "child_frame_id", "holds str, not a number; give it a map"),
     ("axes[1]", "axes[3]", "'/joy', message 0 (from 0).*the list has 3 entries"),
     ("axes[1]", "axes[x=1]", "cannot read the field path 'axes[x=1]'; write it like"),
     ("yaw(pose.pose.orientation)", "yaw(pose.pose.position)", "yaw needs a quaternion"),

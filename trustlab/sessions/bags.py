@@ -1,6 +1,5 @@
 """ROS 1 and ROS 2 bags: a table for each topic, as its messages have it."""
 
-import dataclasses
 import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
@@ -18,8 +17,8 @@ from trustlab.sessions.columns import Table, stream_of
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named
 from trustlab.sessions.patterns import Selector
 from trustlab.sessions.recipe import ColumnRule, Recipe
-from trustlab.sessions.resampling import MAX_SAMPLES, Log, Stream
-from trustlab.sessions.session import metadata_from_json
+from trustlab.sessions.resampling import MAX_SAMPLES, Log
+from trustlab.sessions.session import Place, metadata_from_json
 from trustlab.sessions.tables import Chosen, positions
 
 # Where the topics of a bag stand that `write_session` wrote: t, metadata and one per column.
@@ -32,11 +31,69 @@ _guard = partial(
 
 
 def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> Log:
-    """Return the log in a bag: a stream for each topic that rules name."""
+    """Return the log in a bag: a stream for each topic, timed from the last of the first stamps."""
+    # A message that lacks the entry a rule selects is no sample of it, so that each selection is a
+    # stream of its own.
+    groups: dict[tuple[str, str], list[ColumnRule]] = {}
+    for rule in rules:
+        groups.setdefault((rule.topic, rule.path.selectors), []).append(rule)
+    if not groups:
+        raise SessionError("none of the columns to read comes from a topic; add one that does")
+    samples: dict[tuple[str, str], list[tuple]] = {group: [] for group in groups}
+    count: Counter[str] = Counter()
+    frames: dict[str, object] = {}
     with _open(path) as reader:
         if recipe.messages is not None:
             _define(reader, Path(recipe.source).parent / recipe.messages.folder)
-        return _read_topics(reader, rules, recipe, str(path))
+        _check_topics(reader, rules)
+        for topic, row, stamp, message in _messages(reader, {topic for topic, _ in groups}):
+            count[topic] = row + 1
+            if recipe.time.of(topic) == "header":
+                stamp = _header_stamp(message, topic)
+            for (source, entry), members in groups.items():
+                if source == topic:
+                    values = [_value(message, row, rule, frames) for rule in members]
+                    if None not in values:
+                        samples[topic, entry].append((row, stamp, *values))
+    for (topic, entry), rows in samples.items():
+        if not rows:
+            fault = f"none of its {count[topic]} messages has an entry {entry}"
+            raise SessionError(f"topic {topic!r}: {fault}")
+    start = max(rows[0][1] for rows in samples.values())
+    log = Log(str(path), [], notes={"start_time": start / 1e9})
+    for (topic, entry), rows in samples.items():
+        if len(rows) < count[topic]:
+            words = f"{len(rows)} of {count[topic]} messages have the entry"
+            log.notes[f"selected {topic}{entry}"] = words
+        numbers, stamps, *values = zip(*rows, strict=True)
+        members = groups[topic, entry]
+        # Differences of whole nanoseconds are exact; as floats the stamps would be 0.2 µs apart at
+        # best.
+        t = (np.array(stamps, dtype=np.int64) - start) / 1e9
+        frame = pd.DataFrame({rule.name: each for rule, each in zip(members, values, strict=True)})
+        table = Table(frame, _place(topic, numbers), notes=log.notes)
+        log.streams.append(stream_of(table, t, members, topic + entry))
+    return log
+
+
+def _place(topic: str, numbers: Sequence[int]) -> Place:
+    return lambda k: f"topic {topic!r}, message {numbers[k]} (from 0)"
+
+
+def _check_topics(reader, rules: Sequence[ColumnRule]) -> None:
+    """Raise where a topic is not there, or its messages cannot be read."""
+    types = _types(reader)
+    for topic, name in [(rule.topic, rule.name) for rule in rules]:
+        if topic not in types:
+            hint = alternatives(topic, types, "it has")
+            raise SessionError(f"topic {topic!r} (for {name}) is not in the bag{hint}")
+        if " and " in types[topic]:
+            raise SessionError(f"topic {topic!r} has messages of two types: {types[topic]}")
+        if types[topic] not in reader.typestore.fielddefs:
+            raise SessionError(
+                f"topic {topic!r}: the bag has no definition of {types[topic]}; put its .msg files "
+                'in a folder package/msg/ and name the folder above: [messages] folder = "…"'
+            )
 
 
 def read_written(path: Path, chosen: Chosen) -> Table:
@@ -50,7 +107,7 @@ def read_written(path: Path, chosen: Chosen) -> Table:
         names.remove("metadata")
         places = positions(chosen, names)
         topics = {PREFIX + name: [] for name in ("metadata", *places)}
-        for topic, _, message in _messages(reader, topics):
+        for topic, *_, message in _messages(reader, topics):
             topics[topic].append(getattr(message, "data", None))
     with _guard():
         metadata, more = metadata_from_json(topics.pop(f"{PREFIX}metadata")[0])
@@ -90,8 +147,8 @@ def _types(reader) -> dict[str, str]:
     return types
 
 
-def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, time of receipt [ns] and message, in order of time; all must be there."""
+def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, int, Any]]:
+    """Yield topic, number, time of receipt [ns] and message, by time; all must be there."""
     chosen = [connection for connection in reader.connections if connection.topic in topics]
     expected: Counter[str] = Counter()
     count: Counter[str] = Counter()
@@ -101,11 +158,11 @@ def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]
     if expected.total() > MAX_SAMPLES:
         raise SessionError(f"the bag has more than {MAX_SAMPLES} messages on the topics read")
     for topic, stamp, message in _decoded(reader, chosen):
-        count[topic] += 1
         # Differences of stamps must not overflow.
         if not isinstance(stamp, int) or not abs(stamp) < 2**62:
             raise SessionError(f"topic {topic!r}: a message has the time {stamp} ns")
-        yield topic, stamp, message
+        yield topic, count[topic], stamp, message
+        count[topic] += 1
     for topic in topics:
         if count[topic] == 0:
             raise SessionError(f"topic {topic!r} has no messages; was it being published?")
@@ -155,136 +212,66 @@ def _check_database(file: Path) -> None:
         raise SessionError("a .db3 file cannot be read where its path has ? # or %; rename it")
 
 
-def _read_topics(reader, rules: Sequence[ColumnRule], recipe: Recipe, source: str) -> Log:
-    """Return a stream per topic, timed from the last of the topics' first stamps."""
-    types = _types(reader)
-    # A message that lacks the entry a rule selects is no sample of it, so that each selection is a
-    # stream of its own.
-    groups: dict[tuple[str, str], list[ColumnRule]] = {}
-    for rule in rules:
-        if rule.topic not in types:
-            hint = alternatives(rule.topic, types, "it has")
-            raise SessionError(f"topic {rule.topic!r} (for {rule.name}) is not in the bag{hint}")
-        _check_type(reader, rule.topic, types[rule.topic])
-        groups.setdefault((rule.topic, rule.path.selectors), []).append(rule)
-    if not groups:
-        raise SessionError("none of the columns to read comes from a topic; add one that does")
-    samples: dict[tuple[str, str], list[tuple]] = {group: [] for group in groups}
-    count: Counter[str] = Counter()
-    frames: dict[str, object] = {}
-    for topic, stamp, message in _messages(reader, {topic for topic, _ in groups}):
-        row = count[topic]
-        count[topic] += 1
-        where = f"topic {topic!r}, message {row} (from 0)"
-        if recipe.time.of(topic) == "header":
-            stamp = _header_stamp(message, types[topic], where)
-        for group, members in groups.items():
-            if group[0] == topic:
-                values = [_value(message, rule, types[topic], where, frames) for rule in members]
-                if None not in values:
-                    samples[group].append((row, stamp, *values))
-    for (topic, entry), rows in samples.items():
-        if not rows:
-            fault = f"none of its {count[topic]} messages has an entry {entry}"
-            raise SessionError(f"topic {topic!r}: {fault}")
-    start = max(rows[0][1] for rows in samples.values())
-    log = Log(source, [], notes={"start_time": start / 1e9})
-    for (topic, entry), rows in samples.items():
-        if len(rows) < count[topic]:
-            words = f"{len(rows)} of {count[topic]} messages have the entry"
-            log.notes[f"selected {topic}{entry}"] = words
-        members = groups[topic, entry]
-        log.streams.append(_stream(topic, entry, members, rows, start, log.notes))
-    return log
-
-
-def _stream(topic: str, entry: str, rules: Sequence[ColumnRule], rows, start: int, notes) -> Stream:
-    """Return the stream of a topic's samples: row, stamp [ns] and a value for each rule."""
-    numbers, stamps, *values = zip(*rows, strict=True)
-    # Differences of whole nanoseconds are exact; as floats the stamps would be 0.2 µs apart at
-    # best.
-    t = (np.array(stamps, dtype=np.int64) - start) / 1e9
-    frame = pd.DataFrame({rule.name: each for rule, each in zip(rules, values, strict=True)})
-    place = lambda k: f"topic {topic!r}, message {numbers[k]} (from 0)"  # noqa: E731
-    return stream_of(Table(frame, place, notes=notes), t, rules, topic + entry)
-
-
-def _check_type(reader, topic: str, kind: str) -> None:
-    """Raise where messages are of two types, or nothing says how they are made up."""
-    if " and " in kind:
-        raise SessionError(f"topic {topic!r} has messages of two types: {kind}")
-    if kind not in reader.typestore.fielddefs:
-        remedy = (
-            "put its .msg files in a folder package/msg/ and name the folder above: "
-            '[messages] folder = "…"'
-        )
-        raise SessionError(f"topic {topic!r}: the bag has no definition of {kind}; {remedy}")
-
-
-def _header_stamp(message, kind: str, where: str) -> int:
+def _header_stamp(message, topic: str) -> int:
     """Return the time of measurement [ns]."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None:
-        raise RecipeError(
-            f'{where}: {kind} has no header stamp; say "receive" for it under [time] topics'
-        )
+        fault = f"topic {topic!r}: {message.__msgtype__} has no header stamp"
+        raise RecipeError(f'{fault}; say "receive" for it under [time] topics')
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
-def _value(message, rule: ColumnRule, kind: str, where: str, frames: dict[str, object]) -> Any:
+def _value(message, row: int, rule: ColumnRule, frames: dict[str, object]) -> Any:
     """Return the number, or the text of a map, of a message; None without the selected entry."""
-    here = f"{where}, field {rule.path.text!r} ({rule.name})"
-    value = _walk(message, rule, kind, here, frames)
-    if value is None:
-        return None
-    if rule.path.yaw:
-        return _yaw(value, kind, here)
-    text = isinstance(value, str)
-    if not isinstance(value, bool | int | float | np.bool_ | np.number) and not (rule.map and text):
-        hint = "give it a map" if text else "name one number in it"
-        raise RecipeError(f"{here}: holds {type(value).__name__} in {kind}, not a number; {hint}")
-    return value
+    try:
+        value = _walk(message, rule, frames)
+        return _yaw(value) if rule.path.yaw and value is not None else value
+    except SessionError as error:
+        place = f"topic {rule.topic!r}, message {row} (from 0), {rule.label}"
+        raise type(error)(f"{place} of {message.__msgtype__}: {error}") from None
 
 
-def _walk(value, rule: ColumnRule, kind: str, here: str, frames: dict[str, object]):
+def _walk(message, rule: ColumnRule, frames: dict[str, object]) -> Any:
     """Follow a rule's field path into a message; `frames` stay the same for each rule."""
-    parent = None
+    parent, value = None, message
     for step in rule.path.steps:
-        if not isinstance(step, str) and not isinstance(value, list | tuple | np.ndarray):
-            raise RecipeError(f"{here}: [{step}] needs a list, but {kind} has none there")
-        if isinstance(step, Selector):
-            value = _selected(value, parent, step, here)
+        if isinstance(step, str):
+            parent, value = value, _field(value, step)
+        elif not isinstance(value, list | tuple | np.ndarray):
+            raise RecipeError(f"[{step}] needs a list, but there is none")
+        elif isinstance(step, Selector):
+            value = _selected(value, parent, step)
             if value is None:
                 return None
-        elif isinstance(step, int):
-            if step >= len(value):
-                raise SessionError(
-                    f"{here}: the list has {len(value)} entries, [{step}] is not among them"
-                )
+        elif step >= len(value):
+            fault = f"the list has {len(value)} entries, [{step}] is not among them"
+            raise SessionError(fault)
+        else:
             value = value[step]
             frame = getattr(value, "child_frame_id", None)
             if frames.setdefault(rule.name, frame) != frame:
                 raise SessionError(
-                    f"{here}: the entry [{step}] is of frame {frame!r} here, and of "
+                    f"the entry [{step}] is of frame {frame!r} here, and of "
                     f'{frames[rule.name]!r} before; select one: [child_frame_id="{frame}"]'
                 )
-        else:
-            parent, value = value, _field(value, step, kind, here)
+    text = isinstance(value, str)
+    number = isinstance(value, bool | int | float | np.bool_ | np.number)
+    if not (number or rule.path.yaw or (text and rule.map)):
+        hint = "give it a map" if text else "name one number in it"
+        raise RecipeError(f"holds {type(value).__name__}, not a number; {hint}")
     return value
 
 
-def _field(value, name: str, kind: str, here: str):
-    fields = []
-    if dataclasses.is_dataclass(value):
-        fields = [entry.name for entry in dataclasses.fields(value)]
+def _field(value, name: str) -> Any:
+    fields = getattr(value, "__dataclass_fields__", ())
     fields = [title for title in fields if not title.startswith("__")]  # rosbags adds these
     if name not in fields:
         hint = alternatives(name, fields or ["a plain value"], "it has")
-        raise RecipeError(f"{here}: {kind} has no field {name!r} there{hint}")
+        raise RecipeError(f"has no field {name!r} there{hint}")
     return getattr(value, name)
 
 
-def _selected(entries, parent, selector: Selector, here: str):
+def _selected(entries, parent, selector: Selector) -> Any:
     """Return the entry of a list that a selector names; None where there is none."""
     # As in JointState, whose positions stand beside the joints' names.
     names = getattr(parent, selector.key, None)
@@ -293,24 +280,23 @@ def _selected(entries, parent, selector: Selector, here: str):
             names = [attrgetter(selector.key)(entry) for entry in entries]
         except AttributeError:
             fault = f"neither the list's entries nor a list beside it are called {selector.key!r}"
-            raise RecipeError(f"{here}: {fault}") from None
+            raise RecipeError(fault) from None
     chosen = [
         entry for name, entry in zip(names, entries, strict=False) if str(name) == selector.value
     ]
     if len(chosen) > 1:
-        raise SessionError(
-            f"{here}: {len(chosen)} entries are {selector}, so that it names none of them"
-        )
+        fault = f"{len(chosen)} entries are {selector}, so that it names none of them"
+        raise SessionError(fault)
     return chosen[0] if chosen else None
 
 
-def _yaw(value, kind: str, here: str) -> float:
+def _yaw(value) -> float:
     """Return the heading [rad] of a quaternion: its rotation about the vertical axis."""
     try:
         x, y, z, w = (float(getattr(value, name)) for name in "xyzw")
     except (AttributeError, TypeError, ValueError):
-        raise RecipeError(f"{here}: yaw needs a quaternion, which {kind} has not there") from None
+        raise RecipeError("yaw needs a quaternion, which is not there") from None
     norm = math.hypot(x, y, z, w)
     if not abs(norm - 1.0) <= 0.01:
-        raise SessionError(f"{here}: the quaternion has norm {norm:.6g}, but a rotation has norm 1")
+        raise SessionError(f"the quaternion has norm {norm:.6g}, but a rotation has norm 1")
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -95,7 +95,7 @@ def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
     """Return the numbers of a column, or of times where there is no rule; NaN for blank cells."""
     values = table.frame[rule.name if rule else "t"]
     label = rule.label if rule else "column t"
-    special = rule if rule and (rule.map or rule.item is not None) else None
+    special = rule if rule and rule.special else None
     kind = values.dtype.kind
     if special is None:
         if kind in "iufb":
@@ -298,9 +298,11 @@ def session_of(
         for stream in log.streams:
             check_rising(stream.t, stream.place)
         frame, place = resample(log, resampling, recipe.columns), ROW
-    else:
+    elif len(log.streams) > 1:
         require_common_times(log)
         frame = pd.concat([stream.frame for stream in log.streams], axis=1)
+    else:
+        frame = first.frame.copy(deep=False)
     for name, rule in recipe.columns.items():
         if rule.kind in ("value", "from"):
             frame[name] = _constant(rule, values)

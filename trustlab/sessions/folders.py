@@ -1,5 +1,6 @@
 """Which files of a folder are logs, and the tables beside them that say what each session is."""
 
+import functools
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +24,7 @@ class Header:
 
     def __init__(self, rule: HeaderRule):
         self.rule = rule
-        self._tables: dict[str, dict[tuple, dict]] = {}
+        self._table = functools.cache(self._read)
 
     def row(self, match: PathMatch) -> dict[str, object]:
         """Return the cells of a session, as "header." and the name of their column."""
@@ -56,30 +57,25 @@ class Header:
     def _key(self, match: PathMatch) -> tuple[str, ...]:
         return tuple(plain_key(match.fields[name]) for name in self.rule.keys)
 
-    def _table(self, path: str) -> dict[tuple, dict]:
-        """Return the rows of a header file by key."""
-        if path not in self._tables:
-            with source_named(path):
-                self._tables[path] = self._read(path)
-        return self._tables[path]
-
     def _read(self, path: str) -> dict[tuple, dict]:
-        try:
-            cells = pd.read_csv(path, dtype=str, keep_default_na=False, index_col=False)
-        except (OSError, ValueError) as error:  # pandas' own errors are ValueErrors
-            raise SessionError(f"this header file cannot be read ({error})") from error
-        cells.columns = cells.columns.str.strip()
-        for column in self.rule.keys.values():
-            if list(cells.columns).count(column) != 1:
-                raise SessionError(f"needs one column {column!r}{did_you_mean(column, cells)}")
-        rows: dict[tuple, dict] = {}
-        for line, values in enumerate(cells.to_dict("records"), start=2):
-            row = {name: _typed(cell.strip()) for name, cell in values.items()}
-            key = tuple(plain_key(row[column]) for column in self.rule.keys.values())
-            if "" in key or key in rows:
-                raise SessionError(f"line {line}: {self._words(key)} is empty, or occurs twice")
-            rows[key] = row
-        return rows
+        """Return the rows of a header file by key."""
+        with source_named(path):
+            try:
+                cells = pd.read_csv(path, dtype=str, keep_default_na=False, index_col=False)
+            except (OSError, ValueError) as error:  # pandas' own errors are ValueErrors
+                raise SessionError(f"this header file cannot be read ({error})") from error
+            cells.columns = cells.columns.str.strip()
+            for column in self.rule.keys.values():
+                if list(cells.columns).count(column) != 1:
+                    raise SessionError(f"needs one column {column!r}{did_you_mean(column, cells)}")
+            rows: dict[tuple, dict] = {}
+            for line, values in enumerate(cells.to_dict("records"), start=2):
+                row = {name: _typed(cell.strip()) for name, cell in values.items()}
+                key = tuple(plain_key(row[column]) for column in self.rule.keys.values())
+                if "" in key or key in rows:
+                    raise SessionError(f"line {line}: {self._words(key)} is empty, or occurs twice")
+                rows[key] = row
+            return rows
 
 
 def _typed(cell: str) -> int | float | str:

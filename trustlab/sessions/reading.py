@@ -24,6 +24,7 @@ from trustlab.sessions.errors import (
     RecipeError,
     SessionError,
     alternatives,
+    name_source,
     nearest_file,
     source_named,
 )
@@ -324,23 +325,23 @@ class Reader:
     """The arguments of `read_session`, checked, for one file or for many."""
 
     def __init__(self, recipe, columns, resample, sample_time, delimiter=None, decimal=None):
-        self.recipe = None if recipe is None else load_recipe(recipe)
-        self.pattern = self.recipe.pattern if self.recipe else None
-        self.header = Header(self.recipe.header) if self.recipe and self.recipe.header else None
+        # Without a recipe, the columns are those that a table turns out to have.
+        self.plain = recipe is None
+        self.recipe = plain_recipe(()) if self.plain else load_recipe(recipe)
+        self.pattern, self.resampling = self.recipe.pattern, self.recipe.resampling
+        self.header = Header(self.recipe.header) if self.recipe.header else None
         self.columns = None if columns is None else self._selected(columns)
-        self.resampling = self.recipe.resampling if self.recipe else None
         if resample is not None or sample_time is not None:
             method: Any = one_of("resample", resample, get_args(Method))
             self.resampling = Resampling(method=method, sample_time=sample_time)
-        self.layout = self.recipe.table if self.recipe else TableRule()
+        self.layout = self.recipe.table
         asked = {"delimiter": delimiter, "decimal": decimal}
-        asked = {name: value for name, value in asked.items() if value is not None}
-        self.text_only = bool(asked)
-        if asked:
-            self.layout = parse(TableRule, asked, "delimiter and decimal")
-        if asked and self.recipe:
-            fault = "delimiter and decimal are given beside a recipe: state them in its [table]"
-            raise RecipeError(fault, self.recipe.source)
+        self.asked = {name: value for name, value in asked.items() if value is not None}
+        if self.asked:
+            self.layout = parse(TableRule, self.asked, "delimiter and decimal")
+            if not self.plain:
+                fault = "delimiter and decimal are given beside a recipe: state them in its [table]"
+                raise RecipeError(fault, self.recipe.source)
         # What to doubt in values that could be read, and the files where that is so.
         self.doubts: dict[str, list[str]] = {}
 
@@ -351,7 +352,7 @@ class Reader:
         if not names or not all(isinstance(name, str) for name in names):
             raise SessionError(f"columns must be a list of names besides t, got {shown(columns)}")
         for name in names:
-            if self.recipe and name not in self.recipe.columns:
+            if not self.plain and name not in self.recipe.columns:
                 known = alternatives(name, self.recipe.columns, "it has")
                 raise SessionError(f"columns: the recipe has no column {name!r}{known}")
         return names
@@ -359,20 +360,22 @@ class Reader:
     def read(self, path: str | os.PathLike) -> list[Session]:
         """Return the sessions of one file or rosbag2 folder: one, unless the recipe splits it."""
         source = str(path_of("path", path))
-        with source_named(source):
-            try:
-                return self._read(existing(Path(source)), source)
-            except OSError as error:
-                raise SessionError(f"cannot be read ({error.strerror or error})") from error
+        try:
+            return self._read(existing(Path(source)), source)
+        except SessionError as error:
+            name_source(error, source)
+            raise
+        except OSError as error:
+            raise SessionError(f"cannot be read ({error.strerror or error})", source) from error
 
     def _read(self, path: Path, source: str) -> list[Session]:
         suffix = suffix_of(path)
         bag = path.is_dir() or suffix in BAGS
         self._check_kind("bag" if bag else "table")
         values = self._values_of(source)
-        if self.text_only and suffix not in TEXTS:
+        if self.asked and suffix not in TEXTS:
             raise SessionError(f"delimiter and decimal do not apply to {suffix or 'a folder'}")
-        if bag and self.recipe:
+        if bag and not self.plain:
             log = read_bag(path, self.recipe, self._measured(self.recipe))
             return self._sessions(log, self.recipe, values)
         if bag:
@@ -388,8 +391,7 @@ class Reader:
         fields = self.pattern.types if self.pattern else {}
         with source_named("data frame"):
             self._check_kind("table")
-            metadata_rules: Any = self.recipe.metadata if self.recipe else {}
-            for name, rule in metadata_rules.items():
+            for name, rule in self.recipe.metadata.items():
                 if rule.origin in fields and not {name, rule.origin} & metadata.keys():
                     fault = f"the recipe takes {name} from the path of a file"
                     raise SessionError(f"{fault}: give it as read_frame(…, {rule.origin}=…)")
@@ -399,13 +401,13 @@ class Reader:
         return [session.with_metadata(**more) for session in sessions] if more else sessions
 
     def _check_kind(self, kind: str) -> None:
-        if self.recipe and self.recipe.kind != kind:
+        if not self.plain and self.recipe.kind != kind:
             fault = f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a {kind}"
             raise RecipeError(fault)
 
     def _values_of(self, source: str) -> dict[str, object]:
         """Return what the path of a file and the header say of its session."""
-        if self.recipe is None or self.pattern is None:
+        if self.pattern is None:
             return {}
         if match := self.pattern.match(source):
             return {**match.fields, **(self.header.row(match) if self.header else {})}
@@ -425,24 +427,25 @@ class Reader:
 
     def _chosen(self) -> Chosen:
         """Return which columns of a table to read: the session's name of each, to the table's."""
-        if self.recipe is None:
+        if self.plain:
             return {name: name for name in ("t", *self.columns)} if self.columns else None
         rules = self._measured(self.recipe)
         return {"t": self.recipe.time.column} | {rule.name: rule.column for rule in rules}
 
     def _texts(self) -> set[str]:
         """Return the columns whose cells are read as texts."""
-        if self.recipe is None:
+        if self.plain:
             return set()
-        rules = self._measured(self.recipe)
         times = {"t"} if self.recipe.time.unit in ("iso", "clock") else set()
-        return times | {rule.name for rule in rules if rule.map or rule.item is not None}
+        return times | {rule.name for rule in self._measured(self.recipe) if rule.special}
 
     def _of_table(self, table: Table, source: str, values: Mapping) -> list[Session]:
         """Return the sessions of a table."""
         if table.frame.empty:
             raise SessionError("nothing follows the column names; the log has no samples")
-        recipe = self.recipe or plain_recipe([name for name in table.frame if name != "t"])
+        recipe = self.recipe
+        if self.plain:
+            recipe = plain_recipe([name for name in table.frame if name != "t"])
         stream = stream_of(table, times_of(table, recipe.time), self._measured(recipe))
         return self._sessions(Log(source, [stream], table.metadata, table.notes), recipe, values)
 

@@ -94,8 +94,6 @@ messages by one of its fields, ``position[name="wheel_left"]`` by the list of na
 messages without that entry are passed over, and the session's notes say how many have it.
 """
 
-import functools
-import operator
 import os
 import re
 import tomllib
@@ -103,7 +101,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -120,7 +118,6 @@ from trustlab.sessions.errors import RecipeError, alternatives, nearest_file, so
 from trustlab.sessions.patterns import FieldPath, PathPattern
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY, to_si
 
-Rule = TypeVar("Rule")
 Method = Literal["previous", "linear", "nearest"]
 Stamp = Literal["receive", "header"]
 Axis = Literal["x", "y", "z"]
@@ -133,32 +130,32 @@ STATES = ("mode", "suggested_mode")
 # How a number is written in a table.
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
-# Keys that Python or a method has a use for, and the fields that hold them.
-SPELT = {"from": "origin", "field": "path"}
+# Keys that Python or a method has a use for, by the fields that hold them.
+SPELT = {"origin": "from", "path": "field"}
 
 
 # The schema: every table of the file is a dataclass below, whose fields are the table's keys, and
 # whose annotations say which values they take.
 
 
-def parse(
-    rule: type[Rule], table: Any, where: str, allowed: Sequence[str] = (), **more: object
-) -> Rule:
+def parse(rule: Any, table: Any, where: str, allowed: Sequence[str] = (), **more: object) -> Any:
     """Return the rule that a table states, or raise its first fault; `more` are further fields."""
     if not isinstance(table, Mapping):
         raise RecipeError(f"{where} must be a table, got {shown(table)}")
-    kinds = _kinds(rule)  # type: ignore[arg-type]
-    known = allowed or [key for key in kinds if key not in more]
-    for key in table:
-        if key not in known:
-            raise RecipeError(f"{where}: unknown key {key!r}{alternatives(key, known)}")
-    for key, (_, required) in kinds.items():
-        if required and key not in table and key not in more:
-            raise RecipeError(f"{where}: needs {key}; help(trustlab.sessions.recipe) shows how")
+    kinds = get_type_hints(rule)
+    known = {SPELT.get(each.name, each.name): each for each in fields(rule) if each.init}
+    values = {}
     try:
-        values = {
-            SPELT.get(key, key): _checked(kinds[key][0], key, value) for key, value in table.items()
-        }
+        for key, value in table.items():
+            if key not in known or key in more or (allowed and key not in allowed):
+                keys = allowed or [name for name in known if name not in more]
+                raise ValueError(f"unknown key {key!r}{alternatives(key, keys)}")
+            name = known[key].name
+            values[name] = _checked(kinds[name], key, value)
+        for key, each in known.items():
+            required = each.default is each.default_factory is MISSING
+            if required and each.name not in values | more:
+                raise ValueError(f"needs {key}; help(trustlab.sessions.recipe) shows how")
         return rule(**values, **more)
     except RecipeError:  # of a table inside this one, which names itself
         raise
@@ -166,26 +163,9 @@ def parse(
         raise RecipeError(f"{where}: {error}") from None
 
 
-@functools.cache
-def _kinds(rule: type) -> dict[str, tuple[Any, bool]]:
-    """Return the keys of a table: what each takes, and whether it must be there."""
-    spelt = {name: key for key, name in SPELT.items()}
-    hints = get_type_hints(rule)
-    return {
-        spelt.get(each.name, each.name): (hints[each.name], each.default is MISSING)
-        for each in fields(rule)
-        if each.init
-    }
-
-
 def _checked(kind: Any, name: str, value: Any) -> Any:
     """Return a value as its annotation asks for; raise ValueError otherwise."""
-    parts = get_args(kind)
-    if NoneType in parts:  # what may be left out
-        kinds = [part for part in parts if part is not NoneType]
-        return _checked(functools.reduce(operator.or_, kinds), name, value)
-    if kind is Any:
-        return value
+    parts = [part for part in get_args(kind) if part is not NoneType]
     if get_origin(kind) is Literal:
         return one_of(name, value, parts)
     if get_origin(kind) is tuple:
@@ -194,12 +174,14 @@ def _checked(kind: Any, name: str, value: Any) -> Any:
         return tuple(_checked(parts[0], name, each) for each in value)
     if get_origin(kind) is dict:
         return _entries(parts[1], name, value)
+    if len(parts) == 1:  # what may be left out
+        return _checked(parts[0], name, value)
     if kind in (PathPattern, FieldPath):
         return kind(value)
     if is_dataclass(kind):
-        return parse(kind, value, f"[{name}]")  # type: ignore[arg-type]
+        return parse(kind, value, f"[{name}]")
     plain = {kind, *parts}
-    if type(value) in plain & {str, bool}:
+    if kind is Any or type(value) in plain & {str, bool}:
         return value
     if float in plain:
         number = finite_number(name, value)
@@ -216,11 +198,8 @@ def _entries(kind: Any, name: str, value: object) -> dict[str, Any]:
         raise ValueError(f"{name} must be a table with entries, got {shown(value)}")
     if kind is ColumnRule:
         return {title: _column_rule(title, each) for title, each in value.items()}
-    if is_dataclass(kind):
-        return {
-            title: parse(kind, each, f"[{name}] {title}")  # type: ignore[arg-type]
-            for title, each in value.items()
-        }
+    if kind is MetadataRule:
+        return {title: parse(kind, each, f"[{name}] {title}") for title, each in value.items()}
     entries = {
         plain_key(word): _checked(kind, f"{name} entry {word!r}", each)
         for word, each in value.items()
@@ -317,6 +296,11 @@ class ColumnRule:
             raise ValueError(f"needs its unit (the session holds {needed})")
         if unit not in (None, needed):
             object.__setattr__(self, "size", to_si(unit, needed))
+
+    @property
+    def special(self) -> bool:
+        """Whether its cells are not written as numbers."""
+        return self.map is not None or self.item is not None
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -522,10 +506,10 @@ class Recipe:
     name: str = ""
     description: str = ""
     files: FilesRule | None = None
-    table: TableRule | None = None
+    table: TableRule = field(default_factory=TableRule)
     time: Any = None
     resampling: Resampling | None = None
-    metadata: dict[str, MetadataRule] | None = None
+    metadata: dict[str, MetadataRule] = field(default_factory=dict)
     performance_window: float | None = None
     header: HeaderRule | None = None
     splitting: Splitting | None = None
@@ -533,19 +517,18 @@ class Recipe:
     source: str = "recipe"
 
     def __post_init__(self):
-        if self.kind == "bag" and self.table is not None:
+        if self.kind == "bag" and self.table != TableRule():
             raise ValueError('[table] is for kind = "table"')
         time = self.time
         if time is None or isinstance(time, Mapping):
             time = parse(TableTime if self.kind == "table" else BagTime, time or {}, "[time]")
-        metadata = dict(self.metadata or {})
+        metadata = dict(self.metadata)
         if self.performance_window is not None:
             window = not_negative("performance_window", self.performance_window)
             metadata["performance_window"] = MetadataRule(value=window)
         if "source" in metadata:
             raise ValueError("[metadata] source: this name is taken; choose another")
-        name, table = self.name or self.source, self.table or TableRule()
-        vars(self).update(time=time, metadata=metadata, name=name, table=table)
+        vars(self).update(time=time, metadata=metadata, name=self.name or self.source)
         foreign = "topic" if self.kind == "table" else "column"
         for title, rule in self.columns.items():
             where = f"[columns] {title}"
