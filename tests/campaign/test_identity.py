@@ -161,6 +161,19 @@ def test_modules_that_are_imported_later_count_also_of_an_installed_package(tmp_
     assert "another campaign: lab/deeper.py changed. Use" in refused
 
 
+def test_modules_beside_a_script_count_whoever_imports_them_but_not_the_rest_of_the_script(
+    tmp_path,
+):
+    task = "def task(x, seed):\n    import later\n    return {'y': later.VALUE}\n"
+    states = [
+        {"script.py": task + call, "later.py": f"VALUE = {value}"}
+        for call, value in [(CALL, 1), (CALL.replace("2.0", "2.0, 3.0"), 1), (CALL, 2)]
+    ]
+    first, grown, refused = drive(tmp_path, states)
+    assert [first, grown] == ["[1, 1] 0", "[1, 1, 1] 2"]
+    assert "another campaign: later.py changed. Use" in refused
+
+
 def scaled(x, seed, factor=1):
     return {"y": factor * x}
 

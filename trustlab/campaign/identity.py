@@ -2,8 +2,9 @@
 What the results of a campaign depend on: the task, source files, and versions.
 
 Functions and classes of a notebook, or of the script that runs, count by their code, with all
-values that they use. Others count by name, with all files of all packages that are loaded, and all
-modules outside packages: nobody can say for certain which of them a task uses.
+values that they use. Others count by name, with all files of all packages that are loaded, all
+modules outside packages, and those beside the task's own file, loaded or not: nobody can say for
+certain which of them a task uses.
 """
 
 import io
@@ -67,14 +68,26 @@ def identity(task: Callable) -> dict[str, str]:
 def sources(task: Callable) -> dict[str, str]:
     """Return a digest of each source file that a task may use, by its path."""
     home = getattr(task, "func", task).__module__.partition(".")[0]
+    paths: list[Path] = []
+    for name in {name.partition(".")[0] for name in list(sys.modules)} - sys.stdlib_module_names:
+        found = _paths(name)
+        paths += [path for path in found if name == home or not INSTALLED & {*path.parts}]
+    own = _paths(home)
+    if not own or own[0].is_file():  # a notebook, a script or a module, no package
+        folder = own[0].parent if own else Path()
+        paths += [*folder.glob("*.py"), *(path.parent for path in folder.glob("*/__init__.py"))]
     # Of the script or notebook itself, the task's content holds what it uses.
-    tops = {name.partition(".")[0] for name in list(sys.modules)} - {"__main__", "__mp_main__"}
-    digests: dict[str, str] = {}
-    for name in tops - sys.stdlib_module_names:
-        module = sys.modules.get(name)
-        file = getattr(module, "__file__", None)
-        for path in map(Path, getattr(module, "__path__", [file] if file else [])):
-            if name == home or not INSTALLED & {*path.parts}:
-                files = [path] if path.is_file() else path.rglob("*.py")
-                digests |= {str(f.relative_to(path.parent)): digest(f.read_bytes()) for f in files}
-    return digests
+    script = [path.resolve() for path in _paths("__main__")]
+    return {
+        str(file.relative_to(path.parent)): digest(file.read_bytes())
+        for path in paths
+        for file in ([path] if path.is_file() else path.rglob("*.py"))
+        if file.is_file() and path.resolve() not in script
+    }
+
+
+def _paths(name: str) -> list[Path]:
+    """Return the folders of a package, or the file of a module."""
+    module = sys.modules.get(name)
+    file = getattr(module, "__file__", None)
+    return [Path(path) for path in getattr(module, "__path__", [file] if file else [])]

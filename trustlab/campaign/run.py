@@ -113,9 +113,10 @@ def run_campaign(
     -----
     Results in `out` are used again only while nothing that they depend on has changed: all source
     files of the task's package, or the functions, classes and values of a script or notebook that
-    the task uses and all modules beside it that are loaded at the call; arguments bound to the
-    task; the versions of trustlab, Python, numpy, scipy and numba. Data files, other installed
-    packages and modules beside a script that only the running task imports do not count.
+    the task uses, all modules and packages beside it (keep those that have nothing to do with it
+    elsewhere) and all others that are loaded at the call and not installed; arguments bound to the
+    task; the versions of trustlab, Python, numpy, scipy and numba. Data files and other installed
+    packages do not count.
 
     Several processes may run one campaign in the same folder: they may repeat each other's work,
     and do no harm.
@@ -301,6 +302,11 @@ def _text(name: str, value: Any) -> Any:
     return f"{type(value).__name__} {value_digest(f'parameter {name}', value)}"
 
 
+def _readable(value: Any) -> Any:
+    """Return a text in characters that tables can hold, as names of files may have others."""
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+
+
 def _table(rows: Mapping[int, dict], parameters: Any) -> pd.DataFrame:
     """Return the table of a campaign; a run with other results than most has failed."""
     usual = mode(
@@ -315,12 +321,14 @@ def _table(rows: Mapping[int, dict], parameters: Any) -> pd.DataFrame:
                 f"{', '.join(sorted(usual))}; return the same names from every run"
             )
             results = {}
-        records.append({"run": run, **parameters[run], **results})
-        errors.append(error)
+        values = {"run": run, **parameters[run], **results}
+        records.append({name: _readable(value) for name, value in values.items()})
+        errors.append(_readable(error))
     table = pd.DataFrame(records or {"run": []})
     table["failed"] = [error is not None for error in errors]
     table["error"] = pd.Series(errors, dtype="str")
-    table["traceback"] = pd.Series([rows[run]["traceback"] for run in table["run"]], dtype="str")
+    tracebacks = [_readable(rows[run]["traceback"]) for run in table["run"]]
+    table["traceback"] = pd.Series(tracebacks, dtype="str")
     failed = table[table["failed"].astype(bool)]
     summary = f"{len(table):,} runs, {len(failed):,} failed"
     if len(failed):
