@@ -176,6 +176,13 @@ def test_blanks_at_both_ends_and_the_line_of_a_fault_behind_them(read):
         read(rows.replace(".3\n", "7\n"), text)
 
 
+def test_columns_whose_known_rows_do_not_overlap_are_refused(read):
+    text = '[columns]\np_r = { column = "a", blank = "linear" }\n'
+    text += 'p_h = { column = "b", blank = "linear" }'
+    with pytest.raises(SessionError, match="no row has a value, or blanks to be filled, in every"):
+        read("t,a,b\n0,1,\n1,2,\n2,,3\n3,,4\n", text)
+
+
 @pytest.mark.parametrize("word", ["", "NaN", "NA", "N/A", "null", "None", "-"])
 def test_words_for_blanks(read, word):
     text = (

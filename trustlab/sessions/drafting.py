@@ -214,7 +214,8 @@ def _ours(name: Any) -> str:
 
 def _rule(ours: str, name: Any, values: pd.Series, reason: str) -> str:
     """Return the line of one column; `reason` is what it was guessed by."""
-    needed, same, number = VOCABULARY[ours].unit, name == ours, _is_number(values)
+    needed = VOCABULARY[ours].unit
+    same, number = name == ours, _is_number(values)
     written = "" if same else _parts(name)[1]
     keys = {"column": _quoted(name)}
     remarks = [] if same else [f"guessed by its {reason}"]

@@ -118,7 +118,7 @@ def read_session(
     reader = Reader(recipe, columns, resample, sample_time, delimiter, decimal)
     sessions = reader.read(path)
     reader.warn()
-    return _only(sessions, str(path))
+    return _only(sessions, str(path), "read_sessions returns all of a folder's")
 
 
 def read_frame(
@@ -168,7 +168,7 @@ def read_frame(
     reader = Reader(recipe, columns, resample, sample_time)
     sessions = reader.read_frame(frame, metadata)
     reader.warn()
-    return _only(sessions, "data frame")
+    return _only(sessions, "data frame", "give one part at a time")
 
 
 def example(name: str = "pilot") -> Session:
@@ -202,11 +202,11 @@ def example(name: str = "pilot") -> Session:
     return read_session(paths[one_of("name", name, paths)])
 
 
-def _only(sessions: list[Session], source: str) -> Session:
+def _only(sessions: list[Session], source: str, remedy: str) -> Session:
     """Return the only session of a log."""
     if len(sessions) != 1:
         fault = f"the recipe splits the log into {len(sessions)} sessions"
-        raise SessionError(f"{fault}; read_sessions returns all of a folder's", source)
+        raise SessionError(f"{fault}; {remedy}", source)
     return sessions[0]
 
 
@@ -369,6 +369,7 @@ class Reader:
             raise SessionError(f"cannot be read ({error.strerror or error})", source) from error
 
     def _read(self, path: Path, source: str) -> list[Session]:
+        """Check that recipe and file go together; read the file; make sessions of what it holds."""
         suffix = suffix_of(path)
         bag = path.is_dir() or suffix in BAGS
         self._check_kind("bag" if bag else "table")
@@ -412,7 +413,8 @@ class Reader:
         if match := self.pattern.match(source):
             return {**match.fields, **(self.header.row(match) if self.header else {})}
         rules: list[Any] = [*self.recipe.metadata.values(), *self.recipe.columns.values()]
-        if any(rule.origin for rule in rules):
+        origins = [rule.origin for rule in rules]
+        if any(name in self.pattern.types or name.startswith("header.") for name in origins):
             fault = f"the path does not fit the recipe's pattern {self.pattern.text!r}"
             remedy = "rename the file or its folder, or take nothing from the path"
             raise SessionError(f"{fault}; {remedy}")

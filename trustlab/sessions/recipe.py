@@ -1,9 +1,10 @@
 """
 Recipes: how a lab's logs become sessions, written down in a TOML file.
 
-A recipe says for one kind of log where each column, the time and the metadata come from. Every key
-is listed here; any other key is an error. Nothing is guessed: time and columns with a dimension
-name their unit, and resampling is asked for by name.
+A recipe says for one kind of log where each column, the time and the metadata come from. This is a
+list of every key, no recipe to be copied whole: keys that exclude each other stand side by side.
+Any other key is an error. Nothing is guessed: time and columns with a dimension name their unit,
+and resampling is asked for by name.
 
 ::
 
@@ -57,7 +58,7 @@ name their unit, and resampling is asked for by name.
     robot_y = { column = "pos", unit = "m", item = 1 }
     # blank cells (empty, NaN, NA or "-") repeat the value before; "linear" interpolates
     p_r = { column = "speed", blank = "hold" }
-    # 1 above this value, else 0; also for topics
+    # 1 above this value (in the column's unit of the session), else 0; also for topics
     mode = { column = "pedal", above = 0.5 }
     # a field of a topic's messages, with the keys of a column, and hold
     robot_x = { topic = "/odom", field = "pose.pose.position.x", unit = "m" }
@@ -85,13 +86,15 @@ name their unit, and resampling is asked for by name.
 
 A column's value is (scale · raw + offset) in its unit; `absolute` takes its absolute value before
 any resampling, so that a signed deviation becomes a distance. `map` turns texts or codes into
-numbers. `hold` keeps each message of a topic until the next one, and the last until the log ends
-(for topics published on change). `from` names a field of the path pattern, ``header.<column>``, or
-a metadata entry above it. A field path leads to one number of a message (``twist.twist.linear.x``,
-``axes[1]``, ``buttons[4]``); ``yaw(pose.pose.orientation)`` is a quaternion's heading.
-``transforms[child_frame_id="turtle1"].transform.translation.x`` selects an entry of a list of
-messages by one of its fields, ``position[name="wheel_left"]`` by the list of names beside it;
-messages without that entry are passed over, and the session's notes say how many have it.
+numbers. `blank` fills cells of a table that are empty, `hold` keeps each message of a topic until
+the next one, and the last until the log ends (for topics published on change), and `method` of
+[resampling] says what a value is between two samples. `from` names a field of the path pattern,
+``header.<column>``, or a metadata entry above it. A field path leads to one number of a message
+(``twist.twist.linear.x``, ``axes[1]``, ``buttons[4]``); ``yaw(pose.pose.orientation)`` is a
+quaternion's heading. ``transforms[child_frame_id="turtle1"].transform.translation.x`` selects an
+entry of a list of messages by one of its fields, ``position[name="wheel_left"]`` by the list of
+names beside it; messages without that entry are passed over, and the session's notes say how many
+have it.
 """
 
 import os
