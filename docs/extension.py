@@ -26,6 +26,7 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.writers.html5 import HTML5Translator
 
 import trustlab
+from trustlab.models.digest import ROOMS
 
 ROOT = Path(__file__).parents[1]
 EQUATIONS_PAGE = "concepts/equations"
@@ -38,22 +39,6 @@ LABEL = re.compile(r"(?:Figure|Table) (\d\d)-\d+")
 STUDIES = {"uav": "UAV study", "teleop": "teleoperation study"}
 REPORT = re.compile(r"\d\d_")
 FINDER = ROOT / "notebooks" / "finder.csv"
-ROOMS = [
-    "models",
-    "campaign",
-    "sessions",
-    "identification",
-    "trust",
-    "allocation",
-    "teleoperation",
-    "operators",
-    "testbeds",
-    "studies",
-    "reproduction",
-    "publishing",
-    "live",
-    "ros",
-]
 
 # The theme's scripts, styles and fonts lie beside the pages; nothing else is loaded, from wherever.
 POLICY = (

@@ -9,24 +9,9 @@ from types import ModuleType
 import networkx as nx
 
 import trustlab as tl
+from trustlab.models.digest import ROOMS
 
 PACKAGE = Path(__file__).parents[2] / "trustlab"
-ROOMS = [
-    "models",
-    "campaign",
-    "sessions",
-    "identification",
-    "allocation",
-    "trust",
-    "teleoperation",
-    "operators",
-    "testbeds",
-    "studies",
-    "reproduction",
-    "publishing",
-    "live",
-    "ros",
-]
 HEAVY = [
     "pandas",
     "scipy",
