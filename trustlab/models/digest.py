@@ -11,6 +11,7 @@ ROOMS = (
     "campaign",
     "sessions",
     "identification",
+    "identify",
     "allocation",
     "trust",
     "teleoperation",

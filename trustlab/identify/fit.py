@@ -1,0 +1,170 @@
+"""Fit a model to sessions: read them, search from starting values, report."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from trustlab.identify.estimate import NOISES, Estimate, estimated
+from trustlab.identify.log import (
+    LogSettings,
+    Run,
+    averaged,
+    joined,
+    log_settings,
+    logged_model,
+    read_runs,
+    undo_window,
+    window_means,
+)
+from trustlab.identify.model import IdentificationError, Model
+from trustlab.identify.problem import Optimum, Problem
+from trustlab.identify.result import FitResult, result_of
+from trustlab.models.checks import of_class, one_of
+from trustlab.sessions.session import Session
+
+# Deviance above the best optimum, all searched roughly, up to which another is searched on.
+SHALLOW = 30.0
+
+# Deviance by which another optimum may lie higher and still hold the truth: odds of e⁵ to 1.
+RIVAL = 10.0
+
+# How optima are searched before the best is known.
+ROUGH: dict[str, Any] = {"tolerance": 0.1, "most": 40}
+
+
+def fit(
+    model: Model,
+    sessions: Session | Iterable[Session],
+    fixed: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple] | None = None,
+    noise: str = "auto",
+    guess: Mapping[str, float] | None = None,
+    log: LogSettings | None = None,
+    **settings: Any,
+) -> FitResult:
+    """
+    Identify a model from sessions, which share its unknowns but not the initial states.
+
+    Parameters
+    ----------
+    model : Model
+        The model, of this package or your own.
+    sessions : Session or iterable of Session
+        Runs with the columns that are the model's inputs and outputs.
+    fixed : mapping, optional
+        Unknowns to hold fixed: values by name.
+    bounds : mapping, optional
+        Bounds (low, high) by name; None leaves a side open.
+    noise : {"auto", "white", "correlated", "hac"}
+        What the likelihood and the standard errors allow for. "white": white noise. "correlated":
+        an AR(1) process plus white noise on each output, by the prediction errors of its Kalman
+        filter; process noise of a first-order state looks the same. "hac": any autocorrelation that
+        dies out (Newey–West), in the standard errors only. "auto" starts with the first and moves
+        on to the next where a Ljung–Box test at 0.001 rejects it.
+    guess : mapping, optional
+        Starting values by name, in place of the model's own.
+    log : LogSettings, optional
+        How the log shows the model: window, step, mode_delay, stamp_error, robust.
+    **settings : float or bool
+        Fields of `LogSettings` as keywords; they replace those of `log`.
+
+    Returns
+    -------
+    FitResult
+
+    Raises
+    ------
+    IdentificationError
+        If the data do not determine an unknown; it is named.
+    SessionError
+        If a column is missing.
+    ValueError
+        If an argument is not understood, or the simulation returns something other than finite
+        outputs.
+    """
+    of_class("model", model, Model)
+    log = log_settings(log, settings)
+    one_of("noise", noise, NOISES)
+    runs = read_runs(sessions, *dict.fromkeys((*model.inputs, *model.outputs)), log=log)
+    model = logged_model(model, runs[0].sample_time, log)
+    limits = model.limits(fixed, bounds)
+    check_data(model, runs, limits)
+    return result_of(estimate_runs(model, runs, limits, noise, guess, log.robust))
+
+
+def check_data(model: Model, runs: list[Run], limits: Mapping) -> None:
+    """Refuse data that cannot identify the model, before any search."""
+    if model.check is not None:
+        model.check(runs, limits)
+    for output in model.outputs:
+        values = joined(runs, output)
+        if np.ptp(values) == 0.0:
+            raise IdentificationError(
+                f"{output} never moves (it is {values[0]:g} throughout), so the model cannot be "
+                "identified; record a session in which performance is measured",
+                model.names,
+            )
+
+
+def estimate_runs(
+    model: Model,
+    runs: list[Run],
+    limits: Mapping,
+    noise: str = "auto",
+    guess: Mapping[str, float] | None = None,
+    robust: bool = True,
+) -> Estimate:
+    """Search from every start, and return the best optimum as an estimate."""
+    if guess is not None:
+        model.check_names(guess, "guess")
+    problems = list(_problems(model, runs, limits, guess))
+    if len(problems) == 1:
+        problem, x = problems[0]
+        return estimated(problem.robust_search(x, robust), noise)
+    optima = [problem.robust_search(x, robust, **ROUGH) for problem, x in problems]
+    best = min(optima, key=lambda optimum: optimum.deviance)
+    rivals = tuple(optimum for optimum in optima if optimum.deviance < best.deviance + RIVAL)
+    for optimum in rivals:
+        # Raises where an optimum that is nearly as likely does not determine the unknowns.
+        optimum.inverse_information()
+    optimum = best.problem.robust_search(best.x, robust)
+    return replace(estimated(optimum, noise), rivals=rivals)
+
+
+def _problems(
+    model: Model, runs: list[Run], limits: Mapping, guess: Mapping[str, float] | None
+) -> Iterator[tuple[Problem, np.ndarray]]:
+    """Yield problems and where to search them from."""
+    views = [(False, runs)]
+    if any(run.window > 1 for run in runs):
+        # Noise may be in the values that the window averages, or in the means: the likelihoods of
+        # both decide. Each is started from its own view of the data. In the second the inputs are
+        # averaged as well, which gives a linear model's means but for the beginning.
+        views = [
+            (True, [averaged(run, model.outputs, undo_window) for run in runs]),
+            (False, [averaged(run, model.inputs, window_means) for run in runs]),
+        ]
+    for unwindow, view in views:
+        for start in _starts(model, view, limits, guess):
+            problem = Problem(model, runs, limits, unwindow)
+            yield problem, problem.full_vector(start)
+
+
+def _starts(
+    model: Model, runs: list[Run], limits: Mapping, guess: Mapping[str, float] | None
+) -> list[dict]:
+    """Return starting values for every unknown: the user's, the model's, or the middle."""
+    starts = []
+    for values in model.starts(runs, limits) if model.starts else [{}]:
+        start = {**values, **(guess or {})}
+        for name in model.unknowns:
+            low, high = limits[name]
+            if name not in start and not np.isfinite(high - low):
+                raise ValueError(
+                    f"{name} needs a guess, or bounds on both sides: guess={{{name!r}: …}}"
+                )
+            start.setdefault(name, 0.5 * (low + high))
+        starts.append(start)
+    return starts

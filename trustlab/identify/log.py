@@ -1,0 +1,362 @@
+"""
+What identification reads from sessions, and how a log shows a model.
+
+Columns become arrays; outputs may be means over a window, a sample may hold several steps of the
+model, and the mode may act later than its stamp says.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from trustlab.identify.model import IdentificationError, Model
+from trustlab.models.checks import flag, not_negative, of_class, positive, warn
+from trustlab.sessions.session import Session
+
+HOW_TO_GET = (
+    "pass a session or a list of them; read a file with trustlab.read_session(path), or make one "
+    'of a table: trustlab.Session(frame.set_index("t"))'
+)
+
+
+@dataclass(frozen=True)
+class LogSettings:
+    """
+    How a log shows the model: averaging, time step, errors of the time stamps, outliers.
+
+    Every fit takes these settings as keywords, or a `LogSettings` as `log`.
+
+    Parameters
+    ----------
+    window : float, optional
+        Length W [s] of the moving window over which the outputs were averaged, as
+        `with_performance` does; 0 if they were not averaged. By default each session's metadata
+        decide.
+    step : float, optional
+        Time step of the model [s], to which its rates refer, if it is shorter than the log's sample
+        time; a sample must hold a whole number of steps.
+    mode_delay : bool
+        Whether to estimate the delay between the logged time of a change of mode and its effect
+        [s], as a further parameter `mode_delay`.
+    stamp_error : float, optional
+        Standard deviation of the errors in the logged times of switches [s], independent from
+        switch to switch. They widen the intervals, and so does an error that all switches share, as
+        far as the residuals allow for one. By default the session's metadata decide
+        (`stamp_error`); else 0.29 samples, the error of a time that is rounded to a sample, and 0
+        for simulated sessions that were not resampled.
+    robust : bool
+        Whether to leave out samples that lie far from the model, such as dropouts; the message
+        counts them.
+
+    Raises
+    ------
+    ValueError
+        If a value is not understood.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> session = tl.read_session("data/sessions/pilot.csv")
+    >>> log = tl.LogSettings(window=0.0, stamp_error=0.05)
+    >>> tl.fit_human(session, log=log).success
+    True
+    """
+
+    window: float | None = None
+    step: float | None = None
+    mode_delay: bool = False
+    stamp_error: float | None = None
+    robust: bool = True
+
+    def __post_init__(self):
+        checks = {"window": not_negative, "step": positive, "stamp_error": not_negative}
+        for name, check in checks.items():
+            if getattr(self, name) is not None:
+                check(name, getattr(self, name))
+        flag("mode_delay", self.mode_delay)
+        flag("robust", self.robust)
+
+
+def log_settings(log: LogSettings | None, changes: Mapping[str, Any]) -> LogSettings:
+    """Return a user's settings of the log: an object, keywords, or an object changed by them."""
+    return replace(LogSettings() if log is None else of_class("log", log, LogSettings), **changes)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One session as arrays: columns of shape (N,) by name, and facts that messages need."""
+
+    label: str
+    t: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    synthetic: bool = False
+    participant: object = None
+    window: int = 1
+    stamp_error: float = 0.0
+    model_step: float | None = None
+    buffers: dict[tuple, np.ndarray] = field(default_factory=dict, init=False, repr=False)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.columns[name]
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return next(iter(self.columns.values())).size
+
+    @property
+    def sample_time(self) -> float:
+        """Time between samples [s]."""
+        return float(self.t[-1] - self.t[0]) / (self.size - 1)
+
+    def changed(self, columns: Mapping[str, np.ndarray], **fields: Any) -> "Run":
+        """Return the run with some columns, and perhaps fields, changed."""
+        return replace(self, columns={**self.columns, **columns}, **fields)
+
+    def scratch(self, name: str, lanes: int) -> np.ndarray:
+        """Return an array of shape (N, lanes) to write into, the same at every call."""
+        # The system hands out memory page by page: fresh arrays would take longer than the
+        # simulation that fills them.
+        if (name, lanes) not in self.buffers:
+            self.buffers[name, lanes] = np.empty((self.size, lanes))
+        return self.buffers[name, lanes]
+
+
+def read_runs(
+    sessions: Session | Iterable[Session], *columns: str, log: LogSettings | None = None
+) -> list[Run]:
+    """
+    Take the columns that a fit needs out of one or several sessions with the same sample time.
+
+    Where `log` leaves the window or the error of the stamps open, each session's metadata decide.
+    """
+    log = log or LogSettings()
+    sessions = _as_list(sessions)
+    for session in sessions:
+        of_class("sessions", session, Session, HOW_TO_GET)
+        session.require(*columns)
+        if abs(session.sample_time - sessions[0].sample_time) > 1e-6 * sessions[0].sample_time:
+            raise IdentificationError(
+                f"the parameters belong to one sample time, but {sessions[0].label} has "
+                f"{sessions[0].sample_time:g} s and {session.label} has {session.sample_time:g} s; "
+                "resample by name when reading"
+            )
+    windows = _windows(sessions, log.window, columns)
+    return [
+        Run(
+            session.label,
+            session.t,
+            {name: session[name].copy() for name in columns},
+            session.metadata.synthetic,
+            session.metadata.participant,
+            window,
+            _stamp_error(session, log.stamp_error),
+            log.step,
+        )
+        for session, window in zip(sessions, windows, strict=True)
+    ]
+
+
+def _as_list(sessions: Any) -> list:
+    """Return one or several sessions as a list."""
+    # A table, a mapping or a path can be iterated over too, but what comes out says nothing of the
+    # mistake.
+    single = (
+        not isinstance(sessions, Iterable)
+        or isinstance(sessions, (Session, str, bytes, Mapping))
+        or hasattr(sessions, "columns")
+    )
+    if single:
+        return [sessions]
+    sessions = list(sessions)
+    if not sessions:
+        raise IdentificationError("no session was given; pass one or a list of them")
+    return sessions
+
+
+def _stamp_error(session: Session, stated: float | None) -> float:
+    """Return the standard deviation of the mode's time stamps [s]."""
+    metadata = session.metadata
+    error = metadata.more.get("stamp_error") if stated is None else stated
+    if error is not None:
+        return not_negative("stamp_error", error)
+    # People switch at any time between two samples, simulations on one.
+    exact = metadata.synthetic and "resampled" not in metadata.more
+    return 0.0 if exact else session.sample_time / np.sqrt(12.0)
+
+
+def _windows(sessions: list[Session], stated: float | None, columns: tuple[str, ...]) -> list[int]:
+    """Return each session's window in samples, 1 for none; warn where none is stated."""
+    windows = [
+        session.metadata.more.get("performance_window") if stated is None else stated
+        for session in sessions
+    ]
+    pairs = list(zip(sessions, windows, strict=True))
+    unstated = [s for s, window in pairs if window is None and not s.metadata.synthetic]
+    if unstated and {"p_r", "p_h"} & set(columns):
+        warn(
+            f"{unstated[0].label}: nothing says whether p_r and p_h are means over a moving "
+            "window, as (2.4) and (2.7) are, and a fit that takes means for the values themselves "
+            "is wrong: state window=… [s], or window=0 if they are no means (in a recipe: "
+            "performance_window = …; Session.with_performance notes its own)"
+        )
+    for session, window in pairs:
+        if window and session.metadata.more.get("performance_cut"):
+            raise IdentificationError(
+                f"{session.label} was cut after its performance was averaged, so that its first "
+                "means hold what is no longer there; cut the log first, then call "
+                "with_performance"
+            )
+    seconds = [not_negative("window", window or 0.0) for window in windows]
+    return [max(1, round(w / s.sample_time)) for w, s in zip(seconds, sessions, strict=True)]
+
+
+def joined(runs: list[Run], name: str) -> np.ndarray:
+    """Return one column of all runs, one after the other."""
+    return np.concatenate([run[name] for run in runs])
+
+
+def block_means(runs: list[Run], budget: int = 500) -> tuple[list[Run], int]:
+    """
+    Return block means of all columns, and the block length.
+
+    There are about `budget` blocks in all, and at least eight per run.
+    """
+    total = sum(run.size for run in runs)
+    shortest = min(run.size for run in runs)
+    length = max(1, min(total // budget, shortest // 8))
+    means = []
+    for run in runs:
+        size = run.size // length * length
+        columns = {
+            name: values[:size].reshape(-1, length).mean(axis=1)
+            for name, values in run.columns.items()
+        }
+        means.append(Run(run.label, run.t[:size:length], columns))
+    return means, length
+
+
+# --- means over a window -------------------------------------------------------------------------
+
+
+def counts(size: int, window: int) -> np.ndarray:
+    """Return each window's sample count; windows at the start are shorter."""
+    return np.minimum(np.arange(1.0, size + 1.0), window)
+
+
+def window_means(values: np.ndarray, window: int) -> np.ndarray:
+    """Return the means over the last `window` samples, down the columns."""
+    sums = np.cumsum(values, axis=0)
+    sums[window:] -= sums[:-window].copy()
+    return sums / _down(counts(len(values), window), values)
+
+
+def undo_window(means: np.ndarray, window: int) -> np.ndarray:
+    """Return the values that `window_means` was made of."""
+    sums = means * _down(counts(len(means), window), means)
+    # Each sample the window gains the new value and loses the oldest: z(k) = Δs(k) + z(k − W).
+    gained = np.diff(sums, axis=0, prepend=0.0 * sums[:1])
+    columns = means.shape[1:]
+    padded = np.concatenate([gained, np.zeros((-len(means) % window, *columns))])
+    values = padded.reshape(-1, window, *columns).cumsum(axis=0).reshape(padded.shape)
+    return values[: len(means)]
+
+
+def _down(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return weights of the rows in the shape that multiplies the columns of `values`."""
+    return weights.reshape(-1, *[1] * (values.ndim - 1))
+
+
+# --- finer steps, and a mode that acts late --------------------------------------------------------
+
+
+def logged_model(model: Model, sample_time: float, log: LogSettings) -> Model:
+    """Return a model as the log shows it: finer steps, a delay of the mode to estimate, or both."""
+    if log.step is not None:
+        model = _in_steps(model, _steps_per_sample(sample_time, log.step))
+    return _delayed(model) if log.mode_delay else model
+
+
+def _in_steps(model: Model, ratio: int) -> Model:
+    """Return a model that takes several steps a sample, between which the inputs stay the same."""
+
+    def simulate(run: Run, **values):
+        return tuple(out[::ratio] for out in model.outputs_of(refined(run, ratio), values))
+
+    def starts(runs: list[Run], limits: Mapping):
+        return model.starts([refined(run, ratio) for run in runs], limits)
+
+    return replace(model, simulate=simulate, starts=model.starts and starts, lanes=True)
+
+
+def _delayed(model: Model) -> Model:
+    """Return a model with one more unknown: how much later [s] the mode acts than it is stamped."""
+
+    def simulate(run: Run, mode_delay, **values):
+        first = mode_delay[0]
+        outputs = model.outputs_of(late(run, first), values)
+        # Simulations bend where a delay takes in another sample: the slope over a whole sample
+        # takes the place of that at a point.
+        step = 0.5 * run.sample_time
+        for lane in np.flatnonzero(mode_delay != first):
+            one = {name: column[lane : lane + 1] for name, column in values.items()}
+            after = [out.copy() for out in model.outputs_of(late(run, first + step), one)]
+            before = model.outputs_of(late(run, first - step), one)
+            for out, high, low in zip(outputs, after, before, strict=True):
+                slope = (high[:, 0] - low[:, 0]) / (2.0 * step)
+                out[:, lane] += slope * (mode_delay[lane] - first)
+        return tuple(outputs)
+
+    def starts(runs: list[Run], limits: Mapping):
+        return [{**values, "mode_delay": 0.0} for values in model.starts(runs, limits)]
+
+    def build(mode_delay: float, **values):
+        return values if model.build is None else model.build(**values)
+
+    count = len(model.names)
+    size = model.size if callable(model.size) else (*model.size, np.inf)
+    return replace(
+        model,
+        names=(*model.names, "mode_delay"),
+        low=(*model.low[:count], -np.inf, *model.low[count:]),
+        high=(*model.high[:count], np.inf, *model.high[count:]),
+        size=size,
+        simulate=simulate,
+        starts=model.starts and starts,
+        lanes=True,
+        build=build,
+    )
+
+
+def _steps_per_sample(sample_time: float, step: float) -> int:
+    """Return the whole number of steps in a sample."""
+    ratio = sample_time / step
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+        raise ValueError(
+            f"step = {step:g} s does not divide the log's sample time, {sample_time:g} s"
+        )
+    return round(ratio)
+
+
+def refined(run: Run, ratio: int) -> Run:
+    """Return a run with `ratio` samples for each, all columns held."""
+    if ratio == 1:
+        return run
+    columns = {name: np.repeat(values, ratio) for name, values in run.columns.items()}
+    t = run.t[0] + run.sample_time / ratio * np.arange(run.size * ratio)
+    return replace(run, t=t, columns=columns)
+
+
+def late(run: Run, delay: float) -> Run:
+    """Return a run whose mode acts later by `delay` [s]; part of a sample becomes a share of it."""
+    if delay == 0.0 or "mode" not in run.columns:
+        return run
+    at = np.arange(run.size, dtype=float)
+    return run.changed({"mode": np.interp(at - delay / run.sample_time, at, run["mode"])})
+
+
+def averaged(run: Run, names: Iterable[str], change: Callable) -> Run:
+    """Return a run without a window, some of its columns changed by `change(values, window)`."""
+    return run.changed({name: change(run[name], run.window) for name in names}, window=1)

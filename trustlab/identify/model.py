@@ -1,0 +1,286 @@
+"""A model: equations with unknowns, and the coordinates in which these are searched."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trustlab.models.checks import did_you_mean, finite_number, one_of
+
+# How close to 0 and 1 an unknown in (0, 1) may come during the search.
+UNIT_MARGIN = 1e-9
+
+
+class IdentificationError(ValueError):
+    """
+    The data do not identify a model.
+
+    Parameters
+    ----------
+    message : str
+        The reason and the remedy.
+    parameters : tuple of str
+        The parameters that are not identifiable.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> session = tl.read_session("data/sessions/pilot.csv").between(0.0, 100.0)
+    >>> try:
+    ...     tl.fit_robot(session)
+    ... except tl.IdentificationError as error:
+    ...     print(error.parameters)
+    ('p_min', 'p_max')
+    """
+
+    def __init__(self, message: str, parameters: tuple[str, ...] = ()):
+        super().__init__(message)
+        self.parameters = tuple(parameters)
+
+
+class Coordinate(NamedTuple):
+    """A coordinate of the search: there, back, the widest bounds, and half a useful interval."""
+
+    to: Callable
+    back: Callable
+    low: float = -np.inf
+    high: float = np.inf
+    # Greatest half-width of a 95 % interval that still tells something of a value.
+    useful: Callable = lambda value: np.inf
+
+
+# (2.6) rises from r = 0 as r^β and falls to r = 1 as (1 − r)^(1 − β), with infinite slopes: a power
+# of the odds has none.
+POWER = 0.7
+
+COORDINATES = {
+    "plain": Coordinate(lambda v: v, lambda x: x),
+    # −ln(1 − a) is the logarithm of the time constant: equal steps are equal ratios.
+    "rate": Coordinate(
+        lambda v: -np.log1p(-v),
+        lambda x: -np.expm1(-x),
+        UNIT_MARGIN,
+        1.0 - UNIT_MARGIN,
+        lambda v: 0.5 * (1.0 - v),
+    ),
+    "odds": Coordinate(
+        lambda v: np.log(v) - np.log1p(-v),
+        lambda x: 1.0 / (1.0 + np.exp(-x)),
+        UNIT_MARGIN,
+        1.0 - UNIT_MARGIN,
+        lambda v: min(0.25, v, 1.0 - v),
+    ),
+    "load": Coordinate(
+        lambda v: v**POWER / (v**POWER + (1.0 - v) ** POWER),
+        lambda x: x ** (1 / POWER) / (x ** (1 / POWER) + (1.0 - x) ** (1 / POWER)),
+        0.0,
+        1.0,
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """
+    Equations with unknowns: what `fit` identifies.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Unknowns that all runs share.
+    states : sequence of str
+        Initial states; every run has its own.
+    outputs : sequence of str
+        Columns of a session that the model explains.
+    low, high : sequence of float
+        Bounds of the names, then of the states; −∞ and ∞ when not given.
+    size : sequence of float, or callable
+        For each name, how wide half a 95 % interval may be until the unknown is reported as weak;
+        or a function of the dictionary of estimates that returns this by name. A quarter of the
+        range when not given.
+    simulate : callable
+        ``simulate(run, **values)``, with names and states as numbers; ``run["mode"]`` is a column,
+        shape (N,). It returns the output, shape (N,), or a tuple of outputs.
+    starts : callable, optional
+        ``starts(runs, limits)`` returns dictionaries of values from which to search, the best
+        first; a state may have one value per run. The middle of the bounds when not given.
+    inputs : sequence of str
+        Columns that the simulation reads. Residuals are tested for correlation with the first.
+    lanes : bool
+        Whether `simulate` takes arrays, shape (L,), and returns outputs of shape (N, L): many
+        simulations in one call.
+    coordinates : mapping, optional
+        How unknowns are searched, by name: "rate", for the share kept over one sample, in (0, 1);
+        "odds", for a share in (0, 1); "load", for a utilization in [0, 1]; else "plain".
+    build : callable, optional
+        ``build(**values)`` makes `FitResult.model` from the estimates; a dictionary of them when
+        not given.
+    derived : mapping, optional
+        Further rows of the table, by name: functions of the dictionary of estimates.
+    hints : mapping, optional
+        What to record where an unknown is weak, by name.
+    check : callable, optional
+        ``check(runs, limits)`` raises `IdentificationError` if no search can succeed.
+
+    Raises
+    ------
+    ValueError
+        If names are repeated, or a field does not fit the others.
+    """
+
+    names: Sequence[str]
+    states: Sequence[str]
+    outputs: Sequence[str]
+    low: Sequence[float] = ()
+    high: Sequence[float] = ()
+    size: Sequence[float] | Callable = ()
+    simulate: Callable = None
+    starts: Callable | None = None
+    inputs: Sequence[str] = ("mode",)
+    lanes: bool = False
+    coordinates: Mapping[str, str] = field(default_factory=dict)
+    build: Callable | None = None
+    derived: Mapping[str, Callable] = field(default_factory=dict)
+    hints: Mapping[str, str] = field(default_factory=dict)
+    check: Callable | None = None
+
+    how_to_get = "build one with trustlab.Model(names, states, outputs, …, simulate=…)"
+
+    def __post_init__(self):
+        for name in ("names", "states", "outputs", "inputs"):
+            value = getattr(self, name)
+            object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
+        if not self.names or not self.outputs or not callable(self.simulate):
+            raise ValueError("a model needs names, outputs and a function simulate")
+        repeated = {name for name in self.unknowns if self.unknowns.count(name) > 1}
+        if repeated:
+            raise ValueError(f"a model has two unknowns called {min(repeated)!r}")
+        for name, kind in self.coordinates.items():
+            self.check_names([name], "coordinates")
+            one_of(f"coordinate of {name}", kind, COORDINATES)
+        for name, default in (("low", -np.inf), ("high", np.inf)):
+            ends = tuple(getattr(self, name)) or (default,) * len(self.unknowns)
+            if len(ends) != len(self.unknowns):
+                raise ValueError(
+                    f"{name} must have {len(self.unknowns)} numbers, for "
+                    f"{', '.join(self.unknowns)}, got {len(ends)}"
+                )
+            object.__setattr__(self, name, ends)
+        for name, (low, high) in self.limits().items():
+            if not low < high:
+                raise ValueError(f"{name} needs bounds with low < high, got ({low}, {high})")
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """The names, then the states."""
+        return (*self.names, *self.states)
+
+    def coordinate(self, name: str) -> Coordinate:
+        """Return the coordinate in which an unknown is searched."""
+        return COORDINATES[self.coordinates.get(name, "plain")]
+
+    def limits(
+        self, fixed: Mapping[str, float] | None = None, bounds: Mapping[str, tuple] | None = None
+    ) -> dict[str, tuple[float, float]]:
+        """
+        Return the lowest and the highest value of every unknown; equal values for a fixed one.
+
+        Parameters
+        ----------
+        fixed : mapping, optional
+            Unknowns to hold fixed: values by name.
+        bounds : mapping, optional
+            (low, high) by name; None for an open side.
+        """
+        fixed, bounds = fixed or {}, bounds or {}
+        for argument, values in (("fixed", fixed), ("bounds", bounds)):
+            if not isinstance(values, Mapping):
+                raise ValueError(
+                    f"{argument} must be a dictionary by name, {{'a': ...}}, got {values!r}"
+                )
+            self.check_names(values, argument)
+        for name in set(fixed) & set(bounds):
+            raise ValueError(f"{name} is both fixed and bounded; give one of them")
+        limits = {}
+        for name, low, high in zip(self.unknowns, self.low, self.high, strict=True):
+            coordinate = self.coordinate(name)
+            low, high = max(float(low), coordinate.low), min(float(high), coordinate.high)
+            if name in bounds:
+                low, high = _narrowed(name, bounds[name], low, high)
+            if name in fixed:
+                value = finite_number(f"fixed {name}", fixed[name])
+                if not low <= value <= high:
+                    raise ValueError(f"{name} is fixed at {value}, outside ({low:.3g}, {high:.9g})")
+                low = high = value
+            limits[name] = (low, high)
+        return limits
+
+    def check_names(self, values: Sequence[str] | Mapping, argument: str) -> None:
+        """Refuse a name that is no unknown, and suggest the one that was meant."""
+        for name in values:
+            if name not in self.unknowns:
+                # "a" is meant for human_a or robot_a where a model has both.
+                longer = [known for known in self.unknowns if known.endswith(f"_{name}")]
+                hint = f"; did you mean {' or '.join(map(repr, longer))}?" if longer else ""
+                raise ValueError(
+                    f"{argument} names {name!r}, which is no parameter here "
+                    f"({', '.join(self.unknowns)}){hint or did_you_mean(name, self.unknowns)}"
+                )
+
+    def outputs_of(self, run: Any, values: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+        """
+        Return the simulated outputs of a run, shape (N, L) each.
+
+        Parameters
+        ----------
+        run : Run
+            The run.
+        values : mapping
+            Names and states, shape (L,) each.
+        """
+        if self.lanes:
+            outputs = self.simulate(run, **values)
+            return list(outputs) if isinstance(outputs, tuple) else [outputs]
+        lanes = len(next(iter(values.values())))
+        results = [np.empty((run.size, lanes)) for _ in self.outputs]
+        for lane in range(lanes):
+            outputs = self.simulate(run, **{name: float(v[lane]) for name, v in values.items()})
+            outputs = outputs if isinstance(outputs, tuple) else (outputs,)
+            shapes = [np.shape(output) for output in outputs]
+            if shapes != [(run.size,)] * len(self.outputs):
+                raise ValueError(
+                    f"simulate must return {' and '.join(self.outputs)}, shape ({run.size},) each, "
+                    f"got {' and '.join(map(str, shapes))}"
+                )
+            for result, output in zip(results, outputs, strict=True):
+                result[:, lane] = output
+        return results
+
+    def useful(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return half of the widest 95 % interval by which each name is no weak one."""
+        if callable(self.size):
+            return self.size(values)
+        widths = {}
+        for name, (low, high) in list(self.limits().items())[: len(self.names)]:
+            plain = self.coordinates.get(name, "plain") == "plain"
+            widths[name] = 0.25 * (high - low)
+            if not plain:
+                widths[name] = self.coordinate(name).useful(values[name])
+        return widths | dict(zip(self.names, self.size, strict=False))
+
+
+def _narrowed(name: str, pair: tuple, low: float, high: float) -> tuple[float, float]:
+    """Return the user's bounds within those of the unknown."""
+    if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+        raise ValueError(
+            f"bounds of {name} must be a pair (low, high), None for an open side, got {pair!r}"
+        )
+    least, most = pair
+    least = low if least is None else finite_number(f"lower bound of {name}", least)
+    most = high if most is None else finite_number(f"upper bound of {name}", most)
+    if not least < most:
+        raise ValueError(f"bounds of {name} must be (low, high) with low < high, got {pair}")
+    if most <= low or least >= high:
+        raise ValueError(f"bounds of {name}, {pair}, lie outside [{low:g}, {high:g}]")
+    return max(low, least), min(high, most)
