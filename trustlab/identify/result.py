@@ -1,0 +1,470 @@
+"""The result of a fit: the model, its uncertainty and its residuals, in tables and plots."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.identify.doubts import doubts, remarks, search_remark
+from trustlab.identify.estimate import Estimate
+from trustlab.identify.log import window_means
+from trustlab.identify.model import IdentificationError
+from trustlab.identify.noise import (
+    ljung_box,
+    pooled_autocorrelation,
+    pooled_cross_correlation,
+)
+from trustlab.models.checks import one_of, open_unit, whole_number
+from trustlab.models.display import Result
+from trustlab.sessions.plots import shade_manual
+
+# Standard errors from the middle of a 95 % interval to its end.
+HALF_WIDTH = float(special.ndtri(0.975))
+
+LABELS = {"p_r": "robot performance $P_r$", "p_h": "human performance $P_h$"}
+
+
+def with_intervals(table: pd.DataFrame, level: float, degrees_of_freedom: float) -> pd.DataFrame:
+    """Add columns ci_low and ci_high to a table with columns value and stderr: t intervals."""
+    level = open_unit("level", level)
+    half = special.stdtrit(degrees_of_freedom, 0.5 + level / 2.0) * table["stderr"]
+    return table.assign(ci_low=table["value"] - half, ci_high=table["value"] + half)
+
+
+@dataclass(frozen=True, eq=False)
+class RunFit:
+    """
+    One run, measured and fitted: time [s], inputs and outputs by name, shape (N,) each.
+
+    `step` [s] is the time step that the model's rates refer to. `prediction_errors` are what a
+    noise model leaves of measured minus fitted: the same where noise is white.
+    """
+
+    label: str
+    synthetic: bool
+    t: np.ndarray
+    inputs: dict[str, np.ndarray]
+    measured: dict[str, np.ndarray]
+    fitted: dict[str, np.ndarray]
+    prediction_errors: dict[str, np.ndarray]
+    step: float
+
+    @property
+    def mode(self) -> np.ndarray:
+        """Manual share."""
+        return self.inputs["mode"]
+
+    def residual(self, output: str) -> np.ndarray:
+        """Return measured minus fitted."""
+        return self.measured[output] - self.fitted[output]
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult(Result):
+    """
+    A fitted model with its uncertainty and diagnostics.
+
+    Parameters
+    ----------
+    model : RobotModel, HumanModel, TscModel or what the model builds
+        The identified model. It does not know of `success`: what takes the model alone, such as
+        `limit_cycle`, `run_condition` and `Operator`, cannot warn; `choose_thresholds` takes the
+        fit, and warns where `success` is False.
+    parameters : pandas.DataFrame
+        Index `parameter`; columns value, stderr, status (estimated, weak, fixed, given, derived, at
+        bound).
+    covariance : pandas.DataFrame
+        Covariance of the parameters that were estimated.
+    initial_states : pandas.DataFrame
+        Index run; for each initial state its value and stderr.
+    runs : list of RunFit
+        Measured and fitted outputs.
+    noise : {"white", "correlated", "hac"}
+        What the standard errors allow for; see `fit`.
+    sigma : dict of float
+        Standard deviation of the residuals, by output.
+    cost : float
+        ½ Σ e².
+    success : bool
+        Whether the search converged and every parameter is determined by the data.
+    message : str
+        What to know before using the numbers.
+    degrees_of_freedom : float
+        For the t intervals.
+    """
+
+    model: object
+    parameters: pd.DataFrame
+    covariance: pd.DataFrame
+    initial_states: pd.DataFrame
+    runs: list[RunFit]
+    noise: str
+    sigma: dict[str, float]
+    cost: float
+    success: bool
+    message: str
+    degrees_of_freedom: float = 1e9
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The columns that the model explains."""
+        return tuple(self.runs[0].measured)
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether any of the data were simulated."""
+        return any(run.synthetic for run in self.runs)
+
+    def table(self, level: float = 0.95) -> pd.DataFrame:
+        """
+        Return the parameters with standard errors and t intervals.
+
+        Parameters
+        ----------
+        level : float
+            Level of the intervals, in (0, 1).
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `parameter`; columns value, stderr, ci_low, ci_high, status. NaN where a parameter
+            was not estimated; intervals are not cut at bounds.
+
+        Raises
+        ------
+        ValueError
+            If `level` is outside (0, 1).
+        """
+        table = with_intervals(self.parameters, level, self.degrees_of_freedom)
+        return table[["value", "stderr", "ci_low", "ci_high", "status"]]
+
+    def correlations(self) -> pd.DataFrame:
+        """Return the correlations of the estimated parameters."""
+        scale = np.sqrt(np.diag(self.covariance))
+        return self.covariance.div(scale, axis="index").div(scale, axis="columns")
+
+    @property
+    def fit_percent(self) -> float | pd.Series:
+        """100(1 − ‖y − ŷ‖/‖y − ȳ‖) of the simulated output; a Series if there are several."""
+        percent = {}
+        for name in self.outputs:
+            y = np.concatenate([run.measured[name] for run in self.runs])
+            error = np.concatenate(self.residuals(name))
+            spread = np.linalg.norm(y - y.mean())
+            share = np.linalg.norm(error) / spread if spread > 0.0 else np.nan
+            percent[name] = 100.0 * (1.0 - share)
+        return float(percent[name]) if len(percent) == 1 else pd.Series(percent, name="fit_percent")
+
+    def residuals(self, output: str | None = None) -> list[np.ndarray]:
+        """
+        Return measured minus fitted, one array per run.
+
+        Parameters
+        ----------
+        output : str, optional
+            Which output; the first when not given.
+        """
+        name = self._output(output)
+        return [run.residual(name) for run in self.runs]
+
+    def _output(self, name: str | None) -> str:
+        """Return a checked name of an output, by default the first."""
+        return self.outputs[0] if name is None else one_of("output", name, self.outputs)
+
+    def _errors_for(self, lags: int, output: str | None) -> list[np.ndarray]:
+        """Return the prediction errors of an output whose runs are all longer than `lags`."""
+        errors = [run.prediction_errors[self._output(output)] for run in self.runs]
+        shortest = min(error.size for error in errors)
+        whole_number("lags (below the length of the shortest run)", lags, 1, shortest - 1)
+        return errors
+
+    def residual_correlations(self, lags: int = 25, output: str | None = None) -> pd.DataFrame:
+        """
+        Return auto- and cross-correlation of the prediction errors with their 99 % bands.
+
+        Parameters
+        ----------
+        lags : int
+            Largest lag [samples].
+        output : str, optional
+            Which output; the first when not given.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `lag` from −lags to lags; columns autocorrelation (with itself), cross_correlation
+            (of e(k) with the first input at k − lag: mode for the models of the dissertation) and
+            band: ± 2.58/√n for white residuals.
+        """
+        residuals = self._errors_for(lags, output)
+        auto = pooled_autocorrelation(residuals, lags)
+        inputs = [next(iter(run.inputs.values())) for run in self.runs]
+        cross = pooled_cross_correlation(residuals, inputs, lags)
+        band = special.ndtri(0.995) / np.sqrt(sum(run.size for run in residuals))
+        columns = {
+            "autocorrelation": np.r_[auto[:0:-1], auto],
+            "cross_correlation": cross,
+            "band": band,
+        }
+        return pd.DataFrame(columns, index=pd.RangeIndex(-lags, lags + 1, name="lag"))
+
+    def whiteness(self, lags: int = 25) -> pd.DataFrame:
+        """
+        Test the prediction errors for whiteness (Ljung–Box).
+
+        Parameters
+        ----------
+        lags : int
+            Number of lags in the sum.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `output`; columns statistic, df, p.
+        """
+        rows = {}
+        for name in self.outputs:
+            residuals = self._errors_for(lags, name)
+            samples = sum(run.size for run in residuals)
+            rows[name] = ljung_box(pooled_autocorrelation(residuals, lags), samples)
+        table = pd.DataFrame.from_dict(rows, orient="index", columns=["statistic", "df", "p"])
+        return table.rename_axis("output")
+
+    def plot(self, most: int = 6):
+        """
+        Plot measured and fitted outputs against time, as Fig. 2.3 does.
+
+        Parameters
+        ----------
+        most : int
+            Most runs to show; the title says how many there are.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (outputs, runs shown)
+        """
+        import matplotlib.pyplot as plt
+
+        runs = self.runs[: max(1, most)]
+        rows, columns = len(self.outputs), len(runs)
+        figure, axes = plt.subplots(
+            rows,
+            columns,
+            figsize=(max(6.5, 3.0 * columns), 0.8 + 2.4 * rows),
+            squeeze=False,
+            sharey="row",
+            sharex="col",
+            layout="constrained",
+        )
+        for row, name in zip(axes, self.outputs, strict=True):
+            for panel, run in zip(row, runs, strict=True):
+                panel.plot(run.t, run.measured[name], lw=0.8, color="0.55", label="measured")
+                panel.plot(run.t, run.fitted[name], lw=1.6, ls="--", color="C1", label="fitted")
+                if "mode" in run.inputs:
+                    shade_manual(panel, run.t, run.mode)
+        for panel, name in zip(axes[:, 0], self.outputs, strict=True):
+            panel.set_ylabel(LABELS.get(name, name))
+        for panel, run in zip(axes[0], runs, strict=True):
+            panel.set_title(run.label, fontsize="small")
+        plt.setp(axes[-1], xlabel="time [s]")
+        shaded = "manual phases shaded" if "mode" in runs[0].inputs else None
+        axes[0, 0].legend(fontsize="small", loc="best", title=shaded, title_fontsize="small")
+        if len(runs) < len(self.runs):
+            figure.suptitle(f"{len(runs)} of {len(self.runs)} runs", fontsize="small")
+        return axes
+
+    def plot_residuals(self, lags: int = 25):
+        """
+        Plot auto- and cross-correlation of the residuals with their 99 % bands.
+
+        Parameters
+        ----------
+        lags : int
+            Largest lag [samples].
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (outputs, 2)
+        """
+        import matplotlib.pyplot as plt
+
+        rows = len(self.outputs)
+        figure, axes = plt.subplots(
+            rows, 2, squeeze=False, figsize=(8, 0.6 + 2.2 * rows), layout="constrained"
+        )
+        for row, name in zip(axes, self.outputs, strict=True):
+            frame = self.residual_correlations(lags, name)
+            band = frame["band"].iloc[0]
+            pairs = [("autocorrelation", frame[frame.index > 0]), ("cross_correlation", frame)]
+            for panel, (column, part) in zip(row, pairs, strict=True):
+                panel.axhspan(-band, band, color="C0", alpha=0.15, lw=0, label="99 % band")
+                panel.vlines(part.index, 0.0, part[column], lw=1.2)
+                panel.plot(part.index, part[column], "o", ms=3)
+                panel.axhline(0.0, color="0.4", lw=0.6)
+                panel.set_xlabel("lag [samples]")
+            auto, cross = row
+            auto.set_ylabel(f"residual of\n{LABELS.get(name, name)}")
+            auto.set_title("autocorrelation", fontsize="small")
+            cross.set_title(f"with {next(iter(self.runs[0].inputs))}", fontsize="small")
+        axes[0, 0].legend(fontsize="small")
+        title = "residual correlations" + (", synthetic data" if self.synthetic else "")
+        figure.suptitle(title, fontsize="small")
+        return np.asarray(axes)
+
+    @property
+    def title(self) -> str:
+        """What was fitted, and how well."""
+        fit = self.fit_percent
+        percent = [fit] if isinstance(fit, float) else fit.tolist()
+        numbers = " and ".join(f"{value:.2f} %" for value in percent)
+        origin = ", synthetic data" if self.synthetic else ""
+        samples = sum(run.t.size for run in self.runs)
+        return (
+            f"{type(self.model).__name__}, {len(self.runs)} run(s), {samples} samples, fit "
+            f"{numbers}{origin}"
+        )
+
+
+# --- from an estimate to the tables ---------------------------------------------------------------
+
+
+def result_of(estimate: Estimate) -> FitResult:
+    """Put an estimate and its tables into a FitResult; weak unknowns are marked here."""
+    problem = estimate.problem
+    model, shared = problem.model, len(problem.model.names)
+    table, covariance = estimate_table(estimate)
+    weak = weak_names(estimate, table)
+    reasons = list(doubts(estimate))
+    sentences = [search_remark(estimate), *_mark(weak, table, model.hints)]
+    sentences += [*remarks(estimate), *reasons]
+    # NaN for what was fixed; rows of what a bound holds are NaN already.
+    stderr = np.sqrt(np.where(estimate.fixed, np.nan, np.diag(estimate.covariance)))
+    states = {}
+    for j, name in enumerate(model.states):
+        column = slice(shared + j, None, len(model.states))
+        states[name], states[f"{name}_stderr"] = estimate.values[column], stderr[column]
+    labels = pd.Index([run.label for run in problem.runs], name="run")
+    return FitResult(
+        model=_model(estimate, weak, reasons),
+        parameters=table,
+        covariance=covariance,
+        initial_states=pd.DataFrame(states, index=labels),
+        runs=list(_run_fits(estimate)),
+        noise=estimate.noise,
+        sigma=dict(zip(model.outputs, estimate.sigma.tolist(), strict=True)),
+        cost=0.5 * float(estimate.optimum.equations.squares.sum()),
+        success=bool(estimate.optimum.converged and not weak and not reasons),
+        message=" ".join(sentences),
+        degrees_of_freedom=estimate.degrees_of_freedom,
+    )
+
+
+def estimate_table(estimate: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the table of the names, derived rows included, and the covariance of the estimated."""
+    model, optimum = estimate.problem.model, estimate.optimum
+    names = model.names
+    values, covariance = estimate.values[: len(names)], estimate.covariance
+    covariance = covariance[: len(names), : len(names)]
+    status = np.where(optimum.at_bound, "at bound", "estimated")
+    status = np.where(estimate.fixed, "fixed", status)[: len(names)]
+    free = status == "estimated"
+    stderr = np.where(free, np.sqrt(np.diag(covariance)), np.nan)
+    rows = list(zip(values.tolist(), stderr.tolist(), status.tolist(), strict=True))
+    known = np.nan_to_num(covariance)
+    for function in model.derived.values():
+        value, slope = _gradient(function, names, values)
+        # NaN where nothing that the row depends on was estimated.
+        error = float(np.sqrt(slope @ known @ slope)) if slope[free].any() else np.nan
+        rows.append((value, error, "derived"))
+    index = pd.Index([*names, *model.derived], name="parameter")
+    table = pd.DataFrame(rows, index=index, columns=["value", "stderr", "status"])
+    labels = index[: len(names)][free].rename(None)
+    block = covariance[np.ix_(free, free)]
+    return table, pd.DataFrame(block, index=labels, columns=labels)
+
+
+def _gradient(function: Callable, names: tuple, values: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return a function of estimates by name, and its derivatives by complex steps."""
+    at = dict(zip(names, values.tolist(), strict=True))
+    # f(x + ih) = f(x) + ih f'(x) + O(h²) involves no difference of like numbers, so h may be as
+    # small as one likes, and the derivative is exact to rounding.
+    step = 1e-100
+    slopes = [
+        np.imag(function(**at | {name: value + 1j * step})) / step for name, value in at.items()
+    ]
+    return float(function(**at)), np.array(slopes)
+
+
+def weak_names(estimate: Estimate, table: pd.DataFrame) -> list[str]:
+    """Return the names at a bound, or with a 95 % interval too wide to be of use."""
+    model = estimate.problem.model
+    useful = model.useful(table["value"].to_dict())
+    weak = []
+    for name in model.names:
+        status = table["status"][name]
+        wide = HALF_WIDTH * table["stderr"][name] > useful.get(name, np.inf)
+        if status == "at bound" or (status == "estimated" and wide):
+            weak.append(name)
+    return weak
+
+
+def _mark(weak: list[str], table: pd.DataFrame, hints: Mapping[str, str]) -> Iterator[str]:
+    """Mark weak unknowns in the table and say what would help."""
+    for name in weak:
+        value, stderr = table["value"][name], table["stderr"][name]
+        if table["status"][name] == "at bound":
+            yield (
+                f"{name} is at its bound, {value:.6g}: the fit is better beyond it, or "
+                "these data do not determine it."
+            )
+        else:
+            table.loc[name, "status"] = "weak"
+            hint = hints.get(name, "record phases that move the model more")
+            yield (
+                f"{name} is weakly determined by these data ({value:.4g} ± "
+                f"{HALF_WIDTH * stderr:.2g}); {hint}, or fix it."
+            )
+
+
+def _model(estimate: Estimate, weak: list[str], reasons: list[str]) -> Any:
+    """Return the model's object; an error names the weak unknowns and the doubts."""
+    model = estimate.problem.model
+    values = dict(zip(model.names, estimate.values.tolist(), strict=False))
+    if model.build is None:
+        return values
+    try:
+        return model.build(**values)
+    except IdentificationError as error:
+        # What is wrong with the data may be why nothing can be built of them.
+        text = f"{error}{'.' if reasons else ''}"
+        if weak:
+            text = (
+                f"these data do not determine {', '.join(weak)}; hold some of them with "
+                f"fixed={{…}}: {text}"
+            )
+        lost = tuple(weak) or error.parameters
+        raise IdentificationError(" ".join([text, *reasons]), lost) from error
+
+
+def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
+    """Put every run beside its fitted outputs and prediction errors."""
+    problem = estimate.problem
+    outputs, model = problem.model.outputs, problem.model
+    for i, run in enumerate(problem.runs):
+        simulated = problem.simulated(run, i, estimate.optimum.x)
+        if run.window > 1:
+            simulated = [window_means(values, run.window) for values in simulated]
+        errors = [series.white[:, 0].copy() for series in problem.series if series.run == i]
+        yield RunFit(
+            run.label,
+            run.synthetic,
+            run.t,
+            {name: run[name] for name in model.inputs},
+            {name: run[name] for name in outputs},
+            dict(zip(outputs, simulated, strict=True)),
+            dict(zip(outputs, errors, strict=True)),
+            run.model_step or run.sample_time,
+        )
