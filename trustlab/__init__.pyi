@@ -46,11 +46,9 @@ from .campaign import (
 )
 from .identification import (
     IdentificationError as IdentificationError,
-    LinearForm as LinearForm,
     LogSettings as LogSettings,
-    Parameter as Parameter,
+    Model as Model,
     Prior as Prior,
-    Structure as Structure,
     arx as arx,
     fit as fit,
     fit_human as fit_human,

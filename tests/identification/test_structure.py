@@ -20,7 +20,7 @@ from trustlab.identification.human import HUMAN
 from trustlab.identification.output_error import Problem, local_optimum
 from trustlab.identification.residuals import hac_lags
 from trustlab.identification.robot_structure import robot_structure
-from trustlab.identification.runs import read_runs
+from trustlab.identification.log import read_runs
 from trustlab.identification.tsc import TSC
 
 T = 0.1

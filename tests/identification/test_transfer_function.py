@@ -7,7 +7,7 @@ import control
 import numpy as np
 import pytest
 
-from trustlab.identification.structure import IdentificationError
+from trustlab.identification.model import IdentificationError
 from trustlab.identification.transfer_function import fit_transfer_function
 from trustlab.models.uav import PRINTED_UAV
 

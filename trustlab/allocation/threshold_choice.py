@@ -16,8 +16,8 @@ from trustlab.allocation.decision.posterior_choice import (
 )
 from trustlab.allocation.decision.steady import survey
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
-from trustlab.identification.fit_result import FitResult
 from trustlab.identification.posterior.result import Posterior
+from trustlab.identification.result import FitResult
 from trustlab.models.checks import finite_number, flag, of_class, open_unit, warn, whole_number
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscModel

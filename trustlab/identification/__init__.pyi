@@ -1,18 +1,18 @@
-from .fit_result import FitResult as FitResult
 from .fitting import fit as fit
-from .human import fit_human as fit_human
+from .log import LogSettings as LogSettings
+from .model import IdentificationError as IdentificationError, Model as Model
 from .posterior.population import Population as Population, fit_population as fit_population
 from .posterior.priors import Prior as Prior
 from .posterior.result import Posterior as Posterior
 from .posterior.sampling import sample_posterior as sample_posterior
 from .regression import ArxResult as ArxResult, arx as arx
-from .robot import fit_robot as fit_robot
-from .runs import LogSettings as LogSettings
-from .structure import (
-    IdentificationError as IdentificationError,
-    LinearForm as LinearForm,
-    Parameter as Parameter,
-    Structure as Structure,
-)
+from .result import FitResult as FitResult
 from .transfer_function import fit_transfer_function as fit_transfer_function
-from .tsc import fit_tsc as fit_tsc
+from .tsc import (
+    HUMAN as HUMAN,
+    ROBOT as ROBOT,
+    TSC as TSC,
+    fit_human as fit_human,
+    fit_robot as fit_robot,
+    fit_tsc as fit_tsc,
+)

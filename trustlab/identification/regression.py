@@ -1,21 +1,12 @@
-"""Linear regression with covariance: ARX models (Section 2.2.2) and linear structures."""
+"""ARX models by least squares, Section 2.2.2."""
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.fit_result import (
-    FitResult,
-    gradient,
-    parameter_table,
-    run_fits,
-    state_table,
-    with_intervals,
-)
-from trustlab.identification.runs import Run
-from trustlab.identification.structure import IdentificationError, Structure
+from trustlab.identification.model import IdentificationError
+from trustlab.identification.result import with_intervals
 from trustlab.models.checks import flag, whole_number
 from trustlab.models.display import Result
 
@@ -98,18 +89,11 @@ class ArxResult(Result):
         return with_intervals(table, level, self.degrees_of_freedom)
 
 
-class LeastSquares(NamedTuple):
-    """Estimates of a regression with covariance, residuals, and equations less coefficients."""
-
-    values: np.ndarray
-    covariance: np.ndarray
-    residuals: np.ndarray
-    degrees_of_freedom: int
-
-
-def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -> LeastSquares:
+def regression(
+    design: np.ndarray, target: np.ndarray, names: tuple[str, ...]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Solve a least-squares problem; the covariance is s² (XXᵀ)⁻¹.
+    Return coefficients, their covariance s² (XXᵀ)⁻¹, and residuals of a least-squares problem.
 
     `design` holds one regressor per row, shape (p, n); `names` are those of the coefficients, for
     the errors.
@@ -152,7 +136,7 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -
         inverse = (vectors / values**2) @ vectors.T / sizes
     residuals = target - coefficients @ design
     variance = residuals @ residuals / (n - p)
-    return LeastSquares(coefficients, inverse * variance, residuals, n - p)
+    return coefficients, inverse * variance, residuals
 
 
 def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
@@ -161,7 +145,8 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
 
     y(k) + a_1 y(k−1) + … + a_na y(k−na) = b_1 u(k−nk) + … + b_nb u(k−nk−nb+1) + c + e(k). With
     white noise on the measured output (rather than e(k) inside the recursion) the estimates are
-    biased; see `fit_robot`.
+    biased. Of the robot's model (2.3), y is p_r and u is M·P_h, with a constant: a = −a1, b = b1,
+    and (1 − a) P_r,min = c.
 
     Parameters
     ----------
@@ -226,7 +211,7 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
         delays = _per_input("nk", nk, inputs, least=0)
         parts.append(equations(y_run, u_run, na, lags, delays, intercept))
     names = _names(na, lags, intercept)
-    values, covariance, residuals, _ = regression(*_stacked(parts), names)
+    values, covariance, residuals = regression(*_stacked(parts), names)
     return ArxResult(names, values, covariance, residuals, na, lags, delays, bool(intercept))
 
 
@@ -278,78 +263,3 @@ def _stacked(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np
         return parts[0]
     designs, targets = zip(*parts, strict=True)
     return np.concatenate(designs, axis=1), np.concatenate(targets)
-
-
-def regress(structure: Structure, runs: list[Run]) -> FitResult:
-    """Fit a structure's linear form and turn the coefficients into its parameters."""
-    form = structure.linear
-    if form is None:
-        raise ValueError(
-            f'structure {structure.name!r} has no linear form; use method="output_error"'
-        )
-    design, target = _stacked([form.equations(run) for run in runs])
-    estimate = regression(design, target, form.coefficients)
-    values, slopes = gradient(
-        lambda at: form.parameters(*at.values()), form.coefficients, estimate.values
-    )
-    for parameter, value in zip(structure.parameters, values, strict=True):
-        if not parameter.low <= value <= parameter.high:
-            raise IdentificationError(
-                f"least squares gives {parameter.name} = {value:.6g}, outside ({parameter.low:g}, "
-                f"{parameter.high:g}); use output_error",
-                (parameter.name,),
-            )
-    covariance = slopes @ estimate.covariance @ slopes.T
-    estimate = estimate._replace(values=values, covariance=covariance)
-    initial = [form.initial(run) for run in runs]
-    return simulated_result(structure, runs, estimate, initial, form.caution)
-
-
-def simulated_result(
-    structure: Structure,
-    runs: list[Run],
-    estimate: LeastSquares,
-    initial: list,
-    caution: str,
-) -> FitResult:
-    """Simulate every run with a regression's estimates from its initial states; return the fit."""
-    names = structure.names[: estimate.values.size]
-    values = dict(zip(names, estimate.values.tolist(), strict=True))
-    statuses = ["estimated"] * len(names)
-    table, covariance = parameter_table(
-        names, estimate.values, estimate.covariance, statuses, structure.derived
-    )
-    predicted = []
-    for run, states in zip(runs, initial, strict=True):
-        start = dict(zip(structure.names, (*estimate.values, *states), strict=True))
-        predicted.append(structure.predict(run, start)[0])
-    fits = run_fits(structure, runs, predicted)
-    states = np.array(initial, dtype=float).reshape(len(runs), -1)
-    degrees_of_freedom = estimate.degrees_of_freedom
-    squares = estimate.residuals @ estimate.residuals
-    sigma = float(np.sqrt(squares / max(degrees_of_freedom, 1)))
-    simulated = sum(np.sum(run.residual(name) ** 2) for run in fits for name in structure.outputs)
-    fit = FitResult(
-        model=values if structure.model is None else structure.model(**values),
-        method="regression",
-        parameters=table,
-        covariance=covariance,
-        initial_states=state_table(structure, runs, states, np.full(states.shape, np.nan)),
-        runs=fits,
-        noise="white",
-        sigma=dict.fromkeys(structure.outputs, sigma),
-        cost=0.5 * float(simulated),
-        success=True,
-        message=caution,
-        degrees_of_freedom=float(degrees_of_freedom),
-    )
-    if any(run.window > 1 for run in runs):
-        doubt = (
-            "Performance is logged as means over a window, which these equations take for "
-            "the values themselves; use output_error."
-        )
-    elif not np.all(fit.fit_percent > 0.0):
-        doubt = "The simulated model explains less than the mean does; do not use the numbers."
-    else:
-        return fit
-    return replace(fit, success=False, message=f"{caution} {doubt}")

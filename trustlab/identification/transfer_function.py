@@ -6,16 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize, signal
 
-from trustlab.identification.fit_result import FitResult
-from trustlab.identification.fitting import check_data, estimate_runs, result
-from trustlab.identification.runs import Run
-from trustlab.identification.structure import IdentificationError, Parameter, Structure
+from trustlab.identification.fitting import check_data, estimate_runs
+from trustlab.identification.log import Run
+from trustlab.identification.model import IdentificationError, Model
+from trustlab.identification.result import FitResult, result_of
 from trustlab.models.checks import finite_array, positive, whole_number
 from trustlab.models.display import axes_or_new
 from trustlab.models.uav import TransferFunction
-
-# Relative step of complex-step derivatives: no digits cancel, so it may be as small as one likes.
-COMPLEX_STEP = 1e-30
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,37 +94,28 @@ def fit_transfer_function(
     sample_time = positive("sample_time", sample_time)
     order = whole_number("order", order, 1, 2)
     runs = _runs(command, velocity, sample_time)
-    structure = transfer_structure(order, sample_time)
+    model = transfer_model(order, sample_time)
     unknowns = 1 + order + order * len(runs)
     samples = sum(run.size for run in runs)
     if samples < 2 * unknowns:
         raise IdentificationError(
             f"{samples} samples are too few for {unknowns} unknowns; record longer runs"
         )
-    limits = structure.limits()
-    check_data(structure, runs, limits)
-    fit = result(estimate_runs(structure, runs, limits, noise))
+    limits = model.limits()
+    check_data(model, runs, limits)
+    fit = result_of(estimate_runs(model, runs, limits, noise))
     return TransferFunctionFit(**vars(fit) | {"sigma": fit.sigma["velocity"]})
 
 
-def transfer_structure(order: int, sample_time: float) -> Structure:
-    """Return the structure: shared gain and denominator, each run's own initial states."""
+def transfer_model(order: int, sample_time: float) -> Model:
+    """Return the model: shared gain and denominator, each run's own initial states."""
     denominator = ("d_0",) if order == 1 else ("d_1", "d_0")
     states = ("velocity_0", "acceleration_0")[:order]
 
-    def sensitivities(run, gain, **values):
+    def simulate(run, gain, **values):
         d = np.array([values[name] for name in denominator])
         weights = np.array([gain, *(values[name] for name in states)])
-        responses = _responses(d, run["command"], sample_time)
-        # The output is linear in gain and initial states; the denominator's derivatives are complex
-        # steps.
-        by_d = np.empty((run.size, order))
-        for i in range(order):
-            step = COMPLEX_STEP * max(1.0, abs(d[i]))
-            moved = d.astype(complex)
-            moved[i] += 1j * step
-            by_d[:, i] = (_responses(moved, run["command"], sample_time) @ weights).imag / step
-        return [responses @ weights], [np.column_stack([responses[:, :1], by_d, responses[:, 1:]])]
+        return _responses(d, run["command"], sample_time) @ weights
 
     def check(runs, limits):
         if max(np.ptp(run["command"]) for run in runs) == 0.0:
@@ -135,27 +123,26 @@ def transfer_structure(order: int, sample_time: float) -> Structure:
                 "the command never changes: it identifies nothing", ("gain", *denominator)
             )
 
-    return Structure(
-        "transfer function",
-        parameters=[Parameter(name) for name in ("gain", *denominator)],
-        initial=[Parameter(name) for name in states],
-        inputs="command",
-        outputs="velocity",
-        sensitivities=sensitivities,
-        guess=lambda runs, limits: _guess(runs, denominator, states, sample_time),
-        check=check,
-        model=lambda gain, **values: TransferFunction(
+    return Model(
+        ("gain", *denominator),
+        states,
+        ("velocity",),
+        simulate=simulate,
+        starts=lambda runs, limits: [_guess(runs, denominator, states, sample_time)],
+        inputs=("command",),
+        build=lambda gain, **values: TransferFunction(
             gain, tuple(values[name] for name in denominator)
         ),
+        check=check,
     )
 
 
 def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np.ndarray:
     """Return velocity per unit gain and per unit of each initial state, shape (N, 1 + n)."""
-    n, dtype = len(denominator), np.result_type(denominator, float)
+    n = len(denominator)
     # The companion form, with the command as a further, constant state: its exponential holds Φ and
     # Γ of one sample.
-    block = np.zeros((n + 1, n + 1), dtype)
+    block = np.zeros((n + 1, n + 1))
     block[: n - 1, 1:n] = np.eye(n - 1)
     block[n - 1, :n] = -denominator[::-1]
     block[n - 1, n] = 1.0

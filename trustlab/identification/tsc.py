@@ -1,41 +1,383 @@
 """
-Robot and operator identified together, (2.3), (2.5) and (2.6): `fit_tsc`, structure, sensitivities.
+Robot (2.3) and operator (2.5)-(2.6) identified: `fit_tsc`, `fit_human`, `fit_robot`.
 
-`fitting.py` says how any structure is fitted, `output_error.py` which likelihood is maximised.
+One simulation serves the models of both, HUMAN, ROBOT and TSC, and one grid their searches.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from trustlab.identification.fit_result import FitResult
 from trustlab.identification.fitting import fit
-from trustlab.identification.human import (
-    build_human,
-    human_guess,
-    human_parameters,
-    initial_utilization,
-    simulate_human,
-)
-from trustlab.identification.robot_structure import (
-    build_robot,
-    check_excitation,
-    robot_guess,
-    robot_parameters,
-    simulate_robot,
-)
-from trustlab.identification.runs import LogSettings, Run, as_columns
-from trustlab.identification.structure import (
-    MODEL_STEP,
-    POSTERIOR,
-    IdentificationError,
-    Parameter,
-    Structure,
-)
+from trustlab.identification.log import LogSettings, Run, block_means, joined
+from trustlab.identification.model import COORDINATES, IdentificationError, Model
+from trustlab.identification.problem import Problem
+from trustlab.identification.result import FitResult
+from trustlab.models.checks import positive
 from trustlab.models.compiled import njit
-from trustlab.models.tsc import TscModel, gain_of_human_performance
+from trustlab.models.tsc import (
+    HumanModel,
+    RobotModel,
+    TscModel,
+    gain_of_human_performance,
+    next_performance,
+    next_utilization,
+    yerkes_dodson,
+)
 from trustlab.sessions.session import Session
+
+# --- the simulation -------------------------------------------------------------------------------
+
+
+@njit
+def _operate(mode, a, beta, p_min, p_max, r0, p_h):
+    """Write P_h of L operators, shape (N, L)."""
+    shapes = np.empty((2, mode.size))
+    for lane in range(a.size):
+        # The shape takes the time: lanes that move nothing of it share the first one's.
+        same = a[lane] == a[0] and beta[lane] == beta[0] and r0[lane] == r0[0]
+        shape = shapes[0] if same else shapes[1]
+        if lane == 0 or not same:
+            r = r0[lane]
+            for k in range(mode.size):
+                shape[k] = yerkes_dodson(r, beta[lane])
+                r = next_utilization(r, mode[k], a[lane])  # (2.5)
+        span = p_max[lane] - p_min[lane]
+        for k in range(mode.size):
+            p_h[k, lane] = p_min[lane] + span * shape[k]  # (2.6)
+
+
+@njit
+def _follow(mode, p_h, a, p_min, b, p_r0, p_r):
+    """Write P_r of L robots, shape (N, L), of which `p_h` drives each by its column."""
+    now = p_r0.copy()
+    for k in range(mode.size):
+        for lane in range(now.size):
+            p_r[k, lane] = now[lane]
+            now[lane] = next_performance(
+                now[lane], p_h[k, lane], mode[k], a[lane], b[lane], p_min[lane]
+            )  # (2.3)
+
+
+def simulate_human(run: Run, a, beta, p_min, p_max, r0):
+    """Return P_h of operators, shape (N, L)."""
+    p_h = run.scratch("p_h", a.size)
+    _operate(run["mode"], a, beta, p_min, p_max, r0, p_h)
+    return p_h
+
+
+def simulate_robot(run: Run, a, p_min, p_max, p_h_max, p_r0, p_h=None):
+    """Return P_r of robots, shape (N, L), under P_h: by default the measured one."""
+    if p_h is None:
+        p_h = run.scratch("measured p_h", a.size)
+        p_h[:] = run["p_h"][:, None]
+    p_r = run.scratch("p_r", a.size)
+    b = gain_of_human_performance(a, p_min, p_max, p_h_max)
+    _follow(run["mode"], p_h, a, p_min, b, p_r0, p_r)
+    return p_r
+
+
+def simulate_tsc(
+    run: Run,
+    human_a,
+    human_beta,
+    human_p_min,
+    human_p_max,
+    robot_a,
+    robot_p_min,
+    robot_p_max,
+    r0,
+    p_r0,
+):
+    """Return P_h of operators and P_r of the robots that they drive, shape (N, L) each."""
+    p_h = simulate_human(run, human_a, human_beta, human_p_min, human_p_max, r0)
+    return p_h, simulate_robot(run, robot_a, robot_p_min, robot_p_max, human_p_max, p_r0, p_h)
+
+
+# --- what the estimates make ----------------------------------------------------------------------
+
+
+def build_human(a: float, beta: float, p_min: float, p_max: float) -> HumanModel:
+    """Return the operator, or say what about the data contradicts (2.6)."""
+    if not p_max > p_min:
+        raise IdentificationError(
+            "human performance is not greatest between rest and full load in these data (the fit "
+            f"has p_max = {p_max:.4g} below p_min = {p_min:.4g}), so (2.6) does not describe them",
+            ("p_min", "p_max"),
+        )
+    return HumanModel(a, beta, p_min, p_max)
+
+
+def build_robot(a: float, p_min: float, p_max: float, p_h_max: float) -> RobotModel:
+    """Return the robot, or say what about the data contradicts (2.3)."""
+    if not p_max > p_min:
+        raise IdentificationError(
+            "robot performance does not rise under manual control in these data (the fit has "
+            f"p_max = {p_max:.4g}, not above p_min = {p_min:.4g}), so (2.3) does not describe them",
+            ("p_min", "p_max"),
+        )
+    return RobotModel(a, p_min, p_max, p_h_max)
+
+
+def build_tsc(**values: float) -> TscModel:
+    """Return robot and operator."""
+    operator = build_human(**_without("human_", values))
+    robot = build_robot(**_without("robot_", values), p_h_max=operator.p_max)
+    try:
+        return TscModel(robot, operator)
+    except ValueError as error:
+        ranges = ("human_p_min", "human_p_max", "robot_p_min", "robot_p_max")
+        raise IdentificationError(
+            f"the fitted ranges of performance give no a_T and b_T of (2.2): {error}", ranges
+        ) from error
+
+
+def _without(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of one of the two models by their names in that model alone."""
+    pairs = values.items()
+    return {name.removeprefix(prefix): x for name, x in pairs if name.startswith(prefix)}
+
+
+def _with(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values of one of the two models by their names in both."""
+    return {f"{prefix}{name}": value for name, value in values.items()}
+
+
+def check_excitation(
+    runs: list[Run], limits: Mapping, low: str = "p_min", high: str = "p_max"
+) -> None:
+    """Refuse data in which nothing separates the least from the greatest robot performance."""
+    modes = joined(runs, "mode")
+    fixed = {name for name in (low, high) if limits[name][0] == limits[name][1]}
+    # A mode that never changes leaves one steady state: under manual control either limit fixes the
+    # other, but an autonomous robot says nothing of p_max.
+    if np.ptp(modes) > 0.0 or (fixed and (modes[0] > 0.0 or high in fixed)):
+        return
+    lost = (high,) if modes[0] == 0.0 else (low, high)
+    raise IdentificationError(
+        f"these data do not determine {' and '.join(lost)}: mode never changes (it is "
+        f"{modes[0]:g} throughout); log at least one switch between manual and autonomous "
+        f"control, or fix a parameter, for example fixed={{{lost[0]!r}: ...}}",
+        lost,
+    )
+
+
+# --- where the search starts ----------------------------------------------------------------------
+
+# Utilizations at the start, and best utilizations, of the grid.
+RESTS = np.array([0.03, 0.3, 0.6, 0.9, 0.999])
+BETAS = np.linspace(0.15, 0.95, 7)
+
+# Points of the grid from which a search on block means starts.
+MOST_POINTS = 4
+
+# Deviance above the least, on block means, up to which an optimum is searched on.
+SHALLOW = 30.0
+
+
+def _rates(runs: list[Run], limits: tuple[float, float], length: int) -> np.ndarray:
+    """Return shares kept over a block, for time constants from a few samples to many runs."""
+    longest = max(run.size for run in runs) * length
+    time_constants = np.geomspace(min(20.0, 0.2 * longest), 4.0 * longest, 14)
+    return np.unique(np.clip(1.0 - 1.0 / time_constants, *limits)) ** length
+
+
+def _operators(means: list[Run], limits: Mapping, length: int) -> list[dict[str, float]]:
+    """Return the best operators of a grid, for each third of the rates and each r0."""
+    rates = _rates(means, limits["a"], length)
+    axes = np.meshgrid(
+        rates,
+        np.unique(np.clip(RESTS, *limits["r0"])),
+        np.unique(np.clip(BETAS, *limits["beta"])),
+        indexing="ij",
+    )
+    a, r0, beta = (axis.ravel() for axis in axes)
+    shapes = [simulate_human(run, a, beta, 0.0 * a, 1.0 + 0.0 * a, r0) for run in means]
+    # P_h = p_min + (p_max − p_min) shape, (2.6): a line at every point of the grid.
+    shape, p_h = np.concatenate(shapes), joined(means, "p_h")
+    middle = shape.mean(axis=0)
+    power = np.maximum(np.sum(shape**2, axis=0) - p_h.size * middle**2, 1e-12)
+    span = (p_h - p_h.mean()) @ shape / power
+    p_min = p_h.mean() - span * middle
+    explained = np.where(span > 0.0, span**2 * power, 0.0)
+    order = np.argsort(-explained, kind="stable")
+    thirds = np.searchsorted(rates, a[order]) * 3 // rates.size
+    kinds = np.unique(np.column_stack([thirds, r0[order]]), axis=0, return_index=True)[1]
+    columns = {"a": a, "beta": beta, "p_min": p_min, "p_max": p_min + span, "r0": r0}
+    points = order[np.sort(kinds)[:MOST_POINTS]]
+    return [{name: float(column[k]) for name, column in columns.items()} for k in points]
+
+
+def _robot(
+    means: list[Run], limits: Mapping, length: int, p_h_max: float, drives: list
+) -> dict[str, Any]:
+    """Return the robot that suits best under P_h, an array (blocks,) for each run."""
+    rates = _rates(means, limits["a"], length)
+    # P_r is linear in p_min, p_max and P_r(0), (2.3): units of these are simulated.
+    a = np.repeat(rates, 3)
+    p_min, p_max, p_r0 = np.tile(np.eye(3), rates.size)
+    low_high, rest = [], []
+    for run, p_h in zip(means, drives, strict=True):
+        columns = np.repeat(p_h[:, None], a.size, axis=1)
+        p_r = simulate_robot(run, a, p_min, p_max, p_h_max + 0.0 * a, p_r0, columns)
+        low_high.append(p_r.reshape(run.size, rates.size, 3)[:, :, :2])
+        rest.append(run["p_r"][:, None] - run["p_r"][0] * p_r.reshape(run.size, -1, 3)[:, :, 2])
+    design = np.concatenate(low_high).transpose(1, 0, 2)
+    target = np.concatenate(rest).T
+    ranges = [np.linalg.lstsq(x, y)[0] for x, y in zip(design, target, strict=True)]
+    errors = [np.sum((y - x @ r) ** 2) for x, y, r in zip(design, target, ranges, strict=True)]
+    best = int(np.argmin(errors))
+    first = np.array([run["p_r"][0] for run in means])
+    return {"a": rates[best], "p_min": ranges[best][0], "p_max": ranges[best][1], "p_r0": first}
+
+
+def _refined(
+    model: Model, means: list[Run], points: list[dict], limits: Mapping, length: int
+) -> list[dict]:
+    """Search from points on block means, and return the optima that are nearly as good."""
+    rates = [name for name in model.names if model.coordinates.get(name) == "rate"]
+    edges = COORDINATES["rate"]
+    coarse = dict(limits)
+    for name in rates:
+        coarse[name] = tuple(np.clip(np.array(limits[name]) ** length, edges.low, edges.high))
+    optima = []
+    for point in points:
+        problem = Problem(model, means, coarse)
+        optima.append(problem.search(problem.full_vector(point), tolerance=1e-2, most=15))
+    optima.sort(key=lambda optimum: optimum.deviance)
+    starts = []
+    for k, optimum in enumerate(optima):
+        near = any(optimum.same_as(other) for other in optima[:k])
+        if optimum.deviance < optima[0].deviance + SHALLOW and not near:
+            values = optimum.values()
+            for name in rates:
+                values[name] = float(np.clip(values[name] ** (1.0 / length), edges.low, edges.high))
+            starts.append(values)
+    return starts
+
+
+def human_starts(runs: list[Run], limits: Mapping) -> list[dict]:
+    """Return operators near the best optima of block means."""
+    means, length = block_means(runs)
+    return _refined(HUMAN, means, _operators(means, limits, length), limits, length)
+
+
+def robot_starts(runs: list[Run], limits: Mapping) -> list[dict]:
+    """Return the robot that suits block means best under the measured P_h."""
+    means, length = block_means(runs)
+    p_h_max = limits["p_h_max"][0]
+    if not np.isfinite(p_h_max):
+        p_h_max = float(joined(runs, "p_h").max())
+    robot = _robot(means, limits, length, p_h_max, [run["p_h"] for run in means])
+    return [robot | {"a": robot["a"] ** (1.0 / length), "p_h_max": p_h_max}]
+
+
+def tsc_starts(runs: list[Run], limits: Mapping) -> list[dict]:
+    """Return operators near the best optima of block means, each with the robot that suits it."""
+    means, length = block_means(runs)
+    of_human = _without("human_", limits) | {"r0": limits["r0"]}
+    points = []
+    for operator in _operators(means, of_human, length):
+        values = {name: np.array([value]) for name, value in operator.items()}
+        drives = [simulate_human(run, **values)[:, 0].copy() for run in means]
+        robot = _robot(means, _without("robot_", limits), length, operator["p_max"], drives)
+        start = {"r0": operator.pop("r0"), "p_r0": robot.pop("p_r0")}
+        points.append(_with("human_", operator) | _with("robot_", robot) | start)
+    return _refined(TSC, means, points, limits, length)
+
+
+# --- the three models -----------------------------------------------------------------------------
+
+INF = np.inf
+HUMAN_NAMES = ("a", "beta", "p_min", "p_max")
+ROBOT_NAMES = ("a", "p_min", "p_max")
+COORDINATE = {"a": "rate", "beta": "odds"}
+HINTS = {
+    "a": "record a rise or a decay long enough to show its curvature",
+    "beta": "record phases that take utilization to both sides of the best one",
+    "p_min": "record a phase long enough to settle at the least performance",
+    "p_max": "record a phase long enough to come near the greatest performance",
+}
+
+
+def _useful_of(prefix: str, names: tuple[str, ...]) -> Callable:
+    """Return the function that says how wide half a useful 95 % interval is, by name."""
+
+    def useful(values: Mapping[str, float]) -> dict[str, float]:
+        # A limit of performance is told by half the distance to the other one.
+        half_range = 0.5 * abs(values[f"{prefix}p_max"] - values[f"{prefix}p_min"])
+        widths = dict.fromkeys((f"{prefix}p_min", f"{prefix}p_max"), half_range)
+        for name, kind in COORDINATE.items():
+            if name in names:
+                widths[prefix + name] = COORDINATES[kind].useful(values[prefix + name])
+        return widths
+
+    return useful
+
+
+USEFUL_OF_HUMAN = _useful_of("human_", HUMAN_NAMES)
+USEFUL_OF_ROBOT = _useful_of("robot_", ROBOT_NAMES)
+
+HUMAN = Model(
+    HUMAN_NAMES,
+    ("r0",),
+    ("p_h",),
+    low=(0.0, 0.0, -INF, -INF, 0.0),
+    high=(1.0, 1.0, INF, INF, 1.0),
+    size=_useful_of("", HUMAN_NAMES),
+    simulate=simulate_human,
+    starts=human_starts,
+    lanes=True,
+    coordinates=COORDINATE | {"r0": "load"},
+    build=build_human,
+    derived={"b": lambda a, **_: 1.0 - a},
+    hints=HINTS,
+)
+
+ROBOT = Model(
+    (*ROBOT_NAMES, "p_h_max"),
+    ("p_r0",),
+    ("p_r",),
+    low=(0.0, -INF, -INF, 0.0, -INF),
+    high=(1.0, INF, INF, INF, INF),
+    size=_useful_of("", ROBOT_NAMES),
+    simulate=simulate_robot,
+    starts=robot_starts,
+    inputs=("mode", "p_h"),
+    lanes=True,
+    coordinates={"a": "rate"},
+    build=build_robot,
+    derived={"b": gain_of_human_performance},
+    hints=HINTS,
+    check=check_excitation,
+)
+
+TSC = Model(
+    (*_with("human_", dict.fromkeys(HUMAN_NAMES)), *_with("robot_", dict.fromkeys(ROBOT_NAMES))),
+    ("r0", "p_r0"),
+    ("p_h", "p_r"),
+    low=(0.0, 0.0, -INF, -INF, 0.0, -INF, -INF, 0.0, -INF),
+    high=(1.0, 1.0, INF, INF, 1.0, INF, INF, 1.0, INF),
+    size=lambda values: USEFUL_OF_HUMAN(values) | USEFUL_OF_ROBOT(values),
+    simulate=simulate_tsc,
+    starts=tsc_starts,
+    lanes=True,
+    coordinates=_with("human_", COORDINATE) | {"robot_a": "rate", "r0": "load"},
+    build=build_tsc,
+    derived={
+        "human_b": lambda human_a, **_: 1.0 - human_a,
+        "robot_b": lambda robot_a, robot_p_min, robot_p_max, human_p_max, **_: (
+            gain_of_human_performance(robot_a, robot_p_min, robot_p_max, human_p_max)
+        ),
+    },
+    hints=_with("human_", HINTS) | _with("robot_", HINTS),
+    check=lambda runs, limits: check_excitation(runs, limits, "robot_p_min", "robot_p_max"),
+)
+
+
+# --- fits -----------------------------------------------------------------------------------------
 
 
 def fit_tsc(
@@ -89,126 +431,178 @@ def fit_tsc(
     >>> round(tsc.robot.a, 3), round(tsc.human.beta, 2)
     (0.996, 0.74)
     """
-    return fit(TSC, sessions, fixed=fixed, bounds=bounds, noise=noise, log=log, **settings)
+    return fit(TSC, sessions, fixed, bounds, noise, log=log, **settings)
 
 
-OPERATOR = ("human_a", "human_beta", "human_p_min", "human_p_max", "r0")
-ROBOT = ("robot_a", "robot_p_min", "robot_p_max", "p_r0")
-
-RANGES = ("human_p_min", "human_p_max", "robot_p_min", "robot_p_max")
-
-SLOPES = np.dtype([(name, float) for name in (*OPERATOR, *ROBOT)])
-
-
-@njit
-def _through_operator(mode, p_h, by_h, by_r, p_h_max, a, gain, out):
+def fit_human(
+    sessions: Session | Iterable[Session],
+    fixed: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple] | None = None,
+    noise: str = "auto",
+    log: LogSettings | None = None,
+    **settings: Any,
+) -> FitResult:
     """
-    Write the derivatives of P_r into the records `out`.
+    Identify the operator (2.5)-(2.6): a, beta, p_min, p_max, and r0 of every session.
 
-    Those by the robot's parameters, `by_r`, are copied; those by the operator's follow from the
-    derivatives of P_h, `by_h`, as (2.3) passes them on.
+    Parameters
+    ----------
+    sessions : Session or iterable of Session
+        Runs with columns mode and p_h; parameters are shared, initial utilizations are not.
+    fixed : mapping, optional
+        Values to hold, by name: a, beta, p_min, p_max, r0.
+    bounds : mapping, optional
+        Bounds (low, high) by name; None leaves a side open.
+    noise : {"auto", "white", "correlated", "hac"}
+        What the standard errors allow for; see `fit`.
+    log : LogSettings, optional
+        How the log shows the model: window, step, mode_delay, stamp_error, robust.
+    **settings : float or bool
+        Fields of `LogSettings` as keywords; they replace those of `log`.
+
+    Returns
+    -------
+    FitResult
+        With a HumanModel.
+
+    Raises
+    ------
+    IdentificationError
+        If the data do not determine a parameter; it is named.
+    SessionError
+        If a column is missing.
+    ValueError
+        If an argument is not understood.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> fit = tl.fit_human(tl.read_session("data/sessions/pilot.csv"))
+    >>> round(fit.model.beta, 2), fit.success
+    (0.74, True)
     """
-    by_a = 0.0
-    by_beta = 0.0
-    by_min = 0.0
-    by_max = 0.0
-    by_r0 = 0.0
-    for k in range(mode.size):
-        operator = by_h[k]
-        robot = by_r[k]
-        row = out[k]
-        row.human_a = by_a
-        row.human_beta = by_beta
-        row.human_p_min = by_min
-        row.human_p_max = by_max
-        row.r0 = by_r0
-        row.robot_a = robot.a
-        row.robot_p_min = robot.p_min
-        row.robot_p_max = robot.p_max
-        row.p_r0 = robot.p_r0
-        # (2.3) differentiated by x: ∂P_r(k+1) = a ∂P_r(k) + (1 − a) gain M(k) ∂P_h(k), gain =
-        # (p_max − p_min)/p_h,max.
-        into = (1.0 - a) * gain * mode[k]
-        by_a = a * by_a + into * operator.a
-        by_beta = a * by_beta + into * operator.beta
-        by_min = a * by_min + into * operator.p_min
-        # p_h,max acts through the gain, too.
-        by_max = a * by_max + into * (operator.p_max - p_h[k] / p_h_max)
-        by_r0 = a * by_r0 + into * operator.r0
+    return fit(HUMAN, sessions, fixed, bounds, noise, log=log, **settings)
 
 
-def _sensitivities(
-    run: Run,
-    human_a,
-    human_beta,
-    human_p_min,
-    human_p_max,
-    robot_a,
-    robot_p_min,
-    robot_p_max,
-    r0,
-    p_r0,
-):
+def fit_robot(
+    sessions: Session | Iterable[Session],
+    p_h_max: float | None = None,
+    fixed: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple] | None = None,
+    noise: str = "auto",
+    log: LogSettings | None = None,
+    **settings: Any,
+) -> FitResult:
     """
-    Return P_h and P_r with their derivatives, shapes (N, 5) and (N, 9).
+    Identify the robot (2.3): a, p_min, p_max, and P_r at the start of every session.
 
-    The simulated operator drives the robot: P_h depends on OPERATOR, P_r on OPERATOR and ROBOT.
+    This is `fit_tsc`, of which it reports the robot's part: the fitted operator drives the robot.
+
+    Parameters
+    ----------
+    sessions : Session or iterable of Session
+        Runs with columns mode, p_h and p_r; parameters are shared, initial performances are not.
+    p_h_max : float, optional
+        Greatest human performance, to which p_max refers in (2.3). By default it is identified from
+        the same sessions.
+    fixed : mapping, optional
+        Values to hold, by name: a, p_min, p_max, p_r0.
+    bounds : mapping, optional
+        Bounds (low, high) by name; None leaves a side open.
+    noise : {"auto", "white", "correlated", "hac"}
+        What the standard errors allow for; see `fit`.
+    log : LogSettings, optional
+        How the log shows the model: window, step, mode_delay, stamp_error, robust.
+    **settings : float or bool
+        Fields of `LogSettings` as keywords; they replace those of `log`.
+
+    Returns
+    -------
+    FitResult
+        With a RobotModel.
+
+    Raises
+    ------
+    IdentificationError
+        If the data do not determine a parameter; it is named.
+    SessionError
+        If a column is missing.
+    ValueError
+        If an argument is not understood.
+
+    Notes
+    -----
+    The dissertation's least squares on P_r(k + 1) = a P_r(k) + b M(k) P_h(k) + c is `arx`: quick,
+    and biased when p_r is measured with noise. For an operator who does not follow (2.5)-(2.6),
+    ``fit(trustlab.identification.ROBOT, sessions, fixed={"p_h_max": …})`` drives the robot with the
+    measured P_h, whose noise it takes for P_h itself.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> fit = tl.fit_robot(tl.read_session("data/sessions/pilot.csv"))
+    >>> round(fit.model.a, 3), fit.success
+    (0.996, True)
     """
-    p_h, by_human = simulate_human(run, human_a, human_beta, human_p_min, human_p_max, r0)
-    p_r, by_robot = simulate_robot(run, p_h, human_p_max, robot_a, robot_p_min, robot_p_max, p_r0)
-    gain = (robot_p_max - robot_p_min) / human_p_max
-    by = run.scratch("of P_r by all", SLOPES)
-    _through_operator(run["mode"], p_h, by_human, by_robot, human_p_max, robot_a, gain, by)
-    return [p_h, p_r], [as_columns(by_human), as_columns(by)]
+    if p_h_max is not None:
+        if "p_h_max" in {**(fixed or {}), **(bounds or {})}:
+            raise ValueError("p_h_max is given twice: as p_h_max=… and in fixed or bounds")
+        fixed = {**(fixed or {}), "p_h_max": positive("p_h_max", p_h_max)}
+    joint = fit(ROBOT_OF_TSC, sessions, fixed, bounds, noise, log=log, **settings)
+    rows = [name for name in joint.parameters.index if not name.startswith("human_")]
+    parameters = joint.parameters.loc[rows]
+    if p_h_max is not None:
+        parameters.loc["p_h_max", "status"] = "given"
+    free = [name for name in rows if name in joint.covariance.index]
+    message = joint.message
+    if joint.noise != "white" or not joint.success:
+        message += (
+            " If the operator does not follow (2.5)-(2.6), fit(trustlab.identification.ROBOT, …, "
+            "fixed={'p_h_max': …}) takes the measured p_h instead."
+        )
+    return replace(
+        joint,
+        parameters=parameters,
+        covariance=joint.covariance.loc[free, free],
+        initial_states=joint.initial_states[["p_r0", "p_r0_stderr"]],
+        runs=[run.only("p_r") for run in joint.runs],
+        sigma={"p_r": joint.sigma["p_r"]},
+        cost=0.5 * float(sum(np.sum(run.residual("p_r") ** 2) for run in joint.runs)),
+        message=message,
+    )
 
 
-def _without_prefix(values: Mapping, prefix: str) -> dict:
-    """Return the values of one of the two models by their names in that model alone."""
-    return {
-        name.removeprefix(prefix): value
-        for name, value in values.items()
-        if name.startswith(prefix)
-    }
+def _renamed(model: Model, names: Mapping[str, str], **changes: Any) -> Model:
+    """Return a model some of whose unknowns have other names."""
+    back = {new: old for old, new in names.items()}
+
+    def new(values: Mapping) -> dict:
+        return {names.get(name, name): value for name, value in values.items()}
+
+    def old(values: Mapping) -> dict:
+        return {back.get(name, name): value for name, value in values.items()}
+
+    return replace(
+        model,
+        names=tuple(names.get(name, name) for name in model.names),
+        size=lambda values: new(model.size(old(values))),
+        simulate=lambda run, **values: model.simulate(run, **old(values)),
+        starts=lambda runs, limits: [new(start) for start in model.starts(runs, old(limits))],
+        coordinates=new(model.coordinates),
+        hints=new(model.hints),
+        **changes,
+    )
 
 
-def _guess(runs: list[Run], limits: Mapping) -> list[dict]:
-    """Return starting values: the operator's first, then the robot's under the measured P_h."""
-    starts = []
-    for human in human_guess(runs, _without_prefix(limits, "human_") | {"r0": limits["r0"]}):
-        robot = robot_guess(runs, _without_prefix(limits, "robot_"), human["p_max"])
-        start = {"r0": human.pop("r0"), "p_r0": robot.pop("p_r0")}
-        start |= {f"human_{name}": value for name, value in human.items()}
-        starts.append(start | {f"robot_{name}": value for name, value in robot.items()})
-    return starts
-
-
-def _build(**values) -> TscModel:
-    operator = build_human(**_without_prefix(values, "human_"))
-    robot = build_robot(**_without_prefix(values, "robot_"), p_h_max=operator.p_max)
-    try:
-        return TscModel(robot, operator)
-    except ValueError as error:
-        raise IdentificationError(
-            f"the fitted ranges of performance give no a_T and b_T of (2.2): {error}", RANGES
-        ) from error
-
-
-TSC = Structure(
-    "robot and human model (2.3), (2.5)-(2.6)",
-    parameters=(*human_parameters("human_"), *robot_parameters("robot_")),
-    initial=(initial_utilization("human_beta"), Parameter("p_r0")),
-    outputs=("p_h", "p_r"),
-    sensitivities=_sensitivities,
-    affected_by={"p_h": OPERATOR, "p_r": (*OPERATOR, *ROBOT)},
-    guess=_guess,
-    model=_build,
+# Robot and operator under the names of the robot's own parameters.
+ROBOT_OF_TSC = _renamed(
+    TSC,
+    {f"robot_{name}": name for name in ROBOT_NAMES} | {"human_p_max": "p_h_max"},
     derived={
-        "human_b": lambda at: 1.0 - at["human_a"],
-        "robot_b": lambda at: gain_of_human_performance(
-            at["robot_a"], at["robot_p_min"], at["robot_p_max"], at["human_p_max"]
-        ),
+        "b": lambda a, p_min, p_max, p_h_max, **_: gain_of_human_performance(
+            a, p_min, p_max, p_h_max
+        )
     },
-    check=lambda runs, limits: check_excitation(runs, limits, "robot_p_min", "robot_p_max"),
-    step=MODEL_STEP,
-    remedy=POSTERIOR,
+    build=lambda a, p_min, p_max, p_h_max, **_: build_robot(a, p_min, p_max, p_h_max),
+    check=check_excitation,
 )

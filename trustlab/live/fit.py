@@ -6,8 +6,8 @@ another model's values.
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from trustlab.identification.fit_result import FitResult
-from trustlab.identification.structure import IdentificationError
+from trustlab.identification.model import IdentificationError
+from trustlab.identification.result import FitResult
 from trustlab.identification.tsc import fit_tsc
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session

@@ -21,7 +21,7 @@ from trustlab.sessions.session import Session
 from trustlab.testbeds.deciding import CONDITIONS, suggested_by_tsc
 
 if TYPE_CHECKING:
-    from trustlab.identification.fit_result import FitResult
+    from trustlab.identification.result import FitResult
 
 with extra("live"):
     import anywidget

@@ -11,7 +11,6 @@ ROOMS = (
     "campaign",
     "sessions",
     "identification",
-    "identify",
     "allocation",
     "trust",
     "teleoperation",

@@ -82,7 +82,7 @@ def any_target(prior="weak"):
     t = STEP * np.arange(100)
     frame = pd.DataFrame({"mode": t > 5.0, "p_h": 0.4, "p_r": 0.3}, index=pd.Index(t, name="t"))
     log = tl.LogSettings()
-    from trustlab.identification.runs import read_runs
+    from trustlab.identification.log import read_runs
 
     session = tl.Session(frame.astype(float), tl.Metadata(synthetic=True))
     return target_of(read_runs(session, "mode", "p_h", "p_r", log=log), as_prior(prior), log)

@@ -21,7 +21,7 @@ from trustlab.identification.posterior.coordinates import (
 )
 from trustlab.identification.posterior.priors import as_prior, prior_of, transformed
 from trustlab.identification.posterior.sampling import prior_thetas, target_of
-from trustlab.identification.runs import read_runs
+from trustlab.identification.log import read_runs
 
 from . import simulated_logs
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from trustlab.identification.logged import undo_window
+from trustlab.identification.log import Run, undo_window
+from trustlab.identification.model import IdentificationError
 from trustlab.identification.posterior.likelihood import Blocks
-from trustlab.identification.runs import Run
-from trustlab.identification.structure import IdentificationError
 
 # Length of a block [s], short beside every time constant of the models.
 BLOCK = 1.0

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trustlab.identification.log import LogSettings
 from trustlab.identification.posterior.coordinates import Target
 from trustlab.identification.posterior.draws import MODEL, WORDS, interval_words, physical, summary
 from trustlab.identification.posterior.importance import Sample, resampled, smoothed
@@ -17,7 +18,6 @@ from trustlab.identification.posterior.pooling import Pool, pool
 from trustlab.identification.posterior.priors import Prior, as_prior, prior_of
 from trustlab.identification.posterior.result import Posterior
 from trustlab.identification.posterior.sampling import sample_posterior
-from trustlab.identification.runs import LogSettings
 from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.models.display import Result
 from trustlab.sessions.session import Session

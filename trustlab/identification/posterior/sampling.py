@@ -5,6 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from trustlab.identification.log import LogSettings, Run, log_settings, read_runs
+from trustlab.identification.model import IdentificationError
+from trustlab.identification.noise import outliers, robust_deviation, whiteness_p
 from trustlab.identification.posterior.blocks import OUTPUTS, blocks_of
 from trustlab.identification.posterior.coordinates import Target, admissible, to_thetas
 from trustlab.identification.posterior.draws import physical
@@ -19,9 +22,6 @@ from trustlab.identification.posterior.priors import Normal, Prior, as_prior
 from trustlab.identification.posterior.result import Posterior
 from trustlab.identification.posterior.sampler import POINTS, sample_target, tops_of
 from trustlab.identification.posterior.search import Top
-from trustlab.identification.residuals import outliers, robust_deviation, whiteness_p
-from trustlab.identification.runs import LogSettings, Run, log_settings, read_runs
-from trustlab.identification.structure import IdentificationError
 from trustlab.models.checks import whole_number
 from trustlab.sessions.session import Session
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trustlab.identification.model import IdentificationError
 from trustlab.identification.posterior.coordinates import Target, density, from_theta
 from trustlab.identification.posterior.likelihood import (
     BETA,
@@ -26,7 +27,6 @@ from trustlab.identification.posterior.likelihood import (
     shapes,
     simulate,
 )
-from trustlab.identification.structure import IdentificationError
 from trustlab.models.compiled import njit
 from trustlab.models.linear_algebra import symmetric_eigen
 

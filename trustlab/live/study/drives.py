@@ -98,7 +98,7 @@ def identified(plan: Plan, session: Session) -> dict[str, Any]:
     """
     # Only here: a server that comes back after a crash must not compile what it does not need yet.
     from trustlab.allocation.threshold_choice import choose_thresholds
-    from trustlab.identification.structure import IdentificationError
+    from trustlab.identification.model import IdentificationError
     from trustlab.live.fit import fit_holding
 
     try:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.identify.noise import (
+from trustlab.identification.noise import (
     Noise,
     hac_lags,
     hac_matrix,
@@ -17,7 +17,7 @@ from trustlab.identify.noise import (
     whiten,
     whiteness_p,
 )
-from trustlab.identify.problem import Optimum, Problem, Series
+from trustlab.identification.problem import Optimum, Problem, Series
 
 NOISES = ("auto", "white", "correlated", "hac")
 

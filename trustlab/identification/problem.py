@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.identify.log import Run, counts, joined, undo_window, window_means
-from trustlab.identify.model import IdentificationError, Model
-from trustlab.identify.noise import FAR, Noise, fit_noise, outliers, robust_deviation, whiten
+from trustlab.identification.log import Run, counts, joined, undo_window, window_means
+from trustlab.identification.model import IdentificationError, Model
+from trustlab.identification.noise import FAR, Noise, fit_noise, outliers, robust_deviation, whiten
 from trustlab.models.compiled import njit
 
 # Steps of the lanes in coordinates of the search; relative where a coordinate has no scale. That of
@@ -70,8 +70,8 @@ class Equations(NamedTuple):
     The likelihood at one point.
 
     `deviance` is −2 ln likelihood but for a constant, `gradient` half its slope, `matrix` the
-    Gauss–Newton matrix of its half, `squares` Σ e² by output. `residual` and `root` are a problem of
-    least squares with the same gradient and matrix.
+    Gauss–Newton matrix of its half, `squares` Σ e² by output. `residual` and `root` are a problem
+    of least squares with the same gradient and matrix.
     """
 
     deviance: float

@@ -1,18 +1,18 @@
 """The result of a fit: the model, its uncertainty and its residuals, in tables and plots."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.identify.doubts import doubts, remarks, search_remark
-from trustlab.identify.estimate import Estimate
-from trustlab.identify.log import window_means
-from trustlab.identify.model import IdentificationError
-from trustlab.identify.noise import (
+from trustlab.identification.doubts import doubts, remarks, search_remark
+from trustlab.identification.estimate import Estimate
+from trustlab.identification.log import window_means
+from trustlab.identification.model import IdentificationError
+from trustlab.identification.noise import (
     ljung_box,
     pooled_autocorrelation,
     pooled_cross_correlation,
@@ -56,6 +56,15 @@ class RunFit:
     def mode(self) -> np.ndarray:
         """Manual share."""
         return self.inputs["mode"]
+
+    def only(self, output: str) -> "RunFit":
+        """Return the run with one of its outputs."""
+        return replace(
+            self,
+            measured={output: self.measured[output]},
+            fitted={output: self.fitted[output]},
+            prediction_errors={output: self.prediction_errors[output]},
+        )
 
     def residual(self, output: str) -> np.ndarray:
         """Return measured minus fitted."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.identify.model import IdentificationError, Model
+from trustlab.identification.model import IdentificationError, Model
 from trustlab.models.checks import flag, not_negative, of_class, positive, warn
 from trustlab.sessions.session import Session
 
@@ -269,7 +269,7 @@ def _down(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
     return weights.reshape(-1, *[1] * (values.ndim - 1))
 
 
-# --- finer steps, and a mode that acts late --------------------------------------------------------
+# --- finer steps, and a mode that acts late -------------------------------------------------------
 
 
 def logged_model(model: Model, sample_time: float, log: LogSettings) -> Model:

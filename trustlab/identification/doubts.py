@@ -9,9 +9,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from trustlab.identify.estimate import NOT_WHITE, Estimate
-from trustlab.identify.noise import hac_lags
-from trustlab.identify.problem import Problem
+from trustlab.identification.estimate import NOT_WHITE, Estimate
+from trustlab.identification.noise import hac_lags
+from trustlab.identification.problem import Problem
 
 # Standard errors from which on a delay counts: of sound fits one in a thousand is doubted.
 CERTAIN = 3.3
@@ -180,9 +180,9 @@ def _slow(estimate: Estimate) -> Iterator[str]:
     samples = sum(run.size for run in problem.runs)
     memory = [1.0 / (1.0 - noise.memory) for noise in problem.noise if noise.share > 0.01]
     if estimate.sandwiched:
-        memory.append(max(
-            hac_lags([s.white[:, 0] for s in of_output]) for of_output in problem.by_output()
-        ))
+        memory.append(
+            max(hac_lags([s.white[:, 0] for s in of_output]) for of_output in problem.by_output())
+        )
     if memory and max(memory) * STRETCHES > samples:
         step = problem.runs[0].sample_time
         yield (

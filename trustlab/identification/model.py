@@ -129,15 +129,15 @@ class Model:
         If names are repeated, or a field does not fit the others.
     """
 
-    names: Sequence[str]
-    states: Sequence[str]
-    outputs: Sequence[str]
+    names: tuple[str, ...]
+    states: tuple[str, ...]
+    outputs: tuple[str, ...]
     low: Sequence[float] = ()
     high: Sequence[float] = ()
-    size: Sequence[float] | Callable = ()
-    simulate: Callable = None
+    size: Any = ()
+    simulate: Any = None
     starts: Callable | None = None
-    inputs: Sequence[str] = ("mode",)
+    inputs: tuple[str, ...] = ("mode",)
     lanes: bool = False
     coordinates: Mapping[str, str] = field(default_factory=dict)
     build: Callable | None = None
