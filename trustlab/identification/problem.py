@@ -288,7 +288,9 @@ class Problem:
             max_nfev=most,
         )
         held[moving] = end.active_mask != 0
-        return at(end.x), held, bool(end.success), int(end.nfev)
+        # No search can come closer than rounding.
+        exact = (self.equations(at(end.x)).squares <= ROUNDING * self.floors).all()
+        return at(end.x), held, bool(end.success or exact), int(end.nfev)
 
     def robust_search(self, x: np.ndarray, robust: bool, **options: Any) -> "Optimum":
         """Search, and again without the outliers that show."""
