@@ -359,9 +359,6 @@ KNOWN = {
     "CorrectionRun.plot": {
         "target": "foreign errors",
     },
-    "sample_posterior": {
-        "seed": "foreign errors",
-    },
     "Posterior.simulated": {
         "most": "foreign errors",
     },

@@ -312,6 +312,8 @@ def test_what_is_not_understood_is_refused():
         ({"prior": "strong"}, "weak"),
         ({"prior": 3}, "Prior"),
         ({"n": 10}, "n must"),
+        ({"seed": None}, "seed=0"),
+        ({"seed": -1}, "seed must"),
         ({"windo": 3.0}, "windo"),
     ):
         with pytest.raises((ValueError, TypeError), match=words):
