@@ -16,6 +16,7 @@ from scipy import stats
 
 import trustlab as tl
 from tests.house.documents import ROOT
+from trustlab.identification.posterior import sampler
 from trustlab.identification.posterior.coordinates import to_thetas
 from trustlab.identification.posterior.draws import MODEL, interval_words, physical
 from trustlab.identification.posterior.ensemble import ensemble_sample
@@ -30,6 +31,7 @@ from trustlab.identification.posterior.importance import (
     weighed,
 )
 from trustlab.identification.posterior.sampler import proposals, sample_target, tops_of
+from trustlab.identification.posterior.search import Top
 
 from . import simulated_logs
 from .make_coverage import LOGS, NOISES, ranks_of
@@ -170,6 +172,16 @@ def test_walkers_agree_with_weights():
         mean, sd = posterior.draws[name].mean(), posterior.draws[name].std()
         assert by_walkers[name].mean() == pytest.approx(mean, abs=0.25 * sd), name
         assert by_walkers[name].std() == pytest.approx(sd, rel=0.3), name
+
+
+def test_a_maximum_far_below_the_highest_is_left_out(monkeypatch):
+    """The first climb may end low: it is the highest that others are compared with."""
+    values = {0.0: -500.0, 10.0: -100.0, 20.0: -505.0, 30.0: -111.0}
+    monkeypatch.setattr(sampler, "starting_points", lambda *_: list(values))
+    monkeypatch.setattr(
+        sampler, "climb", lambda x, _: Top(np.array([x]), values[x], np.array([[1.0]]))
+    )
+    assert [top.value for top in tops_of(None, None)] == [-100.0, -111.0]
 
 
 def test_the_tail_of_weights_is_a_pareto_distribution():

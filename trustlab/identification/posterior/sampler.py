@@ -45,8 +45,9 @@ def good(sample: Sample) -> bool:
 def tops_of(target: Target, rng: np.random.Generator) -> list[Top]:
     """Return the maxima that ascents from several starts reach, the highest first."""
     climbed = [climb(x, target) for x in starting_points(target, rng, DRAWS, STARTS)]
+    climbed.sort(key=lambda top: -top.value)
     apart: list[Top] = []
-    for top in sorted(climbed, key=lambda top: -top.value):
+    for top in climbed:
         if top.value > climbed[0].value - 12.0 and all(_apart(top, t) for t in apart):
             apart.append(top)
     return apart
