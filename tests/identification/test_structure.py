@@ -19,7 +19,7 @@ import trustlab as tl
 from trustlab.identification.human import HUMAN
 from trustlab.identification.output_error import Problem, local_optimum
 from trustlab.identification.residuals import hac_lags
-from trustlab.identification.robot_structure import robot_structure
+from trustlab.identification.robot_performance import robot_structure
 from trustlab.identification.runs import read_runs
 from trustlab.identification.tsc import TSC
 
