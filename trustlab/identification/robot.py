@@ -98,7 +98,7 @@ def fit_robot(
         estimate = estimate_runs(structure, runs, limits, noise, robust=log.robust)
         joint = result(estimate)
     except IdentificationError as error:
-        if not {"p_h_max", *OPERATOR} & set(error.parameters):
+        if not set(OPERATOR_NAMES) & set(error.parameters):
             raise
         raise IdentificationError(f"{error}; {DRIVEN}", error.parameters) from error
     return _robot_of(joint, estimate, p_h_max is not None)
@@ -116,6 +116,8 @@ NAMES = {
 JOINT = {name: joint for joint, name in NAMES.items()}
 
 ROWS = ("a", "p_min", "p_max", "p_h_max", "b", "mode_delay")
+
+OPERATOR_NAMES = tuple(NAMES.get(name, name) for name in OPERATOR if name != "r0")
 
 DRIVEN = (
     "if the operator does not follow (2.5)-(2.6), fit the robot driven by the measured p_h: "
@@ -187,10 +189,16 @@ def _checked_best(runs: list[Run], p_h_max: float) -> float:
 def _robot_of(joint: FitResult, estimate: Estimate, given: bool) -> FitResult:
     """Return what of the joint fit belongs to the robot; `given` says that p_h_max was."""
     parameters = joint.parameters.loc[[name for name in ROWS if name in joint.parameters.index]]
+    message = joint.message
     if given:
         parameters.loc["p_h_max", "status"] = "given"
+    else:
+        # p_max refers to p_h_max, which is as good as the operator's model.
+        operator = joint.parameters["status"].reindex([*OPERATOR_NAMES])
+        if operator.isin(["weak", "at bound"]).any():
+            parameters.loc[["p_max", "p_h_max"], "status"] = "weak"
+            message += " Do not rely on p_h_max, nor on p_max, which refers to it; give p_h_max=…."
     free = [name for name in parameters.index if name in joint.covariance.index]
-    message = joint.message
     if _operator_differs(estimate):
         message += f" The residuals of p_h are not white: {DRIVEN}."
     return replace(
