@@ -183,6 +183,12 @@ def _checked_best(runs: list[Run], p_h_max: float) -> float:
             f"p_h_max = {p_h_max} lies below the median of the measured p_h, {middle:.4g}; it is "
             "the greatest"
         )
+    greatest = float(np.max(joined(runs, "p_h")))
+    if best > 1e3 * greatest:
+        raise ValueError(
+            f"p_h_max = {p_h_max} is over a thousand times the measured p_h, {greatest:.4g}; give "
+            "it in the unit of p_h"
+        )
     return best
 
 

@@ -127,7 +127,7 @@ def robot_structure(p_h_max: float) -> Structure:
         ),
     )
     return Structure(
-        "robot model (2.3)",
+        f"robot model (2.3) for p_h_max = {p_h_max:g}",
         parameters=robot_parameters(),
         initial=(Parameter("p_r0"),),
         inputs=("mode", "p_h"),
