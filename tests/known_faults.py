@@ -250,7 +250,6 @@ KNOWN = {
         "method": "foreign errors",
     },
     "fit_robot": {
-        "method": "NaN is taken",
         "p_h_max": "NaN is taken",
     },
     "fit_transfer_function": {

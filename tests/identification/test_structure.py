@@ -19,7 +19,7 @@ import trustlab as tl
 from trustlab.identification.human import HUMAN
 from trustlab.identification.output_error import Problem, local_optimum
 from trustlab.identification.residuals import hac_lags
-from trustlab.identification.robot_structure import robot_structure
+from trustlab.identification.robot_performance import robot_structure
 from trustlab.identification.runs import read_runs
 from trustlab.identification.tsc import TSC
 
@@ -310,8 +310,12 @@ def test_any_structure_with_a_linear_form_can_be_regressed(operators, make_sessi
     model = operators["pilot"]
     session = make_session(model, switching, noise=0.001)
     general = tl.fit(robot_structure(model.robot.p_h_max), session, method="regression")
-    named = tl.fit_robot(session, method="regression", p_h_max=model.robot.p_h_max)
-    pd.testing.assert_frame_equal(general.parameters, named.parameters.loc[["a", "p_min", "p_max"]])
+    # (2.3) as P_r(k+1) = a P_r(k) + b M(k) P_h(k) + c.
+    drive = session["mode"] * session["p_h"]
+    a1, b, c = tl.arx(session["p_r"], drive, intercept=True).coefficients
+    p_min = c / (1.0 + a1)
+    p_max = p_min + b / (1.0 + a1) * model.robot.p_h_max
+    np.testing.assert_allclose(general.parameters["value"], [-a1, p_min, p_max], rtol=1e-10)
     with pytest.raises(ValueError, match="'two rates' has no linear form"):
         tl.fit(MINE, session, method="regression")
 

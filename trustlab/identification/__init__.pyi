@@ -7,6 +7,7 @@ from .posterior.result import Posterior as Posterior
 from .posterior.sampling import sample_posterior as sample_posterior
 from .regression import ArxResult as ArxResult, arx as arx
 from .robot import fit_robot as fit_robot
+from .robot_performance import robot_structure as robot_structure
 from .runs import LogSettings as LogSettings
 from .structure import (
     IdentificationError as IdentificationError,

@@ -161,7 +161,7 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
 
     y(k) + a_1 y(k−1) + … + a_na y(k−na) = b_1 u(k−nk) + … + b_nb u(k−nk−nb+1) + c + e(k). With
     white noise on the measured output (rather than e(k) inside the recursion) the estimates are
-    biased; see `fit_robot`.
+    biased; `fit` and `fit_robot` simulate the model instead.
 
     Parameters
     ----------

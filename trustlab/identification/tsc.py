@@ -18,7 +18,7 @@ from trustlab.identification.human import (
     initial_utilization,
     simulate_human,
 )
-from trustlab.identification.robot_structure import (
+from trustlab.identification.robot_performance import (
     build_robot,
     check_excitation,
     robot_guess,
