@@ -250,7 +250,6 @@ KNOWN = {
         "method": "foreign errors",
     },
     "fit_robot": {
-        "method": "NaN is taken",
         "p_h_max": "NaN is taken",
     },
     "fit_transfer_function": {
@@ -358,9 +357,6 @@ KNOWN = {
     },
     "CorrectionRun.plot": {
         "target": "foreign errors",
-    },
-    "sample_posterior": {
-        "seed": "foreign errors",
     },
     "Posterior.simulated": {
         "most": "foreign errors",

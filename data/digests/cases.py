@@ -444,7 +444,9 @@ CASES = {
     "fit_robot": lambda: estimates(tl.fit_robot(pilot()).table(), "value", "stderr"),
     "fit_human": lambda: estimates(tl.fit_human(pilot()).table(), "value", "stderr"),
     "fit_robot_by_regression": lambda: estimates(
-        tl.fit_robot(pilot(), method="regression").table(), "value", "stderr"
+        tl.arx(pilot()["p_r"], pilot()["mode"] * pilot()["p_h"], intercept=True).table(),
+        "value",
+        "stderr",
     ),
     "fit_transfer_function": transfer_function,
     "sample_posterior": lambda: estimates(posterior().table(), "mean", "sd"),

@@ -20,6 +20,7 @@ HEAVY = [
     "statsmodels",
     "pingouin",
     "casadi",
+    "emcee",
     "rosbags",
     "pyarrow",
     "papermill",

@@ -176,10 +176,10 @@ def test_fit_human_agrees_with_the_second_implementation(seed, shares):
 
 
 @pytest.mark.parametrize(("seed", "shares"), CASES)
-def test_fit_robot_agrees_with_the_second_implementation(seed, shares):
+def test_the_driven_robot_agrees_with_the_second_implementation(seed, shares):
     session, human, truth = noisy_session(seed, shares)
-    parameters, cost, _ = oracle_robot(session, truth, human[3])
-    fit = tl.fit_robot(session, p_h_max=human[3])
+    parameters, cost, J = oracle_robot(session, truth, human[3])
+    fit = tl.fit(tl.identification.robot_structure(human[3]), session, noise="white")
     assert fit.success, fit.message
     assert fit.cost == pytest.approx(cost, rel=1e-7)
     model = [fit.model.a, fit.model.p_min, fit.model.p_max]
@@ -188,30 +188,8 @@ def test_fit_robot_agrees_with_the_second_implementation(seed, shares):
     np.testing.assert_allclose(fit.initial_states["p_r0"], parameters[3:], rtol=1e-7)
     b = (1 - parameters[0]) * (parameters[2] - parameters[1]) / human[3]
     assert fit.model.b == pytest.approx(b, rel=1e-6)
-
-
-@pytest.mark.parametrize(("seed", "shares"), CASES)
-def test_standard_errors_of_fit_robot_agree_with_the_second_implementation(seed, shares):
-    """
-    s² (JᵀJ)⁻¹ + σ² (JᵀJ)⁻¹ JᵀLLᵀJ (JᵀJ)⁻¹, as `fit_robot` documents it.
-
-    L is the response of P_r to P_h as an explicit matrix, L[k, i] = b M(i) a^(k−1−i) for i < k, and
-    σ² half the mean square of the first differences of p_h.
-    """
-    session, human, truth = noisy_session(seed, shares)
-    parameters, cost, J = oracle_robot(session, truth, human[3])
-    a, p_min, p_max = parameters[:3]
-    b = (1 - a) * (p_max - p_min) / human[3]
-    age = np.arange(SAMPLES)[:, None] - 1.0 - np.arange(SAMPLES)
-    L = np.where(age >= 0.0, b * measured(session, "mode") * a ** np.maximum(age, 0.0), 0.0)
-    inverse = np.linalg.inv(J.T @ J)
-    noise = 0.5 * np.mean(np.diff(measured(session, "p_h")) ** 2)
-    passed_on = inverse @ J.T @ L
-    covariance = 2.0 * cost / (SAMPLES - 4) * inverse + noise * passed_on @ passed_on.T
-    table = tl.fit_robot(session, p_h_max=human[3], noise="white").table()
-    np.testing.assert_allclose(
-        table.loc[ROBOT_NAMES, "stderr"], np.sqrt(np.diag(covariance))[:3], rtol=1e-5
-    )
+    stderr = np.sqrt(2.0 * cost / (SAMPLES - 4) * np.diag(np.linalg.inv(J.T @ J)))
+    np.testing.assert_allclose(fit.table().loc[ROBOT_NAMES, "stderr"], stderr[:3], rtol=1e-5)
 
 
 def test_several_sessions_share_parameters_and_keep_their_own_initial_states():

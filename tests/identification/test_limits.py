@@ -51,8 +51,9 @@ def test_performance_that_never_moves_is_refused(operators, make_session):
     with pytest.raises(IdentificationError, match="p_h never moves") as caught:
         tl.fit_human(flat)
     assert "beta" in caught.value.parameters
-    with pytest.raises(IdentificationError, match="p_h_max"):
+    with pytest.raises(IdentificationError, match="p_h_max") as caught:
         tl.fit_robot(flat)
+    assert set(caught.value.parameters) == {"human_a", "human_beta", "human_p_min", "p_h_max"}
 
 
 def test_utilization_that_hardly_moves_names_beta(operators, make_session):
@@ -72,7 +73,10 @@ def test_no_decay_to_see_makes_a_wide_interval(operators):
         6000
     )
     frame = pd.DataFrame({"mode": mode, "p_h": p_h, "p_r": p_r}, index=np.arange(6000) * 0.1)
-    fit = tl.fit_robot(tl.Session(frame), p_h_max=0.4602)
+    session = tl.Session(frame)
+    with pytest.raises(IdentificationError, match=r"driven by the measured p_h: .*robot_structure"):
+        tl.fit_robot(session, p_h_max=0.4602)
+    fit = tl.fit(tl.identification.robot_structure(0.4602), session)
     row = fit.table().loc["p_min"]
     assert not fit.success
     assert row["status"] == "weak"
@@ -85,11 +89,10 @@ def test_p_max_is_doubted_with_the_operator_it_refers_to(operators, make_session
     # Half a minute each way: utilization hardly moves, and the greatest performance is anyone's
     # guess.
     session = make_session(operators["pilot"], np.repeat([1.0, 0.0], 300), noise=0.006)
-    for method in ("output_error", "regression"):
-        fit = tl.fit_robot(session, method=method)
-        assert not fit.success
-        assert "give p_h_max" in fit.message
-        assert fit.table().loc["p_max", "status"] == "weak"
+    fit = tl.fit_robot(session)
+    assert not fit.success
+    assert "nor on p_max, which refers to it; give p_h_max" in fit.message
+    assert fit.table().loc[["p_max", "p_h_max"], "status"].eq("weak").all()
 
 
 def test_a_robot_that_is_better_alone_contradicts_the_model(operators, make_session, switching):
@@ -167,11 +170,12 @@ def test_least_squares_refuses_what_it_has_no_use_for_and_doubts_what_explains_n
     r, _ = model.human.simulate(switching, 0.3)
     rng = np.random.default_rng(0)
     logged = session.with_columns(r=np.clip(r + 0.02 * rng.standard_normal(r.size), 0.0, 1.0))
-    for fit, method in ((tl.fit_robot, "regression"), (tl.fit_human, "regression")):
-        with pytest.raises(ValueError, match="choose its noise"):
-            fit(logged, method=method, noise="hac")
-        with pytest.raises(ValueError, match="method must be"):
-            fit(logged, method="pem")
+    with pytest.raises(ValueError, match="choose its noise"):
+        tl.fit_human(logged, method="regression", noise="hac")
+    with pytest.raises(ValueError, match="method must be"):
+        tl.fit_human(logged, method="pem")
+    with pytest.raises(TypeError, match=r"least squares on one-step predictions is trustlab\.arx"):
+        tl.fit_robot(logged, method="regression")
     level = tl.Structure(
         "level",
         [tl.Parameter("p", 0.0, 1.0)],
@@ -238,3 +242,51 @@ def test_trials_without_a_change_of_mode_are_named(operators, make_session):
         for share, r0 in ((1.0, 0.05), (0.0, 0.95))
     ]
     assert "Mode never changes within any of the 2 runs" in tl.fit_tsc(long).message
+
+
+@pytest.mark.parametrize("mode_delay", [False, True])
+def test_what_an_error_of_fit_robot_recommends_is_accepted(operators, make_session, mode_delay):
+    model = operators["pilot"]
+    session = make_session(model, np.ones(5000), p_r0=0.25)
+    with pytest.raises(IdentificationError, match=r"fixed=\{'p_min': ...\}") as caught:
+        tl.fit_robot(session, mode_delay=mode_delay)
+    assert caught.value.parameters == ("p_min", "p_max")
+    with pytest.raises(ValueError, match=r"fixed names 'robot_p_min'"):
+        tl.fit_robot(session, fixed={"robot_p_min": 0.24}, mode_delay=mode_delay)
+
+
+def test_an_operator_who_does_not_follow_is_named_and_the_measured_one_drives_the_robot(operators):
+    truth, rng = operators["pilot"].robot, np.random.default_rng(0)
+    mode = np.repeat([1.0, 0.0] * 3, 1000)
+    t = 0.1 * np.arange(mode.size)
+    p_h = 0.4 + 0.05 * np.sin(2.0 * np.pi * t / 40.0)
+    p_r = truth.simulate(mode, p_h, 0.24)
+    noisy = {
+        name: values + 0.003 * rng.standard_normal(t.size)
+        for name, values in (("p_h", p_h), ("p_r", p_r))
+    }
+    frame = pd.DataFrame({"mode": mode, **noisy}, index=pd.Index(t, name="t"))
+    session = tl.Session(frame, tl.Metadata(synthetic=True))
+    joint = tl.fit_robot(session, p_h_max=truth.p_h_max)
+    assert not joint.success
+    assert "The residuals of p_h are not white" in joint.message
+    assert "driven by the measured p_h" in joint.message
+    driven = tl.fit(tl.identification.robot_structure(truth.p_h_max), session)
+    assert driven.success, driven.message
+    expected = pd.Series({"a": truth.a, "p_min": truth.p_min, "p_max": truth.p_max})
+    assert driven.model.p_max == pytest.approx(truth.p_max, abs=1e-3)
+    assert ((driven.table()["value"] - expected) / driven.table()["stderr"]).abs().max() < 4.0
+
+
+def test_noise_and_robust_act_on_the_operator_of_fit_robot(operators, make_session, switching):
+    session = make_session(operators["pilot"], switching, noise=0.003, seed=1)
+    p_h = session["p_h"].copy()
+    p_h[3000:3200] = 0.0
+    dropouts = session.with_columns(p_h=p_h)
+    kept, left_out = (tl.fit_robot(dropouts, robust=robust).table() for robust in (False, True))
+    assert abs(kept.loc["p_h_max", "value"] - left_out.loc["p_h_max", "value"]) > 1e-3
+    white, hac = (tl.fit_robot(session, noise=noise).table() for noise in ("white", "hac"))
+    assert white.loc["p_h_max", "stderr"] != hac.loc["p_h_max", "stderr"]
+    for noise, table in (("white", white), ("hac", hac)):
+        joint = tl.fit_tsc(session, noise=noise).table().loc["human_p_max"]
+        assert table.loc["p_h_max", "stderr"] == pytest.approx(joint["stderr"], rel=1e-6)

@@ -17,8 +17,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 import trustlab as tl
-from trustlab.identification.logged import undo_window, window_means
-from trustlab.identification.residuals import Noise, prediction_errors
+from trustlab.identification.log import undo_window, window_means
+from trustlab.identification.noise import Noise, whiten
 from trustlab.sessions.metrics import window_mean
 
 ROOT = Path(__file__).parents[2]
@@ -257,7 +257,8 @@ def test_a_structure_of_ones_own_has_a_window_for_free():
 
 
 def test_regressions_doubt_windowed_columns(operators):
-    fit = tl.fit_robot(windowed(30.0, 0), method="regression", p_h_max=0.4602)
+    robot = tl.identification.robot_structure(0.4602)
+    fit = tl.fit(robot, windowed(30.0, 0), method="regression")
     assert not fit.success
     assert "means over a window" in fit.message
 

@@ -66,6 +66,9 @@ def test_exact_data_give_the_parameters_back(operators, make_session, switching,
         for key, value in expected.items():
             assert estimates[key] == pytest.approx(value, rel=1e-6), key
         assert np.min(fit.fit_percent) > 99.99
+    drive = session["mode"] * session["p_h"]
+    a1 = tl.arx(session["p_r"], drive, intercept=True).coefficients[0]
+    assert -a1 == pytest.approx(model.robot.a, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -159,11 +162,11 @@ def test_arx_is_biased_and_does_not_know_it(operators, make_session, switching):
     """
     model = operators["pilot"]
     rows = [
-        tl.fit_robot(session, method="regression", p_h_max=model.robot.p_h_max).table().loc["a"]
+        tl.arx(session["p_r"], session["mode"] * session["p_h"], intercept=True).table().loc["a1"]
         for session in noisy(make_session, model, switching, 20)
     ]
-    assert not any(row["ci_low"] <= model.robot.a <= row["ci_high"] for row in rows)
-    assert np.mean([row["value"] - model.robot.a for row in rows]) < -0.005
+    assert not any(row["ci_low"] <= -model.robot.a <= row["ci_high"] for row in rows)
+    assert np.mean([-row["value"] - model.robot.a for row in rows]) < -0.005
 
 
 @pytest.mark.parametrize("seeds", [16, pytest.param(40, marks=pytest.mark.long)])

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import in_order, shown, whole_number
+from trustlab.models.checks import in_order, shown, whole_number, whole_seed
 
 # Columns of the table, and the argument of the seed: names of neither parameters nor results.
 RESERVED = {"run", "seed", "failed", "error", "traceback"}
@@ -132,7 +132,7 @@ def seed_sequence(seed: Any) -> np.random.SeedSequence:
     """Return a seed as a SeedSequence."""
     if isinstance(seed, np.random.SeedSequence):
         return seed
-    return np.random.SeedSequence(whole_number("seed", seed, least=0))
+    return np.random.SeedSequence(whole_seed(seed))
 
 
 def check_parameters(parameters: Any) -> None:

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from trustlab.identification.estimate import NOT_WHITE
 from trustlab.identification.fitting import fit
 from trustlab.identification.log import LogSettings, Run, block_means, joined
 from trustlab.identification.model import COORDINATES, IdentificationError, Model
+from trustlab.identification.noise import whiteness_p
 from trustlab.identification.problem import Problem
 from trustlab.identification.result import FitResult
 from trustlab.models.checks import positive
@@ -527,6 +529,8 @@ def fit_robot(
         If the data do not determine a parameter; it is named.
     SessionError
         If a column is missing.
+    TypeError
+        If a setting is not known.
     ValueError
         If an argument is not understood.
 
@@ -544,22 +548,54 @@ def fit_robot(
     >>> round(fit.model.a, 3), fit.success
     (0.996, True)
     """
-    if p_h_max is not None:
-        if "p_h_max" in {**(fixed or {}), **(bounds or {})}:
-            raise ValueError("p_h_max is given twice: as p_h_max=… and in fixed or bounds")
-        fixed = {**(fixed or {}), "p_h_max": positive("p_h_max", p_h_max)}
-    joint = fit(ROBOT_OF_TSC, sessions, fixed, bounds, noise, log=log, **settings)
-    rows = [name for name in joint.parameters.index if not name.startswith("human_")]
-    parameters = joint.parameters.loc[rows]
-    if p_h_max is not None:
-        parameters.loc["p_h_max", "status"] = "given"
-    free = [name for name in rows if name in joint.covariance.index]
-    message = joint.message
-    if joint.noise != "white" or not joint.success:
-        message += (
-            " If the operator does not follow (2.5)-(2.6), fit(trustlab.identification.ROBOT, …, "
-            "fixed={'p_h_max': …}) takes the measured p_h instead."
+    if "method" in settings:
+        raise TypeError(
+            "fit_robot has no method=…; least squares on one-step predictions is trustlab.arx"
         )
+    for values in (fixed, bounds):
+        if isinstance(values, Mapping) and "p_h_max" in values:
+            raise ValueError(
+                "p_h_max is an argument of its own; give it as fit_robot(..., p_h_max=...)"
+            )
+    if p_h_max is not None:
+        fixed = {**(fixed or {}), "p_h_max": positive("p_h_max", p_h_max)}
+    try:
+        joint = fit(ROBOT_OF_TSC, sessions, fixed, bounds, noise, log=log, **settings)
+    except IdentificationError as error:
+        if not {*error.parameters} & {"human_a", "human_beta", "human_p_min", "p_h_max"}:
+            raise
+        raise IdentificationError(f"{error}; {DRIVEN}", error.parameters) from error
+    return _robot_of(joint, p_h_max is not None)
+
+
+# What to do where (2.5)-(2.6) do not describe the operator.
+DRIVEN = (
+    "if the operator does not follow (2.5)-(2.6), fit the robot driven by the measured p_h: "
+    "trustlab.fit(trustlab.identification.ROBOT, sessions, fixed={'p_h_max': …})"
+)
+
+
+def _robot_of(joint: FitResult, given: bool) -> FitResult:
+    """Return what of a joint fit belongs to the robot; `given` says that p_h_max was."""
+    of_human = joint.parameters.index.str.startswith("human_")
+    parameters, operator = joint.parameters[~of_human], joint.parameters[of_human]
+    sentences = [joint.message]
+    if given:
+        parameters.loc["p_h_max", "status"] = "given"
+    elif operator["status"].isin(["weak", "at bound"]).any():
+        # p_max refers to p_h_max, which is as good as the operator's model.
+        parameters.loc[["p_max", "p_h_max"], "status"] = "weak"
+        sentences.append(
+            "Do not rely on p_h_max, nor on p_max, which refers to it: give p_h_max=…."
+        )
+    # Prediction errors are 0 where a sample is left out.
+    residuals = [
+        np.where(run.prediction_errors["p_h"] == 0.0, 0.0, run.residual("p_h"))
+        for run in joint.runs
+    ]
+    if joint.noise != "white" and whiteness_p(residuals) < NOT_WHITE:
+        sentences.append(f"The residuals of p_h are not white: {DRIVEN}.")
+    free = parameters.index.intersection(joint.covariance.index)
     return replace(
         joint,
         parameters=parameters,
@@ -568,8 +604,39 @@ def fit_robot(
         runs=[run.only("p_r") for run in joint.runs],
         sigma={"p_r": joint.sigma["p_r"]},
         cost=0.5 * float(sum(np.sum(run.residual("p_r") ** 2) for run in joint.runs)),
-        message=message,
+        message=" ".join(sentences),
     )
+
+
+def _check_robot(runs: list[Run], limits: Mapping) -> None:
+    """Refuse data that say nothing of the robot, and a p_h_max that is not of these data."""
+    check_excitation(runs, limits)
+    best, high = limits["p_h_max"]
+    if best != high:
+        return
+    p_h = joined(runs, "p_h")
+    if best < np.median(p_h):
+        raise ValueError(
+            f"p_h_max = {best} lies below the median of the measured p_h, {np.median(p_h):.4g}; it "
+            "is the greatest"
+        )
+    if best > 1e3 * p_h.max():
+        raise ValueError(
+            f"p_h_max = {best} is over a thousand times the measured p_h, {p_h.max():.4g}; give it "
+            "in the unit of p_h"
+        )
+
+
+def _build_robot(a, p_min, p_max, p_h_max, human_p_min, **_) -> RobotModel:
+    """Return the robot of joint estimates, or say what about the data contradicts (2.3)."""
+    if not p_h_max > max(human_p_min, 0.0):
+        raise IdentificationError(
+            f"column p_h: the operator's greatest performance comes out as {p_h_max:.4g} and the "
+            f"least as {human_p_min:.4g}, but the greatest must be positive and above the least; "
+            "use a measure of performance that is",
+            ("p_h_max", "human_p_min"),
+        )
+    return build_robot(a, p_min, p_max, p_h_max)
 
 
 def _renamed(model: Model, names: Mapping[str, str], **changes: Any) -> Model:
@@ -603,6 +670,6 @@ ROBOT_OF_TSC = _renamed(
             a, p_min, p_max, p_h_max
         )
     },
-    build=lambda a, p_min, p_max, p_h_max, **_: build_robot(a, p_min, p_max, p_h_max),
-    check=check_excitation,
+    build=_build_robot,
+    check=_check_robot,
 )

@@ -133,6 +133,13 @@ def whole_number(name: str, value: Any, least: int = 1, most: int | None = None)
     return int(value)
 
 
+def whole_seed(value: Any) -> int:
+    """Return a seed as an int; None, which other numbers would follow each time, is refused."""
+    if value is None:
+        raise ValueError("seed must be a whole number, 0 or more, got None; pass seed=0")
+    return whole_number("seed", value, least=0)
+
+
 def flag(name: str, value: Any) -> bool:
     """Return True or False; nothing else counts as either."""
     if not isinstance(value, bool | np.bool_):
@@ -172,7 +179,7 @@ def of_class(name: str, value: object, kind: type[Kind], remedy: str = "") -> Ki
 def spawned(seed: int | np.random.SeedSequence, count: int) -> list[np.random.SeedSequence]:
     """Return `count` independent children of a seed, the same at every call."""
     if not isinstance(seed, np.random.SeedSequence):
-        seed = np.random.SeedSequence(whole_number("seed", seed, least=0))
+        seed = np.random.SeedSequence(whole_seed(seed))
     # seed.spawn would count its children, and return others at the second call.
     keys = ((*seed.spawn_key, i) for i in range(count))
     return [np.random.SeedSequence(seed.entropy, spawn_key=key) for key in keys]

@@ -27,6 +27,7 @@ LISTED = (
     "statsmodels",
     "pingouin",
     "casadi",
+    "emcee",
 )
 # Digits of a digest that a reader sees.
 SHORT = 12

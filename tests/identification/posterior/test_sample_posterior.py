@@ -16,20 +16,21 @@ from scipy import stats
 
 import trustlab as tl
 from tests.house.documents import ROOT
+from trustlab.identification.posterior import sampler
 from trustlab.identification.posterior.coordinates import to_thetas
 from trustlab.identification.posterior.draws import MODEL, interval_words, physical
-from trustlab.identification.posterior.ensemble import ensemble_sample
 from trustlab.identification.posterior.importance import (
     Component,
+    Sample,
     as_mixture,
     drawn,
     log_mixture,
     pareto_fit,
-    resampled,
     smoothed,
     weighed,
 )
-from trustlab.identification.posterior.sampler import proposals, sample_target, tops_of
+from trustlab.identification.posterior.sampler import sample_target, tops_of, walked
+from trustlab.identification.posterior.search import Top
 
 from . import simulated_logs
 from .make_coverage import LOGS, NOISES, ranks_of
@@ -163,13 +164,54 @@ def test_walkers_agree_with_weights():
     target = posterior.target
     rng = np.random.default_rng(0)
     tops = tops_of(target, rng)
-    begin = resampled(sample_target(target, tops, rng).sample, 200, rng)
-    walkers = ensemble_sample(target, begin, proposals(tops), rng)
+    walkers = walked(target, sample_target(target, tops, rng).sample, rng)
     by_walkers = physical(to_thetas(walkers.points, target), 0.1)
     for name in MODEL:
         mean, sd = posterior.draws[name].mean(), posterior.draws[name].std()
         assert by_walkers[name].mean() == pytest.approx(mean, abs=0.25 * sd), name
         assert by_walkers[name].std() == pytest.approx(sd, rel=0.3), name
+
+
+def normal_walkers(monkeypatch, seed, most=sampler.MOST_KEPT):
+    """Walkers in a normal density, from draws of one that is half as wide and beside it."""
+    deviations = np.linspace(0.5, 3.0, 8)
+    monkeypatch.setattr(
+        sampler, "densities", lambda points, _: -0.5 * ((points / deviations) ** 2).sum(axis=1)
+    )
+    monkeypatch.setattr(sampler, "MOST_KEPT", most)
+    rng = np.random.default_rng(seed)
+    points = 0.5 * deviations * (1.0 + rng.standard_normal((400, 8)))
+    begin = Sample(points, np.full(400, 1.0 / 400.0), np.inf, 400.0)
+    return walked(None, begin, rng), deviations
+
+
+def test_walkers_have_the_moments_of_a_normal_density(monkeypatch):
+    sample, deviations = normal_walkers(monkeypatch, 36)
+    assert sample.k_hat == 0.0
+    assert sample.effective > 400.0
+    np.testing.assert_allclose(sample.weights @ sample.points / deviations, 0.0, atol=0.15)
+    np.testing.assert_allclose(sample.points.std(axis=0), deviations, rtol=0.08)
+
+
+def test_walkers_go_the_same_way_for_the_same_seed(monkeypatch):
+    first, again, changed = (normal_walkers(monkeypatch, s, 200)[0].points for s in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.isin(changed, first).any()
+
+
+def test_walkers_that_stop_too_soon_are_not_to_be_trusted(monkeypatch):
+    sample, _ = normal_walkers(monkeypatch, 36, most=1)
+    assert sample.k_hat == np.inf
+
+
+def test_a_maximum_far_below_the_highest_is_left_out(monkeypatch):
+    """The first climb may end low: it is the highest that others are compared with."""
+    values = {0.0: -500.0, 10.0: -100.0, 20.0: -505.0, 30.0: -111.0}
+    monkeypatch.setattr(sampler, "starting_points", lambda *_: list(values))
+    monkeypatch.setattr(
+        sampler, "climb", lambda x, _: Top(np.array([x]), values[x], np.array([[1.0]]))
+    )
+    assert [top.value for top in tops_of(None, None)] == [-100.0, -111.0]
 
 
 def test_the_tail_of_weights_is_a_pareto_distribution():
@@ -312,6 +354,8 @@ def test_what_is_not_understood_is_refused():
         ({"prior": "strong"}, "weak"),
         ({"prior": 3}, "Prior"),
         ({"n": 10}, "n must"),
+        ({"seed": None}, "seed=0"),
+        ({"seed": -1}, "seed must"),
         ({"windo": 3.0}, "windo"),
     ):
         with pytest.raises((ValueError, TypeError), match=words):

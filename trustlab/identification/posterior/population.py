@@ -18,7 +18,7 @@ from trustlab.identification.posterior.pooling import Pool, pool
 from trustlab.identification.posterior.priors import Prior, as_prior, prior_of
 from trustlab.identification.posterior.result import Posterior
 from trustlab.identification.posterior.sampling import sample_posterior
-from trustlab.models.checks import one_of, open_unit, whole_number
+from trustlab.models.checks import one_of, open_unit, whole_number, whole_seed
 from trustlab.models.display import Result
 from trustlab.sessions.session import Session
 
@@ -217,7 +217,7 @@ def fit_population(
         )
     prior = as_prior(prior)
     n = whole_number("n", n, least=100, most=100_000)
-    root = np.random.SeedSequence(whole_number("seed", seed, least=0))
+    root = np.random.SeedSequence(whole_seed(seed))
     seeds = [int(value) for value in root.generate_state(2 * len(people))]
     rng = np.random.default_rng(root)
     sessions = {

@@ -1,11 +1,15 @@
-"""From a target to a weighted sample: tops, proposals, adaptation, walkers where these fail."""
+"""
+From a target to a weighted sample: tops, proposals, adaptation, walkers where these fail.
+
+[G] Goodman and Weare, Ensemble samplers with affine invariance, *Communications in Applied
+Mathematics and Computational Science* 5 (2010), 65-80.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from trustlab.identification.posterior.coordinates import Target, densities
-from trustlab.identification.posterior.ensemble import ensemble_sample
 from trustlab.identification.posterior.importance import (
     Component,
     Sample,
@@ -14,6 +18,7 @@ from trustlab.identification.posterior.importance import (
     resampled,
     weighed,
 )
+from trustlab.identification.posterior.likelihood import SHARED
 from trustlab.identification.posterior.search import Top, climb, starting_points
 
 # Draws of the prior that starts are chosen from, and starts.
@@ -28,6 +33,13 @@ FEWEST = 1000.0
 POINTS = 4000
 MORE_POINTS = 8000
 ROUNDS = (1, 3, 3, 5)
+
+# Walkers keep one of so many steps. After each round of kept steps it is asked whether they have
+# gone for enough autocorrelation times, until there are the most.
+STEPS = 10
+ROUND = 200
+MOST_KEPT = 2000
+LENGTHS = 50
 
 
 class Sampled(NamedTuple):
@@ -45,8 +57,9 @@ def good(sample: Sample) -> bool:
 def tops_of(target: Target, rng: np.random.Generator) -> list[Top]:
     """Return the maxima that ascents from several starts reach, the highest first."""
     climbed = [climb(x, target) for x in starting_points(target, rng, DRAWS, STARTS)]
+    climbed.sort(key=lambda top: -top.value)
     apart: list[Top] = []
-    for top in sorted(climbed, key=lambda top: -top.value):
+    for top in climbed:
         if top.value > climbed[0].value - 12.0 and all(_apart(top, t) for t in apart):
             apart.append(top)
     return apart
@@ -99,7 +112,7 @@ def sample_target(
         sample = weighed(points, values, proposed)
     if not good(sample):
         method = "ensemble"
-        sample = ensemble_sample(target, resampled(sample, 400, rng), mixture, rng)
+        sample = walked(target, sample, rng)
     return Sampled(sample, method)
 
 
@@ -107,3 +120,45 @@ def shared(mixture: list[Component], count: int) -> list[Component]:
     """Return a mixture whose weights are the points that each part proposes of so many."""
     total = sum(part.weight for part in mixture)
     return [part._replace(weight=count * part.weight / total) for part in mixture]
+
+
+def walked(target: Target, sample: Sample, rng: np.random.Generator) -> Sample:
+    """
+    Return points of emcee's walkers, which begin at draws of a weighted sample.
+
+    They stretch ([G] Section 2) and do nothing else: differences of walkers as moves left a
+    posterior a fifth too narrow, and no diagnostic told. The model's coordinates alone judge how
+    far they have gone. Those of the noise may wait long for another explanation that data hardly
+    tell apart: slow noise so quick that it is white. The model does not depend on it.
+    """
+    import emcee
+
+    size = sample.points.shape[1]
+    count = 2 * size + 4
+    # A draw of great weight comes many times, and walkers must lie apart.
+    points = resampled(sample, 10 * count, rng)
+    points = points + 0.01 * rng.standard_normal(points.shape)
+    begin = points[np.isfinite(densities(points, target))][:count]
+    sampler = emcee.EnsembleSampler(
+        count,
+        size,
+        densities,
+        moves=emcee.moves.StretchMove(),
+        args=[target],
+        vectorize=True,
+    )
+    # emcee draws from a state of its own, which would be another one each time.
+    sampler.random_state = np.random.MT19937(int(rng.integers(2**63))).state
+    enough = False
+    while not enough and sampler.iteration < MOST_KEPT:
+        begin = sampler.run_mcmc(begin, ROUND, thin_by=STEPS)
+        settled = sampler.get_chain(discard=sampler.iteration // 3)
+        # 0/0 where a walker never moved: an unknown time is as long as the chain.
+        with np.errstate(invalid="ignore"):
+            times = emcee.autocorr.integrated_time(settled[:, :, :SHARED], tol=0)
+        time = float(np.nan_to_num(times, nan=len(settled)).max())
+        enough = len(settled) > LENGTHS * time
+    thin = settled[:: max(1, int(time / 4.0))].reshape(-1, size)
+    weights = np.full(len(thin), 1.0 / len(thin))
+    # There are no weights whose tail could be long; short chains are marked as bad weights are.
+    return Sample(thin, weights, 0.0 if enough else np.inf, len(settled) * count / time)

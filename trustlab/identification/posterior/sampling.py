@@ -22,7 +22,7 @@ from trustlab.identification.posterior.priors import Normal, Prior, as_prior
 from trustlab.identification.posterior.result import Posterior
 from trustlab.identification.posterior.sampler import POINTS, sample_target, tops_of
 from trustlab.identification.posterior.search import Top
-from trustlab.models.checks import whole_number
+from trustlab.models.checks import whole_number, whole_seed
 from trustlab.sessions.session import Session
 
 
@@ -95,7 +95,7 @@ def sample_posterior(
             "record a run in which control changes hands"
         )
     target = target_of(runs, prior, log)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(whole_seed(seed))
     if log.robust:
         target, tops = without_outliers(target, rng)
     else:
