@@ -24,6 +24,10 @@ from trustlab.sessions.plots import shade_manual
 # Standard errors from the middle of a 95 % interval to its end.
 HALF_WIDTH = float(special.ndtri(0.975))
 
+# An interval that is so many times as wide as a useful one says nothing: derivatives are no more
+# than rounding there.
+SENSELESS = 100.0
+
 LABELS = {"p_r": "robot performance $P_r$", "p_h": "human performance $P_h$"}
 
 
@@ -71,7 +75,7 @@ class RunFit:
         return self.measured[output] - self.fitted[output]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FitResult(Result):
     """
     A fitted model with its uncertainty and diagnostics.
@@ -408,16 +412,18 @@ def _gradient(function: Callable, names: tuple, values: np.ndarray) -> tuple[flo
 
 
 def weak_names(estimate: Estimate, table: pd.DataFrame) -> list[str]:
-    """Return the names at a bound, or with a 95 % interval too wide to be of use."""
+    """
+    Return the names at a bound, or with a 95 % interval too wide to be of use.
+
+    Raise if intervals are so wide that the data say nothing.
+    """
     model = estimate.problem.model
     useful = model.useful(table["value"].to_dict())
-    weak = []
-    for name in model.names:
-        status = table["status"][name]
-        wide = HALF_WIDTH * table["stderr"][name] > useful.get(name, np.inf)
-        if status == "at bound" or (status == "estimated" and wide):
-            weak.append(name)
-    return weak
+    widths = {n: HALF_WIDTH * table["stderr"][n] / useful.get(n, np.inf) for n in model.names}
+    lost = [name for name, width in widths.items() if width > SENSELESS]
+    if lost:
+        raise estimate.optimum.not_determined(lost)
+    return [n for n in model.names if table["status"][n] == "at bound" or widths[n] > 1.0]
 
 
 def _mark(weak: list[str], table: pd.DataFrame, hints: Mapping[str, str]) -> Iterator[str]:

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize, signal
 
+from trustlab.identification.estimate import NOISES
 from trustlab.identification.fitting import check_data, estimate_runs
 from trustlab.identification.log import Run
 from trustlab.identification.model import IdentificationError, Model
 from trustlab.identification.result import FitResult, result_of
-from trustlab.models.checks import finite_array, positive, whole_number
+from trustlab.models.checks import finite_array, one_of, positive, whole_number
 from trustlab.models.display import axes_or_new
 from trustlab.models.uav import TransferFunction
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TransferFunctionFit(FitResult):
     """A `FitResult` with a `TransferFunction`; `sigma` is one number, as there is one output."""
 
@@ -92,6 +93,7 @@ def fit_transfer_function(
     (0.985, 0.495)
     """
     sample_time = positive("sample_time", sample_time)
+    one_of("noise", noise, NOISES)
     order = whole_number("order", order, 1, 2)
     runs = _runs(command, velocity, sample_time)
     model = transfer_model(order, sample_time)

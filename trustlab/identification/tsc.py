@@ -147,10 +147,18 @@ def _with(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
     return {f"{prefix}{name}": value for name, value in values.items()}
 
 
+def check_order(limits: Mapping, low: str = "p_min", high: str = "p_max") -> None:
+    """Refuse limits by which the least performance cannot be below the greatest."""
+    least, most = limits[low][0], limits[high][1]
+    if least >= most:
+        raise ValueError(f"{low} is at least {least:g}, not below {high}, at most {most:g}")
+
+
 def check_excitation(
     runs: list[Run], limits: Mapping, low: str = "p_min", high: str = "p_max"
 ) -> None:
     """Refuse data in which nothing separates the least from the greatest robot performance."""
+    check_order(limits, low, high)
     modes = joined(runs, "mode")
     fixed = {name for name in (low, high) if limits[name][0] == limits[name][1]}
     # A mode that never changes leaves one steady state: under manual control either limit fixes the
@@ -164,6 +172,12 @@ def check_excitation(
         f"control, or fix a parameter, for example fixed={{{lost[0]!r}: ...}}",
         lost,
     )
+
+
+def _check_tsc(runs: list[Run], limits: Mapping) -> None:
+    """Refuse limits in the wrong order, and data that say nothing of the robot."""
+    check_order(limits, "human_p_min", "human_p_max")
+    check_excitation(runs, limits, "robot_p_min", "robot_p_max")
 
 
 # --- where the search starts ----------------------------------------------------------------------
@@ -336,6 +350,7 @@ HUMAN = Model(
     build=build_human,
     derived={"b": lambda a, **_: 1.0 - a},
     hints=HINTS,
+    check=lambda runs, limits: check_order(limits),
 )
 
 ROBOT = Model(
@@ -375,7 +390,7 @@ TSC = Model(
         ),
     },
     hints=_with("human_", HINTS) | _with("robot_", HINTS),
-    check=lambda runs, limits: check_excitation(runs, limits, "robot_p_min", "robot_p_max"),
+    check=_check_tsc,
 )
 
 
@@ -548,10 +563,6 @@ def fit_robot(
     >>> round(fit.model.a, 3), fit.success
     (0.996, True)
     """
-    if "method" in settings:
-        raise TypeError(
-            "fit_robot has no method=…; least squares on one-step predictions is trustlab.arx"
-        )
     for values in (fixed, bounds):
         if isinstance(values, Mapping) and "p_h_max" in values:
             raise ValueError(
@@ -579,6 +590,8 @@ def _robot_of(joint: FitResult, given: bool) -> FitResult:
     """Return what of a joint fit belongs to the robot; `given` says that p_h_max was."""
     of_human = joint.parameters.index.str.startswith("human_")
     parameters, operator = joint.parameters[~of_human], joint.parameters[of_human]
+    rest = parameters.index.difference(ROBOT.names, sort=False)
+    parameters = parameters.loc[[*ROBOT.names, *rest]]
     sentences = [joint.message]
     if given:
         parameters.loc["p_h_max", "status"] = "given"
