@@ -27,11 +27,11 @@ def test_table_has_fixed_columns_and_named_rows(session):
         human,
         tl.fit_tsc(session).table(),
     ):
-        assert list(table.columns) == ["value", "stderr", "ci_low", "ci_high", "status"]
+        assert list(table.columns) == ["value", "stderr", "ci_low", "ci_high", "unit", "status"]
         assert table.index.name == "parameter"
         assert table[["value", "stderr", "ci_low", "ci_high"]].dtypes.eq(float).all()
-    assert list(robot.index) == ["a", "p_min", "p_max", "p_h_max", "b"]
-    assert list(human.index) == ["a", "beta", "p_min", "p_max", "b"]
+    assert list(robot.index) == ["a", "p_min", "p_max", "p_h_max", "b", "time_constant"]
+    assert list(human.index) == ["a", "beta", "p_min", "p_max", "b", "time_constant"]
     wide = tl.fit_human(session).table(level=0.99)
     assert (
         (wide["ci_high"] - wide["ci_low"]) / (human["ci_high"] - human["ci_low"])

@@ -74,7 +74,9 @@ def test_no_decay_to_see_makes_a_wide_interval(operators):
     )
     frame = pd.DataFrame({"mode": mode, "p_h": p_h, "p_r": p_r}, index=np.arange(6000) * 0.1)
     session = tl.Session(frame)
-    with pytest.raises(IdentificationError, match=r"driven by the measured p_h: .*identification\.ROBOT"):
+    with pytest.raises(
+        IdentificationError, match=r"driven by the measured p_h: .*identification\.ROBOT"
+    ):
         tl.fit_robot(session, p_h_max=0.4602)
     fit = tl.fit(tl.identification.ROBOT, session, fixed={"p_h_max": 0.4602})
     row = fit.table().loc["p_min"]
@@ -122,7 +124,10 @@ def test_bounds_hold_and_are_reported(operators, make_session, switching):
         ({"fixed": {"a": 1.5}}, "outside"),
         ({"noise": "pink"}, "noise must be"),
         ({"fixed": 0.9}, "fixed must be a dictionary"),
-        ({"fixed": {"p_min": 0.5, "p_max": 0.4}}, "p_min is at least 0.5, not below p_max, at most 0.4"),
+        (
+            {"fixed": {"p_min": 0.5, "p_max": 0.4}},
+            "p_min is at least 0.5, not below p_max, at most 0.4",
+        ),
         ({"fixed": {"a": 0.9}, "bounds": {"a": (0.8, 0.95)}}, "both fixed and bounded"),
     ],
 )

@@ -96,7 +96,7 @@ def test_exact_windowed_data_give_the_parameters_back(operators, window):
         [*expected.iloc[4:], expected.iloc[3]],
         rtol=1e-6,
     )
-    assert list(estimates.index) == ["a", "p_min", "p_max", "p_h_max", "b"]
+    assert list(estimates.index) == ["a", "p_min", "p_max", "p_h_max", "b", "time_constant"]
     assert robot.outputs == ("p_r",)
     np.testing.assert_allclose(human.table()["value"].iloc[:4], expected.iloc[:4], rtol=1e-6)
     # What is fitted is the mean that with_performance would have made of the fitted model.
@@ -189,24 +189,6 @@ def test_a_second_valley_as_deep_is_named(operators):
     assert "Other values" not in tl.fit_human(windowed(30.0, 42, "open", "after")).message
 
 
-def test_a_window_that_is_not_stated_is_named(operators):
-    """
-    Negative control: the same data without a word of the window are fitted wrongly, and the fit
-    says so.
-    """
-    model = operators["pilot"]
-    session = windowed(30.0, 0, where="after").with_metadata(performance_window=0.0)
-    fit = tl.fit_robot(session, p_h_max=model.robot.p_h_max)
-    assert not fit.success
-    assert "give window=30" in fit.message
-    row = fit.table().loc["a"]
-    assert not row["ci_low"] <= model.robot.a <= row["ci_high"]
-    # Noise that is averaged shows any window.
-    fit = tl.fit_human(windowed(70.0, 0), window=0.0)
-    assert not fit.success
-    assert "give window=70" in fit.message
-
-
 def test_a_log_of_a_lab_that_says_nothing_of_its_window_is_warned_of_once(
     operators, make_session, switching
 ):
@@ -233,16 +215,11 @@ def test_recipes_and_sessions_say_the_window(tmp_path, operators):
         tl.fit_human(session.between(100.0, 900.0))
 
 
-def test_a_structure_of_ones_own_has_a_window_for_free():
+def test_a_model_of_ones_own_has_a_window_for_free():
     def decay(run, rate, start):
         return 0.2 + start * np.exp(-rate * run.t)
 
-    structure = tl.Structure(
-        "decay",
-        [tl.Parameter("rate", 0.0, 0.2), tl.Parameter("start", 0.0, 1.0)],
-        outputs="p_r",
-        simulate=decay,
-    )
+    model = tl.Model(["rate", "start"], [], "p_r", [0.0, 0.0], [0.2, 1.0], simulate=decay)
     t = 0.1 * np.arange(3000)
     values = (
         0.2 + 0.1 * np.exp(-0.02 * t) + 0.003 * np.random.default_rng(0).standard_normal(t.size)
@@ -250,17 +227,10 @@ def test_a_structure_of_ones_own_has_a_window_for_free():
     frame = pd.DataFrame(
         {"mode": 1.0, "p_r": window_mean(values, 0.1, 20.0)}, index=pd.Index(t, name="t")
     )
-    fit = tl.fit(structure, tl.Session(frame), window=20.0)
+    fit = tl.fit(model, tl.Session(frame), window=20.0)
     assert abs(fit.model["rate"] - 0.02) < 3.0 * fit.parameters.loc["rate", "stderr"] < 0.002
-    wrong = tl.fit(structure, tl.Session(frame), window=0.0, noise="white")
+    wrong = tl.fit(model, tl.Session(frame), window=0.0, noise="white")
     assert abs(wrong.model["start"] - 0.1) > 5.0 * wrong.parameters.loc["start", "stderr"]
-
-
-def test_regressions_doubt_windowed_columns(operators):
-    robot = tl.identification.robot_structure(0.4602)
-    fit = tl.fit(robot, windowed(30.0, 0), method="regression")
-    assert not fit.success
-    assert "means over a window" in fit.message
 
 
 # --- noise ----------------------------------------------------------------------------------------
@@ -272,7 +242,7 @@ def test_the_kalman_filter_whitens_like_a_cholesky_factor():
     share = 0.3
     memory = 0.9
     values, missing = rng.standard_normal((size, 3)), rng.random(size) < 0.2
-    errors, logs = prediction_errors(values, missing, Noise(share, memory))
+    errors, logs = whiten(values, ~missing, Noise(share, memory))
     lag = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
     covariance = share * memory**lag + (1.0 - share) * np.eye(size)
     there = ~missing
@@ -302,8 +272,12 @@ def test_what_a_log_may_do_is_allowed_for(settings, setting):
         assert not plain.success
         assert "mode_delay=True" in plain.message
     elif options:
-        assert not plain.success
-        assert "state step=0.1" in plain.message
+        rates = (
+            plain.table().loc["human_a"],
+            tl.fit_tsc(sessions[0], **options).table().loc["human_a"],
+        )
+        assert [row["unit"] for row in rates] == ["per 1 s", "per 0.1 s"]
+        assert rates[0]["value"] == pytest.approx(rates[1]["value"] ** 10, rel=1e-3)
     else:
         assert "dropouts?" in plain.message
 
@@ -312,7 +286,15 @@ def test_the_robot_alone_takes_the_options_too(settings, operators):
     make, options = settings.SETTINGS["mode stamped 1 s early"]
     session = tl.Session(make(np.random.default_rng(1)), tl.Metadata(synthetic=True))
     table = tl.fit_robot(session, **options).table()
-    assert list(table.index) == ["a", "p_min", "p_max", "p_h_max", "b", "mode_delay"]
+    assert list(table.index) == [
+        "a",
+        "p_min",
+        "p_max",
+        "p_h_max",
+        "mode_delay",
+        "b",
+        "time_constant",
+    ]
     assert table.loc["mode_delay", "value"] == pytest.approx(1.0, abs=0.2)
     assert (
         table.loc["a", "ci_low"] - 1e-5
@@ -360,9 +342,9 @@ def test_errors_of_many_stamps_are_worked_out_for_some_of_them(
     operators, make_session, monkeypatch
 ):
     session = make_session(operators["pilot"], np.repeat([1.0, 0.0] * 60, 100), noise=0.003)
-    monkeypatch.setattr("trustlab.identification.output_error.SWITCHES", 10_000)
+    monkeypatch.setattr("trustlab.identification.estimate.SWITCHES", 10_000)
     every = tl.fit_human(session, stamp_error=0.3).table()["stderr"]
-    monkeypatch.setattr("trustlab.identification.output_error.SWITCHES", 35)
+    monkeypatch.setattr("trustlab.identification.estimate.SWITCHES", 35)
     some = tl.fit_human(session, stamp_error=0.3).table()["stderr"]
     assert not some.equals(every)
     np.testing.assert_allclose(some, every, rtol=0.05)
@@ -456,16 +438,17 @@ def test_ten_settings_cover_the_truth_or_say_that_they_do_not(settings):
         assert (good["coverage"] >= least).all(), (setting, good)
 
 
-def test_a_window_that_is_a_sample_off_is_named(operators):
-    """(2.4) taken literally sums W + 1 samples; the window named is the one that fits."""
-    mode = np.repeat([1.0, 0.0] * 3, [1500, 700, 1000, 900, 1200, 700])
-    run = operators["pilot"].simulate(mode, 0.2, 0.24)
-    rng = np.random.default_rng(0)
-    noisy = {y: run[y].to_numpy() + 0.003 * rng.normal(size=mode.size) for y in ("p_h", "p_r")}
-    means = {name: window_means(values, 101) for name, values in noisy.items()}
-    frame = pd.DataFrame({"t": 0.1 * np.arange(mode.size), "mode": mode, **means})
-    session = tl.Session(frame.set_index("t"), tl.Metadata(synthetic=True))
-    fit = tl.fit_tsc(session, window=10.0)
-    assert not fit.success
-    assert "give window=10.1" in fit.message
-    assert tl.fit_tsc(session, window=10.1).success
+def test_rates_belong_to_the_sample_time_and_tables_say_so(operators):
+    """Oracle: the operator of 10 Hz, whose time constants do not hang on how often one looks."""
+    model = operators["pilot"]
+    run = model.simulate(np.repeat([1.0, 0.0] * 3, 2000), 0.3, 0.3)[["mode", "p_r", "p_h"]]
+    frame = run.set_axis(pd.Index(0.1 * np.arange(len(run)), name="t"))
+    frame[["p_r", "p_h"]] += 0.003 * np.random.default_rng(0).standard_normal((len(run), 2))
+    fit = tl.fit_tsc(tl.Session(frame.iloc[::2], tl.Metadata(synthetic=True)))
+    assert fit.success, fit.message
+    table = fit.table()
+    assert table.loc[["human_a", "robot_a"], "unit"].eq("per 0.2 s").all()
+    for name, own in (("human", model.human), ("robot", model.robot)):
+        row = table.loc[f"{name}_time_constant"]
+        assert row["unit"] == "s"
+        assert abs(row["value"] - 0.1 * own.time_constant) < 4.0 * row["stderr"]

@@ -150,7 +150,8 @@ def test_intervals_cover_the_truth(operators, make_session, switching, who, sess
     hits = dict.fromkeys(expected, 0)
     for session in noisy(make_session, model, switching, sessions):
         table = fit(session).table()
-        for key, low, high in zip(table.index, table["ci_low"], table["ci_high"], strict=True):
+        for key in hits:
+            low, high = table.loc[key, ["ci_low", "ci_high"]]
             hits[key] += low <= expected[key] <= high
     coverage = {key: count / sessions for key, count in hits.items()}
     assert all(least <= value <= most for value in coverage.values()), coverage

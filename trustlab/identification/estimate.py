@@ -130,10 +130,10 @@ def estimated(optimum: Optimum, noise: str) -> Estimate:
         block += square * np.outer(delay.shift, delay.shift)
     shift = _shift_of_states(optimum)
     # The shift is to where the deviance has risen by LIKELY = 1.96²: as a variance, by its square.
-    block += np.outer(shift, shift) / LIKELY
+    covariance = _of_values(optimum, block) + np.outer(shift, shift) / LIKELY
     return Estimate(
         optimum,
-        _of_values(optimum, block),
+        covariance,
         simple_p,
         "correlated" if modelled else "hac" if sandwiched else "white",
         sandwiched,
@@ -246,31 +246,30 @@ def mode_delay(optimum: Optimum, inverse: np.ndarray, sandwiched: bool) -> ModeD
 
 def _shift_of_states(optimum: Optimum) -> np.ndarray:
     """
-    Return how far the loose unknowns move if states leave their bound as far as data allow.
+    Return how far the values move if states leave their bound as far as data allow.
 
-    These states are moved together, equally far in their coordinates, up to a deviance `LIKELY`
-    above the least; at each place the others follow by one Gauss–Newton step, whose gain is known.
+    These states are moved together, equally far in their coordinates, and the rest is estimated
+    again (the profile of the likelihood), up to a deviance `LIKELY` above the least.
     """
-    problem, loose = optimum.problem, optimum.loose
+    problem = optimum.problem
     shared = len(problem.model.names)
     held = np.flatnonzero(optimum.at_bound[shared:]) + shared
-    shift = np.zeros(loose.size)
-    if held.size == 0 or loose.size == 0 or optimum.exact.all():
-        return shift
+    if held.size == 0 or optimum.loose.size == 0 or optimum.exact.all():
+        return np.zeros(optimum.x.size)
     low, high = problem.low[held], problem.high[held]
     inwards = np.where(optimum.x[held] <= low, 1.0, -1.0) * (high - low)
     inwards[~np.isfinite(inwards)] = 0.0
+    moving = ~optimum.at_bound[problem.free]
+    likely = optimum.x
     near, far = 1e-4, 1.0
     for _ in range(7):  # bisect the share of the way to the other bound, on a logarithmic scale
         share = np.sqrt(near * far)
-        x = optimum.x.copy()
-        x[held] += share * inwards
-        at = problem.equations(x)
-        gradient, matrix = at.gradient[loose], at.matrix[np.ix_(loose, loose)]
-        step = -np.linalg.lstsq(matrix, gradient)[0]
-        if at.deviance + gradient @ step < optimum.equations.deviance + LIKELY:
-            near, shift = share, step
+        x = likely.copy()
+        x[held] = optimum.x[held] + share * inwards
+        x = problem.descend(x, moving, 0.1, 40)[0]
+        if problem.equations(x).deviance < optimum.equations.deviance + LIKELY:
+            near, likely = share, x
         else:
             far = share
     problem.equations(optimum.x)
-    return shift
+    return problem.values(likely) - optimum.problem.values(optimum.x)

@@ -116,6 +116,11 @@ class Run:
         """Time between samples [s]."""
         return float(self.t[-1] - self.t[0]) / (self.size - 1)
 
+    @property
+    def step(self) -> float:
+        """Time step of the model [s]: one sample, unless it is stated."""
+        return self.model_step or self.sample_time
+
     def changed(self, columns: Mapping[str, np.ndarray], **fields: Any) -> "Run":
         """Return the run with some columns, and perhaps fields, changed."""
         return replace(self, columns={**self.columns, **columns}, **fields)

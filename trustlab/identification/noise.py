@@ -165,9 +165,11 @@ def whiten(columns: np.ndarray, known: np.ndarray, noise: Noise) -> tuple[np.nda
     return errors, _filter(columns, known, *noise, errors)
 
 
-def fit_noise(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], samples: float) -> Noise:
+def fit_noise(
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], samples: float, before: Noise
+) -> Noise:
     """
-    Return the noise model of greatest restricted likelihood.
+    Return the noise model of greatest restricted likelihood, near that of the round before.
 
     A part is one run: residual and derivatives side by side, shape (N, 1 + p); which samples are
     known; and the places of the columns among those of all runs. Restricted (Patterson & Thompson
@@ -179,13 +181,13 @@ def fit_noise(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], samples: f
     def deviance(at):
         return _restricted_deviance(parts, samples, _noise(at))
 
-    starts = [
-        (-np.log1p(-memory), log_odds)
-        for memory in (0.3, 0.9, 0.99, 0.999)
-        for log_odds in (-3.0, 0.0, 3.0)
-    ]
+    memories, shares = np.array([0.3, 0.9, 0.99, 0.999]), np.array([0.05, 0.5, 0.95])
+    starts = [_coordinates(Noise(s, m)) for m in memories for s in shares]
+    size = 1.0
+    if before != Noise():
+        starts, size = [_coordinates(before)], 0.3
     best = np.array(min(starts, key=deviance))
-    simplex = best + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.5]])
+    simplex = best + size * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.5]])
     options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.02, "maxfev": 80}
     return _noise(optimize.minimize(deviance, best, method="Nelder-Mead", options=options).x)
 
@@ -208,8 +210,13 @@ def _restricted_deviance(parts: list[tuple], samples: float, noise: Noise) -> fl
     return value + np.log(roots[regular]).sum() + 2.0 * np.log(scale).sum()
 
 
+def _coordinates(noise: Noise) -> tuple[float, float]:
+    """Return unbounded coordinates: −ln(1 − memory), log odds of the share."""
+    return -np.log1p(-noise.memory), np.log(noise.share) - np.log1p(-noise.share)
+
+
 def _noise(at) -> Noise:
-    """Return the noise model at unbounded coordinates: −ln(1 − memory), log odds of the share."""
+    """Return the noise model at unbounded coordinates."""
     share = 1.0 / (1.0 + np.exp(-np.clip(at[1], -12.0, 12.0)))
     return Noise(float(share), float(np.clip(-np.expm1(-at[0]), 0.0, 1.0 - 1e-6)))
 

@@ -230,18 +230,20 @@ class Problem:
                 "with guess={...} or narrow the bounds"
             )
         moving = np.ones(self.free.size, bool)
-        x, held, converged, steps = self._descend(x, moving, tolerance, most)
-        at_end = held & np.isin(self.free, self.loads)
+        x, held, converged, steps = self.descend(x, moving, tolerance, most)
+        ends = np.where(x - self.low < self.high - x, self.low, self.high)
+        at_end = np.isin(self.free, self.loads) & (np.abs(x - ends)[self.free] < STEP_OF_LOAD)
         if not converged and at_end.any():
             # (2.6) has a kink at rest and at full load, which defies any quadratic model: a search
             # that does not settle there goes on with the others.
-            x, held, converged, more = self._descend(x, ~at_end, tolerance, 4 * most)
+            x[self.free[at_end]] = ends[self.free[at_end]]
+            x, held, converged, more = self.descend(x, ~at_end, tolerance, 4 * most)
             held, steps = held | at_end, steps + more
         at_bound = np.zeros(x.size, bool)
         at_bound[self.free] = held
         return Optimum(self, x, at_bound, converged, steps)
 
-    def _descend(
+    def descend(
         self, start: np.ndarray, moving: np.ndarray, tolerance: float, most: int
     ) -> tuple[np.ndarray, np.ndarray, bool, int]:
         """
@@ -331,7 +333,7 @@ class Problem:
         """Fit the noise of each output to its residuals at the last point."""
         for j, of_output in enumerate(self.by_output()):
             parts = [(series.plain, series.known, series.places) for series in of_output]
-            self.noise[j] = fit_noise(parts, self.counts[j])
+            self.noise[j] = fit_noise(parts, self.counts[j], self.noise[j])
         self.evaluated = (None, None)
 
 

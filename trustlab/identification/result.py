@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -87,8 +88,8 @@ class FitResult(Result):
         `limit_cycle`, `run_condition` and `Operator`, cannot warn; `choose_thresholds` takes the
         fit, and warns where `success` is False.
     parameters : pandas.DataFrame
-        Index `parameter`; columns value, stderr, status (estimated, weak, fixed, given, derived, at
-        bound).
+        Index `parameter`; columns value, stderr, unit and status: estimated, weak, fixed, given,
+        derived, at bound.
     covariance : pandas.DataFrame
         Covariance of the parameters that were estimated.
     initial_states : pandas.DataFrame
@@ -143,8 +144,9 @@ class FitResult(Result):
         Returns
         -------
         pandas.DataFrame
-            Index `parameter`; columns value, stderr, ci_low, ci_high, status. NaN where a parameter
-            was not estimated; intervals are not cut at bounds.
+            Index `parameter`; columns value, stderr, ci_low, ci_high, unit, status. NaN where a
+            parameter was not estimated; intervals are not cut at bounds. A rate such as `a` belongs
+            to the time step in its unit: the log's sample time, unless `step` says otherwise.
 
         Raises
         ------
@@ -152,7 +154,7 @@ class FitResult(Result):
             If `level` is outside (0, 1).
         """
         table = with_intervals(self.parameters, level, self.degrees_of_freedom)
-        return table[["value", "stderr", "ci_low", "ci_high", "status"]]
+        return table[["value", "stderr", "ci_low", "ci_high", "unit", "status"]]
 
     def correlations(self) -> pd.DataFrame:
         """Return the correlations of the estimated parameters."""
@@ -387,16 +389,32 @@ def estimate_table(estimate: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
     stderr = np.where(free, np.sqrt(np.diag(covariance)), np.nan)
     rows = list(zip(values.tolist(), stderr.tolist(), status.tolist(), strict=True))
     known = np.nan_to_num(covariance)
-    for function in model.derived.values():
+    step = estimate.problem.runs[0].step
+    derived = dict(model.derived)
+    units = dict.fromkeys(names, "") | {"mode_delay": "s"}
+    for name in names:
+        if model.coordinates.get(name) == "rate":
+            units[name] = f"per {step:g} s"
+            # human_a has its human_time_constant.
+            prefix = name[:-1] if f"_{name}".endswith("_a") else f"{name}_"
+            longer = f"{prefix}time_constant"
+            derived[longer], units[longer] = partial(_time_constant, name, step), "s"
+    for function in derived.values():
         value, slope = _gradient(function, names, values)
         # NaN where nothing that the row depends on was estimated.
         error = float(np.sqrt(slope @ known @ slope)) if slope[free].any() else np.nan
         rows.append((value, error, "derived"))
-    index = pd.Index([*names, *model.derived], name="parameter")
+    index = pd.Index([*names, *derived], name="parameter")
     table = pd.DataFrame(rows, index=index, columns=["value", "stderr", "status"])
+    table["unit"] = [units.get(name, "") for name in index]
     labels = index[: len(names)][free].rename(None)
     block = covariance[np.ix_(free, free)]
     return table, pd.DataFrame(block, index=labels, columns=labels)
+
+
+def _time_constant(name: str, step: float, **values: Any) -> Any:
+    """Return after how many seconds 1/e of a deviation is left."""
+    return -step / np.log(values[name])
 
 
 def _gradient(function: Callable, names: tuple, values: np.ndarray) -> tuple[float, np.ndarray]:
@@ -481,5 +499,5 @@ def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
             {name: run[name] for name in outputs},
             dict(zip(outputs, simulated, strict=True)),
             dict(zip(outputs, errors, strict=True)),
-            run.model_step or run.sample_time,
+            run.step,
         )

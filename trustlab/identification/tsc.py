@@ -101,32 +101,36 @@ def simulate_tsc(
 # --- what the estimates make ----------------------------------------------------------------------
 
 
-def build_human(a: float, beta: float, p_min: float, p_max: float) -> HumanModel:
+def build_human(a: float, beta: float, p_min: float, p_max: float, prefix: str = "") -> HumanModel:
     """Return the operator, or say what about the data contradicts (2.6)."""
     if not p_max > p_min:
         raise IdentificationError(
             "human performance is not greatest between rest and full load in these data (the fit "
-            f"has p_max = {p_max:.4g} below p_min = {p_min:.4g}), so (2.6) does not describe them",
-            ("p_min", "p_max"),
+            f"has {prefix}p_max = {p_max:.4g} below {prefix}p_min = {p_min:.4g}), so (2.6) does "
+            "not describe them",
+            (f"{prefix}p_min", f"{prefix}p_max"),
         )
     return HumanModel(a, beta, p_min, p_max)
 
 
-def build_robot(a: float, p_min: float, p_max: float, p_h_max: float) -> RobotModel:
+def build_robot(
+    a: float, p_min: float, p_max: float, p_h_max: float, prefix: str = ""
+) -> RobotModel:
     """Return the robot, or say what about the data contradicts (2.3)."""
     if not p_max > p_min:
         raise IdentificationError(
             "robot performance does not rise under manual control in these data (the fit has "
-            f"p_max = {p_max:.4g}, not above p_min = {p_min:.4g}), so (2.3) does not describe them",
-            ("p_min", "p_max"),
+            f"{prefix}p_max = {p_max:.4g}, not above {prefix}p_min = {p_min:.4g}), so (2.3) does "
+            "not describe them",
+            (f"{prefix}p_min", f"{prefix}p_max"),
         )
     return RobotModel(a, p_min, p_max, p_h_max)
 
 
 def build_tsc(**values: float) -> TscModel:
     """Return robot and operator."""
-    operator = build_human(**_without("human_", values))
-    robot = build_robot(**_without("robot_", values), p_h_max=operator.p_max)
+    operator = build_human(**_without("human_", values), prefix="human_")
+    robot = build_robot(**_without("robot_", values), p_h_max=operator.p_max, prefix="robot_")
     try:
         return TscModel(robot, operator)
     except ValueError as error:

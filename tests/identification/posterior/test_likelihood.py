@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 import trustlab as tl
+from trustlab.identification.log import read_runs
 from trustlab.identification.posterior import likelihood as kernel
 from trustlab.identification.posterior.blocks import blocks_of
 from trustlab.identification.posterior.coordinates import (
@@ -21,7 +22,6 @@ from trustlab.identification.posterior.coordinates import (
 )
 from trustlab.identification.posterior.priors import as_prior, prior_of, transformed
 from trustlab.identification.posterior.sampling import prior_thetas, target_of
-from trustlab.identification.log import read_runs
 
 from . import simulated_logs
 
