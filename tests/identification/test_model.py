@@ -57,7 +57,7 @@ def test_a_plain_simulation_is_recovered():
     assert fit.model["rise"] == pytest.approx(0.011, rel=1e-6)
     assert fit.model["decay"] == pytest.approx(0.006, rel=1e-6)
     np.testing.assert_allclose(fit.initial_states["p_r0"], [0.3, 0.26], rtol=1e-6)
-    assert list(fit.table().columns) == ["value", "stderr", "ci_low", "ci_high", "status"]
+    assert list(fit.table().columns) == ["value", "stderr", "ci_low", "ci_high", "unit", "status"]
     assert fit.plot().shape == (1, 2)
     assert fit.whiteness().index.tolist() == ["p_r"]
 

@@ -423,15 +423,12 @@ class Optimum:
                 return (vectors / values) @ vectors.T / np.outer(scale, scale)
             # Unknowns with a share in the direction that the data say nothing about.
             unknown = np.abs(vectors[:, 0]) > 0.25
-        raise self.not_determined([n for n, lost in zip(labels, unknown, strict=True) if lost])
-
-    def not_determined(self, lost: list[str]) -> IdentificationError:
-        """Return the error that names unknowns of which the data say nothing."""
-        return IdentificationError(
+        lost = tuple(label for label, flag in zip(labels, unknown, strict=True) if flag)
+        raise IdentificationError(
             f"these data do not determine {' and '.join(lost)} ({self._cause()}); record phases "
             "that move the model more, or fix a parameter, for example "
             f"fixed={{{lost[-1].split('[')[0]!r}: ...}}",
-            tuple(lost),
+            lost,
         )
 
     def _cause(self) -> str:

@@ -25,10 +25,6 @@ from trustlab.sessions.plots import shade_manual
 # Standard errors from the middle of a 95 % interval to its end.
 HALF_WIDTH = float(special.ndtri(0.975))
 
-# An interval that is so many times as wide as a useful one says nothing: derivatives are no more
-# than rounding there.
-SENSELESS = 100.0
-
 LABELS = {"p_r": "robot performance $P_r$", "p_h": "human performance $P_h$"}
 
 
@@ -355,6 +351,8 @@ def result_of(estimate: Estimate) -> FitResult:
     reasons = list(doubts(estimate))
     sentences = [search_remark(estimate), *_mark(weak, table, model.hints)]
     sentences += [*remarks(estimate), *reasons]
+    if weak and set(model.outputs) == {"p_h", "p_r"}:
+        sentences.append("trustlab.sample_posterior says what these data do determine.")
     # NaN for what was fixed; rows of what a bound holds are NaN already.
     stderr = np.sqrt(np.where(estimate.fixed, np.nan, np.diag(estimate.covariance)))
     states = {}
@@ -430,18 +428,15 @@ def _gradient(function: Callable, names: tuple, values: np.ndarray) -> tuple[flo
 
 
 def weak_names(estimate: Estimate, table: pd.DataFrame) -> list[str]:
-    """
-    Return the names at a bound, or with a 95 % interval too wide to be of use.
-
-    Raise if intervals are so wide that the data say nothing.
-    """
-    model = estimate.problem.model
-    useful = model.useful(table["value"].to_dict())
-    widths = {n: HALF_WIDTH * table["stderr"][n] / useful.get(n, np.inf) for n in model.names}
-    lost = [name for name, width in widths.items() if width > SENSELESS]
-    if lost:
-        raise estimate.optimum.not_determined(lost)
-    return [n for n in model.names if table["status"][n] == "at bound" or widths[n] > 1.0]
+    """Return the names at a bound, or with a 95 % interval too wide to be of use."""
+    names = estimate.problem.model.names
+    useful = estimate.problem.model.useful(table["value"].to_dict())
+    widths = {name: HALF_WIDTH * table["stderr"][name] for name in names}
+    return [
+        name
+        for name in names
+        if table["status"][name] == "at bound" or widths[name] > useful.get(name, np.inf)
+    ]
 
 
 def _mark(weak: list[str], table: pd.DataFrame, hints: Mapping[str, str]) -> Iterator[str]:
