@@ -12,9 +12,10 @@ import numpy as np
 import pandas as pd
 
 import trustlab as tl
-from trustlab.identification.fitting import estimate_runs, estimate_table, weak_parameters
-from trustlab.identification.output_error import Problem
-from trustlab.identification.runs import LogSettings, read_runs
+from trustlab.identification.fitting import estimate_runs
+from trustlab.identification.log import LogSettings, read_runs
+from trustlab.identification.problem import Problem
+from trustlab.identification.result import estimate_table, weak_names
 from trustlab.identification.tsc import TSC
 from trustlab.sessions.metrics import window_mean
 
@@ -247,7 +248,7 @@ def before(session: tl.Session) -> tuple[bool, pd.DataFrame]:
     runs = read_runs(session, "mode", "p_h", "p_r", log=LogSettings(window=0.0, stamp_error=0.0))
     estimate = estimate_runs(TSC, runs, TSC.limits(), "hac", robust=False)
     table = estimate_table(estimate)[0]
-    success = estimate.search.converged and not weak_parameters(estimate, table)
+    success = estimate.optimum.converged and not weak_names(estimate, table)
     return success, table.assign(ci_high=table["value"] + 1.96 * table["stderr"])
 
 
@@ -356,7 +357,7 @@ def least_half_width(setting: str) -> float:
         read_runs(session, "mode", "p_h", "p_r"),
         truth().to_dict() | {"r0": 0.3, "p_r0": 0.3},
     )
-    problem = Problem(TSC, runs, at, unwindow="before" in setting)
-    equations = problem.normal_equations(problem.vector(at))
+    problem = Problem(TSC, runs, TSC.limits(), unwindow="before" in setting)
+    equations = problem.equations(problem.full_vector(at))
     error = np.sqrt(np.linalg.inv(equations.matrix).diagonal()[TSC.names.index("human_p_min")])
     return 1.96 * error / (at["human_p_max"] - at["human_p_min"])

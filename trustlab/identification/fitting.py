@@ -19,7 +19,7 @@ from trustlab.identification.log import (
     window_means,
 )
 from trustlab.identification.model import IdentificationError, Model
-from trustlab.identification.problem import Problem
+from trustlab.identification.problem import Optimum, Problem
 from trustlab.identification.result import FitResult, result_of
 from trustlab.models.checks import of_class, one_of
 from trustlab.sessions.session import Session
@@ -125,12 +125,28 @@ def estimate_runs(
         return estimated(problem.robust_search(x, robust), noise)
     optima = [problem.robust_search(x, robust, **ROUGH) for problem, x in problems]
     best = min(optima, key=lambda optimum: optimum.deviance)
+    if any(run.window > 1 for run in runs):
+        # Means hide where utilization began: another beginning may explain them as well.
+        optima += _elsewhere(best)
+        best = min(optima, key=lambda optimum: optimum.deviance)
     rivals = tuple(optimum for optimum in optima if optimum.deviance < best.deviance + RIVAL)
     for optimum in rivals:
         # Raises where an optimum that is nearly as likely does not determine the unknowns.
         optimum.inverse_information()
     optimum = best.problem.robust_search(best.x, robust)
     return replace(estimated(optimum, noise), rivals=rivals)
+
+
+def _elsewhere(optimum: Optimum) -> Iterator[Optimum]:
+    """Hold loads at other places, search there, and go on from there with them free."""
+    problem = optimum.problem
+    loads = np.intersect1d(problem.loads, problem.free)
+    for share in (0.1, 0.3, 0.5, 0.8) if loads.size else ():
+        x = optimum.x.copy()
+        x[loads] = problem.low[loads] + share * (problem.high - problem.low)[loads]
+        x = problem.descend(x, ~np.isin(problem.free, loads), **ROUGH)[0]
+        if problem.equations(x).deviance < optimum.equations.deviance + SHALLOW:
+            yield problem.search(x, **ROUGH)
 
 
 def _problems(
