@@ -22,7 +22,7 @@ from benchmarks.data import pilot, session
 from benchmarks.peers import scipy_trust_region
 from benchmarks.peers.casadi_shooting import SingleShooting
 from benchmarks.timing import Row, here, in_turns
-from trustlab.identification.runs import read_runs
+from trustlab.identification.log import read_runs
 from trustlab.identification.tsc import TSC
 
 TITLE = "Joint grey-box fit"
@@ -153,7 +153,7 @@ def own_start(run: tl.Session) -> np.ndarray:
     run : Session
         The data.
     """
-    guess = TSC.guess(read_runs(run, "mode", "p_h", "p_r"), TSC.limits(fixed=FIXED))[0]
+    guess = TSC.starts(read_runs(run, "mode", "p_h", "p_r"), TSC.limits(fixed=FIXED))[0]
     names = [
         *(f"human_{name}" for name in HUMAN),
         *(f"robot_{name}" for name in ROBOT),

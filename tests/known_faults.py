@@ -86,13 +86,6 @@ KNOWN = {
     "HapticDevice.step": {
         "sample_time": "foreign errors",
     },
-    "LinearForm": {
-        "coefficients": "anything is taken",
-        "equations": "anything is taken",
-        "parameters": "anything is taken",
-        "initial": "anything is taken",
-        "caution": "anything is taken",
-    },
     "LiveCondition": {
         "suggestions": "no argument named",
     },
@@ -110,13 +103,6 @@ KNOWN = {
     },
     "OptimalBlending": {
         "gains": "foreign errors",
-    },
-    "Parameter": {
-        "low": "foreign errors",
-        "high": "foreign errors",
-        "span": "anything is taken",
-        "hint": "anything is taken",
-        "ends": "NaN is taken",
     },
     "PassivityController": {
         "cap": "foreign errors",
@@ -155,22 +141,6 @@ KNOWN = {
     },
     "Scheme": {
         "title": "anything is taken",
-    },
-    "Structure": {
-        "name": "anything is taken",
-        "parameters": "foreign errors",
-        "outputs": "foreign errors, NaN is taken",
-        "initial": "foreign errors",
-        "inputs": "foreign errors, NaN is taken",
-        "sensitivities": "NaN is taken",
-        "affected_by": "NaN is taken",
-        "guess": "NaN is taken",
-        "model": "NaN is taken",
-        "derived": "NaN is taken",
-        "check": "NaN is taken",
-        "linear": "anything is taken",
-        "step": "anything is taken",
-        "remedy": "anything is taken",
     },
     "TeamLoop": {
         "performance": "NaN is taken",

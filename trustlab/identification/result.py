@@ -351,8 +351,10 @@ def result_of(estimate: Estimate) -> FitResult:
     reasons = list(doubts(estimate))
     sentences = [search_remark(estimate), *_mark(weak, table, model.hints)]
     sentences += [*remarks(estimate), *reasons]
-    if weak and set(model.outputs) == {"p_h", "p_r"}:
-        sentences.append("trustlab.sample_posterior says what these data do determine.")
+    if (weak or reasons) and "p_h" in model.outputs:
+        sentences.append(
+            "What mode, p_h and p_r do tell of (2.3)-(2.6), trustlab.sample_posterior says."
+        )
     # NaN for what was fixed; rows of what a bound holds are NaN already.
     stderr = np.sqrt(np.where(estimate.fixed, np.nan, np.diag(estimate.covariance)))
     states = {}
