@@ -28,8 +28,8 @@ from tests.publishing.world import ROOT, make
 from trustlab.allocation.correction.correction_run import CorrectionRun
 from trustlab.allocation.cycle.intervals import RangeIntervals
 from trustlab.allocation.decision.posterior_choice import PosteriorChoice
-from trustlab.identification.posterior.draws import MODEL as MODEL_NAMES
 from trustlab.identification.posterior.population import Population
+from trustlab.identification.posterior.result import MODEL as MODEL_NAMES
 from trustlab.identification.regression import ArxResult
 from trustlab.models.display import Result
 from trustlab.publishing.book import publish, write_book

@@ -113,7 +113,7 @@ def estimated(optimum: Optimum, noise: str) -> Estimate:
     if noise == "correlated" or (noise == "auto" and simple_p < NOT_WHITE):
         # The noise belongs to the residuals, and these to the estimates: three rounds settle both.
         for _ in range(3):
-            problem.fit_noise()
+            problem.set_noise(problem.fitted_noise())
             optimum = problem.search(optimum.x)
     inverse = optimum.inverse_information()
     modelled = any(model != Noise() for model in problem.noise)

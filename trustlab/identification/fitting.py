@@ -119,22 +119,49 @@ def estimate_runs(
     """Search from every start, and return the best optimum as an estimate."""
     if guess is not None:
         model.check_names(guess, "guess")
-    problems = list(_problems(model, runs, limits, guess))
-    if len(problems) == 1:
-        problem, x = problems[0]
-        return estimated(problem.robust_search(x, robust), noise)
-    optima = [problem.robust_search(x, robust, **ROUGH) for problem, x in problems]
-    best = min(optima, key=lambda optimum: optimum.deviance)
-    if any(run.window > 1 for run in runs):
-        # Means hide where utilization began: another beginning may explain them as well.
-        optima += _elsewhere(best)
-        best = min(optima, key=lambda optimum: optimum.deviance)
+    optima = rough_optima(model, runs, limits, guess, robust)
+    best = optima[0]
     rivals = tuple(optimum for optimum in optima if optimum.deviance < best.deviance + RIVAL)
-    for optimum in rivals:
-        # Raises where an optimum that is nearly as likely does not determine the unknowns.
-        optimum.inverse_information()
+    if len(rivals) > 1:
+        for optimum in rivals:
+            # Raises where one that is nearly as likely does not determine the unknowns.
+            optimum.inverse_information()
     optimum = best.problem.robust_search(best.x, robust)
     return replace(estimated(optimum, noise), rivals=rivals)
+
+
+def rough_optima(
+    model: Model,
+    runs: list[Run],
+    limits: Mapping,
+    guess: Mapping[str, float] | None = None,
+    robust: bool = True,
+) -> list[Optimum]:
+    """Search roughly from every start, and return the optima, the most likely first."""
+    optima = [
+        problem.robust_search(x, robust, **ROUGH)
+        for problem, x in _problems(model, runs, limits, guess)
+    ]
+    optima.sort(key=lambda optimum: optimum.deviance)
+    if any(run.window > 1 for run in runs):
+        bests = [next(o for o in optima if o.problem.unwindow == view) for view in (True, False)]
+        chosen = min(bests, key=_deviance_with_noise)
+        optima = [o for o in optima if o.problem.unwindow == chosen.problem.unwindow]
+        # Means hide where utilization began: another beginning may explain them as well.
+        optima += _elsewhere(chosen)
+        optima.sort(key=lambda optimum: optimum.deviance)
+    return optima
+
+
+def _deviance_with_noise(optimum: Optimum) -> float:
+    """Return the deviance once the noise has a model, which rounded or averaged noise needs."""
+    problem = optimum.problem
+    white = problem.noise
+    problem.equations(optimum.x)
+    problem.set_noise(problem.fitted_noise())
+    deviance = problem.search(optimum.x, **ROUGH).deviance
+    problem.set_noise(white)
+    return deviance
 
 
 def _elsewhere(optimum: Optimum) -> Iterator[Optimum]:

@@ -131,27 +131,88 @@ class Noise(NamedTuple):
     memory: float = 0.0
 
 
+class Process(NamedTuple):
+    """
+    Noise y = c x + v of a first-order process x and white noise v, from one value to the next.
+
+    x becomes φ x + w; `drive`, `error` and `both` are the variance of w, that of v, and their
+    covariance; `variance` is that of x.
+    """
+
+    phi: float
+    c: float
+    drive: float
+    error: float
+    both: float
+    variance: float
+
+
 @njit
-def _filter(columns, known, share, memory, errors):
-    """Write a Kalman filter's prediction errors, scaled to one variance; return Σ ln scale²."""
-    white = 1.0 - share
-    drive = share * (1.0 - memory * memory)
+def process(white, slow, memory, samples):
+    """
+    Return the noise of means over `samples`.
+
+    Of each sample, `white` and `slow` are the deviations of white and AR(1) noise; `memory` is the
+    correlation of successive samples of the latter.
+    """
+    total = 0.0
+    power = 1.0
+    error = 0.0
+    both = 0.0
+    # After m samples a shock has added `total` = 1 + … + φ^(m − 1) to the sum.
+    for m in range(samples):
+        if m > 0:
+            error += total * total
+            both += total * power
+        total += power
+        power *= memory
+    shock = slow * slow * (1.0 - memory * memory)
+    return Process(
+        power,
+        total / samples,
+        slow * slow * (1.0 - power * power),
+        (shock * error / samples + white * white) / samples,
+        shock * both / samples,
+        slow * slow,
+    )
+
+
+@njit
+def filter_columns(columns, known, noise, errors):
+    """
+    Write the prediction errors of a Kalman filter, scaled to variance one; return Σ ln variance.
+
+    Columns, shape (N, p), are filtered alike; where nothing is known the noise is only predicted
+    (Kailath, Sayed and Hassibi, *Linear Estimation*, 2000, Section 9.5: correlated noises).
+    """
     state = np.zeros(columns.shape[1])
-    variance = share
+    variance = noise.variance
+    before = -1.0
+    scale = 1.0
+    gain = 0.0
+    after = 0.0
+    logarithm = 0.0
     logs = 0.0
     for k in range(columns.shape[0]):
-        total = variance + white
-        scale = 0.0
-        gain = 0.0  # where nothing was measured, the noise is only predicted
-        if known[k]:
+        if not known[k]:
+            for j in range(state.size):
+                errors[k, j] = 0.0
+                state[j] *= noise.phi
+            variance = noise.phi * noise.phi * variance + noise.drive
+            continue
+        if abs(variance - before) > 1e-14 * variance:  # the filter settles within some samples
+            before = variance
+            total = noise.c * noise.c * variance + noise.error
             scale = 1.0 / np.sqrt(total)
-            gain = memory * variance / total
-            logs += np.log(total)
+            gain = (noise.phi * noise.c * variance + noise.both) / total
+            after = noise.phi * noise.phi * variance + noise.drive - gain * gain * total
+            logarithm = np.log(total)
         for j in range(state.size):
-            error = columns[k, j] - state[j]
+            error = columns[k, j] - noise.c * state[j]
             errors[k, j] = scale * error
-            state[j] = memory * state[j] + gain * error
-        variance = memory * memory * variance * (white / total if known[k] else 1.0) + drive
+            state[j] = noise.phi * state[j] + gain * error
+        variance = after
+        logs += logarithm
     return logs
 
 
@@ -162,7 +223,8 @@ def whiten(columns: np.ndarray, known: np.ndarray, noise: Noise) -> tuple[np.nda
     Errors and their derivatives are filtered alike ([L] Section 4.3).
     """
     errors = np.empty(columns.shape)
-    return errors, _filter(columns, known, *noise, errors)
+    of_samples = process(np.sqrt(1.0 - noise.share), np.sqrt(noise.share), noise.memory, 1)
+    return errors, filter_columns(columns, known, of_samples, errors)
 
 
 def fit_noise(

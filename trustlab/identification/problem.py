@@ -329,12 +329,17 @@ class Problem:
             errors.append(series.measured - self.observed(series, simulated[series.output]))
         return errors
 
-    def fit_noise(self) -> None:
-        """Fit the noise of each output to its residuals at the last point."""
-        for j, of_output in enumerate(self.by_output()):
+    def fitted_noise(self) -> list[Noise]:
+        """Return the noise of each output that its residuals at the last point show."""
+        noise = []
+        for before, count, of_output in zip(self.noise, self.counts, self.by_output(), strict=True):
             parts = [(series.plain, series.known, series.places) for series in of_output]
-            self.noise[j] = fit_noise(parts, self.counts[j], self.noise[j])
-        self.evaluated = (None, None)
+            noise.append(fit_noise(parts, count, before))
+        return noise
+
+    def set_noise(self, noise: list[Noise]) -> None:
+        """Take another noise of each output."""
+        self.noise, self.evaluated = noise, (None, None)
 
 
 def _least_squares(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

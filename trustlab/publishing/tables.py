@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.posterior.draws import WORDS
+from trustlab.identification.posterior.result import WORDS
 
 P_VALUE = re.compile(
     r"p|p, .*|mauchly_p"

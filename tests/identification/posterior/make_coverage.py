@@ -17,8 +17,8 @@ from scipy import stats
 import trustlab as tl
 from tests.identification.posterior import simulated_logs
 from trustlab.identification.posterior import pooling
-from trustlab.identification.posterior.draws import MODEL, physical
 from trustlab.identification.posterior.priors import as_prior, transformed
+from trustlab.identification.posterior.result import MODEL, physical
 
 HERE = Path(__file__).resolve().parent
 PRINTED = ["1", "2", "3", "4", "5", "pilot"]
@@ -99,9 +99,9 @@ def population_of(origin, noise, number):
     sessions = {}
     truths = {}
     for name, theta in enumerate(five_of(origin, rng), start=1):
-        known = np.zeros(simulated_logs.STATES + 2)
+        known = np.zeros(simulated_logs.R0 + 2)
         known[:7] = theta
-        known[simulated_logs.STATES] = rng.uniform(-4.0, -1.0)
+        known[simulated_logs.R0] = rng.uniform(-4.0, -1.0)
         run = simulated_logs.run_of(rng, *simulated_logs.model_of(known), "open", 6000)
         noises = dict.fromkeys(("p_h", "p_r"), simulated_logs.NOISE[noise])
         window = simulated_logs.WINDOW if noise == "means" else 0.0

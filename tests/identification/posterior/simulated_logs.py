@@ -4,9 +4,10 @@ import numpy as np
 import pandas as pd
 
 import trustlab as tl
-from trustlab.identification.posterior.likelihood import H_NOISE, P_NOISE, STATES
+from trustlab.identification.posterior.coordinates import Target
+from trustlab.identification.posterior.likelihood import DELAY, NOISES, P_R0, R0
 from trustlab.identification.posterior.priors import as_prior, transformed
-from trustlab.identification.posterior.sampling import prior_thetas, target_of
+from trustlab.identification.posterior.sampling import prior_thetas
 
 STEP = 0.1
 WINDOW = 100.0
@@ -62,8 +63,8 @@ def model_of(theta):
     robot = tl.RobotModel(np.exp(-STEP / np.exp(robot_time)), p_min, p_min + np.exp(p_span), top)
     return (
         tl.TscModel(robot, human),
-        1.0 / (1.0 + np.exp(-theta[STATES])),
-        p_min + theta[STATES + 1],
+        1.0 / (1.0 + np.exp(-theta[R0])),
+        p_min + theta[P_R0],
     )
 
 
@@ -78,14 +79,10 @@ def run_of(rng, tsc, r0, p_r0, loop, size):
 
 
 def any_target(prior="weak"):
-    """A target that holds a prior, of a session that does not matter."""
-    t = STEP * np.arange(100)
-    frame = pd.DataFrame({"mode": t > 5.0, "p_h": 0.4, "p_r": 0.3}, index=pd.Index(t, name="t"))
-    log = tl.LogSettings()
-    from trustlab.identification.log import read_runs
-
-    session = tl.Session(frame.astype(float), tl.Metadata(synthetic=True))
-    return target_of(read_runs(session, "mode", "p_h", "p_r", log=log), as_prior(prior), log)
+    """A target that holds a prior, of no data."""
+    mean, deviation, whitening = as_prior(prior).vectors(1)
+    free = np.delete(np.arange(mean.size), DELAY)
+    return Target(None, mean, deviation, mean.copy(), whitening, free)
 
 
 def measured_case(rng, size=6000):
@@ -107,8 +104,8 @@ def measured_case(rng, size=6000):
         span = limits.upper - limits.lower
         rule = (limits.lower + 0.3 * span, limits.lower + 0.75 * span)
         noise = np.empty((2, size))
-        for row, place in zip(noise, (H_NOISE, P_NOISE), strict=True):
-            white, slow, seconds = np.exp(theta[place : place + 3])
+        for row, places in zip(noise, NOISES, strict=True):
+            white, slow, seconds = np.exp(theta[list(places)])
             row[:] = rng.normal(0.0, white, size) + first_order(rng, size, slow, seconds)
         modes, p_h, p_r = measured_run(*model_of(theta), design, rule, noise)
     frame = pd.DataFrame({"mode": modes, "p_h": p_h, "p_r": p_r}, index=STEP * np.arange(size))
@@ -145,8 +142,8 @@ def drawn_case(rng, kind, loop="open", minutes=10.0, prior="weak"):
             break
     run = run_of(rng, tsc, r0, p_r0, loop, size)
     noises = {
-        name: (*np.exp(theta[place : place + 2]), np.exp(theta[place + 2]))
-        for name, place in (("p_h", H_NOISE), ("p_r", P_NOISE))
+        name: np.exp(theta[list(places)])
+        for name, places in zip(("p_h", "p_r"), NOISES, strict=True)
     }
     return with_noise(rng, run, noises, WINDOW if kind == "means" else 0.0), theta
 
@@ -159,8 +156,8 @@ def printed_case(rng, kind, loop="open", minutes=10.0, who="pilot"):
     session = with_noise(
         rng, run, dict.fromkeys(("p_h", "p_r"), NOISE[kind]), WINDOW if kind == "means" else 0.0
     )
-    theta = np.full(STATES + 2, np.nan)
+    theta = np.full(P_R0 + 1, np.nan)
     theta[:7] = transformed([tsc])[0]
-    theta[STATES] = np.log(r0 / (1.0 - r0))
-    theta[STATES + 1] = 0.0
+    theta[R0] = np.log(r0 / (1.0 - r0))
+    theta[P_R0] = 0.0
     return session, theta

@@ -5,14 +5,16 @@ Oracles: SciPy's multivariate normal density with the covariance of the samples 
 averaged; the models' own simulation, sample by sample; finite differences for the Jacobian.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 import trustlab as tl
 from trustlab.identification.log import read_runs
+from trustlab.identification.noise import filter_columns, process
 from trustlab.identification.posterior import likelihood as kernel
-from trustlab.identification.posterior.blocks import blocks_of
 from trustlab.identification.posterior.coordinates import (
     Target,
     density,
@@ -22,6 +24,9 @@ from trustlab.identification.posterior.coordinates import (
 )
 from trustlab.identification.posterior.priors import as_prior, prior_of, transformed
 from trustlab.identification.posterior.sampling import prior_thetas, target_of
+from trustlab.identification.problem import Problem
+from trustlab.identification.tsc import TSC
+from trustlab.sessions.metrics import window_mean
 
 from . import simulated_logs
 
@@ -31,7 +36,8 @@ def target_and_runs(rng, minutes=(1.0, 0.7), **settings):
     log = tl.LogSettings(**settings)
     cases = [simulated_logs.drawn_case(rng, "white", minutes=each) for each in minutes]
     runs = read_runs([session for session, _ in cases], "mode", "p_h", "p_r", log=log)
-    return target_of(runs, as_prior("weak"), log), runs, cases[0][1]
+    optimum = SimpleNamespace(problem=Problem(TSC, runs, TSC.limits()))
+    return target_of(optimum, as_prior("weak"), log), runs, cases[0][1]
 
 
 def dense_covariance(white, slow, seconds, samples, blocks, step=0.1):
@@ -47,21 +53,21 @@ def test_the_kalman_filter_gives_the_dense_density(seed):
     rng = np.random.default_rng(seed)
     white, slow, seconds = np.exp(rng.normal([-5.0, -5.0, 1.0], 1.0))
     errors = 0.01 * rng.standard_normal(40)
-    noise = kernel.block_noise(white, slow, np.exp(-0.1 / seconds), 10)
+    noise = process(white, slow, np.exp(-0.1 / seconds), 10)
     covariance = dense_covariance(white, slow, seconds, 10, 40)
-    value = kernel.prediction_error_density(errors, noise, np.empty(40))
-    expected = stats.multivariate_normal(cov=covariance).logpdf(errors)
-    assert value == pytest.approx(expected, rel=1e-9)
-    known = rng.random(40) < 0.7
-    holes = np.where(known, errors, np.nan)
-    value = kernel.prediction_error_density(holes, noise, np.empty(40))
-    expected = stats.multivariate_normal(cov=covariance[np.ix_(known, known)]).logpdf(errors[known])
-    assert value == pytest.approx(expected, rel=1e-9)
-    # Negative control: correlation within a block that is forgotten between blocks.
-    apart = noise._replace(both=0.0)
-    assert kernel.prediction_error_density(errors, apart, np.empty(40)) != pytest.approx(
-        expected, rel=1e-6
-    )
+
+    def density_by_filter(known, noise):
+        scaled = np.empty((40, 1))
+        logs = filter_columns(errors[:, None], known, noise, scaled)
+        return -0.5 * (logs + np.sum(scaled**2) + known.sum() * np.log(2.0 * np.pi))
+
+    for known in (np.ones(40, bool), rng.random(40) < 0.7):
+        there = stats.multivariate_normal(cov=covariance[np.ix_(known, known)])
+        expected = there.logpdf(errors[known])
+        assert density_by_filter(known, noise) == pytest.approx(expected, rel=1e-9)
+        # Negative control: correlation within a block that is forgotten between blocks.
+        apart = noise._replace(both=0.0)
+        assert density_by_filter(known, apart) != pytest.approx(expected, rel=1e-6)
 
 
 def test_block_means_are_those_of_the_models():
@@ -71,9 +77,9 @@ def test_block_means_are_those_of_the_models():
         means = kernel.simulate(theta, target.blocks)
         tsc, _, _ = simulated_logs.model_of(theta)
         for i, run in enumerate(runs):
-            place = kernel.STATES + 2 * i
-            r0 = 1.0 / (1.0 + np.exp(-theta[place]))
-            sampled = tsc.simulate(run["mode"], r0, theta[kernel.P_MIN] + theta[place + 1])
+            odds, above = theta[kernel.R0 + 2 * i], theta[kernel.P_R0 + 2 * i]
+            r0 = 1.0 / (1.0 + np.exp(-odds))
+            sampled = tsc.simulate(run["mode"], r0, theta[kernel.P_MIN] + above)
             blocks = slice(*target.blocks.first_block[i : i + 2])
             for j, name in enumerate(("p_h", "p_r")):
                 count = run.size // 10
@@ -92,8 +98,8 @@ def test_the_density_is_likelihood_times_prior():
     np.testing.assert_allclose(to_thetas(x[None], target)[0], theta, atol=1e-12)
     errors = target.blocks.measured - kernel.simulate(theta, target.blocks)
     expected = 0.0
-    for j, place in enumerate((kernel.H_NOISE, kernel.P_NOISE)):
-        white, slow, seconds = np.exp(theta[place : place + 3])
+    for j, places in enumerate(kernel.NOISES):
+        white, slow, seconds = np.exp(theta[list(places)])
         covariance = dense_covariance(white, slow, seconds, 10, errors.shape[1])
         expected += stats.multivariate_normal(cov=covariance).logpdf(errors[j])
     normals = stats.norm(target.mean, target.deviation)
@@ -152,5 +158,17 @@ def test_windows_are_undone_before_means_are_taken():
     for window in (0.0, 100.0):
         session = simulated_logs.with_noise(np.random.default_rng(1), run, noises, window)
         runs = read_runs(session, "mode", "p_h", "p_r", log=tl.LogSettings())
-        made[window] = blocks_of(runs).measured
+        made[window] = kernel.blocks_of(Problem(TSC, runs, TSC.limits(), unwindow=True)).measured
     np.testing.assert_allclose(made[0.0], made[100.0], atol=1e-10)
+
+
+@pytest.mark.parametrize("window", [30, 31, 100, 1000])
+def test_means_over_a_window_are_simulated_by_blocks(window):
+    """Oracle: with_performance's mean of the simulated samples."""
+    t = 0.1 * np.arange(3000)
+    samples = 0.4 + 0.05 * np.sin(t / 30.0)
+    blocks = samples.reshape(-1, 10).mean(axis=1)
+    expected = window_mean(samples, 0.1, 0.1 * window).reshape(-1, 10).mean(axis=1)
+    means = kernel.averaged(blocks, window, 10)
+    np.testing.assert_allclose(means, expected, atol=5e-5)
+    assert np.abs(blocks - expected).max() > 1e-3  # what is told apart

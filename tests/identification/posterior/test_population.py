@@ -17,7 +17,7 @@ from scipy.special import logit
 import trustlab as tl
 from tests.house.documents import ROOT
 from trustlab.identification.posterior import pooling
-from trustlab.identification.posterior.draws import MODEL, physical
+from trustlab.identification.posterior.result import MODEL, physical
 from trustlab.testbeds import GroundRobot
 from trustlab.testbeds.populations import OperatorPopulation
 
@@ -29,9 +29,9 @@ def group(rng, kind, count=5, minutes=10.0):
     """Sessions of people spread as the printed five, and their true parameters."""
     sessions, truths = {}, {}
     for name in map(str, range(count)):
-        theta = np.zeros(simulated_logs.STATES + 2)
+        theta = np.zeros(simulated_logs.R0 + 2)
         theta[:7] = PEOPLE.mean(axis=0) + PEOPLE.std(axis=0, ddof=1) * rng.standard_normal(7)
-        theta[simulated_logs.STATES] = rng.uniform(-4.0, -1.0)
+        theta[simulated_logs.R0] = rng.uniform(-4.0, -1.0)
         tsc, r0, p_r0 = simulated_logs.model_of(theta)
         run = simulated_logs.run_of(rng, tsc, r0, p_r0, "open", round(600 * minutes))
         noise = dict.fromkeys(("p_h", "p_r"), simulated_logs.NOISE[kind])

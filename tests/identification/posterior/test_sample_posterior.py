@@ -16,9 +16,10 @@ from scipy import stats
 
 import trustlab as tl
 from tests.house.documents import ROOT
-from trustlab.identification.posterior import sampler
+from trustlab.identification.fitting import rough_optima
+from trustlab.identification.log import read_runs
+from trustlab.identification.posterior import sampling
 from trustlab.identification.posterior.coordinates import to_thetas
-from trustlab.identification.posterior.draws import MODEL, interval_words, physical
 from trustlab.identification.posterior.importance import (
     Component,
     Sample,
@@ -29,8 +30,11 @@ from trustlab.identification.posterior.importance import (
     smoothed,
     weighed,
 )
-from trustlab.identification.posterior.sampler import sample_target, tops_of, walked
+from trustlab.identification.posterior.result import MODEL, interval_words, physical
+from trustlab.identification.posterior.sampling import sample_target, tops_of, walked
 from trustlab.identification.posterior.search import Top
+from trustlab.identification.tsc import TSC
+from trustlab.sessions.metrics import window_mean
 
 from . import simulated_logs
 from .make_coverage import LOGS, NOISES, ranks_of
@@ -163,7 +167,8 @@ def test_walkers_agree_with_weights():
     posterior = tl.sample_posterior(session)
     target = posterior.target
     rng = np.random.default_rng(0)
-    tops = tops_of(target, rng)
+    runs = read_runs(session, "mode", "p_h", "p_r")
+    tops = tops_of(target, rough_optima(TSC, runs, TSC.limits()))
     walkers = walked(target, sample_target(target, tops, rng).sample, rng)
     by_walkers = physical(to_thetas(walkers.points, target), 0.1)
     for name in MODEL:
@@ -172,13 +177,13 @@ def test_walkers_agree_with_weights():
         assert by_walkers[name].std() == pytest.approx(sd, rel=0.3), name
 
 
-def normal_walkers(monkeypatch, seed, most=sampler.MOST_KEPT):
+def normal_walkers(monkeypatch, seed, most=sampling.MOST_KEPT):
     """Walkers in a normal density, from draws of one that is half as wide and beside it."""
     deviations = np.linspace(0.5, 3.0, 8)
     monkeypatch.setattr(
-        sampler, "densities", lambda points, _: -0.5 * ((points / deviations) ** 2).sum(axis=1)
+        sampling, "densities", lambda points, _: -0.5 * ((points / deviations) ** 2).sum(axis=1)
     )
-    monkeypatch.setattr(sampler, "MOST_KEPT", most)
+    monkeypatch.setattr(sampling, "MOST_KEPT", most)
     rng = np.random.default_rng(seed)
     points = 0.5 * deviations * (1.0 + rng.standard_normal((400, 8)))
     begin = Sample(points, np.full(400, 1.0 / 400.0), np.inf, 400.0)
@@ -206,10 +211,10 @@ def test_walkers_that_stop_too_soon_are_not_to_be_trusted(monkeypatch):
 
 def test_a_maximum_far_below_the_highest_is_left_out(monkeypatch):
     """The first climb may end low: it is the highest that others are compared with."""
-    values = {0.0: -500.0, 10.0: -100.0, 20.0: -505.0, 30.0: -111.0}
-    monkeypatch.setattr(sampler, "starting_points", lambda *_: list(values))
+    values = {0.0: -500.0, 10.0: -100.0, 30.0: -111.0}
+    monkeypatch.setattr(sampling, "starting_points", lambda *_: list(values))
     monkeypatch.setattr(
-        sampler, "climb", lambda x, _: Top(np.array([x]), values[x], np.array([[1.0]]))
+        sampling, "climb", lambda x, _: Top(np.array([x]), values[x], np.array([[1.0]]))
     )
     assert [top.value for top in tops_of(None, None)] == [-100.0, -111.0]
 
@@ -392,3 +397,16 @@ def test_the_table_of_the_page_is_that_of_the_code():
     for cells, (name, row) in zip(stated, table.iterrows(), strict=True):
         for cell, value in zip(cells[1:4], row, strict=True):
             assert float(cell) == pytest.approx(value, rel=0.06, abs=0.005), (name, cells)
+
+
+def test_rounded_means_are_taken_as_the_fit_takes_them():
+    """Noise is in the means where these are rounded: undoing the window would blow it up."""
+    rng = np.random.default_rng(37)
+    session, _ = simulated_logs.printed_case(rng, "white", minutes=20.0)
+    means = {y: np.round(window_mean(session[y], 0.1, 100.0), 4) for y in ("p_h", "p_r")}
+    rounded = session.with_columns(**means).with_metadata(performance_window=100.0)
+    fit = tl.fit_tsc(rounded)
+    assert "with noise in the means" in fit.message
+    table, row = tl.sample_posterior(rounded).table(), fit.table().loc["human_beta"]
+    assert table.loc["human_beta", "mean"] == pytest.approx(row["value"], abs=4.0 * row["stderr"])
+    assert table.loc["human_beta", "sd"] < 5.0 * row["stderr"]

@@ -7,9 +7,8 @@ import pandas as pd
 
 from trustlab.allocation.decision.steady import SteadyMotions, grid_of_pairs, points, survey
 from trustlab.allocation.limits import threshold_limits
-from trustlab.identification.posterior.draws import physical, tsc_models
 from trustlab.identification.posterior.likelihood import SHARED
-from trustlab.identification.posterior.result import Posterior
+from trustlab.identification.posterior.result import Posterior, physical, tsc_models
 from trustlab.models.checks import between, one_of, whole_number
 from trustlab.models.display import Result
 from trustlab.models.tsc import TscModel

@@ -15,13 +15,12 @@ import numpy as np
 from trustlab.identification.posterior.likelihood import (
     BETA,
     H_MIN,
-    H_NOISE,
     H_SPAN,
-    MEMORY,
+    NOISES,
     P_MIN,
-    P_NOISE,
-    SLOW,
-    STATES,
+    P_R0,
+    PER_RUN,
+    R0,
     Blocks,
     drive,
     innovations,
@@ -60,8 +59,8 @@ def to_theta(x, target, shape, means):
     mean, spread = shapes(theta, target.blocks, shape, means)
     theta[H_SPAN] -= np.log(spread)
     theta[H_MIN] -= np.exp(theta[H_SPAN]) * mean
-    for place in (H_NOISE, P_NOISE):
-        theta[place + SLOW] -= 0.5 * (theta[place + MEMORY] - target.mean[place + MEMORY])
+    for at in NOISES:
+        theta[at.slow] -= 0.5 * (theta[at.time] - target.mean[at.time])
     return theta
 
 
@@ -75,8 +74,8 @@ def from_theta(theta, target):
     centred = theta.copy()
     centred[H_MIN] += np.exp(theta[H_SPAN]) * mean
     centred[H_SPAN] += np.log(spread)
-    for place in (H_NOISE, P_NOISE):
-        centred[place + SLOW] += 0.5 * (theta[place + MEMORY] - target.mean[place + MEMORY])
+    for at in NOISES:
+        centred[at.slow] += 0.5 * (theta[at.time] - target.mean[at.time])
     return ((centred - target.mean) / target.deviation)[target.free]
 
 
@@ -84,9 +83,9 @@ def from_theta(theta, target):
 def admissible(theta):
     """Return whether θ makes a model: positive performance, shares that are not 0 or 1."""
     odds = abs(theta[BETA])
-    for k in range(STATES, theta.size, 2):
-        odds = max(odds, abs(theta[k]))
-        if theta[P_MIN] + theta[k + 1] < 0.0:
+    for run in range((theta.size - R0) // PER_RUN):
+        odds = max(odds, abs(theta[R0 + PER_RUN * run]))
+        if theta[P_MIN] + theta[P_R0 + PER_RUN * run] < 0.0:
             return False
     return odds < FAR_ODDS and theta[H_MIN] > 0.0 and theta[P_MIN] > 0.0
 

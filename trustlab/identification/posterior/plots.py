@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.posterior.draws import MODEL, summary
+from trustlab.identification.posterior.result import MODEL, summary
 
 LABELS = {
     "human_time_constant": "operator's time constant [s]",

@@ -10,13 +10,19 @@ import pandas as pd
 
 from trustlab.identification.log import LogSettings
 from trustlab.identification.posterior.coordinates import Target
-from trustlab.identification.posterior.draws import MODEL, WORDS, interval_words, physical, summary
 from trustlab.identification.posterior.importance import Sample, resampled, smoothed
-from trustlab.identification.posterior.likelihood import H_MIN, P_MIN, SHARED, STATES
+from trustlab.identification.posterior.likelihood import H_MIN, P_MIN, R0, SHARED
 from trustlab.identification.posterior.plots import plot_shrinkage
 from trustlab.identification.posterior.pooling import Pool, pool
 from trustlab.identification.posterior.priors import Prior, as_prior, prior_of
-from trustlab.identification.posterior.result import Posterior
+from trustlab.identification.posterior.result import (
+    MODEL,
+    WORDS,
+    Posterior,
+    interval_words,
+    physical,
+    summary,
+)
 from trustlab.identification.posterior.sampling import sample_posterior
 from trustlab.models.checks import one_of, open_unit, whole_number, whole_seed
 from trustlab.models.display import Result
@@ -240,7 +246,7 @@ def fit_population(
         alone=alone,
         pool=pooled,
         thetas=thetas,
-        new_person=physical(np.pad(thetas, ((0, 0), (0, STATES - SHARED))), 0.1)[list(MODEL)],
+        new_person=physical(np.pad(thetas, ((0, 0), (0, R0 - SHARED))), 0.1)[list(MODEL)],
         prior=_prediction(thetas, prior, 1.0),
     )
 

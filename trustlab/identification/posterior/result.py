@@ -1,5 +1,6 @@
 """The posterior of one person as draws: tables, models, plots, and a sentence."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -7,20 +8,30 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.posterior.coordinates import Target
-from trustlab.identification.posterior.draws import (
-    MODEL,
-    WORDS,
-    interval_words,
-    summary,
-    tsc_models,
+from trustlab.identification.posterior.likelihood import (
+    BETA,
+    DELAY,
+    H_MIN,
+    H_SPAN,
+    NOISES,
+    OUTPUTS,
+    P_MIN,
+    P_R0,
+    P_SPAN,
+    PER_RUN,
+    R0,
+    SHARED,
+    TAU_P,
+    TAU_R,
+    simulate,
 )
-from trustlab.identification.posterior.likelihood import SHARED, simulate
-from trustlab.identification.posterior.plots import plot_posterior
 from trustlab.identification.posterior.priors import Prior
-from trustlab.identification.posterior.sampler import MOST_K
 from trustlab.models.checks import open_unit
 from trustlab.models.display import Result
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import HumanModel, RobotModel, TscModel
+
+# Greatest shape of the weights' tail by which draws may be trusted (Vehtari et al. 2024).
+MOST_K = 0.7
 
 # Width of an interval, as a share of the prior's, up to which data count as telling the value.
 DETERMINED = 0.5
@@ -30,6 +41,73 @@ NOT_WHITE = 1e-3
 
 # Distance from the prior's mean, in its standard deviations, from which on it is in doubt.
 UNEXPECTED = 3.0
+
+WORDS = {
+    "human_time_constant": "operator's time constant [s]",
+    "human_beta": "operator's best utilization β",
+    "human_p_min": "least human performance",
+    "human_p_max": "greatest human performance",
+    "robot_time_constant": "robot's time constant [s]",
+    "robot_p_min": "least robot performance",
+    "robot_p_max": "greatest robot performance",
+}
+"""The model's parameters in words."""
+
+MODEL = tuple(WORDS)
+
+
+def physical(thetas: np.ndarray, step: float) -> pd.DataFrame:
+    """Return rows of θ as parameters in their own units; `step` [s] is that of the models."""
+    columns = {
+        "human_time_constant": np.exp(thetas[:, TAU_R]),
+        "human_a": np.exp(-step / np.exp(thetas[:, TAU_R])),
+        "human_beta": 1.0 / (1.0 + np.exp(-thetas[:, BETA])),
+        "human_p_min": thetas[:, H_MIN],
+        "human_p_max": thetas[:, H_MIN] + np.exp(thetas[:, H_SPAN]),
+        "robot_time_constant": np.exp(thetas[:, TAU_P]),
+        "robot_a": np.exp(-step / np.exp(thetas[:, TAU_P])),
+        "robot_p_min": thetas[:, P_MIN],
+        "robot_p_max": thetas[:, P_MIN] + np.exp(thetas[:, P_SPAN]),
+        "mode_delay": thetas[:, DELAY],
+    }
+    runs = (thetas.shape[1] - R0) // PER_RUN
+    for run in range(runs):
+        label = f"[{run}]" if runs > 1 else ""
+        columns[f"r0{label}"] = 1.0 / (1.0 + np.exp(-thetas[:, R0 + PER_RUN * run]))
+        columns[f"p_r0{label}"] = thetas[:, P_MIN] + thetas[:, P_R0 + PER_RUN * run]
+    for output, at in zip(OUTPUTS, NOISES, strict=True):
+        columns[f"{output}_white"] = np.exp(thetas[:, at.white])
+        columns[f"{output}_slow"] = np.exp(thetas[:, at.slow])
+        columns[f"{output}_slow_time"] = np.exp(thetas[:, at.time])
+    return pd.DataFrame(columns)
+
+
+def tsc_models(draws: pd.DataFrame) -> list[TscModel]:
+    """Return the model of every draw."""
+    models = []
+    for row in draws.to_dict("records"):
+        human = HumanModel(
+            row["human_a"], row["human_beta"], row["human_p_min"], row["human_p_max"]
+        )
+        robot = RobotModel(
+            row["robot_a"], row["robot_p_min"], row["robot_p_max"], row["human_p_max"]
+        )
+        models.append(TscModel(robot, human))
+    return models
+
+
+def summary(draws: pd.DataFrame, level: float) -> pd.DataFrame:
+    """Return mean, sd and interval of every column."""
+    low, high = draws.quantile([0.5 - 0.5 * level, 0.5 + 0.5 * level]).to_numpy()
+    columns = {"mean": draws.mean(), "sd": draws.std(), "ci_low": low, "ci_high": high}
+    return pd.DataFrame(columns).rename_axis("parameter")
+
+
+def interval_words(row: pd.Series) -> str:
+    """Return mean and interval with as many digits as the interval's width leaves sensible."""
+    width = max(row["ci_high"] - row["ci_low"], 1e-12)
+    places = max(0, 1 - math.floor(math.log10(width)))
+    return f"{row['mean']:.{places}f} ({row['ci_low']:.{places}f} to {row['ci_high']:.{places}f})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -186,4 +264,6 @@ class Posterior(Result):
         numpy.ndarray of matplotlib.axes.Axes
             Seven marginals, then human and robot performance of the first run.
         """
+        from trustlab.identification.posterior.plots import plot_posterior
+
         return plot_posterior(self)
