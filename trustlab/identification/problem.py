@@ -193,7 +193,9 @@ class Problem:
         """Return the likelihood and its derivatives at a full vector ([L] Section 10.2)."""
         if self.evaluated[0] is not None and np.array_equal(self.evaluated[0], x):
             return self.evaluated[1]
-        self._simulate(x)
+        # A step may lead to where a model is not defined: the search turns back from there.
+        with np.errstate(all="ignore"):
+            self._simulate(x)
         size = 1 + self.free.size
         grams = np.zeros((len(self.noise), size, size))
         log_determinant = 0.0
