@@ -216,9 +216,6 @@ KNOWN = {
     "FitResult.plot": {
         "most": "foreign errors, NaN is taken",
     },
-    "fit_human": {
-        "method": "foreign errors",
-    },
     "fit_robot": {
         "p_h_max": "NaN is taken",
     },

@@ -210,7 +210,8 @@ def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
 
 def mode_delay(optimum: Optimum, inverse: np.ndarray, sandwiched: bool) -> ModeDelay:
     """Return the delay of the mode that the residuals show, to first order; 0 if they cannot."""
-    problem, loose, weights = optimum.problem, optimum.loose, weights_of(optimum)
+    problem, loose = optimum.problem, optimum.loose
+    weights = weights_of(optimum)
     none = ModeDelay(0.0, 0.0, np.zeros(loose.size))
     inputs = set(problem.model.inputs)
     if not {"mode"} <= inputs <= {"mode", "p_h"} or "mode_delay" in problem.model.names:

@@ -83,6 +83,14 @@ def fit(
     ValueError
         If an argument is not understood, or the simulation returns something other than finite
         outputs.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> session = tl.read_session("data/sessions/pilot.csv")
+    >>> robot = tl.fit(tl.identification.ROBOT, session, fixed={"p_h_max": 0.46})
+    >>> round(robot.model.p_max, 2)
+    0.39
     """
     of_class("model", model, Model)
     log = log_settings(log, settings)

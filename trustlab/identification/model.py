@@ -127,6 +127,17 @@ class Model:
     ------
     ValueError
         If names are repeated, or a field does not fit the others.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trustlab as tl
+    >>> def decay(run, rate, start):
+    ...     return 0.24 + start * np.exp(-rate * run.t)
+    >>> model = tl.Model(["rate"], ["start"], "p_r", [0.0, 0.0], [0.2, 1.0], simulate=decay)
+    >>> session = tl.read_session("data/sessions/pilot.csv").between(600.0, 700.0)
+    >>> round(1.0 / tl.fit(model, session).model["rate"])
+    25
     """
 
     names: tuple[str, ...]
@@ -177,7 +188,14 @@ class Model:
         return (*self.names, *self.states)
 
     def coordinate(self, name: str) -> Coordinate:
-        """Return the coordinate in which an unknown is searched."""
+        """
+        Return the coordinate in which an unknown is searched.
+
+        Parameters
+        ----------
+        name : str
+            Which unknown.
+        """
         return COORDINATES[self.coordinates.get(name, "plain")]
 
     def limits(
@@ -193,7 +211,8 @@ class Model:
         bounds : mapping, optional
             (low, high) by name; None for an open side.
         """
-        fixed, bounds = fixed or {}, bounds or {}
+        fixed = {} if fixed is None else fixed
+        bounds = {} if bounds is None else bounds
         for argument, values in (("fixed", fixed), ("bounds", bounds)):
             if not isinstance(values, Mapping):
                 raise ValueError(
@@ -217,7 +236,21 @@ class Model:
         return limits
 
     def check_names(self, values: Sequence[str] | Mapping, argument: str) -> None:
-        """Refuse a name that is no unknown, and suggest the one that was meant."""
+        """
+        Refuse a name that is no unknown, and suggest the one that was meant.
+
+        Parameters
+        ----------
+        values : sequence or mapping
+            Names, or values by name.
+        argument : str
+            What they were given as.
+
+        Raises
+        ------
+        ValueError
+            If a name is no unknown.
+        """
         for name in values:
             if name not in self.unknowns:
                 # "a" is meant for human_a or robot_a where a model has both.
@@ -258,7 +291,14 @@ class Model:
         return results
 
     def useful(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return half of the widest 95 % interval by which each name is no weak one."""
+        """
+        Return half of the widest 95 % interval by which each name is no weak one.
+
+        Parameters
+        ----------
+        values : mapping
+            Estimates by name.
+        """
         if callable(self.size):
             return self.size(values)
         widths = {}

@@ -92,7 +92,8 @@ class Problem:
     """
 
     def __init__(self, model: Model, runs: list[Run], limits: Mapping, unwindow: bool = False):
-        self.model, self.runs, self.unwindow = model, runs, unwindow
+        self.model, self.runs = model, runs
+        self.unwindow = unwindow
         self.noise = [Noise()] * len(model.outputs)
         shared, states = len(model.names), len(model.states)
         self.unknowns = [*model.names, *model.states * len(runs)]
@@ -364,7 +365,8 @@ class Optimum:
     def __init__(
         self, problem: Problem, x: np.ndarray, at_bound: np.ndarray, converged: bool, steps: int
     ):
-        self.problem, self.x, self.at_bound = problem, x, at_bound
+        self.problem, self.x = problem, x
+        self.at_bound = at_bound
         self.converged, self.steps = converged, steps
         self.equations = problem.equations(x)
         self.deviance = self._comparable()

@@ -3,19 +3,21 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from tqdm import tqdm
 
 from trustlab.identification.log import LogSettings
 from trustlab.identification.posterior.coordinates import Target
 from trustlab.identification.posterior.importance import Sample, resampled, smoothed
 from trustlab.identification.posterior.likelihood import H_MIN, P_MIN, R0, SHARED
-from trustlab.identification.posterior.plots import plot_shrinkage
 from trustlab.identification.posterior.pooling import Pool, pool
 from trustlab.identification.posterior.priors import Prior, as_prior, prior_of
 from trustlab.identification.posterior.result import (
+    LABELS,
     MODEL,
     WORDS,
     Posterior,
@@ -24,7 +26,7 @@ from trustlab.identification.posterior.result import (
     summary,
 )
 from trustlab.identification.posterior.sampling import sample_posterior
-from trustlab.models.checks import one_of, open_unit, whole_number, whole_seed
+from trustlab.models.checks import flag, one_of, open_unit, whole_number, whole_seed
 from trustlab.models.display import Result
 from trustlab.sessions.session import Session
 
@@ -154,7 +156,29 @@ class Population(Result):
         numpy.ndarray of matplotlib.axes.Axes
             Seven panels: intervals of each person alone and pooled, and of a new person.
         """
-        return plot_shrinkage(self)
+        import matplotlib.pyplot as plt
+
+        table = self.table()
+        alone = {name: summary(each.draws, 0.95) for name, each in self.alone.items()}
+        names = table.index.get_level_values("person").unique()
+        places = np.arange(len(names))
+        figure, axes = plt.subplots(2, 4, figsize=(11, 5), sharey=True, layout="constrained")
+        panels = axes.ravel()
+        for panel, parameter in zip(panels, MODEL, strict=False):
+            pooled = table.xs(parameter, level="parameter").loc[names]
+            panel.hlines(places, pooled["ci_low"], pooled["ci_high"], color="C0", lw=2)
+            panel.plot(pooled["mean"], places, "o", color="C0", label="pooled")
+            own = pd.DataFrame({name: each.loc[parameter] for name, each in alone.items()}).T
+            above = places[:-1] + 0.25
+            panel.hlines(above, own["ci_low"], own["ci_high"], color="0.6")
+            panel.plot(own["mean"], above, ".", color="0.6", label="alone")
+            panel.set_xlabel(LABELS[parameter])
+            panel.set_yticks(places, names)
+        panels[7].axis("off")
+        panels[7].legend(*panels[0].get_legend_handles_labels(), loc="center")
+        if self.synthetic:
+            figure.suptitle("Population, synthetic data", fontsize="small")
+        return panels[:7]
 
 
 def fit_population(
@@ -163,6 +187,7 @@ def fit_population(
     n: int = 1000,
     seed: int = 0,
     log: LogSettings | None = None,
+    progress: bool | None = None,
     **settings: Any,
 ) -> Population:
     """
@@ -185,6 +210,8 @@ def fit_population(
         Seed of the draws.
     log : LogSettings, optional
         As for `sample_posterior`.
+    progress : bool, optional
+        Whether to show progress on stderr; by default where it is a terminal.
     **settings : float or bool
         Fields of `LogSettings` as keywords.
 
@@ -231,11 +258,15 @@ def fit_population(
     }
     expected = prior
     alone: dict[str, Posterior] = {}
-    for start in (0, len(people)):
-        drawn = {
-            name: sample_posterior(each, expected, max(n, DRAWS), seeds[start + i], log, **settings)
-            for i, (name, each) in enumerate(sessions.items())
-        }
+    hidden = None if progress is None else not flag("progress", progress)
+    bar = tqdm(list(sessions.items()) * 2, unit="posterior", disable=hidden)
+    draws = (
+        (name, sample_posterior(each, expected, max(n, DRAWS), seeds[i], log, **settings))
+        for i, (name, each) in enumerate(bar)
+    )
+    for _ in range(2):
+        # `draws` reads `expected` at each step: the prior first, then what the others show.
+        drawn = dict(islice(draws, len(people)))
         alone = alone or drawn
         pooled = _pooled(list(drawn.values()), prior, rng)
         thetas = _new_people(pooled, prior, rng)

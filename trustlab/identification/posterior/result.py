@@ -30,6 +30,19 @@ from trustlab.models.checks import open_unit
 from trustlab.models.display import Result
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
+LABELS = {
+    "human_time_constant": "operator's time constant [s]",
+    "human_beta": "β",
+    "human_p_min": "$P_{h,min}$",
+    "human_p_max": "$P_{h,max}$",
+    "robot_time_constant": "robot's time constant [s]",
+    "robot_p_min": "$P_{r,min}$",
+    "robot_p_max": "$P_{r,max}$",
+}
+
+# Share of the prior's range below which a posterior would be a mere line in it.
+NARROW = 0.15
+
 # Greatest shape of the weights' tail by which draws may be trusted (Vehtari et al. 2024).
 MOST_K = 0.7
 
@@ -264,6 +277,36 @@ class Posterior(Result):
         numpy.ndarray of matplotlib.axes.Axes
             Seven marginals, then human and robot performance of the first run.
         """
-        from trustlab.identification.posterior.plots import plot_posterior
+        import matplotlib.pyplot as plt
 
-        return plot_posterior(self)
+        figure, axes = plt.subplots(3, 3, figsize=(10, 7.5), layout="constrained")
+        panels = axes.ravel()
+        for panel, name in zip(panels, MODEL, strict=False):
+            low, high = self.prior_draws[name].quantile([0.01, 0.99])
+            bins = np.linspace(low, high, 40)
+            panel.hist(self.prior_draws[name], bins, density=True, color="0.8", label="prior")
+            panel.hist(self.draws[name], 30, density=True, color="C0", alpha=0.7, label="posterior")
+            least, most = self.draws[name].quantile([0.01, 0.99])
+            if most - least < NARROW * (high - low):
+                panel.set_xlim(least - (most - least), most + (most - least))
+                panel.locator_params(axis="x", nbins=4)
+                panel.set_title(f"prior: {low:.3g} to {high:.3g}", fontsize="small")
+            panel.set_xlabel(LABELS[name])
+            panel.set_yticks([])
+        panels[0].legend(fontsize="small")
+        blocks = self.target.blocks
+        size = blocks.first_block[1]
+        t = (np.arange(size) + 0.5) * blocks.step * blocks.samples
+        low, middle, high = np.quantile(self.simulated()[:, :, :size], [0.025, 0.5, 0.975], axis=0)
+        for j, (panel, label) in enumerate(zip(panels[7:], ("$P_h$", "$P_r$"), strict=True)):
+            measured = blocks.measured[j, :size]
+            panel.plot(t, measured, lw=0.5, color="0.6", label="measured, 1-s means")
+            band = {"color": "C1", "alpha": 0.5, "label": "95 % of fitted curves"}
+            panel.fill_between(t, low[j], high[j], **band)
+            panel.plot(t, middle[j], color="C1", lw=1.2)
+            panel.set(xlabel="time [s]", ylabel=label, title=self.labels[0])
+            panel.title.set_fontsize("small")
+        panels[7].legend(fontsize="x-small")
+        if self.synthetic:
+            figure.suptitle("Posterior, synthetic data", fontsize="small")
+        return axes

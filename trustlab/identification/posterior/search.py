@@ -182,8 +182,8 @@ def starting_points(target: Target, optima: list[Optimum]) -> list[np.ndarray]:
     # To a thousandth of a prior deviation: from there on all is compiled and the same everywhere.
     points = [np.round(x, 3) for x in points]
     points = [x for x in points if density(x, target) > -np.inf]
-    blocks, low, span = target.blocks, [H_MIN, P_MIN], [H_SPAN, P_SPAN]
-    means = np.average(blocks.measured, axis=1, weights=blocks.known)
+    means = np.average(target.blocks.measured, axis=1, weights=target.blocks.known)
+    low, span = [H_MIN, P_MIN], [H_SPAN, P_SPAN]
     ranges = np.exp(target.mean[span] + BULK * target.deviation[span])
     far = np.abs(means - target.mean[low]) > FAR * target.deviation[low] + ranges
     if far.any() or not points:
