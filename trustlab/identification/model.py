@@ -133,7 +133,7 @@ class Model:
     >>> import numpy as np
     >>> import trustlab as tl
     >>> def decay(run, rate, start):
-    ...     return 0.24 + start * np.exp(-rate * run.t)
+    ...     return 0.24 + start * np.exp(-rate * (run.t - run.t[0]))
     >>> model = tl.Model(["rate"], ["start"], "p_r", [0.0, 0.0], [0.2, 1.0], simulate=decay)
     >>> session = tl.read_session("data/sessions/pilot.csv").between(600.0, 700.0)
     >>> round(1.0 / tl.fit(model, session).model["rate"])
