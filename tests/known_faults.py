@@ -46,8 +46,6 @@ ALLOWED = {
     "smallest_n": {"most": "fewer suffice"},
     "FitResult.residuals": {"output": "the example has one output"},
     "FitResult.residual_correlations": {"output": "the example has one output"},
-    "TransferFunctionFit.residuals": {"output": "there is one output"},
-    "TransferFunctionFit.residual_correlations": {"output": "there is one output"},
     "latin_square_design": {"whole_squares": "eight are whole squares"},
     "run_campaign": {"out": "the table is the same"},
     "RecordedStudy.export": {"path": "the file is the same"},
@@ -221,9 +219,6 @@ KNOWN = {
     },
     "fit_transfer_function": {
         "sample_time": "foreign errors",
-    },
-    "TransferFunctionFit.plot": {
-        "ax": "foreign errors",
     },
     "fit_trust": {
         "pooling": "NaN is taken",

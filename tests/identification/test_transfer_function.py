@@ -93,3 +93,10 @@ def test_bad_input_is_refused(change, error, words):
     u, v = flight("x", 0, count=200)
     with pytest.raises(error, match=words):
         fit_transfer_function(**({"command": u, "velocity": v, "sample_time": T} | change))
+
+
+def test_a_velocity_that_does_not_follow_the_command_is_no_success():
+    u, v = flight("x", 0)
+    fit = fit_transfer_function(u, np.random.default_rng(0).normal(0.0, 0.1, v.size), T, order=1)
+    assert not fit.success
+    assert fit.parameters.loc["gain", "status"] == "weak"

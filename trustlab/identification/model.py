@@ -97,8 +97,8 @@ class Model:
         Bounds of the names, then of the states; −∞ and ∞ when not given.
     size : sequence of float, or callable
         For each name, how wide half a 95 % interval may be until the unknown is reported as weak;
-        or a function of the dictionary of estimates that returns this by name. A quarter of the
-        range when not given.
+        or a function of the dictionary of estimates that returns some of these by name. Else a
+        quarter of the range, or what suits the coordinate.
     simulate : callable
         ``simulate(run, **values)``, with names and states as numbers; ``run["mode"]`` is a column,
         shape (N,). It returns the output, shape (N,), or a tuple of outputs.
@@ -299,14 +299,13 @@ class Model:
         values : mapping
             Estimates by name.
         """
-        if callable(self.size):
-            return self.size(values)
         widths = {}
-        for name, (low, high) in list(self.limits().items())[: len(self.names)]:
+        for name, low, high in zip(self.names, self.low, self.high, strict=False):
             plain = self.coordinates.get(name, "plain") == "plain"
-            widths[name] = 0.25 * (high - low)
-            if not plain:
-                widths[name] = self.coordinate(name).useful(values[name])
+            own = self.coordinate(name).useful
+            widths[name] = 0.25 * (high - low) if plain else own(values[name])
+        if callable(self.size):
+            return widths | self.size(values)
         return widths | dict(zip(self.names, self.size, strict=False))
 
 

@@ -25,7 +25,11 @@ from trustlab.sessions.plots import shade_manual
 # Standard errors from the middle of a 95 % interval to its end.
 HALF_WIDTH = float(special.ndtri(0.975))
 
-LABELS = {"p_r": "robot performance $P_r$", "p_h": "human performance $P_h$"}
+LABELS = {
+    "p_r": "robot performance $P_r$",
+    "p_h": "human performance $P_h$",
+    "velocity": "velocity [m/s]",
+}
 
 
 def with_intervals(table: pd.DataFrame, level: float, degrees_of_freedom: float) -> pd.DataFrame:

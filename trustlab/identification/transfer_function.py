@@ -1,57 +1,25 @@
 """Continuous-time transfer functions of order 1 and 2 from logs, as (A.1) was identified."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, optimize, signal
+from scipy import linalg, signal
 
 from trustlab.identification.estimate import NOISES
 from trustlab.identification.fitting import check_data, estimate_runs
-from trustlab.identification.log import Run
+from trustlab.identification.log import Run, joined
 from trustlab.identification.model import IdentificationError, Model
 from trustlab.identification.result import FitResult, result_of
 from trustlab.models.checks import finite_array, one_of, positive, whole_number
-from trustlab.models.display import axes_or_new
 from trustlab.models.uav import TransferFunction
 
-
-@dataclass(frozen=True, eq=False, repr=False)
-class TransferFunctionFit(FitResult):
-    """A `FitResult` with a `TransferFunction`; `sigma` is one number, as there is one output."""
-
-    sigma: float  # type: ignore[assignment]
-
-    @property
-    def measured(self) -> list[np.ndarray]:
-        """Velocity as logged, per run."""
-        return [run.measured["velocity"] for run in self.runs]
-
-    @property
-    def fitted(self) -> list[np.ndarray]:
-        """Velocity as simulated, per run."""
-        return [run.fitted["velocity"] for run in self.runs]
-
-    @property
-    def sample_time(self) -> float:
-        """T [s]."""
-        return float(self.runs[0].t[1])
-
-    def plot(self, ax=None):
-        """
-        Plot the first run, measured and simulated, on given axes or new ones; return the axes.
-        """
-        ax = axes_or_new(ax)
-        ax.plot(self.runs[0].t, self.measured[0], color="0.6", label="measured")
-        ax.plot(self.runs[0].t, self.fitted[0], label=f"fitted, {self.fit_percent:.1f} %")
-        ax.set(xlabel="t [s]", ylabel="velocity [m/s]")
-        ax.legend()
-        return ax
+# Denominators of the grid from which a search starts.
+STARTS = 3
 
 
 def fit_transfer_function(
     command, velocity, sample_time: float, order: int = 2, noise: str = "auto"
-) -> TransferFunctionFit:
+) -> FitResult:
     """
     Identify gain/(s + d_0) or gain/(s² + d_1 s + d_0) by output error.
 
@@ -70,8 +38,8 @@ def fit_transfer_function(
 
     Returns
     -------
-    TransferFunctionFit
-        A `FitResult` with the TransferFunction as `.model`.
+    FitResult
+        With a TransferFunction.
 
     Raises
     ------
@@ -105,8 +73,7 @@ def fit_transfer_function(
         )
     limits = model.limits()
     check_data(model, runs, limits)
-    fit = result_of(estimate_runs(model, runs, limits, noise))
-    return TransferFunctionFit(**vars(fit) | {"sigma": fit.sigma["velocity"]})
+    return result_of(estimate_runs(model, runs, limits, noise))
 
 
 def transfer_model(order: int, sample_time: float) -> Model:
@@ -119,6 +86,10 @@ def transfer_model(order: int, sample_time: float) -> Model:
         weights = np.array([gain, *(values[name] for name in states)])
         return _responses(d, run["command"], sample_time) @ weights
 
+    def starts(runs, limits):
+        ways = [_projected(d, runs, denominator, states) for d in _grid(order, runs, sample_time)]
+        return [values for _, values in sorted(ways, key=lambda way: way[0])[:STARTS]]
+
     def check(runs, limits):
         if max(np.ptp(run["command"]) for run in runs) == 0.0:
             raise IdentificationError(
@@ -129,8 +100,10 @@ def transfer_model(order: int, sample_time: float) -> Model:
         ("gain", *denominator),
         states,
         ("velocity",),
+        # A gain whose interval holds 0 says that the command may do nothing.
+        size=lambda values: {"gain": abs(values["gain"])},
         simulate=simulate,
-        starts=lambda runs, limits: [_guess(runs, denominator, states, sample_time)],
+        starts=starts,
         inputs=("command",),
         build=lambda gain, **values: TransferFunction(
             gain, tuple(values[name] for name in denominator)
@@ -142,68 +115,35 @@ def transfer_model(order: int, sample_time: float) -> Model:
 def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np.ndarray:
     """Return velocity per unit gain and per unit of each initial state, shape (N, 1 + n)."""
     n = len(denominator)
-    # The companion form, with the command as a further, constant state: its exponential holds Φ and
-    # Γ of one sample.
-    block = np.zeros((n + 1, n + 1))
-    block[: n - 1, 1:n] = np.eye(n - 1)
-    block[n - 1, :n] = -denominator[::-1]
-    block[n - 1, n] = 1.0
-    exponential = linalg.expm(block * sample_time)
-    phi = exponential[:n, :n]
-    gamma = exponential[:n, n]
-    # As difference equations: v is the first state, so the first row of (zI − Φ)⁻¹ is written out
-    # for n = 1 and 2, its numerators by falling powers of z.
+    phi, gamma = TransferFunction(1.0, tuple(denominator)).discrete(sample_time)
+    inputs, none = np.column_stack([gamma, np.eye(n)]), np.zeros((1, n + 1))
+    tops, poles = zip(
+        *(signal.ss2tf(phi, inputs, np.eye(1, n), none, input=k) for k in range(n + 1)), strict=True
+    )
     pulse = np.zeros(u.size)
     pulse[0] = 1.0
-    if n == 1:
-        poles = np.array([1.0, -phi[0, 0]])
-        first_row = np.ones((1, 1))
-    else:
-        determinant = phi[0, 0] * phi[1, 1] - phi[0, 1] * phi[1, 0]
-        poles = np.array([1.0, -(phi[0, 0] + phi[1, 1]), determinant])
-        first_row = np.array([[1.0, 0.0], [-phi[1, 1], phi[0, 1]]])
-    forced = (np.r_[0.0, (first_row * gamma).sum(axis=1)], u)
-    filters = [forced, *((np.r_[state, 0.0], pulse) for state in first_row.T)]
-    return np.column_stack([signal.lfilter(top, poles, x) for top, x in filters])
+    # A command is seen a sample later, an initial state at once.
+    of_states = [signal.lfilter(np.r_[top[0, 1:], 0.0], poles[0], pulse) for top in tops[1:]]
+    return np.column_stack([signal.lfilter(tops[0][0], poles[0], u), *of_states])
 
 
-def _guess(
-    runs: list[Run], denominator: tuple[str, ...], states: tuple[str, ...], sample_time: float
-) -> Mapping:
-    """Return starting values: a search over the denominator, the rest by least squares."""
-    order = len(denominator)
-    target = np.concatenate([run["velocity"] for run in runs])
-
-    def project(d):
-        parts = [_responses(d, run["command"], sample_time) for run in runs]
-        # The gain is shared; each run's initial states act in that run alone.
-        initial = linalg.block_diag(*(part[:, 1:] for part in parts))
-        design = np.column_stack([np.concatenate([part[:, 0] for part in parts]), initial])
-        if not np.isfinite(design).all():
-            return np.zeros(design.shape[1]), np.full(target.size, 1e6)
-        weights = np.linalg.lstsq(design, target, rcond=None)[0]
-        return weights, design @ weights - target
-
-    def residuals(d):
-        with np.errstate(all="ignore"):
-            return project(d)[1]
-
-    starts = sorted(
-        _denominators(order, runs, sample_time), key=lambda d: float(np.sum(residuals(d) ** 2))
-    )
-    tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14, "max_nfev": 200}
-    minima = [
-        optimize.least_squares(residuals, start, x_scale="jac", **tight) for start in starts[:2]
-    ]
-    best = min(minima, key=lambda minimum: minimum.cost).x
-    weights = project(best)[0]
-    initial = weights[1:].reshape(len(runs), order)
-    guess = dict(zip((*denominator, *states), (*best, *initial.T), strict=True))
-    return {"gain": weights[0], **guess}
+def _projected(
+    d: np.ndarray, runs: list[Run], denominator: tuple[str, ...], states: tuple[str, ...]
+) -> tuple[float, Mapping]:
+    """Return Σ e² of a denominator, and its values with the best gain and initial states."""
+    parts = [_responses(d, run["command"], run.sample_time) for run in runs]
+    # The gain is shared; each run's initial states act in that run alone.
+    initial = linalg.block_diag(*(part[:, 1:] for part in parts))
+    design = np.column_stack([np.concatenate([part[:, 0] for part in parts]), initial])
+    target = joined(runs, "velocity")
+    weights = np.linalg.lstsq(design, target, rcond=None)[0]
+    at_first = weights[1:].reshape(len(runs), len(states)).T
+    values = dict(zip((*denominator, *states), (*d, *at_first), strict=True))
+    return float(np.sum((design @ weights - target) ** 2)), values | {"gain": weights[0]}
 
 
-def _denominators(order: int, runs: list[Run], sample_time: float) -> list[np.ndarray]:
-    """Return starting denominators, from the sample time to the length of the runs."""
+def _grid(order: int, runs: list[Run], sample_time: float) -> list[np.ndarray]:
+    """Return denominators of time constants from the sample time to the length of the runs."""
     longest = sample_time * max(run.size for run in runs)
     rates = 1.0 / np.geomspace(2.0 * sample_time, longest / 2.0, 12)
     if order == 1:

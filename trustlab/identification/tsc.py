@@ -322,23 +322,19 @@ HINTS = {
 }
 
 
-def _useful_of(prefix: str, names: tuple[str, ...]) -> Callable:
-    """Return the function that says how wide half a useful 95 % interval is, by name."""
+def _half_ranges(*prefixes: str) -> Callable:
+    """Return the function that says how wide half a useful interval of performances may be."""
 
-    def useful(values: Mapping[str, float]) -> dict[str, float]:
+    def size(values: Mapping[str, float]) -> dict[str, float]:
         # A limit of performance is told by half the distance to the other one.
-        half_range = 0.5 * abs(values[f"{prefix}p_max"] - values[f"{prefix}p_min"])
-        widths = dict.fromkeys((f"{prefix}p_min", f"{prefix}p_max"), half_range)
-        for name, kind in COORDINATE.items():
-            if name in names:
-                widths[prefix + name] = COORDINATES[kind].useful(values[prefix + name])
+        widths = {}
+        for prefix in prefixes:
+            low, high = f"{prefix}p_min", f"{prefix}p_max"
+            widths[low] = widths[high] = 0.5 * abs(values[high] - values[low])
         return widths
 
-    return useful
+    return size
 
-
-USEFUL_OF_HUMAN = _useful_of("human_", HUMAN_NAMES)
-USEFUL_OF_ROBOT = _useful_of("robot_", ROBOT_NAMES)
 
 HUMAN = Model(
     HUMAN_NAMES,
@@ -346,7 +342,7 @@ HUMAN = Model(
     ("p_h",),
     low=(0.0, 0.0, -INF, -INF, 0.0),
     high=(1.0, 1.0, INF, INF, 1.0),
-    size=_useful_of("", HUMAN_NAMES),
+    size=_half_ranges(""),
     simulate=simulate_human,
     starts=human_starts,
     lanes=True,
@@ -363,7 +359,7 @@ ROBOT = Model(
     ("p_r",),
     low=(0.0, -INF, -INF, 0.0, -INF),
     high=(1.0, INF, INF, INF, INF),
-    size=_useful_of("", ROBOT_NAMES),
+    size=_half_ranges(""),
     simulate=simulate_robot,
     starts=robot_starts,
     inputs=("mode", "p_h"),
@@ -381,7 +377,7 @@ TSC = Model(
     ("p_h", "p_r"),
     low=(0.0, 0.0, -INF, -INF, 0.0, -INF, -INF, 0.0, -INF),
     high=(1.0, 1.0, INF, INF, 1.0, INF, INF, 1.0, INF),
-    size=lambda values: USEFUL_OF_HUMAN(values) | USEFUL_OF_ROBOT(values),
+    size=_half_ranges("human_", "robot_"),
     simulate=simulate_tsc,
     starts=tsc_starts,
     lanes=True,
