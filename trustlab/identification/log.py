@@ -326,13 +326,11 @@ def _delayed(model: Model) -> Model:
         return values if model.build is None else model.build(**values)
 
     count = len(model.names)
-    size = model.size if callable(model.size) else (*model.size, np.inf)
     return replace(
         model,
         names=(*model.names, "mode_delay"),
         low=(*model.low[:count], -np.inf, *model.low[count:]),
         high=(*model.high[:count], np.inf, *model.high[count:]),
-        size=size,
         simulate=simulate,
         starts=model.starts and starts,
         lanes=True,
