@@ -10,9 +10,9 @@ from trustlab.identification.result import with_intervals
 from trustlab.models.checks import flag, whole_number
 from trustlab.models.display import Result
 
-# Up to this condition number (equilibrated) the normal equations are used, beyond it a singular
-# value decomposition.
-CONDITION_LIMIT = 1e5
+# Condition number of the normal equations (equilibrated) from which on regressors count as
+# collinear: below it, refinement wins back the digits that squaring costs.
+COLLINEAR = 1e13
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,25 +115,17 @@ def regression(
     # Regressors scaled to unit length: their units have no part in what counts as nearly collinear.
     sizes = np.outer(scale, scale)
     values, vectors = np.linalg.eigh(gram / sizes)
-    if values[0] > 0.0 and values[-1] < CONDITION_LIMIT * values[0]:
-        inverse = (vectors / values) @ vectors.T / sizes
-        coefficients = inverse @ moment
-        # Normal equations square the condition number; one step of refinement with the residuals
-        # wins the digits back.
-        coefficients += inverse @ (design @ (target - coefficients @ design))
-    else:
-        # Singular values of the regressors themselves, whose condition number is the root of that
-        # of their products.
-        vectors, values, across = np.linalg.svd(design / scale[:, None], full_matrices=False)
-        if values[-1] <= n * np.finfo(float).eps * values[0]:
-            lost = names[int(np.argmax(np.abs(vectors[:, -1])))]
-            raise IdentificationError(
-                f"coefficient {lost} is not identifiable: its regressor is a linear combination "
-                "of the others (does the input move?)",
-                (lost,),
-            )
-        coefficients = vectors @ (across @ target / values) / scale
-        inverse = (vectors / values**2) @ vectors.T / sizes
+    if values[0] * COLLINEAR < values[-1]:
+        lost = names[int(np.argmax(np.abs(vectors[:, 0])))]
+        raise IdentificationError(
+            f"coefficient {lost} is not identifiable: its regressor is a linear combination of the "
+            "others (does the input move?)",
+            (lost,),
+        )
+    inverse = (vectors / values) @ vectors.T / sizes
+    coefficients = inverse @ moment
+    for _ in range(3):
+        coefficients = coefficients + inverse @ (design @ (target - coefficients @ design))
     residuals = target - coefficients @ design
     variance = residuals @ residuals / (n - p)
     return coefficients, inverse * variance, residuals
