@@ -96,8 +96,9 @@ def sample_posterior(
     seed : int
         Seed of the draws.
     log : LogSettings, optional
-        How the log shows the model: window, step, mode_delay, stamp_error, robust. Noise is in the
-        values that windows average. Errors of stamps count as one that all switches share.
+        How the log shows the model: window, step, mode_delay, stamp_error, robust. Outliers are
+        those of the fit, and noise is in the values that windows average or in their means,
+        whichever is more likely. Errors of stamps count as one that all switches share.
     **settings : float or bool
         Fields of `LogSettings` as keywords; they replace those of `log`.
 
