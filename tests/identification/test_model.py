@@ -344,3 +344,29 @@ def test_an_unknown_without_effect_is_named():
     with pytest.raises(tl.IdentificationError, match="do not determine idle") as caught:
         tl.fit(model, session_of(0.003))
     assert caught.value.parameters == ("idle",)
+
+
+def test_a_delay_is_estimated_without_starts_and_beside_derived_rows(operators, make_session):
+    mode = np.repeat([1.0, 0.0] * 3, 1000)
+    session = make_session(operators["pilot"], mode, noise=0.003)
+    robot, p_h_max = tl.identification.ROBOT, operators["pilot"].human.p_max
+    driven = tl.fit(robot, session, fixed={"p_h_max": p_h_max}, mode_delay=True)
+    assert abs(driven.table().loc["mode_delay", "value"]) < 0.5
+    mine = tl.fit(MINE, session.between(0.0, 300.0), mode_delay=True)
+    assert "mode_delay" in mine.table().index
+    with pytest.raises(IdentificationError, match="P_r alone does not determine p_h_max"):
+        tl.fit(robot, session)
+
+
+def test_a_model_that_takes_no_notice_of_mode_has_no_delay():
+    """Errors of the mode's stamps widen nothing that does not depend on them."""
+    flat = tl.Model(
+        ["level"], [], "p_r", [0.0], [1.0], simulate=lambda run, level: level + 0 * run.t
+    )
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"mode": np.arange(500) > 250.0, "p_r": 0.3 + rng.normal(0, 0.01, 500)})
+    session = tl.Session(frame.astype(float).rename_axis("t"), tl.Metadata(synthetic=True))
+    exact, rough = (tl.fit(flat, session, stamp_error=e).table() for e in (0.0, 3.0))
+    pd.testing.assert_frame_equal(exact, rough)
+    with pytest.raises(ValueError, match="size must have 1 numbers"):
+        tl.Model(["level"], [], "p_r", size=[1.0, 2.0], simulate=flat.simulate)

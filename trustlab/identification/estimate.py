@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trustlab.identification.log import late
 from trustlab.identification.noise import (
     Noise,
     hac_lags,
@@ -218,7 +219,11 @@ def mode_delay(optimum: Optimum, inverse: np.ndarray, sandwiched: bool) -> ModeD
         return none
     slopes = []
     by_all = np.zeros(problem.free.size)
-    simulated = [problem.simulated(run, i, optimum.x) for i, run in enumerate(problem.runs)]
+    runs = list(enumerate(problem.runs))
+    simulated = [problem.simulated(run, i, optimum.x) for i, run in runs]
+    moved = [problem.simulated(late(run, run.sample_time), i, optimum.x) for i, run in runs]
+    if all(np.array_equal(one, other) for one, other in zip(simulated, moved, strict=True)):
+        return none  # a model that takes no notice of mode
     for series in problem.series:
         # Mode acting later shifts the whole simulation, but for states, which are estimated.
         values = problem.observed(series, simulated[series.run][series.output])

@@ -24,10 +24,10 @@ from trustlab.identification.result import FitResult, result_of
 from trustlab.models.checks import of_class, one_of
 from trustlab.sessions.session import Session
 
-# Deviance above the best optimum, all searched roughly, up to which another is searched on.
+# Optima up to this far above the best, in deviance, are searched further.
 SHALLOW = 30.0
 
-# Deviance by which another optimum may lie higher and still hold the truth: odds of e⁵ to 1.
+# Other optima within this deviance of the best still count as possible: odds of e⁵ to 1.
 RIVAL = 10.0
 
 # How optima are searched before the best is known.
@@ -111,7 +111,7 @@ def check_data(model: Model, runs: list[Run], limits: Mapping) -> None:
         if np.ptp(values) == 0.0:
             raise IdentificationError(
                 f"{output} never moves (it is {values[0]:g} throughout), so the model cannot be "
-                "identified; record a session in which performance is measured",
+                "identified; record a session in which it is measured",
                 model.names,
             )
 

@@ -320,19 +320,22 @@ def _delayed(model: Model) -> Model:
         return tuple(outputs)
 
     def starts(runs: list[Run], limits: Mapping):
-        return [{**values, "mode_delay": 0.0} for values in model.starts(runs, limits)]
+        own = model.starts(runs, limits) if model.starts else [{}]
+        return [{**values, "mode_delay": 0.0} for values in own]
 
     def build(mode_delay: float, **values):
         return values if model.build is None else model.build(**values)
 
     count = len(model.names)
+    size = model.size if callable(model.size) or not model.size else (*model.size, np.inf)
     return replace(
         model,
         names=(*model.names, "mode_delay"),
         low=(*model.low[:count], -np.inf, *model.low[count:]),
         high=(*model.high[:count], np.inf, *model.high[count:]),
+        size=size,
         simulate=simulate,
-        starts=model.starts and starts,
+        starts=starts,
         lanes=True,
         build=build,
     )

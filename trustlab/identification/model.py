@@ -40,7 +40,7 @@ class IdentificationError(ValueError):
 
 
 class Coordinate(NamedTuple):
-    """A coordinate of the search: there, back, the widest bounds, and half a useful interval."""
+    """How an unknown is transformed for the search: there and back, and its widest bounds."""
 
     to: Callable
     back: Callable
@@ -50,8 +50,8 @@ class Coordinate(NamedTuple):
     useful: Callable = lambda value: np.inf
 
 
-# (2.6) rises from r = 0 as r^β and falls to r = 1 as (1 − r)^(1 − β), with infinite slopes: a power
-# of the odds has none.
+# (2.6) goes as r^β at r = 0 and as (1 − r)^(1 − β) at r = 1, with infinite slopes there, which a power
+# of the odds removes.
 POWER = 0.7
 
 COORDINATES = {
@@ -96,17 +96,18 @@ class Model:
     low, high : sequence of float
         Bounds of the names, then of the states; −∞ and ∞ when not given.
     size : sequence of float, or callable
-        For each name, how wide half a 95 % interval may be until the unknown is reported as weak;
-        or a function of the dictionary of estimates that returns some of these by name. Else a
-        quarter of the range, or what suits the coordinate.
+        Largest half-width of the 95 % interval at which each name still counts as determined; or a
+        function of the dictionary of estimates that returns some of these by name. Else a quarter
+        of the range, or what suits the coordinate.
     simulate : callable
         ``simulate(run, **values)``, with names and states as numbers; ``run["mode"]`` is a column,
-        shape (N,). It returns the output, shape (N,), or a tuple of outputs.
+        shape (N,), `run.t` [s] its time. It returns the output, shape (N,), or a tuple of outputs.
     starts : callable, optional
         ``starts(runs, limits)`` returns dictionaries of values from which to search, the best
         first; a state may have one value per run. The middle of the bounds when not given.
     inputs : sequence of str
-        Columns that the simulation reads. Residuals are tested for correlation with the first.
+        Columns that the simulation reads, by default mode. Residuals are tested for correlation
+        with the first.
     lanes : bool
         Whether `simulate` takes arrays, shape (L,), and returns outputs of shape (N, L): many
         simulations in one call.
@@ -117,7 +118,7 @@ class Model:
         ``build(**values)`` makes `FitResult.model` from the estimates; a dictionary of them when
         not given.
     derived : mapping, optional
-        Further rows of the table, by name: functions of the dictionary of estimates.
+        Further rows of the table, by name: functions of the estimates, ``f(**values)``.
     hints : mapping, optional
         What to record where an unknown is weak, by name.
     check : callable, optional
@@ -162,8 +163,12 @@ class Model:
         for name in ("names", "states", "outputs", "inputs"):
             value = getattr(self, name)
             object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
-        if not self.names or not self.outputs or not callable(self.simulate):
-            raise ValueError("a model needs names, outputs and a function simulate")
+        if not (self.names and self.outputs and self.inputs and callable(self.simulate)):
+            raise ValueError("a model needs names, outputs, inputs and a function simulate")
+        if not callable(self.size) and len(self.size) not in (0, len(self.names)):
+            raise ValueError(
+                f"size must have {len(self.names)} numbers, one for each name, got {len(self.size)}"
+            )
         repeated = {name for name in self.unknowns if self.unknowns.count(name) > 1}
         if repeated:
             raise ValueError(f"a model has two unknowns called {min(repeated)!r}")
@@ -292,7 +297,7 @@ class Model:
 
     def useful(self, values: Mapping[str, float]) -> dict[str, float]:
         """
-        Return half of the widest 95 % interval by which each name is no weak one.
+        Return the largest half-width of the 95 % interval at which a name counts as determined.
 
         Parameters
         ----------

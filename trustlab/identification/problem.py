@@ -69,13 +69,12 @@ class Equations(NamedTuple):
     """
     The likelihood at one point.
 
-    `deviance` is −2 ln likelihood but for a constant, `gradient` half its slope, `matrix` the
-    Gauss–Newton matrix of its half, `squares` Σ e² by output. `residual` and `root` are a problem
-    of least squares with the same gradient and matrix.
+    `deviance` is −2 ln likelihood but for a constant, `matrix` the Gauss–Newton matrix of its half,
+    `squares` Σ e² by output. `residual` and `root` are a problem of least squares with the same
+    gradient and matrix.
     """
 
     deviance: float
-    gradient: np.ndarray
     matrix: np.ndarray
     squares: np.ndarray
     residual: np.ndarray
@@ -215,7 +214,7 @@ class Problem:
         deviance = float(counted @ np.log(1.0 / weights)) + log_determinant
         gram = np.tensordot(weights, grams, 1)
         residual, root = _least_squares(gram)
-        equations = Equations(deviance, -gram[0, 1:], gram[1:, 1:], squares, residual, root)
+        equations = Equations(deviance, gram[1:, 1:], squares, residual, root)
         self.evaluated = (x.copy(), equations)
         return equations
 

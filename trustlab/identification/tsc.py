@@ -1,7 +1,8 @@
 """
 Robot (2.3) and operator (2.5)-(2.6) identified: `fit_tsc`, `fit_human`, `fit_robot`.
 
-One simulation serves the models of both, HUMAN, ROBOT and TSC, and one grid their searches.
+HUMAN, ROBOT and TSC share one simulation, and the operator's grid starts their searches. ROBOT is
+driven by the measured P_h; `fit_robot` is TSC under the robot's own names, `ROBOT_OF_TSC`.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from trustlab.identification.estimate import NOT_WHITE
-from trustlab.identification.fitting import fit
+from trustlab.identification.fitting import SHALLOW, fit
 from trustlab.identification.log import LogSettings, Run, block_means, joined
 from trustlab.identification.model import COORDINATES, IdentificationError, Model
 from trustlab.identification.noise import whiteness_p
@@ -38,7 +39,7 @@ def _operate(mode, a, beta, p_min, p_max, r0, p_h):
     """Write P_h of L operators, shape (N, L)."""
     shapes = np.empty((2, mode.size))
     for lane in range(a.size):
-        # The shape takes the time: lanes that move nothing of it share the first one's.
+        # Computing the shape is slow: lanes with the same a, β and r0 as the first reuse its shape.
         same = a[lane] == a[0] and beta[lane] == beta[0] and r0[lane] == r0[0]
         shape = shapes[0] if same else shapes[1]
         if lane == 0 or not same:
@@ -53,7 +54,7 @@ def _operate(mode, a, beta, p_min, p_max, r0, p_h):
 
 @njit
 def _follow(mode, p_h, a, p_min, b, p_r0, p_r):
-    """Write P_r of L robots, shape (N, L), of which `p_h` drives each by its column."""
+    """Write P_r of L robots, shape (N, L), each driven by its column of `p_h`."""
     now = p_r0.copy()
     for k in range(mode.size):
         for lane in range(now.size):
@@ -184,6 +185,18 @@ def _check_tsc(runs: list[Run], limits: Mapping) -> None:
     check_excitation(runs, limits, "robot_p_min", "robot_p_max")
 
 
+def _check_driven(runs: list[Run], limits: Mapping) -> None:
+    """Refuse what says nothing of the robot under measured P_h, as no p_h_max to refer to does."""
+    check_excitation(runs, limits)
+    if limits["p_h_max"][0] != limits["p_h_max"][1]:
+        raise IdentificationError(
+            "P_r alone does not determine p_h_max, the greatest human performance, to which p_max "
+            "refers: give fixed={'p_h_max': …}",
+            ("p_h_max",),
+        )
+    positive("p_h_max", limits["p_h_max"][0])
+
+
 # --- where the search starts ----------------------------------------------------------------------
 
 # Utilizations at the start, and best utilizations, of the grid.
@@ -192,9 +205,6 @@ BETAS = np.linspace(0.15, 0.95, 7)
 
 # Points of the grid from which a search on block means starts.
 MOST_POINTS = 4
-
-# Deviance above the least, on block means, up to which an optimum is searched on.
-SHALLOW = 30.0
 
 
 def _rates(runs: list[Run], limits: tuple[float, float], length: int) -> np.ndarray:
@@ -262,10 +272,8 @@ def _refined(
     coarse = dict(limits)
     for name in rates:
         coarse[name] = tuple(np.clip(np.array(limits[name]) ** length, edges.low, edges.high))
-    optima = []
-    for point in points:
-        problem = Problem(model, means, coarse)
-        optima.append(problem.search(problem.full_vector(point), tolerance=1e-2, most=15))
+    problem = Problem(model, means, coarse)
+    optima = [problem.search(problem.full_vector(p), tolerance=1e-2, most=15) for p in points]
     optima.sort(key=lambda optimum: optimum.deviance)
     starts = []
     for k, optimum in enumerate(optima):
@@ -288,8 +296,6 @@ def robot_starts(runs: list[Run], limits: Mapping) -> list[dict]:
     """Return the robot that suits block means best under the measured P_h."""
     means, length = block_means(runs)
     p_h_max = limits["p_h_max"][0]
-    if not np.isfinite(p_h_max):
-        p_h_max = float(joined(runs, "p_h").max())
     robot = _robot(means, limits, length, p_h_max, [run["p_h"] for run in means])
     return [robot | {"a": robot["a"] ** (1.0 / length), "p_h_max": p_h_max}]
 
@@ -310,7 +316,6 @@ def tsc_starts(runs: list[Run], limits: Mapping) -> list[dict]:
 
 # --- the three models -----------------------------------------------------------------------------
 
-INF = np.inf
 HUMAN_NAMES = ("a", "beta", "p_min", "p_max")
 ROBOT_NAMES = ("a", "p_min", "p_max")
 COORDINATE = {"a": "rate", "beta": "odds"}
@@ -326,7 +331,7 @@ def _half_ranges(*prefixes: str) -> Callable:
     """Return the function that says how wide half a useful interval of performances may be."""
 
     def size(values: Mapping[str, float]) -> dict[str, float]:
-        # A limit of performance is told by half the distance to the other one.
+        # A limit counts as determined if its half-width is below half the range.
         widths = {}
         for prefix in prefixes:
             low, high = f"{prefix}p_min", f"{prefix}p_max"
@@ -340,8 +345,6 @@ HUMAN = Model(
     HUMAN_NAMES,
     ("r0",),
     ("p_h",),
-    low=(0.0, 0.0, -INF, -INF, 0.0),
-    high=(1.0, 1.0, INF, INF, 1.0),
     size=_half_ranges(""),
     simulate=simulate_human,
     starts=human_starts,
@@ -357,8 +360,6 @@ ROBOT = Model(
     (*ROBOT_NAMES, "p_h_max"),
     ("p_r0",),
     ("p_r",),
-    low=(0.0, -INF, -INF, 0.0, -INF),
-    high=(1.0, INF, INF, INF, INF),
     size=_half_ranges(""),
     simulate=simulate_robot,
     starts=robot_starts,
@@ -366,17 +367,19 @@ ROBOT = Model(
     lanes=True,
     coordinates={"a": "rate"},
     build=build_robot,
-    derived={"b": gain_of_human_performance},
+    derived={
+        "b": lambda a, p_min, p_max, p_h_max, **_: gain_of_human_performance(
+            a, p_min, p_max, p_h_max
+        )
+    },
     hints=HINTS,
-    check=check_excitation,
+    check=_check_driven,
 )
 
 TSC = Model(
     (*_with("human_", dict.fromkeys(HUMAN_NAMES)), *_with("robot_", dict.fromkeys(ROBOT_NAMES))),
     ("r0", "p_r0"),
     ("p_h", "p_r"),
-    low=(0.0, 0.0, -INF, -INF, 0.0, -INF, -INF, 0.0, -INF),
-    high=(1.0, 1.0, INF, INF, 1.0, INF, INF, 1.0, INF),
     size=_half_ranges("human_", "robot_"),
     simulate=simulate_tsc,
     starts=tsc_starts,
@@ -587,7 +590,7 @@ DRIVEN = (
 
 
 def _robot_of(joint: FitResult, given: bool) -> FitResult:
-    """Return what of a joint fit belongs to the robot; `given` says that p_h_max was."""
+    """Keep the robot's part of a joint fit; `given`: the user gave p_h_max."""
     of_human = joint.parameters.index.str.startswith("human_")
     parameters, operator = joint.parameters[~of_human], joint.parameters[of_human]
     rest = parameters.index.difference(ROBOT.names, sort=False)
@@ -616,7 +619,7 @@ def _robot_of(joint: FitResult, given: bool) -> FitResult:
         initial_states=joint.initial_states[["p_r0", "p_r0_stderr"]],
         runs=[run.only("p_r") for run in joint.runs],
         sigma={"p_r": joint.sigma["p_r"]},
-        cost=0.5 * float(sum(np.sum(run.residual("p_r") ** 2) for run in joint.runs)),
+        cost=0.5 * float(sum(np.sum(run.prediction_errors["p_r"] ** 2) for run in joint.runs)),
         message=" ".join(sentences),
     )
 
@@ -678,11 +681,7 @@ def _renamed(model: Model, names: Mapping[str, str], **changes: Any) -> Model:
 ROBOT_OF_TSC = _renamed(
     TSC,
     {f"robot_{name}": name for name in ROBOT_NAMES} | {"human_p_max": "p_h_max"},
-    derived={
-        "b": lambda a, p_min, p_max, p_h_max, **_: gain_of_human_performance(
-            a, p_min, p_max, p_h_max
-        )
-    },
+    derived=ROBOT.derived,
     build=_build_robot,
     check=_check_robot,
 )

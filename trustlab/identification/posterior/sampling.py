@@ -143,7 +143,7 @@ def sample_posterior(
     rng = np.random.default_rng(whole_seed(seed))
     sampled = sample_target(target, tops_of(target, optima), rng, max(POINTS, 4 * n))
     thetas = to_thetas(resampled(sampled.sample, n, rng), target)
-    step = runs[0].sample_time if log.step is None else log.step
+    step = runs[0].step
     return Posterior(
         draws=_columns(thetas, target, step),
         prior_draws=_columns(prior_thetas(target, 4000, rng), target, step),
@@ -170,7 +170,7 @@ def target_of(optimum: Optimum, prior: Prior, log: LogSettings) -> Target:
     mean, deviation, whitening = prior.vectors(len(runs))
     stamp_error = max(run.stamp_error for run in runs)
     delayed = log.mode_delay or stamp_error > 0.0
-    if not log.mode_delay and stamp_error > 0.0:
+    if delayed and not log.mode_delay:
         error = Normal(0.0, stamp_error, "plain")
         deviation[DELAY] = error.spread
         whitening[DELAY, DELAY] = 1.0 / error.spread
