@@ -300,8 +300,8 @@ def refused(says, model=MINE, session=None, **arguments):
 
 def test_what_makes_no_model_is_refused():
     for says, fields in (
-        ("needs names, outputs and a function simulate", {"names": ()}),
-        ("needs names, outputs and a function simulate", {"simulate": None}),
+        ("needs names, outputs, inputs and a function simulate", {"names": ()}),
+        ("needs names, outputs, inputs and a function simulate", {"simulate": None}),
         ("two unknowns called 'rise'", {"names": ("rise", "rise")}),
         ("low must have 3 numbers, for rise, decay, p_r0, got 1", {"low": [0.0]}),
         ("rise needs bounds with low < high", {"low": (1.0, 0.0, 0.0)}),
@@ -354,15 +354,17 @@ def test_a_delay_is_estimated_without_starts_and_beside_derived_rows(operators, 
     assert abs(driven.table().loc["mode_delay", "value"]) < 0.5
     mine = tl.fit(MINE, session.between(0.0, 300.0), mode_delay=True)
     assert "mode_delay" in mine.table().index
-    with pytest.raises(IdentificationError, match="P_r alone does not determine p_h_max"):
+    with pytest.raises(tl.IdentificationError, match="P_r alone does not determine p_h_max"):
         tl.fit(robot, session)
 
 
 def test_a_model_that_takes_no_notice_of_mode_has_no_delay():
     """Errors of the mode's stamps widen nothing that does not depend on them."""
-    flat = tl.Model(
-        ["level"], [], "p_r", [0.0], [1.0], simulate=lambda run, level: level + 0 * run.t
-    )
+
+    def constant(run, level):
+        return np.full(run.size, level)
+
+    flat = tl.Model(["level"], [], "p_r", [0.0], [1.0], simulate=constant)
     rng = np.random.default_rng(0)
     frame = pd.DataFrame({"mode": np.arange(500) > 250.0, "p_r": 0.3 + rng.normal(0, 0.01, 500)})
     session = tl.Session(frame.astype(float).rename_axis("t"), tl.Metadata(synthetic=True))

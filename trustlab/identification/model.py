@@ -50,8 +50,8 @@ class Coordinate(NamedTuple):
     useful: Callable = lambda value: np.inf
 
 
-# (2.6) goes as r^β at r = 0 and as (1 − r)^(1 − β) at r = 1, with infinite slopes there, which a power
-# of the odds removes.
+# (2.6) goes as r^β at r = 0 and as (1 − r)^(1 − β) at r = 1, with infinite slopes there: a power of
+# the odds removes them.
 POWER = 0.7
 
 COORDINATES = {
