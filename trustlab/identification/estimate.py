@@ -155,15 +155,9 @@ def _of_values(optimum: Optimum, block: np.ndarray) -> np.ndarray:
     return covariance
 
 
-def weights_of(optimum: Optimum) -> np.ndarray:
-    """Return the weight n/Σ e² of every output."""
-    problem = optimum.problem
-    return problem.counts / (optimum.equations.squares + problem.floors)
-
-
 def _meat(optimum: Optimum) -> np.ndarray:
     """Return the long-run covariance of the likelihood's scores, summed over runs."""
-    problem, weights = optimum.problem, weights_of(optimum)
+    problem, weights = optimum.problem, optimum.equations.weights
     lags = max(hac_lags([s.white[:, 0] for s in of]) for of in problem.by_output())
     meat = np.zeros((problem.free.size, problem.free.size))
     for i in range(len(problem.runs)):
@@ -183,7 +177,7 @@ def _whitened(series: Series, values: np.ndarray, noise: Noise) -> np.ndarray:
 
 def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
     """Return the covariance due to independent errors of the mode's stamps."""
-    problem, weights = optimum.problem, weights_of(optimum)
+    problem, weights = optimum.problem, optimum.equations.weights
     added = np.zeros(inverse.shape)
     for i, run in enumerate(problem.runs):
         if run.stamp_error == 0.0 or "mode" not in run.columns:
@@ -212,7 +206,7 @@ def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
 def mode_delay(optimum: Optimum, inverse: np.ndarray, sandwiched: bool) -> ModeDelay:
     """Return the delay of the mode that the residuals show, to first order; 0 if they cannot."""
     problem, loose = optimum.problem, optimum.loose
-    weights = weights_of(optimum)
+    weights = optimum.equations.weights
     none = ModeDelay(0.0, 0.0, np.zeros(loose.size))
     inputs = set(problem.model.inputs)
     if not {"mode"} <= inputs <= {"mode", "p_h"} or "mode_delay" in problem.model.names:

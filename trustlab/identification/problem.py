@@ -70,13 +70,14 @@ class Equations(NamedTuple):
     The likelihood at one point.
 
     `deviance` is −2 ln likelihood but for a constant, `matrix` the Gauss–Newton matrix of its half,
-    `squares` Σ e² by output. `residual` and `root` are a problem of least squares with the same
+    `squares` Σ e² and `weights` n/Σ e² by output. `residual` and `root` are a problem of least squares with the same
     gradient and matrix.
     """
 
     deviance: float
     matrix: np.ndarray
     squares: np.ndarray
+    weights: np.ndarray
     residual: np.ndarray
     root: np.ndarray
 
@@ -214,7 +215,7 @@ class Problem:
         deviance = float(counted @ np.log(1.0 / weights)) + log_determinant
         gram = np.tensordot(weights, grams, 1)
         residual, root = _least_squares(gram)
-        equations = Equations(deviance, gram[1:, 1:], squares, residual, root)
+        equations = Equations(deviance, gram[1:, 1:], squares, weights, residual, root)
         self.evaluated = (x.copy(), equations)
         return equations
 
