@@ -70,8 +70,8 @@ class Equations(NamedTuple):
     The likelihood at one point.
 
     `deviance` is −2 ln likelihood but for a constant, `matrix` the Gauss–Newton matrix of its half,
-    `squares` Σ e² and `weights` n/Σ e² by output. `residual` and `root` are a problem of least squares with the same
-    gradient and matrix.
+    `squares` Σ e² and `weights` n/Σ e² by output. `residual` and `root` are a problem of least
+    squares with the same gradient and matrix.
     """
 
     deviance: float
