@@ -352,6 +352,7 @@ def test_a_delay_is_estimated_without_starts_and_beside_derived_rows(operators, 
     robot, p_h_max = tl.identification.ROBOT, operators["pilot"].human.p_max
     driven = tl.fit(robot, session, fixed={"p_h_max": p_h_max}, mode_delay=True)
     assert abs(driven.table().loc["mode_delay", "value"]) < 0.5
+    assert "its noise counts as performance" in driven.message
     mine = tl.fit(MINE, session.between(0.0, 300.0), mode_delay=True)
     assert "mode_delay" in mine.table().index
     with pytest.raises(tl.IdentificationError, match="P_r alone does not determine p_h_max"):

@@ -52,6 +52,11 @@ def remarks(estimate: Estimate) -> Iterator[str]:
     trials = [run["mode"] for run in problem.runs if "mode" in problem.model.inputs]
     if len(trials) > 1 and all(np.ptp(mode) == 0.0 for mode in trials):
         yield f"Mode never changes within any of the {len(trials)} runs."
+    if "p_h" in problem.model.inputs:
+        yield (
+            "The measured p_h drives the model, and its noise counts as performance: where that is "
+            "large, the effect of p_h is underrated."
+        )
     yield from _dropouts(problem)
     yield from _noise(estimate)
 
