@@ -23,7 +23,6 @@ from .allocation import (
     ThresholdCorrector as ThresholdCorrector,
     ThresholdRule as ThresholdRule,
     choose_thresholds as choose_thresholds,
-    cycle_sensitivity as cycle_sensitivity,
     estimate_thresholds as estimate_thresholds,
     followed_suggestions as followed_suggestions,
     incentive_bounds as incentive_bounds,
@@ -34,7 +33,6 @@ from .allocation import (
     run_correction as run_correction,
     simulate_allocation as simulate_allocation,
     steady_state_bounds as steady_state_bounds,
-    sweep as sweep,
     threshold_limits as threshold_limits,
 )
 from .campaign import (

@@ -457,7 +457,6 @@ CASES = {
     "steady_state_bounds": lambda: tl.steady_state_bounds(model(), 0.0, 0.35).table(),
     "invariant_bounds": lambda: tl.invariant_bounds(model(), 0.0, 0.3).table(),
     "limit_cycle": lambda: tl.limit_cycle(model(), 0.0, 0.3).table(),
-    "sweep": lambda: tl.sweep(model(), {"upper": [0.25, 0.3]}, lower=0.0, n_jobs=1).table(),
     "incentive_bounds": lambda: tl.incentive_bounds(0.7, 0.3, 1e-5, model()),
     "choose_thresholds": thresholds,
     "choose_thresholds_of_a_posterior": probable_thresholds,

@@ -37,12 +37,6 @@ from .limits import (
     step_bounds as step_bounds,
     threshold_limits as threshold_limits,
 )
-from .parameter_sweep import (
-    Sweep as Sweep,
-    cycle_sensitivity as cycle_sensitivity,
-    sweep as sweep,
-    varied_model as varied_model,
-)
 from .rules import PerformanceRule as PerformanceRule, ThresholdRule as ThresholdRule
 from .simulation import simulate_allocation as simulate_allocation
 from .steady_ranges import SteadyRanges as SteadyRanges

@@ -194,8 +194,8 @@ class LiveGroundRobot(LiveWidget):
         Eight laps in both modes determine levels of performance and hardly a time constant:
         `fit_tsc(live.session)` marks the others weak. Here what it calls weak or at its bound is
         held and the rest fitted again, as for a participant of `LiveStudy`; the table of parameters
-        says which ("fixed"). Two laps determine nothing: half of them passes until the window of
-        (2.4) is full.
+        says which ("fixed"). Two laps determine hardly anything: half of them passes until the
+        window of (2.4) is full.
 
         Raises
         ------

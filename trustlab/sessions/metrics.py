@@ -263,7 +263,7 @@ def _warn_of_idle_commands(session) -> None:
             f"{100 * idle[autonomous].mean():.0f} % of the autonomous phases. (2.7) asks for what "
             "the operator commands while the robot drives; without it P_h only repeats the mode, "
             "and a fit says β → 1. Log the stick throughout and ask operators to go on steering, "
-            "or fit the robot alone (fit_robot)"
+            "or fit the robot alone, driven by the measured P_h (trustlab.identification.ROBOT)"
         )
 
 
