@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import did_you_mean, finite_number, one_of
+from trustlab.models.checks import did_you_mean, finite_number, flag, one_of
 
 # How close to 0 and 1 an unknown in (0, 1) may come during the search.
 UNIT_MARGIN = 1e-9
@@ -162,7 +163,19 @@ class Model:
     def __post_init__(self):
         for name in ("names", "states", "outputs", "inputs"):
             value = getattr(self, name)
-            object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
+            texts = (value,) if isinstance(value, str) else value
+            _items(name, texts, str, "texts")
+            object.__setattr__(self, name, tuple(texts))
+        for name in ("low", "high", *(() if callable(self.size) else ("size",))):
+            _items(name, getattr(self, name), Real, "numbers")
+        for name in ("starts", "build", "check"):
+            function = getattr(self, name)
+            if function is not None and not callable(function):
+                raise ValueError(f"{name} must be a function, got {function!r}")
+        for name in ("coordinates", "derived", "hints"):
+            if not isinstance(getattr(self, name), Mapping):
+                raise ValueError(f"{name} must be a dictionary, got {getattr(self, name)!r}")
+        flag("lanes", self.lanes)
         if not (self.names and self.outputs and self.inputs and callable(self.simulate)):
             raise ValueError("a model needs names, outputs, inputs and a function simulate")
         if not callable(self.size) and len(self.size) not in (0, len(self.names)):
@@ -312,6 +325,13 @@ class Model:
         if callable(self.size):
             return widths | self.size(values)
         return widths | dict(zip(self.names, self.size, strict=False))
+
+
+def _items(name: str, values: Any, kind: type, words: str) -> None:
+    """Refuse what is no sequence of one kind of items."""
+    sequence = isinstance(values, (list, tuple, np.ndarray))
+    if not sequence or not all(isinstance(value, kind) for value in values):
+        raise ValueError(f"{name} must be a list of {words}, got {values!r}")
 
 
 def _narrowed(name: str, pair: tuple, low: float, high: float) -> tuple[float, float]:
