@@ -121,7 +121,7 @@ def test_commands_that_rest_while_the_robot_drives_are_told(recwarn, v, w, mode,
     assert len(words) == (share is not None)
     if share:
         assert f"commands are zero in {share} % of the autonomous phases" in words[0]
-        assert "fit the robot alone (fit_robot)" in words[0]
+        assert "fit the robot alone, driven by the measured P_h" in words[0]
 
 
 @pytest.mark.parametrize(
