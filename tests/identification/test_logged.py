@@ -452,3 +452,11 @@ def test_rates_belong_to_the_sample_time_and_tables_say_so(operators):
         row = table.loc[f"{name}_time_constant"]
         assert row["unit"] == "s"
         assert abs(row["value"] - 0.1 * own.time_constant) < 4.0 * row["stderr"]
+
+
+def test_a_robot_is_driven_by_what_the_window_averaged(operators):
+    model = operators["pilot"]
+    session = windowed(10.0, 0, noise=0.0)
+    robot, p_h_max = tl.identification.ROBOT, model.robot.p_h_max
+    fit = tl.fit(robot, session, fixed={"p_h_max": p_h_max})
+    assert fit.model.a == pytest.approx(model.robot.a, abs=1e-7)

@@ -96,6 +96,9 @@ def fit(
     log = log_settings(log, settings)
     one_of("noise", noise, NOISES)
     runs = read_runs(sessions, *dict.fromkeys((*model.inputs, *model.outputs)), log=log)
+    # What is logged as a mean over a window drives the model as it was.
+    driving = {"p_h", "p_r"} & set(model.inputs)
+    runs = [run.changed({n: undo_window(run[n], run.window) for n in driving}) for run in runs]
     model = logged_model(model, runs[0].sample_time, log)
     limits = model.limits(fixed, bounds)
     check_data(model, runs, limits)

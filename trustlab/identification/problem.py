@@ -29,6 +29,9 @@ STEP_OF_LOAD = 1e-4
 # Smallest eigenvalue of a regular information matrix, scaled to unit diagonal.
 SINGULAR = 1e-10
 
+# Gain of a fine search's last step, in deviance.
+FINE = 1e-5
+
 # Share of the floor of Σ e² below which residuals are mere rounding.
 ROUNDING = 1e-4
 
@@ -221,7 +224,7 @@ class Problem:
 
     # --- the search -------------------------------------------------------------------------------
 
-    def search(self, x: np.ndarray, tolerance: float = 1e-5, most: int = 40) -> "Optimum":
+    def search(self, x: np.ndarray, tolerance: float = FINE, most: int = 40) -> "Optimum":
         """Return the optimum next to a full vector; its last step gained less than `tolerance`."""
         x = np.clip(x, self.low, self.high)
         first = self.equations(x)
@@ -236,9 +239,9 @@ class Problem:
         x, held, converged, steps = self.descend(x, moving, tolerance, most)
         ends = np.where(x - self.low < self.high - x, self.low, self.high)
         at_end = np.isin(self.free, self.loads) & (np.abs(x - ends)[self.free] < STEP_OF_LOAD)
-        if not converged and at_end.any():
+        if not converged and (at_end.any() or tolerance <= FINE):
             # (2.6) has a kink at rest and at full load, which defies any quadratic model: a search
-            # that does not settle there goes on with the others.
+            # that does not settle there goes on with the others. One that is to be fine goes on.
             x[self.free[at_end]] = ends[self.free[at_end]]
             x, held, converged, more = self.descend(x, ~at_end, tolerance, 4 * most)
             held, steps = held | at_end, steps + more
