@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import statsmodels.api as sm
+from scipy.signal import lfilter
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 
 import trustlab as tl
@@ -373,3 +374,28 @@ def test_a_model_that_takes_no_notice_of_mode_has_no_delay():
     pd.testing.assert_frame_equal(exact, rough)
     with pytest.raises(ValueError, match="size must have 1 numbers"):
         tl.Model(["level"], [], "p_r", size=[1.0, 2.0], simulate=flat.simulate)
+
+
+def test_a_start_far_away_finds_the_same_as_one_nearby(operators, make_session, switching):
+    """From the middle of the bounds, a search that runs to a bound would end with a = 1."""
+
+    def lag(run, a, low, high, level, p_r0):
+        u = (1.0 - a) * (low + (high - low) * run["mode"])
+        p_r = lfilter([0.0, 1.0], [1.0, -a], u) + p_r0 * a ** np.arange(run.size)
+        return p_r, np.full(run.size, level)
+
+    names = ["a", "low", "high", "level"]
+    model = tl.Model(
+        names,
+        ["p_r0"],
+        ["p_r", "p_h"],
+        [0.0] * 5,
+        [1.0] * 5,
+        simulate=lag,
+        coordinates={"a": "rate"},
+    )
+    session = make_session(operators["pilot"], switching, noise=0.003)
+    near = {"a": 0.996, "low": 0.24, "high": 0.38, "level": 0.43, "p_r0": 0.3}
+    far, guessed = (tl.fit(model, session, noise="white", guess=g) for g in ({"a": 0.995}, near))
+    np.testing.assert_allclose(far.parameters["value"], guessed.parameters["value"], rtol=1e-4)
+    assert far.model["a"] == pytest.approx(operators["pilot"].robot.a, abs=1e-3)

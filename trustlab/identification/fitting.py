@@ -132,11 +132,11 @@ def estimate_runs(
         model.check_names(guess, "guess")
     optima = rough_optima(model, runs, limits, guess, robust)
     best = optima[0]
-    rivals = tuple(optimum for optimum in optima if optimum.deviance < best.deviance + RIVAL)
-    if len(rivals) > 1:
-        for optimum in rivals:
-            # Raises where one that is nearly as likely does not determine the unknowns.
-            optimum.inverse_information()
+    others = [optimum for optimum in optima[1:] if not optimum.same_as(best)]
+    rivals = tuple(o for o in others if o.deviance < best.deviance + RIVAL)
+    for optimum in rivals:
+        # Raises where one that is nearly as likely does not determine the unknowns.
+        optimum.inverse_information()
     optimum = best.problem.robust_search(best.x, robust)
     return replace(estimated(optimum, noise), rivals=rivals)
 
@@ -149,10 +149,15 @@ def rough_optima(
     robust: bool = True,
 ) -> list[Optimum]:
     """Search roughly from every start, and return the optima, the most likely first."""
-    optima = [
-        problem.robust_search(x, robust, **ROUGH)
-        for problem, x in _problems(model, runs, limits, guess)
-    ]
+    optima = []
+    for unwindow, view in _views(model, runs):
+        for values in model.starts(view, limits) if model.starts else [{}]:
+            problem = Problem(model, runs, limits, unwindow)
+            x = problem.full_vector(_completed({**values, **(guess or {})}, limits))
+            # A model's own start lies near an optimum; another may lie anywhere.
+            near = not guess and values.keys() >= set(model.unknowns)
+            method = "dogbox" if near else "trf"
+            optima.append(problem.robust_search(x, robust, method=method, **ROUGH))
     optima.sort(key=lambda optimum: optimum.deviance)
     if any(run.window > 1 for run in runs):
         bests = [next(o for o in optima if o.problem.unwindow == view) for view in (True, False)]
@@ -187,38 +192,28 @@ def _elsewhere(optimum: Optimum) -> Iterator[Optimum]:
             yield problem.search(x, **ROUGH)
 
 
-def _problems(
-    model: Model, runs: list[Run], limits: Mapping, guess: Mapping[str, float] | None
-) -> Iterator[tuple[Problem, np.ndarray]]:
-    """Yield problems and where to search them from."""
-    views = [(False, runs)]
-    if any(run.window > 1 for run in runs):
-        # Noise may be in the values that the window averages, or in the means: the likelihoods of
-        # both decide. Each is started from its own view of the data. In the second the inputs are
-        # averaged as well, which gives a linear model's means but for the beginning.
-        views = [
-            (True, [averaged(run, model.outputs, undo_window) for run in runs]),
-            (False, [averaged(run, model.inputs, window_means) for run in runs]),
-        ]
-    for unwindow, view in views:
-        for start in _starts(model, view, limits, guess):
-            problem = Problem(model, runs, limits, unwindow)
-            yield problem, problem.full_vector(start)
+def _views(model: Model, runs: list[Run]) -> list[tuple[bool, list[Run]]]:
+    """
+    Return the ways to see windowed runs, as they are for starting values: with noise in the values
+    that the window averages, which are undone, or in the means.
+
+    The likelihoods of both decide. In the second view the inputs are averaged as well, which gives
+    a linear model's means but for the beginning.
+    """
+    if not any(run.window > 1 for run in runs):
+        return [(False, runs)]
+    return [
+        (True, [averaged(run, model.outputs, undo_window) for run in runs]),
+        (False, [averaged(run, model.inputs, window_means) for run in runs]),
+    ]
 
 
-def _starts(
-    model: Model, runs: list[Run], limits: Mapping, guess: Mapping[str, float] | None
-) -> list[dict]:
-    """Return starting values for every unknown: the user's, the model's, or the middle."""
-    starts = []
-    for values in model.starts(runs, limits) if model.starts else [{}]:
-        start = {**values, **(guess or {})}
-        for name in model.unknowns:
-            low, high = limits[name]
-            if name not in start and not np.isfinite(high - low):
-                raise ValueError(
-                    f"{name} needs a guess, or bounds on both sides: guess={{{name!r}: …}}"
-                )
-            start.setdefault(name, 0.5 * (low + high))
-        starts.append(start)
-    return starts
+def _completed(start: dict, limits: Mapping) -> dict:
+    """Return a start with the middle of the bounds where it has no value."""
+    for name, (low, high) in limits.items():
+        if name not in start and not np.isfinite(high - low):
+            raise ValueError(
+                f"{name} needs a guess, or bounds on both sides: guess={{{name!r}: …}}"
+            )
+        start.setdefault(name, 0.5 * (low + high))
+    return start

@@ -224,7 +224,9 @@ class Problem:
 
     # --- the search -------------------------------------------------------------------------------
 
-    def search(self, x: np.ndarray, tolerance: float = FINE, most: int = 40) -> "Optimum":
+    def search(
+        self, x: np.ndarray, tolerance: float = FINE, most: int = 40, method: str = "dogbox"
+    ) -> "Optimum":
         """Return the optimum next to a full vector; its last step gained less than `tolerance`."""
         x = np.clip(x, self.low, self.high)
         first = self.equations(x)
@@ -236,7 +238,7 @@ class Problem:
                 "with guess={...} or narrow the bounds"
             )
         moving = np.ones(self.free.size, bool)
-        x, held, converged, steps = self.descend(x, moving, tolerance, most)
+        x, held, converged, steps = self.descend(x, moving, tolerance, most, method)
         ends = np.where(x - self.low < self.high - x, self.low, self.high)
         at_end = np.isin(self.free, self.loads) & (np.abs(x - ends)[self.free] < STEP_OF_LOAD)
         if not converged and (at_end.any() or tolerance <= FINE):
@@ -250,7 +252,12 @@ class Problem:
         return Optimum(self, x, at_bound, converged, steps)
 
     def descend(
-        self, start: np.ndarray, moving: np.ndarray, tolerance: float, most: int
+        self,
+        start: np.ndarray,
+        moving: np.ndarray,
+        tolerance: float,
+        most: int,
+        method: str = "dogbox",
     ) -> tuple[np.ndarray, np.ndarray, bool, int]:
         """
         Search with some of the free unknowns moving.
@@ -287,8 +294,9 @@ class Problem:
             start[places],
             jacobian,
             bounds=(self.low[places], self.high[places]),
-            # "dogbox" holds what reaches a bound there; "trf" only comes near, in more steps.
-            method="dogbox",
+            # "dogbox" holds what reaches a bound there, and may run to one from far away; "trf"
+            # comes near a bound in many steps, and finds its way from far.
+            method=method,
             x_scale="jac",
             ftol=max(tolerance / (self.equations(start).deviance - floor), 4e-16),
             xtol=1e-13,
