@@ -166,6 +166,7 @@ def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, t
     """Oracle: the tables themselves, and the keys that the Data Package standard asks for."""
     path = rehearsed.export(tmp_path / "data.zip")
     archive = zipfile.ZipFile(path)
+    assert {entry.date_time[0] for entry in archive.infolist()} == {1980}  # no time of writing
     package = json.loads(archive.read("datapackage.json"))
     assert "scripted hands, no person took part" in package["description"]
     measures = pd.read_parquet(io.BytesIO(archive.read("measures.parquet")))

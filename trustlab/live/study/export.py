@@ -30,15 +30,23 @@ KINDS = {"b": "boolean", "i": "integer", "u": "integer", "f": "number"}
 
 
 def write_export(path: Path, tables: Mapping[str, pd.DataFrame], about: Mapping[str, Any]) -> None:
-    """Write tables by name, and what the dictionary says of them as a whole, as a zip."""
+    """
+    Write tables by name, and what the dictionary says of them as a whole, as a zip.
+
+    Entries carry no time of writing, so that the same study gives the same bytes.
+    """
+    package = {**about, "resources": [_resource(*entry) for entry in tables.items()]}
+    files: dict[str, str | bytes] = {}
+    for name, table in tables.items():
+        files[f"{name}.csv"] = table.to_csv(index=False)
+        files[f"{name}.parquet"] = table.to_parquet(index=False)
+    files["datapackage.json"] = json.dumps(package, indent=1, ensure_ascii=False) + "\n"
     content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, table in tables.items():
-            archive.writestr(f"{name}.csv", table.to_csv(index=False))
-            archive.writestr(f"{name}.parquet", table.to_parquet(index=False))
-        package = {**about, "resources": [_resource(*entry) for entry in tables.items()]}
-        text = json.dumps(package, indent=1, ensure_ascii=False)
-        archive.writestr("datapackage.json", text + "\n")
+    with zipfile.ZipFile(content, "w") as archive:
+        for name, text in files.items():
+            entry = zipfile.ZipInfo(name)
+            entry.external_attr = 0o644 << 16  # else unzip makes files that nobody may read
+            archive.writestr(entry, text, zipfile.ZIP_DEFLATED)
     write_atomically(path, content.getvalue())
 
 
