@@ -228,7 +228,6 @@ NOT_WALKED = {
     "TeleoperationLoop.arrays": "for live pages",
     "Teleoperator.numbers": "a part of the loop",
     "TrackingTask.controller": "a part of the loop",
-    "allocation.bound_failures": "becomes a script of data",
     "allocation.incentive_box": "is the kernel of incentive_bounds",
     "allocation.simulate_correction": "a part of ThresholdCorrector",
     "calibrate": "simulates studies for minutes",

@@ -13,7 +13,6 @@ import pytest
 
 import trustlab as tl
 from tests.house.documents import ROOT
-from trustlab.allocation import bound_failures
 from trustlab.testbeds import TeleoperatorPopulation
 from trustlab.testbeds.guidance_comparison import VARIANTS, compare_guidance
 
@@ -90,9 +89,9 @@ def test_guidance():
     )
 
 
-def test_failures():
+def test_failures(make):
     own = stored("failures").set_index("bound")
-    again = bound_failures(200, SEED + 1, invariant=10)
+    again = make.failures(200, SEED + 1, invariant=10).set_index("bound")
     spread = np.sqrt(own["share"] * (1.0 - own["share"]) / again["sets"])  # of binomial counts
     assert ((again["share"] - own["share"]).abs() <= 4.0 * spread).all()
     assert own["sets"].tolist() == [20_000] * 5 + [2_000] * 2

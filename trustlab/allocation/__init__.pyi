@@ -1,5 +1,4 @@
 from .blending import BlendingStep as BlendingStep, OptimalBlending as OptimalBlending
-from .bound_failures import bound_failures as bound_failures
 from .correction.correction_run import (
     CorrectionRun as CorrectionRun,
     run_correction as run_correction,
