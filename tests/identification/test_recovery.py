@@ -215,3 +215,18 @@ def test_autocorrelated_noise_widens_the_intervals(operators, make_session, swit
     assert "not white" in robust.message
     assert 'use noise="auto"' in white.message
     assert (robust.table()["stderr"] > 3.0 * white.table()["stderr"]).all()
+
+
+@pytest.mark.parametrize("r0", [0.003, 0.98, 1.0])
+def test_no_utilization_near_an_end_explains_more(operators, make_session, switching, r0):
+    """(2.6) bends at rest and at full load, so that a search may stop beside the optimum."""
+    end = float(r0 > 0.5)
+    settings = {"noise": "white", "robust": False}
+    for name in ("pilot", "1"):
+        for seed in range(3):
+            mode = abs(end - switching)
+            session = make_session(operators[name], mode, noise=0.003, seed=seed, r0=r0)
+            best = tl.fit_human(session, **settings)
+            for apart in (0.0, 1e-4, 1e-3, 3e-3, 0.01, 0.02):
+                held = tl.fit_human(session, fixed={"r0": abs(end - apart)}, **settings)
+                assert len(session) * np.log(held.cost / best.cost) > -0.02, (name, seed, apart)

@@ -30,6 +30,9 @@ SHALLOW = 30.0
 # Other optima within this deviance of the best still count as possible: odds of e⁵ to 1.
 RIVAL = 10.0
 
+# Distances from rest or full load, in the coordinate of a load, that are tried where one is near.
+NEAR = (0.0, 0.002, 0.008, 0.02, 0.05)
+
 # How optima are searched before the best is known.
 ROUGH: dict[str, Any] = {"tolerance": 0.1, "most": 40}
 
@@ -137,7 +140,7 @@ def estimate_runs(
     for optimum in rivals:
         # Raises where one that is nearly as likely does not determine the unknowns.
         optimum.inverse_information()
-    optimum = best.problem.robust_search(best.x, robust)
+    optimum = _beside_ends(best.problem.robust_search(best.x, robust))
     return replace(estimated(optimum, noise), rivals=rivals)
 
 
@@ -190,6 +193,26 @@ def _elsewhere(optimum: Optimum) -> Iterator[Optimum]:
         x = problem.descend(x, ~np.isin(problem.free, loads), **ROUGH)[0]
         if problem.equations(x).deviance < optimum.equations.deviance + SHALLOW:
             yield problem.search(x, **ROUGH)
+
+
+def _beside_ends(optimum: Optimum) -> Optimum:
+    """Search again from loads held where the best are near their end: (2.6) bends there."""
+    problem, x = optimum.problem, optimum.x
+    loads = np.intersect1d(problem.loads, problem.free)
+    low, high = problem.low[loads], problem.high[loads]
+    ends = np.where(x[loads] - low < high - x[loads], low, high)
+    near = np.abs(x[loads] - ends) < NEAR[-1]
+    if not near.any():
+        return optimum
+    loads, ends, inwards = loads[near], ends[near], (low + high - 2.0 * ends)[near]
+    tried = []
+    for share in NEAR:
+        start = x.copy()
+        start[loads] = ends + share * inwards
+        start = problem.descend(start, ~np.isin(problem.free, loads), **ROUGH)[0]
+        tried.append((problem.equations(start).deviance, share, start))
+    other = problem.search(min(tried)[2])
+    return min(optimum, other, key=lambda each: each.deviance)
 
 
 def _views(model: Model, runs: list[Run]) -> list[tuple[bool, list[Run]]]:

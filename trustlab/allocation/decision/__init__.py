@@ -1,3 +1,0 @@
-"""
-Decisions under uncertainty, and the optimum of all switching policies.
-"""
