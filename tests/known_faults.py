@@ -16,6 +16,7 @@ ALLOWED = {
     "StudyReport.write": {"": "writes the time of day"},
     "ThresholdCorrector.step": {"": "measures its own time"},
     "ThresholdRule.step": {"p_r": "rules take the same arguments"},
+    "choose_thresholds": {"delta_p_h": "Theorem 1 leaves no room at a large one"},
     "EnergyLedger.receive": {
         "number": "answers whether the wave is kept",
         "wave": "answers whether the wave is kept",
@@ -181,11 +182,6 @@ KNOWN = {
     "ChannelRun.plot": {
         "ax": "foreign errors",
     },
-    "choose_thresholds": {
-        "objective": "no difference",
-        "confidence": "no difference",
-        "enclose_beta": "no difference",
-    },
     "compare": {
         "values": "foreign errors, no argument named",
         "printed": "foreign errors, no argument named",
@@ -222,9 +218,6 @@ KNOWN = {
     },
     "fit_trust": {
         "pooling": "NaN is taken",
-    },
-    "invariant_bounds": {
-        "cycles": "foreign errors",
     },
     "latin_square_design": {
         "participants": "foreign errors",

@@ -8,6 +8,7 @@ one of them.
 import itertools
 import json
 import sys
+import warnings
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -204,15 +205,16 @@ def decided(
     session = recorded_session(tsc, minutes, switches, noise, np.random.default_rng(seed))
     posterior = tl.sample_posterior(session, n=500)
     beta = posterior.table().loc["human_beta"]
-    choice = tl.choose_thresholds(posterior, points=10)
-    cycle = tl.limit_cycle(tsc, choice.lower, choice.upper, starts=1)
-    around = cycle.exists and cycle.r_low <= tsc.human.beta <= cycle.r_high
+    with warnings.catch_warnings():  # where none are offered
+        warnings.simplefilter("ignore")
+        choice = tl.choose_thresholds(posterior, points=10)
+    cycle = tl.limit_cycle(tsc, choice.lower, choice.upper)
     return {
         "width": beta["ci_high"] - beta["ci_low"],
         "covered": bool(beta["ci_low"] <= tsc.human.beta <= beta["ci_high"]),
         "probability": choice.probability,
         "offered": choice.offered,
-        "safe": bool(around),
+        "safe": cycle.encloses_beta,
     }
 
 

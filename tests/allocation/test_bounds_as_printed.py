@@ -17,7 +17,7 @@ from trustlab.allocation import (
     step_bounds,
     threshold_limits,
 )
-from trustlab.allocation.steady_state import performance_as_printed, utilization_as_printed
+from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
 from trustlab.reproduction import published_table, recompute
 from trustlab.reproduction.printed_number import half_unit
 

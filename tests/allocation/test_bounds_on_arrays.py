@@ -7,8 +7,8 @@ Oracle: the equations written out here a second time, without the package.
 import numpy as np
 import pytest
 
+from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
 from trustlab.allocation.limits import limits_as_printed
-from trustlab.allocation.steady_state import performance_as_printed, utilization_as_printed
 from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
 
 

@@ -401,7 +401,7 @@ def test_incentive_bounds_take_rounding_and_nothing_more():
 
 
 def test_targets_outside_the_limits():
-    limits = tl.threshold_limits(SECOND)
+    limits = tl.threshold_limits(SECOND, None)
     with pytest.raises(ValueError, match=f"{limits.upper:.4f}.*does not keep switching"):
         tl.ThresholdCorrector(SECOND, (0.0, 0.9))
     with pytest.raises(ValueError, match="does not keep switching"):

@@ -10,7 +10,7 @@ import pytest
 from scipy import integrate
 
 import trustlab as tl
-from trustlab.allocation.decision.optimum import certificate, integral_of_performance
+from trustlab.allocation.optimum import certificate, integral_of_performance
 
 NAMES = ("pilot", "1", "2", "3", "4", "5")
 
@@ -115,7 +115,7 @@ def test_a_pattern_is_what_simulation_says_and_none_is_better(operators):
         mode = np.resize(np.repeat([1.0, 0.0], [first, second]), 60_000)
         assert earned(tsc, tsc.simulate(mode, 0.8).iloc[-20_000:], 0.5) < best.value + 0.05
     lower, upper = best.thresholds
-    cycle = tl.limit_cycle(tsc, lower, upper, starts=1)
+    cycle = tl.limit_cycle(tsc, lower, upper)
     assert min(cycle.dwell_manual[0], cycle.dwell_autonomous[0]) >= 149
     assert best.threshold_value <= best.upper_bound
     run = tl.simulate_allocation(tsc, lower, upper, 90_000, r0=0.8).iloc[40_000:]
@@ -139,6 +139,80 @@ def test_the_integral_is_that_of_performance(operators):
         assert integral_of_performance(tsc, np.array([r])).item() == pytest.approx(
             expected, abs=1e-9
         )
+
+
+def every_pattern(tsc, weight, longest, limit):
+    """The best of all patterns with phases up to a length, one by one in NumPy."""
+    robot, human = tsc.robot, tsc.human
+    best = -np.inf
+    for manual in range(1, longest + 1):
+        autonomous = np.arange(1, longest + 1)
+        autonomous = autonomous[manual <= limit * (manual + autonomous)]
+        if autonomous.size == 0:
+            continue
+        a = human.a
+        begin = (1.0 - a**manual) * a**autonomous / (1.0 - a ** (manual + autonomous))
+        k = np.arange(manual)
+        up = 1.0 - (1.0 - begin[:, None]) * a**k
+        top = 1.0 - (1.0 - begin) * a**manual
+        down = top[:, None] * a ** np.arange(longest)
+        there = np.arange(longest) < autonomous[:, None]
+        driven = human.performance(up).sum(axis=1)
+        all_p_h = driven + np.where(there, human.performance(down), 0.0).sum(axis=1)
+        length = manual + autonomous
+        p_r = robot.b / (1.0 - robot.a) * driven / length / (robot.p_max - robot.p_min)
+        p_h = (all_p_h / length - human.p_min) / (human.p_max - human.p_min)
+        best = max(best, float((100.0 * (weight * p_r + (1.0 - weight) * p_h)).max()))
+    return best
+
+
+@pytest.mark.parametrize("limit", [0.492, 0.31, 0.753])
+@pytest.mark.parametrize("weight", [1.0, 0.3])
+def test_under_a_limit_of_mean_r_no_pattern_is_better(operators, weight, limit):
+    tsc = operators["2"]
+    best = tl.optimal_allocation(tsc, weight=weight, min_dwell=0.0, max_mean_r=limit)
+    assert best.value > every_pattern(tsc, weight, 100, limit) - 0.05
+    assert best.mean_r <= limit
+    assert best.value <= best.upper_bound
+
+
+def test_the_example_that_had_lost_two_points(operators):
+    """30 samples manual and 31 autonomous earn 48.19 at mean r = .4918."""
+    best = tl.optimal_allocation(operators["2"], weight=1.0, min_dwell=0.0, max_mean_r=0.492)
+    assert 48.19 < best.value <= best.upper_bound == pytest.approx(49.20, abs=0.01)
+
+
+def test_the_certificate_holds_between_its_utilizations(operators):
+    """Oracle: the gain of (2.3)-(2.6) with quadrature of P_h, at random and beside the best r."""
+    rng = np.random.default_rng(0)
+    for tsc in operators.values():
+        human, robot = tsc.human, tsc.robot
+        weight = rng.random()
+        bound, r_star = certificate(tsc, weight, 1.0)
+        gain = 100.0 * weight * robot.b / (1.0 - robot.a) / (robot.p_max - robot.p_min)
+        of_human = 100.0 * (1.0 - weight) / (human.p_max - human.p_min)
+        near = r_star + np.linspace(-5e-5, 5e-5, 41)
+        for r in np.clip(np.r_[rng.random(20), near], 1e-6, 1.0 - 1e-6):
+            p_h = human.performance(r)
+            for mode in (0.0, 1.0):
+                after = human.a * r + (1.0 - human.a) * mode
+                drift = integrate.quad(human.performance, r, after, epsabs=1e-14)[0]
+                value = gain * (mode * p_h - drift / (1.0 - human.a))
+                assert value + of_human * (p_h - human.p_min) <= bound + 1e-9
+
+
+@pytest.mark.slow
+def test_no_random_pattern_exceeds_the_certificate(random_model):
+    """500 models and patterns."""
+    rng = np.random.default_rng(11)
+    for _ in range(500):
+        tsc, _, _ = random_model(rng)
+        weight, manual, autonomous = rng.random(), *rng.integers(1, 800, 2)
+        mode = np.resize(np.repeat([1.0, 0.0], [manual, autonomous]), 200 * (manual + autonomous))
+        size = max(20 * (manual + autonomous), 20_000) // (manual + autonomous)
+        run = tsc.simulate(mode[: 2 * size * (manual + autonomous)], rng.random())
+        last = run.iloc[-10 * (manual + autonomous) :]
+        assert earned(tsc, last, weight) <= certificate(tsc, weight, 1.0)[0] + 1e-3
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,8 @@ def test_choice_encloses_beta_and_comes_near_the_best_performance(operators, cho
     assert cycle.r_low <= model.human.beta <= cycle.r_high
     assert choice.limits.contains(choice.lower, choice.upper)
     assert choice.bounds.guaranteed
-    inside = choice.candidates[choice.candidates["encloses_beta"]]
+    assert choice.probability == 1.0
+    inside = choice.candidates[choice.candidates["p_encloses"] == 1.0]
     assert cycle.p_r_high == pytest.approx(inside["p_r_high"].max(), abs=1e-4)
     again = choose_thresholds(model, points=12)
     assert (again.lower, again.upper) == (choice.lower, choice.upper)
@@ -45,35 +46,33 @@ def test_a_fit_is_taken_and_warned_of_where_it_is_unsure(operators, make_session
     assert fit.success
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        choice = choose_thresholds(fit, points=4)
-    assert choice.model is fit.model
+        choice = choose_thresholds(fit, points=12)
+    assert choice.tsc is fit.model
+    assert np.isnan(choice.probability)
+    assert "of the estimate alone" not in choice.message
+    assert "for the estimate alone (trustlab.sample_posterior" in choice.message
     with pytest.warns(
         UserWarning, match="success = False: beta is weakly determined: record longer phases"
     ) as caught:
-        again = choose_thresholds(unsure, points=4)
+        again = choose_thresholds(unsure, points=12)
     assert [one.filename for one in caught] == [__file__]
     assert (again.lower, again.upper) == (choice.lower, choice.upper)
-    assert again.message.endswith(f"success = False: {unsure.message} {choice.message}")
+    assert again.message.endswith(choice.message)
     with pytest.raises(
         ValueError, match=r"TscModel, got RobotModel; fit one with trustlab\.fit_tsc"
     ):
         choose_thresholds(tl.fit_robot(make_session(operators["2"], switching)))
 
 
-def test_a_failed_fit_is_named_as_the_cause(operators, make_session, switching):
+def test_a_failed_fit_is_named_first(operators, make_session, switching):
     """Advice about a model that is not to be used would mislead."""
     fit = tl.fit_tsc(make_session(operators["2"], switching))
     unsure = replace(fit, success=False, message="p_max is weakly determined.")
-    with pytest.raises(ValueError, match="p_max is weakly determined") as caught:
-        choose_thresholds(unsure, delta_p_h=0.01, points=4)
-    assert str(caught.value).startswith("the fit is why there are no thresholds")
-    assert "trustlab.sample_posterior(sessions)" in str(caught.value)
-    with pytest.raises(ValueError, match="Remark 4") as plain:
-        choose_thresholds(fit, delta_p_h=0.01, points=4)
-    assert "sample_posterior" not in str(plain.value)
-    with pytest.raises(ValueError, match="margin") as caught:
-        choose_thresholds(unsure, margin=0.7)
-    assert "the fit" not in str(caught.value)
+    with pytest.warns(UserWarning, match="p_max is weakly determined"):
+        choice = choose_thresholds(unsure, delta_p_h=0.01, points=4)
+    assert choice.message.startswith("The fit has success = False: p_max is weakly determined.")
+    assert "trustlab.sample_posterior(sessions)" in choice.message
+    assert "Theorem 1 leaves no room" in choice.reason
 
 
 def test_margin_is_kept(operators, choice):
@@ -94,22 +93,28 @@ def test_plot_and_table(choice):
     axes = choice.plot()
     assert len(axes) == 3
     plt.close("all")
-    assert {"low", "high", "bound_low", "bound_high"} <= set(choice.table().columns)
+    pd.testing.assert_frame_equal(choice.table(), choice.cycle.table())
 
 
 def test_no_pair_that_encloses_beta_is_said(operators):
-    choice = choose_thresholds(operators["1"], points=8)
+    with pytest.warns(UserWarning, match="makes the steady utilization enclose β = 0.95"):
+        choice = choose_thresholds(operators["1"], points=8)
     assert not choice.encloses_beta
-    assert "No pair" in choice.message
+    assert choice.probability == 0.0
+    assert not choice.offered
+    cycle = choice.cycle
+    assert f"stays within {cycle.r_low:.3f} to {cycle.r_high:.3f}" in choice.reason
+    assert choose_thresholds(operators["1"], points=8, enclose_beta=False).probability == 1.0
 
 
 def test_no_room_between_the_limits_is_remark_4(operators):
-    with pytest.raises(ValueError, match="Remark 4"):
-        choose_thresholds(operators["pilot"], delta_p_h=0.01)
-    with pytest.raises(ValueError, match="margin"):
-        choose_thresholds(operators["pilot"], margin=0.6)
+    with pytest.warns(UserWarning, match=r"TSC_ub = .* does not exceed TSC_lb .*\(Remark 4\)"):
+        choice = choose_thresholds(operators["pilot"], delta_p_h=0.01)
+    assert "a smaller δ_Ph than 0.01" in choice.reason
     with pytest.raises(ValueError, match="points"):
         choose_thresholds(operators["pilot"], points=2)
+    with pytest.raises(ValueError, match=r"confidence = 0\.9 would do nothing"):
+        choose_thresholds(operators["pilot"], confidence=0.9)
 
 
 def switched(lower, upper, spread, seed, n=12, participant=1):
@@ -159,25 +164,26 @@ def test_switches_before_a_time_are_left_out():
 
 
 def test_choices_say_which_limits_they_keep(operators):
-    for model in operators.values():
+    for name, model in operators.items():
+        if name == "1":
+            continue
         choice = choose_thresholds(model, points=6)
-        own = tl.threshold_limits(model)
-        assert choice.limits.contains(choice.lower, choice.upper)
+        own = tl.threshold_limits(model, None)
+        assert choice.limits == tl.threshold_limits(model)
         assert choice.limits.delta_p_h == 0.0
-        assert choice.model_limits == own
-        assert f"at δ_Ph = {own.delta_p_h:.3g}" in choice.message
+        assert choice.limits.contains(choice.lower, choice.upper)
         assert not own.contains(choice.lower, choice.upper)
-        assert "Theorem 1 does not cover" in choice.message
-        within = choose_thresholds(model, delta_p_h=own.delta_p_h, points=6)
+        assert f"Theorem 1 does not cover the pair at the model's own δ_Ph: {own}" in choice.message
+        within = choose_thresholds(model, delta_p_h=own.delta_p_h, points=6, enclose_beta=False)
         assert own.contains(within.lower, within.upper)
-        assert "also keeps" in within.message
+        assert "does not cover" not in within.message
 
 
 def test_results_read_short_in_a_terminal_and_as_tables_in_a_notebook(operators):
     model = operators["2"]
     choice = choose_thresholds(model, points=4)
     bounds = tl.steady_state_bounds(model, choice.lower, choice.upper)
-    for result in (choice, choice.cycle, choice.bounds, bounds, choice.limits, choice.model_limits):
+    for result in (choice, choice.cycle, choice.bounds, bounds, choice.limits):
         assert len(repr(result)) < 200
         assert "<table" in result._repr_html_()
     assert repr(tl.limit_cycle(model, -0.9, 0.9)).startswith("LimitCycle(exists=False")

@@ -26,8 +26,7 @@ import trustlab
 import trustlab as tl
 from tests.publishing.world import ROOT, make
 from trustlab.allocation.correction.correction_run import CorrectionRun
-from trustlab.allocation.cycle.intervals import RangeIntervals
-from trustlab.allocation.decision.posterior_choice import PosteriorChoice
+from trustlab.allocation.ranges import RangeIntervals
 from trustlab.identification.posterior.population import Population
 from trustlab.identification.posterior.result import MODEL as MODEL_NAMES
 from trustlab.identification.regression import ArxResult
@@ -344,7 +343,6 @@ def built():
         choice.cycle,
         choice.bounds,
         RangeIntervals([choice.cycle] * 2, np.array([True, False])),
-        PosteriorChoice(True, 0.0, 0.3, 1.0, 1.0, 1.0, 0.95, scores(), NAME, scores()),
         tl.feasibility(dataclasses.replace(STUDY, name=NAME), explain=False),
         *of_trust(),
         tl.optimal_allocation(MODEL),

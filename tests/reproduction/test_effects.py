@@ -74,7 +74,7 @@ def test_the_model_predicts_what_its_exact_cycles_are():
     for label, model in list(tl.published_models().items())[1:]:
         own, chosen = tl.published_table("2.3")[label], tl.published_table("2.2")[label]
         cycles = [
-            tl.limit_cycle(model, float(low), float(high), starts=1)
+            tl.limit_cycle(model, float(low), float(high))
             for low, high in (
                 (own["TSC_l", "mean"], own["TSC_u", "mean"]),
                 (chosen["TSC_l"], chosen["TSC_u"]),

@@ -1,4 +1,8 @@
 from .blending import BlendingStep as BlendingStep, OptimalBlending as OptimalBlending
+from .bounds import (
+    SteadyStateBounds as SteadyStateBounds,
+    steady_state_bounds as steady_state_bounds,
+)
 from .correction.correction_run import (
     CorrectionRun as CorrectionRun,
     run_correction as run_correction,
@@ -19,38 +23,32 @@ from .correction.setting import (
     CorrectionSetting as CorrectionSetting,
     CorrectionTest as CorrectionTest,
 )
-from .cycle.intervals import RangeIntervals as RangeIntervals
-from .cycle.invariant_bounds import (
+from .invariant import (
     InvariantBounds as InvariantBounds,
     invariant_bounds as invariant_bounds,
 )
-from .cycle.limit_cycle import LimitCycle as LimitCycle, limit_cycle as limit_cycle
-from .decision.optimum import (
-    OptimalAllocation as OptimalAllocation,
-    optimal_allocation as optimal_allocation,
-)
-from .decision.posterior_choice import PosteriorChoice as PosteriorChoice
 from .limits import (
     StepBounds as StepBounds,
     ThresholdLimits as ThresholdLimits,
     step_bounds as step_bounds,
     threshold_limits as threshold_limits,
 )
+from .optimum import (
+    OptimalAllocation as OptimalAllocation,
+    optimal_allocation as optimal_allocation,
+)
+from .ranges import RangeIntervals as RangeIntervals, SteadyRanges as SteadyRanges
 from .rules import PerformanceRule as PerformanceRule, ThresholdRule as ThresholdRule
 from .simulation import simulate_allocation as simulate_allocation
-from .steady_ranges import SteadyRanges as SteadyRanges
-from .steady_state import (
-    SteadyStateBounds as SteadyStateBounds,
-    steady_state_bounds as steady_state_bounds,
-)
+from .steady import LimitCycle as LimitCycle, limit_cycle as limit_cycle
 from .suggestions import followed_suggestions as followed_suggestions
-from .threshold_choice import (
-    ThresholdChoice as ThresholdChoice,
-    choose_thresholds as choose_thresholds,
-)
 from .threshold_estimate import (
     ThresholdEstimate as ThresholdEstimate,
     estimate_thresholds as estimate_thresholds,
     relative_performance as relative_performance,
     separation as separation,
+)
+from .thresholds import (
+    ThresholdChoice as ThresholdChoice,
+    choose_thresholds as choose_thresholds,
 )

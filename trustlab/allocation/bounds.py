@@ -6,15 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.cycle.limit_cycle import limit_cycle
-from trustlab.allocation.cycle.phases import longest_phase
-from trustlab.allocation.limits import (
-    check_thresholds,
-    step_bounds,
-    threshold_limits,
-)
+from trustlab.allocation.limits import check_thresholds, step_bounds, threshold_limits
+from trustlab.allocation.ranges import SteadyRanges
 from trustlab.allocation.simulation import simulate_allocation
-from trustlab.allocation.steady_ranges import SteadyRanges
+from trustlab.allocation.steady import limit_cycle, longest_phase
 from trustlab.models.checks import between
 from trustlab.models.display import axes_or_new
 from trustlab.models.tsc import TscConstants, TscModel
@@ -94,7 +89,7 @@ class SteadyStateBounds(SteadyRanges):
     def _plot_utilization(self, axis, sample_time: float) -> None:
         """Plot utilization under (2.8), and the periodic motions behind its bounds."""
         human = self.model.human
-        settled = longest_phase(self.model.constants())
+        settled = longest_phase(self.model)
         time = np.arange(4000) * sample_time
         run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)
         axis.plot(time, run["r"].iloc[settled:], label="r under (2.8)")
@@ -215,9 +210,9 @@ def steady_state_bounds(
     dwell time manual      353.000  701.000
     dwell time autonomous      NaN  195.000
     """
-    lower, upper = check_thresholds(tsc, lower, upper, threshold_limits(tsc, 0.0))
+    lower, upper = check_thresholds(tsc, lower, upper, threshold_limits(tsc))
     if delta_tsc is None:
-        cycle = limit_cycle(tsc, lower, upper, starts=1)
+        cycle = limit_cycle(tsc, lower, upper)
         visited = (cycle.r_low, cycle.r_high) if cycle.exists else ()
         delta_tsc = step_bounds(tsc, *visited).delta_tsc
     delta_tsc = between("delta_tsc", delta_tsc, 0.0, 2.0)  # TSC lies in [−1, 1]

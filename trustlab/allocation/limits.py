@@ -166,7 +166,7 @@ def limits_as_printed(c: TscConstants, delta_p_h: float) -> tuple[Any, Any]:
     return lower, upper
 
 
-def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> ThresholdLimits:
+def threshold_limits(tsc: TscModel, delta_p_h: float | None = 0.0) -> ThresholdLimits:
     """
     Return the limits of the decision thresholds, (2.9)-(2.10).
 
@@ -180,8 +180,8 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> Threshold
         The model; its robot's b is used as it is (the printed limits come from the printed, rounded
         b_pr).
     delta_p_h : float, optional
-        δ_Ph, largest one-step change of human performance; from the model (`step_bounds`) when not
-        given.
+        δ_Ph, largest one-step change of human performance. 0, as where TSC settles, gives the
+        widest limits; None takes the model's own, `step_bounds`; printed limits have a printed one.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> Threshold
     >>> import trustlab as tl
     >>> limits = tl.threshold_limits(tl.published_models()["2"])
     >>> round(limits.lower, 3), round(limits.upper, 3)
-    (-0.43, 0.43)
+    XX
     """
     of_class("tsc", tsc, TscModel)
     if delta_p_h is None:

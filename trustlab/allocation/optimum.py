@@ -13,12 +13,20 @@ import numpy as np
 import pandas as pd
 from scipy import optimize, special
 
-from trustlab.allocation.decision.steady import SteadyMotions, grid_of_pairs, points, steady, survey
 from trustlab.allocation.limits import threshold_limits
+from trustlab.allocation.steady import (
+    AUTONOMOUS,
+    LOW,
+    MEAN,
+    R,
+    grid_of_pairs,
+    points,
+    survey,
+)
 from trustlab.models.checks import between, not_negative, of_class, open_unit, positive
 from trustlab.models.compiled import njit
 from trustlab.models.display import as_html
-from trustlab.models.tsc import TscModel, human_at
+from trustlab.models.tsc import HumanModel, TscModel, human_at
 
 # Utilizations at which the certificate is evaluated.
 GRID = 20_001
@@ -27,7 +35,9 @@ GRID = 20_001
 LONGEST = 4.0
 MOST_DWELLS = 40
 
-# Pairs of thresholds on TSC, the best of a coarse survey, that are followed sample by sample.
+# Effort of a coarse survey of thresholds on TSC, and how many of its best pairs are followed sample
+# by sample.
+SCREENING = 1e5
 FOLLOWED = 25
 
 
@@ -147,9 +157,10 @@ def optimal_allocation(
 
     Notes
     -----
-    The bound is the greatest drift-corrected gain over 20,001 utilizations and both modes, and
-    holds for every rule, random or with memory. The gap is what dwell times cost, at most; without
-    any it is next to nothing.
+    The bound is the greatest drift-corrected gain over all utilizations and both modes, bounded
+    between 20,001 of them by its slope, and holds for every rule, random or with memory. The gap is
+    what dwell times cost, at most; without any it is next to nothing. Patterns are searched from a
+    coarse grid; what is called best is best within 0.05 points of all patterns of these lengths.
 
     Examples
     --------
@@ -212,25 +223,52 @@ def certificate(tsc: TscModel, weight: float, limit: float) -> tuple[float, floa
     second-order terms. A limit of mean r enters with a price, which only loosens the bound.
     """
     of_robot, of_human = _scales(tsc, weight)
+    human = tsc.human
     ends = np.geomspace(1e-9, 1e-3, 200)
     r = np.unique(np.r_[0.0, ends, np.linspace(0.0, 1.0, GRID), 1.0 - ends, 1.0])
-    p_h = tsc.human.performance(r)
+    p_h = human.performance(r)
     area = integral_of_performance(tsc, r)
-    kappa = of_robot / (1.0 - tsc.human.a)
+    kappa = of_robot / (1.0 - human.a)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # (2.6) is concave: within a cell its slope lies between those at the ends.
+        steep = (p_h - human.p_min) * (human.beta - r) / (r * (1.0 - r))
+    steep[[0, -1]] = np.inf, -np.inf
     gains = []
+    slopes = []  # of the gain in every cell: least, greatest
     for mode in (0.0, 1.0):
-        after = tsc.human.a * r + (1.0 - tsc.human.a) * mode
+        after = human.a * r + (1.0 - human.a) * mode
         change = integral_of_performance(tsc, after) - area
-        gains.append(of_robot * mode * p_h - kappa * change)
-    best = np.maximum(*gains) + of_human * (p_h - tsc.human.p_min)
+        scale = of_robot * mode + of_human
+        gains.append(scale * p_h - of_human * human.p_min - kappa * change)
+        least, most = _over_cells(human, r)
+        next_least, next_most = _over_cells(human, after)
+        with np.errstate(invalid="ignore"):  # 0 · ∞ where performance counts for nothing
+            ends_of = np.nan_to_num(scale * np.array([steep[1:], steep[:-1]]), nan=0.0)
+        low = ends_of[0] + kappa * (least - human.a * next_most)
+        slopes.append((low, ends_of[1] + kappa * (most - human.a * next_least)))
+    best = np.maximum(*gains)
 
-    def bound(price: float) -> float:
+    def on_grid(price: float) -> float:
         return float((best - price * (r - limit)).max())
 
     price = 0.0
     if r[int(np.argmax(best))] > limit:
-        price = float(optimize.minimize_scalar(bound, bounds=(0.0, 1e4), method="bounded").x)
-    return bound(price), float(r[int(np.argmax(best - price * (r - limit)))])
+        price = float(optimize.minimize_scalar(on_grid, bounds=(0.0, 1e4), method="bounded").x)
+    bound = -np.inf
+    for gain, (low, high) in zip(gains, slopes, strict=True):
+        net = gain - price * (r - limit)
+        rise = net[:-1] + np.diff(r) * np.maximum(high - price, 0.0)
+        fall = net[1:] - np.diff(r) * np.minimum(low - price, 0.0)
+        bound = max(bound, float(np.minimum(rise, fall).max()))
+    return bound, float(r[int(np.argmax(best - price * (r - limit)))])
+
+
+def _over_cells(human: HumanModel, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least and the greatest P_h between neighbours of r."""
+    p_h = human.performance(r)
+    most = np.maximum(p_h[1:], p_h[:-1])
+    inside = (r[:-1] < human.beta) & (human.beta < r[1:])
+    return np.minimum(p_h[1:], p_h[:-1]), np.where(inside, human.p_max, most)
 
 
 # --- patterns -------------------------------------------------------------------------------------
@@ -238,37 +276,34 @@ def certificate(tsc: TscModel, weight: float, limit: float) -> tuple[float, floa
 
 @njit
 def earn(c, manual, autonomous, of_robot, of_human):
-    """Return points, mean r and mean(M P_h) of a pattern in steady state, and r as it begins."""
+    """Return points and mean(M P_h) of a pattern in steady state, and r as it begins."""
     whole = c.a_r ** (manual + autonomous)
     begin = (1.0 - c.a_r**manual) * c.a_r**autonomous / (1.0 - whole)
     r = begin
-    sum_r = 0.0
     driven = 0.0
     sum_p_h = 0.0
     for k in range(manual + autonomous):
         mode = 1.0 if k < manual else 0.0
         p_h = human_at(r, c)
-        sum_r += r
         driven += mode * p_h
         sum_p_h += p_h
         r = c.a_r * r + (1.0 - c.a_r) * mode
     samples = manual + autonomous
     value = (of_robot * driven + of_human * (sum_p_h - samples * c.p_h_min)) / samples
-    return value, sum_r / samples, driven / samples, begin
+    return value, driven / samples, begin
 
 
 @njit
-def best_of(c, manuals, autonomous, of_robot, of_human, limit):
-    """Return the best of two lists of dwell times that keeps a limit of mean r; (0, 0) for none."""
+def best_of(c, patterns, of_robot, of_human):
+    """Return the best of patterns, shape (N, 2)."""
     best = -np.inf
-    chosen = (0, 0)
-    for first in manuals:
-        for second in autonomous:
-            value, mean_r, _, _ = earn(c, first, second, of_robot, of_human)
-            if value > best and mean_r <= limit:
-                best = value
-                chosen = (first, second)
-    return chosen
+    chosen = 0
+    for k in range(len(patterns)):
+        value = earn(c, patterns[k, 0], patterns[k, 1], of_robot, of_human)[0]
+        if value > best:
+            best = value
+            chosen = k
+    return patterns[chosen]
 
 
 def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tuple[int, int]:
@@ -277,19 +312,46 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
     scales = _scales(tsc, weight)
     longest = max(MOST_DWELLS * least, LONGEST / (1.0 - tsc.human.a)) if least > 1 else 1000
     coarse = np.unique(np.round(np.geomspace(least, longest, 36)).astype(int))
-    manual, autonomous = best_of(c, coarse, coarse, *scales, limit)
-    if manual == 0:
+    patterns = _patterns(coarse, coarse, least, longest, limit)
+    if len(patterns) == 0:
         raise ValueError(
             f"no pattern with phases of at least {least} samples keeps mean r at most {limit:g}; "
             "allow a greater max_mean_r or shorter phases"
         )
-    reach = max(1, int(0.07 * max(manual, autonomous)))
+    best = best_of(c, patterns, *scales)
+    reach = max(4, int(0.1 * best.max()))
     while reach > 0:
         offsets = np.unique(np.round(np.linspace(-reach, reach, 11)).astype(int))
-        near = [np.unique(np.maximum(n + offsets, least)) for n in (manual, autonomous)]
-        manual, autonomous = best_of(c, *near, *scales, limit)
-        reach //= 4
-    return int(manual), int(autonomous)
+        best = best_of(c, _patterns(*(n + offsets for n in best), least, longest, limit), *scales)
+        reach //= 3
+    return int(best[0]), int(best[1])
+
+
+def _patterns(
+    manual: np.ndarray, autonomous: np.ndarray, least: int, longest: float, limit: float
+) -> np.ndarray:
+    """
+    Return the patterns of two lists of dwell times that keep a limit of mean r, and with one those
+    between them that just keep it.
+
+    By (2.5) mean r is the share of manual samples.
+    """
+    first, second = (each.ravel() for each in np.meshgrid(manual, autonomous))
+    if limit < 1.0:
+        odds = limit / (1.0 - limit) * (1.0 + 1e-12)
+        drive, rest = _all_between(manual), _all_between(autonomous)
+        first = np.r_[first, drive, np.floor(odds * rest).astype(int)]
+        second = np.r_[second, np.ceil(drive / odds).astype(int), rest]
+        kept = first <= odds * second
+        first, second = first[kept], second[kept]
+    able = (np.minimum(first, second) >= least) & (np.maximum(first, second) <= longest)
+    return np.unique(np.column_stack([first, second])[able], axis=0)
+
+
+def _all_between(dwells: np.ndarray) -> np.ndarray:
+    """Return all numbers in the range of a list, or some where they are many, small ones all."""
+    low, high = max(dwells.min(), 1), dwells.max()
+    return np.unique(np.round(np.geomspace(low, high, min(high - low + 1, 300))).astype(int))
 
 
 def _earned(
@@ -297,9 +359,9 @@ def _earned(
 ) -> tuple[float, float, float, float]:
     """Return points, mean r, mean P_r and the least r of a pattern."""
     scales = _scales(tsc, weight)
-    value, mean_r, driven, begin = earn(tsc.constants(), manual, autonomous, *scales)
+    value, driven, begin = earn(tsc.constants(), manual, autonomous, *scales)
     mean_p_r = tsc.robot.p_min + tsc.robot.b / (1.0 - tsc.robot.a) * driven
-    return float(value), float(mean_r), float(mean_p_r), float(begin)
+    return float(value), manual / (manual + autonomous), float(mean_p_r), float(begin)
 
 
 def _best_thresholds(
@@ -311,22 +373,19 @@ def _best_thresholds(
     high = max(limits.lower, limits.upper)
     span = max(high - low, 1e-6)
     pairs = grid_of_pairs(low + 0.01 * span, high - 0.01 * span, 40)
-    motions = survey([tsc], pairs)
-    able = _able(motions, least, limit)
-    values = np.where(able, points(motions, [tsc], weight)[0], -np.inf)
+    coarsely = points(survey([tsc], pairs, SCREENING), [tsc], weight)[0]
+    chosen = np.argsort(-np.nan_to_num(coarsely, nan=-np.inf), kind="stable")
     best: tuple[tuple[float, float] | None, float] = (None, float("nan"))
-    for k in np.argsort(-values, kind="stable")[:FOLLOWED]:
-        exact = steady(tsc.constants(), *pairs[k])
-        if not able[k] or exact.dwell < least or not exact.mean_r <= limit:
+    followed = 0
+    for k in chosen:
+        motion = survey([tsc], pairs[k : k + 1])
+        rows = motion[0, 0]
+        if not (rows[AUTONOMOUS:, LOW].min() >= least and rows[R, MEAN] <= limit):
             continue
-        column = SteadyMotions(*(np.array([[value]]) for value in exact))
-        value = float(points(column, [tsc], weight).item())
+        value = float(points(motion, [tsc], weight).item())
         if best[0] is None or value > best[1]:
             best = ((float(pairs[k, 0]), float(pairs[k, 1])), value)
+        followed += 1
+        if followed == FOLLOWED:
+            break
     return best
-
-
-def _able(motions: SteadyMotions, least: int, limit: float) -> np.ndarray:
-    """Return which pairs keep switching, about the least dwell time, and the limit of mean r."""
-    long = motions.dwell[0] >= 0.9 * least
-    return motions.switches[0] & long & (motions.mean_r[0] <= limit)

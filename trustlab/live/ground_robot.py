@@ -63,7 +63,7 @@ def checked_thresholds(
                 "trustlab.choose_thresholds(model)"
             )
         return check_thresholds(
-            model, *threshold_pair("threshold", thresholds), threshold_limits(model, 0.0)
+            model, *threshold_pair("threshold", thresholds), threshold_limits(model)
         )
     if thresholds is not None:
         raise ValueError(f"thresholds have no effect in {condition}; leave them out")

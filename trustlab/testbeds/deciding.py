@@ -151,7 +151,7 @@ def task_for(
                 ".upper of trustlab.choose_thresholds(model), or those of Table 2.2"
             )
         thresholds = check_thresholds(
-            model, *threshold_pair("threshold", thresholds), threshold_limits(model, 0.0)
+            model, *threshold_pair("threshold", thresholds), threshold_limits(model)
         )
     lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
     if condition == "own":  # switches in C1 come at these values of measured TSC

@@ -97,7 +97,7 @@ def _ground_robot_values(z: Mapping[str, float], p_r_min: float) -> dict[str, fl
         "lower_spread": float(np.exp(z["ln own lower spread"])),
         "upper_spread": float(np.exp(z["ln own upper spread"])),
     }
-    limits = threshold_limits(model_of(values), 0.0)
+    limits = threshold_limits(model_of(values))
     low = limits.lower + float(special.expit(z["logit place of TSC_l"])) * (
         limits.upper - limits.lower
     )
@@ -122,7 +122,7 @@ def _uav_values(z: Mapping[str, float], p_r_min: float) -> dict[str, float]:
         raise ValueError("human performance lies outside its range")
     if not p_r_min + 0.05 < values["p_r_max"] < 0.95:
         raise ValueError("robot performance lies outside its range")
-    limits = threshold_limits(model_of(values), 0.0)
+    limits = threshold_limits(model_of(values))
     places = ("own lower", "own upper", "TSC_l", "TSC_u")
     lower, upper, low, high = (
         float(limits.lower + z[name] * (limits.upper - limits.lower)) for name in places
@@ -212,7 +212,7 @@ def _ground_robot_coordinates(label: str) -> np.ndarray:
     """Return a printed participant's coordinates."""
     printed = _printed(label)
     human, robot = printed.model.human, printed.model.robot
-    limits = threshold_limits(printed.model, 0.0)
+    limits = threshold_limits(printed.model)
     low, high = printed.tsc_l, printed.tsc_u
     return np.array(
         [
@@ -236,7 +236,7 @@ def _uav_coordinates(label: str) -> np.ndarray:
     """Return the coordinates of a printed participant that the UAV's operators share with them."""
     printed = _printed(label)
     human, robot = printed.model.human, printed.model.robot
-    limits = threshold_limits(printed.model, 0.0)
+    limits = threshold_limits(printed.model)
     thresholds = (printed.lower, printed.upper, printed.tsc_l, printed.tsc_u)
     width = limits.upper - limits.lower
     return np.array(

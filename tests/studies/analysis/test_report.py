@@ -162,9 +162,11 @@ def test_thresholds_stand_beside_the_estimates(fit, tmp_path):
     assert table["TSC_l"].tolist() == 2 * [f"{choice.lower:.3f}".replace("-", "−")]
     assert table["probability"].tolist() == 2 * [f"{choice.probability:.2f}"]
     assert table["offered"].tolist() == ["yes", "yes"]
-    assert "$TSC_l$ & $TSC_u$ & probability" in study.write(tmp_path / "a.tex").read_text()
+    assert (
+        "$TSC_l$ & $TSC_u$ & offered & probability" in study.write(tmp_path / "a.tex").read_text()
+    )
     certain = tl.report({"P1": fit}, thresholds={"P1": tl.choose_thresholds(fit)})
-    assert list(certain.tables["Estimates ± standard errors, and thresholds"])[-1] == "TSC_u"
+    assert list(certain.tables["Estimates ± standard errors, and thresholds"])[-1] == "offered"
     with pytest.raises(ValueError, match="thresholds are of P1, but the results of P2"):
         tl.report({"P2": fit}, thresholds={"P1": choice})
 

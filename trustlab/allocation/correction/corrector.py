@@ -9,8 +9,8 @@ from trustlab.allocation.correction.casadi_engine import CasadiEngine
 from trustlab.allocation.correction.exact import ExactEngine
 from trustlab.allocation.correction.incentive import incentive_box, within_range
 from trustlab.allocation.correction.plan import CorrectionPlan
-from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.allocation.limits import threshold_limits
+from trustlab.allocation.steady import limit_cycle
 from trustlab.models.checks import (
     between,
     in_order,
@@ -168,7 +168,7 @@ def check_mode(mode: int) -> int:
 def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, float]:
     """Return target thresholds if the rule keeps switching under them; warn outside Theorem 1."""
     lower, upper = threshold_pair("target", target)
-    limits = threshold_limits(tsc)
+    limits = threshold_limits(tsc, None)
     if limits.contains(lower, upper):
         return lower, upper
     where = f"target ({lower:g}, {upper:g}) lies outside the limits of Theorem 1, " + (
@@ -184,7 +184,7 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
         )
     warn(
         f"{where}, so the theorem does not promise that the rule keeps switching; its steady "
-        "cycle does exist, from every start that was simulated (trustlab.limit_cycle)",
+        "cycle does exist, from every start (trustlab.limit_cycle)",
         TargetWarning,
     )
     return lower, upper

@@ -6,6 +6,7 @@ after the first a model.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -97,14 +98,18 @@ def identified(plan: Plan, session: Session) -> dict[str, Any]:
     report.
     """
     # Only here: a server that comes back after a crash must not compile what it does not need yet.
-    from trustlab.allocation.threshold_choice import choose_thresholds
+    from trustlab.allocation.thresholds import choose_thresholds
     from trustlab.identification.model import IdentificationError
     from trustlab.live.fit import fit_holding
 
     try:
         fit = fit_holding(session, model_of(plan.content["stand_in"]["model"]))
         model = of_class("model", fit.model, TscModel)
-        chosen = choose_thresholds(model)
+        with warnings.catch_warnings():  # what it warns of is recorded
+            warnings.simplefilter("ignore")
+            chosen = choose_thresholds(model)
+        if math.isnan(chosen.lower) or not chosen.cycle.exists:
+            raise ValueError(chosen.reason)
     except IdentificationError as error:
         return stand_in(plan, f"no model: {str(error)[:160].rpartition(' ')[0]} …", str(error))
     except ValueError as error:

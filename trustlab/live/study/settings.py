@@ -98,7 +98,7 @@ class DriveSettings:
             model, thresholds = published_model(STAND_IN), published_thresholds(STAND_IN)
         of_class("model", model, TscModel)
         lower, upper = thresholds
-        check_thresholds(model, lower, upper, threshold_limits(model, 0.0))
+        check_thresholds(model, lower, upper, threshold_limits(model))
         limits = [finite_number("TSC_l", lower), finite_number("TSC_u", upper)]
         return {"model": asdict(model), "thresholds": limits}
 

@@ -308,13 +308,13 @@ def _estimates(result: Any) -> pd.DataFrame:
 
 
 def _chosen(thresholds: Mapping[Hashable, Any]) -> pd.DataFrame:
-    """Return a row of texts for each choice; those of posteriors have a probability."""
+    """Return a row of texts for each choice; a fit's has no probability."""
     rows = {}
     for name, choice in thresholds.items():
         rows[name] = {"TSC_l": apa_number(choice.lower, 3), "TSC_u": apa_number(choice.upper, 3)}
-        if hasattr(choice, "probability"):
+        rows[name]["offered"] = "yes" if choice.offered else "no"
+        if not np.isnan(choice.probability):
             rows[name]["probability"] = f"{choice.probability:.2f}"
-            rows[name]["offered"] = "yes" if choice.offered else "no"
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
