@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from trustlab.allocation.limits import limits_as_printed
 from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
+from trustlab.allocation.limits import limits_as_printed
 from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
 
 PERFORMANCE = ("P_r_min", "P_r_max", "P_h_min", "P_h_max")
