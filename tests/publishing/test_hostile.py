@@ -25,7 +25,7 @@ from nbformat.v4 import new_code_cell
 import trustlab
 import trustlab as tl
 from tests.publishing.world import ROOT, make
-from trustlab.allocation.correction.correction_run import CorrectionRun
+from trustlab.allocation.correction_run import CorrectionRun
 from trustlab.allocation.ranges import RangeIntervals
 from trustlab.identification.posterior.population import Population
 from trustlab.identification.posterior.result import MODEL as MODEL_NAMES

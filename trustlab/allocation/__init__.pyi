@@ -3,25 +3,21 @@ from .bounds import (
     SteadyStateBounds as SteadyStateBounds,
     steady_state_bounds as steady_state_bounds,
 )
-from .correction.correction_run import (
-    CorrectionRun as CorrectionRun,
-    run_correction as run_correction,
-)
-from .correction.corrector import (
+from .correction import (
+    CorrectionPlan as CorrectionPlan,
     TargetWarning as TargetWarning,
     ThresholdCorrector as ThresholdCorrector,
-)
-from .correction.dynamics import simulate_correction as simulate_correction
-from .correction.incentive import (
     incentive_bounds as incentive_bounds,
     incentive_box as incentive_box,
 )
-from .correction.model_tests import ModelTests as ModelTests
-from .correction.online import OnlineCorrection as OnlineCorrection, OnlineStep as OnlineStep
-from .correction.plan import CorrectionPlan as CorrectionPlan, CorrectionStatus as CorrectionStatus
-from .correction.setting import (
+from .correction_run import (
+    CorrectionRun as CorrectionRun,
     CorrectionSetting as CorrectionSetting,
     CorrectionTest as CorrectionTest,
+    ModelTests as ModelTests,
+    OnlineCorrection as OnlineCorrection,
+    OnlineStep as OnlineStep,
+    run_correction as run_correction,
 )
 from .invariant import (
     InvariantBounds as InvariantBounds,

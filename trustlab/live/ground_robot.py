@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trustlab.allocation.correction.corrector import threshold_pair
+from trustlab.allocation.correction import threshold_pair
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.live.attempt import Attempt
 from trustlab.live.build import STATIC, WASM

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.allocation.correction.corrector import ThresholdCorrector
-from trustlab.allocation.correction.online import OnlineCorrection
+from trustlab.allocation.correction import ThresholdCorrector
+from trustlab.allocation.correction_run import OnlineCorrection
 from trustlab.allocation.rules import PerformanceRule, ThresholdRule, decision, prepared_rule
 from trustlab.models.checks import between, finite_number, of_class, one_of, whole_number
 from trustlab.models.tsc import TscModel, next_utilization

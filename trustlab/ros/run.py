@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
-from trustlab.allocation.correction.corrector import ThresholdCorrector
+from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.models.checks import one_of
 from trustlab.models.published import published_models
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel

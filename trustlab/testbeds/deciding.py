@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.correction.corrector import threshold_pair
+from trustlab.allocation.correction import threshold_pair
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.allocation.rules import decision, performance_suggestion
 from trustlab.models.checks import between, one_of, warn

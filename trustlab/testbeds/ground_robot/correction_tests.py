@@ -6,9 +6,14 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.correction.corrector import ThresholdCorrector
-from trustlab.allocation.correction.in_loop import LoopCorrection, loop_correction
-from trustlab.allocation.correction.setting import CorrectionTest
+from trustlab.allocation.correction import (
+    BOUNDED,
+    OPTIMAL,
+    LoopCorrection,
+    ThresholdCorrector,
+    loop_correction,
+)
+from trustlab.allocation.correction_run import NEAREST, SETTLING, CorrectionTest
 from trustlab.models.checks import between, not_negative, set_checked, spawned, whole_number
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
@@ -31,11 +36,11 @@ SCHEMES = {
 @dataclass(frozen=True)
 class GroundRobotTests:
     """
-    Tests on the ground-robot testbed, corrected by the exact engine within its compiled loop.
+    Tests on the ground-robot testbed, corrected within its compiled loop.
 
     TSC comes from performance as measured, (2.4) and (2.7) over 100 s. Thresholds are held until
     that window is full. Where measured performance lies outside the model's range, plans take its
-    nearest end; the status says so. Latencies are NaN, as the loop is compiled as a whole.
+    nearest end; the message says so. Latencies are NaN, as the loop is compiled as a whole.
 
     Parameters
     ----------
@@ -102,7 +107,7 @@ class GroundRobotTests:
         Parameters
         ----------
         corrector : ThresholdCorrector
-            What plans the corrections; with the exact engine and the incentives (2.42).
+            What plans the corrections; by clipping, with the incentives (2.42).
         test : CorrectionTest
             How the test begins.
 
@@ -162,8 +167,8 @@ def _samples(data: pd.DataFrame, correction: LoopCorrection) -> pd.DataFrame:
     bound = log["bound"]
     frame["cost"] = cost
     frame["cost_lower_bound"] = bound
-    searched = np.where(cost - bound > 1e-12 * cost, "BOUNDED", "OPTIMAL")
-    planned = np.where(log["clipped"], "NEAREST", searched)
-    frame["status"] = np.where(np.isnan(cost), "SETTLING", planned)
+    frame["status"] = np.where(np.isnan(cost), "held", "planned")
+    planned = np.where(log["clipped"], NEAREST, np.where(cost > bound, BOUNDED, OPTIMAL))
+    frame["message"] = np.where(np.isnan(cost), SETTLING, planned)
     frame["latency"] = np.nan
     return frame

@@ -1,0 +1,703 @@
+"""
+Correcting an operator's thresholds step by step, Section 2.5: the clipped plan and its certificate.
+
+Let each threshold stay between its value now and its target, a condition beyond (2.42)-(2.44).
+Given the modes M(0..N−1), utilization and robot performance follow from (2.44) whatever the
+corrections are, and so do the boxes (2.42). Going to the target as fast as the boxes allow then
+puts both thresholds nearest to it at every step, and so minimizes every term of (2.43) at once. At
+step k any admissible threshold lies between its first value and that of this clipped plan; where
+TSC(k) does not lie between the two, rule (2.8) gives the same mode for all plans. If it never does,
+all plans have the same modes and clipping is optimal. From the first step at which it does, the
+bound of the cost takes the widest boxes that any modes can lead to: those of the autonomous mode
+for ever for a threshold that rises, those of the manual mode at the operator's best for one that
+falls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from trustlab.allocation.limits import threshold_limits
+from trustlab.allocation.steady import limit_cycle
+from trustlab.models.checks import (
+    between,
+    finite_number,
+    in_order,
+    of_class,
+    one_of,
+    positive,
+    shown,
+    warn,
+    whole_number,
+)
+from trustlab.models.compiled import njit
+from trustlab.models.display import axes_or_new
+from trustlab.models.published import published_models
+from trustlab.models.tsc import (
+    RobotModel,
+    TscConstants,
+    TscModel,
+    advance,
+    human_at,
+    threshold_mode,
+    tsc_at,
+)
+
+# Rows of arrays that hold both thresholds.
+LOWER, UPPER = 0, 1
+
+# Rows of a plan's path, and their names.
+R, P_R, L, U, MODE, C_L, C_U = range(7)
+COLUMNS = ("r", "p_r", "lower", "upper", "mode", "c_l", "c_u")
+
+# By how much, as a share of its range, robot performance may lie outside and still count as the end
+# of the range.
+ROUNDING = 1e-9
+
+
+class TargetWarning(UserWarning):
+    """Target thresholds lie outside the limits of Theorem 1, yet simulations keep switching."""
+
+
+# --- how much correction is acceptable, (2.41)-(2.42) ---------------------------------------------
+
+
+def incentive_box(r, p_r, c_b, p_min, p_max):
+    """
+    Return the bounds c_min ≤ 0 ≤ c_max of (2.42), for numbers or CasADi symbols: arithmetic only.
+
+    Parameters
+    ----------
+    r, p_r : float
+        Utilization and robot performance.
+    c_b : float
+        Largest correction per step.
+    p_min, p_max : float
+        Range of robot performance.
+    """
+    share = (p_r - p_min) / (p_max - p_min)
+    return -0.5 * (r + share) * c_b, 0.5 * ((1.0 - r) + (1.0 - share)) * c_b
+
+
+box = njit(incentive_box)
+
+
+def incentive_bounds(
+    r: float | np.ndarray,
+    p_r: float | np.ndarray,
+    c_b: float,
+    model: TscModel | RobotModel | None = None,
+) -> tuple[float | np.ndarray, float | np.ndarray]:
+    """
+    Return the least and the greatest correction that an operator can be expected to accept, (2.42).
+
+    c_max = ½[(1 − r) + (P_max − P_r)/(P_max − P_min)] c_b and c_min = −½[r + (P_r − P_min)/(P_max −
+    P_min)] c_b: the busier the operator and the better the robot, the less willing the operator is
+    to raise the thresholds. The two are always c_b apart.
+
+    Parameters
+    ----------
+    r : float or array_like
+        Utilization, in [0, 1].
+    p_r : float or array_like
+        Robot performance, within its range up to rounding; of a shape that broadcasts with `r`.
+    c_b : float
+        Largest correction per step; positive.
+    model : TscModel or RobotModel, optional
+        The model that gives the range of robot performance. Without one the printed range of the
+        pilot operator of Section 2.5 is used, P_r from 0.24 to 0.39 m/s, and a warning says so.
+
+    Returns
+    -------
+    c_min, c_max : float or numpy.ndarray
+        In [−c_b, 0] and [0, c_b].
+
+    Raises
+    ------
+    ValueError
+        If r lies outside [0, 1], P_r outside its range by more than rounding, or c_b is not
+        positive.
+
+    Warns
+    -----
+    UserWarning
+        If no model is given.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> model = tl.published_models()["2"]
+    >>> least, most = tl.incentive_bounds(r=0.7, p_r=0.30, c_b=1e-5, model=model)
+    >>> least < 0.0 < most
+    True
+    """
+    if model is None:
+        model = published_models()["pilot"]
+        warn(
+            "incentive_bounds takes the pilot operator's range of robot performance, "
+            f"{model.robot.p_min} to {model.robot.p_max} m/s, as no model= was given; pass the "
+            "TscModel of your operator and robot"
+        )
+    robot = model.robot if isinstance(model, TscModel) else model
+    if not isinstance(robot, RobotModel):
+        raise ValueError(f"model must be a TscModel or a RobotModel, got {type(model).__name__}")
+    c_b = positive("c_b", c_b)
+    if not np.ndim(r) and not np.ndim(p_r):
+        r = between("r", r, 0.0, 1.0)
+        p_r = within_range("p_r", finite_number("p_r", p_r), robot.p_min, robot.p_max)
+    try:
+        load, performance = np.broadcast_arrays(
+            np.asarray(r, dtype=float), np.asarray(p_r, dtype=float)
+        )
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"r and p_r must be numbers of shapes that broadcast: {error}") from None
+    if load.size == 0:
+        raise ValueError("r and p_r are empty; give at least one sample")
+    slack = ROUNDING * (robot.p_max - robot.p_min)
+    for name, values, least, most in (
+        ("r", load, 0.0, 1.0),
+        ("p_r", performance, robot.p_min - slack, robot.p_max + slack),
+    ):
+        inside = (values >= least) & (values <= most)
+        if not inside.all():
+            where = tuple(map(int, np.unravel_index(int(np.argmin(inside)), inside.shape)))
+            raise ValueError(
+                f"{name} must lie in [{least:g}, {most:g}], but sample {where} is {values[where]}"
+            )
+    performance = np.clip(performance, robot.p_min, robot.p_max)
+    low, high = incentive_box(load, performance, c_b, robot.p_min, robot.p_max)
+    # Thresholds may always be held; rounding must not exclude that.
+    low = np.minimum(low, 0.0)
+    high = np.maximum(high, 0.0)
+    return (low, high) if np.ndim(low) else (float(low), float(high))
+
+
+# --- the plan -------------------------------------------------------------------------------------
+
+
+@njit
+def _allowed(wish, now, start, target, low, high):
+    """Return a correction within its box that keeps a threshold between start and target."""
+    if np.isnan(wish):
+        return min(max(target - now, low), high)
+    moved = now + min(max(wish, low), high)
+    return min(max(moved, min(start, target)), max(start, target)) - now
+
+
+@njit(inline="always")
+def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
+    """
+    Follow (2.44) under the hard switch (2.8), with corrections as given where the boxes (2.42) and
+    the intervals allow, and as fast as these allow where given is NaN.
+
+    `path` has r, P_r, TSC_l and TSC_u in its first column, and the rest is filled: rows as named by
+    COLUMNS, the last three without their last column. `start` are the thresholds of the first
+    column, `given` has the shape (2, N). Returns the cost (2.43), a bound that no admissible plan
+    costs less than, of use where all are NaN, and whether incentives stayed within [−c_b, 0] and
+    [0, c_b]; where these are not `certain` to be (2.42), the bound takes c_b for them.
+    """
+    cost = 0.0
+    bound = 0.0
+    slack = 1e-9 * c_b
+    known = True  # whether all admissible plans have had the same modes so far
+    r_rest, p_rest = path[R, 0], path[P_R, 0]
+    r_load, p_load = r_rest, p_rest
+    most_l, most_u = start[LOWER], start[UPPER]
+    for k in range(path.shape[1] - 1):
+        r, p_r, lower, upper = path[R, k], path[P_R, k], path[L, k], path[U, k]
+        p_h = human_at(r, c)
+        tsc = tsc_at(p_r, p_h, c)
+        if k > 0 and known:
+            if mode == 1:
+                known = (tsc >= start[UPPER]) == (tsc >= upper)
+            else:
+                known = (tsc <= start[LOWER]) == (tsc <= lower)
+        mode = threshold_mode(tsc, lower, upper, mode)
+        low, high = incentive(r, p_r, c_b, c.p_r_min, c.p_r_max)
+        if not (-c_b - slack <= low <= slack and -slack <= high <= c_b + slack):
+            return np.inf, -np.inf, False
+        low, high = min(low, 0.0), max(high, 0.0)
+        c_l = _allowed(given[LOWER, k], lower, start[LOWER], target[LOWER], low, high)
+        c_u = _allowed(given[UPPER, k], upper, start[UPPER], target[UPPER], low, high)
+        path[MODE, k], path[C_L, k], path[C_U, k] = mode, c_l, c_u
+        path[L, k + 1], path[U, k + 1] = lower + c_l, upper + c_u
+        path[R, k + 1], path[P_R, k + 1] = advance(r, p_r, p_h, float(mode), c)
+        cost += (path[U, k + 1] - target[UPPER]) ** 2 + (path[L, k + 1] - target[LOWER]) ** 2
+        if known:
+            r_rest, p_rest = r, p_r
+            r_load, p_load = r, p_r
+            forth, back = high, low
+        elif certain:
+            forth = max(incentive(r_rest, p_rest, c_b, c.p_r_min, c.p_r_max)[1], 0.0)
+            back = min(incentive(r_load, p_load, c_b, c.p_r_min, c.p_r_max)[0], 0.0)
+        else:
+            forth, back = c_b, -c_b
+        most_l += min(max(target[LOWER] - most_l, back), forth)
+        most_u += min(max(target[UPPER] - most_u, back), forth)
+        bound += (most_u - target[UPPER]) ** 2 + (most_l - target[LOWER]) ** 2
+        r_rest, p_rest = advance(r_rest, p_rest, 0.0, 0.0, c)
+        r_load, p_load = advance(r_load, p_load, c.p_h_max, 1.0, c)
+    return cost, min(bound, cost), True
+
+
+@njit
+def follow(c, c_b, target, start, mode, given, path):
+    """Follow (2.44) as `follow_with` does, with the incentives (2.42)."""
+    return follow_with(box, True, c, c_b, target, start, mode, given, path)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CorrectionPlan:
+    """
+    Corrections of both thresholds over the horizon, and their effect under the hard switch (2.8).
+
+    Parameters
+    ----------
+    c_l, c_u : float
+        The action now: added to TSC_l and TSC_u, (2.40).
+    suggestion : int
+        What Algorithm 3 suggests now: 0 autonomous, 1 manual, −1 nothing.
+    tsc : float
+        TSC now (2.1).
+    cost : float
+        The cost (2.43), and what the user's own cost adds to it.
+    cost_lower_bound : float
+        No admissible actions that keep each threshold between its value now and its target cost
+        less than this; NaN with costs of one's own. (2.42)-(2.44) do not ask for that, and without
+        it a plan can cost less: see `ThresholdCorrector`.
+    status : {"planned", "held"}
+        Whether there is a plan; where not, the thresholds are held: the actions are 0.
+    message : str
+        How good the plan is, or why the thresholds are held.
+    path : numpy.ndarray, shape (7, N + 1)
+        The whole plan; `table` names its rows.
+    """
+
+    c_l: float
+    c_u: float
+    suggestion: int
+    tsc: float
+    cost: float
+    cost_lower_bound: float
+    status: str
+    message: str
+    path: np.ndarray
+
+    @property
+    def gap(self) -> float:
+        """Cost − cost_lower_bound: by how much a plan in the same intervals can be cheaper."""
+        return self.cost - self.cost_lower_bound
+
+    @property
+    def relative_gap(self) -> float:
+        """The gap as a share of the cost; 0 where the cost is 0."""
+        return self.gap / self.cost if self.cost > 0.0 else 0.0 * self.gap
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the plan, step by step.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `step` (0..N); columns r, p_r, lower, upper, mode, c_l, c_u, the last three NaN at
+            step N.
+        """
+        return pd.DataFrame(self.path.T, columns=list(COLUMNS)).rename_axis("step")
+
+    def plot(self, sample_time: float = 0.1):
+        """
+        Plot thresholds, and utilization and mode, over the horizon.
+
+        Parameters
+        ----------
+        sample_time : float
+            Time between samples [s].
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (2,)
+        """
+        time = np.arange(self.path.shape[1]) * sample_time
+        axes = axes_or_new(rows=2, sharex=True, figsize=(8, 4.5))
+        for row, name in ((U, "$TSC_u$"), (L, "$TSC_l$")):
+            values = self.path[row]
+            axes[0].plot(time, values - values[0], label=f"{name} from {values[0]:.4g}")
+        axes[0].set(ylabel="change of threshold")
+        axes[0].legend(fontsize="small")
+        axes[1].plot(time, self.path[R], label="r")
+        axes[1].step(time, self.path[MODE], where="post", lw=0.8, color="0.5", label="mode M")
+        axes[1].set(xlabel="time [s]", ylabel="r, M")
+        axes[1].legend(fontsize="small")
+        return axes
+
+    def __repr__(self) -> str:
+        return (
+            f"CorrectionPlan(c_l={self.c_l:.6g}, c_u={self.c_u:.6g}, cost={self.cost:.9g}, "
+            f"cost_lower_bound={self.cost_lower_bound:.9g}, {self.status})"
+        )
+
+
+OPTIMAL = "Optimal among plans that keep each threshold between its value now and its target."
+BOUNDED = (
+    "TSC comes between a threshold and its first value, so that another plan may have other modes; "
+    "the gap bounds how much cheaper it can be."
+)
+UNSOUND = (
+    "The thresholds are held, as the incentive leaves [−c_b, 0] and [0, c_b] at a state that the "
+    "plan comes to."
+)
+
+
+class ThresholdCorrector:
+    """
+    Model predictive control of both thresholds, (2.40)-(2.44).
+
+    At each step the corrections of the next N steps are chosen that minimize Σ (TSC_u − TSC_ud)² +
+    (TSC_l − TSC_ld)², within what the operator can be expected to accept (2.42), the thresholds
+    staying between where they are and their targets; the first correction is applied.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The operator's and the robot's model; one step is the model's sample time.
+    target : (float, float)
+        TSC_ld and TSC_ud.
+    c_b : float
+        Largest correction per step (2.42); positive.
+    horizon : int
+        N, how many steps to look ahead; from 1 to a million.
+    incentive : callable, optional
+        The bounds of correction in place of (2.42): takes r, p_r, c_b, p_min, p_max and returns the
+        least and the greatest correction, in [−c_b, 0] and [0, c_b]. `incentive_box` when not
+        given. With CasADi it is called with symbols, too.
+    engine : {None, "casadi"}
+        None plans by clipping, with a proved lower bound of the cost; "casadi" solves a nonlinear
+        program, for costs of your own.
+    extra_cost : callable, optional
+        With CasADi: extra_cost(x, u, k), a scalar added to (2.43) for k = 0 … N − 1, with x = [r,
+        P_r, TSC_u, TSC_l] and u = [c_u, c_l] of step k as CasADi symbols; in the unit of (2.43),
+        TSC².
+    switch_width : float, optional
+        With CasADi: width of the smoothed switch in units of TSC, 0.001 when not given; 0 takes the
+        modes of the clipped plan as they are, which a cost of r, P_r or the mode cannot move.
+    limit : float, optional
+        With CasADi: seconds that a step may compute, 1 when not given; then the thresholds are
+        held.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or does nothing, or the rule does not keep switching under
+        the target.
+
+    Warns
+    -----
+    TargetWarning
+        If the target lies outside the limits of Theorem 1 at the model's own δ_Ph, but its steady
+        cycle exists from every start: the theorem is sufficient, not necessary, and the thresholds
+        that Section 2.5 prints for the pilot operator are such a case.
+
+    Notes
+    -----
+    That a threshold stays between its value now and its target is a condition beyond (2.42)-(2.44).
+    It keeps corrections from moving an operator's thresholds the wrong way. Without it a plan can
+    cost less: a threshold that first moves away from its target can bring on a switch which widens
+    the bounds (2.42) of all later corrections. For the pilot operator at r = 0.97 and P_r = 0.389
+    in the manual mode, thresholds 0.2149 and 0.645, target (0.29, 0.72), c_b = 0.01 and N = 100,
+    the optimum with the condition costs 0.8477, while lowering TSC_u for two steps first costs
+    0.5998 in all.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> model = tl.published_models()["2"]
+    >>> corrector = tl.ThresholdCorrector(model, target=(0.05, 0.4), horizon=200)
+    >>> step = corrector.step(r=0.7, p_r=0.33, lower=0.0, upper=0.35, mode=1)
+    >>> round(step.c_l * 1e6, 3), step.suggestion, step.gap
+    (2.409, -1, 0.0)
+    """
+
+    how_to_get = "trustlab.ThresholdCorrector(tsc, target) makes one"
+
+    def __init__(
+        self,
+        tsc: TscModel,
+        target: tuple[float, float],
+        c_b: float = 1e-5,
+        horizon: int = 200,
+        incentive: Callable = incentive_box,
+        engine: str | None = None,
+        extra_cost: Callable | None = None,
+        switch_width: float | None = None,
+        limit: float | None = None,
+    ):
+        self.tsc = of_class("tsc", tsc, TscModel)
+        self.target = check_target(tsc, target)
+        self.c_b = positive("c_b", c_b)
+        self.horizon = whole_number("horizon", horizon, most=1_000_000)
+        if not callable(incentive):
+            raise ValueError(f"incentive must be a function, got {shown(incentive)}")
+        self.incentive = incentive
+        self.program: Any = None
+        options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
+        given = {name: value for name, value in options.items() if value is not None}
+        if engine is not None:
+            one_of("engine", engine, ("casadi",), "None")
+            from trustlab.allocation.casadi_correction import CorrectionProgram
+
+            settings = self.tsc, self.target, self.c_b, self.horizon, incentive
+            self.program = CorrectionProgram(*settings, **given)
+        elif given:
+            name, value = next(iter(given.items()))
+            raise ValueError(f'{name} = {shown(value)} would do nothing without engine="casadi"')
+        self._range = tsc.robot.p_min, tsc.robot.p_max
+        self._problem = tsc.constants(), self.c_b, np.array(self.target)
+        self._clipped = np.full((2, self.horizon), np.nan)
+
+    def step(
+        self, r: float, p_r: float, lower: float, upper: float, mode: int = 1
+    ) -> CorrectionPlan:
+        """
+        Return the correction now, with the whole plan behind it.
+
+        Parameters
+        ----------
+        r : float
+            Utilization now, in [0, 1].
+        p_r : float
+            Robot performance now, within the model's range up to rounding.
+        lower, upper : float
+            TSC_l and TSC_u now, lower < upper, in [−1, 1] as TSC is.
+        mode : int
+            Mode before now: 1 manual, 0 autonomous.
+
+        Returns
+        -------
+        CorrectionPlan
+            With .c_l, .c_u, .suggestion, .status, .cost, .cost_lower_bound, .gap and .table().
+
+        Raises
+        ------
+        ValueError
+            If an argument is not a number or out of range.
+        """
+        r = between("r", r, 0.0, 1.0)
+        p_r = within_range("p_r", p_r, *self._range)
+        lower, upper = threshold_pair("threshold", (lower, upper))
+        return self.plan(r, p_r, lower, upper, check_mode(mode))
+
+    def plan(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
+        """
+        Return what `step` does, of a state that has been checked.
+
+        Parameters
+        ----------
+        r, p_r, lower, upper : float
+            The state.
+        mode : int
+            Mode before now.
+        """
+        state = np.array([r, p_r, lower, upper])
+        cost, bound, sound, path = self.followed(state, mode, self._clipped)
+        message = OPTIMAL if cost == bound else BOUNDED
+        if not sound:
+            message = UNSOUND
+        elif self.program is not None:
+            bound = np.nan
+            cost, path, message, sound = self.program.improved(self, state, mode, path)
+        if not sound:
+            path = self.followed(state, mode, np.zeros(self._clipped.shape))[3]
+            cost = bound = np.nan
+        c = self._problem[0]
+        tsc = tsc_at.py_func(p_r, human_at(r, c), c)
+        return CorrectionPlan(
+            float(path[C_L, 0]),
+            float(path[C_U, 0]),
+            suggestion_now(tsc, lower, upper),
+            float(tsc),
+            cost,
+            bound,
+            "planned" if sound else "held",
+            message,
+            path,
+        )
+
+    def followed(
+        self, state: np.ndarray, mode: int, given: np.ndarray
+    ) -> tuple[float, float, bool, np.ndarray]:
+        """
+        Return cost (2.43), its bound, whether incentives are sound, and the path of corrections.
+
+        Parameters
+        ----------
+        state : numpy.ndarray, shape (4,)
+            r, P_r, TSC_l and TSC_u now.
+        mode : int
+            Mode before now.
+        given : numpy.ndarray, shape (2, N)
+            Corrections c_l and c_u; NaN for clipped ones.
+        """
+        path = np.empty((7, self.horizon + 1))
+        path[:4, 0] = state
+        path[MODE:, -1] = np.nan
+        arguments = *self._problem, state[2:], mode, given, path
+        if self.incentive is incentive_box:
+            return *follow(*arguments), path
+        return *follow_with.py_func(self.incentive, False, *arguments), path
+
+    def __repr__(self) -> str:
+        engine = "clipped" if self.program is None else "casadi"
+        return (
+            f"ThresholdCorrector(target={self.target}, c_b={self.c_b:g}, horizon={self.horizon}, "
+            f"{engine})"
+        )
+
+
+def suggestion_now(tsc: float, lower: float, upper: float) -> int:
+    """Return what Algorithm 3 suggests: 0 from TSC_u on, 1 up to TSC_l, else −1, nothing."""
+    return threshold_mode.py_func(tsc, lower, upper, -1)
+
+
+# --- checks ---------------------------------------------------------------------------------------
+
+
+def within_range(name: str, value: float, least: float, most: float) -> float:
+    """
+    Return a value within its range; where it lies outside by rounding only, the end of the range.
+    """
+    number = value if type(value) is float else finite_number(name, value)
+    if least <= number <= most:
+        return number
+    slack = ROUNDING * (most - least)
+    if not least - slack <= number <= most + slack:
+        raise ValueError(
+            f"{name} = {number} lies outside the model's range [{least:g}, {most:g}]; check its "
+            "unit, or identify the model anew from this operator's sessions"
+        )
+    return min(max(number, least), most)
+
+
+def check_mode(mode: int) -> int:
+    """Return a mode, 1 manual or 0 autonomous, as an int."""
+    return whole_number("mode", mode, least=0, most=1)
+
+
+def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, float]:
+    """Return target thresholds if the rule keeps switching under them; warn outside Theorem 1."""
+    lower, upper = threshold_pair("target", target)
+    limits = threshold_limits(tsc, None)
+    if limits.contains(lower, upper):
+        return lower, upper
+    where = f"target ({lower:g}, {upper:g}) lies outside the limits of Theorem 1, " + (
+        str(limits) if limits.feasible else f"for there are {limits}"
+    )
+    cycle = limit_cycle(tsc, lower, upper)
+    if not cycle.always:
+        raise ValueError(
+            f"{where}, and the rule does not keep switching under it: {cycle.reason}. Choose a "
+            "target whose cycle exists (trustlab.limit_cycle), for example with "
+            "trustlab.choose_thresholds(tsc)"
+            + (", or between the limits" if limits.feasible else "")
+        )
+    warn(
+        f"{where}, so the theorem does not promise that the rule keeps switching; its steady "
+        "cycle does exist, from every start (trustlab.limit_cycle)",
+        TargetWarning,
+    )
+    return lower, upper
+
+
+def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:
+    """Return two thresholds, lower and upper, as floats in [−1, 1], where TSC lies by (2.2)."""
+    try:
+        lower, upper = pair
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name} must be two numbers, lower and upper, got {shown(pair)}"
+        ) from None
+    low = f"the lower {name}"
+    high = f"the upper {name}"
+    in_order(low, lower, high, upper)
+    return between(low, lower, -1.0, 1.0), between(high, upper, -1.0, 1.0)
+
+
+# --- in a compiled loop ---------------------------------------------------------------------------
+
+# What is logged at each sample; NaN where nothing was planned.
+CORRECTED = np.dtype(
+    [
+        ("lower", float),
+        ("upper", float),
+        ("cost", float),
+        ("bound", float),
+        # Performance lay outside the model's range, and its nearest end was used.
+        ("clipped", bool),
+    ]
+)
+
+
+class LoopCorrection(NamedTuple):
+    """What a compiled loop needs; `thresholds` is updated by every correction."""
+
+    adopted: bool  # whether the operator's own thresholds move along
+    constants: TscConstants
+    c_b: float
+    target: np.ndarray
+    thresholds: np.ndarray
+    given: np.ndarray
+    path: np.ndarray
+    log: np.ndarray  # rows of CORRECTED
+
+
+def loop_correction(
+    corrector: ThresholdCorrector,
+    thresholds: tuple[float, float],
+    samples: int,
+    adopted: bool = False,
+) -> LoopCorrection:
+    """Return what a loop of so many samples needs to correct these thresholds."""
+    if corrector.program is not None or corrector.incentive is not incentive_box:
+        raise ValueError(
+            f"a compiled loop corrects with the incentives (2.42) and by clipping alone, got "
+            f"{corrector}; leave out engine= and incentive=, or take the model as the setting, "
+            "trustlab.allocation.ModelTests"
+        )
+    return LoopCorrection(
+        adopted=adopted,
+        constants=corrector.tsc.constants(),
+        c_b=corrector.c_b,
+        target=np.array(corrector.target),
+        thresholds=np.array(thresholds),
+        given=np.full((2, corrector.horizon), np.nan),
+        path=np.empty((7, corrector.horizon + 1)),
+        log=np.full(samples, np.array((np.nan, np.nan, np.nan, np.nan, False), CORRECTED)),
+    )
+
+
+@njit(inline="always")
+def correct_thresholds(correction, k, r, p_r, mode):
+    """Log sample k, plan, and correct the thresholds by one step; return c_l and c_u."""
+    c, path = correction.constants, correction.path
+    thresholds = correction.thresholds
+    now = min(max(p_r, c.p_r_min), c.p_r_max)
+    path[R, 0], path[P_R, 0] = r, now
+    path[L, 0], path[U, 0] = thresholds[LOWER], thresholds[UPPER]
+    cost, bound, _ = follow(
+        c, correction.c_b, correction.target, thresholds, int(mode), correction.given, path
+    )
+    row = correction.log[k]
+    row.lower = thresholds[LOWER]
+    row.upper = thresholds[UPPER]
+    row.cost = cost
+    row.bound = bound
+    row.clipped = now != p_r
+    c_l, c_u = path[C_L, 0], path[C_U, 0]
+    thresholds[LOWER] += c_l
+    thresholds[UPPER] += c_u
+    return c_l, c_u
