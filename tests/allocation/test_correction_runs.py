@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
-from trustlab.allocation import CorrectionStatus, ModelTests, TargetWarning, incentive_box
+from trustlab.allocation import ModelTests, TargetWarning, incentive_box
+from trustlab.allocation.correction import OPTIMAL
+from trustlab.allocation.correction_run import MISSING, NEAREST, OUTSIDE, Responder
 from trustlab.models.published import published_models
 
 SECOND = published_models()["2"]
@@ -65,31 +67,28 @@ def test_missing_data_hold_and_the_correction_goes_on(corrector):
         )
         steps.append(loop.update(*values, mode=math.nan if missing and k % 2 else 1))
     held = steps[20:40]
-    assert {step.status for step in held} == {CorrectionStatus.MISSING}
-    assert all(
-        step.status.held and step.suggestion == -1 and step.c_l == step.c_u == 0.0 for step in held
-    )
+    assert {(step.status, step.message) for step in held} == {("held", MISSING)}
+    assert all(step.suggestion == -1 and step.c_l == step.c_u == 0.0 for step in held)
     assert {(step.lower, step.upper) for step in held} == {(steps[20].lower, steps[20].upper)}
-    assert steps[40].status is CorrectionStatus.OPTIMAL
+    assert steps[40].status == "planned"
     assert steps[40].lower == steps[20].lower
     assert steps[41].lower > steps[40].lower
     assert np.isfinite([step.r for step in steps]).all()
-    assert "resumes when data return" in CorrectionStatus.MISSING.value
     table = loop.table()
     assert len(table) == 60
-    assert (table["status"] == "MISSING").sum() == 20
+    assert (table["status"] == "held").sum() == 20
     assert table["cost"].isna().sum() == 20
 
 
 def test_performance_outside_the_range(corrector):
     held = online(corrector).update(0.4, 0.38)
-    assert held.status is CorrectionStatus.OUTSIDE
+    assert (held.status, held.message) == ("held", OUTSIDE)
     assert (held.c_l, held.c_u) == (0.0, 0.0)
     assert held.suggestion == 0
     nearest = online(corrector, outside="nearest").update(0.4, 0.38)
-    assert nearest.status is CorrectionStatus.NEAREST
+    assert (nearest.status, nearest.message) == ("planned", NEAREST)
     assert nearest.c_l == corrector.step(0.0, 0.35, *START, 1).c_l
-    assert online(corrector).update(0.35 + 1e-12, 0.38).status is CorrectionStatus.OPTIMAL
+    assert online(corrector).update(0.35 + 1e-12, 0.38).message == OPTIMAL
 
 
 @pytest.mark.parametrize("bad", ["0.3", True, np.array([0.3]), math.inf, [0.3], 1j])
@@ -170,7 +169,8 @@ def test_following_is_the_model_under_moving_thresholds():
             r = SECOND.human.a * r + (1 - SECOND.human.a) * mode
     lower = run.data["lower"].to_numpy()
     np.testing.assert_allclose(np.diff(lower), run.data["c_l"][:-1], atol=1e-17)
-    assert set(run.data["status"]) == {"OPTIMAL"}
+    assert set(run.data["status"]) == {"planned"}
+    assert (run.data["message"] == OPTIMAL).mean() > 0.5
 
 
 def test_habits_differ_as_they_should():
@@ -190,6 +190,18 @@ def test_habits_differ_as_they_should():
         assert (table["held"] == 0).all()
         assert len(run.plot()) == 2
         assert "simulated" in run._repr_html_()
+
+
+def test_a_suggestion_that_is_withdrawn_is_not_followed():
+    """ "lagging": follows those that still stand after a lag."""
+    operator = Responder("lagging", START, 5)
+    for suggestion in (0, 0, 0, -1, -1, -1, -1, -1):
+        operator.hear(suggestion)
+        assert operator.decide(0.2, None) == 1
+    for suggestion in (0, 0, 0, 0, 0):
+        assert operator.decide(0.2, None) == 1
+        operator.hear(suggestion)
+    assert operator.decide(0.2, None) == 0
 
 
 def test_noise_is_seeded():

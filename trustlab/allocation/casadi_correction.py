@@ -87,7 +87,10 @@ class CorrectionProgram:
         if not isinstance(bounds, list | tuple) or len(bounds) != 2:
             raise ValueError("incentive must return two values, least and greatest correction")
         box = ca.Function("box", [x], [ca.MX(bound) for bound in bounds])
-        self._added = ca.Function("added", [x, u, k], [ca.MX(added)])
+        try:
+            self._added = ca.Function("added", [x, u, k], [ca.MX(added)])
+        except RuntimeError as error:
+            raise ValueError("extra_cost may depend on its arguments alone") from error
         self._over_horizon = self._added.map(horizon)
         middle = float(self._added(self.zero + 0.5 * self.units, [0.0, 0.0], 0))
         if not np.isfinite(middle):

@@ -441,9 +441,9 @@ class ThresholdCorrector:
         self.target = check_target(tsc, target)
         self.c_b = positive("c_b", c_b)
         self.horizon = whole_number("horizon", horizon, most=1_000_000)
-        if not callable(incentive):
-            raise ValueError(f"incentive must be a function, got {shown(incentive)}")
         self.incentive = incentive
+        if incentive is not incentive_box:
+            self.incentive = _checked_incentive(incentive, self.c_b, tsc.robot)
         self.program: Any = None
         options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
         given = {name: value for name, value in options.items() if value is not None}
@@ -511,8 +511,11 @@ class ThresholdCorrector:
         elif self.program is not None:
             bound = np.nan
             cost, path, message, sound = self.program.improved(self, state, mode, path)
-        if not sound:
-            path = self.followed(state, mode, np.zeros(self._clipped.shape))[3]
+        if not sound:  # nothing is predicted
+            path = np.full(path.shape, np.nan)
+            path[:4, 0] = state
+            path[[L, U]] = state[2:, None]
+            path[[C_L, C_U], :-1] = 0.0
             cost = bound = np.nan
         c = self._problem[0]
         tsc = tsc_at.py_func(p_r, human_at(r, c), c)
@@ -565,6 +568,32 @@ def suggestion_now(tsc: float, lower: float, upper: float) -> int:
 
 
 # --- checks ---------------------------------------------------------------------------------------
+
+
+def _checked_incentive(incentive: Callable, c_b: float, robot: RobotModel) -> Callable:
+    """Return a user's incentive with numbers for values, if these are bounds at usual states."""
+    if not callable(incentive):
+        raise ValueError(f"incentive must be a function of r, p_r, …, got {shown(incentive)}")
+
+    def bounds(r: float, p_r: float, *settings: float) -> tuple[float, float]:
+        low, high = incentive(r, p_r, *settings)
+        return float(low), float(high)
+
+    for share in (0.1, 0.5, 0.9):
+        p_r = robot.p_min + share * (robot.p_max - robot.p_min)
+        try:
+            low, high = bounds(share, p_r, c_b, robot.p_min, robot.p_max)
+        except Exception as error:
+            raise ValueError(
+                "incentive must take r, p_r, c_b, p_min and p_max and return two numbers; it "
+                f"raises {type(error).__name__}: {error}"
+            ) from error
+        if not -c_b * (1.0 + 1e-9) <= low <= 0.0 <= high <= c_b * (1.0 + 1e-9):
+            raise ValueError(
+                f"incentive must bound corrections by c_b = {c_b:g} and let thresholds be held, as "
+                f"(2.41) does; at r = {share} and p_r = {p_r:.4g} it gives [{low:g}, {high:g}]"
+            )
+    return bounds
 
 
 def within_range(name: str, value: float, least: float, most: float) -> float:
