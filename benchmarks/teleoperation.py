@@ -18,7 +18,7 @@ import numpy as np
 
 import trustlab as tl
 from benchmarks.peers.plain_loop import PlainLoop
-from benchmarks.timing import Row, here, in_turns
+from benchmarks.timing import Row, Spread, here, in_turns
 from benchmarks.workers import PeerMissingError, Worker
 from trustlab.teleoperation.loop import kernel
 from trustlab.teleoperation.loop.parts import LOG
@@ -481,53 +481,26 @@ def cold_start() -> Row:
 
 
 def shares() -> Iterator[Row]:
-    """
-    Yield the time of one optimal share, in the fast form and with CasADi; the note has the 99th
-    percentile.
-    """
+    """Yield the time of one optimal share; the note has the 99th percentile."""
     rng = np.random.default_rng(3)
     sizes = (0.3, 0.3, 1.0, 0.5, 0.5)
     situations = [
         [rng.normal(0.0, 10 ** rng.uniform(-1, 0.5) * s, 3) for s in sizes] for _ in range(2000)
     ]
-    fast, free = tl.OptimalBlending(), tl.OptimalBlending(intervals=4)
-    worst, spans = -np.inf, {}
-    for name, blending, count in (("fast", fast, 2000), ("free", free, 400)):
-        blending.step(*situations[0])
-        times = []
-        for now in situations[:count]:
-            began = perf_counter_ns()
-            step = blending.step(*now)
-            times.append((perf_counter_ns() - began) / 1e6)
-            if name == "free":
-                worst = max(worst, step.cost / fast.step(*now).cost - 1.0)
-        spans[name] = np.percentile(times, 99)
-    case = "Optimal share of Appendix A, one step"
-    ours, peer = (
-        "trustlab OptimalBlending, α held",
-        "the same with intervals=4: CasADi and IPOPT, α free to change",
-    )
-    if worst > 1e-9:
-        yield Row(case, ours, peer, fault=f"its cost is above the held share's by {worst:.1e}")
-        return
-    turn = iter(range(10**9))
-    mine, other, ratio = in_turns(
-        here(lambda: fast.step(*situations[next(turn) % 2000])),
-        here(lambda: free.step(*situations[next(turn) % 2000])),
-        9,
-    )
-    note = (
-        f"99th percentile: {spans['fast']:.3f} ms held (2,000 states), {spans['free']:.1f} ms "
-        "with CasADi (400)"
-    )
+    blending = tl.OptimalBlending()
+    blending.step(*situations[0])
+    times = []
+    for now in situations:
+        began = perf_counter_ns()
+        blending.step(*now)
+        times.append((perf_counter_ns() - began) / 1e6)
+    p99 = float(np.percentile(times, 99))
     yield Row(
-        case,
-        ours,
-        peer,
-        mine,
-        other,
-        ratio,
+        "Optimal share of Appendix A, one step",
+        "trustlab OptimalBlending",
+        "none: time per step",
+        Spread.of(times),
         goal="p99 ≤ 2 ms",
-        met=bool(spans["fast"] <= 2.0),
-        note=note,
+        met=bool(p99 <= 2.0),
+        note=f"99th percentile: {p99:.3f} ms of 2,000 states",
     )

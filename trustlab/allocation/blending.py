@@ -1,11 +1,10 @@
 """Optimal mixed initiative (OMI, Appendix A): a share α that weighs error against departure."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import between, finite_array, in_order, positive, whole_number
+from trustlab.models.checks import between, finite_array, in_order, positive
 from trustlab.models.compiled import njit
 from trustlab.models.linear_algebra import matrix_exponential, products, transposed
 from trustlab.models.portable import cos_sin
@@ -100,17 +99,11 @@ class BlendingStep:
     alpha : float
         α to apply.
     cost : float
-        Cost (A.3) over the horizon.
-    shares : tuple of float
-        α over the horizon; one value where it is held.
-    status : str
-        The solver's status.
+        Cost (A.3) over the horizon, α held.
     """
 
     alpha: float
     cost: float
-    shares: tuple[float, ...]
-    status: str
 
 
 class OptimalBlending:
@@ -122,8 +115,7 @@ class OptimalBlending:
     Every axis has the states u_h (held), u_a (following its PD law), e and its derivatives; u = α
     u_h + (1 − α) u_a drives the vehicle. For α held over the horizon the cost is, up to rounding, a
     polynomial in α with coefficients quadratic in the state; its global minimum is found from all
-    sign changes of its derivative. With more than one interval α may change within the horizon, and
-    CasADi solves the bilinear program from that minimum; a local optimum, never worse than holding.
+    sign changes of its derivative.
 
     Parameters
     ----------
@@ -138,8 +130,6 @@ class OptimalBlending:
         Length of the prediction [s].
     error_weight, deviation_weight : float
         Weights of ‖e‖² and of (1 − α)²‖u_a − u_h‖².
-    intervals : int
-        Into how many pieces the horizon is cut; 1 is the fast form.
 
     Raises
     ------
@@ -169,7 +159,6 @@ class OptimalBlending:
         horizon: float = 0.2,
         error_weight: float = 200.0,
         deviation_weight: float = 1.0,
-        intervals: int = 1,
     ):
         self.vehicle = three_axes(vehicle)
         if np.shape(gains) != (3, 2):
@@ -181,9 +170,7 @@ class OptimalBlending:
         self.horizon = between("horizon", positive("horizon", horizon), 0.0, 2.0)
         self.error_weight = between("error_weight", error_weight, 0.0, 1e12)
         self.deviation_weight = between("deviation_weight", deviation_weight, 0.0, 1e12)
-        self.intervals = whole_number("intervals", intervals, most=50)
-        self.weights = self._series(self.horizon)[1]
-        self._program: Any = None
+        self.weights = self._series()
 
     def matrix(self, axis: int, alpha: float) -> np.ndarray:
         """
@@ -219,19 +206,14 @@ class OptimalBlending:
             a[1] += d * a[3]
         return a
 
-    def _series(self, length: float) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return flow and cost over a time in which α is held, as Chebyshev series in α.
-
-        Both have the shape (3, DEGREE + 1, 5, 5).
-        """
+    def _series(self) -> np.ndarray:
+        """Return the cost of an α that is held as Chebyshev series, shape (3, DEGREE + 1, 5, 5)."""
         count = DEGREE + 1
         nodes = np.array([cos_sin(np.pi * (k + 0.5) / count)[0] for k in range(count)])
-        values_of_series = np.polynomial.chebyshev.chebvander(nodes, DEGREE)
         # At these nodes Chebyshev's polynomials are orthogonal.
-        fit = 2.0 / count * transposed(values_of_series)
+        fit = 2.0 / count * transposed(np.polynomial.chebyshev.chebvander(nodes, DEGREE))
         fit[0] *= 0.5
-        values = np.empty((2, 3, DEGREE + 1, 5, 5))
+        values = np.empty((3, count, 5, 5))
         for axis in range(3):
             for k, alpha in enumerate(0.5 * (nodes + 1.0)):
                 a = self.matrix(axis, alpha)
@@ -240,13 +222,12 @@ class OptimalBlending:
                 difference = np.array([1.0, -1.0, 0.0, 0.0, 0.0])
                 q += self.deviation_weight * (1.0 - alpha) ** 2 * np.outer(difference, difference)
                 block = np.block([[-a.T, q], [np.zeros((5, 5)), a]])
-                whole = matrix_exponential(block * length)  # Van Loan
+                whole = matrix_exponential(block * self.horizon)  # Van Loan
                 flow = np.ascontiguousarray(whole[5:, 5:])
                 (gram,) = products(transposed(flow)[None], whole[None, :5, 5:].copy())
-                values[:, axis, k] = flow, 0.5 * (gram + gram.T)
-        series = products(np.repeat(fit[None], 6, axis=0), values.reshape(6, count, 25))
-        flow, weight = series.reshape(values.shape)
-        return flow, weight
+                values[axis, k] = 0.5 * (gram + gram.T)
+        series = products(np.repeat(fit[None], 3, axis=0), values.reshape(3, count, 25))
+        return series.reshape(values.shape)
 
     def cost(self, alpha: float, u_h, u_a, e, rate, acceleration) -> float:
         """
@@ -281,7 +262,7 @@ class OptimalBlending:
         Returns
         -------
         BlendingStep
-            α, cost, α over the horizon, and the solver's status.
+            α and its cost.
 
         Raises
         ------
@@ -290,11 +271,9 @@ class OptimalBlending:
         """
         states = self._states(u_h, u_a, e, rate, acceleration)
         room = np.empty(DEGREE + 1), np.empty(DEGREE + 2)
-        alpha, cost = best_share(self.weights, states, self.alpha_min, self.alpha_max, *room)
-        constant = BlendingStep(
-            alpha, cost, (alpha,), "global minimum for a share held over the horizon"
+        return BlendingStep(
+            *best_share(self.weights, states, self.alpha_min, self.alpha_max, *room)
         )
-        return constant if self.intervals == 1 else self._varied(states, constant)
 
     def _states(self, *signals) -> np.ndarray:
         names = ("u_h", "u_a", "e", "rate", "acceleration")
@@ -302,50 +281,3 @@ class OptimalBlending:
             finite_array(name, value, length=3) for name, value in zip(names, signals, strict=True)
         ]
         return np.array(columns).T.copy()
-
-    def _varied(self, states: np.ndarray, constant: BlendingStep) -> BlendingStep:
-        """Return the optimum where α may change within the horizon, never worse than constant."""
-        if self._program is None:
-            self._program = self._build()
-        n = self.intervals
-        start = np.full(n, constant.alpha)
-        solution = self._program(x0=start, lbx=self.alpha_min, ubx=self.alpha_max, p=states.ravel())
-        shares = np.asarray(solution["x"]).ravel()
-        cost = float(solution["f"])
-        status = self._program.stats()["return_status"]
-        if not np.isfinite(shares).all() or not cost <= constant.cost * (1.0 + 1e-9):
-            status = f"{status}; the held share is kept"
-            return BlendingStep(constant.alpha, constant.cost, constant.shares * n, status)
-        # Bounds are met to the solver's tolerance.
-        shares = np.clip(shares, self.alpha_min, self.alpha_max)
-        return BlendingStep(float(shares[0]), cost, tuple(shares.tolist()), status)
-
-    def _build(self):
-        """Return the bilinear program: flow and cost of each interval are polynomials in its α."""
-        import casadi
-
-        alphas = casadi.MX.sym("alpha", self.intervals)
-        p = casadi.MX.sym("p", 15)
-        flow, weight = self._series(self.horizon / self.intervals)
-        cost = 0
-        for axis in range(3):
-            state = p[5 * axis : 5 * axis + 5]
-            for k in range(self.intervals):
-                cost += _series_at(
-                    [state.T @ casadi.DM(c) @ state for c in weight[axis]], 2 * alphas[k] - 1
-                )
-                state = _series_at([casadi.DM(c) @ state for c in flow[axis]], 2 * alphas[k] - 1)
-        options: dict[str, Any] = {"expand": True, "print_time": False}
-        options |= {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
-        # the held share is a good start, often on a bound: neither push it away nor begin with a
-        # great barrier
-        options |= {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}
-        return casadi.nlpsol("blending", "ipopt", {"x": alphas, "p": p, "f": cost}, options)
-
-
-def _series_at(terms: list, x):
-    """Return Σ c_m T_m(x) for CasADi symbols by Clenshaw's recurrence."""
-    last = before_last = 0
-    for term in terms[:0:-1]:
-        last, before_last = 2 * x * last - before_last + term, last
-    return x * last - before_last + terms[0]

@@ -92,6 +92,7 @@ class CorrectionProgram:
         except RuntimeError as error:
             raise ValueError("extra_cost may depend on its arguments alone") from error
         self._over_horizon = self._added.map(horizon)
+        self._boxes = box.map(horizon)
         middle = float(self._added(self.zero + 0.5 * self.units, [0.0, 0.0], 0))
         if not np.isfinite(middle):
             raise ValueError(f"extra_cost gives {middle} at r = 0.5; it must be finite")
@@ -132,6 +133,8 @@ class CorrectionProgram:
             "g": ca.vec(states - reached),
         }
         quiet = {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_wall_time": self.limit}
+        # A plan near the best one is known: neither push it from its bounds nor begin far from them.
+        quiet |= {"mu_init": 1e-5, "bound_push": 1e-7, "bound_frac": 1e-7}
         options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": quiet}
         self._solver = ca.nlpsol("correction", "ipopt", program, options)
 
@@ -205,6 +208,12 @@ class CorrectionProgram:
         base, _, sound, path = corrector.followed(state, mode, corrections)
         return (self.cost(base, path) if sound else np.inf), path
 
+    def _shares(self, path: np.ndarray) -> np.ndarray:
+        """Return c_u and c_l of a path as shares of their boxes."""
+        low, high = (np.asarray(ends) for ends in self._boxes(path[[R, P_R, U, L], :-1]))
+        width = np.where(high > low, high - low, 1.0)
+        return np.clip((path[[C_U, C_L], :-1] - low) / width, 0.0, 1.0)
+
     def _solved(
         self, state: np.ndarray, mode: int, guess: np.ndarray
     ) -> tuple[np.ndarray | None, str]:
@@ -212,7 +221,7 @@ class CorrectionProgram:
         scaled = (guess[[R, P_R, U, L]] - self.zero[:, None]) / self.units[:, None]
         memory = np.r_[float(mode), guess[MODE, :-1]]
         z = np.vstack([scaled, memory])
-        shares = np.full((2, self.horizon), 0.5)
+        shares = self._shares(guess)
         start = np.r_[z[:, 1:].ravel(order="F"), shares.ravel(order="F")]
         ends = np.sort(np.array([scaled[2:, 0], [0.0, 0.0]]), axis=0)
         low = np.full((5, self.horizon), -np.inf)
