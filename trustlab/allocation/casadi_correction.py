@@ -133,7 +133,7 @@ class CorrectionProgram:
             "g": ca.vec(states - reached),
         }
         quiet = {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_wall_time": self.limit}
-        # A plan near the best one is known: neither push it from its bounds nor begin far from them.
+        # The solver begins at a good plan, and must not push it far from its bounds.
         quiet |= {"mu_init": 1e-5, "bound_push": 1e-7, "bound_frac": 1e-7}
         options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": quiet}
         self._solver = ca.nlpsol("correction", "ipopt", program, options)

@@ -163,7 +163,7 @@ class ThresholdChoice(Result):
 def choose_thresholds(
     tsc: TscModel | FitResult | Posterior,
     delta_p_h: float = 0.0,
-    margin: float = 0.1,
+    margin: float | None = None,
     points: int | None = None,
     objective: str | float = "peak",
     confidence: float | None = None,
@@ -184,8 +184,9 @@ def choose_thresholds(
     delta_p_h : float
         δ_Ph of the limits of Theorem 1 that the search keeps to. 0 takes them as TSC settles;
         whether a pair keeps switching is then seen from its motion.
-    margin : float
-        Distance to keep from either limit, as a share of TSC_ub − TSC_lb, in (0, 0.5).
+    margin : float, optional
+        Distance to keep from either limit, as a share of TSC_ub − TSC_lb, in (0, 0.5); 0.1, and
+        0.03 for a posterior, whose probability says what is safe, when not given.
     points : int, optional
         Grid points along each threshold, 4 to 500; 24, and 14 for a posterior, when not given.
     objective : {"peak", "mean"} or float
@@ -226,10 +227,10 @@ def choose_thresholds(
     >>> round(choice.lower, 3), round(choice.upper, 3), choice.probability
     (-0.057, 0.439, 1.0)
     """
-    margin = finite_number("margin", margin)
-    if not 0.0 < margin < 0.5:
-        raise ValueError(f"margin must lie in (0, 0.5), got {margin}")
     of_posterior = isinstance(tsc, Posterior)
+    share = finite_number("margin", (0.03 if of_posterior else 0.1) if margin is None else margin)
+    if not 0.0 < share < 0.5:
+        raise ValueError(f"margin must lie in (0, 0.5), got {margin}")
     count = (14 if of_posterior else 24) if points is None else points
     count = whole_number("points", count, least=4, most=500)
     if not isinstance(objective, str):
@@ -248,7 +249,7 @@ def choose_thresholds(
     limits = _limits_of(models, delta_p_h)
     if limits.feasible:
         span = limits.upper - limits.lower
-        ends = limits.lower + margin * span, limits.upper - margin * span
+        ends = limits.lower + share * span, limits.upper - share * span
         search = _Search(models, grid_of_pairs(*ends, count), objective, asked, enclose_beta)
         (lower, upper), holds, around = search.choose()
         probability = float(holds.mean())
