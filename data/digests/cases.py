@@ -301,7 +301,8 @@ def corrections():
     """Return one step of the threshold corrector."""
     corrector = tl.ThresholdCorrector(model(), target=(0.05, 0.4), horizon=100)
     plan = corrector.step(r=0.6, p_r=0.3, lower=0.0, upper=0.35, mode=1)
-    return [*plan.lower, *plan.upper, plan.cost]
+    table = plan.table()
+    return [*table["lower"], *table["upper"], plan.cost]
 
 
 def reconstruction(name):

@@ -14,7 +14,7 @@ import casadi
 import numpy as np
 import pytest
 
-from trustlab.allocation.correction import follow
+from trustlab.allocation.correction_path import follow
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
 

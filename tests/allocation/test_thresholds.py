@@ -18,7 +18,7 @@ from trustlab.allocation import (
     followed_suggestions,
     relative_performance,
 )
-from trustlab.allocation.threshold_estimate import _apart, separation
+from trustlab.allocation.estimates import _apart, separation
 from trustlab.reproduction import published_table
 
 

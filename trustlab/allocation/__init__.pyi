@@ -7,6 +7,8 @@ from .correction import (
     CorrectionPlan as CorrectionPlan,
     TargetWarning as TargetWarning,
     ThresholdCorrector as ThresholdCorrector,
+)
+from .correction_path import (
     incentive_bounds as incentive_bounds,
     incentive_box as incentive_box,
 )
@@ -18,6 +20,13 @@ from .correction_run import (
     OnlineCorrection as OnlineCorrection,
     OnlineStep as OnlineStep,
     run_correction as run_correction,
+)
+from .estimates import (
+    ThresholdEstimate as ThresholdEstimate,
+    estimate_thresholds as estimate_thresholds,
+    followed_suggestions as followed_suggestions,
+    relative_performance as relative_performance,
+    separation as separation,
 )
 from .invariant import (
     InvariantBounds as InvariantBounds,
@@ -37,13 +46,6 @@ from .ranges import RangeIntervals as RangeIntervals, SteadyRanges as SteadyRang
 from .rules import PerformanceRule as PerformanceRule, ThresholdRule as ThresholdRule
 from .simulation import simulate_allocation as simulate_allocation
 from .steady import LimitCycle as LimitCycle, limit_cycle as limit_cycle
-from .suggestions import followed_suggestions as followed_suggestions
-from .threshold_estimate import (
-    ThresholdEstimate as ThresholdEstimate,
-    estimate_thresholds as estimate_thresholds,
-    relative_performance as relative_performance,
-    separation as separation,
-)
 from .thresholds import (
     ThresholdChoice as ThresholdChoice,
     choose_thresholds as choose_thresholds,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.allocation.correction import C_L, C_U, MODE, P_R, L, R, U, incentive_box
+from trustlab.allocation.correction_path import C_L, C_U, MODE, P_R, L, R, U, incentive_box
 from trustlab.models.checks import not_negative, positive
 from trustlab.models.tsc import TscModel, next_performance, next_utilization, tsc_at
 
@@ -75,57 +75,72 @@ class CorrectionProgram:
         self.width = not_negative("switch_width", switch_width)
         self.limit = positive("limit", limit)
         self.horizon, self.c_b = horizon, c_b
+        self._tsc = tsc
         robot = tsc.robot
         self.zero = np.array([0.0, robot.p_min, target[1], target[0]])
         self.units = np.array([1.0, robot.p_max - robot.p_min, c_b, c_b])
         self._last: np.ndarray | None = None
-        x, u, k = ca.MX.sym("x", 4), ca.MX.sym("u", 2), ca.MX.sym("k")
+        x, u, k = (ca.MX.sym(name, size) for name, size in (("x", 4), ("u", 2), ("k", 1)))
         added = 0.0 if extra_cost is None else _called("extra_cost", extra_cost, x, u, k)
         if not isinstance(added, int | float | ca.MX | ca.SX | ca.DM) or ca.MX(added).numel() != 1:
             raise ValueError(f"extra_cost must return a scalar, got {added!r}")
-        bounds = _called("incentive", incentive, x[0], x[1], c_b, robot.p_min, robot.p_max)
-        if not isinstance(bounds, list | tuple) or len(bounds) != 2:
-            raise ValueError("incentive must return two values, least and greatest correction")
+        r, p_r, _, _ = ca.vertsplit(x)
+        bounds = _called("incentive", incentive, r, p_r, c_b, robot.p_min, robot.p_max)
         box = ca.Function("box", [x], [ca.MX(bound) for bound in bounds])
         try:
             self._added = ca.Function("added", [x, u, k], [ca.MX(added)])
         except RuntimeError as error:
             raise ValueError("extra_cost may depend on its arguments alone") from error
-        self._over_horizon = self._added.map(horizon)
-        self._boxes = box.map(horizon)
         middle = float(self._added(self.zero + 0.5 * self.units, [0.0, 0.0], 0))
         if not np.isfinite(middle):
             raise ValueError(f"extra_cost gives {middle} at r = 0.5; it must be finite")
+        self._over_horizon = self._added.map(horizon)
+        self._boxes = box.map(horizon)
+        self._solver = self._program(self._stage(box))
 
-        # One step, states scaled by `units` and corrections as shares of the box.
+    def _stage(self, box: Any) -> Any:
+        """
+        Return one step of (2.44) as a function.
+
+        From scaled states with the mode before, corrections as shares of their boxes, a given mode
+        and the step to scaled states after, and the cost of the step over c_b².
+        """
+        import casadi as ca
+
+        robot, human = self._tsc.robot, self._tsc.human
         z, w = ca.MX.sym("z", 5), ca.MX.sym("w", 2)
-        given = ca.MX.sym("given")
+        given, k = ca.MX.sym("given"), ca.MX.sym("k")
         state = self.zero + self.units * z[:4]
+        r, p_r, upper, lower = ca.vertsplit(state)
         least, most = box(state)
-        inside = ca.fmin(ca.fmax(state[0], STEEP), 1.0 - STEEP)
-        beta, human = tsc.human.beta, tsc.human
-        shape = beta * ca.log(inside / beta)
-        shape += (1.0 - beta) * ca.log((1.0 - inside) / (1.0 - beta))
+        inside = ca.fmin(ca.fmax(r, STEEP), 1.0 - STEEP)
+        shape = human.beta * ca.log(inside / human.beta)
+        shape += (1.0 - human.beta) * ca.log((1.0 - inside) / (1.0 - human.beta))
         p_h = human.p_min + (human.p_max - human.p_min) * ca.exp(shape)  # (2.6)
-        value = tsc_at.py_func(state[1], p_h, tsc.constants())  # (2.1)
+        value = tsc_at.py_func(p_r, p_h, self._tsc.constants())  # (2.1)
         mode = given
         if self.width:  # (2.8), smoothed
-            up = 0.5 * (1.0 + ca.tanh(0.5 * (value - state[2]) / self.width))
-            down = 0.5 * (1.0 + ca.tanh(0.5 * (state[3] - value) / self.width))
+            up = 0.5 * (1.0 + ca.tanh(0.5 * (value - upper) / self.width))
+            down = 0.5 * (1.0 + ca.tanh(0.5 * (lower - value) / self.width))
             mode = (1.0 - up) * (down + (1.0 - down) * z[4])
-        after_r = next_utilization.py_func(state[0], mode, human.a)
-        after_p = next_performance.py_func(state[1], p_h, mode, robot.a, robot.b, robot.p_min)
+        after_r = next_utilization.py_func(r, mode, human.a)
+        after_p = next_performance.py_func(p_r, p_h, mode, robot.a, robot.b, robot.p_min)
         step = least + w * (most - least)
-        moved = z[2:4] + step / c_b
+        moved = z[2:4] + step / self.c_b
         after = ca.vertcat(after_r, (after_p - robot.p_min) / self.units[1], moved, mode)
-        cost = self._added(state, step, k) / c_b**2 + ca.sumsqr(moved)
-        stage = ca.Function("stage", [z, w, given, k], [after, cost])
+        cost = self._added(state, step, k) / self.c_b**2 + ca.sumsqr(moved)
+        return ca.Function("stage", [z, w, given, k], [after, cost])
 
-        states, shares = ca.MX.sym("states", 5, horizon), ca.MX.sym("shares", 2, horizon)
-        start, modes = ca.MX.sym("start", 5), ca.MX.sym("modes", 1, horizon)
-        rho = ca.MX.sym("rho")
+    def _program(self, stage: Any) -> Any:
+        """Return the solver of all steps, the states between them being unknowns."""
+        import casadi as ca
+
+        n = self.horizon
+        states, shares = ca.MX.sym("states", 5, n), ca.MX.sym("shares", 2, n)
+        start, rho = ca.MX.sym("start", 5), ca.MX.sym("rho")
+        modes = ca.MX.sym("modes", 1, n)
         before = ca.horzcat(start, states[:, :-1])
-        reached, costs = stage.map(horizon)(before, shares, modes, np.arange(horizon)[None, :])
+        reached, costs = stage.map(n)(before, shares, modes, np.arange(n)[None, :])
         program = {
             "x": ca.vertcat(ca.vec(states), ca.vec(shares)),
             "p": ca.vertcat(start, ca.vec(modes), rho),
@@ -136,7 +151,7 @@ class CorrectionProgram:
         # The solver begins at a good plan, and must not push it far from its bounds.
         quiet |= {"mu_init": 1e-5, "bound_push": 1e-7, "bound_frac": 1e-7}
         options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": quiet}
-        self._solver = ca.nlpsol("correction", "ipopt", program, options)
+        return ca.nlpsol("correction", "ipopt", program, options)
 
     def reset(self) -> None:
         """Forget the last plan, which is a candidate for the next one."""

@@ -22,11 +22,26 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from trustlab.allocation.correction_path import (
+    C_L,
+    C_U,
+    COLUMNS,
+    LOWER,
+    MODE,
+    P_R,
+    UPPER,
+    L,
+    R,
+    U,
+    follow,
+    follow_with,
+    incentive_box,
+    within_range,
+)
 from trustlab.allocation.limits import threshold_limits
 from trustlab.allocation.steady import limit_cycle
 from trustlab.models.checks import (
     between,
-    finite_number,
     in_order,
     of_class,
     one_of,
@@ -37,218 +52,18 @@ from trustlab.models.checks import (
 )
 from trustlab.models.compiled import njit
 from trustlab.models.display import axes_or_new
-from trustlab.models.published import published_models
 from trustlab.models.tsc import (
     RobotModel,
     TscConstants,
     TscModel,
-    advance,
     human_at,
     threshold_mode,
     tsc_at,
 )
 
-# Rows of arrays that hold both thresholds.
-LOWER, UPPER = 0, 1
-
-# Rows of a plan's path, and their names.
-R, P_R, L, U, MODE, C_L, C_U = range(7)
-COLUMNS = ("r", "p_r", "lower", "upper", "mode", "c_l", "c_u")
-
-# By how much, as a share of its range, robot performance may lie outside and still count as the end
-# of the range.
-ROUNDING = 1e-9
-
 
 class TargetWarning(UserWarning):
     """Target thresholds lie outside the limits of Theorem 1, yet simulations keep switching."""
-
-
-# --- how much correction is acceptable, (2.41)-(2.42) ---------------------------------------------
-
-
-def incentive_box(r, p_r, c_b, p_min, p_max):
-    """
-    Return the bounds c_min ≤ 0 ≤ c_max of (2.42), for numbers or CasADi symbols: arithmetic only.
-
-    Parameters
-    ----------
-    r, p_r : float
-        Utilization and robot performance.
-    c_b : float
-        Largest correction per step.
-    p_min, p_max : float
-        Range of robot performance.
-    """
-    share = (p_r - p_min) / (p_max - p_min)
-    return -0.5 * (r + share) * c_b, 0.5 * ((1.0 - r) + (1.0 - share)) * c_b
-
-
-box = njit(incentive_box)
-
-
-def incentive_bounds(
-    r: float | np.ndarray,
-    p_r: float | np.ndarray,
-    c_b: float,
-    model: TscModel | RobotModel | None = None,
-) -> tuple[float | np.ndarray, float | np.ndarray]:
-    """
-    Return the least and the greatest correction that an operator can be expected to accept, (2.42).
-
-    c_max = ½[(1 − r) + (P_max − P_r)/(P_max − P_min)] c_b and c_min = −½[r + (P_r − P_min)/(P_max −
-    P_min)] c_b: the busier the operator and the better the robot, the less willing the operator is
-    to raise the thresholds. The two are always c_b apart.
-
-    Parameters
-    ----------
-    r : float or array_like
-        Utilization, in [0, 1].
-    p_r : float or array_like
-        Robot performance, within its range up to rounding; of a shape that broadcasts with `r`.
-    c_b : float
-        Largest correction per step; positive.
-    model : TscModel or RobotModel, optional
-        The model that gives the range of robot performance. Without one the printed range of the
-        pilot operator of Section 2.5 is used, P_r from 0.24 to 0.39 m/s, and a warning says so.
-
-    Returns
-    -------
-    c_min, c_max : float or numpy.ndarray
-        In [−c_b, 0] and [0, c_b].
-
-    Raises
-    ------
-    ValueError
-        If r lies outside [0, 1], P_r outside its range by more than rounding, or c_b is not
-        positive.
-
-    Warns
-    -----
-    UserWarning
-        If no model is given.
-
-    Examples
-    --------
-    >>> import trustlab as tl
-    >>> model = tl.published_models()["2"]
-    >>> least, most = tl.incentive_bounds(r=0.7, p_r=0.30, c_b=1e-5, model=model)
-    >>> least < 0.0 < most
-    True
-    """
-    if model is None:
-        model = published_models()["pilot"]
-        warn(
-            "incentive_bounds takes the pilot operator's range of robot performance, "
-            f"{model.robot.p_min} to {model.robot.p_max} m/s, as no model= was given; pass the "
-            "TscModel of your operator and robot"
-        )
-    robot = model.robot if isinstance(model, TscModel) else model
-    if not isinstance(robot, RobotModel):
-        raise ValueError(f"model must be a TscModel or a RobotModel, got {type(model).__name__}")
-    c_b = positive("c_b", c_b)
-    if not np.ndim(r) and not np.ndim(p_r):
-        r = between("r", r, 0.0, 1.0)
-        p_r = within_range("p_r", finite_number("p_r", p_r), robot.p_min, robot.p_max)
-    try:
-        load, performance = np.broadcast_arrays(
-            np.asarray(r, dtype=float), np.asarray(p_r, dtype=float)
-        )
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"r and p_r must be numbers of shapes that broadcast: {error}") from None
-    if load.size == 0:
-        raise ValueError("r and p_r are empty; give at least one sample")
-    slack = ROUNDING * (robot.p_max - robot.p_min)
-    for name, values, least, most in (
-        ("r", load, 0.0, 1.0),
-        ("p_r", performance, robot.p_min - slack, robot.p_max + slack),
-    ):
-        inside = (values >= least) & (values <= most)
-        if not inside.all():
-            where = tuple(map(int, np.unravel_index(int(np.argmin(inside)), inside.shape)))
-            raise ValueError(
-                f"{name} must lie in [{least:g}, {most:g}], but sample {where} is {values[where]}"
-            )
-    performance = np.clip(performance, robot.p_min, robot.p_max)
-    low, high = incentive_box(load, performance, c_b, robot.p_min, robot.p_max)
-    # Thresholds may always be held; rounding must not exclude that.
-    low = np.minimum(low, 0.0)
-    high = np.maximum(high, 0.0)
-    return (low, high) if np.ndim(low) else (float(low), float(high))
-
-
-# --- the plan -------------------------------------------------------------------------------------
-
-
-@njit
-def _allowed(wish, now, start, target, low, high):
-    """Return a correction within its box that keeps a threshold between start and target."""
-    if np.isnan(wish):
-        return min(max(target - now, low), high)
-    moved = now + min(max(wish, low), high)
-    return min(max(moved, min(start, target)), max(start, target)) - now
-
-
-@njit(inline="always")
-def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
-    """
-    Follow (2.44) under the hard switch (2.8), with corrections as given where the boxes (2.42) and
-    the intervals allow, and as fast as these allow where given is NaN.
-
-    `path` has r, P_r, TSC_l and TSC_u in its first column, and the rest is filled: rows as named by
-    COLUMNS, the last three without their last column. `start` are the thresholds of the first
-    column, `given` has the shape (2, N). Returns the cost (2.43), a bound that no admissible plan
-    costs less than, of use where all are NaN, and whether incentives stayed within [−c_b, 0] and
-    [0, c_b]; where these are not `certain` to be (2.42), the bound takes c_b for them.
-    """
-    cost = 0.0
-    bound = 0.0
-    slack = 1e-9 * c_b
-    known = True  # whether all admissible plans have had the same modes so far
-    r_rest, p_rest = path[R, 0], path[P_R, 0]
-    r_load, p_load = r_rest, p_rest
-    most_l, most_u = start[LOWER], start[UPPER]
-    for k in range(path.shape[1] - 1):
-        r, p_r, lower, upper = path[R, k], path[P_R, k], path[L, k], path[U, k]
-        p_h = human_at(r, c)
-        tsc = tsc_at(p_r, p_h, c)
-        if k > 0 and known:
-            if mode == 1:
-                known = (tsc >= start[UPPER]) == (tsc >= upper)
-            else:
-                known = (tsc <= start[LOWER]) == (tsc <= lower)
-        mode = threshold_mode(tsc, lower, upper, mode)
-        low, high = incentive(r, p_r, c_b, c.p_r_min, c.p_r_max)
-        if not (-c_b - slack <= low <= slack and -slack <= high <= c_b + slack):
-            return np.inf, -np.inf, False
-        low, high = min(low, 0.0), max(high, 0.0)
-        c_l = _allowed(given[LOWER, k], lower, start[LOWER], target[LOWER], low, high)
-        c_u = _allowed(given[UPPER, k], upper, start[UPPER], target[UPPER], low, high)
-        path[MODE, k], path[C_L, k], path[C_U, k] = mode, c_l, c_u
-        path[L, k + 1], path[U, k + 1] = lower + c_l, upper + c_u
-        path[R, k + 1], path[P_R, k + 1] = advance(r, p_r, p_h, float(mode), c)
-        cost += (path[U, k + 1] - target[UPPER]) ** 2 + (path[L, k + 1] - target[LOWER]) ** 2
-        if known:
-            r_rest, p_rest = r, p_r
-            r_load, p_load = r, p_r
-            forth, back = high, low
-        elif certain:
-            forth = max(incentive(r_rest, p_rest, c_b, c.p_r_min, c.p_r_max)[1], 0.0)
-            back = min(incentive(r_load, p_load, c_b, c.p_r_min, c.p_r_max)[0], 0.0)
-        else:
-            forth, back = c_b, -c_b
-        most_l += min(max(target[LOWER] - most_l, back), forth)
-        most_u += min(max(target[UPPER] - most_u, back), forth)
-        bound += (most_u - target[UPPER]) ** 2 + (most_l - target[LOWER]) ** 2
-        r_rest, p_rest = advance(r_rest, p_rest, 0.0, 0.0, c)
-        r_load, p_load = advance(r_load, p_load, c.p_h_max, 1.0, c)
-    return cost, min(bound, cost), True
-
-
-@njit
-def follow(c, c_b, target, start, mode, given, path):
-    """Follow (2.44) as `follow_with` does, with the incentives (2.42)."""
-    return follow_with(box, True, c, c_b, target, start, mode, given, path)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -594,22 +409,6 @@ def _checked_incentive(incentive: Callable, c_b: float, robot: RobotModel) -> Ca
                 f"(2.41) does; at r = {share} and p_r = {p_r:.4g} it gives [{low:g}, {high:g}]"
             )
     return bounds
-
-
-def within_range(name: str, value: float, least: float, most: float) -> float:
-    """
-    Return a value within its range; where it lies outside by rounding only, the end of the range.
-    """
-    number = value if type(value) is float else finite_number(name, value)
-    if least <= number <= most:
-        return number
-    slack = ROUNDING * (most - least)
-    if not least - slack <= number <= most + slack:
-        raise ValueError(
-            f"{name} = {number} lies outside the model's range [{least:g}, {most:g}]; check its "
-            "unit, or identify the model anew from this operator's sessions"
-        )
-    return min(max(number, least), most)
 
 
 def check_mode(mode: int) -> int:

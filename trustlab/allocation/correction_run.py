@@ -13,13 +13,12 @@ import numpy as np
 import pandas as pd
 
 from trustlab.allocation.correction import (
-    ROUNDING,
     ThresholdCorrector,
     check_mode,
     suggestion_now,
     threshold_pair,
-    within_range,
 )
+from trustlab.allocation.correction_path import ROUNDING, within_range
 from trustlab.models.checks import (
     between,
     finite_number,
@@ -214,7 +213,8 @@ class OnlineCorrection:
                 plan = self.corrector.plan(
                     self.r, min(max(p_r, c.p_r_min), c.p_r_max), lower, upper, now
                 )
-                c_l, c_u, cost, bound = plan.c_l, plan.c_u, plan.cost, plan.cost_lower_bound
+                c_l, c_u = plan.c_l, plan.c_u
+                cost, bound = plan.cost, plan.cost_lower_bound
                 status = plan.status
                 message = plan.message if inside or status == "held" else NEAREST
         r = self.r

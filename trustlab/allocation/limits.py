@@ -193,7 +193,7 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = 0.0) -> ThresholdL
     >>> import trustlab as tl
     >>> limits = tl.threshold_limits(tl.published_models()["2"])
     >>> round(limits.lower, 3), round(limits.upper, 3)
-    XX
+    (-0.548, 0.548)
     """
     of_class("tsc", tsc, TscModel)
     if delta_p_h is None:

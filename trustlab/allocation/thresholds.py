@@ -1,6 +1,6 @@
 """Choosing thresholds by Algorithm 1: for a model, a fit of one, or a posterior."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -251,47 +251,60 @@ def choose_thresholds(
         span = limits.upper - limits.lower
         ends = limits.lower + share * span, limits.upper - share * span
         search = _Search(models, grid_of_pairs(*ends, count), objective, asked, enclose_beta)
-        (lower, upper), holds, around = search.choose()
-        probability = float(holds.mean())
-        encloses = bool(around.mean() >= asked)
-        reason = ""
-        if probability < asked:
-            reason = search.reason(probability) + (
-                _what_would_help(tsc, search) if of_posterior else ""
-            )
-        candidates = search.table
+        choice = _chosen(search, limits, tsc, source)
     else:
-        lower = upper = np.nan
-        probability, encloses = 0.0, False
         reason = _no_room(models, limits)
-        candidates = pd.DataFrame(columns=_Search.COLUMNS)
-    if reason:
-        message = f"No thresholds: {reason}"
-    else:
-        message = _offered(search, (lower, upper), limits, probability, tsc)
-    doubt = ""
+        nothing = pd.DataFrame(columns=_Search.COLUMNS)
+        choice = ThresholdChoice(
+            *(np.nan, np.nan, 0.0, False, f"No thresholds: {reason}", reason),
+            *(limits, nothing, source),
+        )
+    doubtful = isinstance(tsc, FitResult) and not tsc.success
     if isinstance(tsc, FitResult):
-        probability = np.nan
-        if not tsc.success:
-            doubt = (
-                f"The fit has success = False: {tsc.message} With posterior = "
-                "trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers "
-                "thresholds with a probability, or says what to record. "
-            )
-    message = doubt + message
-    if reason or doubt:
-        warn(message)
+        choice = _of_fit(tsc, choice)
+    if choice.reason or doubtful:
+        warn(choice.message)
+    return choice
+
+
+def _chosen(
+    search: "_Search",
+    limits: ThresholdLimits,
+    tsc: TscModel | FitResult | Posterior,
+    source: TscModel | Posterior,
+) -> ThresholdChoice:
+    """Return the best pair of a search, or why it is not offered."""
+    pair, holds, around = search.choose()
+    probability = float(holds.mean())
+    reason = ""
+    if probability < search.asked:
+        reason = search.reason(probability)
+        reason += _what_would_help(tsc, search) if isinstance(tsc, Posterior) else ""
     return ThresholdChoice(
-        float(lower),
-        float(upper),
-        probability,
-        encloses,
-        message,
-        reason,
-        limits,
-        candidates,
-        source,
+        lower=float(pair[0]),
+        upper=float(pair[1]),
+        probability=probability,
+        encloses_beta=bool(around.mean() >= search.asked),
+        message=f"No thresholds: {reason}"
+        if reason
+        else _offered(search, pair, limits, probability, tsc),
+        reason=reason,
+        limits=limits,
+        candidates=search.table,
+        tsc=source,
     )
+
+
+def _of_fit(fit: FitResult, choice: ThresholdChoice) -> ThresholdChoice:
+    """Return a choice without a probability, and with the doubts of the fit."""
+    doubt = ""
+    if not fit.success:
+        doubt = (
+            f"The fit has success = False: {fit.message} With posterior = "
+            "trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers thresholds "
+            "with a probability, or says what to record. "
+        )
+    return replace(choice, probability=np.nan, message=doubt + choice.message)
 
 
 # --- the search -----------------------------------------------------------------------------------
@@ -313,7 +326,8 @@ class _Search:
         asked: float,
         enclose: bool,
     ):
-        self.models, self.pairs, self.asked, self.enclose = models, pairs, asked, enclose
+        self.models, self.pairs = models, pairs
+        self.asked, self.enclose = asked, enclose
         self.objective = objective
         some = models[:SCREENED]
         self.motions = survey(some, pairs, EFFORT)

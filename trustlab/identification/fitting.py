@@ -204,7 +204,8 @@ def _beside_ends(optimum: Optimum) -> Optimum:
     near = np.abs(x[loads] - ends) < NEAR[-1]
     if not near.any():
         return optimum
-    loads, ends, inwards = loads[near], ends[near], (low + high - 2.0 * ends)[near]
+    inwards = (low + high - 2.0 * ends)[near]
+    loads, ends = loads[near], ends[near]
     tried = []
     for share in NEAR:
         start = x.copy()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.suggestions import (
+from trustlab.allocation.estimates import (
     FOLLOWED,
     NOT_FOLLOWED,
     followed_suggestions,

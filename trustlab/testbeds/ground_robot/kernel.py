@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.correction import LOWER, UPPER, correct_thresholds
+from trustlab.allocation.correction import correct_thresholds
+from trustlab.allocation.correction_path import LOWER, UPPER
 from trustlab.models.compiled import njit
 from trustlab.models.portable import cos_sin, direction, wrapped
 from trustlab.models.tsc import next_utilization, threshold_mode
