@@ -314,14 +314,14 @@ def content(call, answer):
     return repr(plain), any(isinstance(x, float | np.floating) and math.isnan(x) for x in plain)
 
 
-def outcome(call, limit=LIMIT, **changes):
+def outcome(call, seconds=LIMIT, /, **changes):
     """Return (answer, None), or (None, error)."""
 
     def stop(*_):
-        raise Hang(f"it takes more than {limit:g} s")
+        raise Hang(f"it takes more than {seconds:g} s")
 
     previous = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, limit, 1.0)  # again, if somebody catches it
+    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)  # again, if somebody catches it
     try:
         with warnings.catch_warnings(), contextlib.redirect_stderr(io.StringIO()):
             warnings.simplefilter("ignore")

@@ -156,9 +156,6 @@ KNOWN = {
         "lost": "anything is taken",
         "delay": "NaN is taken",
     },
-    "ThresholdCorrector": {
-        "incentive": "foreign errors",
-    },
     "TrackingTask.path": {
         "t": "foreign errors, NaN is taken",
         "height": "foreign errors, anything is taken",
