@@ -316,7 +316,7 @@ def built():
         "cost_lower_bound",
         "latency",
     ]
-    steps = pd.DataFrame(0.5, range(3), names).assign(test=1, t=range(3))
+    steps = pd.DataFrame(0.5, range(3), names).assign(test=1, t=range(3), status="planned")
     data = reconstruct_study(tl.published_studies()["teleop.tracking_error"])
     ones = np.eye(2)
     return [

@@ -24,7 +24,7 @@ def run():
 def test_every_correction_is_the_corrector_s(run):
     model = published_model(2)
     corrector = tl.ThresholdCorrector(model, TARGET, c_b=1e-4)
-    data = run.data[run.data["status"] != "SETTLING"].iloc[::37]
+    data = run.data[run.data["status"] != "held"].iloc[::37]
     assert len(data) > 20
     for row in data.itertuples():
         before = run.data["mode"][row.Index - 1]
@@ -36,8 +36,8 @@ def test_every_correction_is_the_corrector_s(run):
 
 def test_thresholds_stay_and_go_on(run):
     data = run.data
-    assert (data.loc[data["status"] == "SETTLING", ["c_l", "c_u"]] == 0.0).all(axis=None)
-    assert (data.groupby("test")["status"].apply(lambda s: (s == "SETTLING").sum()) == 1000).all()
+    assert (data.loc[data["status"] == "held", ["c_l", "c_u"]] == 0.0).all(axis=None)
+    assert (data.groupby("test")["status"].apply(lambda s: (s == "held").sum()) == 1000).all()
     steps = data[["lower", "upper"]].diff().iloc[1:]
     assert (steps >= 0.0).all(axis=None)
     assert steps.max(axis=None) <= 1e-4
@@ -48,7 +48,7 @@ def test_thresholds_stay_and_go_on(run):
 
 
 def test_suggestions_follow_the_moving_thresholds(run):
-    data = run.data[(run.data["status"] != "SETTLING")]
+    data = run.data[(run.data["status"] != "held")]
     assert (data.loc[data["tsc"] >= data["upper"], "suggestion"] == 0).all()
     assert (data.loc[data["tsc"] <= data["lower"], "suggestion"] == 1).all()
 
@@ -89,7 +89,7 @@ def test_bad_arguments(more, words):
         corrected(**more)
 
 
-def test_the_compiled_loop_takes_the_exact_engine_and_the_printed_incentives_alone():
+def test_the_compiled_loop_takes_clipping_and_the_printed_incentives_alone():
     setting = GroundRobotTests(2, laps=1)
     for more in ({"engine": "casadi"}, {"incentive": lambda r, p, c, a, b: (-0.5 * c, 0.5 * c)}):
         corrector = tl.ThresholdCorrector(published_model(2), TARGET, horizon=5, **more)
