@@ -5,7 +5,8 @@ The hard switch (2.8) makes the problem piecewise smooth. The program smooths it
 state m in [0, 1], the memory of (2.8), with m(k) = (1 − σ((TSC − TSC_u)/w)) (d + (1 − d) m(k − 1)),
 d = σ((TSC_l − TSC)/w), σ(y) = 1/(1 + exp(−y)) and the switch width w. No plan is judged by it: what
 the solver returns is run under the hard switch, as are the clipped plan, the last plan and holding,
-and the cheapest is the plan. It is a local optimum at best.
+and the cheapest is the plan. It is a local optimum at best. Where the solver fails or takes too
+long, the thresholds are held.
 """
 
 from collections.abc import Callable
@@ -24,7 +25,8 @@ WIDTH = 1e-3
 # How near to rest and full load (2.6) is differentiated.
 STEEP = 1e-9
 
-UNSOLVED = "The thresholds are held, as the solver found no plan within {limit:g} s ({reason})."
+UNSOLVED = "The thresholds are held, as the solver found no plan: {reason}."
+UNUSABLE = "The thresholds are held, as no plan has a finite cost."
 SOLVED = "A local optimum of the user's cost; not proved optimal."
 KEPT = "The solver's plan costs more under the hard switch than {name}, which is taken."
 
@@ -56,7 +58,7 @@ class CorrectionProgram:
     Raises
     ------
     ValueError
-        If a function fails, or its values are none that a plan can go by.
+        If a function fails, or returns what is no finite number.
     """
 
     def __init__(
@@ -108,6 +110,7 @@ class CorrectionProgram:
         import casadi as ca
 
         robot, human = self._tsc.robot, self._tsc.human
+        # Scaled r, P_r, TSC_u and TSC_l, and the mode before.
         z, w = ca.MX.sym("z", 5), ca.MX.sym("w", 2)
         given, k = ca.MX.sym("given"), ca.MX.sym("k")
         state = self.zero + self.units * z[:4]
@@ -202,19 +205,24 @@ class CorrectionProgram:
             judged[name] = self._judged(corrector, state, mode, corrections)
         best = min(judged, key=lambda name: judged[name][0])
         found, reason = self._solved(state, mode, judged[best][1])
-        if found is None or perf_counter() - began > self.limit:
+        if perf_counter() - began > self.limit:
+            reason = f"it takes longer than limit = {self.limit:g} s"
+        if reason:
             self._last = None
-            return np.nan, clipped, UNSOLVED.format(limit=self.limit, reason=reason), False
+            return np.nan, clipped, UNSOLVED.format(reason=reason), False
         solved = self._judged(corrector, state, mode, found)
         message = SOLVED
         if solved[0] > judged[best][0]:
             # The solver comes near an optimum, which the clipped plan may be exactly.
-            if solved[0] > (1.0 + 1e-6) * judged[best][0]:
+            if solved[0] > judged[best][0] + 1e-6 * abs(judged[best][0]):
                 message = KEPT.format(name=best)
             solved = judged[best]
         cost, path = solved
+        if not np.isfinite(cost):
+            self._last = None
+            return np.nan, clipped, UNUSABLE, False
         self._last = path[[C_L, C_U], :-1]
-        return cost, path, message, bool(np.isfinite(cost))
+        return cost, path, message, True
 
     def _judged(
         self, corrector: Any, state: np.ndarray, mode: int, corrections: np.ndarray

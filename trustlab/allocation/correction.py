@@ -111,7 +111,7 @@ class CorrectionPlan:
     @property
     def relative_gap(self) -> float:
         """The gap as a share of the cost; 0 where the cost is 0."""
-        return self.gap / self.cost if self.cost > 0.0 else 0.0 * self.gap
+        return self.gap / self.cost if self.cost > 0.0 else 0.0 * self.gap  # NaN stays NaN
 
     def table(self) -> pd.DataFrame:
         """
@@ -202,8 +202,8 @@ class ThresholdCorrector:
         With CasADi: width of the smoothed switch in units of TSC, 0.001 when not given; 0 takes the
         modes of the clipped plan as they are, which a cost of r, P_r or the mode cannot move.
     limit : float, optional
-        With CasADi: seconds that a step may compute, 1 when not given; then the thresholds are
-        held.
+        With CasADi: seconds that a step may compute, 1 when not given; if it takes longer, the
+        thresholds are held.
 
     Raises
     ------
@@ -428,9 +428,9 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
     cycle = limit_cycle(tsc, lower, upper)
     if not cycle.always:
         raise ValueError(
-            f"{where}, and the rule does not keep switching under it: {cycle.reason}. Choose a "
-            "target whose cycle exists (trustlab.limit_cycle), for example with "
-            "trustlab.choose_thresholds(tsc)"
+            f"{where}, and the rule does not keep switching under it from every start: "
+            f"{cycle.reason}. Choose a target with trustlab.limit_cycle(tsc, lower, upper).always, "
+            "for example with trustlab.choose_thresholds(tsc)"
             + (", or between the limits" if limits.feasible else "")
         )
     warn(

@@ -177,20 +177,26 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
     cost = 0.0
     bound = 0.0
     slack = 1e-9 * c_b
-    known = True  # whether all admissible plans have had the same modes so far
-    r_rest, p_rest = path[R, 0], path[P_R, 0]
-    r_load, p_load = r_rest, p_rest
-    most_l, most_u = start[LOWER], start[UPPER]
+    same_modes = True  # whether all admissible plans have had the same modes so far
+    # Of the states that other plans may be in, the least and the greatest load and performance.
+    r_least, p_least = path[R, 0], path[P_R, 0]
+    r_most, p_most = r_least, p_least
+    farthest_l, farthest_u = start[LOWER], start[UPPER]
     for k in range(path.shape[1] - 1):
         r, p_r = path[R, k], path[P_R, k]
         lower, upper = path[L, k], path[U, k]
         p_h = human_at(r, c)
         tsc = tsc_at(p_r, p_h, c)
-        if k > 0 and known:
-            if mode == 1:
-                known = (tsc >= start[UPPER]) == (tsc >= upper)
-            else:
-                known = (tsc <= start[LOWER]) == (tsc <= lower)
+        same_state = same_modes
+        if same_state:
+            r_least, p_least = r, p_r
+            r_most, p_most = r, p_r
+            # Between switches (2.8) waits for one threshold alone, which other plans have between
+            # its first value and this one.
+            if k > 0 and mode == 1:
+                same_modes = (tsc >= start[UPPER]) == (tsc >= upper)
+            elif k > 0:
+                same_modes = (tsc <= start[LOWER]) == (tsc <= lower)
         mode = threshold_mode(tsc, lower, upper, mode)
         low, high = incentive(r, p_r, c_b, c.p_r_min, c.p_r_max)
         if not (-c_b - slack <= low <= slack and -slack <= high <= c_b + slack):
@@ -203,20 +209,17 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
         path[L, k + 1], path[U, k + 1] = lower + c_l, upper + c_u
         path[R, k + 1], path[P_R, k + 1] = advance(r, p_r, p_h, float(mode), c)
         cost += (path[U, k + 1] - target[UPPER]) ** 2 + (path[L, k + 1] - target[LOWER]) ** 2
-        if known:
-            r_rest, p_rest = r, p_r
-            r_load, p_load = r, p_r
-            forth, back = high, low
-        elif certain:
-            forth = max(incentive(r_rest, p_rest, c_b, c.p_r_min, c.p_r_max)[1], 0.0)
-            back = min(incentive(r_load, p_load, c_b, c.p_r_min, c.p_r_max)[0], 0.0)
-        else:
-            forth, back = c_b, -c_b
-        most_l += min(max(target[LOWER] - most_l, back), forth)
-        most_u += min(max(target[UPPER] - most_u, back), forth)
-        bound += (most_u - target[UPPER]) ** 2 + (most_l - target[LOWER]) ** 2
-        r_rest, p_rest = advance(r_rest, p_rest, 0.0, 0.0, c)
-        r_load, p_load = advance(r_load, p_load, c.p_h_max, 1.0, c)
+        up, down = high, low
+        if not same_state:
+            up, down = c_b, -c_b
+            if certain:
+                up = max(incentive(r_least, p_least, c_b, c.p_r_min, c.p_r_max)[1], 0.0)
+                down = min(incentive(r_most, p_most, c_b, c.p_r_min, c.p_r_max)[0], 0.0)
+        farthest_l += min(max(target[LOWER] - farthest_l, down), up)
+        farthest_u += min(max(target[UPPER] - farthest_u, down), up)
+        bound += (farthest_u - target[UPPER]) ** 2 + (farthest_l - target[LOWER]) ** 2
+        r_least, p_least = advance(r_least, p_least, 0.0, 0.0, c)
+        r_most, p_most = advance(r_most, p_most, c.p_h_max, 1.0, c)
     return cost, min(bound, cost), True
 
 

@@ -32,7 +32,7 @@ ALONE = 30.0, 300
 EXACT = 20.0, 100
 SCREEN = 7.0, 4
 
-# Samples of the quicker process's time constant that a coarse sample time leaves.
+# Samples per time constant of the quicker process, at a coarse sample time.
 QUICK = 25
 
 
@@ -49,7 +49,7 @@ def steady_motion(c, lower, upper, r, p_r, settle, cycles, most, rows):
     """
     Follow (2.8) from r and P_r, where a manual phase begins, and fill the rows of its motion.
 
-    After `settle` samples so many `cycles` are recorded. Returns the mode that stays for `most`
+    After `settle` samples, as many `cycles` are recorded. Returns the mode that stays for `most`
     samples (rows are NaN then) or −1, and the r and P_r at the end.
     """
     rows[:, LOW] = np.inf
@@ -89,7 +89,7 @@ def steady_motion(c, lower, upper, r, p_r, settle, cycles, most, rows):
 
 @njit
 def _survey(c, pairs, settle, cycles, most, motions):
-    """Fill the motion under every pair of thresholds, from β."""
+    """Fill the motion under every pair of thresholds; all begin at β, a manual phase first."""
     p_h = human_at(c.beta, c)
     for j in range(len(pairs)):
         p_r = (pairs[j, 0] + c.b_T * p_h) / c.a_T
@@ -123,14 +123,15 @@ def survey(models: list[TscModel], pairs: np.ndarray, effort: float = np.inf) ->
     Return the motions of models under pairs of thresholds, shape (models, pairs, 6, 3).
 
     Rows are r, P_r, P_h, TSC and the dwell times in either mode [samples], columns least, greatest
-    and mean; NaN where a mode stays for ever. Where there is more to simulate than `effort`, in
-    samples of the slower time constant, the sample time is coarse.
+    and mean; NaN where a mode stays for ever. All begin at β, with a manual phase. Where models
+    times pairs times the slower time constant [samples] exceeds `effort`, the sample time is
+    coarse.
     """
     pairs = np.ascontiguousarray(pairs, dtype=float)
     motions = np.empty((len(models), len(pairs), 6, 3))
     for own, of_model in zip(models, motions, strict=True):
         slow = max(own.robot.time_constant, own.human.time_constant)
-        tsc, ratio = coarse(own, motions.size / 18 * slow / effort)
+        tsc, ratio = coarse(own, len(models) * len(pairs) * slow / effort)
         settling, cycles = SCREEN if ratio > 1 else EXACT
         system = settling * slow / ratio, cycles, longest_phase(tsc)
         _survey(tsc.constants(), pairs, *system, of_model)
@@ -281,8 +282,8 @@ def limit_cycle(tsc, lower, upper):
     Raises
     ------
     ValueError
-        If `tsc` is not a TscModel, the thresholds are not finite or in the wrong order, or a time
-        constant exceeds two million samples.
+        If `tsc` is neither, the thresholds are not finite or in the wrong order, or a time constant
+        exceeds two million samples.
 
     Notes
     -----
@@ -349,9 +350,9 @@ def endless_phase(tsc: TscModel, lower: float, upper: float) -> str:
     """
     Return from where one mode stays for ever under rule (2.8); nothing where none does.
 
-    In the autonomous mode r → 0 and P_r → P_r,min, so that TSC tends to a limit: it falls to a
-    TSC_l above the limit from everywhere, and to one below it, or at it, never from r = 0 and P_r ≥
-    P_r,min. In the manual mode likewise, with r → 1.
+    In the autonomous mode r → 0 and P_r → P_r,min, so that TSC tends to a limit. Where TSC_l lies
+    above it, TSC falls to TSC_l from everywhere. Where TSC_l lies at it or below, TSC never does
+    from r = 0 and P_r ≥ P_r,min. In the manual mode likewise, with r → 1.
     """
     robot, human = tsc.robot, tsc.human
     slack = 1e-12 / (1.0 - robot.a)  # rounding stalls P_r so near its limit

@@ -61,9 +61,10 @@ class ThresholdChoice(Result):
         TSC_l and TSC_u; where none are offered, those of the pair that comes nearest, or NaN where
         Theorem 1 leaves no room.
     probability : float
-        Probability that the rule keeps switching and, where asked, that utilization encloses β:
-        share of all draws of a posterior, each followed sample by sample; 1 or 0 for exactly this
-        model; NaN for a fit, whose errors it leaves out.
+        Probability that the rule keeps switching and, where asked, that utilization encloses β,
+        from a start at β: share of all draws of a posterior, each followed sample by sample; 1 or 0
+        for exactly this model; NaN for a fit, whose errors it leaves out, and where there is no
+        pair. For other starts there are `.cycle` and `.bounds`.
     encloses_beta : bool
         Whether the steady utilization encloses β; of a posterior, with the confidence asked for.
     message : str
@@ -192,8 +193,8 @@ def choose_thresholds(
     objective : {"peak", "mean"} or float
         What is to be great: "peak", the highest robot performance, as printed, ties by the mean; a
         weight w in [0, 1] for w · robot performance + (1 − w) · human performance, both mean and in
-        points of (2.39); "mean" is w = 1. For the printed people the peak costs 9 to 27 points of
-        mean robot performance, and puts β at the edge of the range.
+        points of (2.39); "mean" is w = 1. For the printed operators the peak costs 9 to 27 points
+        of mean robot performance, and puts β at the edge of the range.
     confidence : float, optional
         For a posterior alone: the probability that a pair must have to be offered, in (0, 1); 0.95
         when not given.
@@ -256,7 +257,7 @@ def choose_thresholds(
         reason = _no_room(models, limits)
         nothing = pd.DataFrame(columns=_Search.COLUMNS)
         choice = ThresholdChoice(
-            *(np.nan, np.nan, 0.0, False, f"No thresholds: {reason}", reason),
+            *(np.nan, np.nan, np.nan, False, f"No thresholds: {reason}", reason),
             *(limits, nothing, source),
         )
     doubtful = isinstance(tsc, FitResult) and not tsc.success
@@ -365,38 +366,38 @@ class _Search:
         best_first = np.lexsort((-mean, -value))
         nearest_first = np.lexsort((apart, -self.holds))
         order = [*best_first[able[best_first]], *nearest_first[~able[nearest_first]]]
-        nearest = None
+        best = None
         for k in order[: FOLLOWED if able.any() else 1]:
             motions = survey(self.models, self.pairs[k : k + 1])
             around = encloses_beta(motions, self.models)[:, 0]
             holds = around if self.enclose else ~np.isnan(motions[:, 0, R, LOW])
-            if nearest is None or holds.mean() > nearest[1].mean():
-                nearest = self.pairs[k], holds, around, motions
+            if best is None or holds.mean() > best[1].mean():
+                best = self.pairs[k], holds, around
+                self.exact = motions[:, 0]  # of the best pair
             if holds.mean() >= self.asked:
                 break
-        *chosen, self.exact = nearest
-        return tuple(chosen)
+        return best
 
     def reason(self, probability: float) -> str:
         """Say why no pair is offered."""
         low, high = self.pairs.min(), self.pairs.max()
-        if not self.switches.any():
+        if not self.switches.any() or not (self.enclose or len(self.models) > 1):
             return (
                 f"under no pair between {low:.3f} and {high:.3f} does control keep changing hands."
             )
         if len(self.models) > 1:
             alone = ""
-            switching = (~np.isnan(self.exact[:, 0, R, LOW])).mean()
+            switching = (~np.isnan(self.exact[:, R, LOW])).mean()
             if self.enclose and switching >= self.asked:
                 alone = (
                     f" (it keeps switching with {switching:.2f}, but not always around β: "
                     "enclose_beta=False asks for switching only)"
                 )
             return (
-                f"no pair between {low:.3f} and {high:.3f} {self.condition} with probability "
-                f"{self.asked:g}; the nearest does with {probability:.2f}{alone}. "
+                f"no pair between {low:.3f} and {high:.3f} was found that {self.condition} with "
+                f"probability {self.asked:g}; the nearest does with {probability:.2f}{alone}. "
             )
-        r_low, r_high, _ = self.exact[0, 0, R]
+        r_low, r_high, _ = self.exact[0, R]
         return (
             f"no pair between {low:.3f} and {high:.3f} makes the steady utilization enclose β = "
             f"{self.models[0].human.beta:.3g}; under the nearest it stays within {r_low:.3f} to "
@@ -437,7 +438,7 @@ def _no_room(models: list[TscModel], limits: ThresholdLimits) -> str:
     """Say that Theorem 1 leaves no room, and what would make some."""
     some = models[:SCREENED]
     share = np.mean([threshold_limits(tsc, limits.delta_p_h).feasible for tsc in some])
-    known = "no recording can help"
+    known = "no recording of this robot and operator can help"
     if share > 0.05:
         known = f"there is room in {share:.0%} of the draws, so that more data may show some"
     wider = "widen the range of robot performance (p_max − p_min)"
@@ -475,10 +476,10 @@ def _offered(
     at_end = [name for name, (value, end) in ends.items() if value == end]
     if at_end:
         sentences.append(
-            f"The {' and the '.join(at_end)} threshold at the end of the range searched; a smaller "
-            "margin allows more."
+            f"At the end of the range searched: the {' and the '.join(at_end)} threshold; a "
+            "smaller margin allows more."
         )
-    sentences.append(f"Limits searched: {limits}.")
+    sentences.append(f"Limits: {limits}.")
     if len(search.models) == 1:
         (model,) = search.models
         own = threshold_limits(model, None)
