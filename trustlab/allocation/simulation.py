@@ -1,6 +1,8 @@
 """The model under rule (2.8), Algorithm 2 or a user's own rule, sample by sample."""
 
-from typing import Any
+import itertools
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,38 +17,66 @@ from trustlab.allocation.rules import (
 )
 from trustlab.models.checks import between, finite_number, of_class, whole_number
 from trustlab.models.compiled import njit
-from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at
+from trustlab.models.simulation import Simulation
+from trustlab.models.tsc import (
+    TscConstants,
+    TscModel,
+    advance,
+    human_at,
+    threshold_mode,
+    tsc_at,
+)
 
 # Longest simulation: 40 bytes are kept of every sample.
 MOST_STEPS = 100_000_000
 
-# How many samples the model is simulated ahead of a rule in Python, which then says where the mode
-# changes.
-AHEAD = 256
+STATE = np.dtype([(name, float) for name in ("r", "p_r", "p_h", "tsc", "mode")])
 
 
-@njit
-def simulate_rule(start_r, start_p_r, mode, lower, upper, tolerance, c, r, p_r, p_h, tsc, modes):
+class Rule(NamedTuple):
     """
-    Fill five columns with the model under a rule.
-
-    The mode follows from TSC and P_r of the same sample.
+    The model's constants, and a rule that needs no Python.
 
     `lower` and `upper` are the thresholds of (2.8); with a `tolerance` of 0 or more they are P_min
     and P_max of Algorithm 2.
     """
-    now_r, now_p_r = start_r, start_p_r
-    for k in range(r.size):
-        r[k], p_r[k] = now_r, now_p_r
-        p_h[k] = human_at(now_r, c)
-        tsc[k] = tsc_at(now_p_r, p_h[k], c)
-        if tolerance < 0.0:
-            mode = threshold_mode(tsc[k], lower, upper, mode)
+
+    constants: TscConstants
+    lower: float
+    upper: float
+    tolerance: float
+
+
+@njit
+def simulate_model(first, stop, setup, state, inputs, log):
+    """
+    Simulate (2.1)-(2.8), as a kernel of `Simulation`.
+
+    Inputs are modes; without any the rule decides. Rows of the log are those of STATE.
+    """
+    c = setup.constants
+    now = state[0]
+    r, p_r = now.r, now.p_r
+    p_h, tsc = now.p_h, now.tsc
+    mode = now.mode
+    for k in range(first, stop):
+        if inputs.size > 0:
+            mode = inputs[k]
+        elif setup.tolerance < 0.0:
+            mode = threshold_mode(tsc, setup.lower, setup.upper, mode)
         else:
-            suggested = performance_suggestion(now_p_r, lower, upper, tolerance)
+            suggested = performance_suggestion(p_r, setup.lower, setup.upper, setup.tolerance)
             mode = mode if suggested < 0 else suggested
-        modes[k] = mode
-        now_r, now_p_r = advance(now_r, now_p_r, p_h[k], mode, c)
+        log[0, k], log[1, k] = r, p_r
+        log[2, k], log[3, k] = p_h, tsc
+        log[4, k] = mode
+        r, p_r = advance(r, p_r, p_h, mode, c)
+        p_h = human_at(r, c)
+        tsc = tsc_at(p_r, p_h, c)
+    now.r, now.p_r = r, p_r
+    now.p_h, now.tsc = p_h, tsc
+    now.mode = mode
+    return stop, -1
 
 
 def simulate_allocation(
@@ -114,40 +144,35 @@ def simulate_allocation(
         ThresholdRule(*check_thresholds(tsc, lower, upper)) if rule is None else rule, mode
     )
     steps = whole_number("steps", steps, most=MOST_STEPS)
-    start = (
-        between("r0", r0, 0.0, 1.0),
-        tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0),
-    )
-    columns = dict(zip(("r", "p_r", "p_h", "tsc", "mode"), np.empty((5, steps)), strict=True))
-    numbers = None
+    state = np.empty(1, STATE)
+    state["r"] = r = between("r0", r0, 0.0, 1.0)
+    state["p_r"] = p_r = tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0)
+    state["p_h"] = p_h = human_at(r, tsc.constants())
+    state["tsc"], state["mode"] = tsc.value(p_r, p_h), mode
+    numbers = (np.nan, np.nan, np.nan)
+    inputs = np.empty(0)
+    decide = None
     if type(rule) is ThresholdRule:
         numbers = (rule.lower, rule.upper, -1.0)
     elif type(rule) is PerformanceRule:
         numbers = (rule.p_min, rule.p_max, rule.tolerance)
-    if numbers is None:
-        _ask_step_by_step(rule, mode, start, tsc.constants(), **columns)
     else:
-        simulate_rule(*start, float(mode), *numbers, tsc.constants(), *columns.values())
-    return pd.DataFrame(columns, copy=False)
+        inputs = np.empty(steps)
+        decide = _obeying(rule)
+    log = np.empty((len(STATE.names), steps))
+    setup = Rule(tsc.constants(), *numbers)
+    Simulation(simulate_model, setup, state, inputs, log, decide).advance(steps)
+    return pd.DataFrame(dict(zip(STATE.names, log, strict=True)), copy=False)
 
 
-def _ask_step_by_step(rule, now, start, c, r, p_r, p_h, tsc, mode):
-    """
-    Fill five columns as a rule in Python decides.
+def _obeying(rule: Any) -> Callable:
+    """Return what decides as a rule in Python does."""
+    asked = itertools.count()
 
-    The model is simulated ahead in the present mode, and again after a switch.
-    """
-    r[0], p_r[0] = start
-    # The first sample of a stretch is already decided but for that of the whole run.
-    first = decided = 0
-    while decided < r.size:
-        part = slice(first, first + AHEAD)
-        stretch = r[part], p_r[part], p_h[part], tsc[part], mode[part]
-        simulate_rule(r[first], p_r[first], float(now), -np.inf, np.inf, -1.0, c, *stretch)
-        while decided < min(first + AHEAD, r.size):
-            choice = decision(rule, f"step {decided}", float(tsc[decided]), float(p_r[decided]))
-            decided += 1
-            if choice not in (None, now):
-                mode[decided - 1] = now = choice
-                break
-        first = decided - 1
+    def decide(state: np.ndarray, inputs: np.ndarray) -> None:
+        (now,) = state
+        step = f"step {next(asked)}"
+        choice = decision(rule, step, float(now["tsc"]), float(now["p_r"]))
+        inputs[0] = now["mode"] if choice is None else choice
+
+    return decide
