@@ -127,9 +127,12 @@ def survey(models: list[TscModel], pairs: np.ndarray, effort: float = np.inf) ->
     times pairs times the slower time constant [samples] exceeds `effort`, the sample time is
     coarse.
     """
+    from tqdm import tqdm
+
     pairs = np.ascontiguousarray(pairs, dtype=float)
     motions = np.empty((len(models), len(pairs), 6, 3))
-    for own, of_model in zip(models, motions, strict=True):
+    bar = tqdm(models, "steady motions", leave=False, delay=2.0, disable=None)
+    for own, of_model in zip(bar, motions, strict=True):
         slow = max(own.robot.time_constant, own.human.time_constant)
         tsc, ratio = coarse(own, len(models) * len(pairs) * slow / effort)
         settling, cycles = SCREEN if ratio > 1 else EXACT
