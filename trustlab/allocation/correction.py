@@ -266,8 +266,9 @@ class ThresholdCorrector:
             one_of("engine", engine, ("casadi",), "None")
             from trustlab.allocation.casadi_correction import CorrectionProgram
 
+            chosen: dict[str, Any] = given
             settings = self.tsc, self.target, self.c_b, self.horizon, incentive
-            self.program = CorrectionProgram(*settings, **given)
+            self.program = CorrectionProgram(*settings, **chosen)
         elif given:
             name, value = next(iter(given.items()))
             raise ValueError(f'{name} = {shown(value)} would do nothing without engine="casadi"')

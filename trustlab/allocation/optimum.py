@@ -322,7 +322,8 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
     reach = max(4, int(0.1 * best.max()))
     while reach > 0:
         offsets = np.unique(np.round(np.linspace(-reach, reach, 11)).astype(int))
-        best = best_of(c, _patterns(*(n + offsets for n in best), least, longest, limit), *scales)
+        manual, autonomous = (n + offsets for n in best)
+        best = best_of(c, _patterns(manual, autonomous, least, longest, limit), *scales)
         reach //= 3
     return int(best[0]), int(best[1])
 

@@ -55,10 +55,9 @@ def simulate_model(first, stop, setup, state, inputs, log):
     Inputs are modes; without any the rule decides. Rows of the log are those of STATE.
     """
     c = setup.constants
-    now = state[0]
-    r, p_r = now.r, now.p_r
-    p_h, tsc = now.p_h, now.tsc
-    mode = now.mode
+    r, p_r = state.r, state.p_r
+    p_h, tsc = state.p_h, state.tsc
+    mode = state.mode
     for k in range(first, stop):
         if inputs.size > 0:
             mode = inputs[k]
@@ -73,9 +72,9 @@ def simulate_model(first, stop, setup, state, inputs, log):
         r, p_r = advance(r, p_r, p_h, mode, c)
         p_h = human_at(r, c)
         tsc = tsc_at(p_r, p_h, c)
-    now.r, now.p_r = r, p_r
-    now.p_h, now.tsc = p_h, tsc
-    now.mode = mode
+    state.r, state.p_r = r, p_r
+    state.p_h, state.tsc = p_h, tsc
+    state.mode = mode
     return stop, -1
 
 
@@ -144,7 +143,7 @@ def simulate_allocation(
         ThresholdRule(*check_thresholds(tsc, lower, upper)) if rule is None else rule, mode
     )
     steps = whole_number("steps", steps, most=MOST_STEPS)
-    state = np.empty(1, STATE)
+    (state,) = np.empty(1, STATE)
     state["r"] = r = between("r0", r0, 0.0, 1.0)
     state["p_r"] = p_r = tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0)
     state["p_h"] = p_h = human_at(r, tsc.constants())
@@ -169,8 +168,7 @@ def _obeying(rule: Any) -> Callable:
     """Return what decides as a rule in Python does."""
     asked = itertools.count()
 
-    def decide(state: np.ndarray, inputs: np.ndarray) -> None:
-        (now,) = state
+    def decide(now: np.void, inputs: np.ndarray) -> None:
         step = f"step {next(asked)}"
         choice = decision(rule, step, float(now["tsc"]), float(now["p_r"]))
         inputs[0] = now["mode"] if choice is None else choice

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -245,8 +246,8 @@ def choose_thresholds(
             "does not; trustlab.sample_posterior gives a probability"
         )
     asked = 0.95 if confidence is None else open_unit("confidence", confidence)
-    source = tsc.model if isinstance(tsc, FitResult) else tsc
-    models = tsc.models if of_posterior else [of_class("tsc", source, TscModel)]
+    source: Any = tsc.model if isinstance(tsc, FitResult) else tsc
+    models = source.models if isinstance(source, Posterior) else [of_class("tsc", source, TscModel)]
     limits = _limits_of(models, delta_p_h)
     if limits.feasible:
         span = limits.upper - limits.lower
@@ -256,10 +257,9 @@ def choose_thresholds(
     else:
         reason = _no_room(models, limits)
         nothing = pd.DataFrame(columns=_Search.COLUMNS)
-        choice = ThresholdChoice(
-            *(np.nan, np.nan, np.nan, False, f"No thresholds: {reason}", reason),
-            *(limits, nothing, source),
-        )
+        message = f"No thresholds: {reason}"
+        values = np.nan, np.nan, np.nan, False, message, reason, limits, nothing
+        choice = ThresholdChoice(*values, tsc=source)
     doubtful = isinstance(tsc, FitResult) and not tsc.success
     if isinstance(tsc, FitResult):
         choice = _of_fit(tsc, choice)
@@ -275,20 +275,20 @@ def _chosen(
     source: TscModel | Posterior,
 ) -> ThresholdChoice:
     """Return the best pair of a search, or why it is not offered."""
-    pair, holds, around = search.choose()
+    (lower, upper), holds, around = search.choose()
     probability = float(holds.mean())
     reason = ""
     if probability < search.asked:
         reason = search.reason(probability)
         reason += _what_would_help(tsc, search) if isinstance(tsc, Posterior) else ""
     return ThresholdChoice(
-        lower=float(pair[0]),
-        upper=float(pair[1]),
+        lower=float(lower),
+        upper=float(upper),
         probability=probability,
         encloses_beta=bool(around.mean() >= search.asked),
         message=f"No thresholds: {reason}"
         if reason
-        else _offered(search, pair, limits, probability, tsc),
+        else _offered(search, (lower, upper), limits, probability, tsc),
         reason=reason,
         limits=limits,
         candidates=search.table,

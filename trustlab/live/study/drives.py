@@ -98,6 +98,7 @@ def identified(plan: Plan, session: Session) -> dict[str, Any]:
     report.
     """
     # Only here: a server that comes back after a crash must not compile what it does not need yet.
+    from trustlab.allocation.steady import limit_cycle
     from trustlab.allocation.thresholds import choose_thresholds
     from trustlab.identification.model import IdentificationError
     from trustlab.live.fit import fit_holding
@@ -108,7 +109,7 @@ def identified(plan: Plan, session: Session) -> dict[str, Any]:
         with warnings.catch_warnings():  # what it warns of is recorded
             warnings.simplefilter("ignore")
             chosen = choose_thresholds(model)
-        if math.isnan(chosen.lower) or not chosen.cycle.exists:
+        if math.isnan(chosen.lower) or not limit_cycle(model, chosen.lower, chosen.upper).exists:
             raise ValueError(chosen.reason)
     except IdentificationError as error:
         return stand_in(plan, f"no model: {str(error)[:160].rpartition(' ')[0]} …", str(error))
