@@ -168,6 +168,40 @@ def test_a_quick_operator_s_utilization_repeats_before_performance_does():
     assert cycle.dwell_manual == (4, 5)
 
 
+def test_coexisting_motions_are_not_one():
+    """From rest r is .745 to .755, from β .797 to .803; neither encloses β. Oracle: simulation."""
+    human = tl.HumanModel(
+        0.9931173542037335, 0.7667916440216367, 0.7135135891192641, 1.191955246242121
+    )
+    robot = tl.RobotModel(
+        0.745136609875909, 0.07233246624518448, 0.5811750650117329, 1.191955246242121
+    )
+    pair = 0.02376088811222299, 0.35270687220735775
+    model = tl.TscModel(robot, human)
+    cycle = limit_cycle(model, *pair)
+    rest, best = (
+        simulate_allocation(model, *pair, 60_000, r0, p_r0).iloc[40_000:]
+        for r0, p_r0 in ((0.0, None), (human.beta, (pair[0] + model.b_T * human.p_max) / model.a_T))
+    )
+    assert rest["r"].max() < human.beta < best["r"].min()
+    assert not cycle.encloses_beta
+    assert "another motion" in cycle.reason
+    assert (cycle.r_low, cycle.r_high) == pytest.approx(
+        (rest["r"].min(), best["r"].max()), abs=1e-6
+    )
+    assert cycle.mean_r == pytest.approx(best["r"].mean(), abs=1e-3)
+
+
+def test_a_start_beyond_the_upper_threshold_is_autonomous_at_once():
+    """Neither start switches, though others do."""
+    robot = tl.RobotModel(a=0.99, p_min=0.8, p_max=1.2, p_h_max=0.6)
+    model = tl.TscModel(robot, tl.HumanModel(a=0.8, beta=0.98, p_min=0.3, p_max=0.6))
+    assert simulate_allocation(model, -0.03, 0.12, 50_000)["mode"].iloc[5_000:].nunique() == 1
+    cycle = limit_cycle(model, -0.03, 0.12)
+    assert not cycle.exists
+    assert "stays autonomous" in cycle.reason
+
+
 def test_a_mode_that_stays_from_a_state_that_no_start_met_is_said(operators, monkeypatch):
     usual = limit_cycle(operators["2"], 0.0, 0.35)
     assert usual.always

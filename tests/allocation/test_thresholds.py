@@ -107,6 +107,19 @@ def test_no_pair_that_encloses_beta_is_said(operators):
     assert choose_thresholds(operators["1"], points=8, enclose_beta=False).probability == 1.0
 
 
+def test_a_pair_does_what_is_said_from_rest_as_well():
+    """Here a motion from β encloses β, and that from rest does not."""
+    human = tl.HumanModel(0.9943798717128215, 0.98, 1.0016270911300817, 1.1535137779291924)
+    ends = 0.8699032225204257, 1.0808661362278686, human.p_max
+    model = tl.TscModel(tl.RobotModel(0.9650311638417988, *ends), human)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        choice = choose_thresholds(model, points=19, margin=0.001)
+    run = tl.simulate_allocation(model, choice.lower, choice.upper, 60_000).iloc[40_000:]
+    around = run["r"].min() <= human.beta <= run["r"].max()
+    assert choice.probability == float(around)
+
+
 def test_no_room_between_the_limits_is_remark_4(operators):
     with pytest.warns(UserWarning, match=r"TSC_ub = .* does not exceed TSC_lb .*\(Remark 4\)"):
         choice = choose_thresholds(operators["pilot"], delta_p_h=0.01)

@@ -218,7 +218,9 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
         farthest_l += min(max(target[LOWER] - farthest_l, down), up)
         farthest_u += min(max(target[UPPER] - farthest_u, down), up)
         bound += (farthest_u - target[UPPER]) ** 2 + (farthest_l - target[LOWER]) ** 2
-        r_least, p_least = advance(r_least, p_least, 0.0, 0.0, c)
+        # Performance falls farthest under P_h,min where that is negative, else without anybody.
+        p_least = advance(0.0, p_least, min(c.p_h_min, 0.0), 1.0, c)[1]
+        r_least = advance(r_least, 0.0, 0.0, 0.0, c)[0]
         r_most, p_most = advance(r_most, p_most, c.p_h_max, 1.0, c)
     return cost, min(bound, cost), True
 

@@ -27,6 +27,7 @@ from trustlab.models.checks import (
     one_of,
     positive,
     set_checked,
+    shown,
     whole_number,
 )
 from trustlab.models.display import Result, axes_or_new
@@ -530,6 +531,11 @@ def run_correction(
     """
     of_class("corrector", corrector, ThresholdCorrector)
     setting = ModelTests() if setting is None else setting
+    if not hasattr(setting, "habits"):
+        raise ValueError(
+            "setting must be ModelTests, trustlab.testbeds.GroundRobotTests or one like them, got "
+            f"{shown(setting)}"
+        )
     start = threshold_pair("start", setting.printed_thresholds() if start is None else start)
     one_of("habit", habit, setting.habits)
     tests = whole_number("tests", tests, most=1000)

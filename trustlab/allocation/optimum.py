@@ -34,6 +34,7 @@ GRID = 20_001
 # The longest phase of a pattern, in time constants of utilization and in least dwell times.
 LONGEST = 4.0
 MOST_DWELLS = 40
+MOST_SAMPLES = 20_000
 
 # Effort of a coarse survey of thresholds on TSC, and how many of its best pairs are followed sample
 # by sample.
@@ -153,7 +154,7 @@ def optimal_allocation(
     Raises
     ------
     ValueError
-        If an argument is out of range, or no pattern keeps `max_mean_r`.
+        If an argument is out of range.
 
     Notes
     -----
@@ -171,9 +172,8 @@ def optimal_allocation(
     """
     of_class("tsc", tsc, TscModel)
     weight = between("weight", weight, 0.0, 1.0)
-    least = max(
-        1, round(not_negative("min_dwell", min_dwell) / positive("sample_time", sample_time))
-    )
+    dwell = not_negative("min_dwell", min_dwell) / positive("sample_time", sample_time)
+    least = max(1, round(between("min_dwell/sample_time", dwell, 0.0, MOST_SAMPLES)))
     limit = 1.0 if max_mean_r is None else open_unit("max_mean_r", max_mean_r)
     upper_bound, r_star = certificate(tsc, weight, limit)
     pattern = _best_pattern(tsc, weight, least, limit)
@@ -310,15 +310,14 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
     """Return samples of manual and autonomous control: first coarsely, then to the sample."""
     c = tsc.constants()
     scales = _scales(tsc, weight)
-    longest = max(MOST_DWELLS * least, LONGEST / (1.0 - tsc.human.a)) if least > 1 else 1000
+    longest = 1000.0
+    if least > 1:
+        rest = LONGEST / (1.0 - tsc.human.a)
+        longest = max(min(MOST_DWELLS * least, MOST_SAMPLES), rest, least + rest)
+    if limit < 1.0:  # whatever keeps the limit with the shortest phases
+        longest = max(longest, least * (1.0 - limit) / limit, least * limit / (1.0 - limit)) + 1
     coarse = np.unique(np.round(np.geomspace(least, longest, 36)).astype(int))
-    patterns = _patterns(coarse, coarse, least, longest, limit)
-    if len(patterns) == 0:
-        raise ValueError(
-            f"no pattern with phases of at least {least} samples keeps mean r at most {limit:g}; "
-            "allow a greater max_mean_r or shorter phases"
-        )
-    best = best_of(c, patterns, *scales)
+    best = best_of(c, _patterns(coarse, coarse, least, longest, limit), *scales)
     reach = max(4, int(0.1 * best.max()))
     while reach > 0:
         offsets = np.unique(np.round(np.linspace(-reach, reach, 11)).astype(int))

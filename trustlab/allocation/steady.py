@@ -32,6 +32,9 @@ ALONE = 30.0, 300
 EXACT = 20.0, 100
 SCREEN = 7.0, 4
 
+# Difference of the ranges of utilization from which on two motions count as two.
+COEXIST = 1e-3
+
 # Samples per time constant of the quicker process, at a coarse sample time.
 QUICK = 25
 
@@ -47,7 +50,7 @@ def _seen(row, value):
 @njit
 def steady_motion(c, lower, upper, r, p_r, settle, cycles, most, rows):
     """
-    Follow (2.8) from r and P_r, where a manual phase begins, and fill the rows of its motion.
+    Follow (2.8) from r and P_r in the manual mode, and fill the rows of its motion.
 
     After `settle` samples, as many `cycles` are recorded. Returns the mode that stays for `most`
     samples (rows are NaN then) or −1, and the r and P_r at the end.
@@ -65,7 +68,8 @@ def steady_motion(c, lower, upper, r, p_r, settle, cycles, most, rows):
             while True:
                 p_h = human_at(r, c)
                 tsc = tsc_at(p_r, p_h, c)
-                if dwell > 0 and (tsc >= upper if mode == 1 else tsc <= lower):
+                # A phase that begins lasts a sample; the run itself may begin beyond TSC_u.
+                if (dwell > 0 or done == 0) and (tsc >= upper if mode == 1 else tsc <= lower):
                     break
                 if dwell == most:
                     rows[:] = np.nan
@@ -88,13 +92,15 @@ def steady_motion(c, lower, upper, r, p_r, settle, cycles, most, rows):
 
 
 @njit
-def _survey(c, pairs, settle, cycles, most, motions):
-    """Fill the motion under every pair of thresholds; all begin at β, a manual phase first."""
+def _survey(c, pairs, rested, settle, cycles, most, motions):
+    """Fill the motion under every pair of thresholds, from β or from rest."""
     p_h = human_at(c.beta, c)
     for j in range(len(pairs)):
-        p_r = (pairs[j, 0] + c.b_T * p_h) / c.a_T
         lower, upper = pairs[j]
-        steady_motion(c, lower, upper, c.beta, p_r, settle, cycles, most, motions[j])
+        r, p_r = c.beta, (lower + c.b_T * p_h) / c.a_T
+        if rested:
+            r, p_r = 0.0, c.p_r_min
+        steady_motion(c, lower, upper, r, p_r, settle, cycles, most, motions[j])
 
 
 def longest_phase(tsc: TscModel) -> int:
@@ -118,14 +124,16 @@ def coarse(tsc: TscModel, ratio: float) -> tuple[TscModel, int]:
     return TscModel(replace(tsc.robot, a=a, b=b), replace(tsc.human, a=tsc.human.a**whole)), whole
 
 
-def survey(models: list[TscModel], pairs: np.ndarray, effort: float = np.inf) -> np.ndarray:
+def survey(
+    models: list[TscModel], pairs: np.ndarray, effort: float = np.inf, rested: bool = False
+) -> np.ndarray:
     """
     Return the motions of models under pairs of thresholds, shape (models, pairs, 6, 3).
 
     Rows are r, P_r, P_h, TSC and the dwell times in either mode [samples], columns least, greatest
-    and mean; NaN where a mode stays for ever. All begin at β, with a manual phase. Where models
-    times pairs times the slower time constant [samples] exceeds `effort`, the sample time is
-    coarse.
+    and mean; NaN where a mode stays for ever. All begin in the manual mode, at β where TSC meets
+    TSC_l, or `rested` at r = 0 and P_r,min. Where models times pairs times the slower time constant
+    [samples] exceeds `effort`, the sample time is coarse.
     """
     from tqdm import tqdm
 
@@ -136,7 +144,7 @@ def survey(models: list[TscModel], pairs: np.ndarray, effort: float = np.inf) ->
         slow = max(own.robot.time_constant, own.human.time_constant)
         tsc, ratio = coarse(own, len(models) * len(pairs) * slow / effort)
         settling, cycles = SCREEN if ratio > 1 else EXACT
-        system = settling * slow / ratio, cycles, longest_phase(tsc)
+        system = rested, settling * slow / ratio, cycles, longest_phase(tsc)
         _survey(tsc.constants(), pairs, *system, of_model)
         of_model[:, AUTONOMOUS:] *= ratio
     return motions
@@ -184,9 +192,9 @@ class LimitCycle(SteadyRanges):
     always : bool
         Whether it does from every start; where not, `reason` says from which it does not.
     encloses_beta : bool
-        Whether utilization encloses β, at which the operator performs best.
+        Whether utilization encloses β, at which the operator performs best, from both starts.
     mean_r, mean_p_r, mean_p_h : float
-        Long-run averages of utilization, robot and human performance.
+        Long-run averages of utilization, robot and human performance; from β, where it goes on.
     """
 
     exists: bool
@@ -290,9 +298,9 @@ def limit_cycle(tsc, lower, upper):
 
     Notes
     -----
-    Several motions can coexist, a step of overshoot apart; ranges enclose those reached from both
-    starts. For every trajectory, whatever its start, there is `invariant_bounds`, whose ranges hold
-    for motions that are missed here as well.
+    Several motions can coexist, some steps of overshoot apart; ranges enclose those reached from
+    both starts, and `reason` says so where they differ. Of a motion that never repeats they are
+    those of 300 cycles. For every trajectory, whatever its start, there is `invariant_bounds`.
 
     Examples
     --------
@@ -324,7 +332,10 @@ def limit_cycle(tsc, lower, upper):
     less = f"from one of the starts it {stays}" if stays else endless_phase(tsc, lower, upper)
     reason = "keeps switching" + (f"; but {less}" if less else "")
     low, high = np.min(motions, axis=0)[:, LOW], np.max(motions, axis=0)[:, HIGH]
-    mean = np.mean(motions, axis=0)[:, MEAN]
+    if np.ptp([rows[R, :MEAN] for rows in motions], axis=0).max() > COEXIST:
+        reason += "; from rest it settles to another motion than from β, and ranges enclose both"
+    mean = motions[0][:, MEAN]
+    around = all(rows[R, LOW] <= best <= rows[R, HIGH] for rows in motions)
     ranges = {}
     for name, row in zip(QUANTITIES.values(), (R, P_R, TSC, MANUAL, AUTONOMOUS), strict=True):
         ranges |= {f"{name}_low": float(low[row]), f"{name}_high": float(high[row])}
@@ -332,7 +343,7 @@ def limit_cycle(tsc, lower, upper):
         exists=True,
         reason=reason,
         always=not less,
-        encloses_beta=bool(low[R] <= best <= high[R]),
+        encloses_beta=around,
         mean_r=float(mean[R]),
         mean_p_r=float(mean[P_R]),
         mean_p_h=float(mean[P_H]),

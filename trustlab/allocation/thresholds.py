@@ -63,9 +63,9 @@ class ThresholdChoice(Result):
         Theorem 1 leaves no room.
     probability : float
         Probability that the rule keeps switching and, where asked, that utilization encloses β,
-        from a start at β: share of all draws of a posterior, each followed sample by sample; 1 or 0
-        for exactly this model; NaN for a fit, whose errors it leaves out, and where there is no
-        pair. For other starts there are `.cycle` and `.bounds`.
+        from β and from rest: share of all draws of a posterior, each followed sample by sample; 1
+        or 0 for exactly this model; NaN for a fit, whose errors it leaves out, and where there is
+        no pair. For every other start there is `.bounds`.
     encloses_beta : bool
         Whether the steady utilization encloses β; of a posterior, with the confidence asked for.
     message : str
@@ -368,9 +368,15 @@ class _Search:
         order = [*best_first[able[best_first]], *nearest_first[~able[nearest_first]]]
         best = None
         for k in order[: FOLLOWED if able.any() else 1]:
-            motions = survey(self.models, self.pairs[k : k + 1])
+            pair = self.pairs[k : k + 1]
+            motions = survey(self.models, pair)
             around = encloses_beta(motions, self.models)[:, 0]
-            holds = around if self.enclose else ~np.isnan(motions[:, 0, R, LOW])
+            switches = ~np.isnan(motions[:, 0, R, LOW])
+            if (around if self.enclose else switches).mean() >= self.asked:
+                from_rest = survey(self.models, pair, rested=True)
+                around &= encloses_beta(from_rest, self.models)[:, 0]
+                switches &= ~np.isnan(from_rest[:, 0, R, LOW])
+            holds = around if self.enclose else switches
             if best is None or holds.mean() > best[1].mean():
                 best = self.pairs[k], holds, around
                 self.exact = motions[:, 0]  # of the best pair
@@ -428,10 +434,8 @@ def _front(cost: np.ndarray, gain: np.ndarray) -> np.ndarray:
 def _limits_of(models: list[TscModel], delta_p_h: float) -> ThresholdLimits:
     """Return the limits of a model, or the medians of several."""
     limits = [threshold_limits(tsc, delta_p_h) for tsc in models[:SCREENED]]
-    lower = float(np.median([each.lower for each in limits]))
-    return ThresholdLimits(
-        lower, float(np.median([each.upper for each in limits])), limits[0].delta_p_h
-    )
+    ends = [(each.lower, each.upper, each.delta_p_h) for each in limits]
+    return ThresholdLimits(*np.median(ends, axis=0).tolist())
 
 
 def _no_room(models: list[TscModel], limits: ThresholdLimits) -> str:
