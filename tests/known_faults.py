@@ -227,7 +227,6 @@ KNOWN = {
         "axes": "foreign errors",
     },
     "optimal_allocation": {
-        "min_dwell": "foreign errors",
         "sample_time": "no difference",
     },
     "order_effects": {
