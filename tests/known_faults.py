@@ -303,9 +303,6 @@ KNOWN = {
     "GroundRobotRun.plot_path": {
         "axes": "foreign errors",
     },
-    "run_correction": {
-        "setting": "foreign errors",
-    },
     "CorrectionRun.plot": {
         "target": "foreign errors",
     },
