@@ -39,6 +39,14 @@ COEXIST = 1e-3
 QUICK = 25
 
 
+# Numbers are written one by one: assignments to slices take a second longer to compile.
+@njit
+def _fill(row, low, high, mean):
+    row[LOW] = low
+    row[HIGH] = high
+    row[MEAN] = mean
+
+
 @njit
 def _seen(row, value):
     """Add a value to least, greatest and sum."""
@@ -55,9 +63,8 @@ def steady_motion(c, lower, upper, r, p_r, settle, cycles, most, rows):
     After `settle` samples, as many `cycles` are recorded. Returns the mode that stays for `most`
     samples (rows are NaN then) or −1, and the r and P_r at the end.
     """
-    rows[:, LOW] = np.inf
-    rows[:, HIGH] = -np.inf
-    rows[:, MEAN] = 0.0
+    for row in range(len(rows)):
+        _fill(rows[row], np.inf, -np.inf, 0.0)
     done = 0
     samples = 0
     recorded = 0
@@ -72,7 +79,8 @@ def steady_motion(c, lower, upper, r, p_r, settle, cycles, most, rows):
                 if (dwell > 0 or done == 0) and (tsc >= upper if mode == 1 else tsc <= lower):
                     break
                 if dwell == most:
-                    rows[:] = np.nan
+                    for row in range(len(rows)):
+                        _fill(rows[row], np.nan, np.nan, np.nan)
                     return mode, r, p_r
                 if recording:
                     _seen(rows[R], r)
@@ -86,8 +94,8 @@ def steady_motion(c, lower, upper, r, p_r, settle, cycles, most, rows):
             if recording:
                 _seen(rows[AUTONOMOUS + mode], dwell)
         recorded += recording
-    rows[:AUTONOMOUS, MEAN] /= samples
-    rows[AUTONOMOUS:, MEAN] /= recorded
+    for row in range(len(rows)):
+        rows[row, MEAN] /= samples if row < AUTONOMOUS else recorded
     return -1, r, p_r
 
 
