@@ -57,7 +57,7 @@ class Module:
         put, pack = self.put, self.pack
         path, posts = np.array(config["path"]), np.array(config["posts"])
         self.status = put(bytes(32))
-        course = [put(path.tobytes()), len(path), put(posts.tobytes()), len(posts), put(bytes(8))]
+        course = [put(path.tobytes()), len(path), put(posts.tobytes()), len(posts)]
         world = [pack("task", config["task"]), pack("robot", config["robot"]), *course]
         source = pack("source", {"seed": config["seed"], "drawn": 0})
         room = [put(bytes(8 * config["samples"])) for _ in "rh"] + [put(bytes(32 * len(posts)))]

@@ -89,12 +89,14 @@ def test_bad_arguments(more, words):
         corrected(**more)
 
 
-def test_the_compiled_loop_takes_clipping_and_the_printed_incentives_alone():
-    setting = GroundRobotTests(2, laps=1)
-    for more in ({"engine": "casadi"}, {"incentive": lambda r, p, c, a, b: (-0.5 * c, 0.5 * c)}):
-        corrector = tl.ThresholdCorrector(published_model(2), TARGET, horizon=5, **more)
-        with pytest.raises(ValueError, match="ModelTests"):
-            tl.run_correction(corrector, tests=1, setting=setting)
-        # The remedy that the error names.
-        model = tl.allocation.ModelTests(duration=1.0)
-        tl.run_correction(corrector, (0.0, 0.35), tests=1, setting=model)
+def test_the_testbed_takes_incentives_of_ones_own():
+    corrector = tl.ThresholdCorrector(
+        published_model(2), TARGET, horizon=5, incentive=lambda r, p, c, a, b: (-0.5 * c, 0.5 * c)
+    )
+    run = tl.run_correction(corrector, tests=1, setting=GroundRobotTests(2, laps=2))
+    settled = run.data["t"] >= 100.0
+    first = np.cumsum(settled) - 1
+    start = run.data["lower"].iloc[0]
+    expected = np.minimum(start + 0.5 * corrector.c_b * np.maximum(first, 0), TARGET[0])
+    np.testing.assert_allclose(run.data["lower"], expected, atol=1e-12)
+    assert (run.data["latency"] > 0.0).all()

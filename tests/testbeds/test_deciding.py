@@ -3,7 +3,7 @@ Who decides when, and what may be assumed of people: off by default, each with t
 names.
 
 Oracles: sessions of the version before there were assumptions; closed forms of (2.5) and (2.6); the
-tables-free search on the course's path.
+whole path searched by numpy.
 """
 
 from dataclasses import replace
@@ -16,7 +16,7 @@ import trustlab as tl
 from trustlab.operators.ground_robot import ASSUMPTIONS
 from trustlab.testbeds import Course, published_operator
 from trustlab.testbeds.deciding import RANDOM_PHASE, SAMPLE_TIME, SETTLING
-from trustlab.testbeds.ground_robot.course import nearest_of, nearest_point, path_point, point_ahead
+from trustlab.testbeds.ground_robot.course import nearest_point, path_point
 
 BEFORE = {
     "C1": {
@@ -84,25 +84,40 @@ def test_with_assumptions_off_sessions_are_those_of_before(condition):
     )
 
 
-@pytest.mark.parametrize(
-    "course", [Course(), Course(((0, 0), (12, 0), (12, 9), (0, 9)), radius=2.0, resolution=0.4)]
-)
-def test_tables_of_a_course_spare_search_and_change_no_bit(course):
-    numbers, rng = course.numbers, np.random.default_rng(0)
-    low, high = (
-        course.path[:, :2].min(axis=0) - 4.0,
-        course.path[:, :2].max(axis=0) + 4.0,
-    )  # beyond the grid as well
-    for x, y in rng.uniform(low, high, (4000, 2)):
-        assert nearest_of(x, y, numbers) == nearest_point(x, y, numbers.path)
-    corners = numbers.path[1:, 2]
-    for s in np.r_[
-        rng.uniform(-50.0, 150.0, 2000),
-        corners,
-        np.nextafter(corners, -1.0),
-        np.nextafter(corners, 1e9),
-    ]:
-        assert point_ahead(s, numbers) == path_point(s, numbers.path)
+COURSES = [
+    Course(),
+    Course(((0, 0), (12, 0), (12, 9), (0, 9)), radius=2.0, resolution=0.4),
+    Course(((0, 0), (9, 0), (9, 12)), radius=0),
+]
+
+
+@pytest.mark.parametrize("course", COURSES)
+def test_the_nearest_point_is_looked_for_around_the_last_one(course):
+    path, rng = course.path, np.random.default_rng(0)
+    for s, aside in zip(rng.uniform(-50.0, 150.0, 500), rng.uniform(-0.3, 0.3, 500), strict=True):
+        x, y, tx, ty = path_point(s, path)
+        x, y = x - aside * ty, y + aside * tx
+        px, py, arc, away = nearest_point(x, y, s + rng.uniform(-1.0, 1.0), path)
+        assert away == pytest.approx(course.distance(x, y)[0], abs=1e-12)
+        assert np.hypot(px - x, py - y) == pytest.approx(away, abs=1e-12)
+        assert path_point(arc, path)[:2] == pytest.approx((px, py), abs=1e-9)
+
+
+def test_a_branch_of_the_path_that_is_far_along_it_is_not_taken():
+    course = Course(((0, 0), (20, 0), (20, 1), (0, 1)), radius=0)
+    x, y, arc, away = nearest_point(10.0, 0.9, 10.0, course.path)
+    assert (x, y, arc, away) == (10.0, 0.0, 10.0, 0.9)
+    assert course.distance(10.0, 0.9)[0] == pytest.approx(0.1)
+    # over the end of a lap it is
+    assert nearest_point(0.0, 0.4, 0.0, course.path)[2] == pytest.approx(41.6)
+
+
+def test_a_robot_follows_any_closed_polyline():
+    course = Course(((0, 0), (9, 0), (9, 9), (4, 5), (0, 9)), radius=0)
+    bed = tl.testbeds.GroundRobot(laps=2, course=course)
+    run = tl.run_condition("C5", 2, testbed=bed, seed=1)
+    assert run.measures["laps"] == 2
+    assert run.measures["path_error"] < 1.0
 
 
 def skill_of(session, before):

@@ -526,7 +526,7 @@ def test_bad_input_is_named(one, model, change, says):
         ),
         (lambda: Course(corners=((0, 0), (0, 0), (9, 0), (9, 9))), "twice in a row"),
         (lambda: Course(radius=5.0), "smaller radius or corners farther apart"),
-        (lambda: Course(radius=0.0), "radius must be positive"),
+        (lambda: Course(radius=-1.0), "radius must not be negative"),
         (lambda: Pioneer(max_speed=0.0), "max_speed must be positive"),
         (lambda: Pioneer(scan_range=-1.0), "scan_range must not be negative"),
         (lambda: Pioneer(detection=1.5), "detection must be at most 1"),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
+from trustlab.models.simulation import Simulation
 from trustlab.testbeds import drive_modes, published_operator
 
 
@@ -46,6 +47,23 @@ def test_a_rule_decides_from_what_is_measured():
     assert log.metadata.condition == "rule Relay"
     assert log.metadata.synthetic
     assert run.measures["followed_percent"] == 100.0
+
+
+def test_a_rule_that_switches_often_is_driven_once(monkeypatch):
+    class Restless:
+        calls = 0
+
+        def step(self, tsc, p_r):
+            Restless.calls += 1
+            return Restless.calls // 10 % 2
+
+    runs = []
+    begin = Simulation.__post_init__
+    monkeypatch.setattr(Simulation, "__post_init__", lambda self: begin(self) or runs.append(self))
+    run = tl.run_condition(rule=Restless(), participant=2, laps=3, seed=3)
+    assert run.measures["switches"] > 100
+    (simulated,) = runs
+    assert simulated.done == run.log.size
 
 
 def test_a_rule_flies_too():

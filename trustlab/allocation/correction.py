@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -26,10 +26,7 @@ from trustlab.allocation.correction_path import (
     C_L,
     C_U,
     COLUMNS,
-    LOWER,
     MODE,
-    P_R,
-    UPPER,
     L,
     R,
     U,
@@ -50,11 +47,9 @@ from trustlab.models.checks import (
     warn,
     whole_number,
 )
-from trustlab.models.compiled import njit
 from trustlab.models.display import axes_or_new
 from trustlab.models.tsc import (
     RobotModel,
-    TscConstants,
     TscModel,
     human_at,
     threshold_mode,
@@ -457,79 +452,3 @@ def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:
     high = f"the upper {name}"
     in_order(low, lower, high, upper)
     return between(low, lower, -1.0, 1.0), between(high, upper, -1.0, 1.0)
-
-
-# --- in a compiled loop ---------------------------------------------------------------------------
-
-# What is logged at each sample; NaN where nothing was planned.
-CORRECTED = np.dtype(
-    [
-        ("lower", float),
-        ("upper", float),
-        ("cost", float),
-        ("bound", float),
-        # Performance lay outside the model's range, and its nearest end was used.
-        ("clipped", bool),
-    ]
-)
-
-
-class LoopCorrection(NamedTuple):
-    """What a compiled loop needs; `thresholds` is updated by every correction."""
-
-    adopted: bool  # whether the operator's own thresholds move along
-    constants: TscConstants
-    c_b: float
-    target: np.ndarray
-    thresholds: np.ndarray
-    given: np.ndarray
-    path: np.ndarray
-    log: np.ndarray  # rows of CORRECTED
-
-
-def loop_correction(
-    corrector: ThresholdCorrector,
-    thresholds: tuple[float, float],
-    samples: int,
-    adopted: bool = False,
-) -> LoopCorrection:
-    """Return what a loop of so many samples needs to correct these thresholds."""
-    if corrector.program is not None or corrector.incentive is not incentive_box:
-        raise ValueError(
-            f"a compiled loop corrects with the incentives (2.42) and by clipping alone, got "
-            f"{corrector}; leave out engine= and incentive=, or take the model as the setting, "
-            "trustlab.allocation.ModelTests"
-        )
-    return LoopCorrection(
-        adopted=adopted,
-        constants=corrector.tsc.constants(),
-        c_b=corrector.c_b,
-        target=np.array(corrector.target),
-        thresholds=np.array(thresholds),
-        given=np.full((2, corrector.horizon), np.nan),
-        path=np.empty((7, corrector.horizon + 1)),
-        log=np.full(samples, np.array((np.nan, np.nan, np.nan, np.nan, False), CORRECTED)),
-    )
-
-
-@njit(inline="always")
-def correct_thresholds(correction, k, r, p_r, mode):
-    """Log sample k, plan, and correct the thresholds by one step; return c_l and c_u."""
-    c, path = correction.constants, correction.path
-    thresholds = correction.thresholds
-    now = min(max(p_r, c.p_r_min), c.p_r_max)
-    path[R, 0], path[P_R, 0] = r, now
-    path[L, 0], path[U, 0] = thresholds[LOWER], thresholds[UPPER]
-    cost, bound, _ = follow(
-        c, correction.c_b, correction.target, thresholds, int(mode), correction.given, path
-    )
-    row = correction.log[k]
-    row.lower = thresholds[LOWER]
-    row.upper = thresholds[UPPER]
-    row.cost = cost
-    row.bound = bound
-    row.clipped = now != p_r
-    c_l, c_u = path[C_L, 0], path[C_U, 0]
-    thresholds[LOWER] += c_l
-    thresholds[UPPER] += c_u
-    return c_l, c_u

@@ -49,7 +49,7 @@ OUTSIDE = (
     "A measurement lies outside the model's range by more than rounding, so the thresholds are "
     "held. Identify the model anew from this operator's sessions, or pass outside='nearest'."
 )
-SETTLING = (
+UNSETTLED = (
     "The window of measured performance is not full yet, so the thresholds are held until it is."
 )
 NEAREST = (

@@ -22,7 +22,6 @@ from trustlab.live.tick import (
     Room,
     World,
     begin_drive,
-    course_of,
     drive_commands,
     tick,
 )
@@ -40,7 +39,7 @@ from trustlab.testbeds.deciding import (
     task_of,
 )
 from trustlab.testbeds.ground_robot.conditions import E_MAX, SLOWEST
-from trustlab.testbeds.ground_robot.course import Course, default_course
+from trustlab.testbeds.ground_robot.course import Course, CourseNumbers, default_course
 from trustlab.testbeds.ground_robot.kernel import COLUMNS
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
@@ -255,7 +254,7 @@ class Drive:
         )
         path, posts = (np.array(config[name], dtype=float) for name in ("path", "posts"))
         source = np.array([(config["seed"], 0)], HASHED)[0]
-        self.world = World(task, robot, course_of(path, posts), source)
+        self.world = World(task, robot, CourseNumbers(path, posts), source)
         self.state, forcing = np.zeros(1, STATE)[0], np.zeros(1, FORCING)[0]
         z_r, z_h = np.empty((2, config["samples"]))
         self.room = Room(z_r, z_h, np.empty((len(posts), 4)), self.state, forcing)

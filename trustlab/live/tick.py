@@ -135,16 +135,6 @@ def tick(k, command, world, room, row):
 
 
 @njit
-def course_of(path, posts):
-    """
-    Return a course without tables that spare search: at ten samples a second there is time to look
-    at every piece.
-    """
-    nothing = np.zeros(1, np.int64)
-    return CourseNumbers(path, posts, 0.0, 0.0, 1.0, 0, 0, nothing, nothing, nothing, path[-1, 2])
-
-
-@njit
 def drive_commands(commands, world, room, rows, lap_times):
     """
     Drive on from the beginning by commands, shape (N, 3): v, w and mode; fill N records of LOG and
@@ -162,11 +152,11 @@ def drive_commands(commands, world, room, rows, lap_times):
     return rows.size, state.laps
 
 
-# What a browser calls: the same with pointers into the WebAssembly module's memory. Its course has
-# no tables either; arrays are made of pointers, because memory cannot be allocated there.
-def begin_there(task, robot, path, pieces, posts, count, nothing, state, forcing):
+# What a browser calls: the same with pointers into the WebAssembly module's memory. Arrays are made
+# of pointers, because memory cannot be allocated there.
+def begin_there(task, robot, path, pieces, posts, count, state, forcing):
     """Begin a drive in a browser's memory."""
-    course = course_there(path, pieces, posts, count, nothing)
+    course = course_there(path, pieces, posts, count)
     begin_drive(
         carray(task, 1)[0], carray(robot, 1)[0], course, carray(state, 1)[0], carray(forcing, 1)[0]
     )
@@ -183,7 +173,6 @@ def tick_there(
     pieces,
     posts,
     count,
-    nothing,
     source,
     z_r,
     z_h,
@@ -193,7 +182,7 @@ def tick_there(
     row,
 ):
     """Make one step in a browser's memory; return whether all laps are done."""
-    course = course_there(path, pieces, posts, count, nothing)
+    course = course_there(path, pieces, posts, count)
     world = World(carray(task, 1)[0], carray(robot, 1)[0], course, carray(source, 1)[0])
     sums = carray(z_r, k + 1), carray(z_h, k + 1)
     room = Room(*sums, carray(seen, (count, 4)), carray(state, 1)[0], carray(forcing, 1)[0])
@@ -209,7 +198,6 @@ def many_there(
     pieces,
     posts,
     gates,
-    nothing,
     source,
     z_r,
     z_h,
@@ -222,7 +210,7 @@ def many_there(
     Make steps by commands, shape (count, 3), in a browser's memory; return how many rows there are
     then.
     """
-    course = course_there(path, pieces, posts, gates, nothing)
+    course = course_there(path, pieces, posts, gates)
     commands = carray(commands, (count, 3))
     log = carray(rows, count)
     world = World(carray(task, 1)[0], carray(robot, 1)[0], course, carray(source, 1)[0])
@@ -236,12 +224,9 @@ def many_there(
 
 
 @njit
-def course_there(path, pieces, posts, count, nothing):
-    """Return the course at pointers; `nothing` points to a zero."""
-    path, nothing = carray(path, (pieces, 3)), carray(nothing, 1)
-    return CourseNumbers(
-        path, carray(posts, (count, 2)), 0.0, 0.0, 1.0, 0, 0, nothing, nothing, nothing, path[-1, 2]
-    )
+def course_there(path, pieces, posts, count):
+    """Return the course at pointers."""
+    return CourseNumbers(carray(path, (pieces, 3)), carray(posts, (count, 2)))
 
 
 def _pointers(*kinds):
@@ -251,13 +236,7 @@ def _pointers(*kinds):
 
 
 _world = _pointers(TASK, ROBOT)
-_course = (
-    *_pointers(types.float64),
-    types.int32,
-    *_pointers(types.float64),
-    types.int32,
-    *_pointers(types.int64),
-)
+_course = (*_pointers(types.float64), types.int32, *_pointers(types.float64), types.int32)
 _numbers = types.int32, types.float64, types.float64, types.float64
 _room = _pointers(HASHED, types.float64, types.float64, types.float64, STATE, FORCING, LOG)
 ENTRIES = {

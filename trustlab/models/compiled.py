@@ -39,6 +39,10 @@ def njit(function: Callable | None = None, **options: Any) -> Any:
         return numba.njit(cache=True, no_cfunc_wrapper=True, **options)(function)
 
 
+# For what only compiled functions call: without the wrapper for Python, a fifth of the time.
+inner = functools.partial(njit, no_cpython_wrapper=True)
+
+
 def cfunc(signature: Any, function: Callable, **options: Any) -> Any:
     """
     Compile a function to one that C can call, and cache it on disk; options are those of

@@ -4,7 +4,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numba
 import numpy as np
+
+# What a kernel returns in place of a block where the run comes to its end.
+END = -2
+
+# Kernels as compiled for some kinds of arguments. numba would look for them at every call, by the
+# types of all records, which takes some hundred times as long as a sample.
+COMPILED: dict[tuple, Callable] = {}
 
 
 class DivergenceError(ArithmeticError):
@@ -31,8 +39,9 @@ class Simulation:
         kernel(first, stop, setup, state, inputs, log), compiled, does the samples from `first` to
         before `stop`: for each it takes the inputs, writes a row of `log`, and goes on to where the
         next sample's decision is due, which is where it leaves the state. It returns (samples done,
-        −1), or (sample, block) where a block diverged in that sample. It must do the same whether
-        samples are done in one call or in several.
+        −1), (samples done, END) where the run comes to its end, or (sample, block) where a block
+        diverged in that sample. It must do the same whether samples are done in one call or in
+        several. kernel(0, 0, …) comes to the first decision.
     setup : record, or tuple of records
         Constants.
     state : record, or tuple of records
@@ -79,7 +88,7 @@ class Simulation:
     array([1.   , 0.9  , 0.81 , 1.229, 1.606, 1.445, 1.301, 1.171])
     """
 
-    kernel: Callable
+    kernel: Any
     setup: Any
     state: Any
     inputs: np.ndarray
@@ -90,9 +99,18 @@ class Simulation:
     sample_time: float | None = None
     done: int = 0
 
+    def __post_init__(self):
+        arguments = 0, 0, self.setup, self.state, self.inputs, self.log
+        key = self.kernel, _kinds(arguments)
+        if key not in COMPILED:
+            COMPILED[key] = self.kernel.compile(tuple(map(numba.typeof, arguments)))
+        self._compiled = COMPILED[key]
+        self._compiled(*arguments)
+
     def advance(self, stop: int) -> None:
         """
-        Do the samples before `stop`, with a pause for `decide` wherever a decision is due.
+        Do the samples before `stop`, or until the run ends, with a pause for `decide` wherever a
+        decision is due.
 
         Parameters
         ----------
@@ -112,7 +130,7 @@ class Simulation:
                     self.decide(self.state, self.inputs[self.done : next_decision])
                 until = min(stop, next_decision)
             records = self.setup, self.state, self.inputs, self.log
-            self.done, block = self.kernel(self.done, until, *records)
+            self.done, block = self._compiled(self.done, until, *records)
             if block >= 0:
                 seconds = (
                     "" if self.sample_time is None else f" ({self.done * self.sample_time:g} s)"
@@ -120,3 +138,14 @@ class Simulation:
                 raise DivergenceError(
                     f"{self.blocks[block]} diverged at sample {self.done}{seconds}"
                 )
+            if block == END:
+                return
+
+
+def _kinds(value: Any) -> Any:
+    """Return what numba's type of an argument depends on."""
+    if isinstance(value, tuple):
+        return type(value), *map(_kinds, value)
+    if isinstance(value, np.ndarray | np.void):
+        return type(value), value.dtype, value.ndim, value.flags.c_contiguous, value.flags.writeable
+    return type(value)

@@ -3,6 +3,7 @@ Who decides when in conditions C1–C5 (Section 2.4.1.2): one step of own thresh
 suggestions, for all testbeds.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ from trustlab.allocation.correction import threshold_pair
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.allocation.rules import decision, performance_suggestion
 from trustlab.models.checks import between, one_of, warn
-from trustlab.models.compiled import njit
+from trustlab.models.compiled import inner
 from trustlab.models.tsc import TscModel, performance_at, threshold_mode
 from trustlab.operators.ground_robot import Operator
 
@@ -62,6 +63,10 @@ def measured(how: str) -> dict[str, object]:
     """
     return {"performance": f"{how}, window {WINDOW:g} s", "performance_window": WINDOW}
 
+
+# What comes from outside at each sample: a mode, the thresholds of suggestions, and by how much the
+# operator's own are moved; NaN where the scheme decides, or nothing is moved.
+INPUT = np.dtype([(name, float) for name in ("mode", "lower", "upper", "shift_l", "shift_u")])
 
 # Performance summed over the window, utilization, own or suggested thresholds, how far a correction
 # has moved own ones, and when a decision takes effect. −1 stands for no suggestion, no decision
@@ -160,34 +165,24 @@ def task_for(
     return task, thresholds
 
 
-def decided_by(
-    rule: Any, task: Task, most: int, run: Callable[[np.ndarray | None], tuple]
-) -> tuple:
-    """
-    Return what `run(modes)` returns, its log first, where a rule gives the modes of at most `most`
-    samples; None gives none.
+def no_inputs(size: int) -> np.ndarray:
+    """Return records of INPUT for so many samples, in which nothing is decided yet."""
+    return np.full(size * len(INPUT.names or ()), np.nan).view(INPUT)
 
-    The run is made again after each switch: with the same streams of noise, nothing before it
-    changes.
-    """
-    if rule is None:
-        return run(None)
-    schedule = np.full(most, task.first_mode)
-    decisions = np.full(most, -1.0)
-    k, switched = round(SETTLING / SAMPLE_TIME), True
-    while switched:
-        log, *rest = run(schedule)
-        switched = False
-        while k < log.size and not switched:
-            when = f"t = {k * SAMPLE_TIME:.1f} s"
-            mode = decision(rule, when, float(log["tsc"][k]), float(log["p_r"][k]))
+
+def obeying(rule: Any) -> Callable:
+    """Return what decides as a rule does, from the time on at which somebody may switch."""
+    samples = itertools.count()
+
+    def decide(state: Any, inputs: np.ndarray) -> None:
+        t = next(samples) * SAMPLE_TIME
+        if t >= SETTLING:
+            (now,) = state.now
+            mode = decision(rule, f"t = {t:.1f} s", float(now["tsc"]), float(now["p_r"]))
             if mode is not None:
-                decisions[k] = mode
-                switched = mode != schedule[k]
-                schedule[k:] = mode
-            k += 1
-    log["suggested_mode"] = decisions[: log.size]
-    return log, *rest
+                inputs["mode"] = mode
+
+    return decide
 
 
 def warn_if_too_short(longest: float) -> None:
@@ -234,7 +229,7 @@ def seed_facts(seed: int | np.random.SeedSequence) -> dict[str, Any]:
     return {"seed": int(seed)}
 
 
-@njit
+@inner
 def begin(task, person, state, rng):
     """Set utilization and mode at the beginning, and draw the operator's first thresholds."""
     state.r = task.r0
@@ -249,7 +244,7 @@ def begin(task, person, state, rng):
         state.upper += person.upper_spread * rng.standard_normal()
 
 
-@njit
+@inner
 def skill_now(task, person, state):
     """
     Return human performance (2.6), as experience and the attention that deciding takes leave of it.
@@ -262,7 +257,7 @@ def skill_now(task, person, state):
     return skill
 
 
-@njit(_nrt=False)
+@inner(_nrt=False)
 def measure(task, k, z_r, z_h, state):
     """
     Move performance as measured, (2.4) and (2.7), to the window that ends at sample k, and TSC
@@ -280,7 +275,7 @@ def measure(task, k, z_r, z_h, state):
     state.tsc = task.a_T * state.p_r - task.b_T * state.p_h  # (2.1)
 
 
-@njit
+@inner
 def reaction(person, wanted, rng):
     """
     Return the time between a decision and the hand's doing it [s]; its logarithm is normal, and
@@ -290,7 +285,7 @@ def reaction(person, wanted, rng):
     return late + person.take_over_lag if wanted == 1 else late
 
 
-@njit(inline="always")
+@inner
 def own_decision(person, t, state, rng):
     """
     Let the operator decide by thresholds of TSC of their own, and TSC as they perceive it (C1).
@@ -304,7 +299,7 @@ def own_decision(person, t, state, rng):
         state.due = t + reaction(person, state.decided, rng)
 
 
-@njit
+@inner
 def suggest(task, state):
     """Make the suggestion of the scheme, by (2.8) or Algorithm 2 (C2–C5)."""
     if task.scheme == TSC:
@@ -315,7 +310,7 @@ def suggest(task, state):
         state.suggested = performance_suggestion(state.p_r, task.p_min, task.p_max)
 
 
-@njit(inline="always")
+@inner
 def consider(task, person, t, state, rng):
     """
     Make the suggestion of the scheme, and let the operator decide once per suggestion whether to
@@ -342,13 +337,35 @@ def consider(task, person, t, state, rng):
         state.episode_seen = t
 
 
-@njit(inline="always")
-def allocate(task, person, scheduled, t, state, rng):
-    """Set who drives in this sample."""
+@inner
+def correct(task, given, state):
+    """
+    Take corrected thresholds of suggestions, and move the operator's own ones along.
+
+    Where the operator decides, the suggestion is shown.
+    """
+    if task.scheme == TSC:
+        state.lower, state.upper = given.lower, given.upper
+    else:
+        standing = state.mode if state.suggested < 0 else state.suggested
+        state.suggested = threshold_mode(state.tsc, given.lower, given.upper, standing)  # (2.8)
+    if not np.isnan(given.shift_l):
+        state.lower += given.shift_l - state.shift_l
+        state.upper += given.shift_u - state.shift_u
+        state.shift_l, state.shift_u = given.shift_l, given.shift_u
+
+
+@inner
+def allocate(task, person, given, t, state, rng):
+    """Set who drives in this sample, as given from outside or by the scheme."""
     before = state.mode
+    if not np.isnan(given.lower):
+        correct(task, given, state)
     if task.scheme == SCHEDULE:
-        state.mode = scheduled
-    elif t < SETTLING:
+        state.suggested = -1
+    if not np.isnan(given.mode):
+        state.mode = state.suggested = int(given.mode)
+    elif task.scheme == SCHEDULE or t < SETTLING:
         pass
     elif task.scheme == OWN:
         own_decision(person, t, state, rng)

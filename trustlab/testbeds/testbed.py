@@ -5,7 +5,7 @@ Testbeds behind one protocol, the runs of conditions C1–C5 on two of them, and
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -401,9 +401,8 @@ class GroundRobot(ConditionTestbed):
             What gives the modes instead of the task.
         """
         operator, robot, course = ground.checked(operator, self.robot, self.course)
-        most = ground.longest(self.laps, course)
-        drive = partial(ground.driven, task, most, robot, course, operator, seed)
-        log, lap_times = deciding.decided_by(rule, task, most, drive)
+        decide = None if rule is None else deciding.obeying(rule)
+        log, lap_times = ground.driven(task, robot, course, operator, seed, decide=decide)
         facts = {"laps": self.laps, "settling": deciding.SETTLING}
         facts |= deciding.tsc_facts(thresholds)
         return ground.GroundRobotRun(
@@ -469,8 +468,8 @@ class UavFollowing(ConditionTestbed):
         rule : object, optional
             What gives the modes instead of the task.
         """
-        fly = partial(flight.flown, task, operator, seed)
-        (log,) = deciding.decided_by(rule, task, flight.SAMPLES, fly)
+        decide = None if rule is None else deciding.obeying(rule)
+        log = flight.flown(task, operator, seed, decide)
         return ConditionRun(
             log=log,
             metadata=flight.metadata_of(operator, condition, seed, thresholds),

@@ -38,7 +38,6 @@ export class Physics {
       config.path.length,
       numbers(config.posts.flat()),
       posts,
-      this.room(8),
     ];
     const source = pack("source", { seed: config.seed, drawn: 0 });
     const room = [

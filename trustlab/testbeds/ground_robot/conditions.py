@@ -3,6 +3,7 @@ A robot on a course, an operator, and who drives: a simulated stand-in for the S
 2.1.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from trustlab.models.checks import (
 )
 from trustlab.models.display import axes_or_new
 from trustlab.models.published import published_models, published_table
+from trustlab.models.simulation import Simulation
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, operator
 from trustlab.operators.teleoperator import Teleoperator
@@ -157,7 +159,7 @@ def drive_modes(
         raise ValueError(f"mode must have at least two samples, zeros and ones, got {modes.size}")
     _steps(modes.size * deciding.SAMPLE_TIME, "mode")
     task = deciding.task_of(deciding.SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
-    data, _ = driven(task, modes.size, robot, course, operator, seed, modes.astype(np.int64))
+    data, _ = driven(task, robot, course, operator, seed, modes)
     return session_of(
         deciding.framed(data).drop(columns=["tsc", "suggested_mode"]), operator, condition, seed
     )
@@ -272,28 +274,50 @@ def longest(laps: int, course: Course) -> int:
 
 
 def driven(
-    task, most, robot, course, operator, seed, schedule=None, correction=None
+    task: deciding.Task,
+    robot: Pioneer,
+    course: Course,
+    operator: Operator,
+    seed: int | np.random.SeedSequence,
+    modes: np.ndarray | None = None,
+    decide: Callable | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the log of at most `most` samples, and when laps ended; all that are wanted must be done
-    by then.
+    Return the log of a run, and when laps ended; all that are wanted must be done in time.
+
+    Without laps a run has as many samples as `modes`.
     """
-    _, log = log_of(kernel.LOG, most)
-    lap_times = np.empty(task.laps)
-    streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
-    modes = np.ones(1, np.int64) if schedule is None else schedule
-    numbers, state = (course.numbers, robot.numbers, operator.numbers), np.zeros(1, kernel.STATE)
-    room = kernel.scratch(log.size, course.numbers)
-    rows, done = kernel.drive(
-        task, modes, *numbers, *streams, state, log, lap_times, correction, room
+    size = longest(task.laps, course) if modes is None else modes.size
+    numbers = course.numbers
+    rates = kernel.rates_of(operator, robot, task.sample_time)
+    setup = kernel.DriveSetup(task, numbers, robot.numbers, operator.numbers, rates)
+    sensing, hand, choices = map(np.random.default_rng, spawned(seed, 3))
+    arc, z_r, z_h = np.empty((3, size))
+    state = kernel.DriveState(
+        now=np.zeros(1, kernel.STATE),
+        sensing=sensing,
+        hand=hand,
+        choices=choices,
+        arc=arc,
+        z_r=z_r,
+        z_h=z_h,
+        found=np.empty((len(numbers.posts), 4)),
+        lap_times=np.empty(task.laps),
     )
+    inputs = deciding.no_inputs(size)
+    if modes is not None:
+        inputs["mode"] = modes
+    _, log = log_of(kernel.LOG, size)
+    run = Simulation(kernel.drive, setup, state, inputs, log, decide)
+    run.advance(size)
+    done = int(state.now["laps"][0])
     if done < task.laps:
         raise ValueError(
-            f"only {done} of {task.laps} laps were done in {most * deciding.SAMPLE_TIME:.0f} s "
+            f"only {done} of {task.laps} laps were done in {size * deciding.SAMPLE_TIME:.0f} s "
             f"(an average of {SLOWEST} m/s would do): this robot or operator does not keep to the "
             "course; check their parameters"
         )
-    return log[:rows], lap_times[:done]
+    return log[: run.done], state.lap_times
 
 
 def metadata_of(operator, condition, seed, **facts) -> Metadata:

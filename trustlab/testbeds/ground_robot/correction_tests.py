@@ -1,23 +1,19 @@
 """Tests of a correction on the ground-robot testbed, as in Fig. 2.18."""
 
+import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.correction import (
-    BOUNDED,
-    OPTIMAL,
-    LoopCorrection,
-    ThresholdCorrector,
-    loop_correction,
-)
-from trustlab.allocation.correction_run import NEAREST, SETTLING, CorrectionTest
+from trustlab.allocation.correction import ThresholdCorrector
+from trustlab.allocation.correction_run import UNSETTLED, CorrectionTest, OnlineCorrection
 from trustlab.models.checks import between, not_negative, set_checked, spawned, whole_number
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
-from trustlab.testbeds.deciding import OWN, TSC, framed, task_of
+from trustlab.testbeds.deciding import OWN, SAMPLE_TIME, SETTLING, TSC, framed, task_of
 from trustlab.testbeds.ground_robot import conditions as bed
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
@@ -36,11 +32,11 @@ SCHEMES = {
 @dataclass(frozen=True)
 class GroundRobotTests:
     """
-    Tests on the ground-robot testbed, corrected within its compiled loop.
+    Tests on the ground-robot testbed.
 
     TSC comes from performance as measured, (2.4) and (2.7) over 100 s. Thresholds are held until
     that window is full. Where measured performance lies outside the model's range, plans take its
-    nearest end; the message says so. Latencies are NaN, as the loop is compiled as a whole.
+    nearest end; the message says so.
 
     Parameters
     ----------
@@ -107,7 +103,7 @@ class GroundRobotTests:
         Parameters
         ----------
         corrector : ThresholdCorrector
-            What plans the corrections; by clipping, with the incentives (2.42).
+            What plans the corrections.
         test : CorrectionTest
             How the test begins.
 
@@ -126,8 +122,6 @@ class GroundRobotTests:
         if adopted:
             lower = lower + test.thresholds[0] - test.start[0]
             upper = upper + test.thresholds[1] - test.start[1]
-        most = bed.longest(self.laps, course)
-        correction = loop_correction(corrector, test.thresholds, most, adopted)
         task = task_of(
             scheme,
             bed.E_MAX,
@@ -138,7 +132,9 @@ class GroundRobotTests:
             model=model,
             r0=self.r0,
         )
-        log, _ = bed.driven(task, most, robot, course, operator, test.stream, correction=correction)
+        online = OnlineCorrection(corrector, test.thresholds, 1, self.r0, outside="nearest")
+        decide = _correcting(online, adopted)
+        log, _ = bed.driven(task, robot, course, operator, test.stream, decide=decide)
         data = framed(log)
         facts = {
             "laps": self.laps,
@@ -148,27 +144,37 @@ class GroundRobotTests:
             "TSC_ud": corrector.target[1],
         }
         session = bed.session_of(data, operator, f"correction, {test.habit}", test.stream, **facts)
-        lower, upper = correction.thresholds.tolist()
-        return _samples(data, correction), (lower, upper), session
+        return _samples(data, online), (online.lower, online.upper), session
 
 
-def _samples(data: pd.DataFrame, correction: LoopCorrection) -> pd.DataFrame:
+def _correcting(online: OnlineCorrection, adopted: bool) -> Callable:
+    """
+    Return what corrects the thresholds of the suggestions at each sample, and moves the operator's
+    own ones along where they are adopted.
+    """
+    start = online.lower, online.upper
+    samples = itertools.count()
+
+    def decide(state: Any, inputs: np.ndarray) -> None:
+        (now,) = state.now
+        inputs["lower"], inputs["upper"] = online.lower, online.upper
+        online.r = float(now["r"])
+        settled = next(samples) * SAMPLE_TIME >= SETTLING
+        measured = (float(now["p_r"]), float(now["p_h"])) if settled else (None, None)
+        online.update(*measured, int(now["mode"]))
+        if adopted:
+            inputs["shift_l"] = online.lower - start[0]
+            inputs["shift_u"] = online.upper - start[1]
+
+    return decide
+
+
+def _samples(data: pd.DataFrame, online: OnlineCorrection) -> pd.DataFrame:
     """Return the samples of a test beside its corrections."""
     frame = data[["r", "p_r", "p_h", "tsc", "mode"]].reset_index()
-    suggested = data["suggested_mode"].to_numpy()
-    frame["suggestion"] = np.where(np.isfinite(suggested), suggested, -1.0).astype(int)
-    log = correction.log[: len(data)]
-    for side, action, end in zip(
-        ("lower", "upper"), ("c_l", "c_u"), correction.thresholds, strict=True
-    ):
-        frame[side] = log[side]
-        frame[action] = np.diff(np.r_[log[side], end])
-    cost = log["cost"]
-    bound = log["bound"]
-    frame["cost"] = cost
-    frame["cost_lower_bound"] = bound
-    frame["status"] = np.where(np.isnan(cost), "held", "planned")
-    planned = np.where(log["clipped"], NEAREST, np.where(cost > bound, BOUNDED, OPTIMAL))
-    frame["message"] = np.where(np.isnan(cost), SETTLING, planned)
-    frame["latency"] = np.nan
+    frame["suggestion"] = data["suggested_mode"].to_numpy().astype(int)
+    names = ["lower", "upper", "c_l", "c_u", "cost", "cost_lower_bound"]
+    names += ["status", "message", "latency"]
+    frame[names] = online.table()[names]
+    frame.loc[frame["t"] < SETTLING, "message"] = UNSETTLED
     return frame

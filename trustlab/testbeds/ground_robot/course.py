@@ -1,12 +1,18 @@
 """The closed course that the ground robot follows, and the guide posts beside it."""
 
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, positive, rounded_up, set_checked
+from trustlab.models.checks import (
+    finite_array,
+    not_negative,
+    positive,
+    rounded_up,
+    set_checked,
+)
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.records import signal
 
@@ -25,117 +31,69 @@ CORNERS = (
 # How far from the origin a corner may lie [m].
 FARTHEST = 1e5
 
+# The nearest point of the path is looked for so far before and behind that of the last sample [m].
+SEARCH = 2.0
+
 
 class CourseNumbers(NamedTuple):
     """
-    A `Course` for compiled loops, with tables that spare them most of the search.
-
-    Cell (i, j) of a grid over the course, i · shape_y + j, lists the pieces of the path that may be
-    nearest to a point in it: pieces[first[cell] : first[cell + 1]], in order. begins[m] is a piece
-    at or before arc length m times `stretch`.
+    A `Course` for compiled loops: the path, shape (N, 3), with arc length in its last column, and
+    the posts.
     """
 
     path: np.ndarray
     posts: np.ndarray
-    low_x: float
-    low_y: float
-    cell: float
-    shape_x: int
-    shape_y: int
-    first: np.ndarray
-    pieces: np.ndarray
-    begins: np.ndarray
-    stretch: float
 
 
 @njit(_nrt=False)
-def piece_distance(x, y, path, i):
-    """
-    Return the squared distance of a point from a piece of a polyline, the point nearest to it, and
-    its arc length.
-    """
-    ax = path[i, 0]
-    ay = path[i, 1]
-    s = path[i, 2]
-    ux = path[i + 1, 0] - ax
-    uy = path[i + 1, 1] - ay
-    length = path[i + 1, 2] - s
-    along, whole = (x - ax) * ux + (y - ay) * uy, length * length
-    share = 0.0 if along <= 0.0 else 1.0
-    if 0.0 < along < whole:  # a division takes longer than all the rest, and few pieces need it
-        share = min(along / whole, 1.0)
-    px, py = ax + share * ux, ay + share * uy
-    return (x - px) ** 2 + (y - py) ** 2, px, py, s + share * length
+def piece_at(s, path):
+    """Return the piece of a polyline that arc length `s` lies on."""
+    low, high = 0, path.shape[0] - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if path[middle, 2] <= s:
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 @njit(_nrt=False)
-def nearest_point(x, y, path):
+def nearest_point(x, y, near, path):
     """
-    Return the nearest point of a closed polyline, its arc length and its distance: x, y, s, e.
+    Return the point of a closed polyline nearest to (x, y), its arc length and distance: x, y, s,
+    e.
+
+    Pieces are tried that begin or end within SEARCH of arc length `near`.
     """
+    last = path.shape[0] - 1
+    length = path[last, 2]
+    reach = min(SEARCH, 0.5 * length)
+    start = near - reach - np.floor((near - reach) / length) * length
+    i = piece_at(start, path)
+    ahead = 2.0 * reach + start
     best = np.inf
-    best_x = 0.0
-    best_y = 0.0
+    best_x, best_y = 0.0, 0.0
     best_s = 0.0
-    for i in range(path.shape[0] - 1):
-        square, px, py, s = piece_distance(x, y, path, i)
+    while path[i, 2] <= ahead:
+        ax, ay = path[i, 0], path[i, 1]
+        ux, uy = path[i + 1, 0] - ax, path[i + 1, 1] - ay
+        length_i = path[i + 1, 2] - path[i, 2]
+        along, whole = (x - ax) * ux + (y - ay) * uy, length_i * length_i
+        share = 0.0 if along <= 0.0 else 1.0
+        if 0.0 < along < whole:  # few pieces need the division
+            share = along / whole
+        px, py = ax + share * ux, ay + share * uy
+        square = (x - px) ** 2 + (y - py) ** 2
         if square < best:
             best = square
-            best_x = px
-            best_y = py
-            best_s = s
+            best_x, best_y = px, py
+            best_s = path[i, 2] + share * length_i
+        i += 1
+        if i == last:
+            i = 0
+            ahead -= length
     return best_x, best_y, best_s, np.sqrt(best)
-
-
-@njit(_nrt=False)
-def nearest_of(x, y, course):
-    """Return the same as `nearest_point`, from the pieces listed for the point's cell alone."""
-    i, j = (
-        int(np.floor((x - course.low_x) / course.cell)),
-        int(np.floor((y - course.low_y) / course.cell)),
-    )
-    if not (0 <= i < course.shape_x and 0 <= j < course.shape_y):
-        return nearest_point(x, y, course.path)
-    here = i * course.shape_y + j
-    best = np.inf
-    best_x = 0.0
-    best_y = 0.0
-    best_s = 0.0
-    for place in range(course.first[here], course.first[here + 1]):
-        square, px, py, s = piece_distance(x, y, course.path, course.pieces[place])
-        if square < best:
-            best = square
-            best_x = px
-            best_y = py
-            best_s = s
-    return best_x, best_y, best_s, np.sqrt(best)
-
-
-@njit(_nrt=False)
-def mark_near_pieces(path, low_x, low_y, cell, shape_y, away, near):
-    """
-    Mark in each row of `near`, one per cell, the pieces no farther from its middle than the
-    nearest, and its diagonal.
-    """
-    for here in range(near.shape[0]):
-        x, y = low_x + (here // shape_y + 0.5) * cell, low_y + (here % shape_y + 0.5) * cell
-        least = np.inf
-        for i in range(away.size):
-            away[i] = np.sqrt(piece_distance(x, y, path, i)[0])
-            least = min(least, away[i])
-        for i in range(away.size):  # a distance changes by at most half a diagonal within the cell
-            near[here, i] = away[i] <= least + 1.4143 * cell
-
-
-@njit(_nrt=False)
-def point_at(s, i, path):
-    """
-    Return the point at arc length `s` on piece i of a polyline, and the unit tangent there: x, y,
-    tx, ty.
-    """
-    step = path[i + 1, 2] - path[i, 2]
-    tx, ty = (path[i + 1, 0] - path[i, 0]) / step, (path[i + 1, 1] - path[i, 1]) / step
-    return path[i, 0] + (s - path[i, 2]) * tx, path[i, 1] + (s - path[i, 2]) * ty, tx, ty
 
 
 @njit(_nrt=False)
@@ -144,65 +102,49 @@ def path_point(s, path):
     Return the point of a closed polyline at arc length `s` and the unit tangent there: x, y, tx,
     ty.
     """
-    last = path.shape[0] - 1
-    length = path[last, 2]
+    length = path[path.shape[0] - 1, 2]
     s = s - np.floor(s / length) * length
-    i = 0
-    while i < last - 1 and path[i + 1, 2] <= s:
-        i += 1
-    return point_at(s, i, path)
-
-
-@njit(_nrt=False)
-def point_ahead(s, course):
-    """
-    Return the same as `path_point`, searching from the piece listed for the stretch of the path.
-    """
-    path = course.path
-    last = path.shape[0] - 1
-    length = path[last, 2]
-    s = s - np.floor(s / length) * length
-    i = course.begins[min(int(s / course.stretch), course.begins.size - 1)]
-    while i < last - 1 and path[i + 1, 2] <= s:
-        i += 1
-    return point_at(s, i, path)
-
-
-# Cells of a course's grid, cells times pieces of the path, and how far beyond the path the grid
-# reaches [m].
-MOST_CELLS = 20_000
-MOST_TRIED = 10_000_000
-MARGIN = 2.0
+    i = piece_at(s, path)
+    step = path[i + 1, 2] - path[i, 2]
+    tx, ty = (path[i + 1, 0] - path[i, 0]) / step, (path[i + 1, 1] - path[i, 1]) / step
+    return path[i, 0] + (s - path[i, 2]) * tx, path[i, 1] + (s - path[i, 2]) * ty, tx, ty
 
 
 @dataclass(frozen=True)
 class Course:
     """
-    A closed course of straights and bends: a polygon with rounded corners, between two rows of
-    guide posts.
+    A closed course: a polygon with rounded corners, between two rows of guide posts.
 
     A lap of the default course takes about as long as the window of (2.4), so that straights and
     bends weigh alike in every window. Posts guide and do not block: a robot that strays passes
-    between or through them.
+    between or through them. The nearest point of the path is looked for within 2 m, along the
+    path, of where it was a tenth of a second before.
 
     Parameters
     ----------
     corners : sequence of (float, float)
         The polygon's corners in driving order [m]; at least three.
     radius : float
-        Radius of every bend [m].
+        Radius of every bend [m]; 0 leaves the polygon as it is, a closed polyline of any shape.
     post_spacing : float
         About how far apart the posts of a row stand [m]; made to fit a whole number in.
     half_width : float
         How far from the path the two rows stand [m].
     resolution : float
-        Length of the straight pieces that the path is made of [m].
+        Length of the straight pieces that bends are made of [m].
 
     Raises
     ------
     ValueError
         If a corner is not two finite numbers, a length is not positive, or a side is too short for
         its bends.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> triangle = tl.testbeds.Course(((0, 0), (9, 0), (9, 12)), radius=0)
+    >>> triangle.length
+    36.0
     """
 
     corners: tuple[tuple[float, float], ...] = CORNERS
@@ -220,7 +162,8 @@ class Course:
                 f"corners must lie within {FARTHEST:g} m of the origin, got "
                 f"{np.abs(corners).max():g}"
             )
-        set_checked(self, positive, "radius", "post_spacing", "half_width", "resolution")
+        set_checked(self, not_negative, "radius")
+        set_checked(self, positive, "post_spacing", "half_width", "resolution")
         around = float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
         for name, most in (("resolution", 100_000), ("post_spacing", 10_000)):
             if around / getattr(self, name) > most:
@@ -233,6 +176,7 @@ class Course:
         object.__setattr__(self, "_posts", self._post_rows())
 
     def _rounded(self, corners: np.ndarray) -> np.ndarray:
+        """Return the path with its arc length, closed."""
         ahead = np.roll(corners, -1, axis=0) - corners
         side = np.hypot(*ahead.T)
         if (side == 0.0).any():
@@ -279,27 +223,10 @@ class Course:
             ]
         return np.array(rows)
 
-    @cached_property
+    @property
     def numbers(self) -> CourseNumbers:
-        """The course as plain numbers and tables."""
-        path = self._path
-        low, high = path[:, :2].min(axis=0) - MARGIN, path[:, :2].max(axis=0) + MARGIN
-        count = max(1, min(MOST_CELLS, MOST_TRIED // len(path)))
-        cell = float(max(np.sqrt(np.prod(high - low) / count), (high - low).max() / count))
-        shape_x, shape_y = (max(1, int(size)) for size in np.floor((high - low) / cell))
-        near = np.empty((shape_x * shape_y, len(path) - 1), bool)
-        mark_near_pieces(path, *low, cell, shape_y, np.empty(len(path) - 1), near)
-        first, pieces = np.append(0, np.cumsum(near.sum(axis=1))), np.nonzero(near)[1]
-        stretch = self.length / (2 * len(path))
-        begins = (
-            np.searchsorted(
-                path[:, 2], stretch * np.arange(2 * len(path)) * (1.0 - 1e-12), side="right"
-            )
-            - 1
-        )
-        low_x, low_y = map(float, low)
-        tables = first, pieces, np.maximum(begins, 0), stretch
-        return CourseNumbers(path, self._posts, low_x, low_y, cell, shape_x, shape_y, *tables)
+        """The course for compiled loops."""
+        return CourseNumbers(self._path, self._posts)
 
     @property
     def path(self) -> np.ndarray:
@@ -338,15 +265,18 @@ class Course:
         ValueError
             If a position is not finite, or x and y differ in length.
         """
-        one, other = (
-            [finite_number(n, v)] if np.isscalar(v) else v for n, v in (("x", x), ("y", y))
-        )
-        one = finite_array("x", one)
-        points = np.column_stack([one, finite_array("y", other, length=one.size)])
-        return np.array([nearest_point(px, py, self._path)[3] for px, py in points])
+        x = finite_array("x", np.atleast_1d(x))
+        points = np.column_stack([x, finite_array("y", np.atleast_1d(y), length=x.size)])
+        begin, along = self._path[:-1, :2], np.diff(self._path[:, :2], axis=0)
+        distances = np.empty(len(points))
+        for k, point in enumerate(points):
+            share = ((point - begin) * along).sum(axis=1) / (along**2).sum(axis=1)
+            foot = begin + share.clip(0.0, 1.0)[:, None] * along
+            distances[k] = np.hypot(*(point - foot).T).min()
+        return distances
 
 
 @cache
 def default_course() -> Course:
-    """Return the default course, whose tables are made once per process."""
+    """Return the default course, made once per process."""
     return Course()

@@ -2,40 +2,38 @@
 The loop that drives the ground robot: one step of operator, allocation and robot every tenth of a
 second.
 
-`drive` is a plain loop over the parts of a step, which share one record of STATE and fill one
-record of LOG. Those that hold no operator (`place`, `locate`, `perform`, `enter` and `roll`) are
-the steps of live drives as well: they get their bits from +, −, ×, ÷ and √ alone. Who decides when
-is in trustlab/testbeds/deciding.py.
+A sample begins at its pause: the robot has been located, the hand has moved and performance has
+been measured. `drive` then lets somebody decide who drives, logs the sample, moves the robot and
+comes to the next pause. The parts that hold no operator (`place`, `locate`, `perform`, `enter` and
+`roll`) are the steps of live drives as well: they get their bits from +, −, ×, ÷ and √ alone. Who
+decides when is in trustlab/testbeds/deciding.py.
 
 No reference is counted in the loop nor in what it calls with arrays (_nrt=False): the counts are
 atomic and would take a third of its time. It allocates nothing, and its caller keeps what it is
 given.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.correction import correct_thresholds
-from trustlab.allocation.correction_path import LOWER, UPPER
-from trustlab.models.compiled import njit
+from trustlab.models.compiled import inner, njit
 from trustlab.models.portable import cos_sin, direction, wrapped
-from trustlab.models.tsc import next_utilization, threshold_mode
+from trustlab.models.simulation import END
+from trustlab.models.tsc import next_utilization
 from trustlab.operators.ground_robot import driving_style, joystick
 from trustlab.teleoperation.records import record
 from trustlab.testbeds.deciding import (
     COUNTS,
     FLAGS,
     NUMBERS,
-    SCHEDULE,
-    SETTLING,
-    TSC,
+    Task,
     allocate,
     begin,
     measure,
     skill_now,
 )
-from trustlab.testbeds.ground_robot.course import nearest_of, point_ahead
+from trustlab.testbeds.ground_robot.course import CourseNumbers, nearest_point, path_point
 from trustlab.testbeds.ground_robot.pioneer import scan
 
 # Correlation time of the hand's shaking [s].
@@ -52,7 +50,9 @@ LOG = record(
 COLUMNS = LOG.names
 
 # The robot and its estimate of where it is, the hand, and progress along the course.
-MOVING = "x y yaw v w moved est_x est_y heading_error wander shaking v_hand w_hand arc progress"
+MOVING = (
+    "x y yaw v w moved est_x est_y heading_error wander shaking v_hand w_hand arc est_arc progress"
+)
 # What a step reads and leaves.
 STATE = record(numbers=f"{MOVING} {NUMBERS}", counts=f"{COUNTS} laps", flags=FLAGS)
 
@@ -68,16 +68,42 @@ class Rates(NamedTuple):
     anchor: float
 
 
-@njit(inline="always")
-def rates_of(person, robot, dt):
+def rates_of(person: Any, robot: Any, dt: float) -> Rates:
     """Return the shares for an operator and a robot."""
     stays, shakes = np.exp(-dt / person.wander_time), np.exp(-dt / SHAKING)
-    new_wander, new_shaking = np.sqrt(1.0 - stays**2), np.sqrt(1.0 - shakes**2)
     grip, anchor = 1.0 - np.exp(-dt / person.hand_lag), 1.0 - np.exp(-dt / robot.anchoring_time)
-    return Rates(stays, shakes, new_wander, new_shaking, grip, anchor)
+    shares = stays, shakes, np.sqrt(1.0 - stays**2), np.sqrt(1.0 - shakes**2), grip, anchor
+    return Rates(*map(float, shares))
 
 
-@njit
+class DriveSetup(NamedTuple):
+    """What stays the same in all samples; robot and person are numbers of theirs."""
+
+    task: Task
+    course: CourseNumbers
+    robot: Any
+    person: Any
+    rates: Rates
+
+
+class DriveState(NamedTuple):
+    """
+    What samples hand on: one record of STATE, the noise of sensing, of the hand and of decisions,
+    what is kept of each sample, room for the posts that a scan finds, and when laps ended [s].
+    """
+
+    now: np.ndarray
+    sensing: np.random.Generator
+    hand: np.random.Generator
+    choices: np.random.Generator
+    arc: np.ndarray
+    z_r: np.ndarray
+    z_h: np.ndarray
+    found: np.ndarray
+    lap_times: np.ndarray
+
+
+@inner
 def limited(command, now, largest, step):
     """
     Return the speed that follows `now`, at most `step` away from it and at most `largest` in size.
@@ -86,7 +112,7 @@ def limited(command, now, largest, step):
     return min(max(now + change, -largest), largest)
 
 
-@njit(inline="always")
+@inner
 def operate(task, person, robot, rates, before, arc, course, state, hand):
     """
     Move the operator's hand: it acts on where the robot was a delay ago (`before`, a row of the
@@ -100,7 +126,7 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
     state.wander = rates.stays * state.wander + rates.new_wander * hand.standard_normal()
     state.shaking = rates.shakes * state.shaking + rates.new_shaking * hand.standard_normal()
     if arc >= 0.0:
-        px, py, tx, ty = point_ahead(arc + person.look_ahead, course)
+        px, py, tx, ty = path_point(arc + person.look_ahead, course.path)
         aside = person.noise * spread * state.wander
         dx, dy = px - aside * ty - before.robot_x, py + aside * tx - before.robot_y
         bearing = wrapped(direction(dy, dx) - before.yaw)
@@ -114,31 +140,10 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
     state.w_hand = min(max(state.w_hand, -robot.max_turn_rate), robot.max_turn_rate)
 
 
-@njit(inline="always")
-def correct(correction, task, k, t, state):
-    """
-    Move the thresholds of the suggestions by one step of (2.40), and the operator's own ones with
-    them if adopted.
-    """
-    corrected_l, corrected_u = correction.thresholds[LOWER], correction.thresholds[UPPER]
-    if task.scheme == TSC:
-        state.lower, state.upper = corrected_l, corrected_u
-    else:
-        standing = state.mode if state.suggested < 0 else state.suggested
-        state.suggested = threshold_mode(state.tsc, corrected_l, corrected_u, standing)  # (2.8)
-    if t < SETTLING:
-        correction.log[k].lower, correction.log[k].upper = corrected_l, corrected_u
-        return
-    c_l, c_u = correct_thresholds(correction, k, state.r, state.p_r, state.mode)  # (2.40)
-    if correction.adopted:
-        state.lower, state.upper = state.lower + c_l, state.upper + c_u
-        state.shift_l, state.shift_u = state.shift_l + c_l, state.shift_u + c_u
-
-
-@njit
+@inner
 def place(course, robot, dt, state):
     """Put the robot on the path, rolling."""
-    state.x, state.y, tx, ty = point_ahead(0.0, course)
+    state.x, state.y, tx, ty = path_point(0.0, course.path)
     state.yaw = direction(ty, tx)
     state.v = robot.cruise_speed
     state.v_hand = robot.cruise_speed
@@ -147,7 +152,7 @@ def place(course, robot, dt, state):
     state.moved = state.v * dt
 
 
-@njit(inline="always")
+@inner
 def locate(course, k, row, state):
     """
     Log where the robot is beside the path, and move progress along the course on; return whether
@@ -156,7 +161,9 @@ def locate(course, k, row, state):
     row.robot_x = state.x
     row.robot_y = state.y
     row.yaw = state.yaw
-    row.reference_x, row.reference_y, arc, row.path_error = nearest_of(state.x, state.y, course)
+    row.reference_x, row.reference_y, arc, row.path_error = nearest_point(
+        state.x, state.y, state.arc, course.path
+    )
     lap, ahead = course.path[-1, 2], arc - state.arc if k > 0 else 0.0
     state.arc, state.progress = arc, state.progress + (ahead - lap * np.floor(ahead / lap + 0.5))
     ended = state.progress >= (state.laps + 1) * lap
@@ -165,7 +172,7 @@ def locate(course, k, row, state):
     return ended
 
 
-@njit(inline="always")
+@inner
 def perform(task, k, z_r, z_h, row, state):
     """Measure performance of robot and hand, (2.4) and (2.7), and TSC (2.1)."""
     near = 1.0 - row.path_error / task.e_max
@@ -174,7 +181,7 @@ def perform(task, k, z_r, z_h, row, state):
     measure(task, k, z_r, z_h, state)
 
 
-@njit(inline="always")
+@inner
 def enter(row, state):
     """Log all that is not logged yet of this sample."""
     row.mode = state.mode
@@ -188,7 +195,7 @@ def enter(row, state):
     row.tsc = state.tsc
 
 
-@njit(inline="always")
+@inner
 def roll(robot, anchor, dt, course, found, state, sensing):
     """
     Let the robot scan, follow the hand or its own controller, and move; its odometry drifts with
@@ -201,9 +208,11 @@ def roll(robot, anchor, dt, course, found, state, sensing):
         state.est_x += anchor * (state.x - state.est_x)
         state.est_y += anchor * (state.y - state.est_y)
         state.heading_error -= anchor * state.heading_error
+        state.est_arc = state.arc
     else:
-        est_arc = nearest_of(state.est_x, state.est_y, course)[2]
-        px, py, _, _ = point_ahead(est_arc + robot.look_ahead, course)
+        path = course.path
+        state.est_arc = nearest_point(state.est_x, state.est_y, state.est_arc, path)[2]
+        px, py, _, _ = path_point(state.est_arc + robot.look_ahead, path)
         bearing = direction(py - state.est_y, px - state.est_x) - (state.yaw + state.heading_error)
         v_want, w_want = robot.search_speed, robot.steering_gain * wrapped(bearing)
         if seen > 0:
@@ -233,83 +242,44 @@ def roll(robot, anchor, dt, course, found, state, sensing):
     state.heading_error += robot.heading_noise * np.sqrt(step) * sensing.standard_normal()
 
 
-class Scratch(NamedTuple):
-    """
-    What the compiled loop needs to remember of each sample, and room for the posts that a scan
-    finds.
-    """
-
-    arc: np.ndarray
-    z_r: np.ndarray
-    z_h: np.ndarray
-    found: np.ndarray
-
-
-def scratch(size, course):
-    """Return room for so many samples on a course."""
-    return Scratch(
-        np.empty(size), np.empty(size), np.empty(size), np.empty((course.posts.shape[0], 4))
-    )
+@inner(_nrt=False)
+def sense(k, setup, state, log):
+    """Come to the pause of sample k: locate the robot, move the hand, measure performance."""
+    task, person = setup.task, setup.person
+    now, row = state.now[0], log[k]
+    dt = task.sample_time
+    if locate(setup.course, k, row, now) and now.laps <= state.lap_times.size:
+        state.lap_times[now.laps - 1] = k * dt
+    state.arc[k] = now.arc
+    delay = round(person.delay / dt)
+    seen = max(k - delay, 0)
+    # at first nothing has been seen yet
+    arc = state.arc[seen] if k >= delay else -1.0
+    operate(task, person, setup.robot, setup.rates, log[seen], arc, setup.course, now, state.hand)
+    perform(task, k, state.z_r, state.z_h, row, now)
 
 
 @njit(_nrt=False)
-def drive(
-    task,
-    schedule,
-    course,
-    robot,
-    person,
-    sensing,
-    hand,
-    decision_rng,
-    states,
-    log,
-    lap_times,
-    correction,
-    kept,
-):
+def drive(first, stop, setup, state, inputs, log):
     """
-    Fill the records of `log`, the times at which laps end and the correction's log; return rows and
-    laps done.
+    Drive, as a kernel of `Simulation`, until `stop` or until all laps are done.
 
-    course: the numbers of a `Course`. robot, person: numbers of a `Pioneer` and an `Operator`.
-    sensing, hand, decision_rng: generators of their noise. schedule, shape (N,): modes, used by the
-    scheme SCHEDULE alone. states, shape (1,): a record of STATE. correction: a `LoopCorrection`, or
-    None, which leaves the engine out of what is compiled.
+    setup: a `DriveSetup`. state: a `DriveState`. inputs, log: records of INPUT and of LOG.
     """
-    dt, state = task.sample_time, states[0]
-    delay, (arc, z_r, z_h, found) = round(person.delay / dt), kept
-    rates = rates_of(person, robot, dt)
-    place(course, robot, dt, state)
-    state.wander, state.shaking = hand.standard_normal(), hand.standard_normal()
-    begin(task, person, state, decision_rng)
-    for k in range(log.size):
-        t, row = k * dt, log[k]
-        if locate(course, k, row, state) and state.laps <= lap_times.size:
-            lap_times[state.laps - 1] = t
-        arc[k] = state.arc
-        seen = max(k - delay, 0)
-        # at first nothing has been seen yet
-        operate(
-            task,
-            person,
-            robot,
-            rates,
-            log[seen],
-            arc[seen] if k >= delay else -1.0,
-            course,
-            state,
-            hand,
-        )
-        perform(task, k, z_r, z_h, row, state)
-        if correction is not None:
-            correct(correction, task, k, t, state)
-        allocate(
-            task, person, schedule[k] if task.scheme == SCHEDULE else 0, t, state, decision_rng
-        )
-        enter(row, state)
-        if 0 < task.laps <= state.laps:
-            return k + 1, state.laps
-        roll(robot, rates.anchor, dt, course, found, state, sensing)
-        state.r = min(max(next_utilization(state.r, state.mode, person.a), 0.0), 1.0)  # (2.5)
-    return log.size, state.laps
+    task, person = setup.task, setup.person
+    now, dt = state.now[0], task.sample_time
+    if stop == 0:
+        place(setup.course, setup.robot, dt, now)
+        now.wander, now.shaking = state.hand.standard_normal(), state.hand.standard_normal()
+        begin(task, person, now, state.choices)
+        sense(0, setup, state, log)
+    for k in range(first, stop):
+        allocate(task, person, inputs[k], k * dt, now, state.choices)
+        enter(log[k], now)
+        if 0 < task.laps <= now.laps:
+            return k + 1, END
+        roll(setup.robot, setup.rates.anchor, dt, setup.course, state.found, now, state.sensing)
+        now.r = min(max(next_utilization(now.r, now.mode, person.a), 0.0), 1.0)  # (2.5)
+        if k + 1 < log.size:
+            sense(k + 1, setup, state, log)
+    return stop, -1

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from trustlab.models.checks import finite_number, not_negative, positive
-from trustlab.models.compiled import njit
+from trustlab.models.compiled import inner
 from trustlab.models.portable import cos_sin, direction, wrapped
 
 
-@njit(_nrt=False)
+@inner(_nrt=False)
 def scan(posts, robot, state, sensing, offsets):
     """
     Compare posts seen with where the estimate has them: mean offset dx, dy, turn of the pattern,

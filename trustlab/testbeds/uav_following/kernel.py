@@ -3,14 +3,23 @@ The loop of the UAV that follows a leader: one step of operator, allocation, aut
 every tenth of a second.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.compiled import njit
+from trustlab.models.compiled import inner, njit
 from trustlab.models.tsc import next_utilization
 from trustlab.teleoperation.records import record
-from trustlab.testbeds.deciding import COUNTS, FLAGS, NUMBERS, allocate, begin, measure, skill_now
+from trustlab.testbeds.deciding import (
+    COUNTS,
+    FLAGS,
+    NUMBERS,
+    Task,
+    allocate,
+    begin,
+    measure,
+    skill_now,
+)
 
 # What is logged of each sample.
 LOG = record(
@@ -52,7 +61,7 @@ class LagShares(NamedTuple):
     anchor: float
 
 
-@njit
+@inner
 def imperfection(performance, person, flight, e_max):
     """
     Return the standard deviations per axis of wander [m] and shaking [m/s] of a hand that performs
@@ -75,13 +84,13 @@ def imperfection(performance, person, flight, e_max):
     return person.noise * np.sqrt(wander), person.noise * np.sqrt(shaking)
 
 
-@njit
+@inner
 def noise(before, keep, rng):
     """Return the next value of coloured noise of unit variance."""
     return keep * before + np.sqrt(1.0 - keep * keep) * rng.standard_normal()
 
 
-@njit
+@inner
 def operate(task, person, flight, rates, seen, row, state, hand):
     """
     Move the operator's hand: it acts on the ideal command of a delay ago (`seen`, a row of the
@@ -100,7 +109,7 @@ def operate(task, person, flight, rates, seen, row, state, hand):
     row.u_h_y = state.hand_y + flight.gain * wander * state.wander_y + shaking * state.shake_y
 
 
-@njit
+@inner
 def detect(flight, rates, state, sensing):
     """
     Let the autopilot's belief of where the leader is drift away, or be anchored anew while the
@@ -114,7 +123,7 @@ def detect(flight, rates, state, sensing):
     state.drift_y = rates.drift * state.drift_y + spread * sensing.standard_normal()
 
 
-@njit
+@inner
 def moved(flight, v, a, u):
     """Return velocity and acceleration on one axis one sample later, the command held."""
     return (
@@ -123,7 +132,7 @@ def moved(flight, v, a, u):
     )
 
 
-@njit
+@inner
 def fly(flight, dt, row, state):
     """Move the vehicle by one sample under the operator's command or the autopilot's."""
     manual = state.mode == 1
@@ -134,67 +143,92 @@ def fly(flight, dt, row, state):
     state.v_y, state.a_y = moved(flight, state.v_y, state.a_y, u_y)
 
 
-@njit(_nrt=False)
-def follow(
-    task,
-    schedule,
-    flight,
-    position,
-    velocity,
-    person,
-    sensing,
-    hand,
-    decision_rng,
-    states,
-    log,
-    z_r,
-    z_h,
-):
-    """
-    Fill the records of `log` behind a leader at `position` with `velocity`, both of shape (N, 3).
+def rates_of(person: Any, flight: Any, dt: float) -> LagShares:
+    """Return the shares for an operator and a testbed's constants."""
+    lags = flight["wander_time"], flight["shake_time"], person.hand_lag
+    drifts = flight["drift_time"], flight["anchoring_time"]
+    return LagShares(*(float(np.exp(-dt / time)) for time in (*lags, *drifts)))
 
-    schedule, shape (N,): modes, used by the scheme SCHEDULE alone. person: numbers of an
-    `Operator`. sensing, hand, decision_rng: generators of noise. states, shape (1,): a record of
-    STATE. z_r, z_h, shape (N,): room for momentary performance.
+
+class FlightSetup(NamedTuple):
     """
-    dt, state = task.sample_time, states[0]
-    delay = round(person.delay / dt)
-    rates = LagShares(
-        np.exp(-dt / flight.wander_time),
-        np.exp(-dt / flight.shake_time),
-        np.exp(-dt / person.hand_lag),
-        np.exp(-dt / flight.drift_time),
-        np.exp(-dt / flight.anchoring_time),
-    )
-    state.x = position[0, 0]
-    state.y = position[0, 1]
-    state.v_x = velocity[0, 0]
-    state.v_y = velocity[0, 1]
-    state.hand_x, state.hand_y = state.v_x, state.v_y
-    state.wander_x, state.wander_y = hand.standard_normal(), hand.standard_normal()
-    begin(task, person, state, decision_rng)
-    for k in range(log.size):
-        t, row = k * dt, log[k]
-        row.robot_x = state.x
-        row.robot_y = state.y
-        row.reference_x = position[k, 0]
-        row.reference_y = position[k, 1]
-        off_x, off_y = row.reference_x - state.x, row.reference_y - state.y
-        row.path_error = np.sqrt(off_x * off_x + off_y * off_y)
-        row.u_i_x = velocity[k, 0] + flight.gain * off_x
-        row.u_i_y = velocity[k, 1] + flight.gain * off_y
-        operate(task, person, flight, rates, log[max(k - delay, 0)], row, state, hand)
-        z_r[k] = 1.0 - row.path_error / task.e_max  # Section 2.4.2, P_r
-        deviation = abs(row.u_i_x - row.u_h_x) + abs(row.u_i_y - row.u_h_y)
-        z_h[k] = 1.0 - deviation / flight.u_max  # Section 2.4.2, P_h
-        measure(task, k, z_r, z_h, state)
-        allocate(task, person, schedule[k], t, state, decision_rng)
-        row.mode = state.mode
-        row.suggested_mode = state.suggested
-        row.r = state.r
-        row.p_r = state.p_r
-        row.p_h = state.p_h
-        row.tsc = state.tsc
-        detect(flight, rates, state, sensing)
-        fly(flight, dt, row, state)
-        state.r = min(max(next_utilization(state.r, state.mode, person.a), 0.0), 1.0)  # (2.5)
+    What stays the same in all samples; `flight` is a record of FLIGHT, `person` an operator's
+    numbers, the leader's position and velocity have shape (N, 3).
+    """
+
+    task: Task
+    flight: np.void
+    position: np.ndarray
+    velocity: np.ndarray
+    person: Any
+    rates: LagShares
+
+
+class FlightState(NamedTuple):
+    """
+    What samples hand on: one record of STATE, the noise of sensing, of the hand and of decisions,
+    and performance in each sample.
+    """
+
+    now: np.ndarray
+    sensing: np.random.Generator
+    hand: np.random.Generator
+    choices: np.random.Generator
+    z_r: np.ndarray
+    z_h: np.ndarray
+
+
+@inner(_nrt=False)
+def sense(k, setup, state, log):
+    """Come to the pause of sample k: see the leader, move the hand, measure performance."""
+    task, flight = setup.task, setup.flight
+    now, row = state.now[0], log[k]
+    row.robot_x = now.x
+    row.robot_y = now.y
+    row.reference_x = setup.position[k, 0]
+    row.reference_y = setup.position[k, 1]
+    off_x, off_y = row.reference_x - now.x, row.reference_y - now.y
+    row.path_error = np.sqrt(off_x * off_x + off_y * off_y)
+    row.u_i_x = setup.velocity[k, 0] + flight.gain * off_x
+    row.u_i_y = setup.velocity[k, 1] + flight.gain * off_y
+    seen = log[max(k - round(setup.person.delay / task.sample_time), 0)]
+    operate(task, setup.person, flight, setup.rates, seen, row, now, state.hand)
+    state.z_r[k] = 1.0 - row.path_error / task.e_max  # Section 2.4.2, P_r
+    deviation = abs(row.u_i_x - row.u_h_x) + abs(row.u_i_y - row.u_h_y)
+    state.z_h[k] = 1.0 - deviation / flight.u_max  # Section 2.4.2, P_h
+    measure(task, k, state.z_r, state.z_h, now)
+
+
+@njit(_nrt=False)
+def follow(first, stop, setup, state, inputs, log):
+    """
+    Follow the leader, as a kernel of `Simulation`.
+
+    setup: a `FlightSetup`. state: a `FlightState`. inputs, log: records of INPUT and of LOG.
+    """
+    task, person = setup.task, setup.person
+    now, dt = state.now[0], task.sample_time
+    if stop == 0:
+        now.x = setup.position[0, 0]
+        now.y = setup.position[0, 1]
+        now.v_x = setup.velocity[0, 0]
+        now.v_y = setup.velocity[0, 1]
+        now.hand_x, now.hand_y = now.v_x, now.v_y
+        now.wander_x, now.wander_y = state.hand.standard_normal(), state.hand.standard_normal()
+        begin(task, person, now, state.choices)
+        sense(0, setup, state, log)
+    for k in range(first, stop):
+        allocate(task, person, inputs[k], k * dt, now, state.choices)
+        row = log[k]
+        row.mode = now.mode
+        row.suggested_mode = now.suggested
+        row.r = now.r
+        row.p_r = now.p_r
+        row.p_h = now.p_h
+        row.tsc = now.tsc
+        detect(setup.flight, setup.rates, now, state.sensing)
+        fly(setup.flight, dt, row, now)
+        now.r = min(max(next_utilization(now.r, now.mode, person.a), 0.0), 1.0)  # (2.5)
+        if k + 1 < log.size:
+            sense(k + 1, setup, state, log)
+    return stop, -1

@@ -3,12 +3,14 @@ Runs of the UAV that follows a leader under conditions C1–C5: a simulated stan
 of Fig. 2.10.
 """
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from trustlab.models.checks import spawned
+from trustlab.models.simulation import Simulation
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Metadata
 from trustlab.teleoperation.records import filled, log_of
@@ -78,18 +80,16 @@ def flown(
     task: deciding.Task,
     operator: Operator,
     seed: int | np.random.SeedSequence,
-    modes: np.ndarray | None = None,
-) -> tuple[np.ndarray]:
-    """Return the log of one test, with the modes of a schedule where one is given."""
+    decide: Callable | None = None,
+) -> np.ndarray:
+    """Return the log of one test."""
     _, log = log_of(kernel.LOG, SAMPLES)
-    *streams, start = (np.random.default_rng(child) for child in spawned(seed, 4))
-    position, velocity = LEADER.path(
-        deciding.sample_times(log.size), 0.0, start.uniform(0.0, 2.0 * np.pi)
-    )
-    schedule = np.ones(SAMPLES, np.int64) if modes is None else modes
-    states = np.zeros(1, kernel.STATE)
-    room = np.empty((2, SAMPLES))
-    kernel.follow(
-        task, schedule, flight(), position, velocity, operator.numbers, *streams, states, log, *room
-    )
-    return (log,)
+    sensing, hand, choices, start = map(np.random.default_rng, spawned(seed, 4))
+    leader = LEADER.path(deciding.sample_times(SAMPLES), 0.0, start.uniform(0.0, 2.0 * np.pi))
+    rates = kernel.rates_of(operator, flight(), task.sample_time)
+    setup = kernel.FlightSetup(task, flight(), *leader, operator.numbers, rates)
+    z_r, z_h = np.empty((2, SAMPLES))
+    state = kernel.FlightState(np.zeros(1, kernel.STATE), sensing, hand, choices, z_r, z_h)
+    run = Simulation(kernel.follow, setup, state, deciding.no_inputs(SAMPLES), log, decide)
+    run.advance(SAMPLES)
+    return log
