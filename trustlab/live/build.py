@@ -87,7 +87,7 @@ def sources_digest() -> str:
     kinds = [tick.TASK, tick.ROBOT, tick.FORCING, tick.STATE, tick.LOG, noise.HASHED]
     kinds += [flown.ADDRESSES, flown.HAND, flown.SETUP, flown.STATE, flown.INPUT, flown.HISTORY]
     kinds += [led.ADDRESSES, led.LEAD, led.FOLLOWER, led.ROW, led.ACCOUNT]
-    kinds += [kernel.NUMBERS, kernel.ROBOT, kernel.SAMPLE, kernel.STATE]
+    kinds += [kernel.NUMBERS, kernel.ROBOT, kernel.INPUT, kernel.SAMPLE, kernel.STATE]
     records = [repr(kind) for kind in kinds]
     return digest(*records, *(f"{name} {text}" for name, text in sorted(texts.items())))
 

@@ -40,7 +40,6 @@ from .team.graphs import (
 from .team.leader_policies import (
     GivenSequence as GivenSequence,
     LeaderPolicy as LeaderPolicy,
-    LivePolicy as LivePolicy,
     MostTrusted as MostTrusted,
     RandomLeaders as RandomLeaders,
     TeamSituation as TeamSituation,

@@ -2,8 +2,7 @@
 One period of a team that a person leads, compiled to WebAssembly for browsers.
 
 A browser's memory holds the arrays of a `TeamLoop`, and does at every decision what that loop does:
-robots are judged by "motion", trust (4.1) follows, somebody is chosen to lead, and it is set which
-packets arrive and where robots drift until the next decision.
+robots are judged by "motion", trust (4.1) follows, and somebody is chosen to lead.
 """
 
 import numpy as np
@@ -18,24 +17,22 @@ from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.leader_policies import most_trusted
 from trustlab.teleoperation.team.performance import rate_move, with_packets
 
+COLUMNS = len(kernel.COLUMNS)
+
 MOST_TRUSTED, HYSTERESIS, SUGGESTED, BY_HAND = range(4)
 """Who chooses the leader."""
 
 LEAD = record(
     numbers="step pull tolerance min_dwell margin since wait",
-    counts=(
-        "samples decisions per_decision robots goals reached chooses wish leader free plain held"
-    ),
+    counts="samples decisions robots goals reached chooses wish leader free plain held",
 )
 """
 Settings of a run, and who leads since when. `plain` and `held` are the policies' picks without and
 with hysteresis; `free` says whether another robot may take over, `wish` whom the person wants.
 """
 
-FOLLOWER = record(
-    vectors="place velocity asked", numbers="speed loss low span decay gain share trust"
-)
-"""A robot with its faults, and trust (4.1) in it, also as a share of its range."""
+FOLLOWER = record(vectors="place", numbers="low span decay gain share trust")
+"""Where a robot is, and trust (4.1) in it, also as a share of its range."""
 
 ROW = record(
     numbers=(
@@ -47,13 +44,14 @@ ROW = record(
 
 ADDRESSES = record(
     counts=(
-        "leads followers row goals draws drift before rows numbers ends states values vectors into "
-        "solve stiffness samples delays arrives accounts u_l u_r w z blown trust"
+        "leads followers row goals numbers robots formations stiffness directed delays draws drift "
+        "now q zeta middle pulled velocity asked trust arrives u_l u_r accounts inputs samples "
+        "table places"
     )
 )
 """Where the arrays of a run are."""
 
-EMPTY = ("samples", "arrives", "u_l", "u_r", "before", "rows", "row")
+EMPTY = ("inputs", "samples", "u_l", "u_r", "table", "places", "row")
 """Arrays that are zero before a run."""
 
 
@@ -70,36 +68,24 @@ def about(places, goal):
 
 
 @njit(error_model="numpy")
-def place_robots(team, w, goal, robots):
-    """Set where robots are [m]; w counts from the goal that the team's loop knows."""
-    for j in range(robots.size):
+def place_robots(setup, state, goal, followers):
+    """Set where robots are [m]; q counts from the goal that the team's loop knows."""
+    for j in range(followers.size):
         for i in range(3):
-            at = 0.0
-            for each in range(robots.size):
-                at += w[i, each] * team.vectors[j, each]
-            robots[j].place[i] = at + goal[i]
+            followers[j].place[i] = state.q[j, i] * setup.robots[j].root + goal[i]
 
 
 @njit(error_model="numpy")
-def judge(n, lead, team, m, k, before, rows, robots):
+def judge(setup, state, leader, k, followers):
     """Step trust in every robot by what the decision that ends before sample k has shown."""
-    kernel.moves_undirected(team, m, before[0], before[1], n.sample_time, rows)
-    told, received = m.samples[k - 1], 0.0
-    for sample in range(k - lead.per_decision, k):
-        received += m.arrives[0, sample]
-    for j in range(robots.size):
-        robot = robots[j]
-        for i in range(3):
-            moved = wanted = 0.0
-            for each in range(robots.size):
-                moved += rows[i, each] * team.vectors[j, each]
-                wanted += rows[3 + i, each] * team.vectors[j, each]
-            robot.velocity[i], robot.asked[i] = moved, wanted / robot.speed
-            if j == told.lead:
-                robot.asked[i] += n.lead_gain * told.sent[i]
-        rated = rate_move(robot.velocity, robot.asked)
-        if j == told.lead:
-            rated = with_packets(rated, received / lead.per_decision)
+    packets, received = setup.numbers[0].per_decision, 0.0
+    for sample in range(k - packets, k):
+        received += state.arrives[0, sample]
+    for j in range(followers.size):
+        robot = followers[j]
+        rated = rate_move(state.velocity[j], state.asked[j])
+        if j == leader:
+            rated = with_packets(rated, received / packets)
         if not np.isnan(rated):
             robot.share = trust_step(robot.share, rated, robot.decay, robot.gain)  # (4.1)
         robot.trust = robot.low + robot.span * robot.share
@@ -124,29 +110,6 @@ def choose(lead, t, trust):
 
 
 @njit(error_model="numpy")
-def set_faults(lead, team, m, k, draws, drift, robots):
-    """Set which packets arrive until the next decision, and where robots drift."""
-    for sample in range(k, min(k + lead.per_decision, lead.samples)):
-        for way in range(2):
-            m.arrives[way, sample] = draws[way, sample] >= robots[lead.leader].loss
-    for i in range(3):
-        for j in range(robots.size):
-            blown = 0.0
-            for each in range(robots.size):
-                blown += drift[k // lead.per_decision, i, each] * team.into[each, j]
-            m.blown[i, j] = blown
-
-
-@njit(error_model="numpy")
-def remember(m, before):
-    """Keep where the robots are before a sample."""
-    for i in range(3):
-        for j in range(m.w.shape[1]):
-            before[0, i, j] = m.w[i, j]
-            before[1, i, j] = m.z[i, j]
-
-
-@njit(error_model="numpy")
 def fill_row(lead, goal, state, robots, row):
     """Set a row of the log, after the samples of its period."""
     row.team_x, row.team_y, row.path_error = about(robots["place"], goal)
@@ -165,55 +128,38 @@ def fill_row(lead, goal, state, robots, row):
 
 
 @njit(error_model="numpy", forceinline=True)
-def team_at(at, size):
-    """Return the robots on their undirected graph."""
-    basis = carray(pointer(at.vectors), (size, size), np.float64)
-    return kernel.Formation(
-        False,
-        carray(pointer(at.values), size, np.float64),
-        basis,
-        carray(pointer(at.into), (size, size), np.float64),
-        carray(pointer(at.solve), size, np.float64),
-        basis,  # five matrices of directed graphs, which nobody reads
-        basis,
-        basis,
-        basis,
-        basis,
-        carray(pointer(at.stiffness), size, np.float64),
+def setup_at(at, size, length, decisions):
+    """Return what stays the same; the graph does."""
+    return kernel.TeamSetup(
+        carray(pointer(at.numbers), 1, kernel.NUMBERS),
+        carray(pointer(at.robots), size, kernel.ROBOT),
+        carray(pointer(at.formations), (1, 3, size, size), np.float64),
+        carray(pointer(at.stiffness), (1, size), np.float64),
+        carray(pointer(at.directed), 1, np.bool_),
+        carray(pointer(at.delays), (2, length), np.float64),
+        carray(pointer(at.draws), (2, length), np.float64),
+        carray(pointer(at.drift), (decisions, size, 3), np.float64),
     )
 
 
 @njit(error_model="numpy", forceinline=True)
-def memory_at(at, size, length):
-    """Return what a run of so many samples keeps."""
-    return kernel.RunMemory(
-        carray(pointer(at.samples), length, kernel.SAMPLE),
-        carray(pointer(at.delays), (2, length), np.float64),
+def state_at(at, size, length):
+    """Return what samples hand on."""
+    return kernel.TeamState(
+        carray(pointer(at.now), 1, kernel.STATE),
+        carray(pointer(at.now), COLUMNS, np.float64),  # the row of the log begins the state
+        carray(pointer(at.q), (size, 3), np.float64),
+        carray(pointer(at.zeta), (size, 3), np.float64),
+        carray(pointer(at.middle), (size, 3), np.float64),
+        carray(pointer(at.pulled), (size, 3), np.float64),
+        carray(pointer(at.velocity), (size, 3), np.float64),
+        carray(pointer(at.asked), (size, 3), np.float64),
+        carray(pointer(at.trust), size, np.float64),
         carray(pointer(at.arrives), (2, length), np.bool_),
-        carray(pointer(at.accounts), 2, ACCOUNT),
         carray(pointer(at.u_l), (length, 3), np.float64),
         carray(pointer(at.u_r), (length, 3), np.float64),
-        carray(pointer(at.w), (3, size), np.float64),
-        carray(pointer(at.z), (3, size), np.float64),
-        carray(pointer(at.blown), (3, size), np.float64),
-        carray(pointer(at.trust), size, np.float64),
+        carray(pointer(at.accounts), 2, ACCOUNT),
     )
-
-
-@njit(error_model="numpy", forceinline=True)
-def decide(at, k, n, lead, team, m, robots):
-    """Judge, choose, and set faults, where sample k begins a decision."""
-    before = carray(pointer(at.before), (2, 3, robots.size), np.float64)
-    if k % lead.per_decision == 0:
-        rows = carray(pointer(at.rows), (6, robots.size), np.float64)
-        draws = carray(pointer(at.draws), (2, lead.samples), np.float64)
-        drift = carray(pointer(at.drift), (lead.decisions, 3, robots.size), np.float64)
-        if k > 0:
-            judge(n, lead, team, m, k, before, rows, robots)
-        choose(lead, k // lead.per_decision * lead.step, robots["trust"])
-        set_faults(lead, team, m, k, draws, drift, robots)
-    if (k + 1) % lead.per_decision == 0:
-        remember(m, before)
 
 
 def lead_there(first, stop, x, y, choice, addresses):
@@ -223,30 +169,32 @@ def lead_there(first, stop, x, y, choice, addresses):
     """
     at = carray(addresses, 1)[0]
     lead = carray(pointer(at.leads), 1, LEAD)[0]
-    n = carray(pointer(at.numbers), 1, kernel.NUMBERS)[0]
-    state = carray(pointer(at.states), 1, kernel.STATE)[0]
     row = carray(pointer(at.row), 1, ROW)[0]
-    robots = carray(pointer(at.followers), lead.robots, FOLLOWER)
-    ends = carray(pointer(at.ends), lead.robots, kernel.ROBOT)
+    followers = carray(pointer(at.followers), lead.robots, FOLLOWER)
     goals = carray(pointer(at.goals), (lead.goals, 3), np.float64)
-    no_log = carray(pointer(at.row), (1, 0), np.float64)
-    team = team_at(at, lead.robots)
-    m = memory_at(at, lead.robots, lead.samples)
-    rig = kernel.rig_of(n)
+    inputs = carray(pointer(at.inputs), lead.samples, kernel.INPUT)
+    setup = setup_at(at, lead.robots, lead.samples, lead.decisions)
+    state = state_at(at, lead.robots, lead.samples)
+    log = kernel.TeamLog(
+        carray(pointer(at.samples), lead.samples, kernel.SAMPLE),
+        carray(pointer(at.table), (1, COLUMNS), np.float64),
+        carray(pointer(at.places), (1, lead.robots, 3), np.float64),
+    )
+    decision, begins = divmod(first, setup.numbers[0].per_decision)
     lead.wish = int(choice)
+    if begins == 0:  # a decision takes one period or more
+        if decision > 0:
+            judge(setup, state, lead.leader, first, followers)
+        choose(lead, decision * lead.step, followers["trust"])
     for k in range(first, stop):
-        decide(at, k, n, lead, team, m, robots)
-        now = m.samples[k]
-        now.lead = now.head = lead.leader
-        now.hand[0] = lead.pull * x
-        now.hand[1] = lead.pull * y
-        kernel.solve_ends(n, team, rig, ends, m, k, state)
-        kernel.move_undirected(n, team, m.w, m.z, m.blown, state)
-        block = kernel.log_sample(n, m, k, lead.samples, state, no_log[0], no_log)
-        if block >= 0:
-            return block
-    place_robots(team, m.w, goals[lead.goals - 1], robots)
-    fill_row(lead, goals[min(lead.reached, lead.goals - 1)], state, robots, row)
+        inputs[k].lead = inputs[k].head = lead.leader
+        inputs[k].hand[0] = lead.pull * x
+        inputs[k].hand[1] = lead.pull * y
+    block = kernel.lead_team(first, stop, setup, state, inputs, log)[1]
+    if block >= 0:
+        return block
+    place_robots(setup, state, goals[lead.goals - 1], followers)
+    fill_row(lead, goals[min(lead.reached, lead.goals - 1)], state.now[0], followers, row)
     return -1
 
 

@@ -12,6 +12,7 @@ from trustlab.live.tasks.task import PERIOD, LiveTask, trust_as_json, trust_of
 from trustlab.models.checks import between, positive, whole_number
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.records import filled
+from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.leader_policies import POLICIES, TeamSituation
 from trustlab.teleoperation.team.settings import (
     TeamOperator,
@@ -227,17 +228,22 @@ class LeadingRun:
     def memory(self) -> dict[str, Any]:
         """Return the loop's arrays as a browser needs them, before the first step."""
         loop, config = self.loop, self.config
-        robots = len(loop.robots)
-        arrays: dict[str, Any] = loop.arrays()
+        run, robots = loop.simulation, len(loop.robots)
+        arrays: dict[str, Any] = run.setup._asdict() | run.state._asdict() | {"inputs": run.inputs}
+        del arrays["row"]  # it begins the state
+        samples, columns = len(run.inputs), len(kernel.COLUMNS)
+        arrays["samples"] = run.log.samples
+        arrays["table"], arrays["places"] = np.zeros((1, columns)), np.zeros((1, robots, 3))
+        arrays["numbers"] = run.setup.numbers.copy()
+        arrays["numbers"]["per_row"] = samples
         settings = {
             "step": DECISION,
             "pull": PULL,
             "tolerance": config["tolerance"],
             "min_dwell": config["min_dwell"],
             "margin": ADVISERS["hysteresis"].margin,
-            "samples": len(arrays["samples"]),
-            "decisions": len(arrays["drift"]),
-            "per_decision": round(DECISION / SAMPLE_TIME),
+            "samples": samples,
+            "decisions": len(run.setup.drift),
             "robots": robots,
             "goals": len(self.goals),
             "chooses": CHOOSES.index(config["condition"]),
@@ -245,14 +251,10 @@ class LeadingRun:
         }
         arrays["leads"] = filled(LEAD, **settings)
         followers = arrays["followers"] = np.zeros(robots, FOLLOWER)
-        followers["place"], followers["trust"] = config["start"], loop.trust
-        for name in ("speed", "loss"):
-            followers[name] = [robot[name] for robot in config["robots"]]
-        for name in ("low", "span", "decay", "gain", "share"):
-            followers[name] = arrays.pop(name)
+        followers["place"] = config["start"]
+        for name, values in loop.trust_records().items():
+            followers[name] = values
         arrays["goals"] = np.array([(*goal, 0.0) for goal in self.goals])
-        arrays["before"] = np.zeros((2, 3, robots))
-        arrays["rows"] = np.zeros((6, robots))
         arrays["row"] = np.zeros(1, ROW)
         return plan_of(arrays, ADDRESSES, EMPTY) | {
             "every": round(PERIOD / SAMPLE_TIME),

@@ -9,12 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.models.checks import finite_number
-from trustlab.models.linear_algebra import products, symmetric_eigen
-from trustlab.teleoperation.team.kernel import Formation
-
-# Robots up to which a team has the same bits on every machine; Jacobi's rotations take too long for
-# more.
-MOST_IN_FIXED_ORDER = 32
 
 
 class GraphError(ValueError):
@@ -202,65 +196,28 @@ def algebraic_connectivity(graph) -> float:
     return float(max(values[1], 0.0))
 
 
-def multiplied(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Return rows times a team's matrix (N, N), in a fixed order if it is small."""
-    if len(matrix) > MOST_IN_FIXED_ORDER:
-        return rows @ matrix
-    (out,) = products(np.ascontiguousarray(rows)[None], np.ascontiguousarray(matrix)[None])
-    return out
-
-
-def _eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return eigenvalues and eigenvectors of a symmetric matrix; in fixed order if it is small."""
-    if len(matrix) > MOST_IN_FIXED_ORDER:
-        return np.linalg.eigh(matrix)
-    values, vectors = symmetric_eigen(matrix[None])
-    return values[0], vectors[0]
-
-
 def formation_on(
     graph: TeamGraph, coupling: float, h: float, speeds: np.ndarray | None = None
-) -> Formation:
+) -> tuple[np.ndarray, np.ndarray]:
     """
     Return what one step of the midpoint rule of length 2h needs of a graph and its robots' speeds,
     shape (N,), 1 by default; a directed graph must damp its differences.
+
+    Returns R, h R Lᵀ and L, shape (3, N, N), for q = R (q₀ + hLᵀζ₀ + h g D r_s) with R = (I + hL +
+    h²LᵀL)⁻¹, and what the team does to a leader's push, shape (N,). Robots of speeds S, (4.22) with
+    S before every right side, are such a team as well: in q/√S and ζ/√S, with √S L √S for L and √S
+    D for D.
     """
-    size, none = len(graph.adjacency), np.empty((0, 0))
+    size = len(graph.adjacency)
     root = np.ones(size) if speeds is None else np.sqrt(speeds)
     L = root[:, None] * (coupling * laplacian(graph.adjacency)) * root
-    if not graph.directed:
-        values, basis = _eigen(L)
-        # the least eigenvalue is 0; rounding may make it negative, which would let the mean drift
-        values = np.maximum(values, 0.0)
-        vectors = np.ascontiguousarray(root[:, None] * basis)
-        into = np.ascontiguousarray(basis / root[:, None])
-        # (I + hL + h²L²) of the midpoint rule is diagonal in the eigenbasis
-        solve = 1.0 / (1.0 + h * values + h * h * values**2)
-        stiffness = h * (vectors**2 * (values * solve)).sum(axis=1)
-        return Formation(
-            False, values, vectors, into, solve, none, none, none, none, none, stiffness
-        )
-    growth = np.linalg.eigvals(np.block([[-L, L.T], [-L, np.zeros_like(L)]])).real.max()
-    if growth > 1e-7 * np.abs(L).max():
-        raise GraphError(
-            f"on the directed graph from t = {graph.since:g} s on differences grow by "
-            f"{growth:.2g} 1/s, whoever leads: the weights in and out of robots are too "
-            "different; balance them, or add the edges' opposites"
-        )
+    if graph.directed:
+        growth = np.linalg.eigvals(np.block([[-L, L.T], [-L, np.zeros_like(L)]])).real.max()
+        if growth > 1e-7 * np.abs(L).max():
+            raise GraphError(
+                f"on the directed graph from t = {graph.since:g} s on differences grow by "
+                f"{growth:.2g} 1/s, whoever leads: the weights in and out of robots are too "
+                "different; balance them, or add the edges' opposites"
+            )
     solved = np.linalg.inv(np.eye(size) + h * L + h * h * L.T @ L)
-    inner = np.ascontiguousarray(h * solved @ L.T)
-    felt, felt_inner = root[:, None] * (L @ solved), root[:, None] * (L @ inner)
-    stiffness = h * felt.diagonal() * root
-    return Formation(
-        True,
-        np.empty(0),
-        np.diag(root),
-        np.diag(1.0 / root),
-        np.empty(0),
-        L,
-        solved,
-        inner,
-        felt,
-        felt_inner,
-        stiffness,
-    )
+    return np.array([solved, h * solved @ L.T, L]), h * root**2 * (L @ solved).diagonal()

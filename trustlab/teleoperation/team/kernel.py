@@ -1,21 +1,19 @@
 """
-The teleoperated team (Fig. 4.1), compiled: O(N) per step in the Laplacian's eigenbasis, O(N²) on a
-directed graph.
+The teleoperated team (Fig. 4.1), compiled, with dense matrices: O(N²) a sample, on any graph.
 
-`run_team` takes one sample after another; a sample is a row of named steps, each on one record of
-STATE. All that a run remembers stands in `RunMemory` and STATE, so that a run may pause at any
-sample: the graph and the leader change between two calls.
+`lead_team` is a kernel of `Simulation`: a sample is a row of named steps, each on the record of
+STATE of operator and channel and on arrays of the robots. Who leads and on which graph comes from
+outside and may change at any sample.
 
-Steps that take arrays do without reference counts (_nrt=False), as in `loop/kernel.py`: counts are
-atomic and would take half of the time. They allocate nothing, and their caller keeps the arrays;
-`move_directed` allocates, and is the exception.
+Steps do without reference counts (_nrt=False), as in `loop/kernel.py`: counts are atomic and would
+take half of the time. They allocate nothing, and their caller keeps the arrays.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.compiled import njit
+from trustlab.models.compiled import inner, njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.ledger import read_waves
@@ -24,7 +22,7 @@ from trustlab.teleoperation.records import columns_of, dot, record
 NO_FILTER = 0
 TWO_PORT = 1
 WAVES = 2
-BLOCKS = ("haptic device", "channel", "team")
+BLOCKS = ("the haptic device", "the channel", "the team")
 
 # A row of the log: storages before the sample and the signals of the sample.
 LOG = record(
@@ -54,13 +52,14 @@ POWERS = (
     "spring seen_power near_power far_power hand_power device_power device_loss team_loss "
     "error_loss"
 )
-WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=POWERS)
+WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=f"{POWERS} graph")
 # What both ends read and leave; it begins with the row of the log, so that energies since the start
 # stand there alone.
 STATE = np.dtype([*LOG.descr, *WITHIN.descr])
 
-# One robot: its end of the channel, and its trust in the operator.
-ROBOT = record(numbers="b beta_min beta_max decay gain t_min t_max")
+# One robot of speed s: √s, the probability that it loses a packet, its end of the channel, and its
+# trust in the operator.
+ROBOT = record(numbers="root loss b beta_min beta_max decay gain t_min t_max")
 
 
 # Device, filters, operator and how delays are read; see `TeamSettings` and `TeamOperator`.
@@ -69,64 +68,81 @@ NUMBERS = record(
         "sample_time mass damping stiffness weight gain cutoff k12 k21 push grip reach drag budget "
         "reserve error_range steepness lead_gain force_gain"
     ),
-    counts="read_out filtering vision",
-    flags="guarded",
+    counts="read_out filtering vision per_decision per_row",
+    flags="guarded drifting",
 )
 
 
-class Formation(NamedTuple):
+# What comes from outside in each sample: force added to the hand's, where a live hand wants the
+# device to be (NaN without one); who leads, the robot for which the operator's end of the channel
+# is set (the same, unless that end fails to switch), and the number of the graph.
+INPUT = record(vectors="pushed hand", counts="lead head graph")
+
+# What later samples look up of each sample: the velocity sent to the leader and its distance to the
+# goal; dissipation and storage of the error system.
+SAMPLE = record(vectors="sent seen", numbers="lost stored")
+
+# Matrices of a formation.
+SOLVED, INNER, LAPLACIAN = range(3)
+
+
+class TeamSetup(NamedTuple):
     """
-    The robots on their graph, for one step of the midpoint rule: q = (I + hL + h²LᵀL)⁻¹ (q₀ + hLᵀζ₀
-    + h g D r_s).
+    What stays the same in a run of K samples and M decisions of N robots.
 
-    Robots of speeds S, (4.22) with S before every right side, are such a team as well: in q = √S w,
-    ζ = √S z, with √S L √S for L and √S D for D. Undirected graphs are diagonal in the eigenbasis of
-    L: `values`, shape (N,); `vectors` and `into`, shape (N, N), for q = vectors · w, w = intoᵀ q;
-    and `solve`, shape (N,). A directed graph has no such basis: `laplacian`, `solved` = (I + hL +
-    h²LᵀL)⁻¹ and `inner` = h · solved · Lᵀ, shape (N, N), and `felt`, `felt_inner` = √S L times
-    these, from which the leader's force at rest is one row; `vectors` is then √S.
+    numbers, shape (1,): a record of NUMBERS. robots, shape (N,): records of ROBOT. formations,
+    shape (G, 3, N, N), and stiffness, shape (G, N): what `formation_on` returns of each graph.
+    directed, shape (G,). delays, shape (2, K): in samples. draws, shape (2, K): uniform numbers, by
+    which packets are lost. drift, shape (M, N, 3): velocity [m/s] that robots have beside (4.22),
+    over √s.
     """
 
-    directed: bool
-    values: np.ndarray
-    vectors: np.ndarray
-    into: np.ndarray
-    solve: np.ndarray
-    laplacian: np.ndarray
-    solved: np.ndarray
-    inner: np.ndarray
-    felt: np.ndarray
-    felt_inner: np.ndarray
-    stiffness: np.ndarray  # what the team does to a leader's push, shape (N,)
+    numbers: np.ndarray
+    robots: np.ndarray
+    formations: np.ndarray
+    stiffness: np.ndarray
+    directed: np.ndarray
+    delays: np.ndarray
+    draws: np.ndarray
+    drift: np.ndarray
 
 
-# What a run keeps of each sample: the robot that leads, and the one for which the operator's end of
-# the channel is set (the same, unless that end fails to switch); force added to the hand's, where a
-# live hand wants the device to be (NaN without one), velocity sent to the leader, and its distance
-# to the goal; dissipation and storage of the error system.
-SAMPLE = record(vectors="pushed hand sent seen", numbers="lost stored", counts="lead head")
-
-
-class RunMemory(NamedTuple):
+class TeamState(NamedTuple):
     """
-    What a run keeps from sample to sample, K samples and N robots; changed in place.
+    What samples hand on; changed in place.
 
-    samples, shape (K,): records of SAMPLE. delays, arrives, shape (2, K): in samples, and whether
-    waves arrive. accounts: `ledger.accounts()`. waves u_l, u_r, shape (K, 3). w, z, shape (3, N):
-    the robots' distance to the goal and ζ in the eigenbasis. blown, shape (3, N): velocity [m/s]
-    that drives robots beside (4.22), in the eigenbasis. trust, shape (N,): in the operator, (4.2).
+    now, shape (1,): a record of STATE, and row, what of it is logged. q, zeta, shape (N, 3):
+    distance to the goal and ζ, over √s. middle, pulled, shape (N, 3): q in the middle of the
+    sample, first as if the leader were not driven, and L q there. velocity, asked, shape (N, 3):
+    how robots moved in the last sample before a decision [m/s], and how faultless ones would have
+    in their places. trust, shape (N,): in the operator, (4.2). arrives, shape (2, K): whether waves
+    arrive. u_l, u_r, shape (K, 3): waves. accounts: `ledger.accounts()`.
+    """
+
+    now: np.ndarray
+    row: np.ndarray
+    q: np.ndarray
+    zeta: np.ndarray
+    middle: np.ndarray
+    pulled: np.ndarray
+    velocity: np.ndarray
+    asked: np.ndarray
+    trust: np.ndarray
+    arrives: np.ndarray
+    u_l: np.ndarray
+    u_r: np.ndarray
+    accounts: np.ndarray
+
+
+class TeamLog(NamedTuple):
+    """
+    samples, shape (K,): records of SAMPLE. table, shape (rows, columns): COLUMNS, every `per_row`
+    samples. places, shape (rows, N, 3): distances to the goal over √s.
     """
 
     samples: np.ndarray
-    delays: np.ndarray
-    arrives: np.ndarray
-    accounts: np.ndarray
-    u_l: np.ndarray
-    u_r: np.ndarray
-    w: np.ndarray
-    z: np.ndarray
-    blown: np.ndarray
-    trust: np.ndarray
+    table: np.ndarray
+    places: np.ndarray
 
 
 class FilterStep(NamedTuple):
@@ -150,7 +166,7 @@ class Rig(NamedTuple):
     low_pass: FilterStep  # of waves
 
 
-@njit(error_model="numpy", forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def push_share(budget, power, pull, stir, square, drag):
     """
     Return the greatest share σ ≤ 1 of a push whose power does not exceed `power`.
@@ -168,7 +184,7 @@ def push_share(budget, power, pull, stir, square, drag):
     return min(2.0 * free / (pull + np.sqrt(pull * pull + 4.0 * stir * free)), 1.0)
 
 
-@njit(error_model="numpy", forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def rig_of(n):
     """Return device and filters under the midpoint rule."""
     device = haptic.held_device(n.mass, n.damping, n.stiffness, n.weight, 0.0, 0.0, n.sample_time)
@@ -178,41 +194,64 @@ def rig_of(n):
     return Rig(device, low_pass if n.filtering == TWO_PORT else no_filter, low_pass)
 
 
-@njit(error_model="numpy", forceinline=True, _nrt=False)
-def store_energy(n, team, rig, w, z, state):
-    """Set the storages at the start of the sample; the leader's port reaches the team g times."""
-    state.v_hd = state.v_filter = 0.0
-    state.v_fs, state.v_e = storages(team, w, z)
-    state.v_fs *= n.force_gain / n.lead_gain  # (4.23)
-    state.v_e /= n.lead_gain  # (4.29)
+@inner(error_model="numpy", forceinline=True, _nrt=False)
+def store_energy(n, rig, state, now):
+    """Set the storages of device, filters and error system at the start of the sample."""
+    now.v_hd = now.v_filter = now.v_e = 0.0
     for i in range(3):
         # (3.9)
-        state.v_hd += haptic.device_storage(rig.device, state.device[i], state.device_velocity[i])
+        now.v_hd += haptic.device_storage(rig.device, now.device[i], now.device_velocity[i])
         if n.filtering == TWO_PORT:
-            velocities = state.near_velocity[i] ** 2 + state.far_velocity[i] ** 2
-            forces = state.near_force[i] ** 2 + state.far_force[i] ** 2
-            state.v_filter += (n.k21 * velocities + n.k12 * forces) / n.cutoff
+            velocities = now.near_velocity[i] ** 2 + now.far_velocity[i] ** 2
+            forces = now.near_force[i] ** 2 + now.far_force[i] ** 2
+            now.v_filter += (n.k21 * velocities + n.k12 * forces) / n.cutoff
+        for j in range(state.trust.size):
+            square = state.q[j, i] ** 2 + state.zeta[j, i] ** 2
+            now.v_e += 0.5 * square / n.lead_gain  # (4.29)
 
 
-@njit(error_model="numpy", forceinline=True)
-def look_up_past(n, k, now, past, state):
+@inner(error_model="numpy", forceinline=True, _nrt=False)
+def stored_by(matrices, n, state):
+    """Return V_fs (4.23) on an undirected graph; the leader's port reaches the team g times."""
+    v_fs = 0.0
+    for j in range(state.trust.size):
+        for m in range(state.trust.size):
+            for i in range(3):
+                square = state.q[j, i] * state.q[m, i] + state.zeta[j, i] * state.zeta[m, i]
+                v_fs += 0.5 * matrices[LAPLACIAN, j, m] * square  # (4.23)
+    return v_fs * n.force_gain / n.lead_gain
+
+
+@inner(error_model="numpy", forceinline=True, _nrt=False)
+def change_links(n, setup, graph, state, now):
+    """Book what V_fs gains by the links of the next graph; unknown on a directed one."""
+    before, after = setup.formations[int(now.graph)], setup.formations[graph]
+    if setup.directed[int(now.graph)] or setup.directed[graph]:
+        now.supply_links = np.nan
+    else:
+        now.supply_links += stored_by(after, n, state) - stored_by(before, n, state)
+    now.graph = graph
+
+
+@inner(error_model="numpy", forceinline=True)
+def look_up_past(n, k, given, past, state):
     """
     Set what the operator sees, the leader of `vision` samples ago and what it was told to do;
     return the operator's performance as the robots judge it.
     """
-    in_sight, live = k >= n.vision, not np.isnan(now.hand[0])
+    in_sight, live = k >= n.vision, not np.isnan(given.hand[0])
     state.spring = n.grip if live else n.push
     for i in range(3):
         state.error[i] = -past.seen[i] if in_sight else 0.0  # r_q − y_h(t − T), (4.26)
-        state.aside[i] = now.hand[i] - state.device[i] if live else state.error[i]
-        state.pushed[i] = now.pushed[i]
+        state.aside[i] = given.hand[i] - state.device[i] if live else state.error[i]
+        state.pushed[i] = given.pushed[i]
     state.seen_power = dot(past.sent, state.error) if in_sight else 0.0
     if in_sight and n.push > 0.0:
         return max(1.0 - np.sqrt(dot(state.error, state.error)) / n.error_range, 0.0)
     return 0.0
 
 
-@njit(error_model="numpy", forceinline=True, _nrt=False)
+@inner(error_model="numpy", forceinline=True, _nrt=False)
 def share_force(n, robots, lead, trust, performance, state):
     """Set β by the leader's trust in the operator, and step the trust of all."""
     leader = robots[lead]
@@ -225,19 +264,20 @@ def share_force(n, robots, lead, trust, performance, state):
         trust[i] = trust_step(trust[i], performance, robots[i].decay, robots[i].gain)  # (4.2)
 
 
-@njit(error_model="numpy", forceinline=True, _nrt=False)
-def receive(n, m, k, low_pass, state):
+@inner(error_model="numpy", forceinline=True, _nrt=False)
+def receive(n, setup, lead, k, low_pass, state, now):
     """Set the waves that arrive at both ends, (3.16), filtered where waves are."""
-    T, kind = n.sample_time, n.read_out
-    books = m.accounts
-    v_l, v_r = state.v_l, state.v_r
-    read_waves(m.u_l, m.u_r, m.arrives, k, m.delays, n.gain, kind, T, books, v_l, v_r)
+    for way in range(2):
+        state.arrives[way, k] = setup.draws[way, k] >= setup.robots[lead].loss
+    waves_there = state.u_l, state.u_r, state.arrives
+    how = n.gain, n.read_out, n.sample_time
+    read_waves(*waves_there, k, setup.delays, *how, state.accounts, now.v_l, now.v_r)
     if n.filtering == WAVES:
-        filter_wave(low_pass, state.v_r, state.filtered_r)
-        filter_wave(low_pass, state.v_l, state.filtered_l)
+        filter_wave(low_pass, now.v_r, now.filtered_r)
+        filter_wave(low_pass, now.v_l, now.filtered_l)
 
 
-@njit(error_model="numpy", forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def operator_side(n, rig, end, spendable, state):
     """
     Solve the operator's end of the channel with filter, device and hand, in closed form, and the
@@ -276,7 +316,7 @@ def operator_side(n, rig, end, spendable, state):
     state.hand_power = dot(state.r_m, state.f_h)
 
 
-@njit(error_model="numpy", forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def set_hand_force(n, rig, end, loaded, spendable, state):
     """Set what the hand aims at, how device, filter and channel yield, and the share pushed."""
     device, filters = rig.device, rig.filters
@@ -314,13 +354,13 @@ def set_hand_force(n, rig, end, loaded, spendable, state):
         state.push = push_share(spendable, most, pull, stir, square, n.drag)  # (4.30)
 
 
-@njit(error_model="numpy", forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def low_pass_step(filters, u, level):
     """Return by how much a low-pass filter's state changes over a sample."""
     return 2.0 * filters.pole * (u - level) / (1.0 + filters.pole)
 
 
-@njit(error_model="numpy", forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def robot_side(filters, end, stiffness, state):
     """
     Solve the robots' end of the channel with filter and leader: f_s = open_force + stiffness · r_s.
@@ -349,7 +389,7 @@ def robot_side(filters, end, stiffness, state):
         state.far_force[i] += low_pass_step(filters, state.f_s[i], state.far_force[i])
 
 
-@njit(error_model="numpy", forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def filter_wave(filters, wave, level):
     """Filter a wave in place; `level` is the filter's state."""
     for i in range(3):
@@ -357,94 +397,80 @@ def filter_wave(filters, wave, level):
         level[i], wave[i] = 2.0 * middle - level[i], middle
 
 
-@njit(error_model="numpy", forceinline=True, _nrt=False)
-def storages(team, w, z):
+@inner(error_model="numpy", forceinline=True, _nrt=False)
+def add_row(matrix, j, vectors, out):
+    """Add row j of a matrix times the robots' vectors to `out`."""
+    x = y = z = 0.0
+    for m in range(matrix.shape[0]):
+        share = matrix[j, m]
+        x += share * vectors[m, 0]
+        y += share * vectors[m, 1]
+        z += share * vectors[m, 2]
+    out[0] += x
+    out[1] += y
+    out[2] += z
+
+
+@inner(error_model="numpy", forceinline=True, _nrt=False)
+def rest(n, matrices, leader, lead, state, now):
     """
-    Return V_fs and V_e, (4.23) and (4.29); V_fs is a storage on an undirected graph only, elsewhere
-    NaN.
+    Set where robots would be in the middle of the sample if the leader were not driven, and the
+    force (4.24) that it would report then.
     """
-    v_fs = v_e = 0.0
+    for j in range(state.trust.size):
+        for i in range(3):
+            state.middle[j, i] = 0.0
+        add_row(matrices[SOLVED], j, state.q, state.middle[j])
+        add_row(matrices[INNER], j, state.zeta, state.middle[j])
     for i in range(3):
-        for j in range(w.shape[1]):
-            square = w[i, j] ** 2 + z[i, j] ** 2
-            v_e += 0.5 * square  # (4.29)
-            if not team.directed:
-                v_fs += 0.5 * team.values[j] * square  # (4.23)
-    return np.nan if team.directed else v_fs, v_e
-
-
-@njit(error_model="numpy", forceinline=True, _nrt=False)
-def force_at_rest(team, lead, h, w, z, i):
-    """
-    Return the force (4.24) on axis i that the leader would report at the midpoint if it were not
-    driven.
-    """
-    force = 0.0
-    for j in range(w.shape[1]):
-        if team.directed:
-            force += team.felt[lead, j] * w[i, j] + team.felt_inner[lead, j] * z[i, j]
-        else:
-            value = team.values[j]
-            force += team.vectors[lead, j] * value * team.solve[j] * (w[i, j] + h * value * z[i, j])
-    return force
-
-
-@njit(error_model="numpy", forceinline=True, _nrt=False)
-def move_undirected(n, team, w, z, blown, state):
-    """Step (4.22) in the eigenbasis; set the leader's place at the midpoint, and what is lost."""
-    h, lead = 0.5 * n.sample_time, int(state.number)
-    state.team_loss = state.error_loss = 0.0
+        now.open_force[i] = 0.0
+    add_row(matrices[LAPLACIAN], lead, state.middle, now.open_force)
     for i in range(3):
-        drive = n.lead_gain * state.r_s[i]
-        at = pulled = bent = 0.0
-        for j in range(w.shape[1]):
-            value = team.values[j]
-            # (4.22): q̇ = Lᵀζ − L q + D r_s, ζ̇ = −L q
-            driven = team.vectors[lead, j] * drive + blown[i, j]
-            q = team.solve[j] * (w[i, j] + h * (value * z[i, j] + driven))
-            w[i, j] = 2.0 * q - w[i, j]
-            z[i, j] -= 2.0 * h * value * q
-            at += team.vectors[lead, j] * q
-            pulled += (value * q) ** 2
-            bent += value * q * q
-        state.leader[i] = at
-        state.team_loss += n.force_gain / n.lead_gain * pulled  # (4.25)
-        state.error_loss += bent / n.lead_gain  # (4.33)
+        now.open_force[i] *= n.force_gain * leader.root
 
 
-@njit(error_model="numpy")
-def move_directed(n, team, w, z, blown, state):
-    """Do the same on a directed graph, where w and z are q and ζ of each robot over √S."""
-    h, lead = 0.5 * n.sample_time, int(state.number)
-    root = team.vectors[lead, lead]
-    state.team_loss = state.error_loss = 0.0
+@inner(error_model="numpy", forceinline=True, _nrt=False)
+def move(n, matrices, leader, lead, drift, state, now):
+    """Step (4.22); set the leader's place in the middle of the sample, and what is lost."""
+    size, h = state.trust.size, 0.5 * n.sample_time
+    now.team_loss = now.error_loss = 0.0
+    for j in range(size):
+        for i in range(3):
+            drive = n.lead_gain * leader.root * now.r_s[i]
+            state.middle[j, i] += h * drive * matrices[SOLVED, j, lead]
+            state.pulled[j, i] = 0.0
+            if n.drifting:
+                for m in range(size):
+                    state.middle[j, i] += h * matrices[SOLVED, j, m] * drift[m, i]
+    for j in range(size):
+        add_row(matrices[LAPLACIAN], j, state.middle, state.pulled[j])
+        for i in range(3):
+            q, pulled = state.middle[j, i], state.pulled[j, i]
+            state.q[j, i] = 2.0 * q - state.q[j, i]  # (4.22): q̇ = Lᵀζ − L q + D r_s
+            state.zeta[j, i] -= 2.0 * h * pulled  # (4.22): ζ̇ = −L q
+            now.team_loss += n.force_gain / n.lead_gain * pulled**2  # (4.25)
+            now.error_loss += pulled * q / n.lead_gain  # (4.33)
     for i in range(3):
-        drive = n.lead_gain * root * state.r_s[i]
-        start = w[i] + h * blown[i]
-        q = team.solved @ start + team.inner @ z[i] + h * drive * team.solved[:, lead]  # (4.22)
-        pulled = team.laplacian @ q
-        for j in range(q.size):  # numba would compile an assignment of whole rows for two seconds
-            w[i, j] = 2.0 * q[j] - w[i, j]
-            z[i, j] -= 2.0 * h * pulled[j]
-        state.leader[i] = root * q[lead]
-        state.team_loss += n.force_gain / n.lead_gain * np.dot(pulled, pulled)
-        state.error_loss += np.dot(q, pulled) / n.lead_gain
+        now.leader[i] = leader.root * state.middle[lead, i]
 
 
-@njit(error_model="numpy", forceinline=True, _nrt=False)
-def moves_undirected(team, m, w_before, z_before, sample_time, rows):
-    """
-    Set how robots moved in the last sample, and how (4.22) asks them to, in the eigenbasis: three
-    rows each.
-    """
+@inner(error_model="numpy", forceinline=True, _nrt=False)
+def measure_motion(n, matrices, robots, lead, state, now):
+    """Set how robots moved in this sample, and how (4.22) asks faultless ones to."""
+    h = 0.5 * n.sample_time
+    for j in range(state.trust.size):
+        for i in range(3):
+            moved = (state.q[j, i] - state.middle[j, i]) / h
+            asked = -state.pulled[j, i]
+            for m in range(state.trust.size):
+                asked += matrices[LAPLACIAN, m, j] * (state.zeta[m, i] + h * state.pulled[m, i])
+            state.velocity[j, i] = robots[j].root * moved
+            state.asked[j, i] = asked / robots[j].root
     for i in range(3):
-        for j in range(m.w.shape[1]):
-            middle, inner = 0.5 * (m.w[i, j] + w_before[i, j]), 0.5 * (m.z[i, j] + z_before[i, j])
-            rows[i, j] = (m.w[i, j] - w_before[i, j]) / sample_time
-            rows[3 + i, j] = team.values[j] * (inner - middle)
+        state.asked[lead, i] += n.lead_gain * now.r_s[i]
 
 
-@njit(error_model="numpy", forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def account_energy(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
     T = n.sample_time
@@ -466,7 +492,7 @@ def account_energy(n, seen_loss, state):
     state.lost_error_delayed += T * seen_loss
 
 
-@njit(error_model="numpy", forceinline=True)
+@inner(error_model="numpy", forceinline=True)
 def diverged(state):
     """Return the block whose storage grew without bound, −1: none; "not <" counts NaN as such."""
     if not state.v_hd < 1e12:
@@ -476,73 +502,60 @@ def diverged(state):
     return -1 if state.v_e < 1e12 else 2
 
 
-@njit(error_model="numpy", forceinline=True, _nrt=False)
-def solve_ends(n, team, rig, robots, m, k, state):
-    """Solve both ends of the channel in sample k, for what has arrived by then."""
-    now, past = m.samples[k], m.samples[max(k - n.vision, 0)]
-    lead, head = now.lead, robots[now.head]
-    store_energy(n, team, rig, m.w, m.z, state)
-    performance = look_up_past(n, k, now, past, state)
-    share_force(n, robots, lead, m.trust, performance, state)
-    receive(n, m, k, rig.low_pass, state)
-    near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)  # (4.7)
-    operator_side(n, rig, near_end, state.v_h + n.budget - n.reserve, state)
-    for i in range(3):
-        rest = force_at_rest(team, lead, 0.5 * n.sample_time, m.w, m.z, i)
-        state.open_force[i] = n.force_gain * rest
-    far_end = waves.robot_end(robots[lead].b, 1.0, 1.0)
-    stiffness = n.force_gain * n.lead_gain * team.stiffness[lead]
-    robot_side(rig.filters, far_end, stiffness, state)
+@inner(error_model="numpy", forceinline=True, _nrt=False)
+def log_row(n, past, state, now, log, at):
+    """Log storages and signals of the sample, and where the robots were before it."""
+    now.v_e_delayed = past.stored
+    stored = now.v_h + n.budget + now.v_hd + now.v_ch + now.v_fs
+    now.v_t = stored + now.v_e_delayed + now.v_filter  # (4.32)
+    for i in range(state.row.size):
+        log.table[at, i] = state.row[i]
 
 
-@njit(error_model="numpy", forceinline=True, _nrt=False)
-def log_sample(n, m, k, every, state, row, table):
-    """Keep what later samples look up, log, and book; return the block that diverged, −1: none."""
-    now, past = m.samples[k], m.samples[max(k - n.vision, 0)]
-    now.stored, now.lost = state.v_e, state.error_loss
-    for i in range(3):
-        m.u_l[k, i], m.u_r[k, i] = state.u_l[i], state.u_r[i]
-        now.sent[i], now.seen[i] = state.r_s[i], state.leader[i]
-    if k % every == 0:
-        state.v_e_delayed = past.stored
-        stored = state.v_h + n.budget + state.v_hd + state.v_ch + state.v_fs
-        state.v_t = stored + state.v_e_delayed + state.v_filter  # (4.32)
-        for i in range(row.size):
-            table[k // every, i] = row[i]
-    account_energy(n, past.lost if k >= n.vision else 0.0, state)
-    return diverged(state)
-
-
-@njit(error_model="numpy", forceinline=True, _nrt=False)
-def record_places(m, at, coordinates):
-    """Record where the robots are, in the eigenbasis, in row `at`."""
-    for i in range(3):
-        for j in range(m.trust.size):
-            coordinates[at, i, j] = m.w[i, j]
-
-
-@njit(error_model="numpy")
-def run_team(n, team, robots, memory, first, last, every, states, row, table, coordinates):
+@njit(error_model="numpy", _nrt=False)
+def lead_team(first, stop, setup, state, inputs, log):
     """
-    Run the team from sample `first` to before `last`, with a row of `table` and of `coordinates`
-    every `every` samples.
+    Lead the team, as a kernel of `Simulation`.
 
-    n: a record of NUMBERS. team: a Formation. robots, shape (N,): records of ROBOT. states, shape
-    (1,): a record of STATE, of which `row` is the part that is logged. coordinates, shape (rows, 3,
-    N): of the distance to the goal. Returns the samples done and the block that diverged (−1:
-    none).
+    setup: a `TeamSetup`. state: a `TeamState`. inputs: records of INPUT. log: a `TeamLog`.
     """
-    rig, state = rig_of(n), states[0]
-    w, z = memory.w, memory.z
-    for k in range(first, last):
-        solve_ends(n, team, rig, robots, memory, k, state)
-        if k % every == 0:
-            record_places(memory, k // every, coordinates)
-        if team.directed:
-            move_directed(n, team, w, z, memory.blown, state)
-        else:
-            move_undirected(n, team, w, z, memory.blown, state)
-        block = log_sample(n, memory, k, every, state, row, table)
+    n, robots, now = setup.numbers[0], setup.robots, state.now[0]
+    rig = rig_of(n)
+    for k in range(first, stop):
+        given, sample = inputs[k], log.samples[k]
+        past = log.samples[max(k - n.vision, 0)]
+        lead, head = given.lead, robots[given.head]
+        if given.graph != now.graph:
+            change_links(n, setup, given.graph, state, now)
+        matrices, leader = setup.formations[given.graph], robots[lead]
+        store_energy(n, rig, state, now)
+        performance = look_up_past(n, k, given, past, now)
+        share_force(n, robots, lead, state.trust, performance, now)
+        receive(n, setup, lead, k, rig.low_pass, state, now)
+        near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)  # (4.7)
+        operator_side(n, rig, near_end, now.v_h + n.budget - n.reserve, now)
+        rest(n, matrices, leader, lead, state, now)
+        stiffness = n.force_gain * n.lead_gain * setup.stiffness[given.graph, lead]
+        robot_side(rig.filters, waves.robot_end(leader.b, 1.0, 1.0), stiffness, now)
+        for i in range(3):
+            state.u_l[k, i], state.u_r[k, i] = now.u_l[i], now.u_r[i]
+        at = k // n.per_row
+        if k % n.per_row == 0:
+            directed = setup.directed[given.graph]
+            now.v_fs = np.nan if directed else stored_by(matrices, n, state)
+            for j in range(robots.size):
+                for i in range(3):
+                    log.places[at, j, i] = state.q[j, i]
+        move(n, matrices, leader, lead, setup.drift[k // n.per_decision], state, now)
+        sample.stored, sample.lost = now.v_e, now.error_loss
+        for i in range(3):
+            sample.sent[i], sample.seen[i] = now.r_s[i], now.leader[i]
+        if k % n.per_row == 0:
+            log_row(n, past, state, now, log, at)
+        if (k + 1) % n.per_decision == 0:
+            measure_motion(n, matrices, robots, lead, state, now)
+        account_energy(n, past.lost if k >= n.vision else 0.0, now)
+        block = diverged(now)
         if block >= 0:
-            return k + 1, block
-    return last, -1
+            return k, block
+    return stop, -1

@@ -13,11 +13,14 @@ import numpy as np
 from trustlab.models.checks import finite_array, not_negative, one_of, positive, set_checked
 from trustlab.models.compiled import njit
 
+# Times [s] so near each other are the same.
+SLACK = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class TeamSituation:
     """
-    What a live policy knows when it decides.
+    What a policy knows when it decides.
 
     Parameters
     ----------
@@ -68,14 +71,12 @@ class TeamSituation:
         return (
             self.leader is None
             or not self.present[self.leader]
-            or self.t - self.since >= self.dwell - 1e-9
+            or self.t - self.since >= self.dwell - SLACK
         )
 
 
-class LivePolicy(Protocol):
-    """
-    Anything with a `title` and a method `leader`, called at every decision while the run goes on.
-    """
+class LeaderPolicy(Protocol):
+    """Anything with a `title` and a method `leader`, called every 0.1 s."""
 
     title: str
 
@@ -89,48 +90,6 @@ class LivePolicy(Protocol):
             Time, trust, who is present, who leads since when; `now.memory` is the policy's to write
             to.
         """
-
-
-class LeaderPolicy(Protocol):
-    """
-    Anything with a `title` and a method `leaders`, called once, before the run.
-
-    Measured trust is not known then: only a policy with `uses_trust = False` can be asked, which
-    then sees trust of 0.5 in all.
-    """
-
-    title: str
-
-    def leaders(
-        self,
-        trust: np.ndarray,
-        robots: Sequence[Hashable],
-        step: float,
-        dwell: float,
-        rng: np.random.Generator,
-    ) -> np.ndarray:
-        """
-        Return the number of the leader in each decision interval, shape (M,).
-
-        Parameters
-        ----------
-        trust : numpy.ndarray, shape (M, N)
-            Human-to-robot trust in every robot at every decision; −inf while a robot is not in the
-            team.
-        robots : sequence
-            The robots' names.
-        step : float
-            Time between decisions [s].
-        dwell : float
-            τ_min [s].
-        rng : numpy.random.Generator
-            For policies that draw.
-        """
-
-
-def _hold(dwell: float, step: float) -> int:
-    """Return how many decisions a leader stays at least."""
-    return int(np.ceil(dwell / step - 1e-9))
 
 
 @njit(error_model="numpy")
@@ -176,35 +135,6 @@ class MostTrusted:
         """What it is, for the log."""
         return f"most trusted, hysteresis {self.margin:g}" if self.margin else "most trusted"
 
-    def leaders(self, trust, robots, step, dwell, rng) -> np.ndarray:
-        """
-        Return the number of the leader in each decision interval, shape (M,).
-
-        Parameters
-        ----------
-        trust : numpy.ndarray, shape (M, N)
-            Human-to-robot trust in every robot at every decision.
-        robots : sequence
-            The robots' names.
-        step : float
-            Time between decisions [s].
-        dwell : float
-            τ_min [s].
-        rng : numpy.random.Generator
-            Not used.
-        """
-        hold, best = _hold(dwell, step), np.argmax(trust, axis=1)
-        out = np.empty(len(trust), np.int64)
-        leader = int(best[0])
-        since = 0
-        for k, candidate in enumerate(best.tolist()):
-            # who leaves the team leads no more
-            free = k - since >= hold or trust[k, leader] == -np.inf
-            if free and trust[k, candidate] > trust[k, leader] + self.margin:
-                leader, since = candidate, k
-            out[k] = leader
-        return out
-
     def leader(self, now: TeamSituation) -> int:
         """
         Return the number of the robot that leads from now on.
@@ -237,14 +167,13 @@ class GivenSequence:
     ------
     ValueError
         If a robot follows itself, times do not fit the robots, or both `times` and `every` are
-        given; later, in `leaders`, if a robot does not exist.
+        given; later, in `leader`, if a robot does not exist.
     """
 
     robots: Sequence[Hashable] | None = None
     times: Sequence[float] | None = None
     every: float | None = None
     title: ClassVar[str] = "given sequence"
-    uses_trust: ClassVar[bool] = False
 
     def __post_init__(self):
         if self.robots is not None:
@@ -274,37 +203,27 @@ class GivenSequence:
                 f"begun again, the sequence would have {self.robots[0]!r} follow itself"
             )
 
-    def leaders(self, trust, robots, step, dwell, rng) -> np.ndarray:
+    def leader(self, now: TeamSituation) -> int:
         """
-        Return the number of the leader in each decision interval, shape (M,).
+        Return the number of the robot that leads from now on.
 
         Parameters
         ----------
-        trust : numpy.ndarray, shape (M, N)
-            Human-to-robot trust; only its shape counts.
-        robots : sequence
-            The robots' names.
-        step : float
-            Time between decisions [s].
-        dwell : float
-            τ_min [s].
-        rng : numpy.random.Generator
-            Not used.
+        now : TeamSituation
+            Time, and names of the robots.
         """
-        names = {name: i for i, name in enumerate(robots)}
-        chosen = tuple(names) if self.robots is None else self.robots
-        for name in chosen:
-            if name not in names:
-                raise ValueError(
-                    f"the policy names robot {name!r}, which does not exist; robots are "
-                    f"{list(names)}"
-                )
-        numbers, count = np.array([names[name] for name in chosen]), len(trust)
+        chosen = now.robots if self.robots is None else self.robots
         if self.times is not None:
-            begins = np.ceil(np.asarray(self.times) / step - 1e-9)
-            return numbers[np.searchsorted(begins, np.arange(count), side="right") - 1]
-        every = 2.0 * dwell if self.every is None else self.every
-        return numbers[(np.arange(count) // _hold(every, step)) % len(numbers)]
+            turn = int(np.searchsorted(self.times, now.t + SLACK, side="right")) - 1
+        else:
+            every = 2.0 * now.dwell if self.every is None else self.every
+            turn = int((now.t + SLACK) / every) % len(chosen)
+        if chosen[turn] not in now.robots:
+            raise ValueError(
+                f"the policy names robot {chosen[turn]!r}, which does not exist; robots are "
+                f"{list(now.robots)}"
+            )
+        return now.robots.index(chosen[turn])
 
 
 @dataclass(frozen=True)
@@ -325,42 +244,28 @@ class RandomLeaders:
 
     waiting: float = 1.0
     title: ClassVar[str] = "arbitrary random"
-    uses_trust: ClassVar[bool] = False
 
     def __post_init__(self):
         set_checked(self, not_negative, "waiting")
 
-    def leaders(self, trust, robots, step, dwell, rng) -> np.ndarray:
+    def leader(self, now: TeamSituation) -> int:
         """
-        Return the number of the leader in each decision interval, shape (M,).
+        Return the number of the robot that leads from now on.
 
         Parameters
         ----------
-        trust : numpy.ndarray, shape (M, N)
-            Human-to-robot trust; only its shape counts.
-        robots : sequence
-            The robots' names.
-        step : float
-            Time between decisions [s].
-        dwell : float
-            τ_min [s].
-        rng : numpy.random.Generator
-            Draws leaders and times.
+        now : TeamSituation
+            Time, and who is present; its memory keeps when the leader goes.
         """
-        (count, n), present = trust.shape, trust > -np.inf
-        first = np.flatnonzero(present[0])
-        out = np.empty(count, np.int64)
-        k = 0
-        leader = int(first[rng.integers(first.size)])
-        while k < count:
-            until = min(k + _hold(dwell * (1.0 + rng.exponential(self.waiting)), step), count)
-            left = np.flatnonzero(~present[k:until, leader])
-            until = k + int(left[0]) if left.size else until
-            out[k:until] = leader
-            candidates = (leader + 1 + np.arange(n - 1)) % n
-            candidates = candidates[present[min(until, count - 1), candidates]]
-            leader, k = int(candidates[rng.integers(candidates.size)]), until
-        return out
+        leader = now.leader
+        if leader is not None and now.present[leader] and now.t < now.memory["until"] - SLACK:
+            return leader
+        robots = np.arange(len(now.robots))
+        others = robots if leader is None else (leader + 1 + robots[:-1]) % robots.size
+        others = others[now.present[others]]
+        chosen = others[now.rng.integers(others.size)]
+        now.memory["until"] = now.t + now.dwell * (1.0 + now.rng.exponential(self.waiting))
+        return int(chosen)
 
 
 # Policies by name.
@@ -371,22 +276,11 @@ POLICIES = {
     "random": RandomLeaders(),
 }
 
-SIGNATURE = (
-    "leaders(trust, robots, step, dwell, rng), which returns the number of the leader at "
-    "each decision"
-)
-LIVE = "leader(now), which returns it at one"
 
-
-def is_live(policy) -> bool:
-    """Return whether a policy decides while the run goes on."""
-    return callable(getattr(policy, "leader", None))
-
-
-def policy_named(policy: str | LeaderPolicy | LivePolicy) -> Any:
+def policy_named(policy: str | LeaderPolicy) -> Any:
     """Return a leader policy by name, or a user's object as it is."""
-    decides = callable(getattr(policy, "leaders", None)) or is_live(policy)
-    if decides and hasattr(policy, "title") and not isinstance(policy, type):
+    decides = callable(getattr(policy, "leader", None)) and hasattr(policy, "title")
+    if decides and not isinstance(policy, type):
         return policy
-    also = f"an object, not a class, with a title and a method {SIGNATURE}, or a method {LIVE}"
+    also = "an object, not a class, with a title and a method leader(now)"
     return POLICIES[one_of("policy", policy, POLICIES, also)]

@@ -182,10 +182,11 @@ def measured(measure: Callable, now: Motion) -> np.ndarray:
     size = len(now.present)
     if values.shape != (size,):
         raise PartError(f"{where} must return {size} numbers, got shape {values.shape}")
-    off = np.flatnonzero((values < 0.0) | (values > 1.0))
-    if off.size:
+    off = (values < 0.0) | (values > 1.0)
+    if off.any():
+        robot = int(np.argmax(off))
         raise PartError(
             f"{where} must be from 0 to 1, or NaN where it says nothing, but at {now.t:g} s it is "
-            f"{values[off[0]]:g} for robot {off[0]}"
+            f"{values[robot]:g} for robot {robot}"
         )
     return np.where(now.present, values, np.nan)

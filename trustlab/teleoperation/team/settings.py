@@ -91,14 +91,13 @@ class TeamChannel:
         impedance : float
             b [N s/m], for the corrected gains.
         """
-        if not isinstance(self.filters, str):
-            return self.filters
-        named: dict[str, TwoPortFilter | WaveFilter] = {
-            "corrected": corrected_filter(CUTOFF, impedance),
-            "waves": WaveFilter(CUTOFF),
-            "printed": printed_filter(CUTOFF),
-        }
-        return named.get(self.filters)
+        if self.filters == "corrected":
+            return corrected_filter(CUTOFF, impedance)
+        if self.filters == "printed":
+            return printed_filter(CUTOFF)
+        if self.filters == "waves":
+            return WaveFilter(CUTOFF)
+        return None if isinstance(self.filters, str) else self.filters
 
 
 @dataclass(frozen=True, eq=False)
