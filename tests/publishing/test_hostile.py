@@ -167,10 +167,9 @@ def session():
 
 class Policy:
     title = NAME
-    uses_trust = False
 
-    def leaders(self, trust, robots, step, dwell, rng):
-        return np.zeros(len(trust), int)
+    def leader(self, now):
+        return 0
 
 
 def team():

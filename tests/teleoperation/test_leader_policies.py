@@ -12,13 +12,24 @@ from trustlab.teleoperation.team.leader_policies import (
     GivenSequence,
     MostTrusted,
     RandomLeaders,
+    TeamSituation,
     policy_named,
 )
 
 
 def lead(policy, trust, dwell=1.0, step=0.1, seed=0, names=None):
+    """Return whom a policy picks, every `step`, where whoever it picks leads."""
     names = tuple(range(trust.shape[1])) if names is None else names
-    return policy.leaders(trust, names, step, dwell, np.random.default_rng(seed))
+    rng, memory, present = np.random.default_rng(seed), {}, np.ones(len(names), bool)
+    leader, since = None, 0.0
+    picks = []
+    for k, now in enumerate(trust):
+        times = since, dwell
+        situation = k * step, names, present, now, leader, *times, rng, memory, lambda: None
+        picks.append(policy.leader(TeamSituation(*situation)))
+        if picks[-1] != leader:
+            leader, since = picks[-1], k * step
+    return np.array(picks)
 
 
 @given(

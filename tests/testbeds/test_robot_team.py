@@ -674,7 +674,7 @@ class TestBadInput:
             ({"policy": GivenSequence([0, 7])}, "names robot 7, which does not exist"),
             ({"policy": "best"}, "policy must be one of"),
             ({"policy": "sequense"}, "did you mean 'sequence'"),
-            ({"policy": object()}, r"a method leaders\(trust, robots, step, dwell, rng\)"),
+            ({"policy": object()}, r"a title and a method leader\(now\)"),
             ({"policy": GivenSequence}, "policy must be one of"),
             ({"policy": None}, "policy must be one of"),
             ({"delay": 0.0}, "at least one sample"),
@@ -747,22 +747,20 @@ class TestBadInput:
             def __init__(self, make):
                 self.make = make
 
-            def leaders(self, trust, robots, step, dwell, rng):
-                return self.make(len(trust))
+            def leader(self, now):
+                return self.make()
 
         for make, words in (
-            (lambda count: np.zeros(3, int), "whole numbers"),
-            (lambda count: np.zeros(count), "whole numbers"),
-            (lambda count: np.full(count, 9), "does not exist"),
+            (lambda: [1, 2], "whole numbers"),
+            (lambda: 1.0, "whole numbers"),
+            (lambda: True, "whole numbers"),
+            (lambda: 9, "does not exist"),
         ):
             with pytest.raises(ValueError, match=words):
                 simulate_team(nx.path_graph(3), Own(make), duration=10.0)
-        assert (
-            simulate_team(
-                nx.path_graph(3), Own(lambda count: np.ones(count, int)), duration=5.0
-            ).facts["policy"]
-            == "own"
-        )
+        run = simulate_team(nx.path_graph(3), Own(lambda: np.int64(1)), duration=5.0)
+        assert run.facts["policy"] == "own"
+        assert (run.data["number"] == 1.0).all()
 
 
 def test_printed_filter_is_named_for_what_it_is():

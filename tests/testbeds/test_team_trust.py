@@ -205,19 +205,6 @@ class TestMeasures:
         with pytest.raises(ValueError, match="performance must be one of"):
             simulate_team(CHAIN, performance="luck")
 
-    def test_policies_that_are_asked_before_the_run(self):
-        class Ahead:
-            title = "ahead"
-
-            def leaders(self, trust, robots, step, dwell, rng):
-                return np.zeros(len(trust), int)
-
-        with pytest.raises(ValueError, match="uses_trust = False"):
-            simulate_team(CHAIN, Ahead(), duration=5.0, performance="motion")
-        policy = Ahead()
-        policy.uses_trust = False
-        assert simulate_team(CHAIN, policy, duration=5.0, performance="motion").data.shape[0] == 500
-
     def test_robots_out_of_range(self):
         for change in ({"speed": 0.0}, {"speed": 1.1}, {"drift": -1.0}, {"loss": 1.1}):
             with pytest.raises(ValueError, match=next(iter(change))):

@@ -297,34 +297,18 @@ class TeamLoop:
             draws=draws,
             drift=drift,
         )
-        now = np.zeros(1, kernel.STATE)
-        columns = len(kernel.COLUMNS)
-        waves, vectors = np.zeros((2, count, 3)), np.zeros((4, size, 3))
-        state = kernel.TeamState(
-            now=now,
-            row=now.view(float)[:columns],
-            q=distance / root,
-            zeta=inner / root,
-            middle=vectors[0],
-            pulled=vectors[1],
-            velocity=vectors[2],
-            asked=vectors[3],
-            trust=np.full(size, 0.5),
-            arrives=np.ones((2, count), bool),
-            u_l=waves[0],
-            u_r=waves[1],
-            accounts=accounts(),
-        )
+        state = _state(distance / root, inner / root, count)
         inputs = np.zeros(count, kernel.INPUT)
         inputs["pushed"], inputs["hand"] = pushed, np.nan
         rows = -(-count // trial.samples_per_row)
         samples = np.zeros(count, kernel.SAMPLE)
-        log = kernel.TeamLog(samples, np.empty((rows, columns)), np.empty((rows, size, 3)))
+        table = np.empty((rows, len(kernel.COLUMNS)))
+        log = kernel.TeamLog(samples, table, np.empty((rows, size, 3)))
         records = setup, state, inputs, log
         self.simulation = Simulation(
             kernel.lead_team, *records, self._decide, per_decision, kernel.BLOCKS, T
         )
-        self.state = View(now, kernel.LOG)
+        self.state = View(state.now, kernel.LOG)
 
     @property
     def t(self) -> float:
@@ -583,6 +567,27 @@ def _able(graph: TeamGraph) -> np.ndarray:
 def _settings_of(name: str, value, kind):
     """Return settings of a class, the usual ones where there are none."""
     return kind() if value is None else of_class(name, value, kind)
+
+
+def _state(q: np.ndarray, zeta: np.ndarray, count: int) -> kernel.TeamState:
+    """Return what samples hand on, at the start."""
+    now = np.zeros(1, kernel.STATE)
+    waves, vectors = np.zeros((2, count, 3)), np.zeros((4, *q.shape))
+    return kernel.TeamState(
+        now=now,
+        row=now.view(float)[: len(kernel.COLUMNS)],
+        q=q,
+        zeta=zeta,
+        middle=vectors[0],
+        pulled=vectors[1],
+        velocity=vectors[2],
+        asked=vectors[3],
+        trust=np.full(len(q), 0.5),
+        arrives=np.ones((2, count), bool),
+        u_l=waves[0],
+        u_r=waves[1],
+        accounts=accounts(),
+    )
 
 
 def _faults(

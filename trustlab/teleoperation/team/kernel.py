@@ -166,7 +166,7 @@ class Rig(NamedTuple):
     low_pass: FilterStep  # of waves
 
 
-@inner(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def push_share(budget, power, pull, stir, square, drag):
     """
     Return the greatest share σ ≤ 1 of a push whose power does not exceed `power`.
@@ -400,15 +400,11 @@ def filter_wave(filters, wave, level):
 @inner(error_model="numpy", forceinline=True, _nrt=False)
 def add_row(matrix, j, vectors, out):
     """Add row j of a matrix times the robots' vectors to `out`."""
-    x = y = z = 0.0
-    for m in range(matrix.shape[0]):
-        share = matrix[j, m]
-        x += share * vectors[m, 0]
-        y += share * vectors[m, 1]
-        z += share * vectors[m, 2]
-    out[0] += x
-    out[1] += y
-    out[2] += z
+    for i in range(3):
+        total = 0.0
+        for m in range(matrix.shape[0]):
+            total += matrix[j, m] * vectors[m, i]
+        out[i] += total
 
 
 @inner(error_model="numpy", forceinline=True, _nrt=False)
@@ -519,7 +515,8 @@ def lead_team(first, stop, setup, state, inputs, log):
 
     setup: a `TeamSetup`. state: a `TeamState`. inputs: records of INPUT. log: a `TeamLog`.
     """
-    n, robots, now = setup.numbers[0], setup.robots, state.now[0]
+    n, now = setup.numbers[0], state.now[0]
+    robots = setup.robots
     rig = rig_of(n)
     for k in range(first, stop):
         given, sample = inputs[k], log.samples[k]

@@ -218,11 +218,12 @@ class GivenSequence:
         else:
             every = 2.0 * now.dwell if self.every is None else self.every
             turn = int((now.t + SLACK) / every) % len(chosen)
-        if chosen[turn] not in now.robots:
-            raise ValueError(
-                f"the policy names robot {chosen[turn]!r}, which does not exist; robots are "
-                f"{list(now.robots)}"
-            )
+        for name in chosen:
+            if name not in now.robots:
+                raise ValueError(
+                    f"the policy names robot {name!r}, which does not exist; robots are "
+                    f"{list(now.robots)}"
+                )
         return now.robots.index(chosen[turn])
 
 
