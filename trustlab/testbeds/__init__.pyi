@@ -24,6 +24,7 @@ from .robot_team import (
     simulate_team as simulate_team,
 )
 from .team_run import TeamRun as TeamRun
+from .team_testbed import RobotTeam as RobotTeam
 from .teleoperation_measures import (
     plot_alpha as plot_alpha,
     plot_beside as plot_beside,

@@ -35,6 +35,7 @@ from trustlab.testbeds.populations import (
     TeleoperatorPopulation,
     following_operator,
 )
+from trustlab.testbeds.team_testbed import RobotTeam
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
 from trustlab.testbeds.uav_following import run as flight
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
@@ -162,6 +163,7 @@ class ConditionTestbed:
     printed_conditions: ClassVar[tuple[str, ...]] = tuple(CONDITIONS)
     printed_n: ClassVar[int] = 20
     measures: ClassVar[tuple[str, ...]] = ("p_r", "p_h", "r", "path_error")
+    takes_rules: ClassVar[bool] = True
 
     rest: float | None = None
     population: OperatorPopulation | None = None
@@ -527,6 +529,7 @@ class UavTracking:
     printed_conditions: ClassVar[tuple[str, ...]] = ("M", "OMI", "MMI", "TMIG")
     printed_n: ClassVar[int] = 32
     measures: ClassVar[tuple[str, ...]] = ("tracking_error", "p_r", "p_h", "hand_force")
+    takes_rules: ClassVar[bool] = False
 
     duration: float = 120.0
     population: TeleoperatorPopulation = USUAL_TELEOPERATORS
@@ -594,7 +597,7 @@ class UavTracking:
 
 
 TESTBEDS: dict[str, Callable[..., Any]] = {
-    bed.name: bed for bed in (GroundRobot, UavFollowing, UavTracking)
+    bed.name: bed for bed in (GroundRobot, UavFollowing, UavTracking, RobotTeam)
 }
 
 

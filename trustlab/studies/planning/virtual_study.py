@@ -6,7 +6,9 @@ like a lab's.
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ import pandas as pd
 from numpy.random import SeedSequence
 
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import of_class, one_of, shown, warn, whole_number
+from trustlab.models.checks import one_of, shown, warn, whole_number
 from trustlab.models.display import as_html
 from trustlab.models.files import PARTIAL
 from trustlab.sessions.writing import write_session
@@ -230,7 +232,7 @@ class VirtualStudy:
             f"{name} {value}" for name, value in self.settings.items() if value is not None
         )
         assumed = self.settings.get("assumptions", {})
-        start = "Every session begins with the same utilization"
+        start = "Every session begins anew"
         order = ": orders have no effect on results."
         if self.settings.get("rest") is not None:
             start = "Utilization is carried over from session to session by (2.5)"
@@ -265,7 +267,7 @@ class VirtualStudy:
 def virtual_study(
     design: str | LatinSquareDesign = "latin_square",
     n: int | None = None,
-    conditions: Sequence[str | tuple[str, Callable]] | None = None,
+    conditions: Sequence[Any] | None = None,
     seed: int = 0,
     *,
     testbed: str | Testbed | None = None,
@@ -290,19 +292,20 @@ def virtual_study(
     n : int, optional
         Participants; where they do not fill whole squares, a warning says how many would. As many
         as the dissertation's study invited, or the next whole squares.
-    conditions : sequence of str or (str, callable), optional
+    conditions : sequence of str, (str, callable) or LeaderPolicy, optional
         C1 to C5 and the controls "own" and "random" of `run_condition` (ground robot, or a UAV that
         follows a leader), or M, MI, MMI, TMIG, TMIS, OMI (teleoperation of a UAV); those of the
-        dissertation's study by default. A pair ("mine", make) is a rule of one's own beside C1 to
-        C5, made for each run by `make()`, or by `make(model)` of the operator's model.
+        dissertation's study by default; or leader policies of a team. A pair ("mine", make) is a
+        rule of one's own beside C1 to C5, made for each run by `make()`, or by `make(model)` of the
+        operator's model; a policy of one's own for a team is given as it is.
     seed : int
         Of the design, of the people and of all runs. With the same seed, the people of a smaller
         study are the first of a larger one.
-    testbed : {"ground_robot", "uav_following", "uav_tracking"} or Testbed, optional
-        Where conditions are run: on the testbed of Section 2.4.1 (by default), of Section 2.4.2, or
-        of Chapter 3 (by default for its schemes). A `GroundRobot`, `UavFollowing` or `UavTracking`
-        of `trustlab.testbeds` has settings: population, laps, rest, duration; any object with the
-        protocol `Testbed` will do.
+    testbed : {"ground_robot", "uav_following", "uav_tracking", "robot_team"} or Testbed, optional
+        Where conditions are run: on the testbed of Section 2.4.1 (by default), of Section 2.4.2, of
+        Chapter 3 (by default for its schemes), or of Chapter 4 (for its policies). A `GroundRobot`,
+        `UavFollowing`, `UavTracking` or `RobotTeam` of `trustlab.testbeds` has settings:
+        population, laps, rest, duration; any object with the protocol `Testbed` will do.
     assumptions : mapping of str to float, optional
         What is assumed of all operators, by name: any of `trustlab.operators.ASSUMPTIONS` for C1 to
         C5, of `TELEOPERATOR_ASSUMPTIONS` for "uav_tracking".
@@ -347,9 +350,9 @@ def virtual_study(
     bed, conditions = _fitting(testbed, _named(names, design), rules, laps)
     design = _designed(design, n, conditions, seed, bed.printed_n)
     people = bed.people(len(design.participants), assumptions, seed)
-    if isinstance(bed, ConditionTestbed):  # a rule is refused before anybody runs
-        for name in rules:
-            bed.rule_of(name, people.iloc[0].to_dict())
+    ruled: Any = bed
+    for name in rules:  # a rule is refused before anybody runs
+        ruled.rule_of(name, people.iloc[0].to_dict())
     folder = None if out is None else StudyFolder(out, design)
     fixed = {"testbed": bed, "folder": folder and str(folder.sessions)}
     orders = [json.dumps(order) for order in design.table().to_numpy().tolist()]
@@ -377,7 +380,7 @@ def virtual_study(
         settings=settings,
         folder=None if folder is None else folder.path,
     )
-    if "switches" in study.names:
+    if isinstance(bed, ConditionTestbed):
         _warn_of_idle_sessions(study)
     if folder is not None:
         folder.finish(study)
@@ -395,6 +398,11 @@ def _own_rules(conditions: Any) -> tuple[Any, dict[str, Callable]]:
     """Return the names of conditions, and what makes the rules of those given as pairs."""
     if not isinstance(conditions, list | tuple):
         return conditions, {}
+    # A leader policy has its name with it.
+    conditions = [
+        (item.title, partial(copy, item)) if hasattr(item, "leader") else item
+        for item in conditions
+    ]
     pairs = [item for item in conditions if isinstance(item, tuple) and len(item) == 2]
     rules = dict(pairs)
     if len(rules) < len(pairs):
@@ -438,7 +446,8 @@ def _fitting(
         testbed = "ground_robot" if testbed is None else testbed
     bed = named_testbed(testbed, laps)
     if rules:
-        of_class("testbed", bed, ConditionTestbed, "whose modes a rule can give")
+        if not getattr(bed, "takes_rules", False):
+            raise ValueError(f"on {bed.title} no rule decides; conditions are names alone")
         bed = replace(bed, rules={**bed.rules, **rules})
     for name in names or ():
         one_of("condition", name, bed.conditions)
@@ -451,7 +460,7 @@ def _testbed_with(
     """Return the name of the testbed that runs these conditions, the one asked for if any."""
     kinds: Mapping[str, Any] = TESTBEDS
     groups = {
-        name: (*kind.conditions, *rules) if issubclass(kind, ConditionTestbed) else kind.conditions
+        name: (*kind.conditions, *rules) if kind.takes_rules else kind.conditions
         for name, kind in kinds.items()
     }
     known = list(dict.fromkeys(condition for group in groups.values() for condition in group))

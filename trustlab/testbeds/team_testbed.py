@@ -1,0 +1,259 @@
+"""The team of robots as a testbed, whose conditions are leader policies."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import (
+    finite_array,
+    of_class,
+    one_of,
+    positive,
+    shown,
+    spawned,
+    whole_number,
+)
+from trustlab.sessions.session import Session
+from trustlab.teleoperation.team.leader_policies import POLICIES, policy_named
+from trustlab.teleoperation.team.settings import TeamOperator, TeamRobot, TeamSettings, TeamTrial
+from trustlab.testbeds.populations import person_stream
+from trustlab.testbeds.robot_team import simulate_team
+from trustlab.testbeds.team_run import TeamRun
+
+# Mixed into the seed, so that people and their runs have different streams.
+LEADERS_OF_TEAMS = 0x7465616D
+
+# A faultless robot, a slow one, one that loses every second packet, and one that drifts.
+ABILITIES = (TeamRobot(), TeamRobot(speed=0.4), TeamRobot(loss=0.5), TeamRobot(drift=0.02))
+
+# By how much, as a share, operators' hands differ from those of a `TeamOperator`.
+SPREAD = 0.3
+HAND = ("push", "reach", "drag")
+
+
+@dataclass(frozen=True, eq=False)
+class TeamSession:
+    """
+    One run of a team in a study.
+
+    Parameters
+    ----------
+    run : TeamRun
+        What the team did.
+    """
+
+    run: TeamRun
+
+    @property
+    def session(self) -> Session:
+        """What the operator and the leader of the moment did."""
+        return self.run.session()
+
+    @property
+    def measures(self) -> dict[str, float]:
+        """
+        The outcome measures by name.
+
+        time: until all robots are at the goal for good, or the whole run where they never are [s];
+        arrived: 1 or 0; distance: of the farthest robot to the goal, mean [m]; force: that the
+        operator feels, root mean square [N]; work: of the operator [J]; trust: in the robot that
+        leads, mean; switches.
+        """
+        run, data = self.run, self.run.data
+        force = data[["f_m_x", "f_m_y", "f_m_z"]].to_numpy()
+        return {
+            "time": run.time_to_goal if run.converged else float(run.t[-1]),
+            "arrived": float(run.converged),
+            "distance": float(run.farthest.mean()),
+            "force": float(np.sqrt((force**2).sum(axis=1).mean())),
+            "work": float(data["supply_hand"].iloc[-1]),
+            "trust": float(self.session["trust_hr"].mean()),
+            "switches": float(len(run.switches)),
+        }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobotTeam:
+    """
+    The team of Chapter 4, led to a goal by one operator; conditions are leader policies.
+
+    Hands are drawn, uniformly within 30 % of those of a `TeamOperator`; the start of the robots,
+    and which of them has which fault, are drawn for each session. The numbers are plausible, not
+    measured.
+
+    Parameters
+    ----------
+    graph : array_like, shape (N, N), or networkx.Graph, optional
+        Who sees whom; a ring of as many as `robots` when not given.
+    robots : sequence of TeamRobot
+        What robots make of (4.22).
+    goal : (float, float, float)
+        r_q [m].
+    duration : float
+        Length of each run [s].
+    tolerance : float
+        Distance to the goal that counts as arrived [m].
+    blocks : TeamSettings, optional
+        Device, channel, trust and gains; gains with which such a team arrives within some 40 s when
+        not given.
+    rules : mapping of str to callable, optional
+        Conditions of one's own by name: what makes the policy, called for each run.
+
+    Raises
+    ------
+    ValueError
+        If a setting is not understood.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> study = tl.virtual_study(n=4, testbed="robot_team", conditions=["most_trusted", "sequence"])
+    >>> study.analysis("time").dv
+    'time'
+    """
+
+    name: ClassVar[str] = "robot_team"
+    title: ClassVar[str] = "the team of robots"
+    conditions: ClassVar[tuple[str, ...]] = tuple(POLICIES)
+    printed_conditions: ClassVar[tuple[str, ...]] = ("most_trusted", "sequence", "random")
+    printed_n: ClassVar[int] = 12
+    measures: ClassVar[tuple[str, ...]] = ("time", "distance", "force", "trust")
+    takes_rules: ClassVar[bool] = True
+    origin: ClassVar[str] = "hands within 30 % of the usual one"
+
+    graph: Any = None
+    robots: tuple[TeamRobot, ...] = ABILITIES
+    goal: tuple[float, float, float] = (1.0, 2.0, 0.5)
+    duration: float = 120.0
+    tolerance: float = 0.1
+    blocks: TeamSettings | None = None
+    rules: Mapping[str, Callable] = field(default_factory=dict)
+
+    def __post_init__(self):
+        if isinstance(self.robots, TeamRobot):
+            raise ValueError("robots must be a sequence of TeamRobot, one for each robot")
+        robots = TeamSettings(robots=self.robots).robots
+        object.__setattr__(self, "robots", robots)
+        finite_array("goal", self.goal, length=3)
+        positive("duration", self.duration)
+        positive("tolerance", self.tolerance)
+        of_class("rules", self.rules, Mapping)
+        for name, make in self.rules.items():
+            if name in POLICIES or not callable(make):
+                raise ValueError(
+                    f"rules: {name!r} must be a name of its own, for what makes a policy, got "
+                    f"{shown(make)}"
+                )
+        object.__setattr__(self, "conditions", (*POLICIES, *self.rules))
+        graph = self.graph
+        if graph is None:
+            after = np.roll(np.eye(len(self.robots)), 1, axis=0)
+            graph = after + after.T
+        object.__setattr__(self, "graph", graph)
+        settings = self.blocks
+        if settings is None:
+            settings = TeamSettings.scaled(graph, 40.0)
+        object.__setattr__(self, "blocks", of_class("blocks", settings, TeamSettings))
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of all runs, by name."""
+        return {"robots": len(self.robots), "duration": self.duration}
+
+    def people(
+        self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
+    ) -> pd.DataFrame:
+        """
+        Return a row per operator: participant, from 1, and the numbers of their hand.
+
+        Parameters
+        ----------
+        n : int
+            How many; those of a smaller n are the first of a larger one.
+        assumptions : mapping of str to float, optional
+            Any of push, reach and drag, for all of them.
+        seed : int
+            Seed of the draws.
+        """
+        assumed: dict[str, Any] = dict(assumptions or {})
+        for name in assumed:
+            one_of("an assumption", name, HAND)
+        TeamOperator(**assumed)
+        usual = TeamOperator()
+        rows = []
+        for number in range(1, whole_number("n", n) + 1):
+            rng = person_stream(seed, LEADERS_OF_TEAMS, number)
+            drawn = {
+                name: getattr(usual, name) * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD)
+                for name in HAND
+            }
+            rows.append({"participant": number} | drawn | assumed)
+        return pd.DataFrame(rows)
+
+    def rule_of(self, condition: str, person: Mapping[str, Any]) -> Any:
+        """
+        Return a new policy of a condition of one's own.
+
+        Parameters
+        ----------
+        condition : str
+            A name in `rules`.
+        person : mapping
+            A row of `people`; not used.
+
+        Raises
+        ------
+        ValueError
+            If what makes the policy fails, or makes what is none.
+        """
+        try:
+            return policy_named(self.rules[condition]())
+        except Exception as error:
+            raise ValueError(f"condition {condition!r}: {error}") from error
+
+    def run(
+        self, condition: str, person: Mapping[str, Any], seed: int | np.random.SeedSequence
+    ) -> TeamSession:
+        """
+        Run one session.
+
+        Parameters
+        ----------
+        condition : str
+            One of `conditions`.
+        person : mapping
+            A row of `people`.
+        seed : int or numpy.random.SeedSequence
+            Seed of the session.
+        """
+        policy = self.rule_of(condition, person) if condition in self.rules else condition
+        faults, rest = spawned(seed, 2)
+        order = np.random.default_rng(faults).permutation(len(self.robots))
+        robots = tuple(self.robots[i] for i in order)
+        run = simulate_team(
+            self.graph,
+            policy,
+            self.goal,
+            rest,
+            self.duration,
+            TeamOperator(**{name: person[name] for name in HAND}),
+            replace(self.blocks, robots=robots),
+            TeamTrial(0.01, record_every=0.1, tolerance=self.tolerance),
+        )
+        return TeamSession(run)
+
+    def next_session(self, person: Mapping[str, Any], run: TeamSession) -> Mapping[str, Any]:
+        """
+        Return the same operator: nothing is carried from session to session.
+
+        Parameters
+        ----------
+        person : mapping
+            As for `run`.
+        run : TeamSession
+            The run.
+        """
+        return person
