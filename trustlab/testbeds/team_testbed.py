@@ -140,7 +140,10 @@ class RobotTeam:
         finite_array("goal", self.goal, length=3)
         positive("duration", self.duration)
         positive("tolerance", self.tolerance)
-        of_class("rules", self.rules, Mapping)
+        if not isinstance(self.rules, Mapping):
+            raise ValueError(
+                f"rules must map names to what makes a policy, got {shown(self.rules)}"
+            )
         for name, make in self.rules.items():
             if name in POLICIES or not callable(make):
                 raise ValueError(

@@ -400,11 +400,9 @@ def filter_wave(filters, wave, level):
 @inner(error_model="numpy", forceinline=True, _nrt=False)
 def add_row(matrix, j, vectors, out):
     """Add row j of a matrix times the robots' vectors to `out`."""
-    for i in range(3):
-        total = 0.0
-        for m in range(matrix.shape[0]):
-            total += matrix[j, m] * vectors[m, i]
-        out[i] += total
+    for m in range(matrix.shape[0]):
+        for i in range(3):
+            out[i] += matrix[j, m] * vectors[m, i]
 
 
 @inner(error_model="numpy", forceinline=True, _nrt=False)
