@@ -266,7 +266,6 @@ NOT_WALKED = {
     "teleoperation.plot_scales": "for one chapter",
     "teleoperation.plot_tunings": "goes",
     "teleoperation.switched_channel_run": "for one chapter",
-    "testbeds.compare_guidance": "goes",
     "testbeds.plot_beside": "for one chapter",
 }
 """Names that are not walked over, with the reason."""

@@ -24,13 +24,14 @@ from trustlab.reproduction import read_calibration
 from trustlab.reproduction.calibration import TELEOPERATOR_PRIORS
 from trustlab.sessions.metrics import window_mean
 from trustlab.teleoperation import (
+    SCHEMES,
     STUDIES,
     GuidanceBudget,
     TeamRobot,
     TeamSettings,
     TeamTrial,
 )
-from trustlab.testbeds import TeleoperatorPopulation, compare_guidance
+from trustlab.testbeds import TeleoperatorPopulation
 from trustlab.testbeds.uav_tracking import TASKS
 
 HERE = Path(__file__).resolve().parent
@@ -143,17 +144,34 @@ def failures(sets: int = 20_000, seed: int = SEED, invariant: int = 2_000) -> pd
     return pd.DataFrame(counts).assign(share=lambda table: table["left"] / table["sets"])
 
 
-def guidance() -> pd.DataFrame:
-    """Simulated operators of the main study in every scheme under every guidance (report 07)."""
-    wanted = [
-        "guidance",
-        "scheme",
-        "participant",
-        "tracking_error",
-        "guidance_felt",
-        "energy_target",
-    ]
-    return compare_guidance(30, seed=SEED).runs[[*wanted, "energy_port_min", "guarded"]]
+# Keywords of `simulate_teleoperation` by the name under which report 07 shows them.
+GUIDANCES: dict[str, dict[str, str]] = {
+    "as printed, guard off": {"guidance": "through_channel", "guard": "off"},
+    "as printed": {"guidance": "through_channel", "guard": "cancel"},
+    "at the operator": {"guidance": "at_operator"},
+}
+
+
+def guidance(operators: int = 30) -> pd.DataFrame:
+    """
+    Simulated operators of the main study in every scheme under every guidance (report 07).
+
+    Every operator has one path, one series of losses of the target, delays and noise, the same in
+    all runs.
+    """
+    population = TeleoperatorPopulation("main")
+    people = [population.person(row) for row in population.draw(operators, SEED).to_dict("records")]
+    parts = []
+    for name, options in GUIDANCES.items():
+        for scheme in SCHEMES:
+            for number, person in enumerate(people):
+                stream = np.random.SeedSequence(SEED, spawn_key=(number,))
+                run = tl.simulate_teleoperation(scheme, person, seed=stream, **options)
+                measures = tl.teleoperation_measures(run)
+                parts.append(measures.assign(guidance=name, scheme=scheme, participant=number + 1))
+    wanted = ["guidance", "scheme", "participant", "tracking_error", "guidance_felt"]
+    wanted += ["energy_target", "energy_port_min", "guarded"]
+    return pd.concat(parts, ignore_index=True)[wanted]
 
 
 def checks() -> pd.DataFrame:

@@ -44,7 +44,6 @@ from trustlab.studies.questionnaires.likert import ScaleScores
 from trustlab.studies.regression.formula_model import FormulaModel
 from trustlab.studies.regression.ordinal_model import OrdinalModel
 from trustlab.teleoperation import TeamTrial
-from trustlab.testbeds.guidance_comparison import GuidanceComparison
 from trustlab.trust.comparison import MEASURES, TrustComparison
 
 BROWSER = next(
@@ -201,13 +200,6 @@ def columns():
 
 def late():
     """Results that are dear to compute, made of hostile tables."""
-    measures = ("tracking_error", "guidance_felt", "energy_target", "energy_port_min")
-    rows = [
-        {"guidance": f"{NAME} {i}", "scheme": NAME, "participant": j}
-        for i in range(2)
-        for j in range(2)
-    ]
-    guided = GuidanceComparison(pd.DataFrame(rows).assign(**dict.fromkeys(measures, 1.0)))
     formula = FormulaModel(
         NAME, NAME, NAME, "normal", 5, 15, scores(), scores(), scores(), 0.0, False, 0, NAME
     )
@@ -218,7 +210,6 @@ def late():
     )
     means = pd.DataFrame(1.0, [f"{NAME} {i}" for i in range(3)], ["p_r", "p_h", "r"])
     return (
-        guided,
         formula,
         calibration,
         report(scores(), **columns()),

@@ -203,7 +203,7 @@ class LiveTracking(anywidget.AnyWidget):
         is refused.
     study : {"preliminary", "main"} or LoopSettings
         Printed settings, or own ones.
-    guidance : {"at_operator", "through_channel", "tank", "two_port"}
+    guidance : {"at_operator", "through_channel"}
         How the guiding force reaches the device.
     guard : {"repay", "cancel", "off"}
         The passivity controllers of the guidance.

@@ -10,10 +10,6 @@ from .ground_robot.conditions import (
 from .ground_robot.correction_tests import GroundRobotTests as GroundRobotTests
 from .ground_robot.course import Course as Course
 from .ground_robot.pioneer import Pioneer as Pioneer
-from .guidance_comparison import (
-    GuidanceComparison as GuidanceComparison,
-    compare_guidance as compare_guidance,
-)
 from .populations import (
     OperatorPopulation as OperatorPopulation,
     TeleoperatorPopulation as TeleoperatorPopulation,

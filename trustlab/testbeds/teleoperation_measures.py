@@ -61,8 +61,7 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
         beyond the channel's own damping [N]); energy_operator, energy_dissipated, energy_target (at
         the end [J]); energy_channel_min, energy_robot_min, energy_port_min (least values [J]);
         guarded (share of samples in which the passivity controller acted, by more than rounding);
-        port_share (mean share that it let pass, 1 where it rests: of the port's velocity, or of the
-        force with a tank).
+        port_share (mean share of the port's velocity that it let pass, 1 where it rests).
 
     Raises
     ------

@@ -237,20 +237,15 @@ class TeleoperationLoop:
         `packet_delay`.
     read_out : {"ledger", "interpolated", "hold"}
         How delayed waves are read, see `channel_run`.
-    guidance : {"at_operator", "through_channel", "tank", "two_port"}
+    guidance : {"at_operator", "through_channel"}
         How the guiding force reaches the operator. "at_operator": β times the force is rendered at
         the haptic device, from the camera's picture; it spends energy that the operator's port has
         earned, and the robot does what the operator commands. "through_channel": as printed, the
-        force is at the robot's port, (3.17)-(3.22). "tank": likewise, as far as a tank of energy at
-        the robot's port pays for it (Franken et al.). "two_port": no waves; velocity and force are
-        sent as they are, both ports are kept passive in the time domain, and drift is made up for
-        (Artigas et al.).
+        force is at the robot's port, (3.17)-(3.22).
     guard : {"repay", "cancel", "off"}
         The passivity controllers of the guidance: "repay" lets no port end a sample below zero;
         "cancel", as printed, undershoots by at most one sample's power at a time; "off" shows what
         they are for.
-    tank : float
-        Energy in the tank at the start [J]; for `guidance="tank"`.
     budget : GuidanceBudget, optional
         What guidance at the operator may give out beyond what its port took, so that it is felt; in
         its place, when not given, is all that the port has earned since the start.
@@ -275,7 +270,7 @@ class TeleoperationLoop:
     push : array_like, shape (N, 3), optional
         Force [N] added to the hand's.
     lost : array_like of bool, shape (2, N), optional
-        Waves or packets that never arrive, to the robot and back.
+        Waves that never arrive, to the robot and back.
 
     Attributes
     ----------
@@ -291,10 +286,7 @@ class TeleoperationLoop:
 
     Notes
     -----
-    H. Saeidi, Chapter 3. M. Franken, S. Stramigioli, S. Misra, C. Secchi, A. Macchelli, Bilateral
-    telemanipulation with time delays: a two-layer approach combining passivity and transparency,
-    IEEE Trans. Robotics 27(4), 2011. J. Artigas, J.-H. Ryu, C. Preusche, Position drift
-    compensation in time domain passivity based teleoperation, IROS 2010.
+    H. Saeidi, Chapter 3.
 
     Examples
     --------
@@ -322,7 +314,6 @@ class TeleoperationLoop:
     vehicle: tuple | Callable | None = None
     lost: np.ndarray | None = None
     guidance: str = "at_operator"
-    tank: float = 0.0
     trust: Callable | TrustDynamics | TrustInLoop | None = None
     feedback: Callable | None = None
     autonomy: Callable | None = None
@@ -342,13 +333,11 @@ class TeleoperationLoop:
         one_of("read_out", self.read_out, READ_OUTS)
         one_of("guard", self.guard, METHODS)
         one_of("guidance", self.guidance, kernel.GUIDANCE)
-        self.tank = not_negative("tank", self.tank)
         if self.budget is not None:
             of_class("budget", self.budget, GuidanceBudget)
             if self.guidance != "at_operator":
                 raise ValueError(
-                    f"budget is for guidance='at_operator', got guidance={self.guidance!r}; the "
-                    "tank has an energy of its own, tank="
+                    f"budget is for guidance='at_operator', got guidance={self.guidance!r}"
                 )
         T = self.sample_time = between("sample_time", self.sample_time, 1e-5, 0.1)
         if self.delay is not None and (self.delay_1 is not None or self.delay_2 is not None):
@@ -356,7 +345,7 @@ class TeleoperationLoop:
         self._seeds = spawned(self.seed, 5)
         self._failure: PartError | DivergenceError | None = None
         self._states = state_of(settings, T)
-        self._accounts = np.concatenate([accounts(), accounts()])
+        self._accounts = accounts()
         self.state = View(self._states)
         self._row = self._states.view(np.uint8)[: LOG.itemsize].view(float)
         hand = self._person.numbers(T, self._task.camera_delay)
@@ -367,7 +356,7 @@ class TeleoperationLoop:
         self._history, self._sent = np.zeros(0, HISTORY), np.zeros((2, 0, 3))
 
     def _fill_setup(self) -> None:
-        """Put guard, tank, vehicle and parts into the constants."""
+        """Put guard, vehicle and parts into the constants."""
         setup = self._setups[0]
         axes, vehicle = vehicle_of(tracking_vehicle() if self.vehicle is None else self.vehicle)
         if axes:
@@ -384,7 +373,6 @@ class TeleoperationLoop:
             setup["hand"]["compensation"] *= 1.0 - self._person.allocation_cost
         setup["guard"] = METHODS[self.guard]
         setup["read_out"] = READ_OUTS[self.read_out]
-        setup["tank"] = self.tank
         setup["budget_energy"] = np.inf
         if self.budget is not None:
             setup["budget_energy"] = self.budget.energy
@@ -541,7 +529,6 @@ class TeleoperationLoop:
             "read_out": self.read_out,
             "guard": self.guard,
             "guidance": self.guidance,
-            "tank": self.tank,
             "budget": str(self.budget) if self.budget else "none",
             "parts": ", ".join(replaced) or "built-in",
             "note": NOTE,
@@ -644,11 +631,7 @@ class TeleoperationLoop:
         self._log = log
         self._history = history
         self._sent = sent
-        carried = kernel.PACKETS if self.guidance == "two_port" else kernel.WAVES
-        if not self._scheme.bilateral:
-            carried = kernel.SIGNALS
-        if self.guidance in ("tank", "two_port") and self._scheme.bilateral:
-            self._delays = np.maximum(delays, 1.0)  # packets take a sample at least
+        carried = kernel.WAVES if self._scheme.bilateral else kernel.SIGNALS
         self._setups["channel"] = carried if self._delays.any() else kernel.DIRECT
 
     def _most(self) -> int:
@@ -678,7 +661,7 @@ def simulate_teleoperation(
     duration : float
         Length [s].
     **options : as of `TeleoperationLoop`
-        sample_time, task, delay, delay_1, delay_2, read_out, guidance, guard, tank and budget;
+        sample_time, task, delay, delay_1, delay_2, read_out, guidance, guard and budget;
         alpha, push and lost, signals that are given; vehicle, trust, feedback and autonomy, parts
         of the loop that replace its own.
 

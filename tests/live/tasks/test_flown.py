@@ -82,7 +82,7 @@ def test_parts_are_those_that_a_loop_may_have():
             config = configured(scheme, guidance=guidance)
             names |= {each["part"] for each in TASK.memory(config)["parts"]}
     assert names <= set(PARTS)
-    assert {"controller", "optimal", "no_feedback", "two_port"} <= names
+    assert {"controller", "optimal", "no_feedback", "through_channel"} <= names
 
 
 def test_a_model_of_trust_is_flown_by_the_server():

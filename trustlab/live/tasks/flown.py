@@ -26,8 +26,8 @@ ADDRESSES = record(counts="hand setups states inputs delays arrives accounts his
 
 WIDTH = len(columns_of(LOG))
 
-BOOKS = 4
-"""Accounts of waves and of packets, to the robot and back."""
+BOOKS = 2
+"""Accounts of waves, to the robot and back."""
 
 
 def fly_there(first, stop, x, y, choice, addresses):

@@ -51,7 +51,7 @@ class TeleoperationSettings:
         Length of the training flight, in M [s].
     study : {"main", "preliminary"}
         Printed settings of device, channel, trust and target.
-    guidance : {"at_operator", "through_channel", "tank", "two_port"}
+    guidance : {"at_operator", "through_channel"}
         How the guiding force reaches the device.
 
     trust : TrustDynamics or TrustInLoop, optional

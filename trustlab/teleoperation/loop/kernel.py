@@ -2,7 +2,7 @@
 The whole teleoperation loop (Fig. 3.1), compiled: `advance` does one sample after another.
 
 The file follows a sample: what arrives, the built-in parts (autonomy, operator's law, feedback,
-vehicle, trust), the hand, the four ways in which guidance reaches the operator, the books of
+vehicle, trust), the hand, the two ways in which guidance reaches the operator, the books of
 energy, performance, and `advance`. A sample changes one record of STATE, of which the first part is
 the row of the log. Whatever is delayed (pictures, waves, performance that leaves its window) is
 looked up here, so that the parts need no history. Records are passed as plain pointers, whereas
@@ -28,15 +28,10 @@ DONE, DEVICE, CHANNEL, ROBOT, SCHEME, TRUST, FEEDBACK, AUTONOMY, OPERATOR, VEHIC
 BLOCKS = ("haptic device", "channel", "robot", *PORTS)
 
 SLACK = 1e-12
-# What the channel carries: nothing between the ends, waves, the device's output alone, or packets
-# with their energy.
+# What the channel carries: nothing between the ends, waves, or the device's output alone.
 DIRECT = 0
 WAVES = 1
 SIGNALS = 2
-PACKETS = 3
-
-# Time in which `two_port` makes up for the velocity that its controller took [s].
-DRIFT_TIME = 0.5
 
 # Speed of the hand [m/s] above which an operator notices what the channel makes of it.
 FLOOR = 0.05
@@ -62,9 +57,8 @@ def look_up(k, setup, inputs, history, state):
     view, camera = k - setup.hand.delay, k - setup.auto.delay
     widest = setup.auto.picture
     state.sees = view >= 1 and pictured(history[view].error, widest)
-    state.finds = (
-        camera >= 1 and inputs[camera].detected and pictured(history[camera].error, widest)
-    )
+    shown = camera >= 1 and pictured(history[camera].error, widest)
+    state.finds = shown and inputs[camera].detected
     before = camera - 1
     state.found_before = (
         state.finds and inputs[before].detected and pictured(history[before].error, widest)
@@ -80,7 +74,8 @@ def look_up(k, setup, inputs, history, state):
         if state.sees:  # else the operator remembers where the target was last seen
             state.seen[i] = history[view].error[i] + inputs[view].ahead[i]
             state.seen_before[i] = history[view - 1].error[i] + inputs[view - 1].ahead[i]
-        if camera >= 1:
+        state.picture[i] = state.picture_before[i] = 0.0  # no force towards what nobody sees
+        if shown:
             state.picture[i] = history[camera].error[i]
             state.picture_before[i] = history[camera - 1].error[i]
     state.path_error = np.sqrt(dot(state.error, state.error))
@@ -91,36 +86,15 @@ def look_up(k, setup, inputs, history, state):
 
 
 @njit(error_model="numpy", forceinline=True)
-def newest_packet(arrives, k, delay, account):
-    """Return the number of the newest packet that has arrived by sample k, −1 before the first."""
-    while account.unbooked <= k - delay:
-        if arrives[account.unbooked]:
-            account.latest = account.unbooked
-        account.unbooked += 1
-    return int(account.latest)
-
-
-@njit(error_model="numpy", forceinline=True)
-def receive(k, setup, delays, arrives, accounts, history, sent, log, state):
+def receive(k, setup, delays, arrives, accounts, sent, log, state):
     """Set what comes out of the channel in sample k."""
     if setup.channel == DIRECT:
         return
-    if setup.channel != SIGNALS:
-        far = newest_packet(arrives[0], k, delays[0, k], accounts[2])
-        near = newest_packet(arrives[1], k, delays[1, k], accounts[3])
-        state.ledger.known_near = history[far].in_near if far >= 0 else 0.0
-        state.ledger.known_far = history[near].in_far if near >= 0 else 0.0
     if setup.channel == WAVES:
         n, T = setup.loop, setup.sample_time
         kind = setup.read_out
         v_l, v_r = state.v_l, state.v_r
         read_waves(sent[0], sent[1], arrives, k, delays, n.gain, kind, T, accounts, v_l, v_r)
-    elif setup.channel == PACKETS:
-        for i in range(3):
-            if far >= 0:
-                state.arrived[i] = log[far].r_m[i]
-            if near >= 0:
-                state.packet_force[i] = log[near].f_s[i]
     else:
         where = k - delays[0, k]
         first = int(np.floor(where))
@@ -347,22 +321,6 @@ def passivity_share(guard, energy, velocity, force, gain, sample_time):
 
 
 @njit(error_model="numpy", forceinline=True)
-def affordable_share(guard, energy, line, square, sample_time):
-    """
-    Return the greatest share σ ≤ 1 of a force whose power, line σ − square σ², leaves the energy
-    that is demanded.
-    """
-    demand = demanded(guard, energy, line - square, sample_time)
-    if np.isnan(demand):
-        return 1.0
-    spendable = max(-demand, 0.0)
-    root = np.sqrt(line * line + 4.0 * square * spendable)
-    if line > 0.0:
-        return min((line + root) / (2.0 * square), 1.0)
-    return min(2.0 * spendable / (root - line), 1.0) if root > line else 0.0
-
-
-@njit(error_model="numpy", forceinline=True)
 def solve_robot_end(state, setup):
     """
     Set the robot's velocity r_s = α (free − compliance f_s): the free part arrives, and the port
@@ -445,36 +403,6 @@ def through_channel(state, setup):
 
 
 @Part
-def tank(state, setup):
-    """
-    The guiding force at the robot's port, as far as a tank of energy there pays for the wave that
-    it sends (Franken et al.).
-
-    Waves fill the tank by ½ ‖v_r‖² and drain it by ½ ‖u_r‖²; packets add what else came in at the
-    operator's end, where waves carry less than the port takes, ½ ∫ (β/β_min − 1) ‖u_l‖² dt. So the
-    operator's port, ½ ∫ β (‖u_l‖²/β_min − ‖v_l‖²/β_max) dt, gives out no more than the tank held at
-    first.
-    """
-    set_guiding_force(state, setup, state.error)
-    solve_robot_end(state, setup)
-    far, T = setup.far, setup.sample_time
-    line = square = spare = 0.0
-    for i in range(3):
-        line += far.sent * state.guiding[i] * far.reflected * state.v_r[i]
-        square += 0.5 * (far.sent * state.guiding[i]) ** 2
-        spare += 0.5 * T * (1.0 - far.reflected**2) * state.v_r[i] ** 2
-    level = setup.tank + state.ledger.known_near - state.ledger.out_far + spare
-    state.port_share = affordable_share(setup.guard, level, line, square, T)
-    for i in range(3):
-        state.pull[i] = state.f_s[i] = state.port_share * state.guiding[i]
-        state.r_s[i] = state.alpha * (state.free_velocity[i] - state.compliance[i] * state.f_s[i])
-    solve_operator_end(state, setup)
-    for i in range(3):
-        state.ledger.out_far += 0.5 * T * (state.u_r[i] ** 2 - state.v_r[i] ** 2)
-        state.ledger.in_near += 0.5 * T * (state.beta / state.beta_min - 1.0) * state.u_l[i] ** 2
-
-
-@Part
 def at_operator(state, setup):
     """
     The guiding force β f at the haptic device, from the picture that the operator sees; the channel
@@ -517,57 +445,6 @@ def at_operator(state, setup):
 
 
 @Part
-def two_port(state, setup):
-    """
-    Velocity and force as they are, both ports passive in the time domain, the robot's drift made up
-    for (Artigas et al.).
-
-    A packet carries the energy that has come in at its sender's port so far, and no port gives out
-    more than it knows has come in at the other. The moving target's energy does not count: the
-    guiding force spends what the robot's port has taken.
-    """
-    set_guiding_force(state, setup, state.error)
-    T = setup.sample_time
-    for i in range(3):
-        asked = state.alpha * state.arrived[i]
-        state.free_velocity[i] = asked
-        state.r_s[i] = asked + state.drift[i] / DRIFT_TIME
-    power = dot(state.r_s, state.guiding)
-    share = 1.0
-    excess = 0.0
-    paid = 0.0
-    if power < 0.0:
-        share = affordable_share(setup.guard, state.ledger.robot, power, 0.0, T)
-    elif power > 0.0:
-        demand = demanded(setup.guard, state.ledger.known_near - state.ledger.out_far, -power, T)
-        excess = 0.0 if np.isnan(demand) else (power + demand) / dot(state.guiding, state.guiding)
-    for i in range(3):
-        state.r_s[i] -= excess * state.guiding[i]
-        state.pull[i] = state.f_s[i] = share * state.guiding[i]
-        state.drift[i] += T * (state.free_velocity[i] - state.r_s[i])
-        paid += T * state.r_s[i] * state.f_s[i]
-    state.ledger.out_far += max(paid, 0.0)
-    state.ledger.in_far += max(-paid, 0.0)
-    gain = 0.0
-    for i in range(3):
-        state.f_m[i] = state.beta * state.packet_force[i]
-        state.r_m[i] = state.free_output[i] - setup.admittance[i] * state.f_m[i]
-        gain += state.r_m[i] ** 2 / setup.admittance[i]
-    state.port_share = passivity_share(
-        setup.guard, state.ledger.known_far - state.ledger.out_near, state.r_m, state.f_m, gain, T
-    )
-    came = 0.0
-    for i in range(3):
-        if state.port_share < 1.0:
-            state.r_m[i] = state.port_share * state.r_m[i]
-            state.f_m[i] = (state.free_output[i] - state.r_m[i]) / setup.admittance[i]
-        state.guide[i] = state.f_m[i]
-        came += T * state.r_m[i] * state.f_m[i]
-    state.ledger.in_near += max(came, 0.0)
-    state.ledger.out_near += max(-came, 0.0)
-
-
-@Part
 def no_feedback(state, setup):
     """The device's output to the robot, from which no force comes back."""
     set_guiding_force(state, setup, state.error)
@@ -583,8 +460,6 @@ def no_feedback(state, setup):
 GUIDANCE = {
     "at_operator": at_operator,
     "through_channel": through_channel,
-    "tank": tank,
-    "two_port": two_port,
 }
 
 
@@ -673,8 +548,6 @@ def store_history(k, state, history, sent):
     old = history[k]
     old.good_r = state.good_r
     old.good_h = state.good_h
-    old.in_near = state.ledger.in_near
-    old.in_far = state.ledger.in_far
     for i in range(3):
         sent[0, k, i], sent[1, k, i] = state.u_l[i], state.u_r[i]
 
@@ -710,7 +583,7 @@ def advance(
     numbers. inputs, history, log, shape (N,): records of INPUT, HISTORY and LOG. sent, shape (2, N,
     3): waves by the sample that they were sent in, to the robot and back. table: the log as
     numbers. delays, arrives, shape (2, N): delay in samples, and whether what is sent in a sample
-    arrives at all. accounts: `ledger.accounts()` for waves, and again for packets of energy.
+    arrives at all. accounts: `ledger.accounts()`.
     """
     setup, state = setups[0], states[0]
     if start == 0:
@@ -718,7 +591,7 @@ def advance(
             state.robot[i] = inputs[0].reference[i]
     for k in range(start, stop):
         look_up(k, setup, inputs, history, state)
-        receive(k, setup, delays, arrives, accounts, history, sent, log, state)
+        receive(k, setup, delays, arrives, accounts, sent, log, state)
         failed = decide(setup, inputs[k].alpha, state)
         if failed != DONE:
             return k, failed

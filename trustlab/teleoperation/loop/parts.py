@@ -39,13 +39,9 @@ PORTS = {
 # Numbers that every part keeps from sample to sample, zero at the start.
 MEMORY = 16
 
-# Energy that has come in at the ports and been dissipated since the start [J], what the operator's
-# port may spend, and what packets say of energy. The guards rely on it; the log and parts have
-# copies.
-LEDGER = record(
-    numbers="operator dissipated channel robot port target account "
-    "in_near out_near in_far out_far known_near known_far"
-)
+# Energy that has come in at the ports and been dissipated since the start [J], and what the
+# operator's port may spend. The guards rely on it; the log and parts have copies.
+LEDGER = record(numbers="operator dissipated channel robot port target account")
 
 # A row of the log: the state before the sample and the signals of the sample.
 LOG = np.dtype(
@@ -73,7 +69,7 @@ INPUT = record(
 
 # What is looked up later: errors as they were seen, energies as they were sent, performance that
 # leaves its window.
-HISTORY = record(vectors="error", numbers="good_r good_h in_near in_far")
+HISTORY = record(vectors="error", numbers="good_r good_h")
 
 # Room that scheme OMI computes in: what lies ahead, the cost as a series in α, its derivative.
 BLENDING = np.dtype(
@@ -82,10 +78,10 @@ BLENDING = np.dtype(
 
 # The state proper: lagging wish of the hand, integral of the controller, acceleration; and what
 # came with this sample.
-KEPT = "acceleration wish integral drift reference_velocity pushed motor hand error"
-# What has arrived by now: the picture of camera and operator (and the one before), waves, and what
-# a packet brought.
-ARRIVED = "picture picture_before seen seen_before v_l v_r arrived packet_force"
+KEPT = "acceleration wish integral reference_velocity pushed motor hand error"
+# What has arrived by now: the picture of camera and operator (and the one before), waves, and the
+# device's output.
+ARRIVED = "picture picture_before seen seen_before v_l v_r arrived"
 # What the parts of a step tell each other.
 SIGNALS = (
     "wanted force free_output stretch guiding pull free_velocity compliance u_l u_r middle command"
@@ -152,7 +148,6 @@ SETUP = np.dtype(
         ("far", END),
         ("vehicle", VEHICLE),
         ("blend", float, (3, DEGREE + 1, 5, 5)),
-        ("tank", float),
         ("budget_energy", float),
         ("budget_power", float),
         ("guard", int),
