@@ -35,11 +35,10 @@ from trustlab.allocation.correction_path import (
     incentive_box,
     within_range,
 )
-from trustlab.allocation.limits import threshold_limits
+from trustlab.allocation.limits import threshold_limits, threshold_pair
 from trustlab.allocation.steady import limit_cycle
 from trustlab.models.checks import (
     between,
-    in_order,
     of_class,
     one_of,
     positive,
@@ -438,17 +437,3 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
         TargetWarning,
     )
     return lower, upper
-
-
-def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:
-    """Return two thresholds, lower and upper, as floats in [−1, 1], where TSC lies by (2.2)."""
-    try:
-        lower, upper = pair
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"{name} must be two numbers, lower and upper, got {shown(pair)}"
-        ) from None
-    low = f"the lower {name}"
-    high = f"the upper {name}"
-    in_order(low, lower, high, upper)
-    return between(low, lower, -1.0, 1.0), between(high, upper, -1.0, 1.0)

@@ -16,9 +16,9 @@ from trustlab.allocation.correction import (
     ThresholdCorrector,
     check_mode,
     suggestion_now,
-    threshold_pair,
 )
 from trustlab.allocation.correction_path import ROUNDING, within_range
+from trustlab.allocation.limits import threshold_pair
 from trustlab.models.checks import (
     between,
     finite_number,

@@ -13,6 +13,7 @@ from trustlab.models.checks import (
     not_negative,
     of_class,
     rounded_down,
+    shown,
 )
 from trustlab.models.display import as_html
 from trustlab.models.tsc import TscConstants, TscModel, next_utilization
@@ -241,3 +242,17 @@ def _remedy(tsc: TscModel, limits: ThresholdLimits) -> str:
         "Even with δ_Ph = 0 they do not part: widen the range of robot performance (p_max − "
         "p_min) or narrow that of human performance"
     )
+
+
+def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:
+    """Return two thresholds, lower and upper, as floats in [−1, 1], where TSC lies by (2.2)."""
+    try:
+        lower, upper = pair
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name} must be two numbers, lower and upper, got {shown(pair)}"
+        ) from None
+    low = f"the lower {name}"
+    high = f"the upper {name}"
+    in_order(low, lower, high, upper)
+    return between(low, lower, -1.0, 1.0), between(high, upper, -1.0, 1.0)

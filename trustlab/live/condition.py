@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from trustlab.allocation.correction import threshold_pair
+from trustlab.allocation.limits import threshold_pair
 from trustlab.live.tick import SCORE, SIGNALS
 from trustlab.models.checks import finite_number, flag, not_negative, one_of, shown
 from trustlab.testbeds.deciding import CONDITIONS, OWN, PERFORMANCE, TSC

@@ -7,8 +7,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trustlab.allocation.correction import threshold_pair
-from trustlab.allocation.limits import check_thresholds, threshold_limits
+from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
 from trustlab.live.attempt import Attempt
 from trustlab.live.build import STATIC, WASM
 from trustlab.live.runs import drive_config, warn_if_too_short

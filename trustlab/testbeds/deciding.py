@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.correction import threshold_pair
-from trustlab.allocation.limits import check_thresholds, threshold_limits
+from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
 from trustlab.allocation.rules import decision, performance_suggestion
 from trustlab.models.checks import between, one_of, warn
 from trustlab.models.compiled import inner

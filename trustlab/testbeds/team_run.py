@@ -244,15 +244,22 @@ class TeamRun:
         for name, colour in zip("xyz", ("#0072b2", "#d55e00", "#009e73"), strict=True):
             axes[2].plot(t, data[f"f_m_{name}"], lw=0.9, color=colour, label=f"$f_m$, {name}")
         axes[2].set_ylabel("force\nfeedback [N]")
-        axes[2].legend(fontsize="small", ncols=3)
         for name, label in ENERGIES.items():
             if name != "v_filter" or data[name].any():
                 axes[3].plot(t, data[name], lw=0.9, label=label)
         axes[3].plot(
             t, data["v_t"] - self.budget, lw=1.6, color="black", label=r"$V_T - \beta_h$ (4.32)"
         )
-        axes[3].set(ylabel="energy [J]", xlabel="time [s]", xlim=(t[0], t[-1]))
-        axes[3].legend(fontsize="small", ncols=4)
+        axes[3].set(ylabel="energy [J]", xlabel="time [s], logarithmic from 2 s on")
+        # The first two seconds take a third of the axis, as all happens there.
+        axes[3].set_xscale("symlog", linthresh=2.0, linscale=0.8)
+        ticks = [tick for tick in (0, 1, 2, 5, 10, 20, 50, 100, 200, 500) if tick <= t[-1]]
+        axes[3].set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes[3].set_xlim(t[0], t[-1])
+        for axis in axes[2:]:
+            axis.legend(
+                fontsize="small", frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5)
+            )
         for axis in axes:
             for at in self.switches:
                 axis.axvline(at, color="0.85", lw=0.6, zorder=0)

@@ -199,8 +199,8 @@ def plot_energies(session: Session, axes=None):
     """
     Plot the energies of all ports over time: operator, device, channel, robot, target.
 
-    Of channel, both ports and target the legend has the least energy. Lines that lie on each other
-    are told apart by their widths.
+    Of channel, both ports and target the legend has the least energy. Energies that agree to 1 % of
+    their panel's range are one line, with both names.
 
     Parameters
     ----------
@@ -220,17 +220,25 @@ def plot_energies(session: Session, axes=None):
         If `session` is not a Session, or lacks a column.
     """
     of_class("session", session, Session).require(*PORT_ENERGIES)
-    axes = axes_or_new(axes, columns=2, title=session.label, figsize=(8.6, 3.4))
+    axes = axes_or_new(axes, columns=2, title=session.label, figsize=(8.6, 4.2))
     names = tuple(PORT_ENERGIES)
-    styles = (("-", 4.0), ("--", 2.6), (":", 2.0), ("-.", 1.2))
     for panel, part in ((axes[0], names[:3]), (axes[1], names[3:])):
-        for name, (style, width) in zip(part, styles, strict=False):
-            least = f", least {session[name].min():z.3f} J" if panel is axes[1] else ""
-            label = f"{PORT_ENERGIES[name]}{least}"
-            panel.plot(session.t, session[name], style, lw=width, label=label)
-        panel.axhline(0.0, color="0.6", lw=0.8)
+        values = np.array([session[name] for name in part])
+        labels = [PORT_ENERGIES[name] for name in part]
+        if panel is axes[1]:
+            least = values.min(axis=1)
+            labels = [
+                f"{label}, least {low:z.3f} J" for label, low in zip(labels, least, strict=True)
+            ]
+        apart = np.abs(values[:, None] - values[None]).max(axis=2)
+        # the first energy that each lies on
+        lies_on = np.argmax(apart <= 0.01 * np.ptp(values) + 1e-12, axis=1)
+        for style, k in zip(("-", "--", ":", "-."), np.unique(lies_on), strict=False):
+            shared = [labels[i] for i in np.flatnonzero(lies_on == k)]
+            panel.plot(session.t, values[k], style, lw=1.6, label=",\n".join(shared))
+        panel.axhline(0.0, color="0.6", lw=0.8, zorder=0)
         panel.set(xlabel="time [s]", ylabel="energy [J]")
-        panel.legend(fontsize="small", frameon=False)
+        panel.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.18))
     return axes
 
 
