@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.models.simulation import DivergenceError, Simulation
+from trustlab.models.simulation import END, DivergenceError, Simulation
 from trustlab.models.tsc import advance, human_at, threshold_mode, tsc_at
 
 SAMPLES = 4000
@@ -111,3 +111,23 @@ def test_a_block_that_diverges_is_named_with_its_sample(options):
         simulated(inputs=inputs, sample_time=0.01, **options)
     with pytest.raises(DivergenceError, match=r"^robot diverged at sample 1234$"):
         simulated(inputs=inputs, **options)
+
+
+def test_a_run_that_comes_to_its_end_stays_there():
+    @numba.njit
+    def count_to_seven(first, stop, setup, state, inputs, log):
+        for k in range(first, stop):
+            log[k] = k
+            if k == 7:
+                return k + 1, END
+        return stop, -1
+
+    for options in ({}, {"decide": watch, "every": 3}):
+        arrays = np.zeros(0), np.zeros(9), np.zeros(9)
+        run = Simulation(count_to_seven, (), *arrays, **options)
+        run.advance(5)
+        assert (run.done, run.ended) == (5, False)
+        for _ in range(2):
+            run.advance(9)
+            assert (run.done, run.ended) == (8, True)
+        assert run.log.tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 0]

@@ -64,6 +64,8 @@ class Simulation:
     ----------
     done : int
         Samples that have been done.
+    ended : bool
+        Whether the run has come to its end; nothing more is done then.
 
     Examples
     --------
@@ -98,6 +100,7 @@ class Simulation:
     blocks: tuple[str, ...] = ()
     sample_time: float | None = None
     done: int = 0
+    ended: bool = False
 
     def __post_init__(self):
         arguments = 0, 0, self.setup, self.state, self.inputs, self.log
@@ -122,7 +125,7 @@ class Simulation:
         DivergenceError
             If a block diverges; the rows of the log before that sample are valid.
         """
-        while self.done < stop:
+        while self.done < stop and not self.ended:
             until = stop
             if self.decide is not None:
                 next_decision = (self.done // self.every + 1) * self.every
@@ -138,8 +141,7 @@ class Simulation:
                 raise DivergenceError(
                     f"{self.blocks[block]} diverged at sample {self.done}{seconds}"
                 )
-            if block == END:
-                return
+            self.ended = block == END
 
 
 def _kinds(value: Any) -> Any:
