@@ -31,6 +31,6 @@ test("a run that is taken up again goes on as it was", async () => {
 test("a team that diverges says so", async () => {
   const lead = await Lead.load(wasm, config, memory);
   lead.step(commands[0]);
-  lead.view.setFloat64(lead.at.w, NaN, true);
+  lead.view.setFloat64(lead.at.q, NaN, true);
   assert.throws(() => lead.step(commands[1]), /diverged/);
 });
