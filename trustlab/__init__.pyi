@@ -133,6 +133,7 @@ from .teleoperation import (
     Scattering as Scattering,
     Scheme as Scheme,
     channel_run as channel_run,
+    passivity as passivity,
     tune_transparency as tune_transparency,
 )
 from .testbeds import (

@@ -43,7 +43,7 @@ from trustlab.studies.planning.virtual_study import VirtualStudy
 from trustlab.studies.questionnaires.likert import ScaleScores
 from trustlab.studies.regression.formula_model import FormulaModel
 from trustlab.studies.regression.ordinal_model import OrdinalModel
-from trustlab.teleoperation import TeamTrial
+from trustlab.teleoperation import Passivity, TeamTrial
 from trustlab.trust.comparison import MEASURES, TrustComparison
 
 BROWSER = next(
@@ -214,6 +214,7 @@ def late():
         calibration,
         report(scores(), **columns()),
         PerformanceLine(NAME, means, 0.0, 1.0),
+        Passivity(pd.DataFrame({NAME: [0.0, -1.0]}), False, False, 12.0),
         *live(),
     )
 

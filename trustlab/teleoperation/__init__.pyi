@@ -32,6 +32,7 @@ from .ports.device import HapticDevice as HapticDevice, PassivityError as Passiv
 from .ports.ledger import EnergyLedger as EnergyLedger
 from .ports.passivity import PassivityController as PassivityController
 from .ports.waves import Scattering as Scattering
+from .stability import Passivity as Passivity, passivity as passivity
 from .team.graphs import (
     GraphError as GraphError,
     algebraic_connectivity as algebraic_connectivity,

@@ -1,0 +1,167 @@
+"""Whether a logged run of teleoperation was passive at its ports and stayed bounded."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import of_class, shown
+from trustlab.models.display import Result, axes_or_new
+from trustlab.sessions.session import Session
+
+# Velocity and force at each port; power is positive where the port takes energy.
+PORTS = {"operator": ("r_m", "f_m"), "robot": ("r_s", "f_s")}
+
+# What integrals may be off by rounding, as a share of all energy exchanged.
+ROUNDING = 1e-9
+
+# By how much signals of the last third may exceed those before and still count as bounded.
+GROWTH = 10.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Passivity(Result):
+    """
+    Energy at the ports of a run, integrated from its logged signals.
+
+    Parameters
+    ----------
+    energies : pandas.DataFrame
+        Energy [J] that each port has taken since the start, by time [s]: operator, robot.
+    passive : bool
+        Whether neither port ever gave out more energy than it had taken, up to rounding.
+    bounded : bool
+        Whether velocities and forces are finite, and in the last third of the run at most ten times
+        as large as before.
+    growth : float
+        How many times as large they are.
+    """
+
+    title = "Passivity of a run"
+
+    energies: pd.DataFrame
+    passive: bool
+    bounded: bool
+    growth: float
+
+    @property
+    def least_energy(self) -> pd.Series:
+        """Least energy of each port [J], 0 at the start included."""
+        return self.energies.min().clip(upper=0.0).rename("least_energy")
+
+    @property
+    def message(self) -> str:
+        """Whether the run was passive and bounded, in a sentence."""
+        least = self.least_energy
+        port = str(least.idxmin())
+        told = "Passive: neither port gave out more energy than it had taken"
+        if not self.passive:
+            told = (
+                f"Not passive: at t = {self.energies[port].idxmin():g} s the {port}'s port had "
+                f"given out {-least[port]:.3g} J more than it had taken"
+            )
+        kept = "velocities and forces stayed bounded"
+        if not self.bounded:
+            kept = (
+                f"velocities and forces grew {self.growth:.3g}-fold in the last third of the run"
+                if np.isfinite(self.growth)
+                else "velocities and forces are not finite"
+            )
+        return f"{told}; {kept}."
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return one row per port.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns port, least_energy [J], at [s] (when), final_energy [J].
+        """
+        rows = [
+            {
+                "port": port,
+                "least_energy": self.least_energy[port],
+                "at": self.energies[port].idxmin(),
+                "final_energy": self.energies[port].iloc[-1],
+            }
+            for port in self.energies
+        ]
+        return pd.DataFrame(rows)
+
+    def plot(self, axes=None):
+        """
+        Plot the energy that each port has taken, over time.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where to plot; a new figure when not given.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        axes = axes_or_new(axes, figsize=(7.0, 3.2))
+        if not hasattr(axes, "axhline"):
+            raise ValueError(f"axes must be Matplotlib axes, got {shown(axes)}")
+        for port, style in zip(self.energies, ("-", "--"), strict=True):
+            axes.plot(self.energies[port], style, label=f"{port}'s port")
+        axes.axhline(0.0, color="0.6", lw=0.8, zorder=0)
+        axes.set(xlabel="time [s]", ylabel="energy taken [J]")
+        axes.legend(frameon=False, fontsize="small")
+        return axes
+
+
+def passivity(session: Session) -> Passivity:
+    """
+    Answer from a log whether teleoperation was stable: passive at its ports, and bounded.
+
+    Parameters
+    ----------
+    session : Session
+        With velocity and force at the operator's port, r_m_x … and f_m_x …, and at the robot's,
+        r_s_x … and f_s_x …, on the axes that were logged, the same at all; of
+        `simulate_teleoperation`, or of a robot.
+
+    Returns
+    -------
+    Passivity
+        With .passive, .bounded, .least_energy, .message, .table() and .plot().
+
+    Raises
+    ------
+    ValueError
+        If `session` is no Session, or a column is missing.
+
+    Notes
+    -----
+    A log shows this run alone: that a loop is passive whatever operator, robot and delays do is
+    what Theorems 3 and 4 promise, and no run can. Energy is the sum of power times the sample time,
+    as the loop's own controllers count it; in the log of a continuous system it is off by about one
+    sample's power.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> run = tl.simulate_teleoperation("TMIG", seed=1, duration=20.0)
+    >>> answer = tl.passivity(run)
+    >>> answer.passive, answer.bounded
+    (True, True)
+    """
+    of_class("session", session, Session)
+    axes = [axis for axis in "xyz" if f"r_m_{axis}" in session] or ["x"]
+    names = [f"{name}_{axis}" for pair in PORTS.values() for name in pair for axis in axes]
+    session.require(*names)
+    energies, exchanged = {}, 0.0
+    for port, (velocity, force) in PORTS.items():
+        power = sum(session[f"{velocity}_{axis}"] * session[f"{force}_{axis}"] for axis in axes)
+        energies[port] = session.sample_time * np.cumsum(power)
+        exchanged += session.sample_time * float(np.abs(power).sum())
+    frame = pd.DataFrame(energies, index=session.data.index)
+    sizes = np.abs(session.data[names].to_numpy()).max(axis=1)
+    last = len(sizes) - len(sizes) // 3
+    before = sizes[:last].max()
+    growth = float(sizes[last:].max() / before) if before > 0.0 else 1.0
+    passive = bool((frame.min() >= -ROUNDING * exchanged - 1e-12).all())
+    return Passivity(frame, passive, bool(growth <= GROWTH), growth)
