@@ -23,6 +23,7 @@ from trustlab.teleoperation import (
     RandomLeaders,
     Scattering,
     TeamOperator,
+    TeamRobot,
     TeamSettings,
     TwoPortFilter,
     WaveFilter,
@@ -768,3 +769,22 @@ def test_printed_filter_is_named_for_what_it_is():
     run = simulate_team(nx.path_graph(2), filters=printed_filter(3.0), duration=5.0)
     assert run.facts["filter"] == "two-port that is not passive, 3 rad/s"
     assert run.facts["k12"] == run.facts["k21"] == 0.0
+
+
+def test_a_run_is_repeated_from_its_inputs_without_python():
+    """Packets that get lost and robots that drift included; another leader makes another run."""
+    robots = (TeamRobot(), TeamRobot(speed=0.4), TeamRobot(loss=0.5), TeamRobot(drift=0.05))
+    arguments = {"seed": 3, "duration": 20.0, "settings": TeamSettings(robots=robots)}
+    graphs = {0.0: nx.cycle_graph(4), 8.0: nx.path_graph(4)}
+    first, again, other = (tl.TeamLoop(graphs, "random", **arguments) for _ in range(3))
+    run = first.run()
+    for loop in (again, other):
+        loop.simulation.decide = None
+        loop.simulation.inputs[:] = first.simulation.inputs
+    other.simulation.inputs["lead"] = 0
+    for loop in (again, other):
+        loop.simulation.advance(len(loop.simulation.inputs))
+    assert len(run.switches) > 0
+    np.testing.assert_array_equal(again.simulation.log.table, first.simulation.log.table)
+    np.testing.assert_array_equal(again.simulation.log.places, first.simulation.log.places)
+    assert (other.simulation.log.places != first.simulation.log.places).any()
