@@ -148,14 +148,6 @@ KNOWN = {
         "leader": "foreign errors",
         "samples": "no argument named",
     },
-    "TeleoperationLoop": {
-        "delay_1": "NaN is taken",
-        "delay_2": "NaN is taken",
-        "alpha": "anything is taken",
-        "push": "anything is taken",
-        "lost": "anything is taken",
-        "delay": "NaN is taken",
-    },
     "TrackingTask.path": {
         "t": "foreign errors, NaN is taken",
         "height": "foreign errors, anything is taken",

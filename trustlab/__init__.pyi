@@ -75,7 +75,6 @@ from .models import (
 from .operators import (
     Operator as Operator,
     Teleoperator as Teleoperator,
-    graded_teleoperators as graded_teleoperators,
     simulated_answers as simulated_answers,
 )
 from .reproduction import (
@@ -134,7 +133,6 @@ from .teleoperation import (
     Scheme as Scheme,
     channel_run as channel_run,
     passivity as passivity,
-    tune_transparency as tune_transparency,
 )
 from .testbeds import (
     TeamLoop as TeamLoop,

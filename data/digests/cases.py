@@ -471,7 +471,6 @@ CASES = {
     "fit_trust": trust,
     # teleoperation and operators
     "channel_run": channel,
-    "tune_transparency": lambda: tl.tune_transparency(SCATTERING).table(),
     "simulate_teleoperation": lambda: tl.simulate_teleoperation(
         "TMIG", seed=0, duration=5.0
     ).table(),

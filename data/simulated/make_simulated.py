@@ -26,6 +26,7 @@ from trustlab.sessions.metrics import window_mean
 from trustlab.teleoperation import (
     SCHEMES,
     STUDIES,
+    Guidance,
     GuidanceBudget,
     TeamRobot,
     TeamSettings,
@@ -146,9 +147,9 @@ def failures(sets: int = 20_000, seed: int = SEED, invariant: int = 2_000) -> pd
 
 # Keywords of `simulate_teleoperation` by the name under which report 07 shows them.
 GUIDANCES: dict[str, dict[str, str]] = {
-    "as printed, guard off": {"guidance": "through_channel", "guard": "off"},
-    "as printed": {"guidance": "through_channel", "guard": "cancel"},
-    "at the operator": {"guidance": "at_operator"},
+    "as printed, guard off": Guidance("through_channel", "off"),
+    "as printed": Guidance("through_channel", "cancel"),
+    "at the operator": Guidance(),
 }
 
 
@@ -162,11 +163,11 @@ def guidance(operators: int = 30) -> pd.DataFrame:
     population = TeleoperatorPopulation("main")
     people = [population.person(row) for row in population.draw(operators, SEED).to_dict("records")]
     parts = []
-    for name, options in GUIDANCES.items():
+    for name, design in GUIDANCES.items():
         for scheme in SCHEMES:
             for number, person in enumerate(people):
                 stream = np.random.SeedSequence(SEED, spawn_key=(number,))
-                run = tl.simulate_teleoperation(scheme, person, seed=stream, **options)
+                run = tl.simulate_teleoperation(scheme, person, seed=stream, guidance=design)
                 measures = tl.teleoperation_measures(run)
                 parts.append(measures.assign(guidance=name, scheme=scheme, participant=number + 1))
     wanted = ["guidance", "scheme", "participant", "tracking_error", "guidance_felt"]
@@ -338,7 +339,7 @@ def orders() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-BUDGET = GuidanceBudget(energy=0.2, power=0.5)
+FELT = Guidance(budget=GuidanceBudget(energy=0.2, power=0.5))
 
 
 def command_gain(run: tl.Session) -> float:
@@ -361,7 +362,7 @@ def flown_guided(scheme: str, person: dict, stiffness: float, seed) -> dict:
     def fly(k_ffa, factor=1.0):
         study = replace(STUDIES["main"], k_ffa=k_ffa)
         hand = replace(operator, compensation=factor * operator.compensation)
-        return tl.simulate_teleoperation(scheme, hand, study, seed=seed, budget=BUDGET)
+        return tl.simulate_teleoperation(scheme, hand, study, seed=seed, guidance=FELT)
 
     without, guided = fly(0.0), fly(stiffness)
     goal = command_gain(guided)

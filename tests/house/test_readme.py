@@ -14,7 +14,6 @@ from matplotlib import pyplot as plt
 import trustlab as tl
 from tests.house.documents import DOCUMENTS, ROOT, blocks, name_of, python, write_files
 from trustlab.sessions import load_recipe
-from trustlab.teleoperation.loop.parts import STATE
 
 
 @pytest.mark.parametrize("path", [*DOCUMENTS, ROOT / "CONTRIBUTING.md"], ids=name_of)
@@ -69,7 +68,7 @@ def test_blocks_of_the_documentation_fit_a_page_of_1280_pixels():
 def scheme_page():
     """What the code of the page about one's own scheme and trust defines."""
     found = {}
-    exec(python(ROOT / "docs" / "how_to" / "scheme.md"), found)
+    exec(python(ROOT / "docs" / "how_to" / "own_parts.md"), found)
     return found
 
 
@@ -95,21 +94,23 @@ def test_trust_of_the_example_sets_its_scales(scheme_page):
 @pytest.mark.xdist_group("docs")
 def test_memory_of_the_example_matters(scheme_page):
     def forgetful(state):
-        return scheme_page["trust"](state, np.zeros(16))
+        state.memory.clear()
+        return scheme_page["trust"](state)
 
-    run, loop = scheme_page["run"].data, scheme_page["loop"]
-    without = tl.TeleoperationLoop(loop.scheme, trust=forgetful, vehicle=loop.vehicle, seed=0).run(
-        60.0
+    run, scheme = scheme_page["run"].data, tl.Scheme("mine", scheme_page["shares"])
+    without = tl.simulate_teleoperation(
+        scheme, trust=forgetful, vehicle=scheme_page["vehicle"], duration=60.0
     )
     assert np.ptp(run["trust_hr"] - without["trust_hr"]) > 0.01
 
 
 def test_names_of_the_state_on_the_page_are_its_own():
-    page = (ROOT / "docs" / "how_to" / "scheme.md").read_text()
+    page = (ROOT / "docs" / "how_to" / "own_parts.md").read_text()
     listed = re.findall(r"^\| (`.*?) \|", page, re.M)
     names = re.findall(r"`(\w+)`", " ".join(listed))
     assert len(names) > 30
-    assert set(names) <= set(STATE.names)
+    state = tl.TeleoperationLoop().state
+    assert [name for name in names if not hasattr(state, name)] == []
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)

@@ -13,13 +13,13 @@ import pytest
 
 from tests.house.documents import ROOT, python, write_files
 
-# Not all pages: `test_readme.py` runs them from the sources. These read files, compile parts of
+# Not all pages: `test_readme.py` runs them from the sources. These read files, ask functions of
 # one's own, and plot.
 PAGES = [
     "README.md",
     "docs/start.md",
     "docs/how_to/recipe.md",
-    "docs/how_to/scheme.md",
+    "docs/how_to/own_parts.md",
     "docs/how_to/analyse.md",
 ]
 # One worker runs them all, so that the package is built once, and what it compiles is compiled

@@ -167,7 +167,7 @@ def test_the_digest_sees_functions_constants_and_calls():
     assert "PERFORMANCE_TOLERANCE" in " ".join(found.values())
     build.sources(fly_there, found := {})
     names = {name.rsplit(".", 1)[-1] for name in found}
-    assert {"advance", "read_wave", "midpoint_velocity", "look_up", "SLACK"} <= names
+    assert {"teleoperate", "read_wave", "midpoint_velocity", "optimal_share", "FLOOR"} <= names
 
 
 def test_replay_finds_the_first_row_that_differs():

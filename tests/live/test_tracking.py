@@ -15,6 +15,7 @@ import pytest
 import trustlab as tl
 from trustlab.live.ground_robot import module_of
 from trustlab.live.tracking import LiveTracking
+from trustlab.teleoperation import Guidance
 from trustlab.testbeds import uav_tracking
 
 HOME = "https://tracking.test/"
@@ -88,11 +89,11 @@ def test_a_third_axis_at_zero_keeps_the_height():
 
 def test_a_hand_at_rest_earns_no_energy_and_gets_none():
     for guidance in ("at_operator", "through_channel"):
-        live = tl.LiveTracking("M", guidance=guidance, guard="repay", seed=1)
+        live = tl.LiveTracking("M", guidance=guidance, seed=1)
         flown(live, 30.0)
         assert live.energy["energy_port"].min() >= -1e-9
         assert live.energy["energy_operator"].abs().max() <= 1e-2
-    off = tl.LiveTracking("M", guard="off", seed=1)
+    off = tl.LiveTracking("M", guidance=Guidance(guard="off"), seed=1)
     flown(off, 30.0)
     assert off.energy["energy_port"].min() < -1e-3, (
         "without its guard guidance moves the hand by energy of its own"
@@ -155,7 +156,7 @@ class Interrupted:
 
     def __getattr__(self, name):
         if name in ("round", "empty", "arange"):
-            self.loop._advance(self.loop._done + 1)
+            self.loop._advance(self.loop.simulation.done + 1)
         return getattr(np, name)
 
 
@@ -164,11 +165,11 @@ def test_a_session_is_whole_while_another_thread_steps(monkeypatch):
     live = tl.LiveTracking("M", seed=0)
     flown(live, 1.0)
     loop = live.run.loop
-    before = loop._done
+    before = loop.simulation.done
     with monkeypatch.context() as patched:
         patched.setattr(uav_tracking, "np", Interrupted(loop))
         session = loop.session
-    assert loop._done > before
+    assert loop.simulation.done > before
     assert len(session) == before
     assert session.data.equals(loop.session.data.iloc[:before])
 
@@ -231,7 +232,6 @@ def test_a_run_that_diverges_is_kept_up_to_there():
         ({"scheme": "TMGI"}, "did you mean"),
         ({"scheme": "MMI"}, "allocates by hand"),
         ({"study": "mane"}, "study"),
-        ({"guard": "on"}, "guard"),
         ({"guidance": "none"}, "guidance"),
         ({"delay": -1.0}, "delay"),
         ({"duration": 1e9}, "duration must lie in"),

@@ -10,39 +10,21 @@ import pytest
 
 import trustlab as tl
 from trustlab.operators.answers import experience, simulated_answers
-from trustlab.operators.teleoperator import RANGES, REACH, Teleoperator, graded_teleoperators
+from trustlab.operators.teleoperator import RANGES, Teleoperator
 from trustlab.sessions.session import Metadata, Session
+from trustlab.teleoperation import Guidance
 from trustlab.testbeds import TeleoperatorPopulation
 from trustlab.testbeds.uav_tracking import TrackingTask
 
 RUN = tl.simulate_teleoperation("TMIG", seed=1, duration=20.0)
-
-
-def test_graded_operators_keep_their_ranges_and_grow_in_skill():
-    people = graded_teleoperators(60, seed=3)
-    assert [person.participant for person in people] == list(range(1, 61))
-    for name, (least, most) in RANGES.items():
-        values = np.array([getattr(person, name) for person in people])
-        assert values.min() >= min(least, most)
-        assert values.max() <= max(least, most)
-        skill = (values - least) / (most - least)
-        assert skill[30:].mean() > skill[:30].mean() + 0.15
-    assert {person.reach for person in people} == {REACH["main"]}
-    assert all(2.0 <= person.patience <= 4.0 for person in people)
+# No force on the hand, and nothing that guards it.
+FREE = Guidance(guard="off", force=lambda state: (0.0, 0.0, 0.0))
 
 
 def test_defaults_are_the_middle_of_the_ranges():
     average = Teleoperator()
     for name, ends in RANGES.items():
         assert getattr(average, name) == pytest.approx(np.mean(ends)), name
-
-
-def test_an_operator_has_a_stream_of_its_own():
-    assert graded_teleoperators(8, seed=2) == graded_teleoperators(8, seed=2)
-    assert graded_teleoperators(8, seed=2) != graded_teleoperators(8, seed=3)
-    few, many = graded_teleoperators(4, seed=2), graded_teleoperators(8, seed=2)
-    assert [person.patience for person in few] == [person.patience for person in many[:4]]
-    assert graded_teleoperators(1, study="preliminary")[0].reach == REACH["preliminary"]
 
 
 def test_numbers_are_the_operators_own():
@@ -61,20 +43,6 @@ def test_bad_numbers_are_refused(name, bad):
         Teleoperator(**{name: bad})
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((0,), "n must be"),
-        ((2.5,), "n must be"),
-        ((3, -1), "seed must be"),
-        ((3, 0, "third"), "study must be"),
-    ],
-)
-def test_bad_populations_are_refused(arguments, words):
-    with pytest.raises(ValueError, match=words):
-        graded_teleoperators(*arguments)
-
-
 def test_allocating_by_hand_costs_a_share_of_the_command_in_mmi_alone():
     costly = Teleoperator(allocation_cost=0.25)
     weaker = Teleoperator(compensation=0.75)
@@ -87,16 +55,17 @@ def test_a_hand_tires_with_what_it_has_pushed():
     """Oracle: the law and the sum of forces, sample by sample."""
     who = Teleoperator(fatigue=2.0, noise=0.0)
     loop = tl.TeleoperationLoop("M", who, seed=3)
-    pushed = 0.0
+    loop.reserve(4.0)
+    decay, pushed, wish = np.exp(-0.01 / who.lag), 0.0, np.zeros(3)
     for _ in range(400):
-        state = loop.step()
-        seen = who.proportional * state.seen
-        if state.sees:
-            seen = seen + who.derivative * (state.seen - state.seen_before) / 0.01
+        before = loop.state.copy()
+        seen = who.proportional * before.seen
+        if before.sees:
+            seen = seen + who.derivative * (before.seen - before.seen_before) / 0.01
+        pushed += 0.01 * np.linalg.norm(before.f_h)
         strength = 1.0 / (1.0 + who.fatigue / 60.0 * pushed)
-        expected = strength * np.clip(seen, -who.reach, who.reach)
-        np.testing.assert_allclose(state.wanted, expected, rtol=1e-12, atol=1e-15)
-        pushed += 0.01 * np.linalg.norm(state.f_h)
+        wish = decay * wish + (1.0 - decay) * strength * np.clip(seen, -who.reach, who.reach)
+        np.testing.assert_allclose(loop.step().wish, wish, rtol=1e-10, atol=1e-15)
     assert strength < 0.95
 
 
@@ -128,10 +97,16 @@ def test_laws_by_name():
         match="law must be one of 'proportional', 'crossover', or a function of the state",
     ):
         Teleoperator(law="Crossover2")
-    people = graded_teleoperators(40, seed=3, law="crossover")
-    assert {person.law for person in people} == {"crossover"}
-    for person in people:
-        assert person.crossover * (person.reaction + person.lag + 0.3) == pytest.approx(0.6)
+
+
+def stepped(loop, count):
+    """The states before each of so many samples."""
+    loop.reserve(0.01 * count)
+    states = []
+    for _ in range(count):
+        states.append(loop.state.copy())
+        loop.step()
+    return states
 
 
 class TestSight:
@@ -146,8 +121,7 @@ class TestSight:
     @pytest.mark.parametrize("preview", [0.0, 0.35, 1.0])
     def test_preview_shows_the_path_ahead(self, preview):
         loop = tl.TeleoperationLoop("M", Teleoperator(preview=preview), seed=4, task=self.TASK)
-        states = [loop.step().copy() for _ in range(300)]
-        run = loop.session.data
+        states, run = stepped(loop, 300), loop.session.data
         ahead = round(preview / 0.01)
         for k in (100, 180):
             path, robot = (
@@ -160,9 +134,9 @@ class TestSight:
     def test_a_target_that_leaves_the_picture_is_lost_to_eye_and_controller(self):
         task = TrackingTask(failure_every=1e9, view=0.1, integral=0.0)
         loop = tl.TeleoperationLoop(
-            "MI", Teleoperator(), seed=4, task=task, push=np.full((3000, 3), 2.0)
+            "MI", Teleoperator(), seed=4, task=task, given={"push": np.full((3000, 3), 2.0)}
         )
-        states, run = [loop.step().copy() for _ in range(3000)], loop.session.data
+        states, run = stepped(loop, 3000), loop.session.data
         error = (
             run[["reference_x", "reference_y"]].to_numpy() - run[["robot_x", "robot_y"]].to_numpy()
         )
@@ -187,23 +161,18 @@ class TestCompensation:
         """
         Oracle: without noise, force or delay of the channel the device is linear in what is wanted.
         """
-        arguments = {
-            "seed": 2,
-            "duration": 5.0,
-            "delay": 0.0,
-            "guard": "off",
-            "task": TrackingTask(failure_every=1e9),
-        }
         loops = [
             tl.TeleoperationLoop(
                 "M",
                 Teleoperator(compensation=factor, noise=0.0),
-                feedback=lambda state: (0.0, 0.0, 0.0),
-                **{name: value for name, value in arguments.items() if name != "duration"},
+                seed=2,
+                delay=0.0,
+                task=TrackingTask(failure_every=1e9),
+                guidance=FREE,
             )
             for factor in (1.0, 1.5)
         ]
-        one, more = ([loop.step().copy() for _ in range(60)] for loop in loops)
+        one, more = (stepped(loop, 60) for loop in loops)
         for plain, scaled in zip(
             one[36:38], more[36:38], strict=True
         ):  # the first pictures, of the same path
@@ -221,19 +190,22 @@ class TestCompensation:
             person = Teleoperator(
                 law=law, crossover=0.8, proportional=0.8, derivative=0.0, noise=0.0, reach=5.0
             )
-            loop = tl.TeleoperationLoop(
+            run = tl.simulate_teleoperation(
                 "M",
                 person,
                 seed=6,
+                duration=110.0,
                 delay=0.0,
-                alpha=np.full(11_000, alpha),
-                guard="off",
-                feedback=lambda state: (0.0, 0.0, 0.0),
+                given={"alpha": np.full(11_000, alpha)},
+                guidance=FREE,
             )
-            rows = [loop.step().copy() for _ in range(11_000)][6000:]
-            seen = np.array([row.seen for row in rows])[:, :2].ravel()
-            told = np.array([row.r_s for row in rows])[:, :2].ravel()
-            gains[law] = float(np.sqrt(np.mean(told**2) / np.mean(seen**2)))
+            # what is seen is the error, late by 35 samples
+            reference, robot, told = (
+                np.column_stack([run[f"{name}_{axis}"] for axis in "xy"])
+                for name in ("reference", "robot", "r_s")
+            )
+            error = reference - robot
+            gains[law] = float(np.sqrt(np.mean(told[6000:] ** 2) / np.mean(error[5965:-35] ** 2)))
         assert gains["crossover"] == pytest.approx(0.8, rel=0.15)  # less what lag and device take
         assert gains["proportional"] < 0.7 * gains["crossover"]
 
@@ -243,10 +215,12 @@ def test_skill_makes_a_difference_to_who_adapts():
     Mean error of the third of least and of most skill; with fixed gains reaction and lag alone
     change next to nothing.
     """
-    people = graded_teleoperators(12, seed=1, law="crossover")
+    population = TeleoperatorPopulation("main")
+    drawn = population.draw(16, seed=1, assumptions={"adapting": 1.0}).sort_values("skill")
+    assert set(drawn["law"]) == {"crossover"}
     errors = [
-        tl.simulate_teleoperation("M", one, seed=i, duration=60.0)["path_error"].mean()
-        for i, one in enumerate(people)
+        tl.simulate_teleoperation("M", population.person(one), seed=i, duration=60.0)["path_error"]
+        for i, one in enumerate(drawn.to_dict("records"))
     ]
     assert np.mean(errors[-4:]) < 0.9 * np.mean(errors[:4])
 

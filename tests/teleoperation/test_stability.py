@@ -32,8 +32,9 @@ def test_energies_are_those_of_the_loops_own_books(guidance):
 
 
 def test_without_its_guard_the_printed_guidance_is_not_passive():
-    options = {"seed": 1, "duration": 30.0, "guidance": "through_channel", "guard": "off"}
-    answer = tl.passivity(tl.simulate_teleoperation("M", **options))
+    printed = tl.teleoperation.Guidance("through_channel", "off")
+    run = tl.simulate_teleoperation("M", seed=1, duration=30.0, guidance=printed)
+    answer = tl.passivity(run)
     assert not answer.passive
     assert answer.least_energy["robot"] < -1.0
     assert "the robot's port had given out" in answer.message

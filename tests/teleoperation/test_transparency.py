@@ -14,7 +14,6 @@ from trustlab.teleoperation.transparency import (
     gains,
     ideal_distances,
     rendered_impedance,
-    tune_transparency,
 )
 
 SETTINGS = settings(max_examples=60, deadline=None, derandomize=True)
@@ -139,25 +138,6 @@ def test_rendered_impedance_is_that_of_the_channel_at_a_frequency():
     assert in_phase + 1j * ahead == pytest.approx(felt, rel=1e-6)
 
 
-def test_tuner_trades_force_against_velocity():
-    printed = Scattering(2.0, 0.2, 1.0, 0.05, 0.5)
-    front = [tune_transparency(printed, weight) for weight in (0.05, 0.3, 0.7, 0.95)]
-    force, velocity = [one.force for one in front], [one.velocity for one in front]
-    assert (np.diff(force) <= 1e-9).all()
-    assert (np.diff(velocity) >= -1e-9).all()
-    assert force[0] > force[-1]
-    rng = np.random.default_rng(0)
-    for one in front:
-        best = one.weight * one.force**2 + (1 - one.weight) * one.velocity**2
-        for _ in range(200):  # no random choice within the ranges is better
-            values = np.exp(rng.uniform(np.log([0.1, 0.02, 0.005]), np.log([10.0, 0.6, 0.15])))
-            other = tune_transparency.__globals__["_distances"](
-                Scattering(values[0], values[1], 1.0, values[2], 0.5), 1.0
-            )
-            assert one.weight * other[0] ** 2 + (1 - one.weight) * other[1] ** 2 >= best - 1e-9
-    assert front[0].table().shape == (1, 8)
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -166,11 +146,6 @@ def test_tuner_trades_force_against_velocity():
         (lambda: rendered_impedance(Scattering(1.0), [np.nan]), "frequency must be finite"),
         (lambda: rendered_impedance(Scattering(1.0), [1.0], delay_1=-1.0), "negative"),
         (lambda: rendered_impedance(Scattering(1.0), [1.0], [1.0, 2.0]), "environment must be"),
-        (lambda: tune_transparency(Scattering(1.0), weight=2.0), "weight must lie in"),
-        (lambda: tune_transparency(Scattering(1.0), free=("c",)), "must be one of 'b', .* got 'c'"),
-        (lambda: tune_transparency(Scattering(1.0), free=()), "nothing to tune"),
-        (lambda: tune_transparency(Scattering(1.0), ranges={"b": (2.0, 1.0)}), "range of b"),
-        (lambda: tune_transparency(Scattering(1.0), impedance=0.0), "impedance must be positive"),
     ],
 )
 def test_bad_input_is_refused(make, words):

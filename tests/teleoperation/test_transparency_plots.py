@@ -3,13 +3,11 @@
 import matplotlib as mpl
 import numpy as np
 
-import trustlab as tl
 from trustlab.teleoperation import (
     STUDIES,
     plot_rendered_spring,
     plot_scales,
     plot_transparency,
-    plot_tunings,
     rendered_impedance,
 )
 
@@ -34,13 +32,9 @@ def test_maps_mark_both_studies():
     assert axes[1, 1].lines[1].get_xdata()[0] == ends.b
 
 
-def test_a_rendered_spring_and_what_tuning_trades():
+def test_a_rendered_spring():
     lines = plot_rendered_spring(delay=0.1).lines
     main = STUDIES["main"]
     omega = lines[2].get_xdata()
     felt = rendered_impedance(main.scattering, omega, main.k_ffa / (1j * omega), 0.1, 0.1)
     np.testing.assert_allclose(lines[2].get_ydata(), np.abs(felt), rtol=1e-12)
-    tunings = [tl.tune_transparency(main.scattering, weight) for weight in (0.2, 0.8)]
-    assert plot_tunings(tunings).lines[0].get_xdata().tolist() == [
-        one.table()["velocity"].item() for one in tunings
-    ]

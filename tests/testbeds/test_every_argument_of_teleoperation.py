@@ -36,7 +36,6 @@ LOOP = inspect.signature(
 ).parameters  # which `simulate_teleoperation` takes as well
 CALLS = (
     (tl.simulate_teleoperation, {"duration": 1.0}),
-    (tl.graded_teleoperators, {"n": 2}),
     (simulated_answers, {"session": RUN}),
     (experience, {"session": RUN}),
     (tl.TrackingTask, {}),

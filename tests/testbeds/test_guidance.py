@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.teleoperation import STUDIES, Delay, DivergenceError, GuidanceBudget
+from trustlab.teleoperation import STUDIES, Delay, DivergenceError, Guidance, GuidanceBudget
 from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds.uav_tracking import TASKS, TrackingTask
 
@@ -38,7 +38,7 @@ def jitter(seed, most):
     )
 
 
-def taken_at_random(guidance, guard, seed, seconds, **more):
+def taken_at_random(guidance, guard, seed, seconds, budget=None):
     """
     The energy [J] that the operator's port has taken by the end of each sample of a random run,
     from the logged signals.
@@ -65,13 +65,12 @@ def taken_at_random(guidance, guard, seed, seconds, **more):
             study,
             seed=seed,
             duration=seconds,
-            delay_1=delays[0],
-            delay_2=delays[1],
-            lost=rng.uniform(size=(2, count)) < 0.5,
-            guidance=guidance,
-            guard=guard,
-            push=rng.normal(size=(count, 3)) * rng.uniform(0.0, 3.0),
-            **more,
+            delay=tuple(delays),
+            guidance=Guidance(guidance, guard, budget),
+            given={
+                "arrives": rng.uniform(size=(2, count)).T >= 0.5,
+                "push": rng.normal(size=(count, 3)) * rng.uniform(0.0, 3.0),
+            },
         )
     except DivergenceError as error:
         run = error.session
@@ -96,8 +95,7 @@ def overspent(seed, guard="repay", budgeted=True, seconds=4.0):
     rng = np.random.default_rng([8, seed])
     energy, power = (0.0, *10.0 ** rng.uniform(-2.0, 0.5, 2), 0.0)[seed % 3 :][:2]
     budget = GuidanceBudget(energy, power)
-    more = {"budget": budget} if budgeted else {}
-    taken = taken_at_random("at_operator", guard, seed, seconds, **more)
+    taken = taken_at_random("at_operator", guard, seed, seconds, budget if budgeted else None)
     # From sample i to sample j the port gives out −(taken_j − taken_i), and may give out energy +
     # power (j − i) T: the greatest fall of what follows is at most `energy`.
     rise = np.concatenate([[0.0], taken + power * T * np.arange(1, taken.size + 1)])
@@ -134,7 +132,10 @@ def test_what_breaks_the_bound_of_a_budget():
 
 def test_a_budget_is_felt_and_is_off_by_default():
     budget = GuidanceBudget(energy=0.2, power=0.5)
-    runs = [tl.simulate_teleoperation("M", seed=1, duration=30.0, budget=b) for b in (None, budget)]
+    runs = [
+        tl.simulate_teleoperation("M", seed=1, duration=30.0, guidance=Guidance(budget=b))
+        for b in (None, budget)
+    ]
     before, felt = (tl.teleoperation_measures(run).iloc[0] for run in runs)
     assert before["guidance_felt"] < 0.6
     assert before["guarded"] > 0.95
@@ -149,7 +150,9 @@ def test_the_device_dissipates_no_more_than_its_operator_and_the_budget_supply()
     budget = GuidanceBudget(energy=0.5, power=2.0)
     study = replace(STUDIES["main"], k_ffa=600.0)
     for seed in range(3):
-        run = tl.simulate_teleoperation("M", study=study, seed=seed, duration=60.0, budget=budget)
+        run = tl.simulate_teleoperation(
+            "M", study=study, seed=seed, duration=60.0, guidance=Guidance(budget=budget)
+        )
         stored = run["energy_device"] + run["energy_dissipated"]
         allowed = run["energy_operator"] + budget.energy + budget.power * (run.t + T)
         assert (stored <= allowed + 1e-9).all()
@@ -157,8 +160,8 @@ def test_the_device_dissipates_no_more_than_its_operator_and_the_budget_supply()
 
 
 def test_a_budget_belongs_to_guidance_at_the_operator():
-    with pytest.raises(ValueError, match="budget is for guidance='at_operator'"):
-        tl.simulate_teleoperation("M", guidance="through_channel", budget=GuidanceBudget(1.0))
+    with pytest.raises(ValueError, match="budget is for guidance at_operator"):
+        Guidance("through_channel", budget=GuidanceBudget(1.0))
     with pytest.raises(ValueError, match="power must not be negative"):
         GuidanceBudget(1.0, -1.0)
 
@@ -187,7 +190,7 @@ def test_who_does_nothing_tracks_no_better_than_a_robot_at_rest(guidance, study,
 
 def test_the_exception_is_the_printed_guidance_without_its_guard_a_hidden_autopilot():
     run = tl.simulate_teleoperation(
-        "M", IDLE, duration=120.0, guidance="through_channel", guard="off"
+        "M", IDLE, duration=120.0, guidance=Guidance("through_channel", "off")
     )
     assert run["path_error"].mean() == pytest.approx(0.07, abs=0.005)
     assert at_rest(run) > 1.0
@@ -202,7 +205,7 @@ def test_the_exception_is_the_printed_guidance_without_its_guard_a_hidden_autopi
 
 def test_the_target_feeds_the_spring_with_force_times_velocity():
     run = tl.simulate_teleoperation(
-        "M", seed=3, duration=20.0, guidance="through_channel", guard="off"
+        "M", seed=3, duration=20.0, guidance=Guidance("through_channel", "off")
     )
     phase = np.random.default_rng(np.random.SeedSequence(3).spawn(5)[0]).uniform(0.0, 2.0 * np.pi)
     moving = TASKS["main"].path(run.t, 1.5, phase)[1]
@@ -215,16 +218,16 @@ def test_the_printed_controller_stops_the_operator_and_stiff_guidance_is_not_pas
     for stiffness in (0.0, 6.0, 60.0):
         study = replace(STUDIES["main"], k_ffa=stiffness)
         run = tl.simulate_teleoperation(
-            "M", study=study, seed=1, guidance="through_channel", guard="cancel"
+            "M", study=study, seed=1, guidance=Guidance("through_channel", "cancel")
         )
         errors.append(run["path_error"].mean())
     assert max(errors) - min(errors) < 0.02  # whatever the stiffness: nothing of it is left
     stiff = replace(STUDIES["main"], k_ffa=600.0)
     cancelled = tl.simulate_teleoperation(
-        "M", study=stiff, seed=1, guidance="through_channel", guard="cancel"
+        "M", study=stiff, seed=1, guidance=Guidance("through_channel", "cancel")
     )
     repaid = tl.simulate_teleoperation(
-        "M", study=stiff, seed=1, guidance="through_channel", guard="repay"
+        "M", study=stiff, seed=1, guidance=Guidance("through_channel", "repay")
     )
     assert cancelled["energy_robot"].min() < -0.5
     assert repaid["energy_robot"].min() > -1e-9
@@ -254,7 +257,7 @@ def test_no_force_towards_a_target_that_nobody_sees(view):
         return -6.0 * state.stretch
 
     run = tl.simulate_teleoperation(
-        "M", IDLE, seed=1, duration=30.0, task=task, feedback=spring, guard="off"
+        "M", IDLE, seed=1, duration=30.0, task=task, guidance=Guidance(guard="off", force=spring)
     )
     late = round(task.camera_delay / T)
     error = columns(run, "reference") - columns(run, "robot")

@@ -59,7 +59,7 @@ def test_figures_show_what_was_logged():
     # every energy is a line or named by one, and no line is hidden by another
     names = ",".join(str(line.get_label()) for panel in panels for line in panel.lines)
     assert sum(names.count(word) for word in ("supplied", "stored", "dissipated")) == 3
-    assert sum(names.count(word) for word in ("taken", "given")) == 4
+    assert sum(names.count(word) for word in ("taken", "given")) == 5
     curves = [line.get_ydata() for line in panels[1].lines[:-1]]
     for k, curve in enumerate(curves):
         for other in curves[:k]:

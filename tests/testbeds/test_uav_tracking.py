@@ -13,10 +13,11 @@ from scipy.integrate import solve_ivp
 from trustlab.allocation.blending import OptimalBlending
 from trustlab.models.uav import TransferFunction
 from trustlab.operators import Teleoperator
+from trustlab.teleoperation import DivergenceError
 from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.teleoperation.loop.settings import (
     STUDIES,
-    DivergenceError,
+    Guidance,
     LoopSettings,
     vehicle_matrices,
 )
@@ -42,23 +43,18 @@ def push(t):
     return np.column_stack([size * np.sin(rate * t) for size, rate in PUSH.values()])
 
 
-def driven(sample_time, delay, settings=UNIT, duration=4.0, **more):
+def driven(sample_time, delay, settings=UNIT, duration=4.0):
     """A run whose hand only holds still and is pushed by known forces."""
     t = sample_time * np.arange(round(duration / sample_time)) + 0.5 * sample_time
     return simulate_teleoperation(
         "M",
         STILL,
-        settings,
+        replace(settings, sample_time=sample_time),
         duration=duration,
-        sample_time=sample_time,
         task=TASK,
-        delay_1=delay,
-        delay_2=delay,
-        guard="off",
-        guidance="through_channel",
-        push=push(t),
-        read_out="interpolated",
-        **more,
+        delay=delay,
+        guidance=Guidance("through_channel", "off"),
+        given={"push": push(t)},
     ).data
 
 
@@ -192,7 +188,7 @@ def test_every_port_balances_and_no_block_gives_energy_away(scheme, guidance, st
     for seed in range(2):
         guard = ("repay", "cancel")[guidance == "through_channel"]
         data = simulate_teleoperation(
-            scheme, None, study, seed, 60.0, guidance=guidance, guard=guard
+            scheme, None, study, seed, 60.0, guidance=Guidance(guidance, guard)
         ).data
         held = data["energy_device"] + data["energy_dissipated"]
         np.testing.assert_allclose(held, supplied(data), rtol=1e-11, atol=1e-12 * held.max())
@@ -221,7 +217,7 @@ def test_stored_energy_is_bounded_under_bounded_force(scheme, seeds):
         rng = np.random.default_rng([44, seed])
         force = 4.0 * np.sign(np.repeat(rng.normal(size=(40, 3)), 150, axis=0))
         data = simulate_teleoperation(
-            scheme, STILL, study, seed=seed, duration=60.0, push=force / np.sqrt(3.0)
+            scheme, STILL, study, seed=seed, duration=60.0, given={"push": force / np.sqrt(3.0)}
         ).data
         settings = STUDIES[study]
         first, second = (
@@ -246,7 +242,7 @@ def tracking(scheme, study, seeds=12, **more):
 
 @pytest.mark.parametrize("study", STUDIES)
 def test_which_scheme_tracks_better_depends_on_the_printed_guidance_in_one_study(study):
-    printed = {"guidance": "through_channel", "guard": "cancel"}
+    printed = {"guidance": Guidance("through_channel", "cancel")}
     assert tracking("TMIG", study, **printed).mean() < tracking("M", study, **printed).mean()
     better = tracking("TMIG", study).mean() < tracking("M", study).mean()
     assert better == (study == "main")  # with the robot left to the operator
@@ -254,15 +250,16 @@ def test_which_scheme_tracks_better_depends_on_the_printed_guidance_in_one_study
 
 def test_the_printed_direction_of_the_force_is_active_and_without_a_guard_diverges():
     printed = replace(STUDIES["main"], printed_sign=True)
-    with pytest.raises(DivergenceError, match=r"diverged at t = .* in the .*energy"):
+    words = r"scheme TMIG: the (robot|channel|haptic device) diverged at sample \d+ \(.* s\); lower"
+    with pytest.raises(DivergenceError, match=words):
         simulate_teleoperation(
-            "TMIG", study=printed, guidance="through_channel", guard="off", seed=1
+            "TMIG", study=printed, guidance=Guidance("through_channel", "off"), seed=1
         )
 
 
 def test_without_the_guard_the_port_gives_energy_away():
     guarded, bare = (
-        simulate_teleoperation("TMIG", seed=2, guidance="through_channel", guard=guard)
+        simulate_teleoperation("TMIG", seed=2, guidance=Guidance("through_channel", guard))
         .data["energy_robot"]
         .min()
         for guard in ("cancel", "off")
@@ -272,7 +269,7 @@ def test_without_the_guard_the_port_gives_energy_away():
 
 
 def test_repaying_keeps_the_port_at_zero_or_above():
-    data = simulate_teleoperation("TMIG", seed=2, guidance="through_channel", guard="repay").data
+    data = simulate_teleoperation("TMIG", seed=2, guidance="through_channel").data
     assert data["energy_robot"].min() >= -1e-9
 
 
@@ -332,7 +329,7 @@ def test_the_hand_is_passive_for_a_fixed_wish():
 
 def flown(data, matrices):
     """Position, velocity and acceleration of the vehicle, run again from the logged commands."""
-    phi, gamma = matrices["phi"][0], matrices["gamma"][0]
+    phi, gamma = matrices
     command = np.stack(
         [data[f"r_s_{a}"] + (1 - data["alpha"]) * data[f"u_a_{a}"] for a in "xyz"], axis=1
     )
@@ -386,18 +383,18 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
         ({"task": 1}, ValueError, "task must be of class TrackingTask"),
         ({"duration": -1.0}, ValueError, "duration must be"),
         ({"duration": np.nan}, ValueError, "duration must be finite"),
-        ({"sample_time": 0.0}, ValueError, "sample_time must lie"),
         ({"seed": -1}, ValueError, "seed must be"),
-        ({"delay_1": -0.1}, ValueError, "negative"),
-        ({"delay_1": 200.0}, ValueError, "longer than the run"),
-        ({"delay_1": 0.0, "delay_2": 0.1}, ValueError, "must both be zero"),
-        ({"delay_1": 0.005}, ValueError, "at least one sample"),
-        ({"alpha": np.full(12000, 0.05)}, ValueError, "alpha must lie in"),
-        ({"alpha": np.ones(5)}, ValueError, "alpha must have shape"),
-        ({"push": np.full((12000, 3), np.nan)}, ValueError, "push must be finite, but sample 0"),
-        ({"push": np.ones(3)}, ValueError, "push must have shape"),
-        ({"guard": "maybe"}, ValueError, "guard must be one of"),
-        ({"read_out": "maybe"}, ValueError, "read_out must be one of"),
+        ({"delay": (-0.1, None)}, ValueError, "delay to the robot: .*negative"),
+        ({"delay": (None, 200.0)}, ValueError, "delay back: .*longer than the run"),
+        ({"delay": (0.0, 0.1)}, ValueError, "must both be zero"),
+        ({"delay": (0.005, None)}, ValueError, "at least one sample"),
+        ({"delay": (0.1, 0.1, 0.1)}, ValueError, "one for both ways, or"),
+        ({"given": {"alpha": np.full(12000, 0.05)}}, ValueError, "alpha must lie in"),
+        ({"given": {"alpha": np.ones(5)}}, ValueError, "alpha must have one row for each of 12000"),
+        ({"given": {"push": np.full((12000, 3), np.nan)}}, ValueError, "push .* but sample 0 is"),
+        ({"given": {"push": np.ones(3)}}, ValueError, r"push must have shape \(N, 3\)"),
+        ({"given": {"alfa": np.ones(5)}}, ValueError, "did you mean 'alpha'"),
+        ({"given": 3}, ValueError, "given must map names of signals to arrays, got 3"),
         ({"guidance": "by_hand"}, ValueError, "guidance must be one of"),
         ({"guidance": "tank"}, ValueError, "guidance must be one of"),
         ({"vehicle": (1, 2)}, ValueError, "three transfer functions"),
@@ -409,6 +406,20 @@ def test_bad_input_is_refused_before_the_run(arguments, error, words):
 
 
 @pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"where": "by_hand"}, "where must be one of"),
+        ({"guard": "maybe"}, "guard must be one of"),
+        ({"budget": 0.2}, "budget must be of class GuidanceBudget"),
+        ({"force": 3.0}, "force must be a function of the state, got 3.0"),
+    ],
+)
+def test_bad_guidance_is_refused(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        Guidance(**arguments)
+
+
+@pytest.mark.parametrize(
     ("change", "error", "words"),
     [
         ({"mass": 1.0, "weight": 60.0}, PassivityError, "not r-passive"),
@@ -416,6 +427,7 @@ def test_bad_input_is_refused_before_the_run(arguments, error, words):
         ({"window": 0.0}, ValueError, "window must be positive"),
         ({"scattering": 1.0}, ValueError, "must be of class Scattering"),
         ({"steepness": 1.0}, ValueError, "at least 10"),
+        ({"sample_time": 0.0}, ValueError, "sample_time must lie"),
         ({"human_to_robot": 1.0}, ValueError, "must be of class TrustModel"),
     ],
 )
@@ -432,7 +444,7 @@ def test_a_heavy_device_with_the_preliminary_gains_dissipates_negative_energy():
 
 def test_an_unstable_vehicle_stops_the_run_with_time_and_block():
     unstable = (TransferFunction(1.0, (-3.0,)),) * 3
-    with pytest.raises(DivergenceError, match="in the robot"):
+    with pytest.raises(DivergenceError, match="the robot diverged at sample"):
         simulate_teleoperation("M", vehicle=unstable)
 
 

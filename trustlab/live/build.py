@@ -77,7 +77,7 @@ def sources_digest() -> str:
     from trustlab.teleoperation.team import kernel
 
     texts: dict[str, str] = {}
-    for function, _ in (tick.ENTRIES | flown.ENTRIES | flown.PARTS | led.ENTRIES).values():
+    for function, _ in (tick.ENTRIES | flown.ENTRIES | led.ENTRIES).values():
         sources(function, texts)
     for function in (
         noise.uniform,
@@ -85,7 +85,7 @@ def sources_digest() -> str:
     ):  # methods of a record there, so that no name leads to them
         sources(function, texts)
     kinds = [tick.TASK, tick.ROBOT, tick.FORCING, tick.STATE, tick.LOG, noise.HASHED]
-    kinds += [flown.ADDRESSES, flown.HAND, flown.SETUP, flown.STATE, flown.INPUT, flown.HISTORY]
+    kinds += [flown.ADDRESSES, flown.HAND, flown.NUMBERS, flown.STATE, flown.INPUT, flown.SAMPLE]
     kinds += [led.ADDRESSES, led.LEAD, led.FOLLOWER, led.ROW, led.ACCOUNT]
     kinds += [kernel.NUMBERS, kernel.ROBOT, kernel.INPUT, kernel.SAMPLE, kernel.STATE]
     records = [repr(kind) for kind in kinds]
@@ -140,22 +140,6 @@ def llvm_ir(name: str, function: Any, signature: Any) -> str:
     return ir.replace(f'@"{full}"(', f"@{name}(").replace(f"@{full}(", f"@{name}(")
 
 
-def part_ir(name: str, function: Any, signature: Any) -> str:
-    """Return the IR of a part of a loop, which is called with two pointers and returns nothing."""
-    ir = llvm_ir(f"{name}_status", function, signature)
-    return (
-        ir
-        + f"""
-define void @{name}(ptr %state, ptr %setup) {{
-  %value = alloca ptr
-  %error = alloca ptr
-  %status = call i32 @{name}_status(ptr %value, ptr %error, ptr %state, ptr %setup)
-  ret void
-}}
-"""
-    )
-
-
 def linker() -> list[str]:
     """Return the command of a linker of WebAssembly."""
     from importlib.util import find_spec
@@ -181,7 +165,6 @@ def build() -> None:
     target = llvm.Target.from_triple("wasm32-unknown-unknown")
     entries = tick.ENTRIES | flown.ENTRIES | led.ENTRIES
     texts = {name: llvm_ir(name, *entry) for name, entry in entries.items()}
-    texts |= {name: part_ir(name, *part) for name, part in flown.PARTS.items()}
     with tempfile.TemporaryDirectory() as folder:
         objects = []
         for name, ir in texts.items():
@@ -196,8 +179,6 @@ def build() -> None:
         options = [
             "--no-entry",
             "--export=__heap_base",
-            "--export-table",
-            "--growable-table",
             "--gc-sections",
             "--strip-all",
             "-z",

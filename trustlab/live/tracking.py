@@ -16,16 +16,11 @@ from trustlab.live.ground_robot import module_of
 from trustlab.models.checks import between, finite_array, flag, not_negative, of_class
 from trustlab.models.digest import digest
 from trustlab.models.extras import extra
+from trustlab.models.simulation import DivergenceError, PartError
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.delays import Delay
 from trustlab.teleoperation.loop.schemes import Scheme, scheme_named
-from trustlab.teleoperation.loop.settings import (
-    DivergenceError,
-    LoopSettings,
-    PartError,
-    study_named,
-)
+from trustlab.teleoperation.loop.settings import Guidance, LoopSettings, study_named
 from trustlab.testbeds.uav_tracking import TASKS, TeleoperationLoop, TrackingTask
 
 with extra("live"):
@@ -203,13 +198,11 @@ class LiveTracking(anywidget.AnyWidget):
         is refused.
     study : {"preliminary", "main"} or LoopSettings
         Printed settings, or own ones.
-    guidance : {"at_operator", "through_channel"}
-        How the guiding force reaches the device.
-    guard : {"repay", "cancel", "off"}
-        The passivity controllers of the guidance.
-    delay : float, callable or Delay, optional
-        Delay both ways [s]; random walks of the study when not given. The kernel's round trip comes
-        on top.
+    guidance : {"at_operator", "through_channel"} or Guidance
+        How the guiding force reaches the device, and what keeps it passive.
+    delay : float, callable, Delay, or a pair of these, optional
+        Delay both ways [s], or (to the robot, back); random walks of the study when not given. The
+        kernel's round trip comes on top.
     seed : int or numpy.random.SeedSequence
         Of the path's start, losses of the target, and delays.
     duration : float
@@ -273,9 +266,8 @@ class LiveTracking(anywidget.AnyWidget):
         self,
         scheme: str | Scheme = "TMIG",
         study: str | LoopSettings = "main",
-        guidance: str = "at_operator",
-        guard: str = "repay",
-        delay: float | Any | Delay | None = None,
+        guidance: str | Guidance = "at_operator",
+        delay: Any = None,
         seed: int | np.random.SeedSequence = 0,
         duration: float = 120.0,
         participant: str | int = "me",
@@ -290,7 +282,6 @@ class LiveTracking(anywidget.AnyWidget):
             "seed": seed,
             "task": of_class("task", TASKS[settings.study] if task is None else task, TrackingTask),
             "guidance": guidance,
-            "guard": guard,
             "delay": delay,
         }
         self.vibration, self.run = flag("vibration", vibration), HandDrivenLoop(duration, arguments)

@@ -7,6 +7,8 @@ from typing import Any
 import numba
 import numpy as np
 
+from trustlab.models.checks import did_you_mean
+
 # What a kernel returns in place of a block where the run comes to its end.
 END = -2
 
@@ -22,6 +24,59 @@ class DivergenceError(ArithmeticError):
     """
 
     session: Any = None
+
+
+class PartError(ValueError):
+    """
+    A part of a simulation raised an error or returned what cannot be; the message says which and
+    when. `.session` holds the run so far, where two samples were done.
+    """
+
+    session: Any = None
+
+
+class View:
+    """
+    Records by name: numbers as Python's, vectors as arrays over the same memory. Nothing can be
+    written through it, so that no function changes what the guards rely on.
+
+    `memory` is a dictionary for whoever reads: empty at the start of a run.
+    """
+
+    def __init__(self, records: np.ndarray):
+        self.__dict__.update(_records=records, _numbers={}, memory={})
+        self._add(records)
+
+    def _add(self, records: np.ndarray) -> None:
+        for name in records.dtype.names:
+            part = records[name]
+            part.flags.writeable = False
+            if part.dtype.names:
+                self._add(part)
+            elif part.ndim > 1:
+                self.__dict__[name] = part[0]
+            else:
+                self._numbers[name] = part.data
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self._numbers[name][0]
+        except KeyError:
+            names = [*self._numbers, *self.__dict__]
+            hint = did_you_mean(name, [each for each in names if not each.startswith("_")])
+            raise AttributeError(f"the state has no {name!r}{hint}") from None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"{name} is read only: return what is to be set, or use state.memory")
+
+    def __getitem__(self, name: str) -> Any:
+        return getattr(self, name)
+
+    def copy(self) -> "View":
+        """Return the state as it is now, which later samples do not change."""
+        same = View(self._records.copy())
+        same.memory.update(self.memory)
+        return same
 
 
 @dataclass(eq=False)
@@ -104,10 +159,7 @@ class Simulation:
 
     def __post_init__(self):
         arguments = 0, 0, self.setup, self.state, self.inputs, self.log
-        key = self.kernel, _kinds(arguments)
-        if key not in COMPILED:
-            COMPILED[key] = self.kernel.compile(tuple(map(numba.typeof, arguments)))
-        self._compiled = COMPILED[key]
+        self._compiled = compiled_for(self.kernel, *arguments)
         self._compiled(*arguments)
 
     def advance(self, stop: int) -> None:
@@ -142,6 +194,14 @@ class Simulation:
                     f"{self.blocks[block]} diverged at sample {self.done}{seconds}"
                 )
             self.ended = block == END
+
+
+def compiled_for(function: Any, *arguments: Any) -> Callable:
+    """Return a compiled function as it is called with arguments of these types, and no others."""
+    key = function, *map(_kinds, arguments)
+    if key not in COMPILED:
+        COMPILED[key] = function.compile(tuple(map(numba.typeof, arguments)))
+    return COMPILED[key]
 
 
 def _kinds(value: Any) -> Any:

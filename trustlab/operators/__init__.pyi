@@ -14,5 +14,4 @@ from .teleoperator import (
     REACH as REACH,
     TELEOPERATOR_ASSUMPTIONS as TELEOPERATOR_ASSUMPTIONS,
     Teleoperator as Teleoperator,
-    graded_teleoperators as graded_teleoperators,
 )

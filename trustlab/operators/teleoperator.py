@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import between, not_negative, one_of, positive, spawned, whole_number
+from trustlab.models.checks import between, not_negative, one_of, positive
 from trustlab.operators.ground_robot import check_participant
 from trustlab.teleoperation.loop.kernel import LAWS
-from trustlab.teleoperation.loop.parts import HAND
+from trustlab.teleoperation.loop.records import HAND
 from trustlab.teleoperation.records import filled
 
 # Largest command [m/s] that operators of each study ask for, above the speed of its target.
@@ -74,8 +74,8 @@ class Teleoperator:
         Neuromuscular lag: time constant of the hand's wish [s].
     reach : float
         Largest command wanted [m/s] on each axis, before `compensation`.
-    stiffness, damping : float
-        Of the hand [N/m], [N s/m].
+    mass, stiffness, damping : float
+        Of the arm that holds the device [kg], [N/m], [N s/m]; massless when not given.
     noise : float
         Standard deviation of motor noise [N] at rest; it grows with the command.
     noise_time : float
@@ -150,6 +150,7 @@ class Teleoperator:
     adaptation: float = 10.0
     allocation_cost: float = 0.0
     fatigue: float = 0.0
+    mass: float = 0.0
 
     def __post_init__(self):
         check_participant(self.participant)
@@ -230,59 +231,3 @@ def assumed(row: Mapping[str, Any], assumptions: dict[str, float], place: float)
         "law": "crossover" if place < assumptions["adapting"] else "proportional",
     }
     return dict(row) | changed
-
-
-def graded_teleoperators(
-    n: int, seed: int = 0, study: str = "main", law: str = "proportional"
-) -> list[Teleoperator]:
-    """
-    Return simulated operators of graded skill.
-
-    Operator i has the grade g = (i + ½)/n. Each property lies at the share q = ½(g + u) of its
-    range in `RANGES`, with u uniform in [0, 1] and drawn for every property apart, so that the
-    better operator is not better in everything. The patience of moving α by hand is uniform in 2 to
-    4 s and owes nothing to skill. Nothing was chosen for any outcome.
-
-    Parameters
-    ----------
-    n : int
-        How many, 1 to 100 000.
-    seed : int
-        Seed of u; operator i has a stream of its own.
-    study : {"preliminary", "main"}
-        Sets the largest command.
-    law : {"proportional", "crossover"}
-        As of `Teleoperator`. With "crossover" ω_c is 0.6 rad over reaction, lag and 0.3 s of camera
-        and channel: who is quicker can follow more closely. With "proportional" the gains are so
-        low that reaction, lag and noise hardly matter.
-
-    Returns
-    -------
-    list of Teleoperator
-        Participants 1 to n, from the least to the most skilled grade.
-
-    Raises
-    ------
-    ValueError
-        If `n` or `seed` is not a whole number, or the study is unknown.
-
-    Examples
-    --------
-    >>> [person.participant for person in graded_teleoperators(3)]
-    [1, 2, 3]
-    """
-    n, seed = whole_number("n", n, most=100_000), whole_number("seed", seed, least=0)
-    one_of("study", study, REACH)
-    one_of("law", law, LAWS)
-    people = []
-    for i, child in enumerate(spawned(seed, n)):
-        draws = np.random.default_rng(child).uniform(size=len(RANGES) + 1)
-        shares = 0.5 * ((i + 0.5) / n + draws[:-1])
-        skill = {
-            name: float(low + (high - low) * share)
-            for (name, (low, high)), share in zip(RANGES.items(), shares, strict=True)
-        }
-        patience = float(2.0 + 2.0 * draws[-1])
-        skill["crossover"] = MARGIN / (skill["reaction"] + skill["lag"] + ON_THE_WAY)
-        people.append(Teleoperator(i + 1, reach=REACH[study], patience=patience, law=law, **skill))
-    return people

@@ -20,12 +20,12 @@ from .filters import (
     printed_filter as printed_filter,
     sinusoid_energy as sinusoid_energy,
 )
+from .loop.hooks import DivergenceError as DivergenceError, PartError as PartError
 from .loop.schemes import SCHEMES as SCHEMES, Scheme as Scheme
 from .loop.settings import (
     STUDIES as STUDIES,
-    DivergenceError as DivergenceError,
+    Guidance as Guidance,
     LoopSettings as LoopSettings,
-    PartError as PartError,
 )
 from .ports.budget import GuidanceBudget as GuidanceBudget
 from .ports.device import HapticDevice as HapticDevice, PassivityError as PassivityError
@@ -54,14 +54,11 @@ from .team.settings import (
     TeamTrial as TeamTrial,
 )
 from .transparency import (
-    Tuning as Tuning,
     dominance as dominance,
     gains as gains,
     ideal_distances as ideal_distances,
     plot_rendered_spring as plot_rendered_spring,
     plot_scales as plot_scales,
     plot_transparency as plot_transparency,
-    plot_tunings as plot_tunings,
     rendered_impedance as rendered_impedance,
-    tune_transparency as tune_transparency,
 )

@@ -3,20 +3,16 @@ How near the channel comes to passing forces and velocities on unchanged (Sectio
 it, and their figures.
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import (
-    between,
     finite_array,
     finite_number,
     not_negative,
     of_class,
-    one_of,
-    positive,
 )
 from trustlab.models.display import axes_or_new
 from trustlab.models.trust import LogisticScaling, StepScaling
@@ -193,142 +189,6 @@ def rendered_impedance(
     return beta * (s.b + near.arriving * arriving)
 
 
-@dataclass(frozen=True, eq=False)
-class Tuning:
-    """
-    A compromise between force and velocity transparency.
-
-    Parameters
-    ----------
-    scattering : Scattering
-        The parameters chosen.
-    force, velocity : float
-        Distances from ideal of what the operator feels and of what the robot does, 0 at best.
-    weight : float
-        Share of force in the compromise.
-    """
-
-    scattering: Scattering
-    force: float
-    velocity: float
-    weight: float
-
-    def table(self):
-        """Return one row: weight, force, velocity and the parameters."""
-        row = {"weight": self.weight, "force": self.force, "velocity": self.velocity}
-        return pd.DataFrame([row | {name: getattr(self.scattering, name) for name in PARAMETERS}])
-
-
-def _distances(scattering: Scattering, impedance: float) -> tuple[float, float]:
-    """
-    Return how far force and velocity are from ideal: gains on a logarithmic scale, leaks against
-    `impedance`.
-    """
-    gain = gains(scattering)
-    alpha, beta = scattering.alpha_max, scattering.beta_max
-    force = np.hypot(np.log(gain["force"] / beta), gain["drag"] / (beta * impedance))
-    velocity = np.hypot(np.log(gain["velocity"] / alpha), gain["drift"] * impedance / alpha)
-    return float(force), float(velocity)
-
-
-def tune_transparency(
-    scattering: Scattering,
-    weight: float = 0.5,
-    free: tuple[str, ...] = ("b", "alpha_min", "beta_min"),
-    ranges: dict[str, tuple[float, float]] | None = None,
-    impedance: float = 1.0,
-) -> Tuning:
-    """
-    Choose parameters of the channel between force and velocity transparency; it stays passive by
-    Theorem 3.
-
-    Force: f_m should be β f_s and free of drag. Velocity: r_s should be α r_m and free of drift.
-    Gains count by the logarithm of what they miss, leaks against a typical impedance. The search is
-    deterministic.
-
-    Parameters
-    ----------
-    scattering : Scattering
-        Where to start; what is not free stays.
-    weight : float
-        Share of force, in [0, 1].
-    free : tuple of str
-        Which of b, alpha_min, alpha_max, beta_min, beta_max may change.
-    ranges : dict of str to (float, float), optional
-        Allowed ranges; b in [0.1, 10] and the bounds within a factor of ten below and up to three
-        above, never past (3.1), when not given.
-    impedance : float
-        Typical impedance of the robot's port [N s/m], positive.
-
-    Returns
-    -------
-    Tuning
-        With `.scattering`, `.force`, `.velocity` and `.table()`.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown, a range is empty or breaks (3.1), or weight or impedance is out of
-        range.
-
-    Examples
-    --------
-    >>> import trustlab as tl
-    >>> scattering = tl.Scattering(b=2.0, alpha_min=0.2, alpha_max=1.0, beta_min=0.05, beta_max=0.5)
-    >>> tuning = tl.tune_transparency(scattering)
-    >>> tuning.table().round(3)
-       weight  force  velocity    b  alpha_min  alpha_max  beta_min  beta_max
-    0     0.5  0.564     0.734  1.0      0.419        1.0      0.15       0.5
-    """
-    from scipy.optimize import differential_evolution, minimize
-
-    start = of_class("scattering", scattering, Scattering)
-    weight, impedance = between("weight", weight, 0.0, 1.0), positive("impedance", impedance)
-    free = tuple(free)
-    for name in (*free, *(ranges or {})):
-        one_of("a name in free or ranges", name, PARAMETERS)
-    if not free:
-        raise ValueError(f"free names nothing to tune; choose from {', '.join(PARAMETERS)}")
-    box = []
-    for name in free:
-        value = getattr(start, name)
-        usual = (
-            (0.1, 10.0)
-            if name == "b"
-            else (value / 10.0, min(3.0 * value, 1.0 if "alpha" in name else np.inf))
-        )
-        low, high = (finite_number(name, x) for x in (ranges or {}).get(name, usual))
-        if not 0.0 < low < high or ("alpha" in name and high > 1.0):
-            raise ValueError(
-                f"range of {name} must be positive, increasing, and within (3.1), got ({low}, "
-                f"{high})"
-            )
-        box.append((np.log(low), np.log(high)))
-
-    def at(logarithms) -> Scattering | None:
-        values = dict(zip(free, np.exp(logarithms).tolist(), strict=True))
-        try:
-            return replace(start, **values)
-        except ValueError:
-            return None  # a lower bound above its upper bound
-
-    def cost(logarithms) -> float:
-        candidate = at(logarithms)
-        if candidate is None:
-            return 1e6
-        force, velocity = _distances(candidate, impedance)
-        return weight * force**2 + (1.0 - weight) * velocity**2
-
-    coarse = differential_evolution(
-        cost, box, seed=0, popsize=20, tol=1e-10, polish=False, maxiter=400
-    )
-    fine = minimize(
-        cost, coarse.x, method="Nelder-Mead", bounds=box, options={"xatol": 1e-9, "fatol": 1e-13}
-    )
-    best = at(fine.x if fine.fun <= coarse.fun else coarse.x)
-    return Tuning(best, *_distances(best, impedance), weight)
-
-
 def _scales(scattering: Scattering, alpha, beta) -> tuple[float, float]:
     alpha = scattering.alpha_max if alpha is None else finite_number("alpha", alpha)
     beta = scattering.beta_max if beta is None else finite_number("beta", beta)
@@ -447,38 +307,4 @@ def plot_rendered_spring(
         title="rendered impedance of a spring",
     )
     ax.legend(fontsize="small", loc="lower left")
-    return ax
-
-
-def plot_tunings(tunings: Iterable[Tuning], ax=None):
-    """
-    Plot the trade-off between tunings with several weights: how far velocity and force are from
-    ideal.
-
-    Parameters
-    ----------
-    tunings : iterable of Tuning
-        Results of `tune_transparency`.
-    ax : matplotlib.axes.Axes, optional
-        Axes to draw on; a new figure by default.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-    """
-    ax, rows = axes_or_new(ax), [next(tuning.table().itertuples()) for tuning in tunings]
-    ax.plot([row.velocity for row in rows], [row.force for row in rows], "o-")
-    for row in rows:
-        ax.annotate(
-            f"{row.weight:g}",
-            (row.velocity, row.force),
-            xytext=(5, 4),
-            textcoords="offset points",
-            fontsize=8,
-        )
-    ax.set(
-        xlabel="distance of velocity from ideal",
-        ylabel="distance of force",
-        title="what the tuner trades",
-    )
     return ax

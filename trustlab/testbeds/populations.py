@@ -557,8 +557,7 @@ def following_operator(participant: int | str) -> tuple[Operator, TscModel, tupl
 @dataclass(frozen=True)
 class TeleoperatorPopulation:
     """
-    Operators of the haptic device: skill uniform in [0, 1], properties about it as in
-    `graded_teleoperators`.
+    Operators of the haptic device: skill uniform in [0, 1], and properties about it.
 
     Each property lies at the share ½ (g + u) of its range in
     `trustlab.operators.teleoperator.RANGES`, where g is the skill and u is uniform in [0, 1] and

@@ -16,12 +16,10 @@ from trustlab.models.checks import (
     spawned,
     whole_number,
 )
-from trustlab.models.simulation import DivergenceError, Simulation
+from trustlab.models.simulation import DivergenceError, PartError, Simulation, View
 from trustlab.models.trust import trust_run, trust_step
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.filters import WaveFilter, passivity_margin
-from trustlab.teleoperation.loop.parts import View
-from trustlab.teleoperation.loop.settings import PartError
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.records import filled, robot_numbers, signal
 from trustlab.teleoperation.team import kernel
@@ -308,7 +306,7 @@ class TeamLoop:
         self.simulation = Simulation(
             kernel.lead_team, *records, self._decide, per_decision, kernel.BLOCKS, T
         )
-        self.state = View(state.now, kernel.LOG)
+        self.state = View(state.now)
 
     @property
     def t(self) -> float:

@@ -20,6 +20,7 @@ ENERGIES = (
     "energy_robot",
     "energy_port",
     "energy_target",
+    "energy_guidance",
 )
 
 # A share this close to 1 is 1 but for rounding: the passivity controller did not act.
@@ -37,6 +38,7 @@ PORT_ENERGIES = {
     "energy_dissipated": "dissipated in the device",
     "energy_channel": "taken by the channel",
     "energy_robot": "taken by the robot's port",
+    "energy_guidance": "taken by the guidance",
     "energy_port": "taken by the operator's port",
     "energy_target": "given by the moving target",
 }
@@ -58,9 +60,10 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
         participant, scheme, synthetic; tracking_error, worst_error (mean and greatest distance to
         the target [m]); p_r, p_h, alpha, beta (means); alpha_rate (mean ``|dα/dt|`` [1/s]);
         hand_force (mean ‖f_h‖ [N]); guidance_felt (mean ‖f_m − β b r_m‖, what the device renders
-        beyond the channel's own damping [N]); energy_operator, energy_dissipated, energy_target (at
-        the end [J]); energy_channel_min, energy_robot_min, energy_port_min (least values [J]);
-        guarded (share of samples in which the passivity controller acted, by more than rounding);
+        beyond the channel's own damping [N]); energy_operator, energy_dissipated, energy_target,
+        energy_guidance (at the end [J]); energy_channel_min, energy_robot_min, energy_port_min
+        (least values [J]); guarded (share of samples in which the passivity controller acted, by
+        more than rounding);
         port_share (mean share of the port's velocity that it let pass, 1 where it rests).
 
     Raises
@@ -112,7 +115,7 @@ def _measures(run: Session) -> dict[str, object]:
         "guidance_felt": np.sqrt(sum(run[f"guide_{axis}"] ** 2 for axis in "xyz")).mean(),
         **{
             f"energy_{name}": run[f"energy_{name}"][-1]
-            for name in ("operator", "dissipated", "target")
+            for name in ("operator", "dissipated", "target", "guidance")
         },
         **{
             f"energy_{name}_min": run[f"energy_{name}"].min()

@@ -3,13 +3,12 @@ A UAV that follows a ground robot through a teleoperation loop: a simulated stan
 and 3.15.
 
 The task (a target on a closed path, a controller that loses it, the vehicle flown), the loop that
-is stepped or run, and what is drawn at random. One sample is `advance` in
-`teleoperation/loop/kernel.py`; the state, and parts that a user may replace, are in `parts.py`
-beside it.
+is stepped or run, and what is drawn at random. One sample is `teleoperate` in
+`teleoperation/loop/kernel.py`; how functions of one's own are asked is in `hooks.py` beside it.
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,41 +23,41 @@ from trustlab.models.checks import (
     of_class,
     one_of,
     positive,
+    shown,
     spawned,
 )
-from trustlab.models.uav import PRINTED_UAV, TransferFunction
+from trustlab.models.simulation import DivergenceError, PartError, Simulation, View, compiled_for
+from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
-from trustlab.teleoperation.channel import lost_waves
 from trustlab.teleoperation.delays import Delay, delays_in_samples, random_walk_delay
 from trustlab.teleoperation.filters import first_order
-from trustlab.teleoperation.loop import kernel
-from trustlab.teleoperation.loop.parts import (
+from trustlab.teleoperation.loop.hooks import asking, is_state_space, state_space
+from trustlab.teleoperation.loop.kernel import BLOCKS, DIRECT, LAWS, SIGNALS, WAVES, teleoperate
+from trustlab.teleoperation.loop.records import (
     AUTONOMY,
     COLUMNS,
-    HISTORY,
+    DECIDED,
     INPUT,
-    LOG,
-    PORTS,
-    View,
-    part_of,
+    SAMPLE,
+    LoopSetup,
+    LoopState,
 )
-from trustlab.teleoperation.loop.schemes import Scheme, by_hand, optimal, scheme_named
+from trustlab.teleoperation.loop.schemes import RULES, Scheme, optimal_share, scheme_named
 from trustlab.teleoperation.loop.settings import (
-    DivergenceError,
+    Guidance,
     LoopSettings,
-    PartError,
     blending_cost,
-    setup_of,
+    guidance_named,
+    hold_device,
+    numbers_of,
     state_of,
     study_named,
     vehicle_matrices,
-    vehicle_of,
 )
-from trustlab.teleoperation.ports.budget import GuidanceBudget
-from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
-from trustlab.teleoperation.ports.passivity import METHODS
-from trustlab.teleoperation.records import filled, log_of, signal
+from trustlab.teleoperation.ports.ledger import accounts
+from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.records import filled
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
@@ -68,6 +67,8 @@ NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
 BLOCK = 60.0
 # How far away a live hand is taken to be at the most [m], far beyond any device.
 FARTHEST_HAND = 10.0
+
+WIDTH = len(COLUMNS)
 
 
 def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
@@ -121,6 +122,8 @@ class TrackingTask:
         Half the width of the camera's picture [m], which shows operator and controller the target
         from above; without bound when not given (10⁶ m). A target that leaves it is lost until it
         is back: the operator looks where it was last seen, the controller hovers.
+    autonomy : callable, optional
+        f(state) → u_a [m/s], shape (3,), in place of the PID controller on `state.picture`.
 
     Raises
     ------
@@ -147,13 +150,16 @@ class TrackingTask:
     derivative: float = 0.1
     reach: float = 1.5
     view: float = 1e6
+    autonomy: Callable | None = None
 
     def __post_init__(self):
         may_be_zero = ("speed", "camera_delay", "proportional", "integral", "derivative")
-        for name in self.__dataclass_fields__:
+        for name in set(self.__dataclass_fields__) - {"autonomy"}:
             check = not_negative if name in may_be_zero else positive
             object.__setattr__(self, name, check(name, getattr(self, name)))
         between("view", self.view, 0.0, 1e6)
+        if self.autonomy is not None and not callable(self.autonomy):
+            raise ValueError(f"autonomy must be a function of the state, got {self.autonomy!r:.80}")
 
     def controller(self, sample_time: float) -> np.void:
         """
@@ -207,7 +213,6 @@ TASKS = {
 DELAYS = {"preliminary": (0.1, 0.8), "main": (0.03, 0.2)}
 
 
-@dataclass(eq=False)
 class TeleoperationLoop:
     """
     One operator, one robot and what is between them (Fig. 3.1), stepped or run.
@@ -225,59 +230,34 @@ class TeleoperationLoop:
     seed : int or numpy.random.SeedSequence
         Streams for the path's start, losses of the target, motor noise and delays are spawned from
         it.
-    sample_time : float
-        T [s]; 0.01 as printed.
     task : TrackingTask, optional
-        The target; the study's own when not given.
-    delay : float, callable or Delay, optional
-        Delay both ways [s], in place of `delay_1` and `delay_2`.
-    delay_1, delay_2 : float, callable or Delay, optional
-        Delay to the robot and back [s]; random walks of the study when not given. Both zero: no
-        channel in between. A pair (sent, received) of times is a trace of packets, see
-        `packet_delay`.
-    read_out : {"ledger", "interpolated", "hold"}
-        How delayed waves are read, see `channel_run`.
-    guidance : {"at_operator", "through_channel"}
-        How the guiding force reaches the operator. "at_operator": β times the force is rendered at
-        the haptic device, from the camera's picture; it spends energy that the operator's port has
-        earned, and the robot does what the operator commands. "through_channel": as printed, the
-        force is at the robot's port, (3.17)-(3.22).
-    guard : {"repay", "cancel", "off"}
-        The passivity controllers of the guidance: "repay" lets no port end a sample below zero;
-        "cancel", as printed, undershoots by at most one sample's power at a time; "off" shows what
-        they are for.
-    budget : GuidanceBudget, optional
-        What guidance at the operator may give out beyond what its port took, so that it is felt; in
-        its place, when not given, is all that the port has earned since the start.
-    trust : callable, optional
-        f(state) → (T_hr, T_rh) a sample later; (3.2) and (3.3) when not given. Like every function
-        here, it may take 16 numbers of its own as a second argument, and is compiled where numba
-        can, else called in Python. Or a model of `trustlab.trust` in place of (3.2), one trial a
-        second; `trust.TrustInLoop` sets how long a trial is.
-    feedback : callable, optional
-        f(state) → guiding force [N], shape (3,); −k_ffa e when not given, e being `state.stretch`.
-    autonomy : callable, optional
-        f(state) → u_a [m/s], shape (3,); the task's PID controller on `state.picture` when not
-        given.
+        The target, and the controller that follows it; the study's own when not given.
+    delay : float, callable, Delay, or a pair of these, optional
+        Delay both ways [s], or (to the robot, back); random walks of the study where None. Zero: no
+        channel in between. `packet_delay(sent, received)` is that of a recorded network.
+    guidance : {"at_operator", "through_channel"} or Guidance
+        How the guiding force reaches the operator, and what keeps it passive.
     vehicle : three TransferFunction, callable or (A, B, C), optional
         Command to velocity per axis; `tracking_vehicle()` when not given. Or f(state) → position
         [m] and velocity [m/s] a sample later, shape (3,) each, under `state.command`. Or the
         matrices of a discrete state space, x' = A x + B u and (position, velocity) = C x', with x =
-        0 where it starts.
-    alpha : array_like, shape (N,), optional
-        α given from outside; NaN where the scheme sets it. Scheme OMI sets it by `OptimalBlending`
-        for the vehicle in use and the PD part of its controller.
-    push : array_like, shape (N, 3), optional
-        Force [N] added to the hand's.
-    lost : array_like of bool, shape (2, N), optional
-        Waves that never arrive, to the robot and back.
+        0 where it starts. Scheme OMI predicts with three TransferFunction.
+    trust : callable, TrustDynamics or TrustInLoop, optional
+        f(state) → (T_hr, T_rh) a sample later; (3.2) and (3.3) when not given. Or a model of
+        `trustlab.trust` in place of (3.2), one trial a second; `trust.TrustInLoop` sets how long a
+        trial is.
+    given : mapping of str to array_like, optional
+        Signals that come from outside, a row for each sample, NaN where the loop decides: `alpha`,
+        `beta`, `trust_hr`, `trust_rh`, shape (N,); `u_a`, `wanted`, `guiding`, `robot`, `velocity`
+        and `hand`, where a hand wants the device to be [m], shape (N, 3). Without NaN: `push`, a
+        force [N] added to the hand's, shape (N, 3), and `arrives`, bool of shape (N, 2), whether
+        the waves sent to the robot and back in a sample arrive. `loop.inputs` of another loop
+        repeats its run without its functions.
 
     Attributes
     ----------
-    state
-        The state after the last sample, by name, read and changed in place by the loop.
-    ways : dict of str to str
-        How each part runs: "built-in", "compiled", or "Python: " and why.
+    state : View
+        Everything that a run logs, by name, and what the loop keeps, before the next sample.
 
     Raises
     ------
@@ -293,119 +273,99 @@ class TeleoperationLoop:
     >>> import trustlab as tl
     >>> loop = tl.TeleoperationLoop("TMIG", study="main", seed=0)
     >>> loop.step().t
-    0.0
+    0.01
     >>> run = loop.run(2.0)
     >>> run == tl.simulate_teleoperation("TMIG", study="main", seed=0, duration=2.0)
     True
     """
 
-    scheme: str | Scheme = "TMIG"
-    operator: Teleoperator | Callable | None = None
-    study: str | LoopSettings = "main"
-    seed: int | np.random.SeedSequence = 0
-    sample_time: float = 0.01
-    task: TrackingTask | None = None
-    delay_1: float | Callable | Delay | None = None
-    delay_2: float | Callable | Delay | None = None
-    read_out: str = "ledger"
-    guard: str = "repay"
-    alpha: np.ndarray | None = None
-    push: np.ndarray | None = None
-    vehicle: tuple | Callable | None = None
-    lost: np.ndarray | None = None
-    guidance: str = "at_operator"
-    trust: Callable | TrustDynamics | TrustInLoop | None = None
-    feedback: Callable | None = None
-    autonomy: Callable | None = None
-    delay: float | Callable | Delay | None = None
-    budget: GuidanceBudget | None = None
-
-    def __post_init__(self):
-        self._scheme, self._settings = scheme_named(self.scheme), study_named(self.study)
-        settings, study = self._settings, self._settings.study
-        person = Teleoperator(reach=REACH[study]) if self.operator is None else self.operator
+    def __init__(
+        self,
+        scheme: str | Scheme = "TMIG",
+        operator: Teleoperator | Callable | None = None,
+        study: str | LoopSettings = "main",
+        seed: int | np.random.SeedSequence = 0,
+        task: TrackingTask | None = None,
+        delay: Any = None,
+        guidance: str | Guidance = "at_operator",
+        vehicle: tuple | Callable | None = None,
+        trust: Callable | TrustDynamics | TrustInLoop | None = None,
+        given: Mapping[str, Any] | None = None,
+    ):
+        self.scheme, self.settings = scheme_named(scheme), study_named(study)
+        self.seed, self.guidance = seed, guidance_named(guidance)
+        study = self.settings.study
+        person = Teleoperator(reach=REACH[study]) if operator is None else operator
         if callable(person):
             person = Teleoperator(reach=REACH[study], law=person)
-        self._person = of_class("operator", person, Teleoperator)
-        self._task = of_class(
-            "task", TASKS[study] if self.task is None else self.task, TrackingTask
-        )
-        one_of("read_out", self.read_out, READ_OUTS)
-        one_of("guard", self.guard, METHODS)
-        one_of("guidance", self.guidance, kernel.GUIDANCE)
-        if self.budget is not None:
-            of_class("budget", self.budget, GuidanceBudget)
-            if self.guidance != "at_operator":
-                raise ValueError(
-                    f"budget is for guidance='at_operator', got guidance={self.guidance!r}"
-                )
-        T = self.sample_time = between("sample_time", self.sample_time, 1e-5, 0.1)
-        if self.delay is not None and (self.delay_1 is not None or self.delay_2 is not None):
-            raise ValueError("delay is the delay both ways: give it, or delay_1 and delay_2")
-        self._seeds = spawned(self.seed, 5)
+        self.operator = of_class("operator", person, Teleoperator)
+        self.task = of_class("task", TASKS[study] if task is None else task, TrackingTask)
+        self._delays = two_ways(delay)
+        self._seeds = spawned(seed, 5)
+        self._given = signals_given(given, self.settings.scattering)
         self._failure: PartError | DivergenceError | None = None
-        self._states = state_of(settings, T)
-        self._accounts = accounts()
-        self.state = View(self._states)
-        self._row = self._states.view(np.uint8)[: LOG.itemsize].view(float)
-        hand = self._person.numbers(T, self._task.camera_delay)
-        self._setups = setup_of(settings, hand, self._task.controller(T), T)
-        self._fill_setup()
-        self._done = 0
-        self._table, self._log = log_of(LOG, 0)
-        self._history, self._sent = np.zeros(0, HISTORY), np.zeros((2, 0, 3))
+        self._whole = state_of(self.settings, self.guidance)
+        self.state = View(self._whole)
+        self._hooks = self._functions(vehicle, trust)
+        self._own = ", ".join(self._hooks) or "built-in"
+        self._numbers = self._constants(vehicle)
+        self.simulation: Simulation | None = None
 
-    def _fill_setup(self) -> None:
-        """Put guard, vehicle and parts into the constants."""
-        setup = self._setups[0]
-        axes, vehicle = vehicle_of(tracking_vehicle() if self.vehicle is None else self.vehicle)
-        if axes:
-            setup["vehicle"] = vehicle_matrices(axes, self.sample_time)[0]
-        if self._scheme.shares is optimal:
-            if not axes:
+    def _functions(self, vehicle: Any, trust: Any) -> dict[str, Callable]:
+        """Return the functions of one's own in this loop."""
+        settings = self.settings
+        driver = TrustInLoop.of(trust)
+        if isinstance(driver, TrustInLoop):
+            ranges = settings.human_to_robot, settings.robot_to_human
+            driver = driver.part(*ranges, settings.sample_time)
+        elif driver is not None and not callable(driver):
+            raise ValueError(f"trust must be a function of the state, got {shown(trust)}")
+        if is_state_space(vehicle):
+            vehicle = state_space(*vehicle)
+        hooks = {
+            "vehicle": vehicle,
+            "trust": driver,
+            "autonomy": self.task.autonomy,
+            "scheme": self.scheme.shares,
+            "operator": self.operator.law,
+            "feedback": self.guidance.force,
+        }
+        return {port: hook for port, hook in hooks.items() if callable(hook)}
+
+    def _constants(self, vehicle: Any) -> np.ndarray:
+        """Return the constants, a record of NUMBERS."""
+        settings, task = self.settings, self.task
+        scheme = self.scheme
+        T, ends = settings.sample_time, settings.scattering
+        numbers = numbers_of(settings, self.guidance, scheme.bilateral)
+        (n,) = numbers
+        n["rule"] = RULES["manual" if callable(scheme.shares) else scheme.shares]
+        law = self.operator.law
+        n["law"] = 0 if callable(law) else LAWS.index(law)
+        hold_device(n, settings, self.operator.numbers(T, task.camera_delay))
+        if scheme.shares == "by hand":
+            n["hand"]["compensation"] *= 1.0 - self.operator.allocation_cost
+        n["auto"] = task.controller(T)
+        n["own_trust"], n["own_vehicle"] = "trust" in self._hooks, "vehicle" in self._hooks
+        if not n["own_vehicle"]:
+            axes = three_axes(tracking_vehicle() if vehicle is None else vehicle)
+            n["phi"], n["gamma"] = vehicle_matrices(axes, T)
+        if scheme.shares == "optimal":
+            if n["own_vehicle"]:
                 raise ValueError(
                     "scheme OMI predicts with three TransferFunction: give the vehicle as these"
                 )
-            ends, task = self._settings.scattering, self._task
             gains = (task.proportional, task.derivative)
-            setup["blend"] = blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
-        if self._scheme.shares is by_hand:
-            setup["hand"]["compensation"] *= 1.0 - self._person.allocation_cost
-        setup["guard"] = METHODS[self.guard]
-        setup["read_out"] = READ_OUTS[self.read_out]
-        setup["budget_energy"] = np.inf
-        if self.budget is not None:
-            setup["budget_energy"] = self.budget.energy
-            setup["budget_power"] = self.budget.power
-            self._states["ledger"]["account"] = self.budget.energy
-        law = self._person.law
-        parts = kernel.DEFAULTS | {
-            "scheme": self._scheme.shares,
-            "vehicle": vehicle,
-            "operator": law if callable(law) else kernel.LAWS[law],
-        }
-        for port in kernel.DEFAULTS:
-            if getattr(self, port) is not None:
-                parts[port] = getattr(self, port)
-        driver = TrustInLoop.of(self.trust)
-        if isinstance(driver, TrustInLoop):
-            settings = self._settings
-            parts["trust"] = driver.part(
-                settings.human_to_robot, settings.robot_to_human, self.sample_time
-            )
-        self._parts = {port: part_of(port, parts[port], self.state) for port in PORTS}
-        self.ways = {port: part.way for port, part in self._parts.items()}
-        guidance = kernel.GUIDANCE[self.guidance] if self._scheme.bilateral else kernel.no_feedback
-        self._parts["guidance"] = guidance
-        for port, part in self._parts.items():
-            setup["parts"][port] = part.address
+            n["blend"] = blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
+            self._hooks["scheme"] = optimal(numbers, self._whole)
+        return numbers
 
     @property
     def t(self) -> float:
         """Time that has been simulated [s]."""
-        return self._done * self.sample_time
+        return 0.0 if self.simulation is None else self.simulation.done * self.settings.sample_time
 
-    def step(self, hand: np.ndarray | None = None, alpha: float | None = None):
+    def step(self, hand: np.ndarray | None = None, alpha: float | None = None) -> View:
         """
         Advance one sample and return the state.
 
@@ -421,27 +381,27 @@ class TeleoperationLoop:
         Returns
         -------
         View
-            `state`, the same object in every step: everything that a run logs, by name, and what
-            its parts keep. `state.copy()` stays as it is.
+            `state`, the same object in every step: the time that has been reached, where everything
+            is then, and the signals of the sample. `state.copy()` stays as it is.
 
         Raises
         ------
         PartError
-            If a part raises an error or returns what cannot be.
+            If a function of one's own raises an error or returns what cannot be.
         DivergenceError
             If the run grows without bound.
         """
-        if self._done == len(self._log):
-            self._reserve(max(2 * self._done, round(BLOCK / self.sample_time)), True)
+        done = 0 if self.simulation is None else self.simulation.done
+        if self.simulation is None or done == self.simulation.log.size:
+            self._reserve_more(done)
+        inputs = self.simulation.inputs
         if hand is not None:
-            place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
-            self._inputs["hand"][self._done] = place
+            place = finite_array("hand", hand, length=3)
+            inputs["hand"][done] = np.clip(place, -FARTHEST_HAND, FARTHEST_HAND)
         if alpha is not None:
-            ends = self._settings.scattering
-            self._inputs["alpha"][self._done] = between(
-                "alpha", alpha, ends.alpha_min, ends.alpha_max
-            )
-        self._advance(self._done + 1)
+            ends = self.settings.scattering
+            inputs["alpha"][done] = between("alpha", alpha, ends.alpha_min, ends.alpha_max)
+        self._advance(done + 1)
         return self.state
 
     def run(self, duration: float) -> Session:
@@ -463,184 +423,159 @@ class TeleoperationLoop:
         ValueError
             If the loop is already beyond that time.
         PartError
-            If a part raises an error or returns what cannot be.
+            If a function of one's own raises an error or returns what cannot be.
         DivergenceError
             If the run grows without bound.
         """
-        count = samples(duration, self.sample_time)
-        if count < self._done:
+        count = self.reserve(duration)
+        if count < self.simulation.done:
             raise ValueError(
                 f"the loop is at t = {self.t:g} s already, beyond {duration:g} s; make a new one"
             )
-        if count > len(self._log):
-            self._reserve(count)
         self._advance(count)
         return self.session
 
-    def arrays(self, duration: float) -> dict[str, np.ndarray]:
+    def reserve(self, duration: float) -> int:
         """
-        Return the arrays that `kernel.advance` is given for a run of this length, by name, as they
-        stand now: a program in another language steps them.
+        Draw what comes from outside until a time, so that `simulation` is there; return the number
+        of samples.
 
         Parameters
         ----------
         duration : float
-            Length of the run [s].
+            The time [s], counted from the start of the run.
         """
-        count = samples(duration, self.sample_time)
-        if count > len(self._log):
+        count = samples(duration, self.settings.sample_time)
+        if self.simulation is None or count > self.simulation.log.size:
             self._reserve(count)
-        return {
-            "setups": self._setups,
-            "states": self._states,
-            "inputs": self._inputs[:count],
-            "delays": np.ascontiguousarray(self._delays[:, :count]),
-            "arrives": np.ascontiguousarray(self._arrives[:, :count]),
-            "accounts": self._accounts,
-            "history": self._history[:count],
-            "sent": np.ascontiguousarray(self._sent[:, :count]),
-            "table": self._table[:count],
-        }
+        return count
 
     @property
-    def built_in(self) -> dict[str, str] | None:
-        """Name of the built-in part of each port; None if a part is a user's."""
-        if set(self.ways.values()) != {"built-in"}:
-            return None
-        return {port: part.function.__name__ for port, part in self._parts.items()}
+    def decisions(self) -> dict[str, np.ndarray]:
+        """
+        What was decided or came from outside so far, by name, a row for each sample: given to
+        another loop as `given`, it repeats the run without its functions and hands.
+        """
+        if self.simulation is None:
+            return {}
+        run = self.simulation
+        inputs = run.inputs[: run.done]
+        made = {name: inputs[name].copy() for name in (*DECIDED.names, "push")}
+        arrives = run.setup.arrives[:, : run.done].T.copy()
+        return {name: each for name, each in made.items() if not np.isnan(each).all()} | {
+            "arrives": arrives
+        }
 
     @property
     def session(self) -> Session:
         """The run so far: every signal and every port's energy, labelled synthetic."""
-        done = self._done  # once: another thread may step meanwhile, as in a notebook
-        t = np.round(self.sample_time * np.arange(done), 9)
-        log, table = self._table[:done], np.empty((done, len(COLUMNS)), order="F")
+        log = np.zeros(0, SAMPLE) if self.simulation is None else self.simulation.log
+        done = 0 if self.simulation is None else self.simulation.done
+        # once: another thread may step meanwhile, as in a notebook
+        rows, table = log[:done].view(float).reshape(done, -1), np.empty((done, WIDTH), order="F")
         # rows become columns a stretch at a time, which the cache holds
         for first in range(0, done, 512):
-            table[first : first + 512] = log[first : first + 512]
+            table[first : first + 512] = rows[first : first + 512, :WIDTH]
+        t = np.round(self.settings.sample_time * np.arange(done), 9)
         data = pd.DataFrame(table, index=pd.Index(t, name="t"), columns=COLUMNS, copy=False)
-        replaced = [
-            f"{port} {way.split(':')[0]}" for port, way in self.ways.items() if way != "built-in"
-        ]
+        guidance = self.guidance
         facts = {
-            "study": self._settings.title,
-            "scheme": self._scheme.title,
+            "study": self.settings.title,
+            "scheme": self.scheme.title,
             "seed": str(self.seed),
-            "read_out": self.read_out,
-            "guard": self.guard,
-            "guidance": self.guidance,
-            "budget": str(self.budget) if self.budget else "none",
-            "parts": ", ".join(replaced) or "built-in",
+            "guard": guidance.guard,
+            "guidance": guidance.where,
+            "budget": str(guidance.budget) if guidance.budget else "none",
+            "parts": self._own,
             "note": NOTE,
         }
         return keep_table(
-            data, Metadata(self._person.participant, self._scheme.name, __name__, True, facts)
+            data, Metadata(self.operator.participant, self.scheme.name, __name__, True, facts)
         )
 
     def _advance(self, stop: int) -> None:
-        """Do the samples before `stop`."""
+        """Do the samples before `stop`; a run that failed fails again."""
         if self._failure is None:
-            self._done, end = kernel.advance(
-                self._done,
-                stop,
-                self._setups,
-                self._states,
-                self._row,
-                self._inputs,
-                self._delays,
-                self._arrives,
-                self._accounts,
-                self._history,
-                self._sent,
-                self._log,
-                self._table,
-            )
-            if end == kernel.DONE:
-                return
-            self._failure = self._failed(end)
-            if self._done > 1:
+            try:
+                return self.simulation.advance(stop)
+            except PartError as error:
+                self._failure = error
+            except DivergenceError as error:
+                self._failure = DivergenceError(
+                    f"scheme {self.scheme.name}: {error}; lower k_ffa, the hand's gains or the "
+                    "sample time, or see which guard is off"
+                )
+            if self.simulation.done > 1:
                 self._failure.session = self.session
         raise self._failure from self._failure.__cause__
 
-    def _failed(self, end: int) -> PartError | DivergenceError:
-        """Return the error of a run that ended before its time."""
-        block = kernel.BLOCKS[end]
-        t = self.state.t
-        state = self.state
-        if block not in self._parts:
-            energies = {"haptic device": "device", "channel": "channel", "robot": "robot"}
-            return DivergenceError(
-                f"scheme {self._scheme.name} diverged at t = {t:g} s in the {block} (its energy: "
-                f"{state[f'energy_{energies[block]}']:.3g} J); lower k_ffa, the hand's gains or "
-                "the sample time, or see which guard is off"
+    def _reserve_more(self, done: int) -> None:
+        """Make room for a loop that is stepped: twice as much each time, if there is so much."""
+        count = max(2 * done, round(BLOCK / self.settings.sample_time))
+        if self._given:  # signals are as long as the run that they are meant for
+            count = len(next(iter(self._given.values())))
+        count = min(count, self._known())
+        if count <= done:
+            raise ValueError(
+                f"a signal given or a recorded delay ends at t = {self.t:g} s: the loop cannot go "
+                "beyond"
             )
-        cause = self._parts[block].raised() if state.raised else None
-        if cause is not None and not isinstance(cause, Exception):
-            raise cause  # an interrupt
-        fault = f"raised {type(cause).__name__}: {cause}" if cause else "raised an error"
-        if not state.raised:
-            values = " and ".join(f"{name} = {np.round(state[name], 6)}" for name in PORTS[block])
-            fault = f"returned {values}; finite numbers are wanted"
-        if block == "scheme":
-            bounds = (
-                f"{n} in [{state[f'{n}_min']:g}, {state[f'{n}_max']:g}]" for n in PORTS[block]
-            )
-            fault += f"; {' and '.join(bounds)}, for which the channel's ends are set (3.1)"
-        told = f"the {block} of this loop {fault}, at t = {t:g} s"
-        if self._done > 1:
-            told += "; the run so far is in .session of this error"
-        error = PartError(told)
-        error.__cause__ = cause
-        return error
+        self._reserve(count)
 
-    def _reserve(self, count: int, stepped: bool = False) -> None:
+    def _known(self) -> int:
+        """Return for how many samples the delays are known."""
+        ends = [delay.end for delay in self._delays.values() if isinstance(delay, Delay)]
+        seconds = min(ends, default=np.inf)
+        return int(seconds / self.settings.sample_time) + 1 if np.isfinite(seconds) else sys.maxsize
+
+    def _reserve(self, count: int) -> None:
         """
-        Draw what comes from outside for `count` samples, and make room for the log; a stepped loop
-        takes fewer where it must.
+        Draw what comes from outside for `count` samples and the pause after them, and make room for
+        the log; keep what is done.
         """
-        if stepped:
-            arrays = any(array is not None for array in (self.alpha, self.push, self.lost))
-            # arrays are as long as the run that they are meant for
-            count = self._most() if arrays else min(count, self._most())
-            if count <= self._done:
+        settings, seeds = self.settings, self._seeds
+        before = self.simulation
+        inputs = drawn(settings, self.task, self.operator, count + 1, seeds)
+        arrives = np.ones((2, count + 1), bool)
+        for name, signal in self._given.items():
+            if len(signal) != count:
                 raise ValueError(
-                    f"alpha, push, lost or a recorded delay ends at t = {self.t:g} s: the loop "
-                    "cannot go beyond"
+                    f"{name} must have one row for each of {count} samples, got {len(signal)}"
                 )
-        inputs = _inputs(
-            self._settings, self._task, self._person, count, self.sample_time, self._seeds
-        )
-        inputs["alpha"] = shares = _shares(self.alpha, count)
-        ends = self._settings.scattering
-        ends.check_scales(shares[np.isfinite(shares)], np.array(ends.beta_max))
-        inputs["pushed"] = signal(
-            "push", np.zeros((count, 3)) if self.push is None else self.push, count, 3
-        )
-        pair = (self.delay_1, self.delay_2) if self.delay is None else (self.delay, self.delay)
-        delays = _delays(
-            self._settings, pair, self.read_out, count, self.sample_time, self._seeds[3:]
-        )
-        self._arrives = lost_waves(self.lost, count)
-        self._inputs, self._delays = inputs, delays
-        table, log = log_of(LOG, count)
-        table[: self._done] = self._table[: self._done]
-        history, sent = np.zeros(count, HISTORY), np.zeros((2, count, 3))
-        history[: self._done] = self._history[: self._done]
-        sent[:, : self._done] = self._sent[:, : self._done]
-        self._table = table
-        self._log = log
-        self._history = history
-        self._sent = sent
-        carried = kernel.WAVES if self._scheme.bilateral else kernel.SIGNALS
-        self._setups["channel"] = carried if self._delays.any() else kernel.DIRECT
-
-    def _most(self) -> int:
-        """Return how many samples the arguments that are arrays or traces allow."""
-        lengths = [*np.shape(self.alpha)[:1], *np.shape(self.push)[:1], *np.shape(self.lost)[1:2]]
-        for delay in (self.delay, self.delay_1, self.delay_2):
-            if isinstance(delay, Delay) and np.isfinite(delay.end):
-                lengths.append(int(delay.end / self.sample_time) + 1)
-        return min([*lengths, sys.maxsize])
+            if name == "arrives":
+                arrives[:, :count] = signal.T
+            else:
+                inputs[name][:count] = signal
+        asked = count + 1 if count < self._known() else count
+        delays = delays_of(settings, self._delays, asked, seeds[3:])
+        delays = np.pad(delays, ((0, 0), (0, count + 1 - asked)), mode="edge")
+        carried = WAVES if self.scheme.bilateral else SIGNALS
+        self._numbers["carried"] = carried if delays.any() else DIRECT
+        setup = LoopSetup(self._numbers, delays, arrives)
+        log, sent = np.zeros(count, SAMPLE), np.zeros((2, count, 3))
+        if before is None:
+            state = LoopState(self._whole, sent, accounts())
+            decide = self._hooks and asking(
+                self._hooks, self.state, self._whole, settings.scattering
+            )
+            self.simulation = Simulation(
+                teleoperate,
+                setup,
+                state,
+                inputs,
+                log,
+                decide or None,
+                blocks=BLOCKS,
+                sample_time=settings.sample_time,
+            )
+            return
+        done = before.done
+        log[:done], sent[:, :done] = before.log[:done], before.state.sent[:, :done]
+        for name in DECIDED.names:
+            inputs[name][:done] = before.inputs[name][:done]
+        before.setup, before.inputs = setup, inputs
+        before.log = log
+        before.state = before.state._replace(sent=sent)
 
 
 def simulate_teleoperation(
@@ -661,9 +596,7 @@ def simulate_teleoperation(
     duration : float
         Length [s].
     **options : as of `TeleoperationLoop`
-        sample_time, task, delay, delay_1, delay_2, read_out, guidance, guard and budget;
-        alpha, push and lost, signals that are given; vehicle, trust, feedback and autonomy, parts
-        of the loop that replace its own.
+        task, delay, guidance, vehicle, trust and given.
 
     Returns
     -------
@@ -684,7 +617,7 @@ def simulate_teleoperation(
 
     Notes
     -----
-    Printed is guidance="through_channel" with guard="cancel". There the guiding force −k_ffa e
+    Printed is ``guidance=Guidance("through_channel", guard="cancel")``. There the force −k_ffa e
     stands at the robot's port, whose velocity yields to any force by 1/b: the force drives the
     robot to its target, with nobody at the device as well (guard="off"). Its energy comes from the
     moving target (`energy_target`), a port that the passivity controller does not observe; what the
@@ -713,13 +646,58 @@ def samples(duration: float, sample_time: float) -> int:
     return round(duration / sample_time)
 
 
-def _inputs(settings, task, operator, count, sample_time, seeds) -> np.ndarray:
+def two_ways(delay: Any) -> dict[str, Any]:
+    """Return the delays to the robot and back by name, from one for both or a pair."""
+    pair = delay if isinstance(delay, tuple) else (delay, delay)
+    if len(pair) != 2:
+        raise ValueError(f"delay must be one for both ways, or (to the robot, back), got {pair}")
+    return dict(zip(("delay to the robot", "delay back"), pair, strict=True))
+
+
+def signals_given(given: Any, ends: Scattering) -> dict[str, np.ndarray]:
+    """Return signals that come from outside as arrays by name, checked but for their length."""
+    if not isinstance(given, Mapping | None):
+        raise ValueError(f"given must map names of signals to arrays, got {shown(given)}")
+    kinds = {name: INPUT[name].shape for name in ("push", *(DECIDED.names or ()))}
+    checked = {}
+    for name, values in (given or {}).items():
+        one_of("a signal that is given", name, [*kinds, "arrives"])
+        wanted = (2,) if name == "arrives" else kinds[name]
+        try:
+            array = np.asarray(values, bool if name == "arrives" else float)
+        except (TypeError, ValueError, OverflowError):
+            raise ValueError(f"{name} must be an array of numbers, got {shown(values)}") from None
+        if array.ndim == 0 or array.shape[1:] != wanted:
+            shape = f"(N, {wanted[0]})" if wanted else "(N,)"
+            raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+        if np.isinf(array).any() or (name == "push" and np.isnan(array).any()):
+            k = int(np.argwhere(~np.isfinite(array))[0][0])
+            raise ValueError(f"{name} must be finite, but sample {k} is {array[k]}")
+        checked[name] = array
+    scales = [checked.get(name, np.full(1, np.nan)) for name in ("alpha", "beta")]
+    tops = ends.alpha_max, ends.beta_max
+    ends.check_scales(*(np.where(np.isnan(x), top, x) for x, top in zip(scales, tops, strict=True)))
+    return checked
+
+
+def optimal(numbers: np.ndarray, whole: np.ndarray) -> Callable:
+    """Return scheme OMI as a function of the state."""
+    share = compiled_for(optimal_share, numbers, whole)
+
+    def shares(view: View) -> tuple[float, float]:
+        return share(numbers, whole), view.beta_max
+
+    return shares
+
+
+def drawn(settings, task, operator, count, seeds) -> np.ndarray:
     """
     Return what is drawn from the seeds, records of INPUT; a longer draw begins with the shorter
     one.
     """
     start, losses, noise = (np.random.default_rng(child) for child in seeds[:3])
-    t, inputs = sample_time * np.arange(count), np.empty(count, INPUT)
+    T = settings.sample_time
+    t, inputs = T * np.arange(count), np.zeros(count, INPUT)
     phase = start.uniform(0.0, 2.0 * np.pi)
     position, velocity = task.path(t, settings.height, phase)
     inputs["reference"], inputs["reference_velocity"] = position, velocity
@@ -727,9 +705,10 @@ def _inputs(settings, task, operator, count, sample_time, seeds) -> np.ndarray:
         task.path(t + operator.preview, settings.height, phase)[0] if operator.preview else position
     )
     inputs["ahead"] = ahead - position
-    inputs["detected"] = _losses(task, count, sample_time, losses)
-    inputs["motor"] = _coloured(count, operator.noise_time, sample_time, noise)
-    inputs["hand"] = np.nan
+    inputs["detected"] = _losses(task, count, T, losses)
+    inputs["motor"] = _coloured(count, operator.noise_time, T, noise)
+    for name in DECIDED.names:
+        inputs[name] = np.nan
     return inputs
 
 
@@ -754,28 +733,12 @@ def _coloured(count: int, time: float, sample_time: float, rng) -> np.ndarray:
     return first_order(white, np.sqrt(1.0 - keep**2), keep)
 
 
-def _delays(settings: LoopSettings, pair, read_out, count, sample_time, seeds) -> np.ndarray:
+def delays_of(settings: LoopSettings, pair: dict[str, Any], count: int, seeds) -> np.ndarray:
     """Return the delays both ways in samples; random walks of the study where none is given."""
     rate, (low, high) = settings.scattering.max_delay_rate, DELAYS[settings.study]
-    chosen = {}
-    for name, delay, child in zip(("delay_1", "delay_2"), pair, seeds, strict=True):
+    chosen, T = dict(pair), settings.sample_time
+    for (name, delay), child in zip(pair.items(), seeds, strict=True):
         if delay is None:
             seed = np.random.SeedSequence(int(np.random.default_rng(child).integers(1 << 62)))
-            delay = random_walk_delay(max(low, sample_time), high, rate, seed)
-        chosen[name] = delay
-    return delays_in_samples(chosen, rate, read_out, count, sample_time, zero=True)
-
-
-def _shares(alpha, count: int) -> np.ndarray:
-    """Return α where it is given from outside, NaN where the scheme sets it."""
-    if alpha is None:
-        return np.full(count, np.nan)
-    try:
-        array = np.asarray(alpha, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"alpha must be an array of numbers, got {type(alpha).__name__}") from None
-    if array.shape != (count,):
-        raise ValueError(
-            f"alpha must have shape ({count},), one number per sample, got {array.shape}"
-        )
-    return array
+            chosen[name] = random_walk_delay(max(low, T), high, rate, seed)
+    return delays_in_samples(chosen, rate, "ledger", count, T, zero=True)

@@ -32,11 +32,6 @@ class Module:
             top = (top + array["size"] + 15) & ~15
         places = struct.pack(f"<{len(names)}q", *(self.at[name] for name in names))
         self.heap.write(self.store, places, self.at["addresses"])
-        table = self.exports["__indirect_function_table"]
-        for part in memory.get("parts", ()):
-            place = table.grow(self.store, 1, self.exports[part["part"]])
-            where = self.at["setups"] + part["offset"]
-            self.heap.write(self.store, struct.pack("<q", place), where)
 
     def period(self, *command):
         """Compute a period; return how it ended, -1 for well."""

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.live.tasks import computed
-from trustlab.live.tasks.flown import PARTS, SETUP
+from trustlab.live.tasks.flown import NUMBERS
 from trustlab.live.tasks.task import sent_columns, task_named
 from trustlab.live.tasks.teleoperation import SCHEMES, TeleoperationSettings
 from trustlab.teleoperation.loop.kernel import GUIDANCE
@@ -24,7 +24,8 @@ class Module(computed.Module):
 
     def step(self, *command):
         self.end = self.period(*command)
-        return [*command, *(self.numbers("states", place)[0] for place in self.plan["logged"])]
+        last = (self.periods * self.plan["every"] - 1) * self.plan["row"]
+        return [*command, *(self.numbers("log", last + at)[0] for at in self.plan["logged"])]
 
 
 def configured(scheme, **settings):
@@ -59,11 +60,11 @@ def test_a_flight_that_diverges_stands_still_in_both():
     config = configured("TMIG", guidance="through_channel")
     memory = TASK.memory(config)
     run = TASK.begin(config)
-    setups = next(array for array in memory["arrays"] if array["name"] == "setups")
-    changed = np.frombuffer(base64.b64decode(setups["data"]), SETUP).copy()
-    for records in (changed, run.flight.loop._setups):
-        records["vehicle"]["phi"] *= 3.0  # a vehicle that nobody can hold
-    setups["data"] = base64.b64encode(changed.tobytes()).decode()
+    numbers = next(array for array in memory["arrays"] if array["name"] == "numbers")
+    changed = np.frombuffer(base64.b64decode(numbers["data"]), NUMBERS).copy()
+    for records in (changed, run.flight.loop._numbers):
+        records["phi"] *= 3.0  # a vehicle that nobody can hold
+    numbers["data"] = base64.b64encode(changed.tobytes()).decode()
     there = Module("fly", memory)
     for command in commands_of(config):
         row = run.step(*command)
@@ -73,16 +74,6 @@ def test_a_flight_that_diverges_stands_still_in_both():
     assert run.failed
     there.step(*command)
     assert there.end != -1
-
-
-def test_parts_are_those_that_a_loop_may_have():
-    names = set()
-    for scheme in SCHEMES:
-        for guidance in GUIDANCE:
-            config = configured(scheme, guidance=guidance)
-            names |= {each["part"] for each in TASK.memory(config)["parts"]}
-    assert names <= set(PARTS)
-    assert {"controller", "optimal", "no_feedback", "through_channel"} <= names
 
 
 def test_a_model_of_trust_is_flown_by_the_server():

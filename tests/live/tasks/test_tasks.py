@@ -126,19 +126,18 @@ def test_a_flight_is_that_of_the_loop():
     commands = commanded(config)
     session = task_of(config).session(config, stepped(config, commands))
     operator = tl.Teleoperator("live", reach=REACH["main"], noise=0.0)
-    settings = tl.TeleoperationLoop("MMI", study="main")._settings
+    settings = tl.teleoperation.STUDIES["main"]
     ends = settings.scattering
     share = ends.alpha_min + commands[:, 2] * (ends.alpha_max - ends.alpha_min)
-    loop = tl.TeleoperationLoop(
-        "MMI", operator, "main", 3, guidance="at_operator", alpha=np.repeat(share, 5)
-    )
+    loop = tl.TeleoperationLoop("MMI", operator, "main", 3, given={"alpha": np.repeat(share, 5)})
     reach = 2.0 * REACH["main"] / np.broadcast_to(settings.weight, 3)[:2]
-    for k, (x, y, _) in enumerate(commands):
+    for x, y, _ in commands:
         for _ in range(5):
-            state = loop.step(hand=(x * reach[0], y * reach[1], 0.0))
-        assert session["alpha"][k] == state.alpha == pytest.approx(share[k])
-        assert session["path_error"][k] == state.path_error
-        assert session["f_m_x"][k] == state.f_m[0]
+            loop.step(hand=(x * reach[0], y * reach[1], 0.0))
+    rows = loop.session.data.iloc[4::5]
+    np.testing.assert_allclose(session["alpha"], share)
+    for name in ("alpha", "path_error", "f_m_x"):
+        np.testing.assert_array_equal(session[name], rows[name])
 
 
 def test_alpha_by_hand_lies_within_its_bounds():

@@ -8,12 +8,12 @@ import numpy as np
 
 from trustlab.live.flight import UNBOUNDED, Flight
 from trustlab.live.tasks.browser import offset, plan_of
-from trustlab.live.tasks.flown import ADDRESSES, HAND, HISTORY, INPUT, SETUP, STATE
+from trustlab.live.tasks.flown import ADDRESSES, HAND, SAMPLE
 from trustlab.live.tasks.task import PERIOD, LiveTask, trust_as_json, trust_of
 from trustlab.models.checks import between, one_of
+from trustlab.models.simulation import DivergenceError
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.loop.settings import DivergenceError
 from trustlab.testbeds.uav_tracking import TASKS
 
 SCHEMES = ("M", "MI", "MMI", "TMIG", "OMI")
@@ -125,9 +125,9 @@ class LiveFlight:
     def _fly(self, x: float, y: float, alpha: float | None) -> None:
         """Fly the samples of a period, and keep what the row holds."""
         for _ in range(self.every):
-            state = self.flight.sample(self.flight.held(x, y), alpha)
-        vectors = [float(state[name][axis]) for name in VECTORS for axis in (0, 1)]
-        self.values = [*vectors, *(float(state[name]) for name in NUMBERS)]
+            row = self.flight.sample(self.flight.held(x, y), alpha)
+        vectors = [float(row[name][axis]) for name in VECTORS for axis in (0, 1)]
+        self.values = [*vectors, *(float(row[name]) for name in NUMBERS)]
 
     def picture(self) -> dict[str, Any]:
         """Return what the page draws."""
@@ -141,20 +141,22 @@ class LiveFlight:
         shows.
         """
         flight, loop = self.flight, self.flight.loop
-        arrays = loop.arrays(self.samples * PERIOD)
-        reach, bounds = flight.reach.tolist(), list(self.bounds)
-        arrays["hand"] = np.array([(*reach, *bounds, self.samples * self.every)], HAND)
-        vectors = [offset(STATE, name) + 8 * axis for name in VECTORS for axis in (0, 1)]
-        parts = SETUP.fields["parts"]
+        count = loop.reserve(self.samples * PERIOD)
+        run, reach = loop.simulation, flight.reach.tolist()
+        optimal = loop.scheme.shares == "optimal"
+        arrays = {
+            **run.setup._asdict(),
+            **run.state._asdict(),
+            "inputs": run.inputs,
+            "log": run.log,
+        }
+        arrays["hand"] = np.array([(*reach, *self.bounds, count, optimal)], HAND)
+        vectors = [offset(SAMPLE, name) + 8 * axis for name in VECTORS for axis in (0, 1)]
         return plan_of(arrays, ADDRESSES, WRITTEN) | {
-            "parts": [
-                {"part": part, "offset": parts[1] + offset(parts[0], port)}
-                for port, part in loop.built_in.items()
-            ],
-            "logged": vectors + [offset(STATE, name) for name in NUMBERS],
-            "shown": [offset(STATE, name) for name in ("device", "f_m", "guide")],
-            "input": {"size": INPUT.itemsize, "reference": offset(INPUT, "reference")},
-            "past": {"size": HISTORY.itemsize, "error": offset(HISTORY, "error")},
+            "row": SAMPLE.itemsize,
+            "logged": vectors + [offset(SAMPLE, name) for name in NUMBERS],
+            "shown": [offset(SAMPLE, name) for name in ("device", "f_m", "guide")],
+            "seen": [offset(SAMPLE, name) for name in ("error", "robot")],
             "every": self.every,
             "late": flight.late,
             "view": flight.task.view,
@@ -163,7 +165,7 @@ class LiveFlight:
         }
 
 
-WRITTEN = ("history", "sent", "table")
+WRITTEN = ("sent", "log")
 """Arrays that are empty before a run."""
 
 

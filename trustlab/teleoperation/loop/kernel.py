@@ -1,310 +1,261 @@
 """
-The whole teleoperation loop (Fig. 3.1), compiled: `advance` does one sample after another.
+The whole teleoperation loop (Fig. 3.1), compiled.
 
-The file follows a sample: what arrives, the built-in parts (autonomy, operator's law, feedback,
-vehicle, trust), the hand, the two ways in which guidance reaches the operator, the books of
-energy, performance, and `advance`. A sample changes one record of STATE, of which the first part is
-the row of the log. Whatever is delayed (pictures, waves, performance that leaves its window) is
-looked up here, so that the parts need no history. Records are passed as plain pointers, whereas
-every array that a compiled function is given costs two atomic reference counts a call: with arrays
-as arguments this loop is three times slower. `advance` and `read_waves`, which need arrays, do
-without counts (_nrt=False): they allocate nothing, and their caller keeps what they are given.
+`teleoperate` is a kernel of `Simulation`. A sample begins at its pause, when everything has
+arrived: pictures, waves, trust in what was done before, and what the built-in controller, operator
+and feedback propose. `obey` puts what was decided in their place; then hand, ports, books,
+performance and motion follow, and `arrive` leads to the pause of the next sample. c: constants, s:
+state, now: the row of the log.
+
+Steps do without reference counts (_nrt=False): counts are atomic and would take half of the time.
+They allocate nothing, and their caller keeps the arrays.
 """
+
+import functools
 
 import numpy as np
 
-from trustlab.models.compiled import njit
-from trustlab.models.trust import trust_step
-from trustlab.teleoperation.loop.parts import PORTS, Part, call
+from trustlab.models.compiled import inner, njit
+from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
-from trustlab.teleoperation.ports.ledger import read_waves
+from trustlab.teleoperation.ports.ledger import LEDGER, read_waves
 from trustlab.teleoperation.ports.passivity import activation, demanded
 from trustlab.teleoperation.records import dot
 
-# How a run ends: well, a block diverged, or a part raised an error or returned what cannot be.
-DONE, DEVICE, CHANNEL, ROBOT, SCHEME, TRUST, FEEDBACK, AUTONOMY, OPERATOR, VEHICLE = range(-1, 9)
+BLOCKS = ("the haptic device", "the channel", "the robot")
+DEVICE, CHANNEL, ROBOT = range(3)
 
-# Names of the blocks and parts, by these numbers.
-BLOCKS = ("haptic device", "channel", "robot", *PORTS)
-
-SLACK = 1e-12
+# Who sets the scales: nobody (both at their upper bounds), trust by (3.5) and (3.6), the operator
+# by hand. Functions decide over "manual".
+MANUAL, LOGISTIC, STEPS, BY_HAND = range(4)
+# How operators act on the error that they see.
+LAWS = ("proportional", "crossover")
+CROSSOVER = 1
 # What the channel carries: nothing between the ends, waves, or the device's output alone.
-DIRECT = 0
-WAVES = 1
-SIGNALS = 2
+DIRECT, WAVES, SIGNALS = range(3)
+# Where the guiding force is rendered.
+GUIDANCE = ("at_operator", "through_channel")
+AT_OPERATOR, THROUGH_CHANNEL, NOWHERE = range(3)
 
 # Speed of the hand [m/s] above which an operator notices what the channel makes of it.
 FLOOR = 0.05
 
+step = functools.partial(inner, error_model="numpy", forceinline=True, _nrt=False)
 
-# What a sample begins with.
+
+# What has arrived at the pause.
 
 
-@njit(error_model="numpy", forceinline=True)
-def pictured(error, widest):
+@step
+def visible(error, widest):
     """Return whether the target is in the camera's picture, x and y seen from above."""
     return abs(error[0]) <= widest and abs(error[1]) <= widest
 
 
-@njit(error_model="numpy", forceinline=True)
-def look_up(k, setup, inputs, history, state):
-    """
-    Set what sample k begins with: the target, the pictures of camera and operator, and the
-    performance that leaves.
-    """
-    now = inputs[k]
-    state.t = k * setup.sample_time
-    view, camera = k - setup.hand.delay, k - setup.auto.delay
-    widest = setup.auto.picture
-    state.sees = view >= 1 and pictured(history[view].error, widest)
-    shown = camera >= 1 and pictured(history[camera].error, widest)
-    state.finds = shown and inputs[camera].detected
-    before = camera - 1
-    state.found_before = (
-        state.finds and inputs[before].detected and pictured(history[before].error, widest)
-    )
+@step
+def look(k, c, s, inputs, log):
+    """Set the target, and what camera and operator see of it."""
+    now, given = s.now, inputs[k]
+    s.t = k * c.sample_time
+    eye, camera = k - c.hand.delay, k - c.auto.delay
+    widest = c.auto.picture
     for i in range(3):
-        state.reference[i] = now.reference[i]
-        state.reference_velocity[i] = now.reference_velocity[i]
-        state.pushed[i] = now.pushed[i]
-        state.motor[i] = now.motor[i]
-        state.hand[i] = now.hand[i]
-        state.error[i] = now.reference[i] - state.robot[i]
-        history[k].error[i] = state.error[i]
-        if state.sees:  # else the operator remembers where the target was last seen
-            state.seen[i] = history[view].error[i] + inputs[view].ahead[i]
-            state.seen_before[i] = history[view - 1].error[i] + inputs[view - 1].ahead[i]
-        state.picture[i] = state.picture_before[i] = 0.0  # no force towards what nobody sees
+        now.reference[i] = given.reference[i]
+        s.reference_velocity[i] = given.reference_velocity[i]
+        now.error[i] = given.reference[i] - now.robot[i]
+    now.path_error = np.sqrt(dot(now.error, now.error))
+    s.sees = eye >= 1 and visible(log[eye].error, widest)
+    shown = camera >= 1 and visible(log[camera].error, widest)
+    s.finds = shown and inputs[camera].detected
+    before = camera - 1
+    s.found_before = s.finds and inputs[before].detected and visible(log[before].error, widest)
+    for i in range(3):
+        if s.sees:  # else the operator remembers where the target was last seen
+            s.seen[i] = log[eye].error[i] + inputs[eye].ahead[i]
+            s.seen_before[i] = log[eye - 1].error[i] + inputs[eye - 1].ahead[i]
+        s.picture[i] = s.picture_before[i] = 0.0  # no force towards what nobody sees
         if shown:
-            state.picture[i] = history[camera].error[i]
-            state.picture_before[i] = history[camera - 1].error[i]
-    state.path_error = np.sqrt(dot(state.error, state.error))
-    state.samples = min(k + 1, setup.loop.window)
-    if k >= setup.loop.window:
-        old = history[k - setup.loop.window]
-        state.leaving_r, state.leaving_h = old.good_r, old.good_h
+            s.picture[i] = log[camera].error[i]
+            s.picture_before[i] = log[before].error[i]
+        s.stretch[i] = s.picture[i] if c.guided_at == AT_OPERATOR else now.error[i]
 
 
-@njit(error_model="numpy", forceinline=True)
-def receive(k, setup, delays, arrives, accounts, sent, log, state):
-    """Set what comes out of the channel in sample k."""
-    if setup.channel == DIRECT:
-        return
-    if setup.channel == WAVES:
-        n, T = setup.loop, setup.sample_time
-        kind = setup.read_out
-        v_l, v_r = state.v_l, state.v_r
-        read_waves(sent[0], sent[1], arrives, k, delays, n.gain, kind, T, accounts, v_l, v_r)
-    else:
-        where = k - delays[0, k]
+@step
+def receive(k, setup, c, s, state, log):
+    """Set what comes out of the channel."""
+    if c.carried == WAVES:
+        sent, delays = state.sent, setup.delays
+        arrives = setup.arrives
+        how = c.gain, LEDGER, c.sample_time
+        read_waves(sent[0], sent[1], arrives, k, delays, *how, state.accounts, s.v_l, s.v_r)
+    elif c.carried == SIGNALS:
+        where = k - setup.delays[0, k]
         first = int(np.floor(where))
-        for i in range(3):
-            if first >= 0:
+        if first >= 0:
+            for i in range(3):
                 value, later = log[first].r_m[i], log[min(first + 1, k - 1)].r_m[i]
-                state.arrived[i] = value + (where - first) * (later - value)
+                s.arrived[i] = value + (where - first) * (later - value)
 
 
-# Built-in parts.
+# What the built-in controller, operator and feedback propose.
 
 
-@njit(error_model="numpy", forceinline=True)
+@step
 def clip(value, reach):
-    """Return value within ± reach."""
+    """Return a value within ± reach."""
     return min(max(value, -reach), reach)
 
 
-@Part
-def controller(state, setup):
+@step
+def steer(c, s):
     """
     Set u_a by a PID controller on the camera's picture; a vehicle that has lost its target hovers.
     """
-    auto = setup.auto
+    auto, now = c.auto, s.now
     for i in range(3):
-        state.u_a[i] = 0.0
-        if state.finds:
+        now.u_a[i] = 0.0
+        if s.finds:
             rate = 0.0
-            if state.found_before:
-                rate = (state.picture[i] - state.picture_before[i]) / setup.sample_time
-            command = auto.proportional * state.picture[i] + auto.derivative * rate
-            summed = state.integral[i] + setup.sample_time * state.picture[i]
+            if s.found_before:
+                rate = (s.picture[i] - s.picture_before[i]) / c.sample_time
+            command = auto.proportional * s.picture[i] + auto.derivative * rate
+            summed = s.integral[i] + c.sample_time * s.picture[i]
             # anti-windup: the integral rests while the command is at its limit
             if abs(command + auto.integral * summed) < auto.reach:
-                state.integral[i] = summed
-            state.u_a[i] = clip(command + auto.integral * state.integral[i], auto.reach)
+                s.integral[i] = summed
+            now.u_a[i] = clip(command + auto.integral * s.integral[i], auto.reach)
 
 
-@Part
-def proportional_law(state, setup):
-    """
-    Set the command that the operator wants, in proportion to the error seen and its rate.
-
-    While the target is out of the picture it is looked for where it was last seen.
-    """
-    hand = setup.hand
+@step
+def want(c, s):
+    """Set the command that the operator wants, by a law on the error seen; see `Teleoperator`."""
+    hand, now = c.hand, s.now
+    scale = 1.0
+    if c.law == CROSSOVER:
+        # The channel's scale is the ratio of the root mean squares of what it gives and takes,
+        # which delays do not change; 1 until the hand has moved.
+        s.square_m += hand.learned * (dot(now.r_m, now.r_m) - s.square_m)
+        s.square_s += hand.learned * (dot(now.r_s, now.r_s) - s.square_s)
+        scale = np.sqrt((s.square_s + FLOOR**2) / (s.square_m + FLOOR**2))
     for i in range(3):
-        command = hand.proportional * state.seen[i]
-        if state.sees:
-            command += hand.derivative * (
-                (state.seen[i] - state.seen_before[i]) / setup.sample_time
-            )
-        state.wanted[i] = hand.compensation * clip(command, hand.reach)
-
-
-@Part
-def crossover_law(state, setup):
-    """
-    Set the command wanted by an operator who keeps the crossover of the whole loop where it was,
-    whatever the channel's scale.
-
-    The scale is the ratio of the root mean squares of what the channel gives and takes, which
-    delays do not change.
-    """
-    hand = setup.hand
-    memory = state.operator_memory
-    memory[0] += hand.learned * (dot(state.r_m, state.r_m) - memory[0])
-    memory[1] += hand.learned * (dot(state.r_s, state.r_s) - memory[1])
-    scale = np.sqrt((memory[1] + FLOOR**2) / (memory[0] + FLOOR**2))  # 1 until the hand has moved
-    for i in range(3):
-        state.wanted[i] = (
-            hand.compensation * clip(hand.crossover * state.seen[i], hand.reach) / scale
-        )
-
-
-@Part
-def spring(state, setup):
-    """Set the guiding force −k_ffa e."""
-    for i in range(3):
-        state.guiding[i] = -setup.loop.guidance * state.stretch[i]
-
-
-@Part
-def linear_vehicle(state, setup):
-    """Step the vehicle by its exact matrices, the command being held over the sample."""
-    phi, gamma = setup.vehicle.phi, setup.vehicle.gamma
-    for i in range(3):
-        s = state.robot[i]
-        w = state.velocity[i]
-        a = state.acceleration[i]
-        command = state.command[i]
-        state.robot[i] = (
-            phi[i, 0, 0] * s + phi[i, 0, 1] * w + phi[i, 0, 2] * a + gamma[i, 0] * command
-        )
-        state.velocity[i] = (
-            phi[i, 1, 0] * s + phi[i, 1, 1] * w + phi[i, 1, 2] * a + gamma[i, 1] * command
-        )
-        state.acceleration[i] = (
-            phi[i, 2, 0] * s + phi[i, 2, 1] * w + phi[i, 2, 2] * a + gamma[i, 2] * command
-        )
-
-
-@Part
-def two_way_trust(state, setup):
-    """Step trust (3.2)-(3.3), in the units of its models."""
-    state.trust_hr = next_trust(state.trust_hr, setup.loop.trust_hr, state.p_r)  # (3.2)
-    state.trust_rh = next_trust(state.trust_rh, setup.loop.trust_rh, state.p_h)  # (3.3)
-
-
-@njit(error_model="numpy", forceinline=True)
-def next_trust(trust, model, p):
-    """
-    Return trust one sample later for a performance in its own unit; performance beyond its range
-    counts as at its end.
-    """
-    share = min(max((p - model.p_min) / (model.p_max - model.p_min), 0.0), 1.0)
-    span = model.t_max - model.t_min
-    return model.t_min + span * trust_step(
-        (trust - model.t_min) / span, share, model.decay, model.gain
-    )
-
-
-# How operators act on the error that they see, by name; and the parts of a loop by port.
-LAWS = {"proportional": proportional_law, "crossover": crossover_law}
-DEFAULTS = {"trust": two_way_trust, "feedback": spring, "autonomy": controller}
-
-
-# Decisions, and the hand.
-
-
-@njit(error_model="numpy", forceinline=True)
-def finite(vector):
-    """Return whether three numbers are finite."""
-    return np.isfinite(vector[0]) and np.isfinite(vector[1]) and np.isfinite(vector[2])
-
-
-@njit(error_model="numpy", forceinline=True)
-def within(share, low, high):
-    """Return whether a scale is within its bounds, up to rounding."""
-    return low * (1.0 - SLACK) <= share <= high * (1.0 + SLACK)
-
-
-@njit(error_model="numpy", forceinline=True)
-def decide(setup, alpha, state):
-    """
-    Let autonomy, scheme and operator decide; return the part that failed, DONE where none did. α
-    may be given.
-    """
-    parts = setup.parts
-    for i in range(3):
-        state.u_i[i] = (
-            state.reference_velocity[i] + state.error[i]
-        )  # the ideal controller has the gain 1/s
-    call(parts.autonomy, state, setup)
-    if state.raised or not finite(state.u_a):
-        return AUTONOMY
-    call(parts.scheme, state, setup)
-    if not np.isnan(alpha):
-        state.alpha = alpha
-    # (3.1)
-    bounded = within(state.alpha, state.alpha_min, state.alpha_max)
-    if state.raised or not (bounded and within(state.beta, state.beta_min, state.beta_max)):
-        return SCHEME
-    call(parts.operator, state, setup)
-    if state.raised or not finite(state.wanted):
-        return OPERATOR
-    if setup.hand.fatigue > 0.0:
-        tire(setup, state)
-    return DONE
-
-
-@njit(error_model="numpy", forceinline=True)
-def tire(setup, state):
-    """Weaken the command by what the hand has pushed so far [N s]."""
-    state.effort += setup.sample_time * np.sqrt(dot(state.f_h, state.f_h))
-    for i in range(3):
-        state.wanted[i] = state.wanted[i] / (1.0 + setup.hand.fatigue * state.effort)
-
-
-@njit(error_model="numpy", forceinline=True)
-def set_hand_force(setup, state):
-    """Set the hand's force, and the output that the device would have without feedback."""
-    hand, recorded = setup.hand, not np.isnan(state.hand[0])
-    for i in range(3):
-        device = setup.device[i]
-        if recorded:
-            state.wish[i] = device.weight * state.hand[i]
+        if c.law == CROSSOVER:
+            command = hand.crossover * s.seen[i]
         else:
-            state.wish[i] = hand.decay * state.wish[i] + (1.0 - hand.decay) * state.wanted[i]
-        goal = state.wish[i] / device.weight  # where the device's output is the wish, r_m = Λ x
-        shaking = hand.noise * state.motor[i] * (1.0 + abs(state.wish[i]))
-        state.force[i] = device.held_stiffness * goal + shaking + state.pushed[i]
-        state.free_output[i] = haptic.free_output(
-            device, state.device[i], state.device_velocity[i], state.force[i]
-        )
+            command = hand.proportional * s.seen[i]
+            if s.sees:
+                command += hand.derivative * ((s.seen[i] - s.seen_before[i]) / c.sample_time)
+        s.wanted[i] = hand.compensation * clip(command, hand.reach) / scale
+
+
+@step
+def arrive(k, setup, c, state, inputs, log):
+    """Come to the pause of sample k."""
+    s = state.whole[0]
+    look(k, c, s, inputs, log)
+    receive(k, setup, c, s, state, log)
+    steer(c, s)
+    want(c, s)
+    for i in range(3):
+        s.guiding[i] = -c.guidance * s.stretch[i]  # (3.17)
+
+
+# Decisions.
+
+
+@step
+def chosen(value, proposal):
+    """Return what was decided, the proposal where that is NaN."""
+    return proposal if np.isnan(value) else value
+
+
+@step
+def share_of_range(trust, model):
+    """
+    Return trust as a share of its range; the scales (3.5) and (3.6) have their midpoint at half of
+    it.
+    """
+    return (trust - model.t_min) / (model.t_max - model.t_min)
+
+
+@step
+def set_scales(c, s):
+    """Set α and β by the built-in rule."""
+    now, alpha = s.now, s.alpha_max
+    beta = s.beta_max
+    hr, rh = share_of_range(now.trust_hr, c.trust_hr), share_of_range(now.trust_rh, c.trust_rh)
+    if c.rule == LOGISTIC:  # (3.5)
+        alpha = logistic_scale(s.alpha_min, s.alpha_max, c.steepness, 0.5, hr)
+        beta = logistic_scale(s.beta_min, s.beta_max, c.steepness, 0.5, rh)
+    elif c.rule == STEPS:  # (3.6)
+        alpha = s.alpha_min if hr >= 0.5 else s.alpha_max
+        beta = s.beta_min if rh >= 0.5 else s.beta_max
+    elif c.rule == BY_HAND:  # now and then towards the partner that performs better
+        alpha = now.alpha
+        s.waited += 1
+        if s.waited >= c.hand.patience:
+            s.waited = 0
+            alpha += c.hand.shift if now.p_h > now.p_r else -c.hand.shift
+            alpha = min(max(alpha, s.alpha_min), s.alpha_max)
+    now.alpha, now.beta = alpha, beta
+
+
+@step
+def obey(c, s, given):
+    """Put what was decided in the place of what is proposed, and set the scales."""
+    now = s.now
+    for i in range(3):
+        now.robot[i] = chosen(given.robot[i], now.robot[i])
+        now.velocity[i] = chosen(given.velocity[i], now.velocity[i])
+        now.error[i] = given.reference[i] - now.robot[i]
+        now.u_a[i] = chosen(given.u_a[i], now.u_a[i])
+        # the ideal controller has the gain 1/s
+        now.u_i[i] = given.reference_velocity[i] + now.error[i]
+        s.wanted[i] = chosen(given.wanted[i], s.wanted[i])
+        s.guiding[i] = chosen(given.guiding[i], s.guiding[i])
+    now.path_error = np.sqrt(dot(now.error, now.error))
+    now.trust_hr = chosen(given.trust_hr, now.trust_hr)
+    now.trust_rh = chosen(given.trust_rh, now.trust_rh)
+    set_scales(c, s)
+    now.alpha, now.beta = chosen(given.alpha, now.alpha), chosen(given.beta, now.beta)
+
+
+@step
+def distance(now):
+    """Return how far away and how fast the robot is, m and m/s added up."""
+    total = 0.0
+    for i in range(3):
+        total += abs(now.robot[i]) + abs(now.velocity[i])
+    return total
+
+
+# The hand.
+
+
+@step
+def push(c, s, given):
+    """Set the hand's force, and the output that the device would have without feedback."""
+    hand, now = c.hand, s.now
+    if hand.fatigue > 0.0:  # weakened by what the hand has pushed so far [N s]
+        s.effort += c.sample_time * np.sqrt(dot(now.f_h, now.f_h))
+    for i in range(3):
+        device = c.device[i]
+        if np.isnan(given.hand[i]):
+            wanted = s.wanted[i] / (1.0 + hand.fatigue * s.effort)
+            s.wish[i] = hand.decay * s.wish[i] + (1.0 - hand.decay) * wanted
+        else:
+            s.wish[i] = device.weight * given.hand[i]
+        goal = s.wish[i] / device.weight  # where the device's output is the wish, r_m = Λ x
+        shaking = hand.noise * given.motor[i] * (1.0 + abs(s.wish[i]))
+        s.force[i] = device.held_stiffness * goal + shaking + given.push[i]
+        x, v = now.device[i], now.device_velocity[i]
+        s.free_output[i] = haptic.free_output(device, x, v, s.force[i])
 
 
 # How guidance reaches the operator: both ends of the channel are solved, each with the port behind
 # it and its controller.
 
 
-@njit(error_model="numpy", forceinline=True)
-def set_guiding_force(state, setup, stretch):
-    """Set the guiding force that the error `stretch` gives."""
-    for i in range(3):
-        state.stretch[i] = stretch[i]
-    call(setup.parts.feedback, state, setup)
-
-
-@njit(error_model="numpy", forceinline=True)
+@step
 def passivity_share(guard, energy, velocity, force, gain, sample_time):
     """
     Return the share of a port's velocity that the passivity controller of Theorem 4 lets pass, 1
@@ -317,93 +268,88 @@ def passivity_share(guard, energy, velocity, force, gain, sample_time):
     demand = demanded(guard, energy, power, sample_time)  # (3.19)
     if np.isnan(demand) or gain == 0.0:
         return 1.0
-    return 1.0 / (1.0 + activation(power, gain, 1.0, demand)[0])
+    return 1.0 / (1.0 + activation(power, gain, 1.0, demand)[0])  # (3.20)
 
 
-@njit(error_model="numpy", forceinline=True)
-def solve_robot_end(state, setup):
+@step
+def loading_and_echo(c, beta, i):
+    """
+    Return how the channel loads the device, L, and what of a wave sent back comes again without a
+    channel in between, E.
+
+    Without a channel four equations hold at once on an axis, Y being the device's admittance:
+
+    r_m = free − Y f_m, the device; f_m = β (b r_m + arriving v_l), (3.22) and (3.12);
+    v_r = u_l = sent r_m + reflected v_l, (3.22); v_l = u_r = sent' f_s − reflected' v_r, (3.22).
+
+    The first two give r_m = (free − Y β arriving v_l)/L with L = 1 + Y β b, the third then
+    v_r = sent free/L + E v_l with E = reflected − sent Y β arriving/L, and the fourth
+    v_r (1 + reflected' E) = sent free/L + E sent' f_s.
+    """
+    near, admittance = c.near, c.admittance[i]
+    loaded = 1.0 + admittance * beta * near.b
+    return loaded, near.reflected - near.sent * (admittance * beta * near.arriving / loaded)
+
+
+@step
+def solve_robot_end(c, s):
     """
     Set the robot's velocity r_s = α (free − compliance f_s): the free part arrives, and the port
     yields to the force.
-
-    Without a channel in between, both ends are one system of equations, solved in closed form.
     """
-    near, far = setup.near, setup.far
+    near, far = c.near, c.far
     for i in range(3):
-        if setup.channel == DIRECT:
-            loaded, echo = loading_and_echo(state, setup, i)
-            state.compliance[i] = (
+        s.compliance[i] = 1.0 / far.b
+        s.free_velocity[i] = far.arriving * s.v_r[i] / far.b
+        if c.carried == DIRECT:
+            loaded, echo = loading_and_echo(c, s.now.beta, i)
+            s.compliance[i] = (
                 1.0 - far.arriving * echo * far.sent / (1.0 + far.reflected * echo)
             ) / far.b
-            straight = far.arriving * near.sent * state.free_output[i] / loaded
-            state.free_velocity[i] = straight / (far.b * (1.0 + far.reflected * echo))
-        else:
-            state.compliance[i] = 1.0 / far.b
-            state.free_velocity[i] = far.arriving * state.v_r[i] / far.b
+            straight = far.arriving * near.sent * s.free_output[i] / loaded
+            s.free_velocity[i] = straight / (far.b * (1.0 + far.reflected * echo))
 
 
-@njit(error_model="numpy", forceinline=True)
-def loading_and_echo(state, setup, i):
-    """
-    Return how the channel loads the device, and what of a wave sent back comes again without a
-    channel in between.
-    """
-    near, admittance = setup.near, setup.admittance[i]
-    loaded = 1.0 + admittance * state.beta * near.b
-    return loaded, near.reflected - near.sent * (admittance * state.beta * near.arriving / loaded)
-
-
-@njit(error_model="numpy", forceinline=True)
-def solve_operator_end(state, setup):
-    """
-    Set the waves and the operator's end for the robot's velocity and force: r_m = free_output −
-    admittance f_m.
-    """
-    near, far = setup.near, setup.far
+@step
+def solve_operator_end(c, s):
+    """Set the operator's end for the force at the robot's: r_m = free − Y f_m."""
+    near, far = c.near, c.far
+    now = s.now
     for i in range(3):
-        loaded, echo = loading_and_echo(state, setup, i)
-        through = setup.admittance[i] * state.beta * near.arriving / loaded
-        if setup.channel == DIRECT:
-            straight = near.sent * state.free_output[i] / loaded + echo * far.sent * state.f_s[i]
-            state.v_r[i] = straight / (1.0 + far.reflected * echo)
-            state.v_l[i] = waves.robot_wave(far, state.f_s[i], state.v_r[i])
-        state.r_m[i] = state.free_output[i] / loaded - through * state.v_l[i]
-        # (3.12), (3.22)
-        state.f_m[i] = state.beta * waves.operator_force(near, state.r_m[i], state.v_l[i])
-        state.u_l[i] = waves.operator_wave(near, state.r_m[i], state.v_l[i])
-        state.u_r[i] = waves.robot_wave(far, state.f_s[i], state.v_r[i])
-        state.guide[i] = state.f_m[i] - state.beta * near.b * state.r_m[i]
+        loaded, echo = loading_and_echo(c, now.beta, i)
+        through = c.admittance[i] * now.beta * near.arriving / loaded
+        if c.carried == DIRECT:
+            straight = near.sent * s.free_output[i] / loaded + echo * far.sent * now.f_s[i]
+            s.v_r[i] = straight / (1.0 + far.reflected * echo)
+            s.v_l[i] = waves.robot_wave(far, now.f_s[i], s.v_r[i])
+        now.r_m[i] = s.free_output[i] / loaded - through * s.v_l[i]
+        now.f_m[i] = now.beta * waves.operator_force(near, now.r_m[i], s.v_l[i])  # (3.12), (3.22)
 
 
-@Part
-def through_channel(state, setup):
+@step
+def guide_through_channel(c, s):
     """
     The guiding force at the robot's port, under the controller of Theorem 4: Chapter 3 as printed.
     """
-    set_guiding_force(state, setup, state.error)
-    solve_robot_end(state, setup)
-    square = 0.0
+    now, square = s.now, 0.0
+    solve_robot_end(c, s)
     for i in range(3):
-        state.pull[i] = state.f_s[i] = state.guiding[i]
+        s.pull[i] = now.f_s[i] = s.guiding[i]
         # (3.12), (3.22)
-        state.r_s[i] = state.alpha * (state.free_velocity[i] - state.compliance[i] * state.f_s[i])
-        square += state.r_s[i] ** 2 * (state.compliance[0] / state.compliance[i])
-    gain = square / (state.alpha * state.compliance[0])
-    share = passivity_share(
-        setup.guard, state.ledger.robot, state.r_s, state.f_s, gain, setup.sample_time
-    )
+        now.r_s[i] = now.alpha * (s.free_velocity[i] - s.compliance[i] * now.f_s[i])
+        square += now.r_s[i] ** 2 * (s.compliance[0] / s.compliance[i])
+    gain = square / (now.alpha * s.compliance[0])
+    share = passivity_share(c.guard, now.energy_robot, now.r_s, now.f_s, gain, c.sample_time)
     if share < 1.0:
         for i in range(3):
-            state.r_s[i] = share * state.r_s[i]
-            state.f_s[i] = (state.free_velocity[i] - state.r_s[i] / state.alpha) / state.compliance[
-                i
-            ]
-    solve_operator_end(state, setup)
-    state.port_share = share
+            now.r_s[i] = share * now.r_s[i]
+            now.f_s[i] = (s.free_velocity[i] - now.r_s[i] / now.alpha) / s.compliance[i]
+    solve_operator_end(c, s)
+    now.port_share = share
 
 
-@Part
-def at_operator(state, setup):
+@step
+def guide_at_operator(c, s):
     """
     The guiding force β f at the haptic device, from the picture that the operator sees; the channel
     carries the command.
@@ -412,204 +358,198 @@ def at_operator(state, setup):
     and the guiding force. The controller works on (r_m, f_m): guidance spends what the operator's
     port has earned, or its budget.
     """
-    set_guiding_force(state, setup, state.picture)
-    near, far = setup.near, setup.far
+    near, far = c.near, c.far
+    now = s.now
     back = 0.0  # of a wave sent, what returns at once without a channel in between
-    if setup.channel == DIRECT:
+    if c.carried == DIRECT:
         back = -far.reflected * near.sent / (1.0 + near.reflected * far.reflected)
-    gain, resistance = 0.0, state.beta * (near.b + near.arriving * back)
+    gain, resistance = 0.0, now.beta * (near.b + near.arriving * back)
     for i in range(3):
-        arrived = 0.0 if setup.channel == DIRECT else state.beta * near.arriving * state.v_l[i]
-        state.pull[i] = state.beta * state.guiding[i]
-        force, admittance = arrived + state.pull[i], setup.admittance[i]
-        state.r_m[i] = (state.free_output[i] - admittance * force) / (1.0 + admittance * resistance)
-        state.f_m[i] = force + resistance * state.r_m[i]
-        gain += state.r_m[i] ** 2 / admittance
-    share = passivity_share(
-        setup.guard, state.ledger.account, state.r_m, state.f_m, gain, setup.sample_time
-    )
+        arrived = 0.0 if c.carried == DIRECT else now.beta * near.arriving * s.v_l[i]
+        s.pull[i] = now.beta * s.guiding[i]
+        force, admittance = arrived + s.pull[i], c.admittance[i]
+        now.r_m[i] = (s.free_output[i] - admittance * force) / (1.0 + admittance * resistance)
+        now.f_m[i] = force + resistance * now.r_m[i]  # (3.12), (3.22)
+        gain += now.r_m[i] ** 2 / admittance
+    share = passivity_share(c.guard, s.account, now.r_m, now.f_m, gain, c.sample_time)
     for i in range(3):
         if share < 1.0:
-            state.r_m[i] = share * state.r_m[i]
-            state.f_m[i] = (state.free_output[i] - state.r_m[i]) / setup.admittance[i]
-        if setup.channel == DIRECT:
-            state.v_l[i] = back * state.r_m[i]
-            state.v_r[i] = waves.operator_wave(near, state.r_m[i], state.v_l[i])
-        state.guide[i] = state.f_m[i] - state.beta * near.b * state.r_m[i]
-        state.f_s[i] = 0.0
-        # (3.12), (3.22)
-        state.r_s[i] = state.alpha * waves.robot_velocity(far, state.f_s[i], state.v_r[i])
-        state.u_l[i] = waves.operator_wave(near, state.r_m[i], state.v_l[i])
-        state.u_r[i] = waves.robot_wave(far, state.f_s[i], state.v_r[i])
-    state.port_share = share
+            now.r_m[i] = share * now.r_m[i]
+            now.f_m[i] = (s.free_output[i] - now.r_m[i]) / c.admittance[i]
+        if c.carried == DIRECT:
+            s.v_l[i] = back * now.r_m[i]
+            s.v_r[i] = waves.operator_wave(near, now.r_m[i], s.v_l[i])
+        now.f_s[i] = 0.0
+        now.r_s[i] = now.alpha * waves.robot_velocity(far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
+    now.port_share = share
 
 
-@Part
-def no_feedback(state, setup):
-    """The device's output to the robot, from which no force comes back."""
-    set_guiding_force(state, setup, state.error)
+@step
+def send_output(c, s):
+    """Send the device's output to the robot, from which no force comes back."""
+    now = s.now
     for i in range(3):
-        state.r_m[i] = state.free_output[i]
-        state.f_m[i] = 0.0
-        state.f_s[i] = 0.0
-        state.pull[i] = 0.0
-        state.r_s[i] = state.alpha * (state.r_m[i] if setup.channel == DIRECT else state.arrived[i])
-    state.port_share = 1.0
+        now.r_m[i] = s.free_output[i]
+        now.r_s[i] = now.alpha * (now.r_m[i] if c.carried == DIRECT else s.arrived[i])
+        now.f_m[i] = now.f_s[i] = s.pull[i] = 0.0
+    now.port_share = 1.0
 
 
-GUIDANCE = {
-    "at_operator": at_operator,
-    "through_channel": through_channel,
-}
+# Books, performance and motion.
 
 
-# Energy, performance, and the step to the next sample.
-
-
-@njit(error_model="numpy", forceinline=True)
-def account_energy(setup, state):
+@step
+def account(c, s, given):
     """
     Book the energy of every port and set the robot's command; return |r_m|² + |f_m|², by which
-    `advance` sees that device or channel diverge.
+    device or channel are seen to diverge.
     """
-    T = setup.sample_time
-    scaling = setup.loop.force_scaling
-    ledger = state.ledger
-    magnitude = 0.0
-    state.energy_device = 0.0
+    T = c.sample_time
+    scaling = c.force_scaling
+    hand = c.hand
+    now = s.now
+    bilateral = c.guided_at != NOWHERE
+    magnitude = now.energy_device = 0.0
     for i in range(3):
-        device = setup.device[i]
-        x = state.device[i]
-        v = state.device_velocity[i]
+        device, x = c.device[i], now.device[i]
+        v = now.device_velocity[i]
+        r_m, f_m = now.r_m[i], now.f_m[i]
+        r_s, f_s = now.r_s[i], now.f_s[i]
         # (3.8)
-        v_middle = haptic.midpoint_velocity(device, x, v, state.force[i], scaling * state.f_m[i])
-        x_middle = x + 0.5 * T * v_middle
-        state.middle[i] = v_middle
-        state.f_h[i] = (
-            state.force[i] - setup.hand.stiffness * x_middle - setup.hand.damping * v_middle
-        )
-        ledger.operator += T * state.r_m[i] * state.f_h[i] / scaling  # (3.25)
-        ledger.port += T * state.r_m[i] * state.f_m[i]
-        ledger.account += T * state.r_m[i] * state.f_m[i]
-        ledger.channel += T * (state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i])
-        ledger.robot += T * state.r_s[i] * state.f_s[i]
-        ledger.target -= T * state.pull[i] * state.reference_velocity[i]
-        ledger.dissipated += T / scaling * haptic.device_loss(device, x_middle, v_middle)  # (3.10)
-        after_x, after_v = x + T * v_middle, 2.0 * v_middle - v
-        # (3.9)
-        state.energy_device += haptic.device_storage(device, after_x, after_v) / scaling
+        v_middle = haptic.midpoint_velocity(device, x, v, s.force[i], scaling * f_m)
+        s.middle[i], x_middle = v_middle, x + 0.5 * T * v_middle
+        held = s.force[i] - hand.stiffness * x_middle - hand.damping * v_middle
+        now.f_h[i] = held - hand.mass * (2.0 * (v_middle - v) / T)
+        # what the channel's end gives, (3.12) and (3.22), and what guidance and its guard add
+        end = now.beta * waves.operator_force(c.near, r_m, s.v_l[i]) if bilateral else 0.0
+        now.guide[i] = f_m - now.beta * c.near.b * r_m if bilateral else 0.0
+        now.energy_operator += T * r_m * now.f_h[i] / scaling  # (3.25)
+        now.energy_port += T * r_m * f_m
+        s.account += T * r_m * f_m
+        now.energy_channel += T * (r_m * end - r_s * f_s)
+        now.energy_guidance += T * r_m * (f_m - end)
+        now.energy_robot += T * r_s * f_s
+        now.energy_target -= T * s.pull[i] * given.reference_velocity[i]
+        now.energy_dissipated += T / scaling * haptic.device_loss(device, x_middle, v_middle)
+        stored = haptic.device_storage(device, x + T * v_middle, 2.0 * v_middle - v)
+        now.energy_device += stored / scaling  # (3.9)
         # What the vehicle is told: α u_h + (1 − α) u_a, the operator's share being r_s = α u_h.
-        state.u_h[i] = state.r_s[i] / state.alpha
-        state.command[i] = state.r_s[i] + (1.0 - state.alpha) * state.u_a[i]
-        magnitude += state.r_m[i] ** 2 + state.f_m[i] ** 2
+        now.u_h[i] = r_s / now.alpha
+        s.command[i] = r_s + (1.0 - now.alpha) * now.u_a[i]
+        magnitude += r_m**2 + f_m**2
     # see ports/budget.py; without a budget the account is the port's energy
-    ledger.account = min(ledger.account, setup.budget_energy) + T * setup.budget_power
-    state.energy_operator = ledger.operator
-    state.energy_dissipated = ledger.dissipated
-    state.energy_channel = ledger.channel
-    state.energy_robot = ledger.robot
-    state.energy_port = ledger.port
-    state.energy_target = ledger.target
+    s.account = min(s.account, c.budget_energy) + T * c.budget_power
     return magnitude
 
 
-@njit(error_model="numpy", forceinline=True)
-def performance(settings, command_error, share, tracking_error):
+@step
+def send(k, c, s, sent):
+    """Send the waves (3.22)."""
+    now = s.now
+    for i in range(3):
+        sent[0, k, i] = waves.operator_wave(c.near, now.r_m[i], s.v_l[i])
+        sent[1, k, i] = waves.robot_wave(c.far, now.f_s[i], s.v_r[i])
+
+
+@step
+def performance(c, command_error, share, tracking_error):
     """
     Return (3.27) of one partner: its command's distance from the ideal one, and its share of the
     tracking error.
     """
-    command = max(1.0 - command_error / settings.command_range, 0.0)
-    return command * max(1.0 - share * tracking_error / settings.error_range, 0.0)
+    command = max(1.0 - command_error / c.command_range, 0.0)
+    return command * max(1.0 - share * tracking_error / c.error_range, 0.0)
 
 
-@njit(error_model="numpy", forceinline=True)
-def measure_performance(settings, state):
-    """Take performance (3.26)-(3.27) over the window."""
+@step
+def judge(k, c, s, log):
+    """Set performance (3.26)-(3.27) over the window."""
+    now = s.now
     tracking = command_h = command_r = 0.0
     for i in range(3):
-        tracking += abs(state.error[i])
-        command_h += abs(state.u_h[i] - state.u_i[i])
-        command_r += abs(state.u_a[i] - state.u_i[i])
-    state.good_r = performance(settings, command_r, 1.0 - state.alpha, tracking)  # (3.27)
-    state.good_h = performance(settings, command_h, state.alpha, tracking)
-    state.sum_r += state.good_r
-    state.sum_h += state.good_h
-    state.sum_r -= state.leaving_r
-    state.sum_h -= state.leaving_h
+        tracking += abs(now.error[i])
+        command_h += abs(now.u_h[i] - now.u_i[i])
+        command_r += abs(now.u_a[i] - now.u_i[i])
+    now.good_r = performance(c, command_r, 1.0 - now.alpha, tracking)  # (3.27)
+    now.good_h = performance(c, command_h, now.alpha, tracking)  # (3.27)
+    s.sum_r += now.good_r
+    s.sum_h += now.good_h
+    if k >= c.window:
+        s.sum_r -= log[k - c.window].good_r
+        s.sum_h -= log[k - c.window].good_h
+    samples = min(k + 1, c.window)
     # (3.26); sums of differences may end a rounding error below zero
-    state.p_r = max(state.sum_r / state.samples, 0.0)
-    state.p_h = max(state.sum_h / state.samples, 0.0)
+    now.p_r, now.p_h = max(s.sum_r / samples, 0.0), max(s.sum_h / samples, 0.0)
 
 
-@njit(error_model="numpy", forceinline=True)
-def store_history(k, state, history, sent):
-    """Keep what later samples look up."""
-    old = history[k]
-    old.good_r = state.good_r
-    old.good_h = state.good_h
+@step
+def next_trust(trust, model, p):
+    """
+    Return trust one sample later for a performance in its own unit; performance beyond its range
+    counts as at its end.
+    """
+    share = min(max((p - model.p_min) / (model.p_max - model.p_min), 0.0), 1.0)
+    span = model.t_max - model.t_min
+    return model.t_min + span * trust_step(
+        (trust - model.t_min) / span, share, model.decay, model.gain
+    )
+
+
+@step
+def move(c, s):
+    """Move device and vehicle, and step trust."""
+    now = s.now
     for i in range(3):
-        sent[0, k, i], sent[1, k, i] = state.u_l[i], state.u_r[i]
-
-
-@njit(error_model="numpy", forceinline=True)
-def step_motion(setup, state):
-    """Step device, vehicle and trust; return the block or part that failed, DONE where none did."""
-    for i in range(3):
-        state.device[i] += setup.sample_time * state.middle[i]
-        state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
-    call(setup.parts.vehicle, state, setup)
-    distance = 0.0
-    for i in range(3):
-        distance += abs(state.robot[i]) + abs(state.velocity[i])
-    if state.raised or not np.isfinite(distance):
-        return VEHICLE
-    if distance >= 1e9:
-        return ROBOT
-    call(setup.parts.trust, state, setup)
-    if state.raised or not np.isfinite(state.trust_hr + state.trust_rh):
-        return TRUST
-    return DONE
+        now.device[i] += c.sample_time * s.middle[i]
+        now.device_velocity[i] = 2.0 * s.middle[i] - now.device_velocity[i]
+        if not c.own_vehicle:  # by exact matrices, the command being held over the sample
+            phi, gamma = c.phi[i], c.gamma[i]
+            u = s.command[i]
+            x, v = now.robot[i], now.velocity[i]
+            a = s.acceleration[i]
+            now.robot[i] = phi[0, 0] * x + phi[0, 1] * v + phi[0, 2] * a + gamma[0] * u
+            now.velocity[i] = phi[1, 0] * x + phi[1, 1] * v + phi[1, 2] * a + gamma[1] * u
+            s.acceleration[i] = phi[2, 0] * x + phi[2, 1] * v + phi[2, 2] * a + gamma[2] * u
+    if not c.own_trust:
+        now.trust_hr = next_trust(now.trust_hr, c.trust_hr, now.p_r)  # (3.2)
+        now.trust_rh = next_trust(now.trust_rh, c.trust_rh, now.p_h)  # (3.3)
 
 
 @njit(error_model="numpy", _nrt=False)
-def advance(
-    start, stop, setups, states, row, inputs, delays, arrives, accounts, history, sent, log, table
-):
+def teleoperate(first, stop, setup, state, inputs, log):
     """
-    Do the samples from `start` to before `stop`; return the samples done and how the run ended.
+    Do the samples, as a kernel of `Simulation`.
 
-    setups, states, shape (1,): records of SETUP and STATE. row: the state's part that is logged, as
-    numbers. inputs, history, log, shape (N,): records of INPUT, HISTORY and LOG. sent, shape (2, N,
-    3): waves by the sample that they were sent in, to the robot and back. table: the log as
-    numbers. delays, arrives, shape (2, N): delay in samples, and whether what is sent in a sample
-    arrives at all. accounts: `ledger.accounts()`.
+    setup: a `LoopSetup`. state: a `LoopState`. inputs: records of INPUT, one more than the log.
+    log: records of SAMPLE.
     """
-    setup, state = setups[0], states[0]
-    if start == 0:
+    c, s = setup.numbers[0], state.whole[0]
+    now = s.now
+    if stop == 0:
         for i in range(3):
-            state.robot[i] = inputs[0].reference[i]
-    for k in range(start, stop):
-        look_up(k, setup, inputs, history, state)
-        receive(k, setup, delays, arrives, accounts, sent, log, state)
-        failed = decide(setup, inputs[k].alpha, state)
-        if failed != DONE:
-            return k, failed
-        set_hand_force(setup, state)
-        call(setup.parts.guidance, state, setup)
-        if state.raised or not finite(state.guiding):
-            return k, FEEDBACK
-        near = account_energy(setup, state)
-        measure_performance(setup.loop, state)
-        for i in range(row.size):
-            table[k, i] = row[i]
-        store_history(k, state, history, sent)
+            now.robot[i] = inputs[0].reference[i]
+        arrive(0, setup, c, state, inputs, log)
+    for k in range(first, stop):
+        given = inputs[k]
+        obey(c, s, given)
         # written as "not <", so that NaN counts as diverged
-        if not state.energy_device < 1e9:
+        if not distance(now) < 1e9:
+            return k, ROBOT
+        push(c, s, given)
+        if c.guided_at == AT_OPERATOR:
+            guide_at_operator(c, s)
+        elif c.guided_at == THROUGH_CHANNEL:
+            guide_through_channel(c, s)
+        else:
+            send_output(c, s)
+        magnitude = account(c, s, given)
+        judge(k, c, s, log)
+        send(k, c, s, state.sent)
+        log[k] = now
+        if not now.energy_device < 1e9:
             return k + 1, DEVICE
-        if not near < 1e18:
+        if not magnitude < 1e18:
             return k + 1, CHANNEL
-        failed = step_motion(setup, state)
-        if failed != DONE:
-            return k + 1, failed
-    return stop, DONE
+        move(c, s)
+        arrive(k + 1, setup, c, state, inputs, log)
+    return stop, -1

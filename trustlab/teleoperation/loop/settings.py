@@ -11,35 +11,26 @@ import numpy as np
 
 from trustlab.allocation.blending import OptimalBlending
 from trustlab.models.checks import (
+    between,
     finite_array,
     finite_number,
     of_class,
     one_of,
     positive,
     set_checked,
+    shown,
 )
 from trustlab.models.linear_algebra import matrix_exponential
-from trustlab.models.simulation import DivergenceError as DivergenceError
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
-from trustlab.models.uav import TransferFunction, three_axes
-from trustlab.sessions.session import Session
-from trustlab.teleoperation.loop.kernel import linear_vehicle
-from trustlab.teleoperation.loop.parts import LOOP, MEMORY, SETUP, STATE, VEHICLE, Part
+from trustlab.teleoperation.loop.kernel import GUIDANCE, NOWHERE
+from trustlab.teleoperation.loop.records import NUMBERS, STATE
 from trustlab.teleoperation.ports import device as haptic
+from trustlab.teleoperation.ports.budget import GuidanceBudget
 from trustlab.teleoperation.ports.device import HapticDevice
+from trustlab.teleoperation.ports.passivity import METHODS
 from trustlab.teleoperation.ports.waves import Scattering
-from trustlab.teleoperation.records import filled
 
 STUDY_NAMES = ("preliminary", "main")
-
-
-class PartError(ValueError):
-    """
-    A part raised an error or returned an invalid value: says which and when. `.session` has the run
-    so far, if two samples.
-    """
-
-    session: Session | None = None
 
 
 @dataclass(frozen=True)
@@ -78,6 +69,8 @@ class LoopSettings:
     study : {"main", "preliminary"}
         The study whose task, delays and operator's reach are the defaults; `dataclasses.replace`
         keeps it.
+    sample_time : float
+        T [s].
 
     Raises
     ------
@@ -103,6 +96,7 @@ class LoopSettings:
     require_passive: bool = True
     title: str = "own settings"
     study: str = "main"
+    sample_time: float = 0.01
 
     def __post_init__(self):
         for name in ("mass", "damping", "stiffness", "weight"):
@@ -115,6 +109,7 @@ class LoopSettings:
         of_class("human_to_robot", self.human_to_robot, TrustModel)
         of_class("robot_to_human", self.robot_to_human, TrustModel)
         one_of("study", self.study, STUDY_NAMES)
+        between("sample_time", self.sample_time, 1e-5, 0.1)
         if self.k_ffa < 0.0:
             raise ValueError(
                 f"k_ffa must not be negative, got {self.k_ffa}; printed_sign=True gives the "
@@ -159,40 +154,6 @@ class LoopSettings:
             for low, high, trust in pairs
         )
 
-    def numbers(self, sample_time: float) -> np.void:
-        """
-        Return the settings as the compiled loop takes them.
-
-        Parameters
-        ----------
-        sample_time : float
-            T [s].
-        """
-        return filled(
-            LOOP,
-            force_scaling=self.force_scaling,
-            gain=self.scattering.gain,
-            guidance=-self.k_ffa if self.printed_sign else self.k_ffa,
-            steepness=self.steepness,
-            trust_hr=_trust_numbers(self.human_to_robot, sample_time),
-            trust_rh=_trust_numbers(self.robot_to_human, sample_time),
-            window=max(round(self.window / sample_time), 1),
-            command_range=self.command_range,
-            error_range=self.error_range,
-        )
-
-
-def _trust_numbers(trust: TrustModel, sample_time: float) -> tuple:
-    """Return a trust model for one sample time, a record of TRUST."""
-    return (
-        trust.decay(sample_time),
-        trust.b / trust.a,
-        trust.p_min,
-        trust.p_max,
-        trust.t_min,
-        trust.t_max,
-    )
-
 
 # Printed settings. The device's mass, the rates of trust and y_max are not printed: the first is
 # near the heaviest that is r-passive with the printed gains of each study (9.2 g and 0.55 kg); the
@@ -234,51 +195,128 @@ def study_named(study: str | LoopSettings) -> LoopSettings:
     return STUDIES[one_of("study", study, STUDY_NAMES, also="LoopSettings")]
 
 
-# States that a vehicle given by matrices may have: its memory also holds where it started.
-MOST_STATES = MEMORY - 3
+@dataclass(frozen=True)
+class Guidance:
+    """
+    How a guiding force reaches the operator, and what keeps it passive.
+
+    Parameters
+    ----------
+    where : {"at_operator", "through_channel"}
+        "at_operator": β times the force is rendered at the haptic device, from the camera's
+        picture; it spends energy that the operator's port has earned, and the robot does what the
+        operator commands. "through_channel": as printed, the force is at the robot's port,
+        (3.17)-(3.22).
+    guard : {"repay", "cancel", "off"}
+        The passivity controller of the guidance: "repay" lets no port end a sample below zero;
+        "cancel", as printed, undershoots by at most one sample's power at a time; "off" shows what
+        they are for.
+    budget : GuidanceBudget, optional
+        What guidance at the operator may give out beyond what its port took, so that it is felt; in
+        its place, when not given, is all that the port has earned since the start.
+    force : callable, optional
+        f(state) → guiding force [N], shape (3,); −k_ffa e when not given, e being `state.stretch`.
+
+    Raises
+    ------
+    ValueError
+        If a word is unknown, or the budget is for guidance through the channel.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> from trustlab.teleoperation import Guidance
+    >>> weak = Guidance(force=lambda state: -2.0 * state.stretch)
+    >>> run = tl.simulate_teleoperation("M", guidance=weak, duration=5.0)
+    >>> bool(run["energy_port"].min() > -1e-9)
+    True
+    """
+
+    where: str = "at_operator"
+    guard: str = "repay"
+    budget: GuidanceBudget | None = None
+    force: Callable | None = None
+
+    def __post_init__(self):
+        one_of("where", self.where, GUIDANCE)
+        one_of("guard", self.guard, METHODS)
+        if self.force is not None and not callable(self.force):
+            raise ValueError(f"force must be a function of the state, got {shown(self.force)}")
+        if self.budget is not None:
+            of_class("budget", self.budget, GuidanceBudget)
+            if self.where != "at_operator":
+                raise ValueError(f"budget is for guidance at_operator, got {self.where!r}")
 
 
-def setup_of(
-    settings: LoopSettings, hand: np.void, auto: np.void, sample_time: float
-) -> np.ndarray:
-    """Return the constants of a loop, a record of SETUP, without parts and vehicle."""
-    setups = np.zeros(1, SETUP)
-    device = settings.device()
+def guidance_named(guidance: str | Guidance) -> Guidance:
+    """Return guidance by where it is rendered, or one's own as it is."""
+    if isinstance(guidance, Guidance):
+        return guidance
+    return Guidance(one_of("guidance", guidance, GUIDANCE, also="trustlab.teleoperation.Guidance"))
+
+
+def numbers_of(settings: LoopSettings, guidance: Guidance, bilateral: bool) -> np.ndarray:
+    """
+    Return the constants of a loop, a record of NUMBERS, but for who drives, sees and flies there.
+    """
+    numbers, T = np.zeros(1, NUMBERS), settings.sample_time
     ends = settings.scattering
+    (n,) = numbers
+    for name in ("sample_time", "force_scaling", "steepness", "command_range", "error_range"):
+        n[name] = getattr(settings, name)
+    n["gain"] = ends.gain
+    n["guidance"] = -settings.k_ffa if settings.printed_sign else settings.k_ffa
+    n["window"] = max(round(settings.window / T), 1)
+    for name in ("human_to_robot", "robot_to_human"):
+        model = getattr(settings, name)
+        n["trust_hr" if name == "human_to_robot" else "trust_rh"] = (
+            model.decay(T),
+            model.b / model.a,
+            model.p_min,
+            model.p_max,
+            model.t_min,
+            model.t_max,
+        )
+    n["guard"] = METHODS[guidance.guard]
+    n["guided_at"] = GUIDANCE.index(guidance.where) if bilateral else NOWHERE
+    n["budget_energy"] = np.inf if guidance.budget is None else guidance.budget.energy
+    n["budget_power"] = 0.0 if guidance.budget is None else guidance.budget.power
+    n["near"], n["far"] = ends.at_operator, ends.at_robot
+    return numbers
+
+
+def hold_device(n: np.void, settings: LoopSettings, hand: np.void) -> None:
+    """Put the operator, and the device in the operator's hand, into the constants of a loop."""
+    device = settings.device()
+    n["hand"] = hand
     axes = haptic.held_device.py_func(
         *(np.diag(m) for m in (device.mass, device.damping, device.stiffness, device.weight)),
-        hand["stiffness"],
-        hand["damping"],
-        sample_time,
+        haptic.Arm(hand["mass"], hand["stiffness"], hand["damping"]),
+        settings.sample_time,
     )
-    setup = setups[0]
-    setup["sample_time"] = sample_time
-    setup["loop"] = settings.numbers(sample_time)
-    setup["hand"] = hand
-    setup["auto"] = auto
-    setup["near"], setup["far"] = ends.at_operator, ends.at_robot
     for name, value in axes._asdict().items():
-        setup["device"][name] = value
-    setup["admittance"] = settings.force_scaling * axes.lever / axes.inertia
-    return setups
+        n["device"][name] = value
+    n["admittance"] = settings.force_scaling * axes.lever / axes.inertia
 
 
-def state_of(settings: LoopSettings, sample_time: float) -> np.ndarray:
+def state_of(settings: LoopSettings, guidance: Guidance) -> np.ndarray:
     """
     Return the state before the first sample, a record of STATE: scales at their upper bounds, trust
     mid-way.
     """
-    states, ends = np.zeros(1, STATE), settings.scattering
-    states["sample_time"] = sample_time
+    whole, ends = np.zeros(1, STATE), settings.scattering
+    whole["sample_time"] = settings.sample_time
+    if guidance.budget is not None:
+        whole["account"] = guidance.budget.energy
     for name in ("alpha", "beta"):
-        states[f"{name}_min"] = getattr(ends, f"{name}_min")
-        states[f"{name}_max"] = states[name] = getattr(ends, f"{name}_max")
+        whole[f"{name}_min"] = getattr(ends, f"{name}_min")
+        whole[f"{name}_max"] = whole["now"][name] = getattr(ends, f"{name}_max")
     for name, model in (
         ("trust_hr", settings.human_to_robot),
         ("trust_rh", settings.robot_to_human),
     ):
-        states[name] = model.t_min + (model.t_max - model.t_min) * 0.5
-    return states
+        whole["now"][name] = model.t_min + (model.t_max - model.t_min) * 0.5
+    return whole
 
 
 @lru_cache(maxsize=64)
@@ -287,76 +325,17 @@ def blending_cost(vehicle, gains, low: float, high: float) -> np.ndarray:
     return OptimalBlending(vehicle, (gains,) * 3, low, high).weights
 
 
-def vehicle_of(vehicle) -> tuple[tuple[TransferFunction, ...] | None, Part | Callable]:
-    """
-    Return a vehicle's transfer functions, where it has some, and the part or function that steps
-    it.
-    """
-    if callable(vehicle):
-        return None, vehicle
-    if (
-        isinstance(vehicle, (tuple, list))
-        and len(vehicle) == 3
-        and all(np.ndim(m) == 2 for m in vehicle)
-    ):
-        return None, state_space(
-            *(tuple(map(tuple, np.asarray(m, dtype=float).tolist())) for m in vehicle)
-        )
-    return three_axes(vehicle), linear_vehicle
-
-
-@lru_cache(maxsize=16)
-def state_space(a: tuple, b: tuple, c: tuple) -> Callable:
-    """
-    Return the function that steps x' = A x + B u and moves the vehicle from its start by C x';
-    matrices as tuples of rows.
-    """
-    matrices = {"A": np.array(a), "B": np.array(b), "C": np.array(c)}
-    n = len(a)
-    for (name, matrix), shape in zip(matrices.items(), ((n, n), (n, 3), (6, n)), strict=True):
-        if matrix.shape != shape:
-            raise ValueError(
-                f"vehicle: {name} must have shape {shape}, got {matrix.shape}: A (n, n), B (n, 3) "
-                "for the commands on x, y and z, C (6, n) for position and velocity"
-            )
-        if not np.isfinite(matrix).all():
-            raise ValueError(f"vehicle: {name} must be finite")
-    if n > MOST_STATES:
-        raise ValueError(
-            f"vehicle: at most {MOST_STATES} states, got {n}; write a function with a memory of "
-            "its own instead"
-        )
-    transition, effect, output = matrices.values()
-
-    def step(state, memory):
-        x, start = memory[:n], memory[n : n + 3]
-        if state.t == 0.0:
-            start[:] = state.robot
-        x[:] = transition @ x + effect @ state.command
-        moved = output @ x
-        return start + moved[:3], moved[3:]
-
-    return step
-
-
-def vehicle_matrices(axes, sample_time: float) -> np.ndarray:
+@lru_cache(maxsize=64)
+def vehicle_matrices(axes: tuple, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
     """
     Return exact one-sample matrices of (position, velocity, acceleration) for a command held over
-    the sample.
+    the sample: the state transition, shape (3, 3, 3), and the effect of the command, shape (3, 3),
+    by axis.
 
-    A record of VEHICLE, shape (1,): `phi` is the state transition per axis, `gamma` the effect of
-    the command. An axis of order 1 leaves its acceleration at zero.
+    Worked out once: exponentials take longer than a minute of the loop. An axis of order 1 leaves
+    its acceleration at zero.
     """
-    return _matrices(three_axes(axes), positive("sample_time", sample_time)).copy()
-
-
-@lru_cache(maxsize=64)
-def _matrices(axes: tuple, sample_time: float) -> np.ndarray:
-    """
-    Return the matrices of `vehicle_matrices`, worked out once: exponentials take longer than a
-    minute of the loop.
-    """
-    matrices = np.zeros(1, VEHICLE)
+    phi, gamma = np.zeros((3, 3, 3)), np.zeros((3, 3))
     for i, axis in enumerate(axes):
         n = axis.order + 1
         a, b = axis.matrices()
@@ -367,5 +346,6 @@ def _matrices(axes: tuple, sample_time: float) -> np.ndarray:
         block[1:n, 1:n] = a
         block[1:n, n] = b
         whole = matrix_exponential(block * sample_time)
-        matrices["phi"][0, i, :n, :n], matrices["gamma"][0, i, :n] = whole[:n, :n], whole[:n, n]
-    return matrices
+        phi[i, :n, :n], gamma[i, :n] = whole[:n, :n], whole[:n, n]
+    phi.flags.writeable = gamma.flags.writeable = False
+    return phi, gamma

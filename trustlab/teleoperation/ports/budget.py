@@ -28,8 +28,8 @@ class GuidanceBudget:
     """
     Energy that guidance at the operator may give out beyond what its port took.
 
-    In any stretch of s seconds the port gives out at most energy + power · s, under
-    ``guard="repay"``; what it takes beyond `energy` is not saved up.
+    In any stretch of s seconds the port gives out at most energy + power · s, under the guard
+    "repay"; what it takes beyond `energy` is not saved up.
 
     Parameters
     ----------
@@ -46,8 +46,9 @@ class GuidanceBudget:
     Examples
     --------
     >>> import trustlab as tl
-    >>> budget = tl.teleoperation.GuidanceBudget(energy=0.2, power=0.5)
-    >>> run = tl.simulate_teleoperation("M", seed=0, duration=10.0, budget=budget)
+    >>> from trustlab.teleoperation import Guidance, GuidanceBudget
+    >>> budget = GuidanceBudget(energy=0.2, power=0.5)
+    >>> run = tl.simulate_teleoperation("M", duration=10.0, guidance=Guidance(budget=budget))
     >>> bool(run["energy_port"].min() >= -budget.bound(10.0))
     True
     """

@@ -31,21 +31,41 @@ class Device(NamedTuple):
     damping: float
     stiffness: float
     weight: float
-    held_stiffness: float  # of device and hand
-    inertia: float  # 2M/T + B + KT/2, device and hand: force per velocity at the midpoint
+    held_mass: float  # of device and arm
+    held_stiffness: float
+    inertia: float  # 2M/T + B + KT/2, device and arm: force per velocity at the midpoint
     lever: float  # r_m per velocity at the midpoint, 1 + ΛT/2
     spare: float  # K + ΛB − ΛMΛ of (3.9)
 
 
+class Arm(NamedTuple):
+    """What the operator's arm adds to an axis of the device: M [kg], K [N/m] and B [N s/m]."""
+
+    mass: float
+    stiffness: float
+    damping: float
+
+
+NO_ARM = Arm(0.0, 0.0, 0.0)
+
+
 @njit(error_model="numpy", forceinline=True)
-def held_device(mass, damping, stiffness, weight, hand_stiffness, hand_damping, sample_time):
-    """Return one axis of a device in a hand that is a spring and a damper."""
-    held_stiffness, held_damping = stiffness + hand_stiffness, damping + hand_damping
-    inertia = 2.0 * mass / sample_time + held_damping + 0.5 * sample_time * held_stiffness
-    lever = 1.0 + 0.5 * sample_time * weight
-    spare = stiffness + weight * damping - weight * mass * weight
+def held_device(mass, damping, stiffness, weight, arm, sample_time):
+    """Return one axis of a device in a hand."""
+    held_mass, held_stiffness = mass + arm.mass, stiffness + arm.stiffness
+    held_damping = damping + arm.damping
+    inertia = 2.0 * held_mass / sample_time + held_damping + 0.5 * sample_time * held_stiffness
     return Device(
-        sample_time, mass, damping, stiffness, weight, held_stiffness, inertia, lever, spare
+        sample_time,
+        mass,
+        damping,
+        stiffness,
+        weight,
+        held_mass,
+        held_stiffness,
+        inertia,
+        lever=1.0 + 0.5 * sample_time * weight,
+        spare=stiffness + weight * damping - weight * mass * weight,
     )
 
 
@@ -54,7 +74,12 @@ def midpoint_velocity(device, x, v, force, feedback):
     """
     Return the velocity at the middle of the sample under the hand's force and the scaled feedback.
     """
-    pull = 2.0 * device.mass * v / device.sample_time - device.held_stiffness * x + force - feedback
+    pull = (
+        2.0 * device.held_mass * v / device.sample_time
+        - device.held_stiffness * x
+        + force
+        - feedback
+    )
     return pull / device.inertia
 
 
@@ -64,7 +89,7 @@ def free_output(device, x, v, force):
     Return the output r_m that the device would have without feedback; the channel's end is solved
     with it.
     """
-    pull = 2.0 * device.mass * v / device.sample_time - device.held_stiffness * x + force
+    pull = 2.0 * device.held_mass * v / device.sample_time - device.held_stiffness * x + force
     return device.lever * pull / device.inertia + device.weight * x
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from trustlab.models.checks import one_of
 from trustlab.models.compiled import njit
-from trustlab.teleoperation.loop.settings import PartError
+from trustlab.models.simulation import PartError
 
 # Performance that is drawn at random and says nothing of the robots: for tests of theorems.
 RANDOM = "random"

@@ -1,0 +1,136 @@
+"""
+Functions of one's own in the loop: what they read of the state, and how they are asked.
+
+At the pause of a sample each is asked in turn, and what it decides is put into the inputs of the
+kernel. So a run is repeated from its inputs without the functions.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from trustlab.models.simulation import DivergenceError as DivergenceError, PartError, View
+from trustlab.teleoperation.ports.waves import Scattering
+
+# What a function of one's own decides, in the order in which they are asked. Where the vehicle went
+# and how trust changed follow from the sample before, so that nobody is asked at the start.
+HOOKS = {
+    "vehicle": ("robot", "velocity"),
+    "trust": ("trust_hr", "trust_rh"),
+    "autonomy": ("u_a",),
+    "scheme": ("alpha", "beta"),
+    "operator": ("wanted",),
+    "feedback": ("guiding",),
+}
+FOLLOWING = ("vehicle", "trust")
+
+VECTORS = ("robot", "velocity", "u_a", "wanted", "guiding")
+
+SLACK = 1e-12
+
+
+def asking(
+    hooks: Mapping[str, Callable], view: View, records: np.ndarray, ends: Scattering
+) -> Callable:
+    """
+    Return the `decide` of a `Simulation` that asks these functions in turn.
+
+    records: those that `view` reads; later functions see there what earlier ones decided. ends: the
+    bounds of the scales (3.1). What the inputs hold already, given from outside, prevails.
+    """
+    row = records["now"]
+    bounds = {
+        name: (getattr(ends, f"{name}_min"), getattr(ends, f"{name}_max"))
+        for name in ("alpha", "beta")
+    }
+    fields = {
+        name: (row if name in row.dtype.names else records)[name]
+        for names in HOOKS.values()
+        for name in names
+    }
+    asked = [(port, names, hooks[port]) for port, names in HOOKS.items() if port in hooks]
+
+    def decide(_: Any, inputs: np.ndarray) -> None:
+        for port, names, hook in asked:
+            if port in FOLLOWING and view.t == 0.0:
+                continue
+            try:
+                values = hook(view)
+                if not names[1:]:
+                    values = (values,)
+                for name, value in zip(names, values, strict=True):
+                    value = checked(name, value, bounds)
+                    if math.isnan(inputs[name].item(0)):
+                        inputs[name] = value
+                    fields[name][:] = inputs[name]
+            except Exception as error:
+                fault = str(error)
+                if not isinstance(error, ReturnedError):
+                    fault = f"raised {type(error).__name__}: {fault}"
+                raise PartError(f"the {port} of this loop {fault}, at t = {view.t:g} s") from error
+            if port == "vehicle":
+                row["error"] = row["reference"] - row["robot"]
+                row["path_error"] = np.sqrt((row["error"] ** 2).sum())
+
+    return decide
+
+
+class ReturnedError(ValueError):
+    """A function returned what cannot be."""
+
+
+def checked(name: str, value: Any, bounds: Mapping[str, tuple[float, float]]) -> Any:
+    """Return what a function decided: finite, three numbers for a vector, a scale within (3.1)."""
+    if name in VECTORS:
+        value = np.asarray(value, float)
+        if value.shape != (3,):
+            raise ReturnedError(
+                f"returned {name} of shape {value.shape}; three numbers are wanted, for x, y and z"
+            )
+        if not np.isfinite(value).all():
+            raise ReturnedError(f"returned {name} = {value}; finite numbers are wanted")
+    elif name in bounds:
+        low, high = bounds[name]
+        if not low * (1.0 - SLACK) <= value <= high * (1.0 + SLACK):
+            raise ReturnedError(
+                f"returned {name} = {value:g}; it must lie in [{low:g}, {high:g}], for which the "
+                "channel's ends are set (3.1)"
+            )
+    elif not math.isfinite(value):
+        raise ReturnedError(f"returned {name} = {value:g}; a finite number is wanted")
+    return value
+
+
+def is_state_space(vehicle: Any) -> bool:
+    """Return whether a vehicle is given by three matrices."""
+    return isinstance(vehicle, tuple | list) and [np.ndim(m) for m in vehicle] == [2, 2, 2]
+
+
+def state_space(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Callable:
+    """
+    Return a vehicle that steps x' = A x + B u, x = 0 at the start, and moves from there by C x'.
+    """
+    matrices = {
+        name: np.asarray(matrix, float) for name, matrix in zip("ABC", (a, b, c), strict=True)
+    }
+    n = len(matrices["A"])
+    for (name, matrix), shape in zip(matrices.items(), ((n, n), (n, 3), (6, n)), strict=True):
+        if matrix.shape != shape:
+            raise ValueError(
+                f"vehicle: {name} must have shape {shape}, got {matrix.shape}: A (n, n), B (n, 3) "
+                "for the commands on x, y and z, C (6, n) for position and velocity"
+            )
+        if not np.isfinite(matrix).all():
+            raise ValueError(f"vehicle: {name} must be finite")
+
+    def step(state: View) -> tuple[np.ndarray, np.ndarray]:
+        memory = state.memory
+        if "x" not in memory:
+            memory["x"], memory["start"] = np.zeros(n), state.robot.copy()
+        memory["x"] = matrices["A"] @ memory["x"] + matrices["B"] @ state.command
+        moved = matrices["C"] @ memory["x"]
+        return memory["start"] + moved[:3], moved[3:]
+
+    return step
