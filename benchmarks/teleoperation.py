@@ -54,9 +54,7 @@ def prepared(scheme: str, duration: float = DURATION, **arguments) -> Simulation
     **arguments
         Of `TeleoperationLoop`.
     """
-    loop = tl.TeleoperationLoop(scheme, **arguments)
-    loop.reserve(duration)
-    return loop.simulation
+    return tl.TeleoperationLoop(scheme, duration=duration, **arguments).simulation
 
 
 def again(start: Simulation) -> np.ndarray:
@@ -165,7 +163,7 @@ def linear_case() -> tuple[dict, dict[str, np.ndarray]]:
         "task": task,
         "delay": LATE * PERIOD,
         "guidance": Guidance("through_channel", "off"),
-        "given": {"push": push},
+        "signals": {"push": push},
     }
     run = prepared(**arguments)
     ends = settings.scattering
@@ -393,7 +391,10 @@ def parts() -> Iterator[Row]:
         )
         peer, goal = "the built-in scheme TMIG", f"≤ {most:.0f} ms"
         yield Row(case, name, peer, own, built_in, ratio, goal=goal, met=bool(own.median <= most))
-    loops = [tl.TeleoperationLoop(scheme, study=FINE, seed=1) for scheme in ("TMIG", mine)]
+    loops = [
+        tl.TeleoperationLoop(scheme, study=FINE, seed=1, duration=3600.0)
+        for scheme in ("TMIG", mine)
+    ]
     own, other, ratio = in_turns(here(loops[0].step), here(loops[1].step), 9)
     fast = bool(own.median <= 0.02)
     case = "Teleoperation loop, one step"

@@ -82,7 +82,7 @@ def test_trust_of_the_example_sets_its_scales(scheme_page):
         assert slope < 0
         assert np.allclose(at_zero + slope * run[trust], run[scale], rtol=0, atol=1e-12)
     others = {
-        "vehicle": scheme_page["vehicle"],
+        "task": scheme_page["task"],
         "seed": 0,
         "duration": 60.0,
     }
@@ -99,7 +99,7 @@ def test_memory_of_the_example_matters(scheme_page):
 
     run, scheme = scheme_page["run"].data, tl.Scheme("mine", scheme_page["shares"])
     without = tl.simulate_teleoperation(
-        scheme, trust=forgetful, vehicle=scheme_page["vehicle"], duration=60.0
+        scheme, trust=forgetful, task=scheme_page["task"], duration=60.0
     )
     assert np.ptp(run["trust_hr"] - without["trust_hr"]) > 0.01
 

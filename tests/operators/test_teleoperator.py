@@ -55,7 +55,6 @@ def test_a_hand_tires_with_what_it_has_pushed():
     """Oracle: the law and the sum of forces, sample by sample."""
     who = Teleoperator(fatigue=2.0, noise=0.0)
     loop = tl.TeleoperationLoop("M", who, seed=3)
-    loop.reserve(4.0)
     decay, pushed, wish = np.exp(-0.01 / who.lag), 0.0, np.zeros(3)
     for _ in range(400):
         before = loop.state.copy()
@@ -101,7 +100,6 @@ def test_laws_by_name():
 
 def stepped(loop, count):
     """The states before each of so many samples."""
-    loop.reserve(0.01 * count)
     states = []
     for _ in range(count):
         states.append(loop.state.copy())
@@ -134,7 +132,7 @@ class TestSight:
     def test_a_target_that_leaves_the_picture_is_lost_to_eye_and_controller(self):
         task = TrackingTask(failure_every=1e9, view=0.1, integral=0.0)
         loop = tl.TeleoperationLoop(
-            "MI", Teleoperator(), seed=4, task=task, given={"push": np.full((3000, 3), 2.0)}
+            "MI", seed=4, duration=30.0, task=task, signals={"push": np.full((3000, 3), 2.0)}
         )
         states, run = stepped(loop, 3000), loop.session.data
         error = (
@@ -196,7 +194,7 @@ class TestCompensation:
                 seed=6,
                 duration=110.0,
                 delay=0.0,
-                given={"alpha": np.full(11_000, alpha)},
+                signals={"alpha": np.full(11_000, alpha)},
                 guidance=FREE,
             )
             # what is seen is the error, late by 35 samples

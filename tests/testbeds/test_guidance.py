@@ -67,7 +67,7 @@ def taken_at_random(guidance, guard, seed, seconds, budget=None):
             duration=seconds,
             delay=tuple(delays),
             guidance=Guidance(guidance, guard, budget),
-            given={
+            signals={
                 "arrives": rng.uniform(size=(2, count)).T >= 0.5,
                 "push": rng.normal(size=(count, 3)) * rng.uniform(0.0, 3.0),
             },

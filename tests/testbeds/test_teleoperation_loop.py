@@ -45,21 +45,19 @@ def columns(session, stem):
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_stepped_and_run_a_loop_has_the_bits_of_a_whole_run(scheme, guidance):
     whole = tl.simulate_teleoperation(scheme, seed=5, duration=SHORT, guidance=guidance)
-    loop = tl.TeleoperationLoop(scheme, seed=5, guidance=guidance)
+    loop = tl.TeleoperationLoop(scheme, seed=5, duration=SHORT, guidance=guidance)
     for _ in range(300):
         loop.step()
-    assert loop.run(SHORT) == whole
-    assert (
-        tl.TeleoperationLoop(scheme, seed=5, guidance=guidance).run(SHORT).data.equals(whole.data)
-    )
+    assert loop.run() == whole
 
 
 def test_what_is_drawn_further_ahead_changes_nothing():
-    loop = tl.TeleoperationLoop("TMIG", seed=5)
-    for _ in range(6100):  # beyond the first block of 60 s
+    loop = tl.TeleoperationLoop("TMIG", seed=5, duration=600.0)
+    for _ in range(6100):
         state = loop.step()
     assert state.t == pytest.approx(61.0)
     assert loop.session.data.equals(tl.simulate_teleoperation("TMIG", seed=5, duration=61.0).data)
+    assert loop.run(62.0).duration == pytest.approx(61.99)
 
 
 @pytest.mark.parametrize("guidance", GUIDANCE)
@@ -123,10 +121,11 @@ def test_a_run_is_repeated_from_its_decisions_without_functions_or_hands(guidanc
     )
     for k in range(500):
         loop.step(hand=(0.01 * np.sin(0.02 * k), 0.0, 0.0) if 100 < k < 300 else None)
-    again = tl.TeleoperationLoop("M", seed=4, guidance=guidance, given=loop.decisions)
-    assert again.run(5.0).data.equals(loop.session.data)
-    without = tl.TeleoperationLoop("M", seed=4, guidance=guidance)
-    assert not without.run(5.0).data.equals(loop.session.data)  # negative control
+    same = {"seed": 4, "duration": 5.0, "guidance": guidance}
+    again = tl.simulate_teleoperation("M", signals=loop.decisions, **same)
+    assert again.data.equals(loop.session.data)
+    without = tl.simulate_teleoperation("M", **same)
+    assert not without.data.equals(loop.session.data)  # negative control
 
 
 def test_feedback_autonomy_and_trust_are_exchanged():
@@ -173,7 +172,9 @@ def test_vehicles_as_matrices_and_as_functions_are_the_transfer_functions():
         place += n
     ours = tl.simulate_teleoperation("TMIG", seed=4, duration=SHORT).data
     np.testing.assert_allclose(
-        tl.simulate_teleoperation("TMIG", seed=4, duration=SHORT, vehicle=(a, b, c)).data,
+        tl.simulate_teleoperation(
+            "TMIG", seed=4, duration=SHORT, task=tl.TrackingTask(vehicle=(a, b, c))
+        ).data,
         ours,
         atol=1e-10,
     )
@@ -182,7 +183,7 @@ def test_vehicles_as_matrices_and_as_functions_are_the_transfer_functions():
         velocity = state.velocity + 0.02 * (state.command - state.velocity)
         return state.robot + 0.01 * velocity, velocity
 
-    run = tl.simulate_teleoperation("M", seed=4, duration=SHORT, vehicle=lag)
+    run = tl.simulate_teleoperation("M", seed=4, duration=SHORT, task=tl.TrackingTask(vehicle=lag))
     moved, speed = columns(run, "robot"), columns(run, "velocity")
     np.testing.assert_allclose(np.diff(moved, axis=0), 0.01 * speed[1:], atol=1e-14)
 
@@ -229,7 +230,7 @@ def test_the_arm_that_holds_the_device_may_have_a_mass(mass, guidance):
     arm = tl.Teleoperator(mass=mass, noise=0.0, proportional=0.0, derivative=0.0)
     push = np.random.default_rng(6).normal(size=(2000, 3))
     run = tl.simulate_teleoperation(
-        "TMIG", arm, seed=6, duration=20.0, guidance=guidance, given={"push": push}
+        "TMIG", arm, seed=6, duration=20.0, guidance=guidance, signals={"push": push}
     )
     x, v, f_h, f_m = (columns(run, name) for name in ("device", "device_velocity", "f_h", "f_m"))
     acceleration = np.diff(v, axis=0) / 0.01
@@ -328,7 +329,7 @@ def test_a_function_cannot_change_the_state_that_guards_rely_on():
     honest, forged = (
         tl.TeleoperationLoop("M", seed=1, guidance=Guidance(force=stiff)) for _ in range(2)
     )
-    forged._whole["account"] = 100.0
+    forged.simulation.state.whole["account"] = 100.0
     assert forged.run(SHORT)["energy_port"].min() < -1.0
     assert honest.run(SHORT)["energy_port"].min() > -1e-9
 
@@ -337,6 +338,10 @@ def test_an_error_in_the_first_sample_promises_no_session():
     with pytest.raises(PartError, match=r"division by zero, at t = 0 s$") as caught:
         tl.simulate_teleoperation("M", guidance=Guidance(force=lambda s: 1 / 0))
     assert caught.value.session is None
+
+
+def flying(vehicle):
+    return {"task": tl.TrackingTask(vehicle=vehicle)}
 
 
 def failing(state):
@@ -372,11 +377,11 @@ def failing(state):
             "operator .*three numbers",
         ),
         (
-            {"vehicle": lambda s: (s.robot, 0.0 / (1.0 - s.t) + s.velocity)},
+            flying(lambda s: (s.robot, 0.0 / (1.0 - s.t) + s.velocity)),
             "vehicle .* raised ZeroDivisionError",
         ),
         (
-            {"vehicle": lambda s: (np.log(1.0 - s.t) + s.robot, s.velocity)},
+            flying(lambda s: (np.log(1.0 - s.t) + s.robot, s.velocity)),
             "vehicle .* returned robot = .*nan|inf",
         ),
         ({"trust": lambda s: (np.nan, 0.5)}, "trust .* trust_hr = nan"),
@@ -418,21 +423,22 @@ def test_a_part_that_fails_is_named_with_its_time_and_the_run_so_far_is_kept(par
 )
 def test_a_vehicle_of_wrong_dimensions_is_refused(matrices, words):
     with pytest.raises(ValueError, match=words):
-        tl.TeleoperationLoop("M", vehicle=matrices)
+        tl.TrackingTask(vehicle=matrices)
 
 
 def test_what_a_loop_refuses():
     with pytest.raises(ValueError, match="three TransferFunction"):
-        tl.TeleoperationLoop("OMI", vehicle=lambda state: (state.robot, state.velocity))
+        tl.TeleoperationLoop("OMI", **flying(lambda state: (state.robot, state.velocity)))
     with pytest.raises(ValueError, match="trust must be a function"):
         tl.TeleoperationLoop("M", trust=0.5)
-    loop = tl.TeleoperationLoop("M", given={"alpha": np.ones(30)})
+    loop = tl.TeleoperationLoop("M", duration=0.3)
     for _ in range(30):
         loop.step()
-    with pytest.raises(ValueError, match=r"ends at t = 0\.3 s"):
+    with pytest.raises(ValueError, match=r"ends at t = 0\.3 s; make it with a longer duration"):
         loop.step()
-    with pytest.raises(ValueError, match="already, beyond"):
-        loop.run(0.2)
+    for until in (0.2, 0.4):
+        with pytest.raises(ValueError, match=r"until must lie between t = 0\.3 s"):
+            loop.run(until)
 
 
 def test_an_interrupt_passes_through_a_part_in_python():
@@ -440,7 +446,7 @@ def test_an_interrupt_passes_through_a_part_in_python():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        tl.TeleoperationLoop("M", partial(stopped)).run(1.0)
+        tl.simulate_teleoperation("M", partial(stopped), duration=1.0)
 
 
 def test_delays_as_functions():

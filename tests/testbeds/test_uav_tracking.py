@@ -54,7 +54,7 @@ def driven(sample_time, delay, settings=UNIT, duration=4.0):
         task=TASK,
         delay=delay,
         guidance=Guidance("through_channel", "off"),
-        given={"push": push(t)},
+        signals={"push": push(t)},
     ).data
 
 
@@ -217,7 +217,7 @@ def test_stored_energy_is_bounded_under_bounded_force(scheme, seeds):
         rng = np.random.default_rng([44, seed])
         force = 4.0 * np.sign(np.repeat(rng.normal(size=(40, 3)), 150, axis=0))
         data = simulate_teleoperation(
-            scheme, STILL, study, seed=seed, duration=60.0, given={"push": force / np.sqrt(3.0)}
+            scheme, STILL, study, seed=seed, duration=60.0, signals={"push": force / np.sqrt(3.0)}
         ).data
         settings = STUDIES[study]
         first, second = (
@@ -389,15 +389,14 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
         ({"delay": (0.0, 0.1)}, ValueError, "must both be zero"),
         ({"delay": (0.005, None)}, ValueError, "at least one sample"),
         ({"delay": (0.1, 0.1, 0.1)}, ValueError, "one for both ways, or"),
-        ({"given": {"alpha": np.full(12000, 0.05)}}, ValueError, "alpha must lie in"),
-        ({"given": {"alpha": np.ones(5)}}, ValueError, "alpha must have one row for each of 12000"),
-        ({"given": {"push": np.full((12000, 3), np.nan)}}, ValueError, "push .* but sample 0 is"),
-        ({"given": {"push": np.ones(3)}}, ValueError, r"push must have shape \(N, 3\)"),
-        ({"given": {"alfa": np.ones(5)}}, ValueError, "did you mean 'alpha'"),
-        ({"given": 3}, ValueError, "given must map names of signals to arrays, got 3"),
+        ({"signals": {"alpha": np.full(12000, 0.05)}}, ValueError, "alpha must lie in"),
+        ({"signals": {"alpha": np.ones(5)}}, ValueError, r"alpha must have shape \(12000,\)"),
+        ({"signals": {"push": np.full((12000, 3), np.nan)}}, ValueError, "push .* but sample 0 is"),
+        ({"signals": {"push": np.ones(3)}}, ValueError, r"push must have shape \(12000, 3\)"),
+        ({"signals": {"alfa": np.ones(5)}}, ValueError, "did you mean 'alpha'"),
+        ({"signals": 3}, ValueError, "signals must map names to arrays, got 3"),
         ({"guidance": "by_hand"}, ValueError, "guidance must be one of"),
         ({"guidance": "tank"}, ValueError, "guidance must be one of"),
-        ({"vehicle": (1, 2)}, ValueError, "three transfer functions"),
     ],
 )
 def test_bad_input_is_refused_before_the_run(arguments, error, words):
@@ -417,6 +416,18 @@ def test_bad_input_is_refused_before_the_run(arguments, error, words):
 def test_bad_guidance_is_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
         Guidance(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"vehicle": (1, 2)}, "three transfer functions"),
+        ({"autonomy": 1.0}, "autonomy must be a function of the state"),
+    ],
+)
+def test_bad_tasks_are_refused(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        TrackingTask(**arguments)
 
 
 @pytest.mark.parametrize(
@@ -445,7 +456,7 @@ def test_a_heavy_device_with_the_preliminary_gains_dissipates_negative_energy():
 def test_an_unstable_vehicle_stops_the_run_with_time_and_block():
     unstable = (TransferFunction(1.0, (-3.0,)),) * 3
     with pytest.raises(DivergenceError, match="the robot diverged at sample"):
-        simulate_teleoperation("M", vehicle=unstable)
+        simulate_teleoperation("M", task=TrackingTask(vehicle=unstable))
 
 
 def test_settings_are_those_printed():

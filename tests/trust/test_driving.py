@@ -18,7 +18,7 @@ CHAIN = nx.path_graph(4)
 def test_trust_in_the_loop_is_the_models_on_the_loops_performance(name):
     model = MODELS[name]()
     driver = tl.trust.TrustInLoop(model, every=0.5, start=0.4)
-    run = tl.TeleoperationLoop("TMIG", trust=driver, seed=0).run(4.0)
+    run = tl.simulate_teleoperation("TMIG", trust=driver, seed=0, duration=4.0)
     signals = run.signals if hasattr(run, "signals") else run.data
     p_r, trust = np.asarray(signals["p_r"]), np.asarray(signals["trust_hr"])
     belief = model.start(np.array([0.4]))
@@ -33,15 +33,17 @@ def test_trust_in_the_loop_is_the_models_on_the_loops_performance(name):
 
 def test_two_loops_do_not_share_their_memory():
     driver = tl.trust.TrustInLoop(MODELS["asymmetric"](), every=0.1)
-    runs = [tl.TeleoperationLoop("TMIG", trust=driver, seed=0).run(1.0) for _ in range(2)]
+    runs = [tl.simulate_teleoperation("TMIG", trust=driver, seed=0, duration=1.0) for _ in range(2)]
     assert runs[0] == runs[1]
 
 
 def test_a_bare_model_is_one_trial_a_second():
     model = MODELS["asymmetric"]()
-    bare = tl.TeleoperationLoop("TMIG", trust=model, seed=0).run(2.5)
-    assert bare == tl.TeleoperationLoop("TMIG", trust=tl.trust.TrustInLoop(model), seed=0).run(2.5)
-    assert bare != tl.TeleoperationLoop("TMIG", seed=0).run(2.5)
+    bare = tl.simulate_teleoperation("TMIG", trust=model, seed=0, duration=2.5)
+    assert bare == tl.simulate_teleoperation(
+        "TMIG", trust=tl.trust.TrustInLoop(model), seed=0, duration=2.5
+    )
+    assert bare != tl.simulate_teleoperation("TMIG", seed=0, duration=2.5)
 
 
 def test_bad_settings_are_named():
@@ -113,7 +115,9 @@ class Half(tl.trust.LinearTrust):
 def test_a_model_of_ones_own_drives_loops_and_teams():
     course = TrustCourse(tl.trust.TrustInLoop(Half(), every=0.1, start=0.2), 0.1)
     assert [course.step(p) for p in (1.0, 0.0)] == pytest.approx([0.6, 0.3], abs=1e-14)
-    run = tl.TeleoperationLoop("TMIG", trust=tl.trust.TrustInLoop(Half(), every=0.5)).run(2.0)
+    run = tl.simulate_teleoperation(
+        "TMIG", trust=tl.trust.TrustInLoop(Half(), every=0.5), duration=2.0
+    )
     assert np.ptp(run["trust_hr"]) > 0.01
     team = tl.simulate_team(CHAIN, trust=Half(), duration=3.0, seed=0)
     assert team.facts["trust"] == "Half"

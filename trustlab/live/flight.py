@@ -25,7 +25,7 @@ class Flight:
     def __init__(self, arguments: Mapping[str, Any]):
         self.arguments, self.loop = arguments, TeleoperationLoop(**arguments)
         # compiles, and refuses what only a step can refuse, before anybody drives
-        TeleoperationLoop(**arguments).step()
+        TeleoperationLoop(**{**arguments, "duration": 1.0}).step()
         self.settings, self.task = self.loop.settings, self.loop.task
         self.sample_time = self.settings.sample_time
         weight = np.broadcast_to(self.settings.weight, 3)[:2]
@@ -44,7 +44,7 @@ class Flight:
     def row(self, before: int = 0) -> np.void:
         """Return what was logged of the last sample, or of one before; zeros before the first."""
         run = self.loop.simulation
-        k = -1 if run is None else run.done - 1 - before
+        k = run.done - 1 - before
         return np.zeros(1, SAMPLE)[0] if k < 0 else run.log[k]
 
     def shown(self) -> dict[str, Any]:

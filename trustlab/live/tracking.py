@@ -46,8 +46,8 @@ class HandDrivenLoop(Flight):
     """
 
     def __init__(self, duration: float, arguments: Mapping[str, Any]):
-        super().__init__(arguments)
-        self.samples = round(between("duration", duration, 1.0, LONGEST) / self.sample_time)
+        super().__init__({**arguments, "duration": between("duration", duration, 1.0, LONGEST)})
+        self.samples = self.loop.simulation.log.size
         self.hands: list[tuple[float, float, float]] = []
         self.notes: list[str] = []
         self.hand = (0.0, 0.0, 0.0)

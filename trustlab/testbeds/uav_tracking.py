@@ -7,7 +7,6 @@ is stepped or run, and what is drawn at random. One sample is `teleoperate` in
 `teleoperation/loop/kernel.py`; how functions of one's own are asked is in `hooks.py` beside it.
 """
 
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -30,7 +29,7 @@ from trustlab.models.simulation import DivergenceError, PartError, Simulation, V
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
-from trustlab.teleoperation.delays import Delay, delays_in_samples, random_walk_delay
+from trustlab.teleoperation.delays import delays_in_samples, random_walk_delay
 from trustlab.teleoperation.filters import first_order
 from trustlab.teleoperation.loop.hooks import asking, is_state_space, state_space
 from trustlab.teleoperation.loop.kernel import BLOCKS, DIRECT, LAWS, SIGNALS, WAVES, teleoperate
@@ -62,9 +61,6 @@ from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
-# How far ahead a loop that is stepped draws what comes from outside [s]; twice as far each time
-# that it runs out.
-BLOCK = 60.0
 # How far away a live hand is taken to be at the most [m], far beyond any device.
 FARTHEST_HAND = 10.0
 
@@ -124,6 +120,11 @@ class TrackingTask:
         is back: the operator looks where it was last seen, the controller hovers.
     autonomy : callable, optional
         f(state) → u_a [m/s], shape (3,), in place of the PID controller on `state.picture`.
+    vehicle : three TransferFunction, callable or (A, B, C), optional
+        Command to velocity per axis; `tracking_vehicle()` when not given. Or f(state) → position
+        [m] and velocity [m/s] a sample later, shape (3,) each, under `state.command`. Or the
+        matrices of a discrete state space, x' = A x + B u and (position, velocity) = C x', with x =
+        0 where it starts. Scheme OMI predicts with three TransferFunction.
 
     Raises
     ------
@@ -151,15 +152,20 @@ class TrackingTask:
     reach: float = 1.5
     view: float = 1e6
     autonomy: Callable | None = None
+    vehicle: Any = None
 
     def __post_init__(self):
         may_be_zero = ("speed", "camera_delay", "proportional", "integral", "derivative")
-        for name in set(self.__dataclass_fields__) - {"autonomy"}:
+        for name in set(self.__dataclass_fields__) - {"autonomy", "vehicle"}:
             check = not_negative if name in may_be_zero else positive
             object.__setattr__(self, name, check(name, getattr(self, name)))
         between("view", self.view, 0.0, 1e6)
         if self.autonomy is not None and not callable(self.autonomy):
             raise ValueError(f"autonomy must be a function of the state, got {self.autonomy!r:.80}")
+        if is_state_space(self.vehicle):
+            state_space(*self.vehicle)
+        elif not (self.vehicle is None or callable(self.vehicle)):
+            three_axes(self.vehicle)
 
     def controller(self, sample_time: float) -> np.void:
         """
@@ -230,29 +236,26 @@ class TeleoperationLoop:
     seed : int or numpy.random.SeedSequence
         Streams for the path's start, losses of the target, motor noise and delays are spawned from
         it.
+    duration : float
+        How long the loop can run [s]; what comes from outside is drawn until then.
     task : TrackingTask, optional
-        The target, and the controller that follows it; the study's own when not given.
+        The target, the controller that follows it and the vehicle; the study's own when not given.
     delay : float, callable, Delay, or a pair of these, optional
         Delay both ways [s], or (to the robot, back); random walks of the study where None. Zero: no
         channel in between. `packet_delay(sent, received)` is that of a recorded network.
     guidance : {"at_operator", "through_channel"} or Guidance
         How the guiding force reaches the operator, and what keeps it passive.
-    vehicle : three TransferFunction, callable or (A, B, C), optional
-        Command to velocity per axis; `tracking_vehicle()` when not given. Or f(state) → position
-        [m] and velocity [m/s] a sample later, shape (3,) each, under `state.command`. Or the
-        matrices of a discrete state space, x' = A x + B u and (position, velocity) = C x', with x =
-        0 where it starts. Scheme OMI predicts with three TransferFunction.
     trust : callable, TrustDynamics or TrustInLoop, optional
         f(state) → (T_hr, T_rh) a sample later; (3.2) and (3.3) when not given. Or a model of
         `trustlab.trust` in place of (3.2), one trial a second; `trust.TrustInLoop` sets how long a
         trial is.
-    given : mapping of str to array_like, optional
-        Signals that come from outside, a row for each sample, NaN where the loop decides: `alpha`,
-        `beta`, `trust_hr`, `trust_rh`, shape (N,); `u_a`, `wanted`, `guiding`, `robot`, `velocity`
-        and `hand`, where a hand wants the device to be [m], shape (N, 3). Without NaN: `push`, a
-        force [N] added to the hand's, shape (N, 3), and `arrives`, bool of shape (N, 2), whether
-        the waves sent to the robot and back in a sample arrive. `loop.inputs` of another loop
-        repeats its run without its functions.
+    signals : mapping of str to array_like, optional
+        What comes from outside, a row for each sample, NaN where the loop decides: `alpha`, `beta`,
+        `trust_hr`, `trust_rh`, shape (N,); `u_a`, `wanted`, `guiding`, `robot`, `velocity` and
+        `hand`, where a hand wants the device to be [m], shape (N, 3). Without NaN: `push`, a force
+        [N] added to the hand's, shape (N, 3), and `arrives`, bool of shape (N, 2), whether the
+        waves sent to the robot and back in a sample arrive. `decisions` of another loop repeats its
+        run without its functions.
 
     Attributes
     ----------
@@ -271,11 +274,10 @@ class TeleoperationLoop:
     Examples
     --------
     >>> import trustlab as tl
-    >>> loop = tl.TeleoperationLoop("TMIG", study="main", seed=0)
+    >>> loop = tl.TeleoperationLoop("TMIG", study="main", seed=0, duration=2.0)
     >>> loop.step().t
     0.01
-    >>> run = loop.run(2.0)
-    >>> run == tl.simulate_teleoperation("TMIG", study="main", seed=0, duration=2.0)
+    >>> loop.run() == tl.simulate_teleoperation("TMIG", study="main", seed=0, duration=2.0)
     True
     """
 
@@ -285,85 +287,101 @@ class TeleoperationLoop:
         operator: Teleoperator | Callable | None = None,
         study: str | LoopSettings = "main",
         seed: int | np.random.SeedSequence = 0,
+        duration: float = 120.0,
         task: TrackingTask | None = None,
         delay: Any = None,
         guidance: str | Guidance = "at_operator",
-        vehicle: tuple | Callable | None = None,
         trust: Callable | TrustDynamics | TrustInLoop | None = None,
-        given: Mapping[str, Any] | None = None,
+        signals: Mapping[str, Any] | None = None,
     ):
         self.scheme, self.settings = scheme_named(scheme), study_named(study)
         self.seed, self.guidance = seed, guidance_named(guidance)
         study = self.settings.study
-        person = Teleoperator(reach=REACH[study]) if operator is None else operator
-        if callable(person):
-            person = Teleoperator(reach=REACH[study], law=person)
-        self.operator = of_class("operator", person, Teleoperator)
+        self.operator = operator_named(operator, REACH[study])
         self.task = of_class("task", TASKS[study] if task is None else task, TrackingTask)
-        self._delays = two_ways(delay)
-        self._seeds = spawned(seed, 5)
-        self._given = signals_given(given, self.settings.scattering)
         self._failure: PartError | DivergenceError | None = None
-        self._whole = state_of(self.settings, self.guidance)
-        self.state = View(self._whole)
-        self._hooks = self._functions(vehicle, trust)
-        self._own = ", ".join(self._hooks) or "built-in"
-        self._numbers = self._constants(vehicle)
-        self.simulation: Simulation | None = None
+        hooks = self._functions(trust)
+        self._asked = ", ".join(hooks) or "built-in"
+        numbers, whole = self._constants(hooks), state_of(self.settings, self.guidance)
+        self.state = View(whole)
+        if self.scheme.shares == "optimal":
+            hooks["scheme"] = optimal(numbers, whole)
+        ends, T = self.settings.scattering, self.settings.sample_time
+        count = samples(duration, T)
+        start, losses, noise, *ways = spawned(seed, 5)
+        delays = delays_of(self.settings, delay, count, ways)
+        inputs = drawn(self.settings, self.task, self.operator, count + 1, (start, losses, noise))
+        arrives = np.ones((2, count), bool)
+        for name, signal in checked_signals(signals, count, ends).items():
+            if name == "arrives":
+                arrives[:] = signal.T
+            else:
+                inputs[name][:-1] = signal
+        carried = WAVES if self.scheme.bilateral else SIGNALS
+        numbers["carried"] = carried if delays.any() else DIRECT
+        # The pause after the last sample is looked at by nobody.
+        setup = LoopSetup(numbers, np.pad(delays, ((0, 0), (0, 1)), "edge"), arrives)
+        self.simulation = Simulation(
+            teleoperate,
+            setup,
+            LoopState(whole, np.zeros((2, count, 3)), accounts()),
+            inputs,
+            np.zeros(count, SAMPLE),
+            asking(hooks, self.state, whole, ends) if hooks else None,
+            blocks=BLOCKS,
+            sample_time=T,
+        )
 
-    def _functions(self, vehicle: Any, trust: Any) -> dict[str, Callable]:
-        """Return the functions of one's own in this loop."""
-        settings = self.settings
-        driver = TrustInLoop.of(trust)
-        if isinstance(driver, TrustInLoop):
+    def _functions(self, trust: Any) -> dict[str, Callable]:
+        """Return the functions of a user's in this loop."""
+        settings, vehicle = self.settings, self.task.vehicle
+        if trust is not None:
+            trust = TrustInLoop.of(trust)
+        if isinstance(trust, TrustInLoop):
             ranges = settings.human_to_robot, settings.robot_to_human
-            driver = driver.part(*ranges, settings.sample_time)
-        elif driver is not None and not callable(driver):
+            trust = trust.part(*ranges, settings.sample_time)
+        elif trust is not None and not callable(trust):
             raise ValueError(f"trust must be a function of the state, got {shown(trust)}")
-        if is_state_space(vehicle):
-            vehicle = state_space(*vehicle)
         hooks = {
-            "vehicle": vehicle,
-            "trust": driver,
+            "vehicle": state_space(*vehicle) if is_state_space(vehicle) else vehicle,
+            "trust": trust,
             "autonomy": self.task.autonomy,
             "scheme": self.scheme.shares,
             "operator": self.operator.law,
             "feedback": self.guidance.force,
         }
-        return {port: hook for port, hook in hooks.items() if callable(hook)}
+        return {part: hook for part, hook in hooks.items() if callable(hook)}
 
-    def _constants(self, vehicle: Any) -> np.ndarray:
+    def _constants(self, hooks: Mapping[str, Callable]) -> np.ndarray:
         """Return the constants, a record of NUMBERS."""
         settings, task = self.settings, self.task
-        scheme = self.scheme
+        shares, law = self.scheme.shares, self.operator.law
         T, ends = settings.sample_time, settings.scattering
-        numbers = numbers_of(settings, self.guidance, scheme.bilateral)
+        numbers = numbers_of(settings, self.guidance, self.scheme.bilateral)
         (n,) = numbers
-        n["rule"] = RULES["manual" if callable(scheme.shares) else scheme.shares]
-        law = self.operator.law
+        n["rule"] = RULES["manual" if callable(shares) else shares]
         n["law"] = 0 if callable(law) else LAWS.index(law)
         hold_device(n, settings, self.operator.numbers(T, task.camera_delay))
-        if scheme.shares == "by hand":
+        if shares == "by hand":
             n["hand"]["compensation"] *= 1.0 - self.operator.allocation_cost
         n["auto"] = task.controller(T)
-        n["own_trust"], n["own_vehicle"] = "trust" in self._hooks, "vehicle" in self._hooks
-        if not n["own_vehicle"]:
-            axes = three_axes(tracking_vehicle() if vehicle is None else vehicle)
+        n["asks_trust"], n["asks_vehicle"] = "trust" in hooks, "vehicle" in hooks
+        if not n["asks_vehicle"]:
+            axes = three_axes(task.vehicle or tracking_vehicle())
             n["phi"], n["gamma"] = vehicle_matrices(axes, T)
-        if scheme.shares == "optimal":
-            if n["own_vehicle"]:
+        if shares == "optimal":
+            if n["asks_vehicle"]:
                 raise ValueError(
                     "scheme OMI predicts with three TransferFunction: give the vehicle as these"
                 )
             gains = (task.proportional, task.derivative)
             n["blend"] = blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
-            self._hooks["scheme"] = optimal(numbers, self._whole)
         return numbers
 
     @property
     def t(self) -> float:
         """Time that has been simulated [s]."""
-        return 0.0 if self.simulation is None else self.simulation.done * self.settings.sample_time
+        return self.simulation.done * self.settings.sample_time
 
     def step(self, hand: np.ndarray | None = None, alpha: float | None = None) -> View:
         """
@@ -386,93 +404,76 @@ class TeleoperationLoop:
 
         Raises
         ------
+        ValueError
+            If the loop is at its end.
         PartError
-            If a function of one's own raises an error or returns what cannot be.
+            If a function raises an error or returns what cannot be.
         DivergenceError
             If the run grows without bound.
         """
-        done = 0 if self.simulation is None else self.simulation.done
-        if self.simulation is None or done == self.simulation.log.size:
-            self._reserve_more(done)
-        inputs = self.simulation.inputs
+        run, ends = self.simulation, self.settings.scattering
+        if run.done == run.log.size:
+            raise ValueError(f"the loop ends at t = {self.t:g} s; make it with a longer duration")
         if hand is not None:
             place = finite_array("hand", hand, length=3)
-            inputs["hand"][done] = np.clip(place, -FARTHEST_HAND, FARTHEST_HAND)
+            run.inputs["hand"][run.done] = np.clip(place, -FARTHEST_HAND, FARTHEST_HAND)
         if alpha is not None:
-            ends = self.settings.scattering
-            inputs["alpha"][done] = between("alpha", alpha, ends.alpha_min, ends.alpha_max)
-        self._advance(done + 1)
+            share = between("alpha", alpha, ends.alpha_min, ends.alpha_max)
+            run.inputs["alpha"][run.done] = share
+        self._advance(run.done + 1)
         return self.state
 
-    def run(self, duration: float) -> Session:
+    def run(self, until: float | None = None) -> Session:
         """
-        Advance until a time and return the whole run.
+        Advance until a time and return the run so far.
 
         Parameters
         ----------
-        duration : float
-            The time [s], counted from the start of the run.
+        until : float, optional
+            The time [s], counted from the start of the run; the loop's duration when not given.
 
         Returns
         -------
         Session
-            As of `simulate_teleoperation(duration=duration)`, bit for bit.
+            At the end that of `simulate_teleoperation`, bit for bit.
 
         Raises
         ------
         ValueError
-            If the loop is already beyond that time.
+            If the loop is beyond that time, or does not last so long.
         PartError
-            If a function of one's own raises an error or returns what cannot be.
+            If a function raises an error or returns what cannot be.
         DivergenceError
             If the run grows without bound.
         """
-        count = self.reserve(duration)
-        if count < self.simulation.done:
+        run, T = self.simulation, self.settings.sample_time
+        stop = run.log.size if until is None else round(finite_number("until", until) / T)
+        if not max(run.done, 2) <= stop <= run.log.size:
             raise ValueError(
-                f"the loop is at t = {self.t:g} s already, beyond {duration:g} s; make a new one"
+                f"until must lie between t = {self.t:g} s, where the loop is, and its duration of "
+                f"{run.log.size * T:g} s, got {until}"
             )
-        self._advance(count)
+        self._advance(stop)
         return self.session
-
-    def reserve(self, duration: float) -> int:
-        """
-        Draw what comes from outside until a time, so that `simulation` is there; return the number
-        of samples.
-
-        Parameters
-        ----------
-        duration : float
-            The time [s], counted from the start of the run.
-        """
-        count = samples(duration, self.settings.sample_time)
-        if self.simulation is None or count > self.simulation.log.size:
-            self._reserve(count)
-        return count
 
     @property
     def decisions(self) -> dict[str, np.ndarray]:
         """
-        What was decided or came from outside so far, by name, a row for each sample: given to
-        another loop as `given`, it repeats the run without its functions and hands.
+        What was decided or came from outside so far, by name, a row for each sample: as `signals`
+        of another loop it repeats the run without its functions and hands.
         """
-        if self.simulation is None:
-            return {}
         run = self.simulation
         inputs = run.inputs[: run.done]
-        made = {name: inputs[name].copy() for name in (*DECIDED.names, "push")}
-        arrives = run.setup.arrives[:, : run.done].T.copy()
-        return {name: each for name, each in made.items() if not np.isnan(each).all()} | {
-            "arrives": arrives
-        }
+        signals = {name: inputs[name].copy() for name in (*DECIDED.names, "push")}
+        signals = {name: rows for name, rows in signals.items() if not np.isnan(rows).all()}
+        return signals | {"arrives": run.setup.arrives[:, : run.done].T.copy()}
 
     @property
     def session(self) -> Session:
         """The run so far: every signal and every port's energy, labelled synthetic."""
-        log = np.zeros(0, SAMPLE) if self.simulation is None else self.simulation.log
-        done = 0 if self.simulation is None else self.simulation.done
-        # once: another thread may step meanwhile, as in a notebook
-        rows, table = log[:done].view(float).reshape(done, -1), np.empty((done, WIDTH), order="F")
+        done = self.simulation.done  # once: another thread may step meanwhile, as in a notebook
+        rows = self.simulation.log[:done].view(float).reshape(done, -1)
+        table = np.empty((done, WIDTH), order="F")
         # rows become columns a stretch at a time, which the cache holds
         for first in range(0, done, 512):
             table[first : first + 512] = rows[first : first + 512, :WIDTH]
@@ -486,7 +487,7 @@ class TeleoperationLoop:
             "guard": guidance.guard,
             "guidance": guidance.where,
             "budget": str(guidance.budget) if guidance.budget else "none",
-            "parts": self._own,
+            "parts": self._asked,
             "note": NOTE,
         }
         return keep_table(
@@ -509,74 +510,6 @@ class TeleoperationLoop:
                 self._failure.session = self.session
         raise self._failure from self._failure.__cause__
 
-    def _reserve_more(self, done: int) -> None:
-        """Make room for a loop that is stepped: twice as much each time, if there is so much."""
-        count = max(2 * done, round(BLOCK / self.settings.sample_time))
-        if self._given:  # signals are as long as the run that they are meant for
-            count = len(next(iter(self._given.values())))
-        count = min(count, self._known())
-        if count <= done:
-            raise ValueError(
-                f"a signal given or a recorded delay ends at t = {self.t:g} s: the loop cannot go "
-                "beyond"
-            )
-        self._reserve(count)
-
-    def _known(self) -> int:
-        """Return for how many samples the delays are known."""
-        ends = [delay.end for delay in self._delays.values() if isinstance(delay, Delay)]
-        seconds = min(ends, default=np.inf)
-        return int(seconds / self.settings.sample_time) + 1 if np.isfinite(seconds) else sys.maxsize
-
-    def _reserve(self, count: int) -> None:
-        """
-        Draw what comes from outside for `count` samples and the pause after them, and make room for
-        the log; keep what is done.
-        """
-        settings, seeds = self.settings, self._seeds
-        before = self.simulation
-        inputs = drawn(settings, self.task, self.operator, count + 1, seeds)
-        arrives = np.ones((2, count + 1), bool)
-        for name, signal in self._given.items():
-            if len(signal) != count:
-                raise ValueError(
-                    f"{name} must have one row for each of {count} samples, got {len(signal)}"
-                )
-            if name == "arrives":
-                arrives[:, :count] = signal.T
-            else:
-                inputs[name][:count] = signal
-        asked = count + 1 if count < self._known() else count
-        delays = delays_of(settings, self._delays, asked, seeds[3:])
-        delays = np.pad(delays, ((0, 0), (0, count + 1 - asked)), mode="edge")
-        carried = WAVES if self.scheme.bilateral else SIGNALS
-        self._numbers["carried"] = carried if delays.any() else DIRECT
-        setup = LoopSetup(self._numbers, delays, arrives)
-        log, sent = np.zeros(count, SAMPLE), np.zeros((2, count, 3))
-        if before is None:
-            state = LoopState(self._whole, sent, accounts())
-            decide = self._hooks and asking(
-                self._hooks, self.state, self._whole, settings.scattering
-            )
-            self.simulation = Simulation(
-                teleoperate,
-                setup,
-                state,
-                inputs,
-                log,
-                decide or None,
-                blocks=BLOCKS,
-                sample_time=settings.sample_time,
-            )
-            return
-        done = before.done
-        log[:done], sent[:, :done] = before.log[:done], before.state.sent[:, :done]
-        for name in DECIDED.names:
-            inputs[name][:done] = before.inputs[name][:done]
-        before.setup, before.inputs = setup, inputs
-        before.log = log
-        before.state = before.state._replace(sent=sent)
-
 
 def simulate_teleoperation(
     scheme: str | Scheme = "TMIG",
@@ -596,7 +529,7 @@ def simulate_teleoperation(
     duration : float
         Length [s].
     **options : as of `TeleoperationLoop`
-        task, delay, guidance, vehicle, trust and given.
+        task, delay, guidance, trust and signals.
 
     Returns
     -------
@@ -610,8 +543,8 @@ def simulate_teleoperation(
     ValueError
         If an argument is not understood, before anything runs.
     PartError
-        If a part of one's own raises an error or returns what cannot be: part and time are named,
-        and `.session` of the error is the run so far.
+        If a function raises an error or returns what cannot be: part and time are named, and
+        `.session` of the error is the run so far.
     DivergenceError
         If the run grows without bound: the time, the block and its energy are named; likewise.
 
@@ -632,7 +565,7 @@ def simulate_teleoperation(
     >>> run.duration, run.metadata.synthetic
     (9.99, True)
     """
-    return TeleoperationLoop(scheme, operator, study, seed, **options).run(duration)
+    return TeleoperationLoop(scheme, operator, study, seed, duration, **options).run()
 
 
 def samples(duration: float, sample_time: float) -> int:
@@ -646,37 +579,33 @@ def samples(duration: float, sample_time: float) -> int:
     return round(duration / sample_time)
 
 
-def two_ways(delay: Any) -> dict[str, Any]:
-    """Return the delays to the robot and back by name, from one for both or a pair."""
-    pair = delay if isinstance(delay, tuple) else (delay, delay)
-    if len(pair) != 2:
-        raise ValueError(f"delay must be one for both ways, or (to the robot, back), got {pair}")
-    return dict(zip(("delay to the robot", "delay back"), pair, strict=True))
+def operator_named(operator: Any, reach: float) -> Teleoperator:
+    """Return an operator: an average one where none is given, or one with a law."""
+    if operator is None or callable(operator):
+        return Teleoperator(reach=reach, law=operator or "proportional")
+    return of_class("operator", operator, Teleoperator)
 
 
-def signals_given(given: Any, ends: Scattering) -> dict[str, np.ndarray]:
-    """Return signals that come from outside as arrays by name, checked but for their length."""
-    if not isinstance(given, Mapping | None):
-        raise ValueError(f"given must map names of signals to arrays, got {shown(given)}")
-    kinds = {name: INPUT[name].shape for name in ("push", *(DECIDED.names or ()))}
+def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.ndarray]:
+    """Return what comes from outside as arrays by name, checked."""
+    if not isinstance(signals, Mapping | None):
+        raise ValueError(f"signals must map names to arrays, got {shown(signals)}")
+    shapes = {name: INPUT[name].shape for name in ("push", *DECIDED.names)} | {"arrives": (2,)}
     checked = {}
-    for name, values in (given or {}).items():
-        one_of("a signal that is given", name, [*kinds, "arrives"])
-        wanted = (2,) if name == "arrives" else kinds[name]
+    for name, values in (signals or {}).items():
+        shape = (count, *shapes[one_of("a name in signals", name, shapes)])
         try:
             array = np.asarray(values, bool if name == "arrives" else float)
         except (TypeError, ValueError, OverflowError):
             raise ValueError(f"{name} must be an array of numbers, got {shown(values)}") from None
-        if array.ndim == 0 or array.shape[1:] != wanted:
-            shape = f"(N, {wanted[0]})" if wanted else "(N,)"
+        if array.shape != shape:
             raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
         if np.isinf(array).any() or (name == "push" and np.isnan(array).any()):
             k = int(np.argwhere(~np.isfinite(array))[0][0])
             raise ValueError(f"{name} must be finite, but sample {k} is {array[k]}")
         checked[name] = array
-    scales = [checked.get(name, np.full(1, np.nan)) for name in ("alpha", "beta")]
-    tops = ends.alpha_max, ends.beta_max
-    ends.check_scales(*(np.where(np.isnan(x), top, x) for x, top in zip(scales, tops, strict=True)))
+    alpha, beta = (checked.get(name, np.full(1, np.nan)) for name in ("alpha", "beta"))
+    ends.check_scales(alpha[~np.isnan(alpha)], beta[~np.isnan(beta)])
     return checked
 
 
@@ -733,12 +662,16 @@ def _coloured(count: int, time: float, sample_time: float, rng) -> np.ndarray:
     return first_order(white, np.sqrt(1.0 - keep**2), keep)
 
 
-def delays_of(settings: LoopSettings, pair: dict[str, Any], count: int, seeds) -> np.ndarray:
+def delays_of(settings: LoopSettings, delay: Any, count: int, seeds) -> np.ndarray:
     """Return the delays both ways in samples; random walks of the study where none is given."""
+    pair = delay if isinstance(delay, tuple) else (delay, delay)
+    if len(pair) != 2:
+        raise ValueError(f"delay must be one for both ways, or (to the robot, back), got {pair}")
     rate, (low, high) = settings.scattering.max_delay_rate, DELAYS[settings.study]
-    chosen, T = dict(pair), settings.sample_time
-    for (name, delay), child in zip(pair.items(), seeds, strict=True):
-        if delay is None:
+    ways, T = {}, settings.sample_time
+    for name, way, child in zip(("delay to the robot", "delay back"), pair, seeds, strict=True):
+        if way is None:
             seed = np.random.SeedSequence(int(np.random.default_rng(child).integers(1 << 62)))
-            chosen[name] = random_walk_delay(max(low, T), high, rate, seed)
-    return delays_in_samples(chosen, rate, "ledger", count, T, zero=True)
+            way = random_walk_delay(max(low, T), high, rate, seed)
+        ways[name] = way
+    return delays_in_samples(ways, rate, "ledger", count, T, zero=True)

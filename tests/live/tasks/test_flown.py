@@ -62,7 +62,7 @@ def test_a_flight_that_diverges_stands_still_in_both():
     run = TASK.begin(config)
     numbers = next(array for array in memory["arrays"] if array["name"] == "numbers")
     changed = np.frombuffer(base64.b64decode(numbers["data"]), NUMBERS).copy()
-    for records in (changed, run.flight.loop._numbers):
+    for records in (changed, run.flight.loop.simulation.setup.numbers):
         records["phi"] *= 3.0  # a vehicle that nobody can hold
     numbers["data"] = base64.b64encode(changed.tobytes()).decode()
     there = Module("fly", memory)

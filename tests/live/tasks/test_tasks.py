@@ -129,7 +129,9 @@ def test_a_flight_is_that_of_the_loop():
     settings = tl.teleoperation.STUDIES["main"]
     ends = settings.scattering
     share = ends.alpha_min + commands[:, 2] * (ends.alpha_max - ends.alpha_min)
-    loop = tl.TeleoperationLoop("MMI", operator, "main", 3, given={"alpha": np.repeat(share, 5)})
+    loop = tl.TeleoperationLoop(
+        "MMI", operator, "main", 3, 0.05 * len(share), signals={"alpha": np.repeat(share, 5)}
+    )
     reach = 2.0 * REACH["main"] / np.broadcast_to(settings.weight, 3)[:2]
     for x, y, _ in commands:
         for _ in range(5):

@@ -46,7 +46,7 @@ def fly_there(first, stop, x, y, choice, addresses):
     setup = LoopSetup(
         carray(pointer(at.numbers), 1, NUMBERS),
         carray(pointer(at.delays), (2, samples + 1), np.float64),
-        carray(pointer(at.arrives), (2, samples + 1), np.bool_),
+        carray(pointer(at.arrives), (2, samples), np.bool_),
     )
     state = LoopState(
         carray(pointer(at.whole), 1, STATE),

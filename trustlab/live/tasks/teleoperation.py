@@ -94,7 +94,7 @@ class LiveFlight:
         task = TASKS[config["study"]]
         operator = Teleoperator("live", reach=REACH[config["study"]], noise=0.0)
         arguments = {name: config[name] for name in ("scheme", "study", "guidance", "seed")}
-        arguments["trust"] = trust_of(config)
+        arguments |= {"trust": trust_of(config), "duration": config["samples"] * PERIOD}
         self.flight = Flight({**arguments, "operator": operator, "task": task})
         self.samples = config["samples"]
         self.periods = 0
@@ -141,7 +141,6 @@ class LiveFlight:
         shows.
         """
         flight, loop = self.flight, self.flight.loop
-        count = loop.reserve(self.samples * PERIOD)
         run, reach = loop.simulation, flight.reach.tolist()
         optimal = loop.scheme.shares == "optimal"
         arrays = {
@@ -150,7 +149,7 @@ class LiveFlight:
             "inputs": run.inputs,
             "log": run.log,
         }
-        arrays["hand"] = np.array([(*reach, *self.bounds, count, optimal)], HAND)
+        arrays["hand"] = np.array([(*reach, *self.bounds, run.log.size, optimal)], HAND)
         vectors = [offset(SAMPLE, name) + 8 * axis for name in VECTORS for axis in (0, 1)]
         return plan_of(arrays, ADDRESSES, WRITTEN) | {
             "row": SAMPLE.itemsize,

@@ -55,14 +55,14 @@ def visible(error, widest):
 @step
 def look(k, c, s, inputs, log):
     """Set the target, and what camera and operator see of it."""
-    now, given = s.now, inputs[k]
+    now, external = s.now, inputs[k]
     s.t = k * c.sample_time
     eye, camera = k - c.hand.delay, k - c.auto.delay
     widest = c.auto.picture
     for i in range(3):
-        now.reference[i] = given.reference[i]
-        s.reference_velocity[i] = given.reference_velocity[i]
-        now.error[i] = given.reference[i] - now.robot[i]
+        now.reference[i] = external.reference[i]
+        s.reference_velocity[i] = external.reference_velocity[i]
+        now.error[i] = external.reference[i] - now.robot[i]
     now.path_error = np.sqrt(dot(now.error, now.error))
     s.sees = eye >= 1 and visible(log[eye].error, widest)
     shown = camera >= 1 and visible(log[camera].error, widest)
@@ -200,23 +200,23 @@ def set_scales(c, s):
 
 
 @step
-def obey(c, s, given):
+def obey(c, s, external):
     """Put what was decided in the place of what is proposed, and set the scales."""
     now = s.now
     for i in range(3):
-        now.robot[i] = chosen(given.robot[i], now.robot[i])
-        now.velocity[i] = chosen(given.velocity[i], now.velocity[i])
-        now.error[i] = given.reference[i] - now.robot[i]
-        now.u_a[i] = chosen(given.u_a[i], now.u_a[i])
+        now.robot[i] = chosen(external.robot[i], now.robot[i])
+        now.velocity[i] = chosen(external.velocity[i], now.velocity[i])
+        now.error[i] = external.reference[i] - now.robot[i]
+        now.u_a[i] = chosen(external.u_a[i], now.u_a[i])
         # the ideal controller has the gain 1/s
-        now.u_i[i] = given.reference_velocity[i] + now.error[i]
-        s.wanted[i] = chosen(given.wanted[i], s.wanted[i])
-        s.guiding[i] = chosen(given.guiding[i], s.guiding[i])
+        now.u_i[i] = external.reference_velocity[i] + now.error[i]
+        s.wanted[i] = chosen(external.wanted[i], s.wanted[i])
+        s.guiding[i] = chosen(external.guiding[i], s.guiding[i])
     now.path_error = np.sqrt(dot(now.error, now.error))
-    now.trust_hr = chosen(given.trust_hr, now.trust_hr)
-    now.trust_rh = chosen(given.trust_rh, now.trust_rh)
+    now.trust_hr = chosen(external.trust_hr, now.trust_hr)
+    now.trust_rh = chosen(external.trust_rh, now.trust_rh)
     set_scales(c, s)
-    now.alpha, now.beta = chosen(given.alpha, now.alpha), chosen(given.beta, now.beta)
+    now.alpha, now.beta = chosen(external.alpha, now.alpha), chosen(external.beta, now.beta)
 
 
 @step
@@ -232,21 +232,21 @@ def distance(now):
 
 
 @step
-def push(c, s, given):
+def push(c, s, external):
     """Set the hand's force, and the output that the device would have without feedback."""
     hand, now = c.hand, s.now
     if hand.fatigue > 0.0:  # weakened by what the hand has pushed so far [N s]
         s.effort += c.sample_time * np.sqrt(dot(now.f_h, now.f_h))
     for i in range(3):
         device = c.device[i]
-        if np.isnan(given.hand[i]):
+        if np.isnan(external.hand[i]):
             wanted = s.wanted[i] / (1.0 + hand.fatigue * s.effort)
             s.wish[i] = hand.decay * s.wish[i] + (1.0 - hand.decay) * wanted
         else:
-            s.wish[i] = device.weight * given.hand[i]
+            s.wish[i] = device.weight * external.hand[i]
         goal = s.wish[i] / device.weight  # where the device's output is the wish, r_m = Λ x
-        shaking = hand.noise * given.motor[i] * (1.0 + abs(s.wish[i]))
-        s.force[i] = device.held_stiffness * goal + shaking + given.push[i]
+        shaking = hand.noise * external.motor[i] * (1.0 + abs(s.wish[i]))
+        s.force[i] = device.held_stiffness * goal + shaking + external.push[i]
         x, v = now.device[i], now.device_velocity[i]
         s.free_output[i] = haptic.free_output(device, x, v, s.force[i])
 
@@ -399,7 +399,7 @@ def send_output(c, s):
 
 
 @step
-def account(c, s, given):
+def account(c, s, external):
     """
     Book the energy of every port and set the robot's command; return |r_m|² + |f_m|², by which
     device or channel are seen to diverge.
@@ -429,7 +429,7 @@ def account(c, s, given):
         now.energy_channel += T * (r_m * end - r_s * f_s)
         now.energy_guidance += T * r_m * (f_m - end)
         now.energy_robot += T * r_s * f_s
-        now.energy_target -= T * s.pull[i] * given.reference_velocity[i]
+        now.energy_target -= T * s.pull[i] * external.reference_velocity[i]
         now.energy_dissipated += T / scaling * haptic.device_loss(device, x_middle, v_middle)
         stored = haptic.device_storage(device, x + T * v_middle, 2.0 * v_middle - v)
         now.energy_device += stored / scaling  # (3.9)
@@ -502,7 +502,7 @@ def move(c, s):
     for i in range(3):
         now.device[i] += c.sample_time * s.middle[i]
         now.device_velocity[i] = 2.0 * s.middle[i] - now.device_velocity[i]
-        if not c.own_vehicle:  # by exact matrices, the command being held over the sample
+        if not c.asks_vehicle:  # by exact matrices, the command being held over the sample
             phi, gamma = c.phi[i], c.gamma[i]
             u = s.command[i]
             x, v = now.robot[i], now.velocity[i]
@@ -510,7 +510,7 @@ def move(c, s):
             now.robot[i] = phi[0, 0] * x + phi[0, 1] * v + phi[0, 2] * a + gamma[0] * u
             now.velocity[i] = phi[1, 0] * x + phi[1, 1] * v + phi[1, 2] * a + gamma[1] * u
             s.acceleration[i] = phi[2, 0] * x + phi[2, 1] * v + phi[2, 2] * a + gamma[2] * u
-    if not c.own_trust:
+    if not c.asks_trust:
         now.trust_hr = next_trust(now.trust_hr, c.trust_hr, now.p_r)  # (3.2)
         now.trust_rh = next_trust(now.trust_rh, c.trust_rh, now.p_h)  # (3.3)
 
@@ -530,19 +530,19 @@ def teleoperate(first, stop, setup, state, inputs, log):
             now.robot[i] = inputs[0].reference[i]
         arrive(0, setup, c, state, inputs, log)
     for k in range(first, stop):
-        given = inputs[k]
-        obey(c, s, given)
+        external = inputs[k]
+        obey(c, s, external)
         # written as "not <", so that NaN counts as diverged
         if not distance(now) < 1e9:
             return k, ROBOT
-        push(c, s, given)
+        push(c, s, external)
         if c.guided_at == AT_OPERATOR:
             guide_at_operator(c, s)
         elif c.guided_at == THROUGH_CHANNEL:
             guide_through_channel(c, s)
         else:
             send_output(c, s)
-        magnitude = account(c, s, given)
+        magnitude = account(c, s, external)
         judge(k, c, s, log)
         send(k, c, s, state.sent)
         log[k] = now

@@ -89,7 +89,7 @@ NUMBERS = np.dtype(
             numbers="sample_time force_scaling gain guidance steepness command_range error_range "
             "budget_energy budget_power",
             counts="window rule law guard carried guided_at",
-            flags="own_vehicle own_trust",
+            flags="asks_vehicle asks_trust",
         ).descr,
         ("trust_hr", TRUST),
         ("trust_rh", TRUST),
@@ -112,7 +112,7 @@ class LoopSetup(NamedTuple):
     What stays the same in a run of K samples.
 
     numbers, shape (1,): a record of NUMBERS. delays, shape (2, K + 1): delay in samples, to the
-    robot and back. arrives, of the same shape: whether what is sent in a sample arrives at all.
+    robot and back. arrives, shape (2, K): whether what is sent in a sample arrives at all.
     """
 
     numbers: np.ndarray
