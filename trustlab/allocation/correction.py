@@ -47,6 +47,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.display import axes_or_new
+from trustlab.models.simulation import compiled_for
 from trustlab.models.tsc import (
     RobotModel,
     TscModel,
@@ -272,6 +273,9 @@ class ThresholdCorrector:
         self._range = tsc.robot.p_min, tsc.robot.p_max
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
         self._clipped = np.full((2, self.horizon), np.nan)
+        state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
+        # numba would look for it by the types of all arguments at every step
+        self._follow = compiled_for(follow, *self._problem, *state)
 
     def step(
         self, r: float, p_r: float, lower: float, upper: float, mode: int = 1
@@ -331,7 +335,7 @@ class ThresholdCorrector:
             path[[C_L, C_U], :-1] = 0.0
             cost = bound = np.nan
         c = self._problem[0]
-        tsc = tsc_at.py_func(p_r, human_at(r, c), c)
+        tsc = tsc_at.py_func(p_r, human_at.py_func(r, c), c)
         return CorrectionPlan(
             float(path[C_L, 0]),
             float(path[C_U, 0]),
@@ -364,7 +368,7 @@ class ThresholdCorrector:
         path[MODE:, -1] = np.nan
         arguments = *self._problem, state[2:], mode, given, path
         if self.incentive is incentive_box:
-            return *follow(*arguments), path
+            return *self._follow(*arguments), path
         return *follow_with.py_func(self.incentive, False, *arguments), path
 
     def __repr__(self) -> str:
