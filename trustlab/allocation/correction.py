@@ -274,7 +274,7 @@ class ThresholdCorrector:
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
         self._clipped = np.full((2, self.horizon), np.nan)
         state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
-        # numba would look for it by the types of all arguments at every step
+        # numba would look for it by the types of all arguments at every step; it takes no others
         self._follow = compiled_for(follow, *self._problem, *state)
 
     def step(
@@ -368,7 +368,8 @@ class ThresholdCorrector:
         path[MODE:, -1] = np.nan
         arguments = *self._problem, state[2:], mode, given, path
         if self.incentive is incentive_box:
-            return *self._follow(*arguments), path
+            called = self._follow if given is self._clipped else follow
+            return *called(*arguments), path
         return *follow_with.py_func(self.incentive, False, *arguments), path
 
     def __repr__(self) -> str:
