@@ -98,7 +98,7 @@ class Teleoperator:
         mean squares of r_s and r_m. Or f(state) → command wanted [m/s] on each axis, shape (3,), in
         place of the proportional law: `state.seen` is the error seen, late by `reaction` and the
         camera's delay, `state.seen_before` that of the sample before, and `state.sees` is False
-        before the first picture. With f(state, memory) it has 16 numbers of its own. The hand (lag,
+        before the first picture; `state.memory` is a dictionary, empty at the start. The hand (lag,
         stiffness, noise) stays as it is.
     crossover : float
         ω_c [rad/s] of the law of that name; the loop is stable below π/2 over the whole delay of
