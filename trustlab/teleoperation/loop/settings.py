@@ -290,7 +290,7 @@ def hold_device(n: np.void, settings: LoopSettings, hand: np.void) -> None:
     device = settings.device()
     n["hand"] = hand
     axes = haptic.held_device.py_func(
-        *(np.diag(m) for m in (device.mass, device.damping, device.stiffness, device.weight)),
+        *(getattr(device, name) for name in haptic.GAINS),
         haptic.Arm(hand["mass"], hand["stiffness"], hand["damping"]),
         settings.sample_time,
     )
