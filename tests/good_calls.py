@@ -93,10 +93,6 @@ CALLS = {
     },
     "teleoperation.printed_filter": lambda: {"cutoff": 5.0},
     "teleoperation.random_walk_delay": lambda: {"low": 0.1, "high": 0.3, "max_rate": 0.5},
-    "teleoperation.recorded_delay": lambda: {
-        "t": np.array([0.0, 1.0, 2.0]),
-        "delay": np.array([0.1, 0.2, 0.15]),
-    },
     "teleoperation.rendered_impedance": lambda: {
         "scattering": cases.scattering(),
         "frequency": np.array([1.0, 10.0]),
@@ -161,7 +157,6 @@ CALLS = {
     "Panel.event": lambda: {"k": 0},
     "Panel.of": lambda: {"rows": [0, 1]},
     "Panel.with_ratings": lambda: {"ratings": cases.panel().ratings},
-    "PassivityController.run": lambda: {"velocity": np.ones((4, 1)), "force": -np.ones((4, 1))},
     "PublishedStudy.from_dict": lambda: {
         "values": {
             "name": "mine",
@@ -263,7 +258,6 @@ NOT_WALKED = {
     "studies.simultaneous_intervals": "goes",
     "studies.tlx_weights": "needs fifteen choices a person",
     "teleoperation.plot_scales": "for one chapter",
-    "teleoperation.switched_channel_run": "for one chapter",
     "testbeds.plot_beside": "for one chapter",
 }
 """Names that are not walked over, with the reason."""
