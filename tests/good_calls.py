@@ -82,7 +82,6 @@ CALLS = {
     "studies.satisfaction_scale": lambda: {"points": 7},
     "studies.williams_square": lambda: {"n": 4},
     "teleoperation.algebraic_connectivity": lambda: {"graph": cases.graph()},
-    "teleoperation.constant_delay": lambda: {"seconds": 0.1},
     "teleoperation.corrected_filter": lambda: {"cutoff": 5.0, "impedance": 1.0},
     "teleoperation.dominance": lambda: {"scattering": cases.scattering()},
     "teleoperation.gains": lambda: {"scattering": cases.scattering()},

@@ -150,9 +150,6 @@ KNOWN = {
         "beta": "no difference",
         "read_out": "no difference",
     },
-    "ChannelRun.plot": {
-        "ax": "foreign errors",
-    },
     "compare": {
         "values": "foreign errors, no argument named",
         "printed": "foreign errors, no argument named",

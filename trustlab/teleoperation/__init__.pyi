@@ -4,7 +4,6 @@ from .channel import (
 )
 from .delays import (
     Delay as Delay,
-    constant_delay as constant_delay,
     packet_delay as packet_delay,
     random_walk_delay as random_walk_delay,
 )

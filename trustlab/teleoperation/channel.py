@@ -11,7 +11,6 @@ import numpy as np
 
 from trustlab.models.checks import finite_numbers, of_class, one_of, positive
 from trustlab.models.compiled import njit
-from trustlab.models.display import axes_or_new
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.ports import waves
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts, read_waves
@@ -50,24 +49,13 @@ class ChannelRun:
     v_r: np.ndarray
     sample_time: float
 
-    @property
-    def _powers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return power into the operator's port and out of the robots' [W]."""
-        return (self.r_m * self.f_m).sum(axis=1), (self.r_s * self.f_s).sum(axis=1)
-
     @cached_property
     def energy(self) -> np.ndarray:
         """
-        ∫ r_mᵀf_m − r_sᵀf_s dτ up to and with each sample [J], shape (N,): energy in the channel; of
+        ∫ r_mᵀf_m − r_sᵀf_s dτ up to and with each sample [J], shape (N,): energy in the channel,
         (4.15) where leaders are switched.
         """
-        near, far = self._powers
-        return self.sample_time * np.cumsum(near - far)
-
-    @cached_property
-    def exchanged(self) -> np.ndarray:
-        """``∫ |r_mᵀf_m| + |r_sᵀf_s| dτ`` up to and with each sample [J], shape (N,)."""
-        return self.sample_time * np.cumsum(np.abs(self._powers).sum(axis=0))
+        return self._since_start(self.r_m * self.f_m - self.r_s * self.f_s)
 
     @cached_property
     def wave_energy(self) -> np.ndarray:
@@ -75,30 +63,12 @@ class ChannelRun:
         ½ ∫ ‖u_l‖² − ‖v_l‖² + ‖u_r‖² − ‖v_r‖² dτ [J], shape (N,): the lower bound of the proof of
         Theorem 3.
         """
-        power = 0.5 * (self.u_l**2 - self.v_l**2 + self.u_r**2 - self.v_r**2)
+        waves = self.u_l**2 - self.v_l**2 + self.u_r**2 - self.v_r**2
+        return self._since_start(0.5 * waves)
+
+    def _since_start(self, power: np.ndarray) -> np.ndarray:
+        """Return the energy up to and with each sample [J] from the power on each axis [W]."""
         return self.sample_time * np.cumsum(power.sum(axis=1))
-
-    def plot(self, ax=None):
-        """
-        Plot the energy in the channel over time.
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw on; a new figure by default.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-            The axes.
-        """
-        ax = axes_or_new(ax)
-        ax.plot(self.t, self.energy, label="energy in the channel")
-        ax.plot(self.t, self.wave_energy, label="of it, waves under way")
-        ax.axhline(0.0, color="0.6", linewidth=0.8)
-        ax.set(xlabel="t [s]", ylabel="energy [J]")
-        ax.legend()
-        return ax
 
 
 @njit
@@ -167,7 +137,7 @@ def channel_run(
     Returns
     -------
     ChannelRun
-        All signals, with `.energy`, `.wave_energy` and `.plot()`.
+        All signals, with `.energy` and `.wave_energy`.
 
     Raises
     ------
@@ -189,10 +159,10 @@ def channel_run(
     count, period = len(r_m), positive("sample_time", sample_time)
     switched = leaders is not None
     one_of("read_out", read_out, READ_OUTS)
-    listed = list(scattering) if isinstance(scattering, Iterable) and switched else [scattering]
-    ends = [of_class("scattering", end, Scattering) for end in listed]
-    led = leaders if switched else np.zeros(count, int)
-    rows = led if np.shape(led) == (2, count) else (led, led)
+    robots = list(scattering) if isinstance(scattering, Iterable) and switched else [scattering]
+    ends = [of_class("scattering", robot, Scattering) for robot in robots]
+    numbers = leaders if switched else np.zeros(count, int)
+    rows = numbers if np.shape(numbers) == (2, count) else (numbers, numbers)
     near, far = (robot_numbers("leaders", row, count, len(ends)) for row in rows)
     alphas = _scale("alpha", alpha, np.array([end.alpha_max for end in ends])[far])
     betas = _scale("beta", beta, np.array([end.beta_max for end in ends])[near])

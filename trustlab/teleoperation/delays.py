@@ -1,4 +1,4 @@
-"""Communication delays that vary with time: constant, drawn, recorded, or given as a function."""
+"""Communication delays: numbers, functions of time, random walks, and traces of packets."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -86,24 +86,6 @@ class Delay:
                 k = int(np.argmax(bad))
                 raise ValueError(f"{self.title} is {values[k]:g} s at t = {t[k]:g} s: {reason}")
         return np.maximum(values, present * sample_time)
-
-
-def constant_delay(seconds: float) -> Delay:
-    """
-    Return a constant delay; zero links both sides without a channel in between.
-
-    Parameters
-    ----------
-    seconds : float
-        The delay, 0 or more.
-
-    Raises
-    ------
-    ValueError
-        If it is negative or not finite.
-    """
-    value = not_negative("seconds", seconds)
-    return Delay(lambda t: value, 0.0, f"a constant delay of {value:g} s")
 
 
 def random_walk_delay(
@@ -212,11 +194,12 @@ def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
 
 def delay_from(name: str, delay, max_rate: float) -> Delay:
     """Return a delay by its argument's name: from a number, a function of time, or a `Delay`."""
+    if isinstance(delay, Delay):
+        return replace(delay, title=f"{name}: {delay.title}")
     if callable(delay):
         return Delay(np.vectorize(delay, otypes=[float]), max_rate, name)
-    if not isinstance(delay, Delay):
-        delay = constant_delay(not_negative(name, delay))
-    return replace(delay, title=f"{name}, {delay.title},")
+    seconds = not_negative(name, delay)
+    return Delay(lambda t: seconds, 0.0, name)
 
 
 def delays_in_samples(
