@@ -307,7 +307,10 @@ ONE = np.ones((50, 1))
         (lambda: channel_run(ONE, ONE, Scattering(1.0), T, 0.004, 0.1), "at least one sample"),
         (lambda: channel_run(ONE, ONE, Scattering(1.0), T, 0.0, 0.1), "at least one sample"),
         (lambda: channel_run(ONE, ONE[:-1], Scattering(1.0), T), "same shape"),
-        (lambda: channel_run(ONE * np.nan, ONE, Scattering(1.0), T), "sample 0, axis 0 is nan"),
+        (
+            lambda: channel_run(ONE * np.nan, ONE, Scattering(1.0), T),
+            "r_m must be finite, but sample 0 is nan",
+        ),
         (lambda: channel_run(ONE, ONE, 1.0, T), "must be of class Scattering"),
         (lambda: channel_run(ONE, ONE, Scattering(1.0), T, alpha=1.5), "alpha must lie in"),
         (

@@ -200,7 +200,8 @@ def test_one_compiled_axis_in_a_hand_is_the_device_with_springs_added(seed):
         [0.01, 1.0, 5.0, 1.0, 0.0, 0.0, 1e-3], [0.1, 5.0, 50.0, 9.0, 20.0, 3.0, 1e-2]
     )
     arm = compiled.Arm(0.0, k_hand, b_hand)
-    axis = compiled.held_device(mass, damping, stiffness, weight, arm, sample_time)
+    gains = compiled.Device(sample_time, mass, damping, stiffness, weight, *[0.0] * 4)
+    axis = compiled.held_device(gains, arm, sample_time)
     bare = HapticDevice(mass, damping, stiffness, weight, dimensions=1)
     moved = [[mass], [damping + b_hand], [stiffness + k_hand]]
     x, v, force, feedback = rng.normal(size=4)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from trustlab.models.checks import finite_array
 from trustlab.models.compiled import njit
 
 
@@ -62,9 +63,8 @@ def signal(
         raise ValueError(f"{name} must have shape {shape}, got {np.shape(values)}")
     if len(array) < least or not array.size:
         raise ValueError(f"{name} must have at least {least} rows, got shape {array.shape}")
-    if not np.isfinite(array).all():
-        k, i = np.argwhere(~np.isfinite(array))[0]
-        raise ValueError(f"{name} must be finite, but sample {k}, axis {i} is {array[k, i]}")
+    for column in array.T:
+        finite_array(name, column)
     return array
 
 

@@ -50,22 +50,31 @@ NO_ARM = Arm(0.0, 0.0, 0.0)
 
 
 @njit(error_model="numpy", forceinline=True)
-def held_device(mass, damping, stiffness, weight, arm, sample_time):
-    """Return one axis of a device in a hand."""
-    held_mass, held_stiffness = mass + arm.mass, stiffness + arm.stiffness
-    held_damping = damping + arm.damping
-    inertia = 2.0 * held_mass / sample_time + held_damping + 0.5 * sample_time * held_stiffness
+def held_device(gains, arm, sample_time):
+    """
+    Return one axis of a device in a hand; `gains` is what has its mass, damping, stiffness and
+    weight.
+    """
+    mass, stiffness = gains.mass + arm.mass, gains.stiffness + arm.stiffness
+    damping = gains.damping + arm.damping
     return Device(
         sample_time,
-        mass,
-        damping,
-        stiffness,
-        weight,
-        held_mass,
-        held_stiffness,
-        inertia,
-        lever=1.0 + 0.5 * sample_time * weight,
+        gains.mass,
+        gains.damping,
+        gains.stiffness,
+        gains.weight,
+        held_mass=mass,
+        held_stiffness=stiffness,
+        inertia=2.0 * mass / sample_time + damping + 0.5 * sample_time * stiffness,
+        lever=1.0 + 0.5 * sample_time * gains.weight,
     )
+
+
+@njit(error_model="numpy", forceinline=True)
+def free_force(device, x, v, force):
+    """Return inertia times the velocity at the middle of the sample without feedback [N]."""
+    momentum = 2.0 * device.held_mass * v / device.sample_time
+    return momentum - device.held_stiffness * x + force
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -73,13 +82,7 @@ def midpoint_velocity(device, x, v, force, feedback):
     """
     Return the velocity at the middle of the sample under the hand's force and the scaled feedback.
     """
-    pull = (
-        2.0 * device.held_mass * v / device.sample_time
-        - device.held_stiffness * x
-        + force
-        - feedback
-    )
-    return pull / device.inertia
+    return (free_force(device, x, v, force) - feedback) / device.inertia
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -88,7 +91,7 @@ def free_output(device, x, v, force):
     Return the output r_m that the device would have without feedback; the channel's end is solved
     with it.
     """
-    return device.lever * midpoint_velocity(device, x, v, force, 0.0) + device.weight * x
+    return device.lever * free_force(device, x, v, force) / device.inertia + device.weight * x
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -278,8 +281,7 @@ class HapticDevice:
         """
         x, v, f_h, f_m = self._vectors(x=x, v=v, f_h=f_h, f_m=f_m)
         T, feedback = positive("sample_time", sample_time), self.force_scaling * f_m
-        gains = (getattr(self, name) for name in GAINS)
-        axes = held_device.py_func(*gains, NO_ARM, T)
+        axes = held_device.py_func(self, NO_ARM, T)
         middle = midpoint_velocity.py_func(axes, x, v, f_h, feedback)
         r_m = self.output(x + 0.5 * T * middle, middle)
         supply = T * float(r_m @ (f_h - feedback)) / self.force_scaling
