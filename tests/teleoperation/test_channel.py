@@ -290,11 +290,20 @@ ONE = np.ones((50, 1))
         (lambda: Scattering(1.0, max_delay_rate=1.1), "grows faster than time"),
         (lambda: random_walk_delay(0.1, 0.5, 1.2), "grows faster than time"),
         (lambda: random_walk_delay(0.0, 0.5, 0.2), "low must be positive"),
-        (lambda: channel_run(ONE, ONE, Scattering(1.0), T, -0.1), "delay_1 must not be negative"),
+        (
+            lambda: channel_run(ONE, ONE, Scattering(1.0), T, -0.1),
+            "delay_1: a constant delay must not be negative",
+        ),
         (lambda: random_walk_delay(0.5, 0.1, 0.2), "low must be below high"),
         (lambda: random_walk_delay(0.1, 0.5, 0.2, seed=None), "seed must be a whole number"),
-        (lambda: channel_run(ONE, ONE, Scattering(1.0), T, "late"), "delay_1 must be a number"),
-        (lambda: channel_run(ONE, ONE, Scattering(1.0), T, (0.1, 0.2)), "delay_1 must be a number"),
+        (
+            lambda: channel_run(ONE, ONE, Scattering(1.0), T, "late"),
+            "delay_1: a constant delay must be a number",
+        ),
+        (
+            lambda: channel_run(ONE, ONE, Scattering(1.0), T, (0.1, 0.2)),
+            "delay_1: a constant delay must be a number",
+        ),
         (
             lambda: channel_run(ONE, ONE, Scattering(1.0), T, 0.1, lambda t: 0.1 + 0.5 * t),
             r"delay_2 is 0\.1 s at t = 0 s: from there it grows faster than max_rate = 0",

@@ -182,7 +182,7 @@ def test_refusals():
         ({"r_m": np.full((K, 3), np.nan)}, "finite"),
         ({"beta": beta[:-1]}, "beta"),
         ({"delay_1": 0.0}, "at least one sample"),
-        ({"delay_2": -1.0}, "delay_2 must not be negative"),
+        ({"delay_2": -1.0}, "delay_2: a constant delay must not be negative"),
         ({"sample_time": 0.0}, "positive"),
         ({"read_out": "x"}, "read_out"),
     ):

@@ -198,8 +198,9 @@ def delay_from(name: str, delay, max_rate: float) -> Delay:
         return replace(delay, title=f"{name}: {delay.title}")
     if callable(delay):
         return Delay(np.vectorize(delay, otypes=[float]), max_rate, name)
-    seconds = not_negative(name, delay)
-    return Delay(lambda t: seconds, 0.0, name)
+    title = f"{name}: a constant delay"
+    seconds = not_negative(title, delay)
+    return Delay(lambda t: seconds, 0.0, title)
 
 
 def delays_in_samples(
