@@ -63,8 +63,8 @@ class ChannelRun:
         ½ ∫ ‖u_l‖² − ‖v_l‖² + ‖u_r‖² − ‖v_r‖² dτ [J], shape (N,): the lower bound of the proof of
         Theorem 3.
         """
-        waves = self.u_l**2 - self.v_l**2 + self.u_r**2 - self.v_r**2
-        return self._since_start(0.5 * waves)
+        squares = self.u_l**2 - self.v_l**2 + self.u_r**2 - self.v_r**2
+        return self._since_start(0.5 * squares)
 
     def _since_start(self, power: np.ndarray) -> np.ndarray:
         """Return the energy up to and with each sample [J] from the power on each axis [W]."""
@@ -120,7 +120,8 @@ def channel_run(
     sample_time : float
         T [s].
     delay_1, delay_2 : float, callable or Delay
-        Delay to the robot and back [s]; at least one sample.
+        Delay to the robot and back [s]; at least one sample. `packet_delay(sent, received)` is that
+        of a recorded network, lost packets included.
     alpha, beta : float or array_like, shape (N,), optional
         Scales; their upper bounds when not given. With `leaders` their bounds are not checked, so
         that a run can break them.
