@@ -72,9 +72,6 @@ that differ each time.
 """
 
 KNOWN = {
-    "HapticDevice": {
-        "dimensions": "foreign errors",
-    },
     "LiveCondition": {
         "suggestions": "no argument named",
     },

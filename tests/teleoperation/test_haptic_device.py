@@ -118,8 +118,8 @@ def test_heaviest_device_of_the_preliminary_study():
 @pytest.mark.parametrize("share", [0.5, 0.98, 1.02, 3.0])
 @pytest.mark.parametrize("gains", [PRELIMINARY, MAIN], ids=["preliminary", "main"])
 def test_python_control_agrees_on_passivity(gains, share):
-    most = HapticDevice(mass=1e-3, dimensions=1, **gains).largest_mass()
-    device = HapticDevice(mass=share * most, dimensions=1, require_passive=False, **gains)
+    most = HapticDevice(mass=[1e-3], **gains).largest_mass()
+    device = HapticDevice(mass=[share * most], require_passive=False, **gains)
     m, d, k, w = share * most, gains["damping"], gains["stiffness"], gains["weight"]
     a, b, c = [[0.0, 1.0], [-k / m, -d / m]], [[0.0], [1.0 / m]], [[w, 1.0]]
     assert device.is_passive == (share < 1.0)
@@ -156,7 +156,10 @@ def test_passive_exactly_where_storage_and_loss_are_positive(seed, port_damping)
     ("change", "words"),
     [
         ({"mass": 0.0}, "mass must be positive"),
-        ({"mass": [1.0, 2.0], "damping": [1.0, 2.0, 3.0]}, "differ in length"),
+        (
+            {"mass": [1.0, 2.0], "damping": [1.0, 2.0, 3.0]},
+            "must be numbers or have one for each axis, got lengths",
+        ),
         ({"mass": np.eye(3)}, "mass must be a number"),
         ({"damping": -1.0}, "damping must be positive"),
         ({"stiffness": -1.0}, "stiffness must not be negative"),
@@ -164,7 +167,7 @@ def test_passive_exactly_where_storage_and_loss_are_positive(seed, port_damping)
         ({"damping": np.nan}, "damping must be finite"),
         ({"damping": "stiff"}, "damping must be a number"),
         ({"force_scaling": 0.0}, "force_scaling must be positive"),
-        ({"dimensions": 0}, "dimensions must be"),
+        ({"mass": []}, "must be numbers or have one for each axis"),
         ({"port_damping": -0.1}, "port_damping must not be negative"),
     ],
 )
@@ -202,7 +205,7 @@ def test_one_compiled_axis_in_a_hand_is_the_device_with_springs_added(seed):
     arm = compiled.Arm(0.0, k_hand, b_hand)
     gains = compiled.Device(sample_time, mass, damping, stiffness, weight, *[0.0] * 4)
     axis = compiled.held_device(gains, arm, sample_time)
-    bare = HapticDevice(mass, damping, stiffness, weight, dimensions=1)
+    bare = HapticDevice([mass], damping, stiffness, weight)
     moved = [[mass], [damping + b_hand], [stiffness + k_hand]]
     x, v, force, feedback = rng.normal(size=4)
 

@@ -13,7 +13,6 @@ from trustlab.models.checks import (
     rounded_down,
     rounded_up,
     set_checked,
-    whole_number,
 )
 from trustlab.models.compiled import njit
 
@@ -127,13 +126,12 @@ class HapticDevice:
     Parameters
     ----------
     mass, damping, weight : float or array_like, shape (n,)
-        M [kg], B [N s/m] and Λ [1/s], positive: a number, or one per axis.
+        M [kg], B [N s/m] and Λ [1/s], positive: a number, or one per axis; three axes where all
+        gains are numbers.
     stiffness : float or array_like, shape (n,)
         K [N/m], 0 or more.
     force_scaling : float
         γ of (3.25), static scaling of the force feedback; positive.
-    dimensions : int
-        n, where all gains are numbers.
     port_damping : float
         Least damping that the channel adds at the port, β_min b (Section 3.7.2) [N s/m]; counted in
         the conditions.
@@ -169,23 +167,24 @@ class HapticDevice:
     stiffness: Any
     weight: Any
     force_scaling: float = 1.0
-    dimensions: int = 3
     port_damping: float = 0.0
     require_passive: bool = True
 
     def __post_init__(self):
         gains = [getattr(self, name) for name in GAINS]
-        sizes = {np.size(gain) for gain in gains if np.ndim(gain)} or {self.dimensions}
-        if len(sizes) > 1:
-            raise ValueError(f"mass, damping, stiffness and weight differ in length: {sizes}")
-        self.__dict__["dimensions"] = n = whole_number("dimensions", *sizes)
+        sizes = {np.size(gain) for gain in gains if np.ndim(gain)} or {3}
+        if len(sizes) > 1 or 0 in sizes:
+            raise ValueError(
+                "mass, damping, stiffness and weight must be numbers or have one for each axis, "
+                f"got lengths {sizes}"
+            )
         set_checked(self, flag, "require_passive")
         set_checked(self, positive, "force_scaling")
         set_checked(self, not_negative, "port_damping")
         for name, gain in zip(GAINS, gains, strict=True):
             check = not_negative if name == "stiffness" else positive
             values = [check(name, value) for value in np.atleast_1d(gain)]
-            self.__dict__[name] = np.full(n, values)
+            self.__dict__[name] = np.full(max(sizes), values)
         if self.require_passive and not self.is_passive:
             most = rounded_down(self.largest_mass(), 4)
             at_port = self.force_scaling * self.port_damping
@@ -289,4 +288,4 @@ class HapticDevice:
 
     def _vectors(self, **vectors) -> list[np.ndarray]:
         """Return the arguments as finite vectors of the device's dimension."""
-        return [finite_array(name, x, length=self.dimensions) for name, x in vectors.items()]
+        return [finite_array(name, x, length=self.mass.size) for name, x in vectors.items()]
