@@ -120,7 +120,7 @@ class HapticDevice:
     A haptic device made r-passive by a local PD loop, equations (3.8)-(3.11).
 
     M dv/dt = −B v − K x + f_h − γ f''_m with the output r_m = v + Λ x, axis by axis. With B ≥ MΛ
-    and K + ΛB ≥ ΛMΛ it is passive with the storage V_hd = ½ Σ M r_m² + (K + ΛB − ΛMΛ) x². The
+    and K + ΛB ≥ ΛMΛ it is passive with the storage V_hd = ½ Σ (M r_m² + (K + ΛB − ΛMΛ) x²). The
     inertia is constant, so that C(x, v) = 0.
 
     Parameters
