@@ -82,7 +82,6 @@ CALLS = {
     "studies.satisfaction_scale": lambda: {"points": 7},
     "studies.williams_square": lambda: {"n": 4},
     "teleoperation.algebraic_connectivity": lambda: {"graph": cases.graph()},
-    "teleoperation.constant_delay": lambda: {"seconds": 0.1},
     "teleoperation.corrected_filter": lambda: {"cutoff": 5.0, "impedance": 1.0},
     "teleoperation.dominance": lambda: {"scattering": cases.scattering()},
     "teleoperation.gains": lambda: {"scattering": cases.scattering()},
@@ -93,10 +92,6 @@ CALLS = {
     },
     "teleoperation.printed_filter": lambda: {"cutoff": 5.0},
     "teleoperation.random_walk_delay": lambda: {"low": 0.1, "high": 0.3, "max_rate": 0.5},
-    "teleoperation.recorded_delay": lambda: {
-        "t": np.array([0.0, 1.0, 2.0]),
-        "delay": np.array([0.1, 0.2, 0.15]),
-    },
     "teleoperation.rendered_impedance": lambda: {
         "scattering": cases.scattering(),
         "frequency": np.array([1.0, 10.0]),
@@ -161,7 +156,6 @@ CALLS = {
     "Panel.event": lambda: {"k": 0},
     "Panel.of": lambda: {"rows": [0, 1]},
     "Panel.with_ratings": lambda: {"ratings": cases.panel().ratings},
-    "PassivityController.run": lambda: {"velocity": np.ones((4, 1)), "force": -np.ones((4, 1))},
     "PublishedStudy.from_dict": lambda: {
         "values": {
             "name": "mine",
@@ -259,7 +253,6 @@ NOT_WALKED = {
     "studies.simultaneous_intervals": "goes",
     "studies.tlx_weights": "needs fifteen choices a person",
     "teleoperation.plot_scales": "for one chapter",
-    "teleoperation.switched_channel_run": "for one chapter",
     "testbeds.plot_beside": "for one chapter",
 }
 """Names that are not walked over, with the reason."""

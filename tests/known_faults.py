@@ -72,19 +72,6 @@ that differ each time.
 """
 
 KNOWN = {
-    "EnergyLedger.receive": {
-        "wave": "foreign errors",
-    },
-    "HapticDevice": {
-        "mass": "foreign errors",
-        "damping": "foreign errors",
-        "stiffness": "foreign errors",
-        "weight": "foreign errors",
-        "dimensions": "foreign errors",
-    },
-    "HapticDevice.step": {
-        "sample_time": "foreign errors",
-    },
     "LiveCondition": {
         "suggestions": "no argument named",
     },
@@ -102,13 +89,6 @@ KNOWN = {
     },
     "OptimalBlending": {
         "gains": "foreign errors",
-    },
-    "PassivityController": {
-        "cap": "foreign errors",
-    },
-    "PassivityController.step": {
-        "velocity": "foreign errors",
-        "force": "foreign errors",
     },
     "Prior": {
         "correlation": "foreign errors",
@@ -164,12 +144,8 @@ KNOWN = {
         "scale": "no difference",
     },
     "channel_run": {
-        "alpha": "foreign errors",
-        "beta": "foreign errors, no difference",
+        "beta": "no difference",
         "read_out": "no difference",
-    },
-    "ChannelRun.plot": {
-        "ax": "foreign errors",
     },
     "compare": {
         "values": "foreign errors, no argument named",
@@ -459,41 +435,28 @@ KNOWN = {
         "delay": "NaN is taken",
         "delay_back": "NaN is taken",
     },
-    "teleoperation.TeamSettings": {
-        "weight": "foreign errors",
-    },
     "teleoperation.TeamTrial": {
         "start": "anything is taken",
         "inner": "anything is taken",
         "push": "anything is taken",
     },
     "teleoperation.corrected_filter": {
-        "cutoff": "foreign errors",
         "product": "no argument named",
     },
     "teleoperation.gains": {
         "beta": "no difference",
     },
     "teleoperation.packet_delay": {
-        "received": "foreign errors, no argument named",
+        "received": "foreign errors",
     },
     "teleoperation.passivity_margin": {
         "k12": "no difference",
         "k21": "no difference",
     },
-    "teleoperation.printed_filter": {
-        "cutoff": "foreign errors",
-    },
-    "teleoperation.random_walk_delay": {
-        "seed": "foreign errors",
-    },
     "teleoperation.rendered_impedance": {
         "environment": "foreign errors",
         "alpha": "no difference",
         "beta": "no difference",
-    },
-    "teleoperation.sinusoid_energy": {
-        "duration": "foreign errors",
     },
     "teleoperation.team_graph": {
         "require_connected": "foreign errors, anything is taken, no difference",

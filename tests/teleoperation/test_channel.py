@@ -12,10 +12,9 @@ from hypothesis import given, settings, strategies as st
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import (
     Delay,
-    constant_delay,
-    delay_from,
+    delays_in_samples,
+    packet_delay,
     random_walk_delay,
-    recorded_delay,
 )
 from trustlab.teleoperation.ports.ledger import EnergyLedger
 from trustlab.teleoperation.ports.waves import Scattering
@@ -26,6 +25,12 @@ INTERPOLATION = 0.011
 Share of the greatest energy of one sample that the interpolated read-out may give beyond what was
 sent.
 """
+
+
+def exchanged(run):
+    """Return the energy that went to and fro at both ports up to and with each sample [J]."""
+    ports = ((run.r_m, run.f_m), (run.r_s, run.f_s))
+    return run.sample_time * np.cumsum(sum(np.abs((v * f).sum(axis=1)) for v, f in ports))
 
 
 def random_case(seed):
@@ -81,13 +86,13 @@ def test_energy_is_never_negative_in_500_random_channels(read_out):
     for seed in range(500):
         scattering, (r_m, f_s), alpha, beta, delays = random_case(seed)
         run = channel_run(r_m, f_s, scattering, T, *delays, alpha, beta, read_out)
-        margin = 1e-9 * run.exchanged
+        margin = 1e-9 * exchanged(run)
         if read_out == "interpolated":
             margin = margin + INTERPOLATION * T * max(
                 (run.u_l**2).sum(1).max(), (run.u_r**2).sum(1).max()
             )
         assert (run.energy >= -margin).all(), seed
-        assert (run.energy >= run.wave_energy - 1e-9 * run.exchanged).all(), seed
+        assert (run.energy >= run.wave_energy - 1e-9 * exchanged(run)).all(), seed
 
 
 def test_port_power_is_wave_power_in_every_sample():
@@ -148,15 +153,19 @@ def test_unit_scales_and_no_load_reflect_everything():
     np.testing.assert_allclose(run.u_r, -run.v_r, atol=1e-14)
 
 
-def test_lost_waves_only_take_energy_away():
+def test_jitter_overtaking_and_lost_packets_only_take_energy_away():
     rng = np.random.default_rng(8)
+    sent = T * np.arange(N + 100)
     for seed in range(40):
         scattering, (r_m, f_s), alpha, beta, _ = random_case(seed)
+        received = sent + rng.uniform(0.01, 0.3, (2, sent.size))
+        received[rng.uniform(size=received.shape) < 0.3] = np.nan
         jitter = Delay(lambda t, rng=rng: rng.uniform(0.01, 0.3, t.size), 1e9, "jitter")
-        lost = rng.uniform(size=(2, N)) < 0.3
-        run = channel_run(r_m, f_s, scattering, T, jitter, jitter, alpha, beta, "ledger", lost)
-        assert (run.energy >= -1e-9 * run.exchanged).all()
-        assert run.v_r.any()
+        there, back = (packet_delay(sent, times) for times in received)
+        for delays in ((there, back), (jitter, jitter)):
+            run = channel_run(r_m, f_s, scattering, T, *delays, alpha, beta)
+            assert (run.energy >= -1e-9 * exchanged(run)).all()
+            assert run.v_r.any()
 
 
 def test_interpolation_keeps_its_margin_and_a_hold_does_not():
@@ -236,13 +245,34 @@ def test_random_walk_keeps_bounds_rate_and_seed():
     )
 
 
-def test_recorded_and_given_delays():
-    trace = recorded_delay([0.0, 1.0, 2.0], [0.1, 0.3, 0.2])
-    assert trace.max_rate == pytest.approx(0.2)
-    np.testing.assert_allclose(trace.samples(21, 0.05)[::10], [0.1, 0.2, 0.3])
-    given_one = delay_from("delay_1", lambda t: 0.1 + 0.05 * math.sin(t), max_rate=0.05)
-    assert given_one.samples(50, T)[0] == pytest.approx(0.1)
-    assert constant_delay(0.0).samples(10, T).any() == np.False_
+def test_numbers_and_functions_as_delays():
+    pair = {"delay_1": lambda t: 0.1 + 0.05 * math.sin(t), "delay_2": 0.3}
+    delays = delays_in_samples(pair, 0.05, "interpolated", 50, T)
+    np.testing.assert_allclose(delays[0], 10.0 + 5.0 * np.sin(T * np.arange(50)))
+    np.testing.assert_array_equal(delays[1], 30.0)
+    none = delays_in_samples({"delay_1": 0.0, "delay_2": 0.0}, 0.0, "ledger", 10, T, zero=True)
+    assert not none.any()
+
+
+def test_a_trace_of_packets_is_read_at_the_newest_that_arrived():
+    """Oracle: by hand; the third packet is lost, the fourth overtakes the second."""
+    sent = [0.0, 0.1, 0.2, 0.3]
+    trace = packet_delay(sent, [0.1, 0.5, np.nan, 0.4])
+    assert (trace.end, trace.max_rate) == (0.5, np.inf)
+    np.testing.assert_allclose(trace.samples(6, 0.1), [0.1, 0.1, 0.2, 0.3, 0.1, 0.2], atol=1e-12)
+    with pytest.raises(ValueError, match=r"until 0\.5 s, and the run lasts until 0\.6 s"):
+        trace.samples(7, 0.1)
+    for bad, words in (
+        ([0.1, 0.05, 0.3, 0.4], "packet 1, sent at t = 0.1 s, was received before"),
+        ([np.nan] * 4, "ever received"),
+        ([0.1], "same number of packets"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            packet_delay(sent, bad)
+    with pytest.raises(ValueError, match="sent before the packet before it"):
+        packet_delay([0.0, 0.2, 0.1, 0.3], [0.5] * 4)
+    with pytest.raises(ValueError, match="give seconds from the start of the run"):
+        packet_delay([100.0, 101.0], [100.5, 101.5]).samples(7, 0.1)
 
 
 ONE = np.ones((50, 1))
@@ -259,17 +289,37 @@ ONE = np.ones((50, 1))
         (lambda: Scattering(1.0, alpha_max=1.2), "alpha_max must not exceed 1"),
         (lambda: Scattering(1.0, max_delay_rate=1.1), "grows faster than time"),
         (lambda: random_walk_delay(0.1, 0.5, 1.2), "grows faster than time"),
-        (lambda: random_walk_delay(0.0, 0.5, 0.2), "0 < low < high"),
-        (lambda: constant_delay(-0.1), "negative"),
-        (lambda: recorded_delay([0.0, 1.0, 0.5], [0.1, 0.1, 0.1]), "sample 2"),
-        (lambda: recorded_delay([0.0, 0.1], [0.1, 0.9]), "grows by 8"),
-        (lambda: delay_from("delay_1", lambda t: t), "max_rate"),
-        (lambda: delay_from("delay_1", "late"), "delay_1: seconds must be a number"),
+        (lambda: random_walk_delay(0.0, 0.5, 0.2), "low must be positive"),
+        (
+            lambda: channel_run(ONE, ONE, Scattering(1.0), T, -0.1),
+            "delay_1: a constant delay must not be negative",
+        ),
+        (lambda: random_walk_delay(0.5, 0.1, 0.2), "low must be below high"),
+        (lambda: random_walk_delay(0.1, 0.5, 0.2, seed=None), "seed must be a whole number"),
+        (
+            lambda: channel_run(ONE, ONE, Scattering(1.0), T, "late"),
+            "delay_1: a constant delay must be a number",
+        ),
+        (
+            lambda: channel_run(ONE, ONE, Scattering(1.0), T, (0.1, 0.2)),
+            "delay_1: a constant delay must be a number",
+        ),
+        (
+            lambda: channel_run(ONE, ONE, Scattering(1.0), T, 0.1, lambda t: 0.1 + 0.5 * t),
+            r"delay_2 is 0\.1 s at t = 0 s: from there it grows faster than max_rate = 0",
+        ),
+        (
+            lambda: channel_run(ONE, ONE, Scattering(1.0), T, lambda t: 1.0 / t),
+            "delay_1 gives no 50 delays: float division by zero",
+        ),
         (lambda: channel_run(ONE, ONE, Scattering(1.0), T, 0.6, 0.1), "longer than the run"),
         (lambda: channel_run(ONE, ONE, Scattering(1.0), T, 0.004, 0.1), "at least one sample"),
         (lambda: channel_run(ONE, ONE, Scattering(1.0), T, 0.0, 0.1), "at least one sample"),
         (lambda: channel_run(ONE, ONE[:-1], Scattering(1.0), T), "same shape"),
-        (lambda: channel_run(ONE * np.nan, ONE, Scattering(1.0), T), "sample 0, axis 0 is nan"),
+        (
+            lambda: channel_run(ONE * np.nan, ONE, Scattering(1.0), T),
+            "r_m must be finite, but sample 0 is nan",
+        ),
         (lambda: channel_run(ONE, ONE, 1.0, T), "must be of class Scattering"),
         (lambda: channel_run(ONE, ONE, Scattering(1.0), T, alpha=1.5), "alpha must lie in"),
         (
@@ -280,7 +330,6 @@ ONE = np.ones((50, 1))
             lambda: channel_run(ONE, ONE, Scattering(1.0), T, read_out="guess"),
             "read_out must be one of",
         ),
-        (lambda: channel_run(ONE, ONE, Scattering(1.0), T, lost=[True]), "lost must be"),
         (
             lambda: channel_run(
                 ONE,
@@ -294,7 +343,7 @@ ONE = np.ones((50, 1))
         ),
         (
             lambda: Delay(lambda t: 0.1 + 0.5 * t, 0.1, "this delay").samples(50, T),
-            "grows by 0.5 s/s",
+            r"this delay is 0\.1 s at t = 0 s: from there it grows faster than max_rate = 0\.1",
         ),
         (
             lambda: Delay(lambda t: 0.1 - t, 0.1, "this delay").samples(50, T),
@@ -302,7 +351,7 @@ ONE = np.ones((50, 1))
         ),
         (lambda: Delay(lambda t: t * np.nan, 0.1, "this delay").samples(50, T), "nan s at t = 0 s"),
         (lambda: EnergyLedger(T).receive(-1, [1.0]), "whole number"),
-        (lambda: EnergyLedger(T).receive(0, [np.inf]), "packet 0"),
+        (lambda: EnergyLedger(T).receive(0, [np.inf]), "wave of packet 0 must be finite"),
         (lambda: EnergyLedger(0.0), "sample_time must be positive"),
     ],
 )

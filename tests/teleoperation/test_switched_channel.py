@@ -6,11 +6,17 @@ guards removed.
 import numpy as np
 import pytest
 
-from trustlab.teleoperation.channel import switched_channel_run
+from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import random_walk_delay
 from trustlab.teleoperation.ports.waves import Scattering
 
 T, K = 0.01, 1500
+
+
+def exchanged(run):
+    """Return the energy that went to and fro at both ports up to and with each sample [J]."""
+    ports = ((run.r_m, run.f_m), (run.r_s, run.f_s))
+    return T * np.cumsum(sum(np.abs((v * f).sum(axis=1)) for v, f in ports))
 
 
 def random_case(seed):
@@ -56,9 +62,9 @@ def test_energy_of_the_channel_in_500_runs():
     least, switched_in_flight = np.inf, 0
     for seed in range(500):
         ends, signals, leaders, beta, delays = random_case(seed)
-        run = switched_channel_run(*signals, ends, leaders, T, beta, *delays)
-        slack = 1e-12 * run.exchanged.max()
-        least = min(least, run.energy.min() / run.exchanged.max())
+        run = channel_run(*signals, ends, T, *delays, beta=beta, leaders=leaders)
+        slack = 1e-12 * exchanged(run).max()
+        least = min(least, run.energy.min() / exchanged(run).max())
         assert run.energy.min() >= -slack
         assert run.wave_energy.min() >= -slack
         assert (run.energy - run.wave_energy).min() >= -slack
@@ -77,8 +83,8 @@ def test_ends_may_switch_at_other_times():
         low = np.array([end.beta_min for end in ends])[late]
         high = np.array([end.beta_max for end in ends])[late]
         beta = np.random.default_rng(seed).uniform(low, high)
-        run = switched_channel_run(*signals, ends, leaders, T, beta, *delays, operator_leaders=late)
-        assert run.energy.min() >= -1e-12 * run.exchanged.max()
+        run = channel_run(*signals, ends, T, *delays, beta=beta, leaders=np.array([late, leaders]))
+        assert run.energy.min() >= -1e-12 * exchanged(run).max()
 
 
 def absorbed(near, far, beta, b=2.0, delay=20):
@@ -90,16 +96,8 @@ def absorbed(near, far, beta, b=2.0, delay=20):
     ends = [Scattering(b, beta_min=low, beta_max=high) for low, high in ((1.0, 2.0), (0.05, 0.1))]
     v_r = np.vstack([np.zeros((delay, 3)), np.sqrt(2.0 * b * ends[near].beta_min) * r_m[:-delay]])
     f_s = np.sqrt(0.5 * b) * v_r
-    return switched_channel_run(
-        r_m,
-        f_s,
-        ends,
-        np.full(K, far),
-        T,
-        np.full(K, beta),
-        delay * T,
-        operator_leaders=np.full(K, near),
-    )
+    leaders = np.repeat([[near], [far]], K, axis=1)
+    return channel_run(r_m, f_s, ends, T, delay * T, delay * T, beta=beta, leaders=leaders)
 
 
 def test_bounds_not_switched_with_the_leader_give_energy():
@@ -108,12 +106,12 @@ def test_bounds_not_switched_with_the_leader_give_energy():
     bounds.
     """
     right, wrong = absorbed(1, 1, 0.05), absorbed(0, 1, 0.05)
-    assert right.energy.min() >= -1e-12 * right.exchanged.max()
+    assert right.energy.min() >= -1e-12 * exchanged(right).max()
     # closed form: β b ‖r_m‖² goes in and β_min b ‖r_m‖² comes out, with β_min that of the wrong
     # robot
     given = T * (0.05 * 2.0 * (wrong.r_m**2).sum() - 1.0 * 2.0 * (wrong.r_m[:-20] ** 2).sum())
     assert wrong.energy[-1] == pytest.approx(given, rel=1e-9)
-    assert given < -0.5 * wrong.exchanged[-1]
+    assert given < -0.5 * exchanged(wrong)[-1]
 
 
 def test_impedance_not_switched_with_the_leader_gives_none():
@@ -128,16 +126,15 @@ def test_impedance_not_switched_with_the_leader_gives_none():
             for end in ends
         ]
         beta = np.random.default_rng(seed).uniform(0.5, 1.5, K)
-        run = switched_channel_run(
-            *signals, same, leaders, T, beta, *delays, operator_leaders=np.zeros(K, int)
-        )
-        assert run.energy.min() >= -1e-12 * run.exchanged.max()
+        rows = np.array([np.zeros(K, int), leaders])
+        run = channel_run(*signals, same, T, *delays, beta=beta, leaders=rows)
+        assert run.energy.min() >= -1e-12 * exchanged(run).max()
 
 
 def test_waves_obey_4_7():
     """Oracle: the definitions of u and v in terms of f and r."""
     ends, signals, leaders, beta, delays = random_case(1)
-    run = switched_channel_run(*signals, ends, leaders, T, beta, *delays)
+    run = channel_run(*signals, ends, T, *delays, beta=beta, leaders=leaders)
     b, low, high = (
         np.array([getattr(end, name) for end in ends])[leaders][:, None]
         for name in ("b", "beta_min", "beta_max")
@@ -152,29 +149,42 @@ def test_waves_obey_4_7():
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
 
 
+def test_one_leader_is_the_channel_of_one_robot():
+    """Oracle: the run without leaders; defaults are the upper bounds of the robot that leads."""
+    signals = np.random.default_rng(77).normal(size=(2, 300, 2))
+    ends = [Scattering(1.0), Scattering(2.0, 0.3, 0.8, 0.2, 1.7)]
+    alone = channel_run(*signals, ends[1], T)
+    led = channel_run(*signals, ends, T, leaders=np.ones(300, int))
+    for name in ("f_m", "r_s", "u_l", "v_l", "u_r", "v_r", "energy"):
+        np.testing.assert_array_equal(getattr(led, name), getattr(alone, name))
+
+
 def test_refusals():
     ends, signals, leaders, beta, _ = random_case(1)
     good = {
         "r_m": signals[0],
         "f_s": signals[1],
-        "ends": ends,
+        "scattering": ends,
         "leaders": leaders,
         "sample_time": T,
         "beta": beta,
-        "delay": 0.1,
     }
     for change, words in (
-        ({"ends": []}, "ends"),
+        ({"scattering": []}, "there are 0 robots"),
+        ({"scattering": [2.0]}, "scattering must be of class Scattering"),
+        ({"scattering": ends[0]}, "there are 1 robots"),
+        ({"leaders": None}, "scattering must be of class Scattering"),
         ({"leaders": leaders + 50}, "names robot"),
         ({"leaders": leaders.astype(float)}, "whole numbers"),
+        ({"leaders": [leaders, leaders - 1]}, "leaders names robot -1"),
+        ({"leaders": [leaders] * 3}, "leaders must be"),
         ({"r_m": signals[0][:-1]}, "same shape"),
         ({"r_m": np.full((K, 3), np.nan)}, "finite"),
         ({"beta": beta[:-1]}, "beta"),
-        ({"delay": 0.0}, "at least one sample"),
-        ({"delay": -1.0}, "negative"),
+        ({"delay_1": 0.0}, "at least one sample"),
+        ({"delay_2": -1.0}, "delay_2: a constant delay must not be negative"),
         ({"sample_time": 0.0}, "positive"),
         ({"read_out": "x"}, "read_out"),
-        ({"operator_leaders": leaders - 1}, "operator_leaders"),
     ):
         with pytest.raises(ValueError, match=words):
-            switched_channel_run(**(good | change))
+            channel_run(**(good | change))

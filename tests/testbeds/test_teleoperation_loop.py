@@ -300,7 +300,7 @@ def test_a_trace_of_packets_is_read_newest_first():
             ([1.7e9, 1.7e9 + 9.0], [1.7e9 + 0.1, 1.7e9 + 9.1]),
             r"delay to the robot: .*sent - sent\[0\]",
         ),
-        (([0.0, 0.1], [0.1, 0.2]), "delay to the robot: .*arrived at 0.2 s, the run lasts until"),
+        (([0.0, 0.1], [0.1, 0.2]), "delay to the robot: .*until 0.2 s, and the run lasts until"),
     ],
 )
 def test_a_trace_that_cannot_be_is_refused_by_name_and_time(trace, words):

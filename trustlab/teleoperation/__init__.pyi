@@ -1,14 +1,11 @@
 from .channel import (
     ChannelRun as ChannelRun,
     channel_run as channel_run,
-    switched_channel_run as switched_channel_run,
 )
 from .delays import (
     Delay as Delay,
-    constant_delay as constant_delay,
     packet_delay as packet_delay,
     random_walk_delay as random_walk_delay,
-    recorded_delay as recorded_delay,
 )
 from .filters import (
     FilterRun as FilterRun,

@@ -1,11 +1,11 @@
-"""Communication delays that vary with time: constant, drawn, recorded, or given as a function."""
+"""Communication delays: numbers, functions of time, random walks, and traces of packets."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, not_negative
+from trustlab.models.checks import finite_array, in_order, not_negative, positive, whole_seed
 from trustlab.teleoperation.ports.waves import delay_rate
 
 SLACK = 1e-9
@@ -19,16 +19,16 @@ class Delay:
     Parameters
     ----------
     function : callable
-        Takes times [s], shape (N,), and returns delays [s], shape (N,).
+        Takes times [s], shape (N,), and returns delays [s], shape (N,), or one for all.
     max_rate : float
         Ṫ_max, how fast the delay grows at most [s/s].
     title : str
-        What it is, for the log.
+        What it is, for errors.
     end : float
         Time up to which it is known [s].
     """
 
-    function: Callable[[np.ndarray], np.ndarray]
+    function: Callable[[np.ndarray], np.ndarray | float]
     max_rate: float
     title: str
     end: float = np.inf
@@ -52,60 +52,40 @@ class Delay:
         Raises
         ------
         ValueError
-            If a delay is negative, not finite, between zero and one sample, longer than the run, or
-            grows faster than `max_rate`; the time is named.
+            If a delay is negative, not finite, between zero and one sample, longer than the run,
+            not known until the end of the run, or grows faster than `max_rate`; the time is named.
         """
         t = sample_time * np.arange(count)
-        try:
-            values = np.asarray(self.function(t), dtype=float)
-        except ValueError:
-            raise
-        except Exception as error:
-            raise ValueError(f"{self.title} raised {type(error).__name__}: {error}") from error
-        if values.shape != t.shape:
+        if t[-1] > self.end:
             raise ValueError(
-                f"{self.title}: {count} delays were asked for, got shape {values.shape}"
+                f"{self.title} is known until {self.end:g} s, and the run lasts until {t[-1]:g} s"
             )
-        length, short = count * sample_time, (values < sample_time * (1.0 - SLACK)) & values.any()
-        for bad, why in (
+        try:
+            values = np.full(count, self.function(t), dtype=float)
+        except Exception as error:
+            raise ValueError(f"{self.title} gives no {count} delays: {error}") from error
+        length, present = count * sample_time, values.any()
+        with np.errstate(invalid="ignore"):
+            growth = np.diff(values, append=values[-1]) / sample_time
+        for bad, reason in (
             (~np.isfinite(values), "it must be finite"),
             (values < 0.0, "it must not be negative"),
             (values > length, f"it is longer than the run of {length:g} s"),
-            (short, f"it must be zero throughout or at least one sample, {sample_time:g} s"),
+            (
+                present & (values < sample_time * (1.0 - SLACK)),
+                f"it must be zero throughout or at least one sample, {sample_time:g} s",
+            ),
+            (
+                growth > self.max_rate + 1e-6,
+                f"from there it grows faster than max_rate = {self.max_rate:g}, for which f_i = "
+                "√(1 − max_rate) is set (3.13); set a max_rate that covers it, up to 1, or give "
+                "a packet_delay, which read_out='ledger' keeps passive however it grows",
+            ),
         ):
             if bad.any():
                 k = int(np.argmax(bad))
-                raise ValueError(f"{self.title} is {values[k]:g} s at t = {t[k]:g} s: {why}")
-        if not values.any():
-            return values
-        growth = np.diff(values) / sample_time
-        if growth.size and growth.max() > self.max_rate + 1e-6:
-            k = int(np.argmax(growth))
-            raise ValueError(
-                f"{self.title} grows by {growth[k]:.3g} s/s at t = {t[k]:g} s, faster than "
-                f"max_rate = {self.max_rate:g}, for which f_i = √(1 − max_rate) is set (3.13); "
-                "set a max_rate that covers it, up to 1, or give a trace of packets "
-                "(sent, received), which read_out='ledger' keeps passive however it grows"
-            )
-        return np.maximum(values, sample_time)
-
-
-def constant_delay(seconds: float) -> Delay:
-    """
-    Return a constant delay; zero links both sides without a channel in between.
-
-    Parameters
-    ----------
-    seconds : float
-        The delay, 0 or more.
-
-    Raises
-    ------
-    ValueError
-        If it is negative or not finite.
-    """
-    value = not_negative("seconds", seconds)
-    return Delay(lambda t: np.full(np.shape(t), value), 0.0, f"a constant delay of {value:g} s")
+                raise ValueError(f"{self.title} is {values[k]:g} s at t = {t[k]:g} s: {reason}")
+        return np.maximum(values, present * sample_time)
 
 
 def random_walk_delay(
@@ -135,75 +115,22 @@ def random_walk_delay(
     Raises
     ------
     ValueError
-        If bounds, rate or hold are out of range.
+        If bounds, rate, seed or hold are out of range.
     """
-    low = finite_number("low", low)
-    high = finite_number("high", high)
-    hold = finite_number("hold", hold)
-    rate = delay_rate("max_rate", max_rate)
-    if not 0.0 < low < high or not hold > 0.0:
-        raise ValueError(
-            f"0 < low < high and hold > 0 are needed, got low = {low}, high = {high}, hold = {hold}"
-        )
-    stream = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    low, high = in_order("low", positive("low", low), "high", high)
+    hold, rate = positive("hold", hold), delay_rate("max_rate", max_rate)
+    if not isinstance(seed, np.random.SeedSequence):
+        seed = np.random.SeedSequence(whole_seed(seed))
 
     def walk(t: np.ndarray) -> np.ndarray:
-        rng = np.random.default_rng(stream)  # drawn anew at each call: the same walk every time
+        rng = np.random.default_rng(seed)  # drawn anew at each call: the same walk every time
         knots = max(int(np.ceil(t[-1] / hold)) + 1, 2)
-        values = np.empty(knots)
-        values[0] = rng.uniform(low, high)
-        for j, step in enumerate(rng.uniform(-rate, rate, knots - 1) * hold):
-            values[j + 1] = min(max(values[j] + step, low), high)
+        values = [rng.uniform(low, high)]
+        for step in rng.uniform(-rate, rate, knots - 1) * hold:
+            values.append(min(max(values[-1] + step, low), high))
         return np.interp(t, hold * np.arange(knots), values)
 
     return Delay(walk, rate, f"a random-walk delay in [{low:g}, {high:g}] s")
-
-
-def recorded_delay(t: np.ndarray, delay: np.ndarray, max_rate: float | None = None) -> Delay:
-    """
-    Return a delay from a recorded trace, linear between its samples.
-
-    Parameters
-    ----------
-    t : array_like, shape (N,)
-        Times [s], increasing, from 0 or before to the end of the run or beyond.
-    delay : array_like, shape (N,)
-        Delays [s].
-    max_rate : float, optional
-        Ṫ_max in [0, 1]; that of the trace when not given.
-
-    Raises
-    ------
-    ValueError
-        If the trace is not finite or not in order, or grows faster than time.
-    """
-    t, delay = finite_array("t", t), finite_array("delay", delay)
-    if t.size != delay.size or t.size < 2:
-        raise ValueError(
-            f"t and delay need the same number of samples, two or more, got {t.size} and "
-            f"{delay.size}"
-        )
-    if (np.diff(t) <= 0.0).any():
-        k = int(np.argmax(np.diff(t) <= 0.0))
-        raise ValueError(f"t must increase, but sample {k + 1} is {t[k + 1]:g} s after {t[k]:g} s")
-    growth = max(float((np.diff(delay) / np.diff(t)).max()), 0.0)
-    if max_rate is None and growth > 1.0:
-        raise ValueError(
-            f"the trace grows by {growth:.3g} s/s: packets were lost or reordered; give max_rate "
-            "≤ 1 after resampling the trace, or use the energy ledger with the loss of packets "
-            "given"
-        )
-    rate = growth if max_rate is None else delay_rate("max_rate", max_rate)
-
-    def trace(times: np.ndarray) -> np.ndarray:
-        if times[0] < t[0] or times[-1] > t[-1]:
-            raise ValueError(
-                f"the recorded delay covers {t[0]:g} to {t[-1]:g} s, the run {times[0]:g} to "
-                f"{times[-1]:g} s"
-            )
-        return np.interp(times, t, delay)
-
-    return Delay(trace, rate, "a recorded delay", float(t[-1]))
 
 
 def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
@@ -244,13 +171,11 @@ def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
             raise ValueError(
                 f"the trace runs backwards: packet {k}, sent at t = {sent[k]:g} s, was {fault}"
             )
-    arrived = np.flatnonzero(np.isfinite(received))
+    arrived = received[np.isfinite(received)]
     if not arrived.size:
-        raise ValueError("no packet of the trace ever arrived")
-    order = arrived[np.argsort(received[arrived], kind="stable")]
-    newest = np.maximum.accumulate(sent[order])
-
-    end = float(received[order[-1]])
+        raise ValueError("no packet of the trace was ever received")
+    order = np.argsort(received, kind="stable")  # those that never arrived come last
+    arrivals, newest = received[order], np.maximum.accumulate(sent[order])
 
     def trace(times: np.ndarray) -> np.ndarray:
         if sent[0] > times[-1]:
@@ -258,43 +183,24 @@ def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
                 f"the trace begins at {sent[0]:g} s, after the end of the run: give seconds from "
                 "the start of the run, (sent - sent[0], received - sent[0])"
             )
-        if times[-1] > end:
-            raise ValueError(
-                f"the last packet of the trace arrived at {end:g} s, the run lasts until "
-                f"{times[-1]:g} s"
-            )
         step = times[1] - times[0]
-        last = np.searchsorted(received[order], times + SLACK, side="right") - 1
+        last = np.searchsorted(arrivals, times + SLACK, side="right") - 1
         # nothing has been sent that could be read before the first packet; none is read in the
         # sample that it was sent in
         return np.maximum(times - np.where(last >= 0, newest[last], -step), step)
 
-    return Delay(trace, np.inf, "a delay from a trace of packets", end)
+    return Delay(trace, np.inf, "a delay from a trace of packets", float(arrived.max()))
 
 
-def delay_from(name: str, delay, max_rate: float | None = None) -> Delay:
-    """
-    Return what a user gave as a delay: a number, a function of time, a trace (sent, received), or a
-    `Delay`.
-    """
+def delay_from(name: str, delay, max_rate: float) -> Delay:
+    """Return a delay by its argument's name: from a number, a function of time, or a `Delay`."""
     if isinstance(delay, Delay):
-        return delay
+        return replace(delay, title=f"{name}: {delay.title}")
     if callable(delay):
-        if max_rate is None:
-            raise ValueError(
-                f"{name} is a function: say how fast it grows at most with max_rate (3.13)"
-            )
-        return Delay(
-            lambda t: np.vectorize(delay, otypes=[float])(t), delay_rate("max_rate", max_rate), name
-        )
-    try:
-        return (
-            packet_delay(*delay)
-            if isinstance(delay, tuple) and len(delay) == 2
-            else constant_delay(delay)
-        )
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
+        return Delay(np.vectorize(delay, otypes=[float]), max_rate, name)
+    title = f"{name}: a constant delay"
+    seconds = not_negative(title, delay)
+    return Delay(lambda t: seconds, 0.0, title)
 
 
 def delays_in_samples(
@@ -313,23 +219,16 @@ def delays_in_samples(
     two samples.
     """
     delays = np.empty((2, count))
-    for i, (name, value) in enumerate(pair.items()):
+    for row, (name, value) in zip(delays, pair.items(), strict=True):
         delay = delay_from(name, value, max_rate)
         if read_out != "ledger" and delay.max_rate > max_rate + SLACK:
             raise ValueError(
                 f"{name} grows at up to {delay.max_rate:g} s/s, but f_i is set for max_delay_rate "
                 f"= {max_rate:g}; raise max_delay_rate of the scattering, or use read_out='ledger'"
             )
-        try:
-            delays[i] = delay.samples(count, sample_time) / sample_time
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
-        if not zero and not delays[i].all():
-            raise ValueError(f"{name} must be at least one sample, {sample_time:g} s, got 0")
-    if delays.any() and not delays.all():
-        raise ValueError(
-            f"{' and '.join(pair)} must both be zero (no channel in between) or both at least "
-            "one sample"
-        )
+        row[:] = delay.samples(count, sample_time) / sample_time
+    if not delays.all() and (delays.any() or not zero):
+        least = "zero (no channel in between) or both at least" if zero else "at least"
+        raise ValueError(f"{' and '.join(pair)} must both be {least} one sample, {sample_time:g} s")
     whole = np.round(delays)
     return np.where(np.abs(delays - whole) < 1e-6, whole, delays)

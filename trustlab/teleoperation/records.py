@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from trustlab.models.checks import finite_array
 from trustlab.models.compiled import njit
 
 
@@ -10,10 +11,8 @@ def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = 
     Return a record of three-vectors, numbers, whole numbers and flags, each named in a text of
     words.
     """
-    fields: list[tuple] = [(name, float, 3) for name in vectors.split()]
-    for names, kind in ((numbers, float), (counts, np.int64), (flags, np.bool_)):
-        fields += [(name, kind) for name in names.split()]
-    return np.dtype(fields)
+    kinds = (vectors, (float, 3)), (numbers, float), (counts, np.int64), (flags, np.bool_)
+    return np.dtype([(name, kind) for names, kind in kinds for name in names.split()])
 
 
 @njit(error_model="numpy", forceinline=True, _nrt=False)
@@ -51,35 +50,33 @@ def signal(
     name: str, values, rows: int | None = None, columns: int | None = None, least: int = 1
 ) -> np.ndarray:
     """Return a signal as a finite array of shape (N, n); one number per sample counts as (N, 1)."""
-    shape = f"({'N' if rows is None else rows}, {'n' if columns is None else columns})"
     try:
-        raw = np.asarray(values)
-        if raw.dtype.kind not in "iuf":
-            raise TypeError
-        array = np.ascontiguousarray(raw, dtype=float)
+        array = np.ascontiguousarray(values).astype(float, casting="same_kind")
     except (TypeError, ValueError):
         raise ValueError(
             f"{name} must be an array of numbers, got {type(values).__name__}"
         ) from None
-    array = array[:, None] if array.ndim == 1 and columns is None else array
-    if array.ndim != 2 or array.shape != (rows or array.shape[0], columns or array.shape[1]):
-        raise ValueError(f"{name} must have shape {shape}, got {raw.shape}")
+    if array.ndim == 1 and columns is None:
+        array = array[:, None]
+    if array.ndim != 2 or array.shape != (rows or len(array), columns or array.shape[1]):
+        shape = f"({rows or 'N'}, {columns or 'n'})"
+        raise ValueError(f"{name} must have shape {shape}, got {np.shape(values)}")
     if len(array) < least or not array.size:
-        raise ValueError(f"{name} must have at least {least} rows, got shape {raw.shape}")
-    if not np.isfinite(array).all():
-        k, i = np.argwhere(~np.isfinite(array))[0]
-        raise ValueError(f"{name} must be finite, but sample {k}, axis {i} is {array[k, i]}")
+        raise ValueError(f"{name} must have at least {least} rows, got shape {array.shape}")
+    for column in array.T:
+        finite_array(name, column)
     return array
 
 
 def signals(least: int = 1, **pair) -> list[np.ndarray]:
     """Return two signals by name as finite arrays of the same shape (N, n)."""
-    arrays = [signal(name, values, least=least) for name, values in pair.items()]
-    first, second = (array.shape for array in arrays)
-    if first != second:
-        names = " and ".join(pair)
-        raise ValueError(f"{names} must have the same shape (N, n), got {first} and {second}")
-    return arrays
+    first, second = (signal(name, values, least=least) for name, values in pair.items())
+    if first.shape != second.shape:
+        raise ValueError(
+            f"{' and '.join(pair)} must have the same shape (N, n), got {first.shape} and "
+            f"{second.shape}"
+        )
+    return [first, second]
 
 
 def robot_numbers(name: str, values, count: int, robots: int) -> np.ndarray:

@@ -1,39 +1,36 @@
 """
-How near the channel comes to passing forces and velocities on unchanged (Section 3.7), a tuner for
-it, and their figures.
+How near the channel comes to passing forces and velocities on unchanged (Section 3.7), and its
+figures.
 """
 
-from collections.abc import Mapping
+import math
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import (
-    finite_array,
-    finite_number,
-    not_negative,
-    of_class,
-)
+from trustlab.models.checks import finite_array, finite_number, not_negative, of_class
 from trustlab.models.display import axes_or_new
-from trustlab.models.trust import LogisticScaling, StepScaling
 from trustlab.teleoperation.loop.settings import STUDIES, LoopSettings
 from trustlab.teleoperation.ports.waves import Scattering
 
-PARAMETERS = ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")
+COLORS = ("C0", "C1")
 
-# Maps of gains: title, which gain, and whether over the ranges of both scales or over b.
-MAPS = (
-    ("felt force, $f_m/(β f_s)$, hand still", "force", True),
-    ("robot's velocity, $r_s/(α r_m)$, no force", "velocity", True),
-    ("drag felt, $f_m/(β r_m)$ [N s/m]", "drag", False),
-    ("drift, $-r_s/(α f_s)$ [m/s/N]", "drift", False),
-)
-ACROSS = {
-    "x": "bounds of β, $\\underline{β}/\\overline{β}$",
-    "y": "bounds of α, $\\underline{α}/\\overline{α}$",
-    "bar": "gain, ideally 1",
+# The relations of (3.22) by who should be passed on: names in `dominance`, index of
+# `ideal_distances`.
+RELATIONS = {
+    "force_operator": "f'_m = v_l",
+    "force_robot": "u_r = f_s",
+    "velocity_robot": "r'_s = v_r",
+    "velocity_operator": "u_l = r_m",
 }
-OVER_B = {"x": "b [N s/m]", "y": "both ratios of bounds", "bar": "log$_{10}$, ideally −∞"}
+
+# Gains that are mapped over the ranges of both scales; of the leaks the drag, as with b = 1 the
+# drift is the same.
+MAPS = {
+    "force": "felt force, $f_m/(β f_s)$",
+    "velocity": "robot's velocity, $r_s/(α r_m)$",
+    "drag": "leaks at b = 1: drag and drift",
+}
 
 
 def ideal_distances(scattering: Scattering):
@@ -58,17 +55,16 @@ def ideal_distances(scattering: Scattering):
     """
     s = of_class("scattering", scattering, Scattering)
     near, far = s.at_operator, s.at_robot
-    columns = ["wanted", "weight", "other", "leak"]
-    rows = {
-        "f'_m = v_l": ("v_l", near.arriving, "r_m", s.b),
-        "u_r = f_s": ("f_s", far.sent, "v_r", far.reflected),
-        "r'_s = v_r": ("v_r", np.sqrt(2.0 / (s.b * s.alpha_max)), "f_s", 1.0 / s.b),
-        "u_l = r_m": ("r_m", near.sent, "v_l", near.reflected),
+    columns = {
+        "wanted": ("v_l", "f_s", "v_r", "r_m"),
+        "weight": (near.arriving, far.sent, far.arriving / s.b, near.sent),
+        "other": ("r_m", "v_r", "f_s", "v_l"),
+        "leak": (s.b, far.reflected, 1.0 / s.b, near.reflected),
     }
-    frame = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+    frame = pd.DataFrame(columns, pd.Index(RELATIONS.values(), name="relation"))
     frame["distance"] = np.hypot(frame["weight"] - 1.0, frame["leak"])
     frame["ratio"] = frame["weight"] / frame["leak"]
-    return frame.rename_axis("relation")
+    return frame
 
 
 def dominance(scattering: Scattering) -> dict[str, float]:
@@ -92,13 +88,8 @@ def dominance(scattering: Scattering) -> dict[str, float]:
         force_robot (f_s in u_r), force_operator (v_l in f'_m), velocity_robot (v_r in r'_s),
         velocity_operator (r_m in u_l).
     """
-    s = of_class("scattering", scattering, Scattering)
-    return {
-        "force_robot": float(np.sqrt(2.0 * s.alpha_max / s.b)),
-        "force_operator": float(np.sqrt(2.0 / (s.b * s.beta_max))),
-        "velocity_robot": float(np.sqrt(2.0 * s.b / s.alpha_max)),
-        "velocity_operator": float(np.sqrt(2.0 * s.b * s.beta_max)),
-    }
+    ratio = ideal_distances(scattering)["ratio"]
+    return {name: float(ratio[relation]) for name, relation in RELATIONS.items()}
 
 
 def gains(
@@ -127,12 +118,13 @@ def gains(
     """
     s = of_class("scattering", scattering, Scattering)
     alpha, beta = _scales(s, alpha, beta)
-    kappa = np.sqrt(s.alpha_min * s.beta_min / (s.alpha_max * s.beta_max))
+    kappa = math.sqrt(s.alpha_min * s.beta_min / (s.alpha_max * s.beta_max))
+    leaked = (1.0 - kappa) / (1.0 + kappa)
     return {
-        "force": float(2.0 * beta * np.sqrt(s.alpha_min / s.beta_max) / (1.0 + kappa)),
-        "velocity": float(2.0 * alpha * np.sqrt(s.beta_min / s.alpha_max) / (1.0 + kappa)),
-        "drag": float(beta * s.b * (1.0 - kappa) / (1.0 + kappa)),
-        "drift": float(alpha / s.b * (1.0 - kappa) / (1.0 + kappa)),
+        "force": 2.0 * beta * math.sqrt(s.alpha_min / s.beta_max) / (1.0 + kappa),
+        "velocity": 2.0 * alpha * math.sqrt(s.beta_min / s.alpha_max) / (1.0 + kappa),
+        "drag": beta * s.b * leaked,
+        "drift": alpha / s.b * leaked,
     }
 
 
@@ -176,7 +168,7 @@ def rendered_impedance(
     alpha, beta = _scales(s, alpha, beta)
     there, back = not_negative("delay_1", delay_1), not_negative("delay_2", delay_2)
     load = np.asarray(environment, dtype=complex)
-    if (load.ndim and load.shape != omega.shape) or not np.isfinite(load).all():
+    if load.shape not in ((), omega.shape) or not np.isfinite(load).all():
         raise ValueError(
             f"environment must be a finite number or one per frequency, got shape {load.shape}"
         )
@@ -190,6 +182,7 @@ def rendered_impedance(
 
 
 def _scales(scattering: Scattering, alpha, beta) -> tuple[float, float]:
+    """Return the scales, their upper bounds where not given, within their bounds."""
     alpha = scattering.alpha_max if alpha is None else finite_number("alpha", alpha)
     beta = scattering.beta_max if beta is None else finite_number("beta", beta)
     scattering.check_scales(alpha, beta)
@@ -211,100 +204,58 @@ def plot_scales(settings: LoopSettings, ax=None):
     -------
     matplotlib.axes.Axes
     """
-    ax = axes_or_new(ax)
-    trust, ends = np.linspace(0.0, 1.0, 401), settings.scattering
-    scales = {"α": (ends.alpha_min, ends.alpha_max), "β": (ends.beta_min, ends.beta_max)}
-    for (symbol, bounds), color in zip(scales.items(), ("C0", "C1"), strict=True):
-        ax.plot(
-            trust,
-            LogisticScaling(*bounds).value(trust),
-            color=color,
-            label=f"{symbol}, logistic (3.5)",
-        )
-        steep = LogisticScaling(*bounds, steepness=40.0).value(trust)
-        ax.plot(trust, steep, color=color, lw=0.8, label=f"{symbol}, four times as steep")
-        ax.plot(
-            trust,
-            StepScaling(*bounds).value(trust),
-            ":",
-            color=color,
-            label=f"{symbol}, step (3.6)",
-        )
+    ax, trust = axes_or_new(ax), np.linspace(0.0, 1.0, 401)
+    for kind, style in (("logistic", "-"), ("step", ":")):
+        for symbol, scaling, color in zip("αβ", settings.scalings(kind), COLORS, strict=True):
+            ax.plot(trust, scaling.value(trust), color + style, label=f"{symbol}, {kind}")
     ax.set(xlabel="trust, share of its range", ylabel="scale", title=f"{settings.study} study")
     return ax
 
 
-def plot_transparency(settings: Mapping[str, LoopSettings] = STUDIES, points: int = 60):
+def plot_transparency():
     """
-    Plot gains and leaks of the channel over the ranges of its scales and over b, α and β being one.
-
-    Parameters
-    ----------
-    settings : mapping of str to LoopSettings
-        Settings to mark, by label.
-    points : int
-        Number of points along each axis.
+    Plot gains and leaks of the channel over the ranges of its scales, α and β being one, and where
+    both studies are.
 
     Returns
     -------
-    numpy.ndarray of matplotlib.axes.Axes, shape (2, 2)
+    numpy.ndarray of matplotlib.axes.Axes, shape (3,)
     """
-    axes = axes_or_new(None, 2, 2, figsize=(9.2, 7.0))
-    shares, impedances = np.geomspace(0.02, 1.0, points), np.geomspace(0.2, 10.0, points)
-    for ax, (title, key, by_ranges) in zip(axes.flat, MAPS, strict=True):
-        across = shares if by_ranges else impedances
-        grid = np.empty((points, points))
-        for i, j in np.ndindex(grid.shape):
-            y, x = float(shares[i]), float(across[j])
-            ends = Scattering(1.0, y, 1.0, x) if by_ranges else Scattering(x, y, 1.0, y)
-            grid[i, j] = gains(ends)[key]
-        names = ACROSS if by_ranges else OVER_B
-        values = grid if by_ranges else np.log10(grid + 1e-12).clip(-2)
-        bar = ax.figure.colorbar(ax.contourf(across, shares, values, 12), ax=ax)
-        bar.set_label(names["bar"])
-        ax.set(xscale="log", yscale="log", title=title, xlabel=names["x"], ylabel=names["y"])
-        for (name, study), mark in zip(settings.items(), "os^v", strict=False):
-            s = study.scattering
-            alpha, beta = s.alpha_min / s.alpha_max, s.beta_min / s.beta_max
-            place = (beta, alpha) if by_ranges else (s.b, np.sqrt(alpha * beta))
-            ax.plot(*place, mark, mfc="white", mec="black", ms=7, label=name)
-    axes.flat[0].legend(fontsize="small", loc="lower left", frameon=True)
+    axes, ratios = axes_or_new(None, 1, 3, figsize=(11.0, 3.4)), np.geomspace(0.02, 1.0, 60)
+    for ax, (name, title) in zip(axes, MAPS.items(), strict=True):
+        values = [[gains(Scattering(1.0, y, 1.0, x))[name] for x in ratios] for y in ratios]
+        ax.figure.colorbar(ax.contourf(ratios, ratios, values, 12), ax=ax)
+        ax.set(xscale="log", yscale="log", title=title, xlabel="$β_{min}/β_{max}$")
+        for mark, (study, settings) in zip("os", STUDIES.items(), strict=True):
+            s = settings.scattering
+            place = s.beta_min / s.beta_max, s.alpha_min / s.alpha_max
+            ax.plot(*place, mark, mfc="white", mec="black", ms=7, label=study)
+    axes[0].set(ylabel="$α_{min}/α_{max}$")
+    axes[0].legend(fontsize="small", loc="lower left", frameon=True)
     return axes
 
 
-def plot_rendered_spring(
-    settings: Mapping[str, LoopSettings] = STUDIES, delay: float = 0.05, ax=None
-):
+def plot_rendered_spring(delay: float = 0.05):
     """
-    Plot the impedance that the operator feels of the guiding spring at the robot, with and without
-    delay.
+    Plot the impedance that the operator feels of the guiding spring at the robot, in both studies,
+    with and without delay.
 
     Parameters
     ----------
-    settings : mapping of str to LoopSettings
-        Settings whose springs and channels are shown, by label.
     delay : float
         One way [s].
-    ax : matplotlib.axes.Axes, optional
-        Axes to draw on; a new figure by default.
 
     Returns
     -------
     matplotlib.axes.Axes
     """
-    ax, omega = axes_or_new(ax), np.geomspace(0.05, 60.0, 400)
-    for number, (name, study) in enumerate(settings.items()):
-        spring = study.k_ffa / (1j * omega)
-        late = rendered_impedance(study.scattering, omega, spring, delay, delay)
-        ax.semilogx(
-            omega, np.abs(late), f"C{number}-", label=f"{name}, delays of {1000 * delay:g} ms"
-        )
-        at_once = rendered_impedance(study.scattering, omega, spring)
-        ax.semilogx(omega, np.abs(at_once), f"C{number}:", label=f"{name}, no delay")
-    ax.set(
-        xlabel="frequency ω [rad/s]",
-        ylabel="felt impedance [N s/m]",
-        title="rendered impedance of a spring",
-    )
+    ax, omega = axes_or_new(), np.geomspace(0.05, 60.0, 400)
+    for color, (name, settings) in zip(COLORS, STUDIES.items(), strict=True):
+        spring = settings.k_ffa / (1j * omega)
+        for late, style in ((delay, "-"), (0.0, ":")):
+            felt = rendered_impedance(settings.scattering, omega, spring, late, late)
+            label = f"{name}, delays of {1000 * late:g} ms"
+            ax.semilogx(omega, np.abs(felt), color + style, label=label)
+    ax.set(xlabel="frequency ω [rad/s]", ylabel="felt impedance of a spring [N s/m]")
     ax.legend(fontsize="small", loc="lower left")
     return ax

@@ -287,13 +287,9 @@ def numbers_of(settings: LoopSettings, guidance: Guidance, bilateral: bool) -> n
 
 def hold_device(n: np.void, settings: LoopSettings, hand: np.void) -> None:
     """Put the operator, and the device in the operator's hand, into the constants of a loop."""
-    device = settings.device()
     n["hand"] = hand
-    axes = haptic.held_device.py_func(
-        *(np.diag(m) for m in (device.mass, device.damping, device.stiffness, device.weight)),
-        haptic.Arm(hand["mass"], hand["stiffness"], hand["damping"]),
-        settings.sample_time,
-    )
+    arm = haptic.Arm(hand["mass"], hand["stiffness"], hand["damping"])
+    axes = haptic.held_device.py_func(settings.device(), arm, settings.sample_time)
     for name, value in axes._asdict().items():
         n["device"][name] = value
     n["admittance"] = settings.force_scaling * axes.lever / axes.inertia

@@ -5,7 +5,7 @@ of (3.13).
 
 import numpy as np
 
-from trustlab.models.checks import positive, whole_number
+from trustlab.models.checks import finite_array, positive, whole_number
 from trustlab.models.compiled import njit
 
 HOLD = 0
@@ -133,12 +133,16 @@ class EnergyLedger:
         # long the run.
         self._seen = [-1] * WINDOW
         self._newest = -1
-        self._wave: np.ndarray | None = None
+        self._wave = np.zeros(0)
 
     @property
     def balance(self) -> float:
         """Energy that came in and has not gone out [J]; never negative."""
         return max(self.received - self.given, 0.0)
+
+    def _energy(self, wave: np.ndarray) -> float:
+        """Return the energy that a wave carries in a sample [J]."""
+        return self.sample_time * float(wave @ wave)
 
     def receive(self, number: int, wave: np.ndarray) -> bool:
         """
@@ -162,32 +166,22 @@ class EnergyLedger:
             If the number is not a whole number, or the wave is not finite or has another length.
         """
         number = whole_number("number", number, least=0)
-        values = np.atleast_1d(np.asarray(wave, dtype=float))
-        if values.ndim != 1 or not np.isfinite(values).all():
-            raise ValueError(
-                f"packet {number}: wave must be finite numbers, shape (n,), got {values.tolist()}"
-            )
-        if self._wave is not None and values.shape != self._wave.shape:
-            raise ValueError(
-                f"packet {number}: wave has shape {values.shape}, those before {self._wave.shape}"
-            )
+        values = finite_array(f"wave of packet {number}", wave, length=self._wave.size or None)
         if number <= self._newest - WINDOW or self._seen[number % WINDOW] == number:
             return False
         self._seen[number % WINDOW] = number
-        self.received += self.sample_time * float(values @ values)
+        self.received += self._energy(values)
         if number > self._newest:
-            self._newest, self._wave = number, values
+            self._newest, self._wave = number, values.copy()
         return True
 
     def read(self) -> np.ndarray:
         """
         Return the wave to use in this sample, shape (n,); an empty array before the first packet.
         """
-        if self._wave is None:
-            return np.zeros(0)
-        energy = self.sample_time * float(self._wave @ self._wave)
         # Packets carry no time, so that nothing is known of the delay's rate: they are read at full
         # pace.
-        out = self._wave * amplitude.py_func(energy, self.balance, 1.0)
-        self.given += self.sample_time * float(out @ out)
+        share = amplitude.py_func(self._energy(self._wave), self.balance, 1.0)
+        out = self._wave * share
+        self.given += self._energy(out)
         return out

@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import not_negative, one_of, positive
+from trustlab.models.checks import finite_array, one_of, positive
 from trustlab.models.compiled import njit
-from trustlab.teleoperation.records import signals
 
 OFF = 0
 CANCEL = 1
@@ -77,8 +76,8 @@ class PassivityController:
     Keep a port with velocity input and force output from giving out more energy than it took,
     (3.19)-(3.20).
 
-    f = f' + z v. In discrete time the observed energy is never exactly zero, so that it is tested
-    for ≤ 0.
+    f = f' + z v. In discrete time the observed energy, attribute `energy` [J], is never exactly
+    zero, so that it is tested for ≤ 0.
 
     Parameters
     ----------
@@ -89,16 +88,11 @@ class PassivityController:
         z = −vᵀf'/‖v‖². The force never grows, and the energy undershoots zero by at most T|vᵀf'| of
         one sample. "repay" is Hannaford and Ryu's: the sample that would end below zero is damped
         so that it ends at zero; forces can spike.
-    cap : float
-        "repay" only: largest damping force z‖v‖ [N]; energy that it cannot absorb remains as a
-        deficit and is repaid later.
-    velocity_floor : float
-        Below this speed [m/s] no damping is injected.
 
     Raises
     ------
     ValueError
-        If the sample time is not positive, the method is unknown, or cap or floor is negative.
+        If the sample time is not positive or the method is unknown.
 
     Notes
     -----
@@ -112,23 +106,10 @@ class PassivityController:
     [0.0]
     """
 
-    def __init__(
-        self,
-        sample_time: float,
-        method: str = "cancel",
-        cap: float = np.inf,
-        velocity_floor: float = 0.0,
-    ):
+    def __init__(self, sample_time: float, method: str = "cancel"):
         self.sample_time = positive("sample_time", sample_time)
         self.method = one_of("method", method, ("cancel", "repay"))
-        self.cap = np.inf if cap == np.inf else not_negative("cap", cap)
-        self.velocity_floor = not_negative("velocity_floor", velocity_floor)
         self.energy = 0.0
-
-    @property
-    def deficit(self) -> float:
-        """Energy that the port has given out beyond what it took [J]."""
-        return max(-self.energy, 0.0)
 
     def step(self, velocity: np.ndarray, force: np.ndarray) -> Controlled:
         """
@@ -144,52 +125,11 @@ class PassivityController:
         ValueError
             If they are not finite or differ in shape; the observed energy stays what it was.
         """
-        v, f = (
-            np.atleast_1d(np.asarray(velocity, dtype=float)),
-            np.atleast_1d(np.asarray(force, dtype=float)),
-        )
-        if v.ndim != 1 or v.shape != f.shape:
-            raise ValueError(
-                f"velocity and force must have one shape (n,), got {v.shape} and {f.shape}"
-            )
-        if not (np.isfinite(v).all() and np.isfinite(f).all()):
-            raise ValueError(
-                f"velocity and force must be finite, got {v.tolist()} and {f.tolist()}"
-            )
+        v = finite_array("velocity", velocity)
+        f = finite_array("force", force, length=v.size)
         power, square = float(v @ f), float(v @ v)
-        demand = float(demanded(METHODS[self.method], self.energy, power, self.sample_time))
-        z = 0.0
-        if demand == demand and square > self.velocity_floor**2:
-            z = (demand - power) / square
-            if self.method == "repay":
-                z = min(z, self.cap / np.sqrt(square))
-        out = f + z * v
+        demand = demanded.py_func(METHODS[self.method], self.energy, power, self.sample_time)
+        acts = square > 0.0 and not np.isnan(demand)
+        z = (demand - power) / square if acts else 0.0
         self.energy += self.sample_time * (power + z * square)
-        return Controlled(out, z, self.energy, self.deficit)
-
-    def run(self, velocity: np.ndarray, force: np.ndarray):
-        """
-        Return the forces for a whole record.
-
-        Parameters
-        ----------
-        velocity, force : array_like, shape (N, n) or (N,)
-            Samples of v [m/s] and f' [N].
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row per sample: force_0 … force_n−1, z, energy, deficit.
-
-        Raises
-        ------
-        ValueError
-            If a sample is not finite or the shapes differ; the error names the sample.
-        """
-        import pandas as pd
-
-        v, f = signals(velocity=velocity, force=force)
-        steps = [self.step(*sample) for sample in zip(v, f, strict=True)]
-        rows = [(*done.force, done.z, done.energy, done.deficit) for done in steps]
-        forces = [f"force_{i}" for i in range(v.shape[1])]
-        return pd.DataFrame(rows, columns=[*forces, "z", "energy", "deficit"])
+        return Controlled(f + z * v, z, self.energy, max(-self.energy, 0.0))

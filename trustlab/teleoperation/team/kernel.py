@@ -187,9 +187,7 @@ def push_share(budget, power, pull, stir, square, drag):
 @inner(error_model="numpy", forceinline=True)
 def rig_of(n):
     """Return device and filters under the midpoint rule."""
-    device = haptic.held_device(
-        n.mass, n.damping, n.stiffness, n.weight, haptic.NO_ARM, n.sample_time
-    )
+    device = haptic.held_device(n, haptic.NO_ARM, n.sample_time)
     pole = 0.5 * n.sample_time * n.cutoff
     low_pass = FilterStep(1.0 / (1.0 + pole), pole / (1.0 + pole), n.k12, n.k21, pole)
     no_filter = FilterStep(0.0, 1.0, 0.0, 0.0, 0.0)
