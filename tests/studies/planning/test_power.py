@@ -419,7 +419,7 @@ GOOD = graded_covariance(3)
         ({"epsilon": 1.1}, "epsilon must lie above"),
         ({"correlation": 1.0}, "correlation must lie between"),
         ({"correlation": -0.5}, "correlation must lie between"),
-        ({"mean": [0.0, 1.0]}, "covariance must be 2 × 2, got 3 × 3"),
+        ({"mean": [0.0, 1.0]}, "covariance must be 2 × 2, one row per condition, got 3 × 3"),
         ({"mean": [0.0, np.nan, 1.0]}, "mean must be finite, but sample 1"),
         ({"mean": [0.0], "covariance": [[1.0]]}, "at least two conditions"),
         ({"mean": None}, "power needs mean= and covariance="),
