@@ -290,10 +290,14 @@ class TeamLoop:
             robots=robots,
             formations=matrices,
             stiffness=stiffness,
-            directed=np.array([graph.directed for graph in self._graphs]),
+            storing=np.where(
+                [graph.directed for graph in self._graphs],
+                np.nan,
+                settings.force_gain / settings.lead_gain,
+            ),
             delays=delays,
             draws=draws,
-            drift=drift,
+            drift=0.5 * T * drift,
         )
         state = _state(distance / root, inner / root, count)
         inputs = np.zeros(count, kernel.INPUT)
@@ -570,16 +574,15 @@ def _settings_of(name: str, value, kind):
 def _state(q: np.ndarray, zeta: np.ndarray, count: int) -> kernel.TeamState:
     """Return what samples hand on, at the start."""
     now = np.zeros(1, kernel.STATE)
-    waves, vectors = np.zeros((2, count, 3)), np.zeros((4, *q.shape))
+    waves, vectors = np.zeros((2, count, 3)), np.zeros((3, *q.shape))
     return kernel.TeamState(
         now=now,
         row=now.view(float)[: len(kernel.COLUMNS)],
         q=q,
         zeta=zeta,
         middle=vectors[0],
-        pulled=vectors[1],
-        velocity=vectors[2],
-        asked=vectors[3],
+        velocity=vectors[1],
+        asked=vectors[2],
         trust=np.full(len(q), 0.5),
         arrives=np.ones((2, count), bool),
         u_l=waves[0],

@@ -44,8 +44,8 @@ ROW = record(
 
 ADDRESSES = record(
     counts=(
-        "leads followers row goals numbers robots formations stiffness directed delays draws drift "
-        "now q zeta middle pulled velocity asked trust arrives u_l u_r accounts inputs samples "
+        "leads followers row goals numbers robots formations stiffness storing delays draws drift "
+        "now q zeta middle velocity asked trust arrives u_l u_r accounts inputs samples "
         "table places"
     )
 )
@@ -135,7 +135,7 @@ def setup_at(at, size, length, decisions):
         carray(pointer(at.robots), size, kernel.ROBOT),
         carray(pointer(at.formations), (1, 3, size, size), np.float64),
         carray(pointer(at.stiffness), (1, size), np.float64),
-        carray(pointer(at.directed), 1, np.bool_),
+        carray(pointer(at.storing), 1, np.float64),
         carray(pointer(at.delays), (2, length), np.float64),
         carray(pointer(at.draws), (2, length), np.float64),
         carray(pointer(at.drift), (decisions, size, 3), np.float64),
@@ -151,7 +151,6 @@ def state_at(at, size, length):
         carray(pointer(at.q), (size, 3), np.float64),
         carray(pointer(at.zeta), (size, 3), np.float64),
         carray(pointer(at.middle), (size, 3), np.float64),
-        carray(pointer(at.pulled), (size, 3), np.float64),
         carray(pointer(at.velocity), (size, 3), np.float64),
         carray(pointer(at.asked), (size, 3), np.float64),
         carray(pointer(at.trust), size, np.float64),
