@@ -53,14 +53,21 @@ POWERS = (
     "spring seen_power near_power far_power hand_power device_power device_loss team_loss "
     "error_loss"
 )
-WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=f"{POWERS} graph")
+# The graph of the sample before, and the robot for which the operator's end of the channel is set.
+WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=POWERS, counts="graph head")
 # What both ends read and leave; it begins with the row of the log, so that energies since the start
 # stand there alone.
 STATE = np.dtype([*LOG.descr, *WITHIN.descr])
 
-# One robot of speed s: √s, the probability that it loses a packet, its end of the channel, and its
-# trust in the operator.
-ROBOT = record(numbers="root loss b beta_min beta_max decay gain t_min t_max")
+# One robot of speed s: √s, the velocity by which it drifts [m/s], the probability that it loses a
+# packet, its end of the channel, its trust in the operator, and the operator's trust in it, from
+# one decision to the next.
+ROBOT = record(
+    numbers=(
+        "root drift loss b beta_min beta_max max_delay_rate decay gain t_min t_max low span "
+        "hr_decay hr_gain"
+    )
+)
 
 
 # Device, filters, operator and how delays are read; see `TeamSettings` and `TeamOperator`.
@@ -70,14 +77,14 @@ NUMBERS = record(
         "reserve error_range steepness lead_gain force_gain"
     ),
     counts="read_out filtering vision per_decision per_row",
-    flags="guarded drifting",
+    flags="guarded drifting switching",
 )
 
 
 # What comes from outside in each sample: force added to the hand's, where a live hand wants the
-# device to be (NaN without one); who leads, the robot for which the operator's end of the channel
-# is set (the same, unless that end fails to switch), and the number of the graph.
-INPUT = record(vectors="pushed hand", counts="lead head graph")
+# device to be (NaN without one), who leads, and the number of the graph.
+INPUT = record(vectors="pushed hand", counts="lead graph")
+
 
 # What later samples look up of each sample: the velocity sent to the leader and its distance to the
 # goal; dissipation and storage of the error system.
@@ -484,11 +491,13 @@ def lead_team(first, stop, setup, state, inputs, log):
     for k in range(first, stop):
         given, sample = inputs[k], log.samples[k]
         past = log.samples[max(k - n.vision, 0)]
-        lead, head = given.lead, robots[given.head]
-        graph, leader = given.graph, robots[lead]
+        lead, graph = given.lead, given.graph
+        leader = robots[lead]
+        if n.switching or k == 0:  # the first leader's for ever, if that end fails to switch
+            now.head = lead
         matrices = setup.formations[graph]
         if graph != now.graph:
-            before = stored_by(setup, int(now.graph), state)
+            before = stored_by(setup, now.graph, state)
             now.supply_links += stored_by(setup, graph, state) - before
             now.graph = graph
         drift = setup.drift[k // n.per_decision]
@@ -496,6 +505,7 @@ def lead_team(first, stop, setup, state, inputs, log):
         performance = look_up_past(n, k, given, past, now)
         share_force(n, robots, lead, state.trust, performance, now)
         receive(n, setup, lead, k, low_pass, state, now)
+        head = robots[now.head]
         near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)  # (4.7)
         spendable = now.v_h + n.budget - n.reserve
         operator_side(n, device, filters, near_end, spendable, now, state.u_l[k])
