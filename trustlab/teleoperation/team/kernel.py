@@ -9,6 +9,7 @@ Steps do without reference counts (_nrt=False), as in `loop/kernel.py`: counts a
 take half of the time. They allocate nothing, and their caller keeps the arrays.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,9 @@ from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.ledger import read_waves
 from trustlab.teleoperation.records import columns_of, dot, record
+
+# What only the kernel calls, compiled into it.
+part = partial(inner, error_model="numpy", forceinline=True, _nrt=False)
 
 NO_FILTER = 0
 TWO_PORT = 1
@@ -189,7 +193,7 @@ def push_share(budget, power, pull, square, still, drag):
     return min(2.0 * free / (pull + np.sqrt(pull * pull + 4.0 * square * free)), 1.0)
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def store_energy(n, device, state, now):
     """Set the storages of device, filters and error system at the start of the sample."""
     now.v_hd = squares = 0.0
@@ -204,7 +208,7 @@ def store_energy(n, device, state, now):
     now.v_filter = (n.k21 * velocities + n.k12 * forces) / n.cutoff
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def stored_by(setup, graph, state):
     """Return V_fs (4.23) on a graph; NaN on a directed one."""
     matrices, v_fs = setup.formations[graph], 0.0
@@ -215,7 +219,7 @@ def stored_by(setup, graph, state):
     return v_fs * setup.storing[graph]
 
 
-@inner(error_model="numpy", forceinline=True)
+@part
 def look_up_past(n, k, given, past, state):
     """
     Set what the operator sees, the leader of `vision` samples ago and what it was told to do;
@@ -233,7 +237,7 @@ def look_up_past(n, k, given, past, state):
     return 0.0
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def share_force(n, robots, lead, trust, performance, state):
     """Set β by the leader's trust in the operator, and step the trust of all."""
     leader = robots[lead]
@@ -246,7 +250,7 @@ def share_force(n, robots, lead, trust, performance, state):
         trust[i] = trust_step(trust[i], performance, robots[i].decay, robots[i].gain)  # (4.2)
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def receive(n, setup, lead, k, low_pass, state, now):
     """Set the waves that arrive at both ends, (3.16), filtered where waves are."""
     for way in range(2):
@@ -259,13 +263,13 @@ def receive(n, setup, lead, k, low_pass, state, now):
         filter_wave(low_pass, now.v_l, now.filtered_l)
 
 
-@inner(error_model="numpy", forceinline=True)
+@part
 def middle_of(low_pass, u, level):
     """Return what a low-pass filter gives out in the middle of a sample."""
     return low_pass.decay * level + low_pass.gate * u
 
 
-@inner(error_model="numpy", forceinline=True)
+@part
 def filter_wave(low_pass, wave, level):
     """Filter a wave in place; `level` is the filter's state."""
     for i in range(3):
@@ -273,7 +277,7 @@ def filter_wave(low_pass, wave, level):
         level[i] = 2.0 * wave[i] - level[i]
 
 
-@inner(error_model="numpy", forceinline=True)
+@part
 def operator_side(n, device, filters, end, spendable, state, u_l):
     """
     Solve the operator's end of the channel with filter, device and hand, and the device's velocity.
@@ -330,7 +334,7 @@ def operator_side(n, device, filters, end, spendable, state, u_l):
     state.hand_power = dot(state.r_m, state.f_h)
 
 
-@inner(error_model="numpy", forceinline=True)
+@part
 def robot_side(filters, end, stiffness, state, u_r):
     """
     Solve the robots' end of the channel with filter and leader: f_s = open_force + stiffness · r_s.
@@ -360,7 +364,7 @@ def robot_side(filters, end, stiffness, state, u_r):
         state.far_force[i] = 2.0 * passed_force - state.far_force[i]
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def add_row(matrix, j, vectors, out):
     """Add row j of a matrix times the robots' vectors to `out`."""
     for m in range(matrix.shape[0]):
@@ -368,7 +372,7 @@ def add_row(matrix, j, vectors, out):
             out[i] += matrix[j, m] * vectors[m, i]
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def rest(n, matrices, leader, lead, state, now):
     """
     Set where robots would be in the middle of the sample if the leader were not driven, and the
@@ -386,7 +390,7 @@ def rest(n, matrices, leader, lead, state, now):
         now.open_force[i] *= n.force_gain * leader.root
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def move(n, matrices, leader, lead, drift, state, now):
     """Step (4.22); set the leader's place in the middle of the sample, and what is lost."""
     h = 0.5 * n.sample_time
@@ -412,7 +416,7 @@ def move(n, matrices, leader, lead, drift, state, now):
         now.leader[i] = leader.root * state.middle[lead, i]
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def measure_motion(n, robots, drift, state):
     """Set how robots moved in this sample, and how (4.22) asks faultless ones to."""
     h = 0.5 * n.sample_time
@@ -423,7 +427,7 @@ def measure_motion(n, robots, drift, state):
             state.asked[j, i] = (way - drift[j, i]) / (robots[j].root * h)
 
 
-@inner(error_model="numpy", forceinline=True)
+@part
 def account_energy(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
     T = n.sample_time
@@ -445,7 +449,7 @@ def account_energy(n, seen_loss, state):
     state.lost_error_delayed += T * seen_loss
 
 
-@inner(error_model="numpy", forceinline=True)
+@part
 def diverged(state):
     """Return the block whose storage grew without bound, −1: none; "not <" counts NaN as such."""
     if not state.v_hd < 1e12:
@@ -455,7 +459,7 @@ def diverged(state):
     return -1 if state.v_e < 1e12 else 2
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def log_places(setup, graph, state, now, places):
     """Log where the robots are, and set what the formation stores."""
     now.v_fs = stored_by(setup, graph, state)
@@ -464,7 +468,7 @@ def log_places(setup, graph, state, now, places):
             places[j, i] = state.q[j, i]
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def log_row(n, past, state, now, row):
     """Log storages and signals of the sample."""
     now.v_e_delayed = past.stored
