@@ -120,7 +120,7 @@ def simulate_team(
     Returns
     -------
     TeamRun
-        With `.converged`, `.time_to_goal`, `.table()`, `.positions`, `.plot()` and `.animate()`.
+        With `.converged`, `.time_to_goal`, `.table()`, `.positions`, `.plot()`, `.animate(path)`.
         Labelled synthetic.
 
     Raises
@@ -579,8 +579,8 @@ def _filtering(filters: TwoPortFilter | WaveFilter | None) -> tuple[str, dict]:
     if isinstance(filters, WaveFilter):
         return f"waves, {cutoff:g} rad/s", {"filtering": kernel.WAVES, "cutoff": cutoff}
     gains = {"k12": filters.k12, "k21": filters.k21}
-    passive = passivity_margin([cutoff], [1.0, cutoff], **gains).is_passive
-    kind = "two-port" if passive else "two-port that is not passive"
+    margin = passivity_margin([cutoff], [1.0, cutoff], **gains)
+    kind = "two-port" if margin.is_passive else "two-port that is not passive"
     return f"{kind}, {cutoff:g} rad/s", {"filtering": kernel.TWO_PORT, "cutoff": cutoff, **gains}
 
 

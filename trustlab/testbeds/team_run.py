@@ -30,8 +30,8 @@ RENAMED = dict(zip(LEADER, ("robot_x", "robot_y", "robot_z"), strict=True)) | {
     "supply_team": "energy_robot",
 }
 FORCE = ["f_m_x", "f_m_y", "f_m_z"]
-KEPT = [f"{name}_{axis}" for name in ("device", "r_m", "f_h", "r_s", "f_s") for axis in "xyz"]
-KEPT += [*FORCE, "beta", "trust_rh"]
+SIGNALS = [f"{name}_{axis}" for name in ("device", "r_m", "f_h", "r_s", "f_s") for axis in "xyz"]
+SIGNALS += [*FORCE, "beta", "trust_rh"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -163,7 +163,7 @@ class TeamRun(Result):
         leader, reference_x … the goal.
         """
         number, leader = self.data["number"].to_numpy().astype(int), self.data[LEADER]
-        columns = self.data[[*RENAMED, *KEPT]].rename(columns=RENAMED)
+        columns = self.data[[*RENAMED, *SIGNALS]].rename(columns=RENAMED)
         columns["trust_hr"] = self.trust[np.arange(len(number)), number]
         columns["path_error"] = np.linalg.norm(leader - self.goal, axis=1)
         columns[["reference_x", "reference_y", "reference_z"]] = self.goal

@@ -63,7 +63,7 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
         )
     for i in np.flatnonzero(np.diag(matrix)):
         raise GraphError(f"robot {names[i]!r} has a self-loop; remove it")
-    if require_connected and not seen_by_all(matrix).any():
+    if require_connected and not _linked(matrix).all(axis=0).any():
         raise GraphError(
             f"{_why_apart(names, matrix)}; add edges, or pass require_connected=False (in a "
             "TeamTrial to simulate_team) to see it"
@@ -97,11 +97,6 @@ def _linked(adjacency: np.ndarray) -> np.ndarray:
     for _ in range(len(adjacency).bit_length()):
         linked = np.minimum(linked @ linked, 1.0)
     return linked > 0.0
-
-
-def seen_by_all(adjacency: np.ndarray) -> np.ndarray:
-    """Return whether all others see a robot, directly or through others; shape (N,)."""
-    return np.array([seen.all() for seen in _linked(adjacency).T])
 
 
 def _why_apart(names: tuple, matrix: np.ndarray) -> str:
@@ -140,15 +135,16 @@ def graphs_in_time(graph, require_connected: bool) -> tuple[tuple, list[TeamGrap
                 raise
             raise GraphError(f"the graph from t = {t:g} s on: {error}") from None
     names = tuple(dict.fromkeys(name for members, _ in parts for name in members))
-    count, changes = len(names), []
-    for t, (members, adjacency) in zip(sorted(times), parts, strict=True):
+    changes = []
+    for t, (members, part) in zip(sorted(times), parts, strict=True):
         places = [names.index(name) for name in members]
-        everybody = np.zeros((count, count))
-        everybody[np.ix_(places, places)] = adjacency
-        present, may_lead = np.zeros((2, count), bool)
-        present[places] = True
-        may_lead[places] = seen_by_all(adjacency) if require_connected else True
-        changes.append(TeamGraph(t, everybody, present, may_lead))
+        present = np.isin(np.arange(len(names)), places)
+        adjacency = np.zeros((len(names), len(names)))
+        adjacency[np.ix_(places, places)] = part
+        may_lead = present
+        if require_connected:
+            may_lead = np.logical_and.reduce(_linked(adjacency)[present])
+        changes.append(TeamGraph(t, adjacency, present, may_lead))
     return names, changes
 
 

@@ -9,8 +9,8 @@ Steps do without reference counts (_nrt=False), as in `loop/kernel.py`: counts a
 take half of the time. They allocate nothing, and their caller keeps the arrays.
 """
 
+from collections import namedtuple
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -98,78 +98,34 @@ SAMPLE = record(vectors="sent seen", numbers="lost stored")
 SOLVED, INNER, LAPLACIAN = range(3)
 
 
-class TeamSetup(NamedTuple):
-    """
-    What stays the same in a run of K samples and M decisions of N robots.
+# What stays the same in a run of K samples and M decisions of N robots. numbers, shape (1,): a
+# record of NUMBERS. robots, shape (N,): records of ROBOT. formations, shape (G, 3, N, N), and
+# stiffness, shape (G, N): what `formation_on` returns of each graph. storing, shape (G,): φ/g, the
+# unit in which the formation's energy counts; NaN where the graph is directed. delays, shape (2,
+# K): in samples. draws, shape (2, K): uniform numbers, by which packets are lost. drift, shape (M,
+# N, 3): way [m] in half a sample that robots go beside (4.22), over √s.
+TeamSetup = namedtuple(
+    "TeamSetup", "numbers robots formations stiffness storing delays draws drift"
+)
 
-    numbers, shape (1,): a record of NUMBERS. robots, shape (N,): records of ROBOT. formations,
-    shape (G, 3, N, N), and stiffness, shape (G, N): what `formation_on` returns of each graph.
-    storing, shape (G,): φ/g, the unit in which the formation's energy counts; NaN where the graph
-    is directed. delays, shape (2, K): in samples. draws, shape (2, K): uniform numbers, by which
-    packets are lost. drift, shape (M, N, 3): way [m] in half a sample that robots go beside (4.22),
-    over √s.
-    """
+# What samples hand on; changed in place. now, shape (1,): a record of STATE, and row, what of it is
+# logged. q, zeta, shape (N, 3): distance to the goal and ζ, over √s. middle, shape (N, 3): q in the
+# middle of the sample, first as if the leader were not driven. velocity, asked, shape (N, 3): how
+# robots moved in the last sample before a decision [m/s], and how faultless ones would have in
+# their places. trust, shape (N,): in the operator, (4.2). arrives, shape (2, K): whether waves
+# arrive. u_l, u_r, shape (K, 3): waves. accounts: `ledger.accounts()`.
+TeamState = namedtuple(
+    "TeamState", "now row q zeta middle velocity asked trust arrives u_l u_r accounts"
+)
 
-    numbers: np.ndarray
-    robots: np.ndarray
-    formations: np.ndarray
-    stiffness: np.ndarray
-    storing: np.ndarray
-    delays: np.ndarray
-    draws: np.ndarray
-    drift: np.ndarray
+# samples, shape (K,): records of SAMPLE. table, shape (rows, columns): COLUMNS, every `per_row`
+# samples. places, shape (rows, N, 3): distances to the goal over √s.
+TeamLog = namedtuple("TeamLog", "samples table places")
 
-
-class TeamState(NamedTuple):
-    """
-    What samples hand on; changed in place.
-
-    now, shape (1,): a record of STATE, and row, what of it is logged. q, zeta, shape (N, 3):
-    distance to the goal and ζ, over √s. middle, shape (N, 3): q in the middle of the sample, first
-    as if the leader were not driven. velocity, asked, shape (N, 3): how robots moved in the last
-    sample before a decision [m/s], and how faultless ones would have in their places. trust, shape
-    (N,): in the operator, (4.2). arrives, shape (2, K): whether waves arrive. u_l, u_r, shape (K,
-    3): waves. accounts: `ledger.accounts()`.
-    """
-
-    now: np.ndarray
-    row: np.ndarray
-    q: np.ndarray
-    zeta: np.ndarray
-    middle: np.ndarray
-    velocity: np.ndarray
-    asked: np.ndarray
-    trust: np.ndarray
-    arrives: np.ndarray
-    u_l: np.ndarray
-    u_r: np.ndarray
-    accounts: np.ndarray
-
-
-class TeamLog(NamedTuple):
-    """
-    samples, shape (K,): records of SAMPLE. table, shape (rows, columns): COLUMNS, every `per_row`
-    samples. places, shape (rows, N, 3): distances to the goal over √s.
-    """
-
-    samples: np.ndarray
-    table: np.ndarray
-    places: np.ndarray
-
-
-class LowPass(NamedTuple):
-    """
-    Low-pass filters under the midpoint rule, and the gains of a two-port, (4.16).
-
-    In the middle of a sample they give out decay · level + gate · input; the level is as far beyond
-    that at its end as it was before it at its start.
-    """
-
-    decay: float
-    gate: float
-    k12: float
-    k21: float
-
+# Low-pass filters under the midpoint rule, and the gains of a two-port, (4.16). In the middle of a
+# sample they give out decay · level + gate · input; the level is as far beyond that at its end as
+# it was before it at its start.
+LowPass = namedtuple("LowPass", "decay gate k12 k21")
 
 # What comes in goes out.
 UNFILTERED = LowPass(0.0, 1.0, 0.0, 0.0)
