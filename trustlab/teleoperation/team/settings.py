@@ -281,7 +281,7 @@ class TeamSettings:
             if not entries:
                 raise ValueError(f"{name} is empty")
             for place, entry in enumerate(entries):
-                _check_entry(f"{name}[{place}]", entry, kind)
+                _check_range(f"{name}[{place}]", of_class(f"{name}[{place}]", entry, kind))
             object.__setattr__(self, name, entries if np.iterable(value) else value)
         HapticDevice(self.mass, self.damping, self.stiffness, self.weight)  # refused if not passive
 
@@ -354,12 +354,11 @@ class TeamSettings:
         return list(zip(*columns, strict=True))
 
 
-def _check_entry(name: str, entry, kind: type) -> None:
-    """Refuse a robot's setting of another class, or one that Chapter 4 does not have."""
-    of_class(name, entry, kind)
-    if kind is TrustModel and (entry.p_min, entry.p_max) != (0.0, 1.0):
+def _check_range(name: str, entry: Any) -> None:
+    """Refuse ranges of performance and α that Chapter 4 does not have."""
+    if isinstance(entry, TrustModel) and (entry.p_min, entry.p_max) != (0.0, 1.0):
         raise ValueError(f"{name}: performance lies between 0 and 1 here, set p_min=0, p_max=1")
-    if kind is Scattering and (entry.alpha_min, entry.alpha_max) != (1.0, 1.0):
+    if isinstance(entry, Scattering) and (entry.alpha_min, entry.alpha_max) != (1.0, 1.0):
         raise ValueError(f"{name}: α is 1 in Chapter 4, got [{entry.alpha_min}, {entry.alpha_max}]")
 
 
