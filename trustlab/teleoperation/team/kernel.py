@@ -362,10 +362,9 @@ def move(n, matrices, leader, lead, drift, state, now):
             now.pulled[i] = 0.0
         add_row(matrices[LAPLACIAN], j, state.middle, now.pulled)
         for i in range(3):
-            state.q[j, i] = (
-                2.0 * state.middle[j, i] - state.q[j, i]
-            )  # (4.22): q̇ = Lᵀζ − L q + D r_s
-            state.zeta[j, i] -= 2.0 * h * now.pulled[i]  # (4.22): ζ̇ = −L q
+            # (4.22): q̇ = Lᵀζ − L q + D r_s, ζ̇ = −L q
+            state.q[j, i] = 2.0 * state.middle[j, i] - state.q[j, i]
+            state.zeta[j, i] -= 2.0 * h * now.pulled[i]
         now.team_loss += dot(now.pulled, now.pulled) * n.force_gain / n.lead_gain  # (4.25)
         now.error_loss += dot(now.pulled, state.middle[j]) / n.lead_gain  # (4.33)
     for i in range(3):
