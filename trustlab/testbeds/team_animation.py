@@ -9,8 +9,6 @@ from string import Template
 
 import numpy as np
 
-from trustlab.testbeds.team_run import FORCE
-
 # What a page may do: show what it brings, and fetch nothing.
 POLICY = (
     "default-src 'none'; img-src data:; style-src 'unsafe-inline'; form-action 'none'; "
@@ -43,7 +41,7 @@ def animation_page(run, rate: float) -> str:
     part = slice(0, end, max(-(-end // frames), 1))
     t, q = run.t[part], run.positions[part]
     # what the device does to the hand
-    force = -run.data[FORCE].to_numpy()[part]
+    force = -run.data[["f_m_x", "f_m_y", "f_m_z"]].to_numpy()[part]
     seen = np.concatenate([q.reshape(-1, 3), run.goal[None]])
     low, high = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
     span = 1.1 * max(float((high - low).max()), 0.1)
