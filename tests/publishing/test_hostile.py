@@ -343,7 +343,6 @@ def built():
         CorrectionRun(steps, (0.1, 0.2), (0.2, 0.3), NAME, NAME),
         dataclasses.replace(data, left_out=dict.fromkeys(data.table().index, NAME)),
         flight,
-        flight.animate(),
         *late(),
     ]
 
@@ -377,8 +376,8 @@ def test_the_same_results_fire_where_nothing_is_escaped(visit, results):
     assert seen.asked
 
 
-def test_the_animation_runs_its_own_script_and_no_other(visit, results):
-    page = str(results["AnimationPage"])
+def test_the_animation_runs_its_own_script_and_no_other(visit, results, tmp_path):
+    page = results["TeamRun"].animate(tmp_path / "team.html").read_text()
     seen = visit(page)
     assert unmoved(seen)
     assert f"leader: {NAME} 0" in seen.page.evaluate("document.getElementById('told').textContent")

@@ -30,19 +30,19 @@ from .ports.ledger import EnergyLedger as EnergyLedger
 from .ports.passivity import PassivityController as PassivityController
 from .ports.waves import Scattering as Scattering
 from .stability import Passivity as Passivity, passivity as passivity
+from .team.decisions import (
+    GivenSequence as GivenSequence,
+    LeaderPolicy as LeaderPolicy,
+    MostTrusted as MostTrusted,
+    Motion as Motion,
+    RandomLeaders as RandomLeaders,
+    TeamSituation as TeamSituation,
+)
 from .team.graphs import (
     GraphError as GraphError,
     algebraic_connectivity as algebraic_connectivity,
     team_graph as team_graph,
 )
-from .team.leader_policies import (
-    GivenSequence as GivenSequence,
-    LeaderPolicy as LeaderPolicy,
-    MostTrusted as MostTrusted,
-    RandomLeaders as RandomLeaders,
-    TeamSituation as TeamSituation,
-)
-from .team.performance import Motion as Motion
 from .team.settings import (
     TeamChannel as TeamChannel,
     TeamOperator as TeamOperator,

@@ -17,27 +17,29 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.simulation import DivergenceError, PartError, Simulation, View
-from trustlab.models.trust import trust_run, trust_step
 from trustlab.teleoperation.delays import delays_in_samples
-from trustlab.teleoperation.filters import WaveFilter, passivity_margin
+from trustlab.teleoperation.filters import (
+    TwoPortFilter,
+    WaveFilter,
+    first_order,
+    passivity_margin,
+)
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.records import filled, robot_numbers, signal
 from trustlab.teleoperation.team import kernel
-from trustlab.teleoperation.team.graphs import TeamGraph, formation_on, graphs_in_time
-from trustlab.teleoperation.team.leader_policies import (
+from trustlab.teleoperation.team.decisions import (
+    SLACK,
     LeaderPolicy,
+    Motion,
     TeamSituation,
+    TeamTrust,
+    measure_named,
     policy_named,
 )
-from trustlab.teleoperation.team.performance import Motion, measure_named, measured
-from trustlab.teleoperation.team.settings import (
-    TeamChannel,
-    TeamOperator,
-    TeamSettings,
-    TeamTrial,
-)
+from trustlab.teleoperation.team.graphs import formation_on, graphs_in_time
+from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, TeamTrial
 from trustlab.testbeds.team_run import TeamRun
-from trustlab.trust.driving import TrustCourse, TrustInLoop
+from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
 NOTE = "simulated team and operator"
@@ -46,8 +48,11 @@ DECISION = 0.1
 DRIFT_TIME = 5.0
 # A live hand is taken to be at most so far away [m], where its grip has long reached its limit.
 FARTHEST_HAND = 1e6
-# Numbers that a run may record.
-LARGEST = 200_000_000
+# A run of as many samples takes some 3 GB.
+MOST_SAMPLES = 1e7
+# Numbers of the kernel that are settings as they are.
+FROM_SETTINGS = ("mass", "damping", "stiffness", "weight", "steepness", "lead_gain", "force_gain")
+FROM_OPERATOR = ("reach", "drag", "guarded", "grip")
 
 
 def simulate_team(
@@ -115,7 +120,7 @@ def simulate_team(
     Returns
     -------
     TeamRun
-        With `.converged`, `.time_to_goal`, `.table()`, `.positions`, `.plot()` and `.animate()`.
+        With `.converged`, `.time_to_goal`, `.table()`, `.positions`, `.plot()`, `.animate(path)`.
         Labelled synthetic.
 
     Raises
@@ -174,6 +179,8 @@ class TeamLoop:
         The state after the last sample: every signal and energy of `TeamRun.table()`, by name.
     robots : tuple
         Names.
+    human_trust : TeamTrust
+        Human-to-robot trust (4.1), and what changes it.
     simulation : Simulation
         The kernel with its records.
 
@@ -209,66 +216,74 @@ class TeamLoop:
     ):
         self.seed = seed
         self.duration = duration
-        self._policy, self._measure = policy_named(policy), measure_named(performance)
-        self._operator = _settings_of("operator", operator, TeamOperator)
+        self._policy = policy_named(policy)
+        self._measure = measure_named(performance)
+        self._measure_name = getattr(performance, "__name__", str(performance))
         self._settings = _settings_of("settings", settings, TeamSettings)
         self._trial = _settings_of("trial", trial, TeamTrial)
-        self.robots, self._graphs = graphs_in_time(graph, self._trial.require_connected)
-        self._goal = finite_array("goal", goal, length=3)
-        size = len(self.robots)
-        count = _samples(duration, self._trial, size)
-        per_decision = max(round(DECISION / self._trial.sample_time), 1)
-        self._step = per_decision * self._trial.sample_time
-        begins, drawn, self._rng, faults = map(np.random.default_rng, spawned(seed, 4))
+        operator = _settings_of("operator", operator, TeamOperator)
         driver = None
         if trust is not None:
             driver = of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trust.MODELS")
-        decisions = int(np.ceil(duration / self._step)) + 1
-        self._begin_trust(driver, decisions, drawn)
-        self._begin(count, per_decision, begins, faults)
+        self.robots, self._graphs = graphs_in_time(graph, self._trial.require_connected)
+        self._goal = finite_array("goal", goal, length=3)
+        begins, drawn, self._rng, faults = map(np.random.default_rng, spawned(seed, 4))
+        per_decision = max(round(DECISION / self._trial.sample_time), 1)
+        self._step = per_decision * self._trial.sample_time
+        self.simulation = self._begin(operator, per_decision, begins, faults)
+        self.state = View(self.simulation.state.now)
+        setup = self.simulation.setup
+        self.human_trust = TeamTrust(setup.robots, driver, self._step)
+        if self._measure is None:
+            rate = min(self._step / self._settings.performance_time, 1.0)
+            self._drawn, start = _drawn(len(setup.drift), len(self.robots), rate, drawn)
+            if driver is None:
+                self.human_trust.share = start
+        self._graph = self._graphs[0]
+        self._changes: list[tuple[float, np.ndarray]] = []
+        self._levels: list[np.ndarray] = []  # of trust, at every decision
         self._leader: int | None = None
         self._named: int | None = None
-        self._graph = self._graphs[0]
-        self._able = _able(self._graph)
         self._since = 0.0
         self._waits = 0  # decisions at which a wish to switch had to wait
         self._memory: dict = {}
 
-    def _begin_trust(self, driver: TrustInLoop | None, decisions: int, rng) -> None:
-        """Set trust at the start, or at every decision where performance is drawn."""
-        settings, size = self._settings, len(self.robots)
-        models = settings.per_robot("human_to_robot", size)
-        self._decay = np.array([model.decay(self._step) for model in models])
-        self._gain = np.array([model.b / model.a for model in models])
-        self._low = np.array([model.t_min for model in models])
-        self._span = np.array([model.t_max for model in models]) - self._low
-        self._courses = [TrustCourse(driver, self._step) for _ in range(size if driver else 0)]
-        self._share = np.full(size, driver.start if driver else 0.5)
-        self._title_of_trust = driver.model.name if driver else "(4.1)"
-        self._trust = np.full((decisions, size), np.nan)
-        self._trust[0] = self._low + self._span * self._share
-        if self._measure is None:
-            self._trust = _trust(settings, size, decisions, self._step, rng, driver)
-
-    def _begin(self, count: int, per_decision: int, begins, faults) -> None:
-        """Set the records of the simulation."""
+    def _begin(self, operator: TeamOperator, per_decision: int, begins, faults) -> Simulation:
+        """Return the simulation at its start."""
         settings, trial = self._settings, self._trial
-        size, T = len(self.robots), trial.sample_time
-        ends, channel = settings.per_robot("scattering", size), settings.channel
-        rate = max(end.max_delay_rate for end in ends)
-        delays = delays_in_samples(channel.delays, rate, channel.read_out, count, T)
-        self._times = times = _times(settings, float(delays.max() * T), T)
-        start, inner, pushed = _start(trial, size, count, begins)
-        distance, operator = start - self._goal, self._operator
+        channel, T = settings.channel, trial.sample_time
+        count = round(between("duration", self.duration, 10.0 * T, MOST_SAMPLES * T) / T)
+        robots = self._constants()
+        root, rate = robots["root"][:, None], robots["max_delay_rate"].max()
+        shape = robots.size, 3
+        back = channel.delay if channel.delay_back is None else channel.delay_back
+        pair = {"delay": channel.delay, "delay_back": back}
+        delays = delays_in_samples(pair, rate, channel.read_out, count, T)
+        times = self._times = _times(settings, float(delays.max() * T), T)
+        start, inner = begins.uniform(-5.0, 5.0, shape), np.zeros(shape)
+        if trial.start is not None:
+            start = signal("start", trial.start, *shape)
+        if trial.inner is not None:
+            inner = signal("inner", trial.inner, *shape)
+        inputs = np.zeros(count, kernel.INPUT)
+        inputs["hand"] = np.nan
+        if trial.push is not None:
+            inputs["pushed"] = signal("push", trial.push, count, 3)
+        distance = start - self._goal
         budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2) + np.sum(inner**2)))
-        self._title, filtering = _filters(channel, float(np.mean([end.b for end in ends])))
-        robots = _robots(settings, ends, T)
-        root = robots["root"][:, None]
-        draws, drift = _faults(robots, settings, self._step, (count, len(self._trust)), faults)
+        # by these numbers packets are lost
+        lossy = robots["loss"].any() or robots["drift"].any()
+        draws = faults.random((2, count)) if lossy else np.ones((2, count))
+        decisions = int(np.ceil(self.duration / self._step)) + 1
+        drift = 0.5 * T * _drifts(robots, decisions, self._step, faults) / root
+        filters = channel.filter_at(robots["b"].mean().item())
+        self._filter, filtering = _filtering(filters)
         numbers = filled(
             kernel.NUMBERS,
-            **_numbers(settings, operator),
+            **{name: getattr(settings, name) for name in FROM_SETTINGS},
+            **{name: getattr(operator, name) for name in FROM_OPERATOR},
             **filtering,
+            read_out=READ_OUTS[channel.read_out],
             sample_time=T,
             gain=float(np.sqrt(1.0 - rate)),
             push=operator.stiffness(times["vision_delay"]),
@@ -279,34 +294,39 @@ class TeamLoop:
             per_decision=per_decision,
             per_row=trial.samples_per_row,
             drifting=drift.any(),
+            switching=channel.switch_scattering,
         )
-        speeds = robots["root"] ** 2
         formations = [
-            formation_on(graph, settings.coupling, 0.5 * T, speeds) for graph in self._graphs
+            formation_on(graph, settings.coupling, 0.5 * T, root[:, 0]) for graph in self._graphs
         ]
         matrices, stiffness = map(np.array, zip(*formations, strict=True))
+        directed = [(graph.adjacency != graph.adjacency.T).any() for graph in self._graphs]
+        storing = np.where(directed, np.nan, settings.force_gain / settings.lead_gain)
         setup = kernel.TeamSetup(
-            numbers=np.array([numbers]),
-            robots=robots,
-            formations=matrices,
-            stiffness=stiffness,
-            directed=np.array([graph.directed for graph in self._graphs]),
-            delays=delays,
-            draws=draws,
-            drift=drift,
+            np.array([numbers]), robots, matrices, stiffness, storing, delays, draws, drift
         )
-        state = _state(distance / root, inner / root, count)
-        inputs = np.zeros(count, kernel.INPUT)
-        inputs["pushed"], inputs["hand"] = pushed, np.nan
         rows = -(-count // trial.samples_per_row)
-        samples = np.zeros(count, kernel.SAMPLE)
-        table = np.empty((rows, len(kernel.COLUMNS)))
-        log = kernel.TeamLog(samples, table, np.empty((rows, size, 3)))
-        records = setup, state, inputs, log
-        self.simulation = Simulation(
-            kernel.lead_team, *records, self._decide, per_decision, kernel.BLOCKS, T
+        log = kernel.TeamLog(
+            np.zeros(count, kernel.SAMPLE),
+            np.empty((rows, len(kernel.COLUMNS))),
+            np.empty((rows, *shape)),
         )
-        self.state = View(state.now)
+        records = setup, _state(distance / root, inner / root, count), inputs, log
+        return Simulation(kernel.lead_team, *records, self._decide, per_decision, kernel.BLOCKS, T)
+
+    def _constants(self) -> np.ndarray:
+        """Return what is constant of every robot, records of ROBOT."""
+        T = self._trial.sample_time
+        robots = [
+            (
+                *(np.sqrt(kind.speed), kind.drift, kind.loss),
+                *(end.b, end.beta_min, end.beta_max, end.max_delay_rate),
+                *(rh.decay(T), rh.b / rh.a, rh.t_min, rh.t_max),
+                *(hr.t_min, hr.t_max - hr.t_min, hr.decay(self._step), hr.b / hr.a),
+            )
+            for kind, end, hr, rh in self._settings.per_robot(len(self.robots))
+        ]
+        return np.array(robots, kernel.ROBOT)
 
     @property
     def t(self) -> float:
@@ -321,18 +341,12 @@ class TeamLoop:
     @property
     def trust(self) -> np.ndarray:
         """Human-to-robot trust (4.1) in every robot at the last decision, shape (N,)."""
-        run = self.simulation
-        return self._trust[max(run.done - 1, 0) // run.every].copy()
+        return self.human_trust.trust
 
     @property
     def positions(self) -> np.ndarray:
         """Where the robots are [m], shape (N, 3); NaN where they are not in the team."""
         return np.where(self._graph.present[:, None], self._read("positions"), np.nan)
-
-    def trust_records(self) -> dict[str, np.ndarray]:
-        """Return trust in every robot, its share of its range, and what changes it, by name."""
-        names = ("low", "span", "decay", "gain", "share")
-        return {"trust": self.trust} | {name: getattr(self, f"_{name}") for name in names}
 
     def step(self, hand=None, leader: Hashable = None, samples: int = 1) -> View:
         """
@@ -373,7 +387,7 @@ class TeamLoop:
             place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
             run.inputs["hand"][run.done : stop] = place
         if leader is not None:
-            able = [self.robots[i] for i in np.flatnonzero(self._able)]
+            able = self._able()
             if leader not in able:
                 raise ValueError(f"leader must be one of {able}, got {leader!r}")
             self._named = self.robots.index(leader)
@@ -429,200 +443,117 @@ class TeamLoop:
         run = self.simulation
         d = run.done // run.every
         t = d * self._step
-        if d > 0 and self._measure is not None:
-            self._trust[d] = self._judged(t, state)
-        number = sum([graph.since <= t + 1e-9 for graph in self._graphs]) - 1
+        if d > 0:
+            drawn = self._measure is None
+            self.human_trust.judge(self._drawn[d - 1] if drawn else self._performance(t, state))
+        self._levels.append(self.human_trust.trust)
+        number = sum([graph.since <= t + SLACK for graph in self._graphs]) - 1
         if self._graph is not self._graphs[number]:
             self._graph = self._graphs[number]
-            self._able = _able(self._graph)
-        lead = self._choose(t, self._trust[d])
-        inputs["graph"], inputs["lead"] = number, lead
-        switched = self._settings.channel.switch_scattering or d == 0
-        inputs["head"] = lead if switched else run.inputs["head"][0]
+            self._changes.append((round(t, 9), self._graph.adjacency))
+        inputs["graph"], inputs["lead"] = number, self._choose(t)
 
-    def _judged(self, t: float, state: kernel.TeamState) -> np.ndarray:
-        """Return trust, by (4.1) or a model, after what is measured of performance."""
-        run = self.simulation
+    def _performance(self, t: float, state: kernel.TeamState) -> np.ndarray:
+        """Return what is measured of every robot's performance since the decision before."""
+        run, graph = self.simulation, self._graph
         packets = state.arrives[0, run.done - run.every : run.done]
-        command = self._settings.lead_gain * run.log.samples["sent"][run.done - 1]
-        graph, received = self._graph, np.count_nonzero(packets) / packets.size
-        now = Motion(t, self._leader, graph.present, graph.adjacency, command, received, self._read)
-        performance = measured(self._measure, now)
-        if self._courses:
-            judged = zip(self._courses, performance, strict=True)
-            self._share = np.array([course.step(value) for course, value in judged])
-        else:
-            # (4.1); trust stays where there is nothing to judge by
-            later = trust_step.py_func(self._share, performance, self._decay, self._gain)
-            self._share = np.where(np.isnan(performance), self._share, later)
-        return self._low + self._span * self._share
+        received = np.count_nonzero(packets) / packets.size
+        motion = Motion(t, self._leader, graph.present, graph.adjacency, received, self._read)
+        return np.where(graph.present, self._measure(motion), np.nan)
 
     def _read(self, name: str) -> np.ndarray:
-        """Return what is measured of the robots' motion by name, shape (N, 3)."""
-        state = self.simulation.state
+        """Return what is measured of the robots' motion by name."""
+        run = self.simulation
         if name == "positions":
-            return state.q * self.simulation.setup.robots["root"][:, None] + self._goal
-        return state.velocity if name == "velocities" else state.asked
+            return run.state.q * run.setup.robots["root"][:, None] + self._goal
+        if name == "command":
+            return self._settings.lead_gain * run.log.samples["sent"][run.done - 1]
+        return getattr(run.state, name)
 
-    def _choose(self, t: float, trust: np.ndarray) -> int:
+    def _able(self) -> list:
+        """Return the names of the robots that can lead."""
+        return [self.robots[i] for i in np.flatnonzero(self._graph.may_lead)]
+
+    def _choose(self, t: float) -> int:
         """Return who leads: whom the operator named, or else the policy's pick, after τ_min."""
-        able = self._able
-        if self._named is not None and not able[self._named]:
+        graph, leader = self._graph, self._leader
+        now = TeamSituation(
+            t,
+            self.robots,
+            graph.present,
+            np.where(graph.present, self._levels[-1], -np.inf),
+            leader,
+            self._since,
+            self._times["min_dwell"],
+            self._rng,
+            self._memory,
+            self._read,
+        )
+        if self._named is not None and not graph.may_lead[self._named]:
             self._named = None
-        pick = self._asked(t, trust) if self._named is None else self._named
-        if not able[pick]:
-            self._refuse(pick, t)
-        if pick != self._leader:
-            stays = self._leader is not None and able[self._leader]
-            if stays and t - self._since < self._times["min_dwell"] - 1e-6:
+        pick = self._asked(now) if self._named is None else self._named
+        if not graph.may_lead[pick]:
+            why = "not all others see, directly or through others, so that it cannot lead them"
+            why = why if graph.present[pick] else "is not in the team then"
+            raise ValueError(
+                f"at t = {t:g} s the policy picks robot {self.robots[pick]!r}, which {why}; who "
+                f"can: {self._able()}"
+            )
+        if pick != leader:
+            if not now.free and graph.may_lead[leader]:
                 self._waits += 1
-                return self._leader
+                return leader
             self._leader, self._since = pick, t
         return pick
 
-    def _asked(self, t: float, trust: np.ndarray) -> int:
+    def _asked(self, now: TeamSituation) -> int:
         """Return whom the policy picks."""
-        now = TeamSituation(
-            t=t,
-            robots=self.robots,
-            present=self._graph.present,
-            trust=np.where(self._graph.present, trust, -np.inf),
-            leader=self._leader,
-            since=self._since,
-            dwell=self._times["min_dwell"],
-            rng=self._rng,
-            memory=self._memory,
-            where=lambda: self._read("positions"),
-        )
         try:
             pick = self._policy.leader(now)
         except Exception as error:
             raise PartError(
                 f"the leader policy {self._policy.title!r} raised {type(error).__name__}: {error}, "
-                f"at t = {t:g} s"
+                f"at t = {now.t:g} s"
             ) from error
         if type(pick) is int and 0 <= pick < len(self.robots):
             return pick
-        name = f"the policy's answer at t = {t:g} s"
+        name = f"the policy's answer at t = {now.t:g} s"
         return robot_numbers(name, [pick], 1, len(self.robots)).item()
-
-    def _refuse(self, pick: int, t: float) -> None:
-        """Raise the error of a policy that picks a robot that cannot lead."""
-        picks = f"at t = {t:g} s the policy picks robot {self.robots[pick]!r}, which"
-        if not self._graph.present[pick]:
-            raise ValueError(f"{picks} is not in the team then")
-        able = [self.robots[i] for i in np.flatnonzero(self._graph.may_lead)]
-        raise ValueError(
-            f"{picks} not all others see, directly or through others, so that it cannot lead "
-            f"them; who can: {able}"
-        )
 
     # --- the run ----------------------------------------------------------------------------------
 
     def _result(self) -> TeamRun:
         """Return the run so far."""
-        run = self.simulation
-        setup, inputs = run.setup, run.inputs
-        (numbers,) = setup.numbers
-        every, T = self._trial.samples_per_row, self._trial.sample_time
-        rows = -(-run.done // every)
-        table = run.log.table[:rows].copy()
+        run, T = self.simulation, self._trial.sample_time
+        every, (numbers,) = self._trial.samples_per_row, run.setup.numbers
+        rows = np.arange(0, run.done, every)
+        table = run.log.table[: rows.size].copy()
         table.view(kernel.LOG)[:, 0]["leader"] += self._goal
-        graph = inputs["graph"][: run.done]
-        places = run.log.places[:rows] * setup.robots["root"][:, None] + self._goal
-        present = np.array([each.present for each in self._graphs])[graph[::every]]
-        places[~present] = np.nan  # not in the team, nowhere
-        t = pd.Index(np.round(T * every * np.arange(rows), 9), name="t")
-        measure = self._measure
-        named = getattr(measure, "__name__", repr(measure)) if callable(measure) else "random"
-        facts: dict = {"policy": self._policy.title, "filter": self._title}
-        facts |= {name: numbers[name].item() for name in ("k12", "k21")}
-        facts |= {"seed": str(self.seed), "read_out": self._settings.channel.read_out}
-        facts |= self._times
-        facts |= {name: numbers[name].item() for name in ("sample_time", "push")} | {"note": NOTE}
-        facts |= {"performance": named, "waits": self._waits}
-        facts |= {"trust": self._title_of_trust}
-        changed = np.flatnonzero(np.diff(graph)) + 1
+        t = pd.Index(np.round(T * rows, 9), name="t")
+        places = run.log.places[: rows.size] * run.setup.robots["root"][:, None] + self._goal
+        present = np.array([graph.present for graph in self._graphs])
+        places[~present[run.inputs["graph"][rows]]] = np.nan  # not in the team, nowhere
+        facts = {"policy": self._policy.title, "filter": self._filter, "seed": str(self.seed)}
+        facts |= {"read_out": self._settings.channel.read_out} | self._times
+        facts |= {name: numbers[name].item() for name in ("k12", "k21", "sample_time", "push")}
+        facts |= {"note": NOTE, "performance": self._measure_name, "waits": self._waits}
         return TeamRun(
             self.robots,
             self._graphs[0].adjacency,
             self._goal,
             pd.DataFrame(table, index=t, columns=list(kernel.COLUMNS)),
             places,
-            self._trust[np.arange(0, run.done, every) // run.every],
+            np.array(self._levels)[rows // run.every],
             numbers["budget"].item(),
             self._trial.tolerance,
-            facts,
-            tuple((round(T * k, 9), self._graphs[graph[k]].adjacency) for k in changed.tolist()),
+            facts | {"trust": self.human_trust.title},
+            tuple(self._changes),
         )
-
-
-def _able(graph: TeamGraph) -> np.ndarray:
-    """Return which robots can lead, shape (N,)."""
-    return graph.present & graph.may_lead
 
 
 def _settings_of(name: str, value, kind):
     """Return settings of a class, the usual ones where there are none."""
     return kind() if value is None else of_class(name, value, kind)
-
-
-def _state(q: np.ndarray, zeta: np.ndarray, count: int) -> kernel.TeamState:
-    """Return what samples hand on, at the start."""
-    now = np.zeros(1, kernel.STATE)
-    waves, vectors = np.zeros((2, count, 3)), np.zeros((4, *q.shape))
-    return kernel.TeamState(
-        now=now,
-        row=now.view(float)[: len(kernel.COLUMNS)],
-        q=q,
-        zeta=zeta,
-        middle=vectors[0],
-        pulled=vectors[1],
-        velocity=vectors[2],
-        asked=vectors[3],
-        trust=np.full(len(q), 0.5),
-        arrives=np.ones((2, count), bool),
-        u_l=waves[0],
-        u_r=waves[1],
-        accounts=accounts(),
-    )
-
-
-def _faults(
-    robots: np.ndarray, settings: TeamSettings, step: float, size: tuple[int, int], rng
-) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return what is drawn of robots that lose packets or drift, for `size` samples and decisions:
-    uniform numbers (2, K), and velocities over √s (M, N, 3).
-    """
-    samples, decisions = size
-    draws, blown = np.ones((2, samples)), np.zeros((decisions, len(robots), 3))
-    drift = np.array([robot.drift for robot in settings.per_robot("robots", len(robots))])
-    drifting = np.flatnonzero(drift)
-    if not robots["loss"].any() and not drifting.size:
-        return draws, blown
-    draws = rng.random((2, samples))
-    # a first-order process of this root mean square from the start on
-    noise = drift[drifting] * rng.normal(size=(decisions, 3, drifting.size))
-    keep = float(np.exp(-step / DRIFT_TIME))
-    for d in range(1, decisions):
-        noise[d] = keep * noise[d - 1] + np.sqrt(1.0 - keep**2) * noise[d]
-    blown[:, drifting] = noise.transpose(0, 2, 1) / robots["root"][drifting, None]
-    return draws, blown
-
-
-def _start(
-    trial: TeamTrial, robots: int, count: int, rng
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return where the robots begin, drawn by default, ζ at the start, and the force added."""
-    start = rng.uniform(-5.0, 5.0, (robots, 3)) if trial.start is None else trial.start
-    inner = np.zeros((robots, 3)) if trial.inner is None else trial.inner
-    push = np.zeros((count, 3)) if trial.push is None else trial.push
-    return (
-        signal("start", start, robots, 3),
-        signal("inner", inner, robots, 3),
-        signal("push", push, count, 3),
-    )
 
 
 def _times(settings: TeamSettings, delay: float, T: float) -> dict[str, float]:
@@ -640,73 +571,50 @@ def _times(settings: TeamSettings, delay: float, T: float) -> dict[str, float]:
     return {"delay": delay, "vision_delay": vision, "min_dwell": dwell}
 
 
-def _samples(duration, trial: TeamTrial, robots: int) -> int:
-    """Return the number of samples, checked."""
-    count = round(between("duration", duration, 10.0 * trial.sample_time, 1e5) / trial.sample_time)
-    rows = -(-count // trial.samples_per_row)
-    if max(rows * (3 * robots + len(kernel.COLUMNS)), 16 * count) > LARGEST:
-        raise ValueError(
-            f"{count} samples and {rows} rows for {robots} robots are too many; shorten duration, "
-            "or raise sample_time or record_every"
-        )
-    return count
-
-
-def _numbers(settings: TeamSettings, operator: TeamOperator) -> dict:
-    """Return the settings of device and operator that the kernel takes as they are."""
-    names = ("mass", "damping", "stiffness", "weight", "steepness", "lead_gain", "force_gain")
-    numbers = {name: getattr(settings, name) for name in names}
-    numbers |= {name: getattr(operator, name) for name in ("reach", "drag", "guarded", "grip")}
-    return numbers | {"read_out": READ_OUTS[settings.channel.read_out]}
-
-
-def _robots(settings, ends, T: float) -> np.ndarray:
-    """Return what is constant of every robot, records of ROBOT."""
-    models = settings.per_robot("robot_to_human", len(ends))
-    kinds = settings.per_robot("robots", len(ends))
-    out = np.zeros(len(ends), kernel.ROBOT)
-    out["root"] = np.sqrt([kind.speed for kind in kinds])
-    out["loss"] = [kind.loss for kind in kinds]
-    for name in ("b", "beta_min", "beta_max"):
-        out[name] = [getattr(end, name) for end in ends]
-    out["decay"] = [model.decay(T) for model in models]
-    out["gain"] = [model.b / model.a for model in models]
-    for name in ("t_min", "t_max"):
-        out[name] = [getattr(model, name) for model in models]
-    return out
-
-
-def _trust(settings: TeamSettings, size: int, count: int, step: float, rng, driver) -> np.ndarray:
-    """
-    Return human-to-robot trust at every decision, shape (M, N), by (4.1) or a model: performance is
-    drawn anew at random times.
-    """
-    courses = [TrustCourse(driver, step) for _ in range(size if driver else 0)]
-    models = settings.per_robot("human_to_robot", size)
-    trust = np.empty((count, size))
-    for i, (model, stream) in enumerate(zip(models, rng.spawn(size), strict=True)):
-        anew = stream.random(count) < min(step / settings.performance_time, 1.0)
-        drawn = stream.random(count + 1)
-        performance = drawn[np.cumsum(anew)]
-        start = stream.random()
-        if courses:
-            steps = [courses[i].step(value) for value in performance[:-1]]
-            share = np.array([driver.start, *steps])
-        else:
-            share = trust_run(performance[:-1], model.decay(step), model.b / model.a, start)
-        trust[:, i] = model.t_min + (model.t_max - model.t_min) * share
-    return trust
-
-
-def _filters(channel: TeamChannel, impedance: float) -> tuple[str, dict]:
+def _filtering(filters: TwoPortFilter | WaveFilter | None) -> tuple[str, dict]:
     """Return what the filters F1 and F2 of Fig. 4.1 are, and their numbers."""
-    filters = channel.filter_at(impedance)
     if filters is None:
         return "no filter", {"filtering": kernel.NO_FILTER, "cutoff": 1.0}
     cutoff = filters.cutoff
     if isinstance(filters, WaveFilter):
         return f"waves, {cutoff:g} rad/s", {"filtering": kernel.WAVES, "cutoff": cutoff}
-    margin = passivity_margin([cutoff], [1.0, cutoff], filters.k12, filters.k21)
+    gains = {"k12": filters.k12, "k21": filters.k21}
+    margin = passivity_margin([cutoff], [1.0, cutoff], **gains)
     kind = "two-port" if margin.is_passive else "two-port that is not passive"
-    numbers = {"cutoff": cutoff, "k12": filters.k12, "k21": filters.k21}
-    return f"{kind}, {cutoff:g} rad/s", numbers | {"filtering": kernel.TWO_PORT}
+    return f"{kind}, {cutoff:g} rad/s", {"filtering": kernel.TWO_PORT, "cutoff": cutoff, **gains}
+
+
+def _drifts(robots: np.ndarray, decisions: int, step: float, rng) -> np.ndarray:
+    """Return velocities by which robots drift, drawn, shape (M, N, 3)."""
+    velocities = np.zeros((decisions, robots.size, 3))
+    drifting = np.flatnonzero(robots["drift"])
+    keep = float(np.exp(-step / DRIFT_TIME))
+    fresh = np.sqrt(1.0 - keep**2)
+    white = rng.normal(size=(decisions, 3 * drifting.size))
+    white[0] /= fresh  # as large at the start as later
+    noise = first_order(white, fresh, keep).reshape(decisions, 3, drifting.size)
+    velocities[:, drifting] = (robots["drift"][drifting] * noise).transpose(0, 2, 1)
+    return velocities
+
+
+def _drawn(decisions: int, robots: int, rate: float, rng) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return performance at random, shape (M, N), drawn anew at this rate per decision, and where
+    trust starts, shape (N,).
+    """
+    performance, start = np.empty((decisions, robots)), np.empty(robots)
+    for robot, stream in enumerate(rng.spawn(robots)):
+        anew = stream.random(decisions) < rate
+        performance[:, robot] = stream.random(decisions + 1)[np.cumsum(anew)]
+        start[robot] = stream.random()
+    return performance, start
+
+
+def _state(q: np.ndarray, zeta: np.ndarray, count: int) -> kernel.TeamState:
+    """Return what samples hand on, at the start."""
+    now = np.zeros(1, kernel.STATE)
+    row = now.view(float)[: len(kernel.COLUMNS)]
+    middle, velocity, asked = np.zeros((3, *q.shape))
+    u_l, u_r = np.zeros((2, count, 3))
+    robots = q, zeta, middle, velocity, asked, np.full(len(q), 0.5)
+    return kernel.TeamState(now, row, *robots, np.ones((2, count), bool), u_l, u_r, accounts())

@@ -1,20 +1,16 @@
 """What a simulated team did: signals, energies, whether it arrived, and how it looks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.display import as_html, axes_or_new
+from trustlab.models.checks import positive
+from trustlab.models.display import Result, as_html, axes_or_new
+from trustlab.models.files import path_of
 from trustlab.sessions.session import Metadata, Session
-
-if TYPE_CHECKING:
-    from trustlab.testbeds.team_animation import AnimationPage
 
 ENERGIES = {
     "v_h": "$V_h$ operator",
@@ -24,11 +20,22 @@ ENERGIES = {
     "v_e_delayed": "$V_e(t-T)$ error",
     "v_filter": "filters",
 }
-SIGNALS = ("device", "r_m", "f_h", "f_m", "r_s", "f_s")
+# Columns of a session by the name that the run has for them.
+LEADER = ["leader_x", "leader_y", "leader_z"]
+RENAMED = dict(zip(LEADER, ("robot_x", "robot_y", "robot_z"), strict=True)) | {
+    "supply_hand": "energy_operator",
+    "v_hd": "energy_device",
+    "lost_device": "energy_dissipated",
+    "v_ch": "energy_channel",
+    "supply_team": "energy_robot",
+}
+FORCE = ["f_m_x", "f_m_y", "f_m_z"]
+SIGNALS = [f"{name}_{axis}" for name in ("device", "r_m", "f_h", "r_s", "f_s") for axis in "xyz"]
+SIGNALS += [*FORCE, "beta", "trust_rh"]
 
 
-@dataclass(frozen=True, eq=False)
-class TeamRun:
+@dataclass(frozen=True, eq=False, repr=False)
+class TeamRun(Result):
     """
     One run of `simulate_team`; simulated throughout.
 
@@ -121,15 +128,22 @@ class TeamRun:
     @property
     def switches(self) -> np.ndarray:
         """Times at which another robot took over [s]."""
-        return self.t[1:][np.diff(self.data["number"].to_numpy()) != 0.0]
+        return self.t[1:][np.diff(self.data["number"]) != 0.0]
 
     @property
-    def label(self) -> str:
+    def title(self) -> str:
         """One line for titles."""
         return (
             f"{len(self.robots)} robots, leader: {self.facts['policy']}, filter: "
             f"{self.facts['filter']} (synthetic)"
         )
+
+    @property
+    def message(self) -> str:
+        """Whether and when the team arrived."""
+        arrived = f"all at the goal after {self.time_to_goal:.1f} s"
+        arrived = arrived if self.converged else "not all at the goal"
+        return f"{arrived}, {len(self.switches)} switches in {self.t[-1]:.0f} s"
 
     def table(self) -> pd.DataFrame:
         """
@@ -148,31 +162,19 @@ class TeamRun:
         Return what the operator and the leader of the moment did, as a session: robot_x … is the
         leader, reference_x … the goal.
         """
-        data, number = self.data, self.data["number"].to_numpy().astype(int)
-        columns = {}
-        for axis, at in zip("xyz", self.goal, strict=True):
-            columns |= {f"robot_{axis}": data[f"leader_{axis}"], f"reference_{axis}": at}
-            columns |= {f"{name}_{axis}": data[f"{name}_{axis}"] for name in SIGNALS}
-        leader = data[["leader_x", "leader_y", "leader_z"]].to_numpy()
-        columns |= {
-            "beta": data["beta"],
-            "trust_hr": self.trust[np.arange(len(number)), number],
-            "trust_rh": data["trust_rh"],
-            "path_error": np.linalg.norm(leader - self.goal, axis=1),
-            "energy_operator": data["supply_hand"],
-            "energy_device": data["v_hd"],
-            "energy_dissipated": data["lost_device"],
-            "energy_channel": data["v_ch"],
-            "energy_robot": data["supply_team"],
-        }
+        number, leader = self.data["number"].to_numpy().astype(int), self.data[LEADER]
+        columns = self.data[[*RENAMED, *SIGNALS]].rename(columns=RENAMED)
+        columns["trust_hr"] = self.trust[np.arange(len(number)), number]
+        columns["path_error"] = np.linalg.norm(leader - self.goal, axis=1)
+        columns[["reference_x", "reference_y", "reference_z"]] = self.goal
         about = Metadata(
             "simulated", self.facts["policy"], "trustlab.testbeds.robot_team", True, self.facts
         )
-        return Session(pd.DataFrame(columns, index=data.index), about)
+        return Session(columns, about)
 
     def summary(self) -> pd.DataFrame:
         """Return one row: whether and when the team arrived, and what held on the way."""
-        rises = np.diff((self.data["v_t"] - self.data["supply_links"]).to_numpy())
+        rises = np.diff(self.data["v_t"] - self.data["supply_links"])
         row = {
             "robots": len(self.robots),
             "policy": self.facts["policy"],
@@ -180,28 +182,18 @@ class TeamRun:
             "switches": len(self.switches),
             "converged": self.converged,
             "time_to_goal": self.time_to_goal,
-            "distance": float(self.farthest[-1]),
-            "spread": float(self.spread[-1]),
+            "distance": self.farthest[-1],
+            "spread": self.spread[-1],
             "operator_passive": self.operator_passive,
-            "least_v_h": float(self.data["v_h"].min()),
+            "least_v_h": self.data["v_h"].min(),
             "budget": self.budget,
-            "least_v_ch": float(self.data["v_ch"].min()),
-            "greatest_rise_v_t": float(rises.max()),
+            "least_v_ch": self.data["v_ch"].min(),
+            "greatest_rise_v_t": rises.max(),
         }
         return pd.DataFrame([row])
 
-    def __repr__(self) -> str:
-        state = (
-            f"all at the goal after {self.time_to_goal:.1f} s"
-            if self.converged
-            else "not all at the goal"
-        )
-        return (
-            f"TeamRun({self.label}: {state}, {len(self.switches)} switches in {self.t[-1]:.0f} s)"
-        )
-
     def _repr_html_(self) -> str:
-        return as_html("", self.summary().T.set_axis([""], axis=1), title=self.label)
+        return as_html(self.message, self.summary().T.set_axis([""], axis=1), title=self.title)
 
     def plot(self, axes=None):
         """
@@ -224,42 +216,29 @@ class TeamRun:
         """
         heights = (3, 1.6, 2, 3)
         axes = axes_or_new(
-            axes, 4, title=self.label, sharex=True, figsize=(8.0, 8.4), height_ratios=heights
+            axes, 4, title=self.title, sharex=True, figsize=(8.0, 8.4), height_ratios=heights
         )
-        axes = np.asarray(axes, dtype=object).ravel()
+        axes = np.ravel(axes)
         if axes.size != 4 or not all(hasattr(axis, "plot") for axis in axes):
             raise ValueError(
                 "axes must be four Matplotlib axes: distances, leader, force, energies"
             )
+        distance, leader, force, energy = axes
         t, data = self.t, self.data
-        axes[0].semilogy(t, np.maximum(self.distances, 1e-9), lw=0.8, color="#0072b2", alpha=0.6)
-        axes[0].axhline(self.tolerance, color="0.4", ls="--", lw=0.8)
-        axes[0].set(ylabel="distance to\nthe goal [m]", ylim=(0.1 * self.tolerance, None))
-        axes[1].step(t, data["number"], where="post", color="#444444", lw=1.0)
-        axes[1].set(ylabel="leader", ylim=(-0.5, len(self.robots) - 0.5))
-        if len(self.robots) <= 12:
-            axes[1].set_yticks(
-                range(len(self.robots)), [str(name) for name in self.robots], fontsize="small"
-            )
-        for name, colour in zip("xyz", ("#0072b2", "#d55e00", "#009e73"), strict=True):
-            axes[2].plot(t, data[f"f_m_{name}"], lw=0.9, color=colour, label=f"$f_m$, {name}")
-        axes[2].set_ylabel("force\nfeedback [N]")
-        for name, label in ENERGIES.items():
-            if name != "v_filter" or data[name].any():
-                axes[3].plot(t, data[name], lw=0.9, label=label)
-        axes[3].plot(
-            t, data["v_t"] - self.budget, lw=1.6, color="black", label=r"$V_T - \beta_h$ (4.32)"
-        )
-        axes[3].set(ylabel="energy [J]", xlabel="time [s], logarithmic from 2 s on")
+        distance.semilogy(t, np.maximum(self.distances, 1e-9), lw=0.8, color="C0", alpha=0.6)
+        distance.axhline(self.tolerance, color="0.4", ls="--", lw=0.8)
+        distance.set(ylabel="distance to\nthe goal [m]", ylim=(0.1 * self.tolerance, None))
+        leader.step(t, data["number"], where="post", color="0.3")
+        leader.set(ylabel="leader", ylim=(-0.5, len(self.robots) - 0.5))
+        force.plot(t, data[FORCE], label=["$f_m$, x", "$f_m$, y", "$f_m$, z"])
+        force.set_ylabel("force\nfeedback [N]")
+        energy.plot(t, data[list(ENERGIES)], label=list(ENERGIES.values()))
+        energy.plot(t, data["v_t"] - self.budget, "k", lw=1.6, label=r"$V_T - \beta_h$ (4.32)")
         # The first two seconds take a third of the axis, as all happens there.
-        axes[3].set_xscale("symlog", linthresh=2.0, linscale=0.8)
-        ticks = [tick for tick in (0, 1, 2, 5, 10, 20, 50, 100, 200, 500) if tick <= t[-1]]
-        axes[3].set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        axes[3].set_xlim(t[0], t[-1])
-        for axis in axes[2:]:
-            axis.legend(
-                fontsize="small", frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5)
-            )
+        energy.set_xscale("symlog", linthresh=2.0, linscale=0.8)
+        energy.set(ylabel="energy [J]", xlabel="time [s], logarithmic from 2 s on", xlim=t[[0, -1]])
+        for axis in (force, energy):
+            axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
         for axis in axes:
             for at in self.switches:
                 axis.axvline(at, color="0.85", lw=0.6, zorder=0)
@@ -280,65 +259,41 @@ class TeamRun:
         -------
         matplotlib.axes.Axes
         """
-        axis = axes_or_new(axis, title=self.label, figsize=(8.0, 3.2))
+        axis = axes_or_new(axis, title=self.title, figsize=(8.0, 3.2))
         axis.semilogy(self.t, np.maximum(self.farthest, 1e-9), label=label)
         if len(axis.lines) == 1:
             axis.axhline(self.tolerance, color="0.5", ls="--", lw=0.8)
         axis.set(xlabel="time [s]", ylabel="greatest distance\nto the goal [m]")
         return axis
 
-    def animate(self, path: str | Path | None = None, rate: float = 5.0) -> Path | AnimationPage:
+    def animate(self, path: str | Path, rate: float = 5.0) -> Path:
         """
-        Return an animation as one HTML page without anything from outside, or write it to a file.
+        Write an animation to a file, one HTML page that needs nothing from outside.
 
         Robots and their links, the leader, the goal, and the force that the operator feels, seen
         from above and from the side.
 
         Parameters
         ----------
-        path : str or pathlib.Path, optional
-            File to write; its folder must exist.
+        path : str or pathlib.Path
+            The file; its folder must exist.
         rate : float
             Simulated seconds per second at the start; the page has a slider for the time.
 
         Returns
         -------
-        pathlib.Path or AnimationPage
-            The file, where one was named; else the page, text that a notebook shows.
+        pathlib.Path
+            The file.
 
         Raises
         ------
         ValueError
             If the rate is not positive, or the folder does not exist.
         """
-        from trustlab.testbeds.team_animation import AnimationPage, animation_page
+        from trustlab.testbeds.team_animation import animation_page
 
-        page = animation_page(self, rate)
-        if path is not None:
-            target = Path(path)
-            if not target.parent.is_dir():
-                raise ValueError(f"there is no folder {target.parent} to write the animation to")
-            target.write_text(page, encoding="utf-8")
-            return target
-        return AnimationPage(page)
-
-    def picture(self, until: float | None = None, lasting: float = 20.0) -> str:
-        """
-        Return a moving picture as one SVG without a script, for reports: the team from above, and
-        the force felt.
-
-        Parameters
-        ----------
-        until : float, optional
-            Where to stop [s]; at the end of the run when not given.
-        lasting : float
-            How long one showing lasts [s].
-
-        Raises
-        ------
-        ValueError
-            If `until` is not within the run, or `lasting` is not positive.
-        """
-        from trustlab.testbeds.team_animation import animated_svg
-
-        return animated_svg(self, until, lasting)
+        target, page = path_of("path", path), animation_page(self, positive("rate", rate))
+        if not target.parent.is_dir():
+            raise ValueError(f"there is no folder {target.parent} to write the animation to")
+        target.write_text(page, encoding="utf-8")
+        return target

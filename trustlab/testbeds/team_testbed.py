@@ -12,16 +12,17 @@ from trustlab.models.checks import (
     of_class,
     one_of,
     positive,
+    set_checked,
     shown,
     spawned,
     whole_number,
 )
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.team.leader_policies import POLICIES, policy_named
+from trustlab.teleoperation.team.decisions import POLICIES, policy_named
 from trustlab.teleoperation.team.settings import TeamOperator, TeamRobot, TeamSettings, TeamTrial
 from trustlab.testbeds.populations import person_stream
 from trustlab.testbeds.robot_team import simulate_team
-from trustlab.testbeds.team_run import TeamRun
+from trustlab.testbeds.team_run import FORCE, TeamRun
 
 # Mixed into the seed, so that people and their runs have different streams.
 LEADERS_OF_TEAMS = 0x7465616D
@@ -63,7 +64,7 @@ class TeamSession:
         leads, mean; switches.
         """
         run, data = self.run, self.run.data
-        force = data[["f_m_x", "f_m_y", "f_m_z"]].to_numpy()
+        force = data[FORCE].to_numpy()
         return {
             "time": run.time_to_goal if run.converged else float(run.t[-1]),
             "arrived": float(run.converged),
@@ -133,33 +134,28 @@ class RobotTeam:
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
+        set_checked(self, positive, "duration", "tolerance")
+        finite_array("goal", self.goal, length=3)
         if isinstance(self.robots, TeamRobot):
             raise ValueError("robots must be a sequence of TeamRobot, one for each robot")
-        robots = TeamSettings(robots=self.robots).robots
-        object.__setattr__(self, "robots", robots)
-        finite_array("goal", self.goal, length=3)
-        positive("duration", self.duration)
-        positive("tolerance", self.tolerance)
-        if not isinstance(self.rules, Mapping):
-            raise ValueError(
-                f"rules must map names to what makes a policy, got {shown(self.rules)}"
-            )
-        for name, make in self.rules.items():
+        robots: Any = TeamSettings(robots=self.robots).robots
+        rules: Any = self.rules
+        if not isinstance(rules, Mapping):
+            raise ValueError(f"rules must map names to what makes a policy, got {shown(rules)}")
+        for name, make in rules.items():
             if name in POLICIES or not callable(make):
                 raise ValueError(
                     f"rules: {name!r} must be a name of its own, for what makes a policy, got "
                     f"{shown(make)}"
                 )
-        object.__setattr__(self, "conditions", (*POLICIES, *self.rules))
         graph = self.graph
         if graph is None:
-            after = np.roll(np.eye(len(self.robots)), 1, axis=0)
+            after = np.roll(np.eye(len(robots)), 1, axis=0)
             graph = after + after.T
-        object.__setattr__(self, "graph", graph)
-        settings = self.blocks
-        if settings is None:
-            settings = TeamSettings.scaled(graph, 40.0)
-        object.__setattr__(self, "blocks", of_class("blocks", settings, TeamSettings))
+        settings = TeamSettings.scaled(graph, 40.0) if self.blocks is None else self.blocks
+        blocks = replace(of_class("blocks", settings, TeamSettings), robots=robots)
+        conditions = (*POLICIES, *self.rules)
+        self.__dict__.update(robots=robots, graph=graph, blocks=blocks, conditions=conditions)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -185,15 +181,13 @@ class RobotTeam:
         for name in assumed:
             one_of("an assumption", name, HAND)
         TeamOperator(**assumed)
-        usual = TeamOperator()
         rows = []
         for number in range(1, whole_number("n", n) + 1):
             rng = person_stream(seed, LEADERS_OF_TEAMS, number)
-            drawn = {
-                name: getattr(usual, name) * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD)
-                for name in HAND
-            }
-            rows.append({"participant": number} | drawn | assumed)
+            row: dict[str, Any] = {"participant": number}
+            for name in HAND:
+                row[name] = getattr(TeamOperator, name) * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD)
+            rows.append(row | assumed)
         return pd.DataFrame(rows)
 
     def rule_of(self, condition: str, person: Mapping[str, Any]) -> Any:

@@ -14,8 +14,7 @@ from trustlab.models.trust import trust_step
 from trustlab.teleoperation.ports.ledger import ACCOUNT
 from trustlab.teleoperation.records import record
 from trustlab.teleoperation.team import kernel
-from trustlab.teleoperation.team.leader_policies import most_trusted
-from trustlab.teleoperation.team.performance import rate_move, with_packets
+from trustlab.teleoperation.team.decisions import most_trusted, rate_move, with_packets
 
 COLUMNS = len(kernel.COLUMNS)
 
@@ -31,7 +30,7 @@ Settings of a run, and who leads since when. `plain` and `held` are the policies
 with hysteresis; `free` says whether another robot may take over, `wish` whom the person wants.
 """
 
-FOLLOWER = record(vectors="place", numbers="low span decay gain share trust")
+FOLLOWER = record(vectors="place", numbers="share trust")
 """Where a robot is, and trust (4.1) in it, also as a share of its range."""
 
 ROW = record(
@@ -44,8 +43,8 @@ ROW = record(
 
 ADDRESSES = record(
     counts=(
-        "leads followers row goals numbers robots formations stiffness directed delays draws drift "
-        "now q zeta middle pulled velocity asked trust arrives u_l u_r accounts inputs samples "
+        "leads followers row goals numbers robots formations stiffness storing delays draws drift "
+        "now q zeta middle velocity asked trust arrives u_l u_r accounts inputs samples "
         "table places"
     )
 )
@@ -82,13 +81,13 @@ def judge(setup, state, leader, k, followers):
     for sample in range(k - packets, k):
         received += state.arrives[0, sample]
     for j in range(followers.size):
-        robot = followers[j]
+        robot, known = followers[j], setup.robots[j]
         rated = rate_move(state.velocity[j], state.asked[j])
         if j == leader:
             rated = with_packets(rated, received / packets)
         if not np.isnan(rated):
-            robot.share = trust_step(robot.share, rated, robot.decay, robot.gain)  # (4.1)
-        robot.trust = robot.low + robot.span * robot.share
+            robot.share = trust_step(robot.share, rated, known.hr_decay, known.hr_gain)  # (4.1)
+        robot.trust = known.low + known.span * robot.share
 
 
 @njit(error_model="numpy")
@@ -135,7 +134,7 @@ def setup_at(at, size, length, decisions):
         carray(pointer(at.robots), size, kernel.ROBOT),
         carray(pointer(at.formations), (1, 3, size, size), np.float64),
         carray(pointer(at.stiffness), (1, size), np.float64),
-        carray(pointer(at.directed), 1, np.bool_),
+        carray(pointer(at.storing), 1, np.float64),
         carray(pointer(at.delays), (2, length), np.float64),
         carray(pointer(at.draws), (2, length), np.float64),
         carray(pointer(at.drift), (decisions, size, 3), np.float64),
@@ -151,7 +150,6 @@ def state_at(at, size, length):
         carray(pointer(at.q), (size, 3), np.float64),
         carray(pointer(at.zeta), (size, 3), np.float64),
         carray(pointer(at.middle), (size, 3), np.float64),
-        carray(pointer(at.pulled), (size, 3), np.float64),
         carray(pointer(at.velocity), (size, 3), np.float64),
         carray(pointer(at.asked), (size, 3), np.float64),
         carray(pointer(at.trust), size, np.float64),
@@ -187,7 +185,7 @@ def lead_there(first, stop, x, y, choice, addresses):
             judge(setup, state, lead.leader, first, followers)
         choose(lead, decision * lead.step, followers["trust"])
     for k in range(first, stop):
-        inputs[k].lead = inputs[k].head = lead.leader
+        inputs[k].lead = lead.leader
         inputs[k].hand[0] = lead.pull * x
         inputs[k].hand[1] = lead.pull * y
     block = kernel.lead_team(first, stop, setup, state, inputs, log)[1]

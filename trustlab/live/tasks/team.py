@@ -13,7 +13,7 @@ from trustlab.models.checks import between, positive, whole_number
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.records import filled
 from trustlab.teleoperation.team import kernel
-from trustlab.teleoperation.team.leader_policies import POLICIES, TeamSituation
+from trustlab.teleoperation.team.decisions import POLICIES, TeamSituation
 from trustlab.teleoperation.team.settings import (
     TeamOperator,
     TeamRobot,
@@ -252,8 +252,7 @@ class LeadingRun:
         arrays["leads"] = filled(LEAD, **settings)
         followers = arrays["followers"] = np.zeros(robots, FOLLOWER)
         followers["place"] = config["start"]
-        for name, values in loop.trust_records().items():
-            followers[name] = values
+        followers["share"], followers["trust"] = loop.human_trust.share, loop.trust
         arrays["goals"] = np.array([(*goal, 0.0) for goal in self.goals])
         arrays["row"] = np.zeros(1, ROW)
         return plan_of(arrays, ADDRESSES, EMPTY) | {

@@ -31,11 +31,6 @@ class TeamGraph(NamedTuple):
     present: np.ndarray
     may_lead: np.ndarray
 
-    @property
-    def directed(self) -> bool:
-        """Whether some robot sees another that does not see it as well."""
-        return bool((self.adjacency != self.adjacency.T).any())
-
 
 def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray]:
     """
@@ -68,72 +63,55 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
         )
     for i in np.flatnonzero(np.diag(matrix)):
         raise GraphError(f"robot {names[i]!r} has a self-loop; remove it")
-    if require_connected:
-        _check_connected(names, matrix)
+    if require_connected and not _linked(matrix).all(axis=0).any():
+        raise GraphError(
+            f"{_why_apart(names, matrix)}; add edges, or pass require_connected=False (in a "
+            "TeamTrial to simulate_team) to see it"
+        )
     return names, matrix
 
 
 def _matrix(graph) -> tuple[tuple, np.ndarray]:
     """Return names and adjacency as a user gives them."""
-    if hasattr(graph, "is_directed") and hasattr(graph, "adjacency"):
-        import networkx
-
-        if graph.is_multigraph():
-            raise GraphError(
-                "the graph has parallel edges (a multigraph); pass networkx.Graph(graph)"
-            )
-        try:
-            return tuple(graph.nodes), networkx.to_numpy_array(graph)
-        except (TypeError, ValueError):
-            raise GraphError("an edge of the graph has a weight that is not a number") from None
+    if hasattr(graph, "is_multigraph") and graph.is_multigraph():
+        raise GraphError("the graph has parallel edges (a multigraph); pass networkx.Graph(graph)")
     try:
+        if hasattr(graph, "nodes"):
+            import networkx
+
+            return tuple(graph.nodes), networkx.to_numpy_array(graph)
         matrix = np.asarray(graph)
-        if matrix.dtype.kind not in "biuf" or matrix.ndim != 2 or len(set(matrix.shape)) > 1:
-            raise TypeError
+        if matrix.dtype.kind in "biuf" and matrix.ndim == 2 and len(set(matrix.shape)) == 1:
+            return tuple(range(len(matrix))), matrix.astype(float)
     except (TypeError, ValueError):
-        raise GraphError(
-            "graph must be a networkx.Graph, a square matrix of weights, or a dict from time to "
-            f"graph, got {type(graph).__name__}"
-        ) from None
-    return tuple(range(len(matrix))), matrix.astype(float)
+        pass
+    raise GraphError(
+        "graph must be a networkx.Graph, a square matrix of weights, or a dict from time to "
+        f"graph, with numbers as weights, got {type(graph).__name__}"
+    )
 
 
-def roots(adjacency: np.ndarray) -> np.ndarray:
-    """
-    Return the robots whom all others see, directly or through others; shape (N,), True where one
-    is.
-    """
-    from scipy.sparse.csgraph import connected_components
-
-    count, part = connected_components(adjacency, directed=True, connection="strong")
-    sees_other_part = np.zeros(count, bool)
-    i, j = np.nonzero(adjacency)
-    sees_other_part[part[i[part[i] != part[j]]]] = True
-    # what one sees leads to a part that sees no other; all see it only if there is no second one of
-    # the kind
-    last = np.flatnonzero(~sees_other_part)
-    return part == last[0] if last.size == 1 else np.zeros(len(adjacency), bool)
+def _linked(adjacency: np.ndarray) -> np.ndarray:
+    """Return whom each robot sees, directly or through others, itself included; shape (N, N)."""
+    linked = np.eye(len(adjacency)) + (adjacency > 0.0)
+    for _ in range(len(adjacency).bit_length()):
+        linked = np.minimum(linked @ linked, 1.0)
+    return linked > 0.0
 
 
-def _check_connected(names: tuple, matrix: np.ndarray) -> None:
-    """Refuse a graph on which no robot can lead all others."""
-    from scipy.sparse.csgraph import connected_components
-
-    count, label = connected_components(matrix, directed=True, connection="weak")
-    if count > 1:
-        parts = [[repr(names[i]) for i in np.flatnonzero(label == part)] for part in range(count)]
-        listed = "; ".join("{" + ", ".join(part) + "}" for part in parts)
-        raise GraphError(
-            f"the graph is not connected, it has {count} parts: {listed}; robots of different "
-            "parts never meet: add edges, or pass require_connected=False (in a TeamTrial to "
-            "simulate_team) to see it"
-        )
-    if not roots(matrix).any():
-        raise GraphError(
+def _why_apart(names: tuple, matrix: np.ndarray) -> str:
+    """Return why no robot can lead all others."""
+    parts = np.unique(_linked(matrix + matrix.T), axis=0)[::-1]
+    if len(parts) == 1:
+        return (
             "the directed graph has no spanning tree: there is no robot whom all others see, "
-            "directly or through others, so that nobody can lead them all; add edges, or pass "
-            "require_connected=False (in a TeamTrial to simulate_team) to see it"
+            "directly or through others, so that nobody can lead them all"
         )
+    words = [", ".join(repr(names[i]) for i in np.flatnonzero(part)) for part in parts]
+    return (
+        f"the graph is not connected, it has {len(parts)} parts: {{{'}; {'.join(words)}}}; robots "
+        "of different parts never meet"
+    )
 
 
 def graphs_in_time(graph, require_connected: bool) -> tuple[tuple, list[TeamGraph]]:
@@ -141,38 +119,33 @@ def graphs_in_time(graph, require_connected: bool) -> tuple[tuple, list[TeamGrap
     Return the names of all robots that are ever in the team, and the graph from 0 and from each
     change on.
 
-    A graph that changes is a dict from time [s] to graph.
+    A graph that changes is a dict from time [s] to graph. Robots that are absent see nobody and are
+    seen by nobody.
     """
     graphs = graph if isinstance(graph, Mapping) else {0.0: graph}
     times = [finite_number("a time of the graph", t) for t in graphs]
     if 0.0 not in times or min(times) < 0.0:
         raise ValueError(f"times of the graph must be 0 and others after 0, got {times}")
     parts = []
-    for t, later in sorted(zip(times, graphs.values(), strict=True), key=lambda pair: pair[0]):
+    for t in sorted(graphs):
         try:
-            parts.append((t, *team_graph(later, require_connected)))
+            parts.append(team_graph(graphs[t], require_connected))
         except GraphError as error:
             if t == 0.0:
                 raise
             raise GraphError(f"the graph from t = {t:g} s on: {error}") from None
-    names = tuple(dict.fromkeys(name for _, members, _ in parts for name in members))
-    return names, [_on_all(names, *part, require_connected) for part in parts]
-
-
-def _on_all(
-    names: tuple, t: float, members: tuple, adjacency: np.ndarray, connected: bool
-) -> TeamGraph:
-    """
-    Return a graph of some robots as one of all: those that are absent see nobody and are seen by
-    nobody.
-    """
-    place = {name: i for i, name in enumerate(names)}
-    at = np.array([place[name] for name in members])
-    whole = np.zeros((len(names), len(names)))
-    present, may_lead = np.zeros((2, len(names)), bool)
-    whole[np.ix_(at, at)], present[at] = adjacency, True
-    may_lead[at] = roots(adjacency) if connected else True
-    return TeamGraph(t, whole, present, may_lead)
+    names = tuple(dict.fromkeys(name for members, _ in parts for name in members))
+    changes = []
+    for t, (members, part) in zip(sorted(times), parts, strict=True):
+        places = [names.index(name) for name in members]
+        present = np.isin(np.arange(len(names)), places)
+        adjacency = np.zeros((len(names), len(names)))
+        adjacency[np.ix_(places, places)] = part
+        may_lead = present
+        if require_connected:
+            may_lead = np.logical_and.reduce(_linked(adjacency)[present])
+        changes.append(TeamGraph(t, adjacency, present, may_lead))
+    return names, changes
 
 
 def laplacian(adjacency: np.ndarray) -> np.ndarray:
@@ -190,34 +163,22 @@ def algebraic_connectivity(graph) -> float:
         As in `team_graph`; 0 where it is not connected. On a directed graph the least real part of
         an eigenvalue but the first.
     """
-    matrix = laplacian(team_graph(graph, require_connected=False)[1])
-    symmetric = (matrix == matrix.T).all()
-    values = np.linalg.eigvalsh(matrix) if symmetric else np.sort(np.linalg.eigvals(matrix).real)
-    return float(max(values[1], 0.0))
+    values = np.linalg.eigvals(laplacian(team_graph(graph, require_connected=False)[1]))
+    return float(max(np.sort(values.real)[1], 0.0))
 
 
 def formation_on(
-    graph: TeamGraph, coupling: float, h: float, speeds: np.ndarray | None = None
+    graph: TeamGraph, coupling: float, h: float, root: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return what one step of the midpoint rule of length 2h needs of a graph and its robots' speeds,
-    shape (N,), 1 by default; a directed graph must damp its differences.
+    Return what one step of the midpoint rule of length 2h needs of a graph, and of the square roots
+    of its robots' speeds, shape (N,).
 
-    Returns R, h R Lᵀ and L, shape (3, N, N), for q = R (q₀ + hLᵀζ₀ + h g D r_s) with R = (I + hL +
-    h²LᵀL)⁻¹, and what the team does to a leader's push, shape (N,). Robots of speeds S, (4.22) with
-    S before every right side, are such a team as well: in q/√S and ζ/√S, with √S L √S for L and √S
-    D for D.
+    These are R, h R Lᵀ and L, shape (3, N, N), for q = R (q₀ + hLᵀζ₀ + h g D r_s) with R = (I + hL
+    + h²LᵀL)⁻¹, and what the team does to a leader's push, shape (N,). Robots of speeds S, (4.22)
+    with S before every right side, are such a team as well: in q/√S and ζ/√S, with √S L √S for L
+    and √S D for D.
     """
-    size = len(graph.adjacency)
-    root = np.ones(size) if speeds is None else np.sqrt(speeds)
     L = root[:, None] * (coupling * laplacian(graph.adjacency)) * root
-    if graph.directed:
-        growth = np.linalg.eigvals(np.block([[-L, L.T], [-L, np.zeros_like(L)]])).real.max()
-        if growth > 1e-7 * np.abs(L).max():
-            raise GraphError(
-                f"on the directed graph from t = {graph.since:g} s on differences grow by "
-                f"{growth:.2g} 1/s, whoever leads: the weights in and out of robots are too "
-                "different; balance them, or add the edges' opposites"
-            )
-    solved = np.linalg.inv(np.eye(size) + h * L + h * h * L.T @ L)
+    solved = np.linalg.inv(np.eye(root.size) + h * L + h * h * L.T @ L)
     return np.array([solved, h * solved @ L.T, L]), h * root**2 * (L @ solved).diagonal()

@@ -9,7 +9,8 @@ Steps do without reference counts (_nrt=False), as in `loop/kernel.py`: counts a
 take half of the time. They allocate nothing, and their caller keeps the arrays.
 """
 
-from typing import NamedTuple
+from collections import namedtuple
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.ledger import read_waves
 from trustlab.teleoperation.records import columns_of, dot, record
+
+# What only the kernel calls, compiled into it.
+part = partial(inner, error_model="numpy", forceinline=True, _nrt=False)
 
 NO_FILTER = 0
 TWO_PORT = 1
@@ -41,25 +45,33 @@ COLUMNS = columns_of(LOG)
 CARRIED = (
     "device_velocity middle near_velocity near_force far_velocity far_force filtered_l filtered_r"
 )
-# Looked up or worked out before each end is solved: error as the operator sees it, what the hand
-# pulls along (this error, or the way to where a live hand is), added force, waves, force at rest.
-ARRIVED = "error aside pushed v_l v_r open_force"
-# The operator's end, affine in what is still unknown: r_m = yielded + mobility · push, f_m = offset
-# + resistance · r_m.
-SIGNALS = "u_l u_r yielded mobility offset resistance channel_force aim"
+# Looked up or worked out before each end is solved: error as the operator sees it, the way along
+# which the hand pulls (this error, or the way to where a live hand is), added force, waves, force
+# at rest.
+ARRIVED = "error way pushed v_l v_r open_force"
+# Force of the channel at the operator's end before the device moves, force of a whole push, and
+# what a robot's neighbours pull it by.
+SIGNALS = "channel_force aim pulled"
 # The hand's spring [N/m], powers of this sample [W], and what is dissipated in it.
 POWERS = (
     "spring seen_power near_power far_power hand_power device_power device_loss team_loss "
     "error_loss"
 )
-WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=f"{POWERS} graph")
+# The graph of the sample before, and the robot for which the operator's end of the channel is set.
+WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=POWERS, counts="graph head")
 # What both ends read and leave; it begins with the row of the log, so that energies since the start
 # stand there alone.
 STATE = np.dtype([*LOG.descr, *WITHIN.descr])
 
-# One robot of speed s: √s, the probability that it loses a packet, its end of the channel, and its
-# trust in the operator.
-ROBOT = record(numbers="root loss b beta_min beta_max decay gain t_min t_max")
+# One robot of speed s: √s, the velocity by which it drifts [m/s], the probability that it loses a
+# packet, its end of the channel, its trust in the operator, and the operator's trust in it, from
+# one decision to the next.
+ROBOT = record(
+    numbers=(
+        "root drift loss b beta_min beta_max max_delay_rate decay gain t_min t_max low span "
+        "hr_decay hr_gain"
+    )
+)
 
 
 # Device, filters, operator and how delays are read; see `TeamSettings` and `TeamOperator`.
@@ -69,14 +81,14 @@ NUMBERS = record(
         "reserve error_range steepness lead_gain force_gain"
     ),
     counts="read_out filtering vision per_decision per_row",
-    flags="guarded drifting",
+    flags="guarded drifting switching",
 )
 
 
 # What comes from outside in each sample: force added to the hand's, where a live hand wants the
-# device to be (NaN without one); who leads, the robot for which the operator's end of the channel
-# is set (the same, unless that end fails to switch), and the number of the graph.
-INPUT = record(vectors="pushed hand", counts="lead head graph")
+# device to be (NaN without one), who leads, and the number of the graph.
+INPUT = record(vectors="pushed hand", counts="lead graph")
+
 
 # What later samples look up of each sample: the velocity sent to the leader and its distance to the
 # goal; dissipation and storage of the error system.
@@ -86,154 +98,84 @@ SAMPLE = record(vectors="sent seen", numbers="lost stored")
 SOLVED, INNER, LAPLACIAN = range(3)
 
 
-class TeamSetup(NamedTuple):
-    """
-    What stays the same in a run of K samples and M decisions of N robots.
+# What stays the same in a run of K samples and M decisions of N robots. numbers, shape (1,): a
+# record of NUMBERS. robots, shape (N,): records of ROBOT. formations, shape (G, 3, N, N), and
+# stiffness, shape (G, N): what `formation_on` returns of each graph. storing, shape (G,): φ/g, the
+# unit in which the formation's energy counts; NaN where the graph is directed. delays, shape (2,
+# K): in samples. draws, shape (2, K): uniform numbers, by which packets are lost. drift, shape (M,
+# N, 3): way [m] in half a sample that robots go beside (4.22), over √s.
+TeamSetup = namedtuple(
+    "TeamSetup", "numbers robots formations stiffness storing delays draws drift"
+)
 
-    numbers, shape (1,): a record of NUMBERS. robots, shape (N,): records of ROBOT. formations,
-    shape (G, 3, N, N), and stiffness, shape (G, N): what `formation_on` returns of each graph.
-    directed, shape (G,). delays, shape (2, K): in samples. draws, shape (2, K): uniform numbers, by
-    which packets are lost. drift, shape (M, N, 3): velocity [m/s] that robots have beside (4.22),
-    over √s.
-    """
+# What samples hand on; changed in place. now, shape (1,): a record of STATE, and row, what of it is
+# logged. q, zeta, shape (N, 3): distance to the goal and ζ, over √s. middle, shape (N, 3): q in the
+# middle of the sample, first as if the leader were not driven. velocity, asked, shape (N, 3): how
+# robots moved in the last sample before a decision [m/s], and how faultless ones would have in
+# their places. trust, shape (N,): in the operator, (4.2). arrives, shape (2, K): whether waves
+# arrive. u_l, u_r, shape (K, 3): waves. accounts: `ledger.accounts()`.
+TeamState = namedtuple(
+    "TeamState", "now row q zeta middle velocity asked trust arrives u_l u_r accounts"
+)
 
-    numbers: np.ndarray
-    robots: np.ndarray
-    formations: np.ndarray
-    stiffness: np.ndarray
-    directed: np.ndarray
-    delays: np.ndarray
-    draws: np.ndarray
-    drift: np.ndarray
+# samples, shape (K,): records of SAMPLE. table, shape (rows, columns): COLUMNS, every `per_row`
+# samples. places, shape (rows, N, 3): distances to the goal over √s.
+TeamLog = namedtuple("TeamLog", "samples table places")
 
+# Low-pass filters under the midpoint rule, and the gains of a two-port, (4.16). In the middle of a
+# sample they give out decay · level + gate · input; the level is as far beyond that at its end as
+# it was before it at its start.
+LowPass = namedtuple("LowPass", "decay gate k12 k21")
 
-class TeamState(NamedTuple):
-    """
-    What samples hand on; changed in place.
-
-    now, shape (1,): a record of STATE, and row, what of it is logged. q, zeta, shape (N, 3):
-    distance to the goal and ζ, over √s. middle, pulled, shape (N, 3): q in the middle of the
-    sample, first as if the leader were not driven, and L q there. velocity, asked, shape (N, 3):
-    how robots moved in the last sample before a decision [m/s], and how faultless ones would have
-    in their places. trust, shape (N,): in the operator, (4.2). arrives, shape (2, K): whether waves
-    arrive. u_l, u_r, shape (K, 3): waves. accounts: `ledger.accounts()`.
-    """
-
-    now: np.ndarray
-    row: np.ndarray
-    q: np.ndarray
-    zeta: np.ndarray
-    middle: np.ndarray
-    pulled: np.ndarray
-    velocity: np.ndarray
-    asked: np.ndarray
-    trust: np.ndarray
-    arrives: np.ndarray
-    u_l: np.ndarray
-    u_r: np.ndarray
-    accounts: np.ndarray
-
-
-class TeamLog(NamedTuple):
-    """
-    samples, shape (K,): records of SAMPLE. table, shape (rows, columns): COLUMNS, every `per_row`
-    samples. places, shape (rows, N, 3): distances to the goal over √s.
-    """
-
-    samples: np.ndarray
-    table: np.ndarray
-    places: np.ndarray
-
-
-class FilterStep(NamedTuple):
-    """
-    The filters under the midpoint rule: midpoint = decay · state + gate · input; without filters
-    the input itself.
-    """
-
-    decay: float
-    gate: float
-    k12: float
-    k21: float
-    pole: float  # ω_c T/2
-
-
-class Rig(NamedTuple):
-    """Device and filters as every step of a run takes them."""
-
-    device: haptic.Device
-    filters: FilterStep  # at the two ports
-    low_pass: FilterStep  # of waves
+# What comes in goes out.
+UNFILTERED = LowPass(0.0, 1.0, 0.0, 0.0)
 
 
 @njit(error_model="numpy", forceinline=True)
-def push_share(budget, power, pull, stir, square, drag):
+def push_share(budget, power, pull, square, still, drag):
     """
     Return the greatest share σ ≤ 1 of a push whose power does not exceed `power`.
 
     The device yields by r = a + y σ p to the push p, drag d at the hand: the hand gives r (σ p − d
-    r) = −d a² + σ p a (1 − 2 d y) + σ² y p² (1 − d y), with the sums pull = Σ p a (1 − 2 d y), stir
-    = Σ y p² (1 − d y) and square = Σ a². Nothing is pushed while the budget is spent.
+    r) = −d a² + σ p a (1 − 2 d y) + σ² y p² (1 − d y), with the sums pull = Σ p a (1 − 2 d y),
+    square = Σ y p² (1 − d y) and still = Σ a². Nothing is pushed while the budget is spent.
     """
     if budget <= 0.0 or power <= 0.0:
         return 0.0
-    free = power + drag * square
-    if stir + pull <= free:
+    free = power + drag * still
+    if square + pull <= free:
         return 1.0
-    # the root of stir σ² + pull σ = free, in the form that does not cancel
-    return min(2.0 * free / (pull + np.sqrt(pull * pull + 4.0 * stir * free)), 1.0)
+    # the root of square σ² + pull σ = free, in the form that does not cancel
+    return min(2.0 * free / (pull + np.sqrt(pull * pull + 4.0 * square * free)), 1.0)
 
 
-@inner(error_model="numpy", forceinline=True)
-def rig_of(n):
-    """Return device and filters under the midpoint rule."""
-    device = haptic.held_device(n, haptic.NO_ARM, n.sample_time)
-    pole = 0.5 * n.sample_time * n.cutoff
-    low_pass = FilterStep(1.0 / (1.0 + pole), pole / (1.0 + pole), n.k12, n.k21, pole)
-    no_filter = FilterStep(0.0, 1.0, 0.0, 0.0, 0.0)
-    return Rig(device, low_pass if n.filtering == TWO_PORT else no_filter, low_pass)
-
-
-@inner(error_model="numpy", forceinline=True, _nrt=False)
-def store_energy(n, rig, state, now):
+@part
+def store_energy(n, device, state, now):
     """Set the storages of device, filters and error system at the start of the sample."""
-    now.v_hd = now.v_filter = now.v_e = 0.0
+    now.v_hd = squares = 0.0
     for i in range(3):
         # (3.9)
-        now.v_hd += haptic.device_storage(rig.device, now.device[i], now.device_velocity[i])
-        if n.filtering == TWO_PORT:
-            velocities = now.near_velocity[i] ** 2 + now.far_velocity[i] ** 2
-            forces = now.near_force[i] ** 2 + now.far_force[i] ** 2
-            now.v_filter += (n.k21 * velocities + n.k12 * forces) / n.cutoff
-        for j in range(state.trust.size):
-            square = state.q[j, i] ** 2 + state.zeta[j, i] ** 2
-            now.v_e += 0.5 * square / n.lead_gain  # (4.29)
+        now.v_hd += haptic.device_storage(device, now.device[i], now.device_velocity[i])
+    for j in range(state.trust.size):
+        squares += dot(state.q[j], state.q[j]) + dot(state.zeta[j], state.zeta[j])
+    now.v_e = 0.5 * squares / n.lead_gain  # (4.29)
+    velocities = dot(now.near_velocity, now.near_velocity) + dot(now.far_velocity, now.far_velocity)
+    forces = dot(now.near_force, now.near_force) + dot(now.far_force, now.far_force)
+    now.v_filter = (n.k21 * velocities + n.k12 * forces) / n.cutoff
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
-def stored_by(matrices, n, state):
-    """Return V_fs (4.23) on an undirected graph; the leader's port reaches the team g times."""
-    v_fs = 0.0
+@part
+def stored_by(setup, graph, state):
+    """Return V_fs (4.23) on a graph; NaN on a directed one."""
+    matrices, v_fs = setup.formations[graph], 0.0
     for j in range(state.trust.size):
         for m in range(state.trust.size):
-            for i in range(3):
-                square = state.q[j, i] * state.q[m, i] + state.zeta[j, i] * state.zeta[m, i]
-                v_fs += 0.5 * matrices[LAPLACIAN, j, m] * square  # (4.23)
-    return v_fs * n.force_gain / n.lead_gain
+            products = dot(state.q[j], state.q[m]) + dot(state.zeta[j], state.zeta[m])
+            v_fs += 0.5 * matrices[LAPLACIAN, j, m] * products  # (4.23)
+    return v_fs * setup.storing[graph]
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
-def change_links(n, setup, graph, state, now):
-    """Book what V_fs gains by the links of the next graph; unknown on a directed one."""
-    before, after = setup.formations[int(now.graph)], setup.formations[graph]
-    if setup.directed[int(now.graph)] or setup.directed[graph]:
-        now.supply_links = np.nan
-    else:
-        now.supply_links += stored_by(after, n, state) - stored_by(before, n, state)
-    now.graph = graph
-
-
-@inner(error_model="numpy", forceinline=True)
+@part
 def look_up_past(n, k, given, past, state):
     """
     Set what the operator sees, the leader of `vision` samples ago and what it was told to do;
@@ -243,7 +185,7 @@ def look_up_past(n, k, given, past, state):
     state.spring = n.grip if live else n.push
     for i in range(3):
         state.error[i] = -past.seen[i] if in_sight else 0.0  # r_q − y_h(t − T), (4.26)
-        state.aside[i] = given.hand[i] - state.device[i] if live else state.error[i]
+        state.way[i] = given.hand[i] - state.device[i] if live else state.error[i]
         state.pushed[i] = given.pushed[i]
     state.seen_power = dot(past.sent, state.error) if in_sight else 0.0
     if in_sight and n.push > 0.0:
@@ -251,7 +193,7 @@ def look_up_past(n, k, given, past, state):
     return 0.0
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def share_force(n, robots, lead, trust, performance, state):
     """Set β by the leader's trust in the operator, and step the trust of all."""
     leader = robots[lead]
@@ -264,7 +206,7 @@ def share_force(n, robots, lead, trust, performance, state):
         trust[i] = trust_step(trust[i], performance, robots[i].decay, robots[i].gain)  # (4.2)
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def receive(n, setup, lead, k, low_pass, state, now):
     """Set the waves that arrive at both ends, (3.16), filtered where waves are."""
     for way in range(2):
@@ -277,127 +219,108 @@ def receive(n, setup, lead, k, low_pass, state, now):
         filter_wave(low_pass, now.v_l, now.filtered_l)
 
 
-@inner(error_model="numpy", forceinline=True)
-def operator_side(n, rig, end, spendable, state):
-    """
-    Solve the operator's end of the channel with filter, device and hand, in closed form, and the
-    device's velocity.
+@part
+def middle_of(low_pass, u, level):
+    """Return what a low-pass filter gives out in the middle of a sample."""
+    return low_pass.decay * level + low_pass.gate * u
 
-    `spendable` is what V_h leaves above the reserve [J].
+
+@part
+def filter_wave(low_pass, wave, level):
+    """Filter a wave in place; `level` is the filter's state."""
+    for i in range(3):
+        wave[i] = middle_of(low_pass, wave[i], level[i])
+        level[i] = 2.0 * wave[i] - level[i]
+
+
+@part
+def operator_side(n, device, filters, end, spendable, state, u_l):
     """
-    device, filters = rig.device, rig.filters
+    Solve the operator's end of the channel with filter, device and hand, and the device's velocity.
+
+    The channel's force, f_m and r_m are affine in each other, with the same slopes on every axis:
+    force = channel_force + echo · r_m, f_m = offset + resistance · r_m, and the device yields to a
+    force by `mobility`. `spendable` is what V_h leaves above the reserve [J], `u_l` the wave sent.
+    """
     loaded = 1.0 + state.beta * end.b * filters.k12
-    set_hand_force(n, rig, end, loaded, spendable, state)
+    echo = state.beta * end.b * filters.gate / loaded
+    resistance = filters.k21 + filters.gate * echo
+    admittance = device.lever / device.inertia
+    under = 1.0 + admittance * (resistance + n.drag)
+    mobility = admittance / under
+    pushing = state.spring * np.sqrt(dot(state.way, state.way))
+    spring = state.spring * min(1.0, n.reach / pushing) if pushing > 0.0 else 0.0
+    for i in range(3):  # f_m and r_m as if the hand did not push
+        held = waves.operator_force(end, filters.decay * state.near_velocity[i], state.v_l[i])
+        state.channel_force[i] = state.beta * held / loaded  # (3.22), (3.12)
+        state.f_m[i] = middle_of(filters, state.channel_force[i], state.near_force[i])
+        loose = state.pushed[i] - state.f_m[i]
+        state.r_m[i] = (
+            haptic.free_output(device, state.device[i], state.device_velocity[i], loose) / under
+        )
+        state.aim[i] = spring * state.way[i]
+    state.push = 1.0
+    if n.guarded:
+        power = spendable / n.sample_time + state.seen_power
+        pull = (1.0 - 2.0 * n.drag * mobility) * dot(state.aim, state.r_m)
+        square = mobility * (1.0 - n.drag * mobility) * dot(state.aim, state.aim)
+        still = dot(state.r_m, state.r_m)
+        state.push = push_share(spendable, power, pull, square, still, n.drag)  # (4.30)
     state.device_power = state.device_loss = state.near_power = 0.0
     for i in range(3):
-        state.r_m[i] = state.yielded[i] + state.mobility[i] * state.push * state.aim[i]
-        state.f_m[i] = state.offset[i] + state.resistance[i] * state.r_m[i]
+        state.r_m[i] += mobility * state.push * state.aim[i]
+        state.f_m[i] += resistance * state.r_m[i]
         state.f_h[i] = state.push * state.aim[i] - n.drag * state.r_m[i] + state.pushed[i]
         # the filter's far side, (4.16)-(4.17)
-        force = state.channel_force[i] + state.beta * end.b * filters.gate / loaded * state.r_m[i]
-        velocity = (
-            filters.decay * state.near_velocity[i]
-            + filters.gate * state.r_m[i]
-            - filters.k12 * force
-        )
-        state.u_l[i] = waves.operator_wave(end, velocity, state.v_l[i])  # (3.22)
+        force = state.channel_force[i] + echo * state.r_m[i]
+        passed = middle_of(filters, state.r_m[i], state.near_velocity[i])
+        velocity = passed - filters.k12 * force
+        u_l[i] = waves.operator_wave(end, velocity, state.v_l[i])  # (3.22)
         x, v = state.device[i], state.device_velocity[i]
         # (4.6)
         v_middle = haptic.midpoint_velocity(device, x, v, state.f_h[i], state.f_m[i])
         state.middle[i] = v_middle
+        x_middle = x + 0.5 * n.sample_time * v_middle
+        state.device_loss += haptic.device_loss(device, x_middle, v_middle)  # (3.10)
         state.device_power += state.r_m[i] * (state.f_h[i] - state.f_m[i])
-        # (3.10)
-        state.device_loss += haptic.device_loss(
-            device, x + 0.5 * n.sample_time * v_middle, v_middle
-        )
         state.near_power += velocity * force
-        state.near_velocity[i] += low_pass_step(filters, state.r_m[i], state.near_velocity[i])
-        state.near_force[i] += low_pass_step(filters, force, state.near_force[i])
+        passed_force = state.f_m[i] - filters.k21 * state.r_m[i]
+        state.near_velocity[i] = 2.0 * passed - state.near_velocity[i]
+        state.near_force[i] = 2.0 * passed_force - state.near_force[i]
     state.hand_power = dot(state.r_m, state.f_h)
 
 
-@inner(error_model="numpy", forceinline=True)
-def set_hand_force(n, rig, end, loaded, spendable, state):
-    """Set what the hand aims at, how device, filter and channel yield, and the share pushed."""
-    device, filters = rig.device, rig.filters
-    pushing = state.spring * np.sqrt(dot(state.aside, state.aside))
-    stiffness = state.spring * min(1.0, n.reach / pushing) if pushing > 0.0 else 0.0
-    admittance = device.lever / device.inertia
-    pull = stir = 0.0
-    for i in range(3):
-        # the channel's force at its port, for the velocity that the filter holds: force = offset +
-        # resistance r_m
-        velocity = filters.decay * state.near_velocity[i]
-        # (3.22), (3.12)
-        state.channel_force[i] = (
-            state.beta * (end.b * velocity + end.arriving * state.v_l[i]) / loaded
-        )
-        state.offset[i] = (
-            filters.decay * state.near_force[i] + filters.gate * state.channel_force[i]
-        )
-        state.resistance[i] = filters.k21 + filters.gate * (
-            state.beta * end.b * filters.gate / loaded
-        )
-        under = 1.0 + admittance * (state.resistance[i] + n.drag)
-        state.aim[i] = stiffness * state.aside[i]
-        state.mobility[i] = admittance / under
-        free = haptic.free_output(device, state.device[i], state.device_velocity[i], 0.0)
-        state.yielded[i] = (
-            free - admittance * state.offset[i] + admittance * state.pushed[i]
-        ) / under
-        pull += state.aim[i] * state.yielded[i] * (1.0 - 2.0 * n.drag * state.mobility[i])
-        stir += state.mobility[i] * state.aim[i] ** 2 * (1.0 - n.drag * state.mobility[i])
-    state.push = 1.0
-    if n.guarded:
-        most = spendable / n.sample_time + state.seen_power
-        square = dot(state.yielded, state.yielded)
-        state.push = push_share(spendable, most, pull, stir, square, n.drag)  # (4.30)
-
-
-@inner(error_model="numpy", forceinline=True)
-def low_pass_step(filters, u, level):
-    """Return by how much a low-pass filter's state changes over a sample."""
-    return 2.0 * filters.pole * (u - level) / (1.0 + filters.pole)
-
-
-@inner(error_model="numpy", forceinline=True)
-def robot_side(filters, end, stiffness, state):
+@part
+def robot_side(filters, end, stiffness, state, u_r):
     """
     Solve the robots' end of the channel with filter and leader: f_s = open_force + stiffness · r_s.
 
-    Each of the two relations is affine in the velocity at the channel's port, which the wave
+    Both relations of the filter, (4.16)-(4.17), are affine in the velocity at the channel's port,
+    r_s = offset + share · velocity and force = held + resistance · velocity, which the wave
     equation then fixes.
     """
     state.far_power = 0.0
     under = 1.0 + filters.k12 * stiffness
+    share = filters.gate / under
+    resistance = filters.k21 + filters.gate * stiffness * share
     for i in range(3):
-        # the leader behind the filter, (4.16)-(4.17): r_s = offset + share · velocity
-        offset = (filters.decay * state.far_velocity[i] - filters.k12 * state.open_force[i]) / under
-        share = filters.gate / under
-        force = filters.decay * state.far_force[i] + filters.gate * (
-            state.open_force[i] + stiffness * offset
-        )
-        resistance = filters.k21 + filters.gate * stiffness * share
-        free = end.arriving * state.v_r[i] / end.b
-        velocity = (free - force / end.b) / (1.0 + resistance / end.b)  # (3.22), α = 1
-        force += resistance * velocity
+        loose = filters.decay * state.far_velocity[i]
+        offset = (loose - filters.k12 * state.open_force[i]) / under
+        held = middle_of(filters, state.open_force[i] + stiffness * offset, state.far_force[i])
+        free = waves.robot_velocity(end, held, state.v_r[i])
+        velocity = free / (1.0 + resistance / end.b)  # (3.22), α = 1
+        force = held + resistance * velocity
         state.r_s[i] = offset + share * velocity
         state.f_s[i] = state.open_force[i] + stiffness * state.r_s[i]  # (4.24)
-        state.u_r[i] = waves.robot_wave(end, force, state.v_r[i])  # (3.22)
+        u_r[i] = waves.robot_wave(end, force, state.v_r[i])  # (3.22)
         state.far_power += velocity * force
-        state.far_velocity[i] += low_pass_step(filters, velocity, state.far_velocity[i])
-        state.far_force[i] += low_pass_step(filters, state.f_s[i], state.far_force[i])
+        passed = loose + filters.gate * velocity
+        passed_force = force - filters.k21 * velocity
+        state.far_velocity[i] = 2.0 * passed - state.far_velocity[i]
+        state.far_force[i] = 2.0 * passed_force - state.far_force[i]
 
 
-@inner(error_model="numpy", forceinline=True)
-def filter_wave(filters, wave, level):
-    """Filter a wave in place; `level` is the filter's state."""
-    for i in range(3):
-        middle = filters.decay * level[i] + filters.gate * wave[i]
-        level[i], wave[i] = 2.0 * middle - level[i], middle
-
-
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def add_row(matrix, j, vectors, out):
     """Add row j of a matrix times the robots' vectors to `out`."""
     for m in range(matrix.shape[0]):
@@ -405,7 +328,7 @@ def add_row(matrix, j, vectors, out):
             out[i] += matrix[j, m] * vectors[m, i]
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def rest(n, matrices, leader, lead, state, now):
     """
     Set where robots would be in the middle of the sample if the leader were not driven, and the
@@ -423,48 +346,43 @@ def rest(n, matrices, leader, lead, state, now):
         now.open_force[i] *= n.force_gain * leader.root
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
+@part
 def move(n, matrices, leader, lead, drift, state, now):
     """Step (4.22); set the leader's place in the middle of the sample, and what is lost."""
-    size, h = state.trust.size, 0.5 * n.sample_time
+    h = 0.5 * n.sample_time
     now.team_loss = now.error_loss = 0.0
-    for j in range(size):
+    for j in range(state.trust.size):
         for i in range(3):
-            drive = n.lead_gain * leader.root * now.r_s[i]
-            state.middle[j, i] += h * drive * matrices[SOLVED, j, lead]
-            state.pulled[j, i] = 0.0
-            if n.drifting:
-                for m in range(size):
-                    state.middle[j, i] += h * matrices[SOLVED, j, m] * drift[m, i]
-    for j in range(size):
-        add_row(matrices[LAPLACIAN], j, state.middle, state.pulled[j])
+            drive = h * n.lead_gain * leader.root * now.r_s[i]
+            state.middle[j, i] += drive * matrices[SOLVED, j, lead]
+        if n.drifting:
+            add_row(matrices[SOLVED], j, drift, state.middle[j])
+    for j in range(state.trust.size):
         for i in range(3):
-            q, pulled = state.middle[j, i], state.pulled[j, i]
-            state.q[j, i] = 2.0 * q - state.q[j, i]  # (4.22): q̇ = Lᵀζ − L q + D r_s
-            state.zeta[j, i] -= 2.0 * h * pulled  # (4.22): ζ̇ = −L q
-            now.team_loss += n.force_gain / n.lead_gain * pulled**2  # (4.25)
-            now.error_loss += pulled * q / n.lead_gain  # (4.33)
+            now.pulled[i] = 0.0
+        add_row(matrices[LAPLACIAN], j, state.middle, now.pulled)
+        for i in range(3):
+            # (4.22): q̇ = Lᵀζ − L q + D r_s, ζ̇ = −L q
+            state.q[j, i] = 2.0 * state.middle[j, i] - state.q[j, i]
+            state.zeta[j, i] -= 2.0 * h * now.pulled[i]
+        now.team_loss += dot(now.pulled, now.pulled) * n.force_gain / n.lead_gain  # (4.25)
+        now.error_loss += dot(now.pulled, state.middle[j]) / n.lead_gain  # (4.33)
     for i in range(3):
         now.leader[i] = leader.root * state.middle[lead, i]
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
-def measure_motion(n, matrices, robots, lead, state, now):
+@part
+def measure_motion(n, robots, drift, state):
     """Set how robots moved in this sample, and how (4.22) asks faultless ones to."""
     h = 0.5 * n.sample_time
-    for j in range(state.trust.size):
+    for j in range(robots.size):
         for i in range(3):
-            moved = (state.q[j, i] - state.middle[j, i]) / h
-            asked = -state.pulled[j, i]
-            for m in range(state.trust.size):
-                asked += matrices[LAPLACIAN, m, j] * (state.zeta[m, i] + h * state.pulled[m, i])
-            state.velocity[j, i] = robots[j].root * moved
-            state.asked[j, i] = asked / robots[j].root
-    for i in range(3):
-        state.asked[lead, i] += n.lead_gain * now.r_s[i]
+            way = state.q[j, i] - state.middle[j, i]  # in half a sample, over √s
+            state.velocity[j, i] = robots[j].root * way / h
+            state.asked[j, i] = (way - drift[j, i]) / (robots[j].root * h)
 
 
-@inner(error_model="numpy", forceinline=True)
+@part
 def account_energy(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
     T = n.sample_time
@@ -486,7 +404,7 @@ def account_energy(n, seen_loss, state):
     state.lost_error_delayed += T * seen_loss
 
 
-@inner(error_model="numpy", forceinline=True)
+@part
 def diverged(state):
     """Return the block whose storage grew without bound, −1: none; "not <" counts NaN as such."""
     if not state.v_hd < 1e12:
@@ -496,14 +414,23 @@ def diverged(state):
     return -1 if state.v_e < 1e12 else 2
 
 
-@inner(error_model="numpy", forceinline=True, _nrt=False)
-def log_row(n, past, state, now, log, at):
-    """Log storages and signals of the sample, and where the robots were before it."""
+@part
+def log_places(setup, graph, state, now, places):
+    """Log where the robots are, and set what the formation stores."""
+    now.v_fs = stored_by(setup, graph, state)
+    for j in range(state.trust.size):
+        for i in range(3):
+            places[j, i] = state.q[j, i]
+
+
+@part
+def log_row(n, past, state, now, row):
+    """Log storages and signals of the sample."""
     now.v_e_delayed = past.stored
     stored = now.v_h + n.budget + now.v_hd + now.v_ch + now.v_fs
     now.v_t = stored + now.v_e_delayed + now.v_filter  # (4.32)
-    for i in range(state.row.size):
-        log.table[at, i] = state.row[i]
+    for i in range(row.size):
+        row[i] = state.row[i]
 
 
 @njit(error_model="numpy", _nrt=False)
@@ -515,40 +442,46 @@ def lead_team(first, stop, setup, state, inputs, log):
     """
     n, now = setup.numbers[0], state.now[0]
     robots = setup.robots
-    rig = rig_of(n)
+    device = haptic.held_device(n, haptic.NO_ARM, n.sample_time)
+    pole = 0.5 * n.sample_time * n.cutoff
+    low_pass = LowPass(1.0 / (1.0 + pole), pole / (1.0 + pole), n.k12, n.k21)
+    filters = low_pass if n.filtering == TWO_PORT else UNFILTERED
     for k in range(first, stop):
         given, sample = inputs[k], log.samples[k]
         past = log.samples[max(k - n.vision, 0)]
-        lead, head = given.lead, robots[given.head]
-        if given.graph != now.graph:
-            change_links(n, setup, given.graph, state, now)
-        matrices, leader = setup.formations[given.graph], robots[lead]
-        store_energy(n, rig, state, now)
+        lead, graph = given.lead, given.graph
+        leader = robots[lead]
+        if n.switching or k == 0:  # the first leader's for ever, if that end fails to switch
+            now.head = lead
+        matrices = setup.formations[graph]
+        if graph != now.graph:
+            before = stored_by(setup, now.graph, state)
+            now.supply_links += stored_by(setup, graph, state) - before
+            now.graph = graph
+        drift = setup.drift[k // n.per_decision]
+        store_energy(n, device, state, now)
         performance = look_up_past(n, k, given, past, now)
         share_force(n, robots, lead, state.trust, performance, now)
-        receive(n, setup, lead, k, rig.low_pass, state, now)
+        receive(n, setup, lead, k, low_pass, state, now)
+        head = robots[now.head]
         near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)  # (4.7)
-        operator_side(n, rig, near_end, now.v_h + n.budget - n.reserve, now)
+        spendable = now.v_h + n.budget - n.reserve
+        operator_side(n, device, filters, near_end, spendable, now, state.u_l[k])
         rest(n, matrices, leader, lead, state, now)
-        stiffness = n.force_gain * n.lead_gain * setup.stiffness[given.graph, lead]
-        robot_side(rig.filters, waves.robot_end(leader.b, 1.0, 1.0), stiffness, now)
-        for i in range(3):
-            state.u_l[k, i], state.u_r[k, i] = now.u_l[i], now.u_r[i]
-        at = k // n.per_row
-        if k % n.per_row == 0:
-            directed = setup.directed[given.graph]
-            now.v_fs = np.nan if directed else stored_by(matrices, n, state)
-            for j in range(robots.size):
-                for i in range(3):
-                    log.places[at, j, i] = state.q[j, i]
-        move(n, matrices, leader, lead, setup.drift[k // n.per_decision], state, now)
+        stiffness = n.force_gain * n.lead_gain * setup.stiffness[graph, lead]
+        far_end = waves.robot_end(leader.b, 1.0, 1.0)
+        robot_side(filters, far_end, stiffness, now, state.u_r[k])
+        logged, at = k % n.per_row == 0, k // n.per_row
+        if logged:
+            log_places(setup, graph, state, now, log.places[at])
+        move(n, matrices, leader, lead, drift, state, now)
         sample.stored, sample.lost = now.v_e, now.error_loss
         for i in range(3):
             sample.sent[i], sample.seen[i] = now.r_s[i], now.leader[i]
-        if k % n.per_row == 0:
-            log_row(n, past, state, now, log, at)
+        if logged:
+            log_row(n, past, state, now, log.table[at])
         if (k + 1) % n.per_decision == 0:
-            measure_motion(n, matrices, robots, lead, state, now)
+            measure_motion(n, robots, drift, state)
         account_energy(n, past.lost if k >= n.vision else 0.0, now)
         block = diverged(now)
         if block >= 0:

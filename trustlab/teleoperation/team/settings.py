@@ -3,7 +3,7 @@ Settings of a team under one operator: its blocks, its channel, how a run is mad
 operator of (4.30).
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,13 @@ from trustlab.teleoperation.ports.ledger import READ_OUTS
 from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.teleoperation.team.graphs import GraphError, laplacian, team_graph
 
-# Filters by name, and their cutoff [rad/s].
-FILTERS = ("none", "corrected", "waves", "printed")
+# Filters by name, of a cutoff [rad/s] and an impedance b [N s/m].
+FILTERS: dict[str, Any] = {
+    "none": lambda cutoff, b: None,
+    "corrected": corrected_filter,
+    "waves": lambda cutoff, b: WaveFilter(cutoff),
+    "printed": lambda cutoff, b: printed_filter(cutoff),
+}
 CUTOFF = 10.0
 
 
@@ -76,12 +81,6 @@ class TeamChannel:
         if not isinstance(self.filters, TwoPortFilter | WaveFilter):
             one_of("filters", self.filters, FILTERS, also="a TwoPortFilter or a WaveFilter")
 
-    @property
-    def delays(self) -> dict[str, Any]:
-        """Delays both ways by the name of the argument."""
-        back = self.delay if self.delay_back is None else self.delay_back
-        return {"delay": self.delay, "delay_back": back}
-
     def filter_at(self, impedance: float) -> TwoPortFilter | WaveFilter | None:
         """
         Return the filter; None where there is none.
@@ -91,13 +90,9 @@ class TeamChannel:
         impedance : float
             b [N s/m], for the corrected gains.
         """
-        if self.filters == "corrected":
-            return corrected_filter(CUTOFF, impedance)
-        if self.filters == "printed":
-            return printed_filter(CUTOFF)
-        if self.filters == "waves":
-            return WaveFilter(CUTOFF)
-        return None if isinstance(self.filters, str) else self.filters
+        if isinstance(self.filters, str):
+            return FILTERS[self.filters](CUTOFF, impedance)
+        return self.filters
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,10 +153,6 @@ class TeamTrial:
         return every
 
 
-def _trust(rate: float, ratio: float = 1.0) -> TrustModel:
-    return TrustModel(rate, ratio * rate)
-
-
 @dataclass(frozen=True)
 class TeamRobot:
     """
@@ -199,6 +190,8 @@ class TeamRobot:
         between("loss", self.loss, 0.0, 1.0)
 
 
+SCATTERING = Scattering(2.0, beta_min=0.5, beta_max=1.0)
+TRUST = TrustModel(0.1, 0.1)
 # Settings that may differ from robot to robot, and their classes.
 PER_ROBOT: dict[str, Any] = {
     "robots": TeamRobot,
@@ -262,18 +255,16 @@ class TeamSettings:
     damping: float = 5.5
     stiffness: float = 20.0
     weight: float = 10.0
-    scattering: Scattering | tuple[Scattering, ...] = field(
-        default_factory=lambda: Scattering(2.0, beta_min=0.5, beta_max=1.0)
-    )
-    human_to_robot: TrustModel | tuple[TrustModel, ...] = field(default_factory=lambda: _trust(0.1))
-    robot_to_human: TrustModel | tuple[TrustModel, ...] = field(default_factory=lambda: _trust(0.1))
-    robots: TeamRobot | tuple[TeamRobot, ...] = field(default_factory=TeamRobot)
+    scattering: Scattering | tuple[Scattering, ...] = SCATTERING
+    human_to_robot: TrustModel | tuple[TrustModel, ...] = TRUST
+    robot_to_human: TrustModel | tuple[TrustModel, ...] = TRUST
+    robots: TeamRobot | tuple[TeamRobot, ...] = TeamRobot()
     steepness: float = 10.0
     performance_time: float = 15.0
     lead_gain: float = 1.0
     force_gain: float = 1.0
     coupling: float = 1.0
-    channel: TeamChannel = field(default_factory=TeamChannel)
+    channel: TeamChannel = TeamChannel()
     min_dwell: float | None = None
 
     def __post_init__(self):
@@ -286,23 +277,13 @@ class TeamSettings:
             raise ValueError(f"steepness must be at least 10 (3.5), got {self.steepness}")
         for name, kind in PER_ROBOT.items():
             value = getattr(self, name)
-            entries = (value,) if isinstance(value, kind) else value
-            if isinstance(entries, str) or not np.iterable(entries):
-                raise ValueError(
-                    f"{name} must be a {kind.__name__} or a sequence of them, got {value!r}"
-                )
-            entries = tuple(entries)
+            entries = tuple(value) if np.iterable(value) else (value,)
             if not entries:
                 raise ValueError(f"{name} is empty")
             for place, entry in enumerate(entries):
-                _check_entry(f"{name}[{place}]", entry, kind)
-            if not isinstance(value, kind):
-                object.__setattr__(self, name, entries)
-        self.device()
-
-    def device(self) -> HapticDevice:
-        """Return the haptic device, checked for r-passivity."""
-        return HapticDevice(self.mass, self.damping, self.stiffness, self.weight)
+                _check_range(f"{name}[{place}]", of_class(f"{name}[{place}]", entry, kind))
+            object.__setattr__(self, name, entries if np.iterable(value) else value)
+        HapticDevice(self.mass, self.damping, self.stiffness, self.weight)  # refused if not passive
 
     @classmethod
     def scaled(
@@ -348,14 +329,13 @@ class TeamSettings:
         gain = min(float(size), 2.0 * coupling * adjacency.sum(axis=1).min())
         return replace(settings or cls(), coupling=coupling, lead_gain=gain, force_gain=1.0 / gain)
 
-    def per_robot(self, name: str, count: int) -> tuple:
+    def per_robot(self, count: int) -> list[tuple]:
         """
-        Return a setting as one entry per robot.
+        Return what may differ of each robot: what it makes of (4.22), scattering, human-to-robot
+        trust and robot-to-human trust.
 
         Parameters
         ----------
-        name : {"scattering", "human_to_robot", "robot_to_human", "robots"}
-            Which.
         count : int
             How many robots there are.
 
@@ -364,20 +344,21 @@ class TeamSettings:
         ValueError
             If there are entries for another number of robots.
         """
-        value = getattr(self, name)
-        if not isinstance(value, tuple):
-            return (value,) * count
-        if len(value) != count:
-            raise ValueError(f"{name} has {len(value)} entries for {count} robots")
-        return value
+        columns = []
+        for name in PER_ROBOT:
+            value = getattr(self, name)
+            entries = value if isinstance(value, tuple) else (value,) * count
+            if len(entries) != count:
+                raise ValueError(f"{name} has {len(entries)} entries for {count} robots")
+            columns.append(entries)
+        return list(zip(*columns, strict=True))
 
 
-def _check_entry(name: str, entry, kind: type) -> None:
-    """Refuse a robot's setting of another class, or one that Chapter 4 does not have."""
-    of_class(name, entry, kind)
-    if kind is TrustModel and (entry.p_min, entry.p_max) != (0.0, 1.0):
+def _check_range(name: str, entry: Any) -> None:
+    """Refuse ranges of performance and α that Chapter 4 does not have."""
+    if isinstance(entry, TrustModel) and (entry.p_min, entry.p_max) != (0.0, 1.0):
         raise ValueError(f"{name}: performance lies between 0 and 1 here, set p_min=0, p_max=1")
-    if kind is Scattering and (entry.alpha_min, entry.alpha_max) != (1.0, 1.0):
+    if isinstance(entry, Scattering) and (entry.alpha_min, entry.alpha_max) != (1.0, 1.0):
         raise ValueError(f"{name}: α is 1 in Chapter 4, got [{entry.alpha_min}, {entry.alpha_max}]")
 
 
