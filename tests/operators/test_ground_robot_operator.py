@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.operators import OperatorNumbers, driving_style, joystick, operator
+from trustlab.operators import operator
+from trustlab.operators.ground_robot import OperatorNumbers, driving_style, joystick
 from trustlab.testbeds import drive_modes
 
 
@@ -108,11 +109,11 @@ def test_a_delayed_hand_weaves(operators):
     ("change", "says"),
     [
         ({"human": None}, "human must be of class HumanModel, got NoneType"),
-        ({"delay": -0.1}, "delay must not be negative"),
+        ({"delay": -0.1}, r"delay must lie in \[0, 5\], got -0.1"),
         ({"delay": np.nan}, "delay must be finite"),
         ({"look_ahead": 0.0}, "look_ahead must be positive"),
         ({"follow_tsc": 78.57}, r"follow_tsc must lie in .*, got 78.57"),
-        ({"lower": 0.5, "upper": 0.4}, "lower below upper"),
+        ({"lower": 0.5, "upper": 0.4}, "lower must be below upper"),
         ({"human": tl.HumanModel(0.999, 0.5, 10.0, 90.0)}, "rescale the model"),
     ],
 )
@@ -122,7 +123,9 @@ def test_bad_operators_are_named(operators, change, says):
 
 
 def test_bad_habits_are_named(operators):
-    with pytest.raises(ValueError, match="lower must be a pair"):
+    with pytest.raises(ValueError, match="lower must be one-dimensional"):
         operator("1", operators["1"], lower=0.1)
-    with pytest.raises(ValueError, match="no 'skill'"):
+    with pytest.raises(
+        ValueError, match=r"an argument of an operator must be one of .*, got 'skill'"
+    ):
         operator("1", operators["1"], skill=1.0)

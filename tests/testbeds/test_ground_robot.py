@@ -480,7 +480,7 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
         ({"condition": "C6"}, "'C5', 'own', 'random', or rule=, got 'C6'"),
         ({"operator": "pilot"}, "operator must be of class Operator, got str"),
         ({"model": None}, "model must be of class TscModel, got NoneType; fit one"),
-        ({"operator": tl.Teleoperator()}, "got Teleoperator, who flies a UAV"),
+        ({"operator": tl.Teleoperator()}, "must be of class Operator, got Teleoperator; make one"),
         ({"thresholds": None}, r"C3 needs thresholds.*choose_thresholds\(model\)"),
         ({"thresholds": (0.6, 0.1)}, "the lower threshold must be below the upper threshold"),
         ({"thresholds": (0.1, np.nan)}, "must be finite"),
@@ -495,7 +495,7 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
         ({"operator": None}, "who drives"),
         (
             {"operator": None, "participant": 6},
-            "no participant 6 among the printed ones: pilot, 1, 2, 3, 4, 5",
+            "participant must be one of 'pilot', '1', '2', '3', '4', '5', or an Operator",
         ),
         ({"operator": None, "participant": "pilt"}, "did you mean 'pilot'"),
         ({"laps": 0}, "laps must be a whole number"),
@@ -549,5 +549,5 @@ def test_bad_schedules_are_named(one):
         ValueError, match=r"mixed must be a whole number, from 0 to 10000, got 1\.5"
     ):
         identification_session(one, mixed=1.5)
-    with pytest.raises(ValueError, match=r"phases, \(shortest, longest\)"):
+    with pytest.raises(ValueError, match=r"phase must be \(shortest, longest\), got \(500"):
         identification_session(one, phase=(500.0, 300.0))

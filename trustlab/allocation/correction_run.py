@@ -1,6 +1,6 @@
 """
 Corrections of a person's thresholds while they drive: Algorithm 3 sample by sample, and consecutive
-tests as in Fig. 2.18, on the model or on a testbed.
+tests as in Fig. 2.18, on the model.
 """
 
 import math
@@ -490,21 +490,18 @@ def run_correction(
     corrector : ThresholdCorrector
         Model, target, horizon, largest correction and engine.
     start : (float, float), optional
-        The operator's thresholds TSC_l and TSC_u; may be left out for a printed participant on a
-        testbed.
+        The operator's thresholds TSC_l and TSC_u; may be left out where the setting has printed
+        ones.
     tests : int
         How many tests.
-    habit : {"following", "lagging", "ignoring", "free", "adopting"}
-        How the operator responds to suggestions. "following": follows all, on a testbed after a
-        reaction; "lagging": follows those that still stand after a lag; "ignoring": decides by the
-        thresholds of `start`, on a testbed by the operator's own. On a testbed also "free":
-        follows as many as the operator does in C2; and "adopting": decides by the operator's own
-        thresholds, which move by the same corrections.
+    habit : {"following", "lagging", "ignoring"}
+        How the operator responds to suggestions. "following": follows all; "lagging": follows those
+        that still stand after a lag; "ignoring": decides by the thresholds of `start`.
     seed : int or numpy.random.SeedSequence
-        Of all that is random; on a testbed one child is spawned from it per test.
-    setting : ModelTests or trustlab.testbeds.GroundRobotTests, optional
-        Where the tests take place, how long they are, and from where they test; on the model,
-        `ModelTests()`, when not given.
+        Of all that is random.
+    setting : ModelTests, optional
+        How long the tests are, and from where they begin; `ModelTests()` when not given. A setting
+        of one's own has the methods of a `CorrectionSetting`.
 
     Returns
     -------
@@ -532,10 +529,7 @@ def run_correction(
     of_class("corrector", corrector, ThresholdCorrector)
     setting = ModelTests() if setting is None else setting
     if not hasattr(setting, "habits"):
-        raise ValueError(
-            "setting must be ModelTests, trustlab.testbeds.GroundRobotTests or one like them, got "
-            f"{shown(setting)}"
-        )
+        raise ValueError(f"setting must be ModelTests or one like it, got {shown(setting)}")
     start = threshold_pair("start", setting.printed_thresholds() if start is None else start)
     one_of("habit", habit, setting.habits)
     tests = whole_number("tests", tests, most=1000)

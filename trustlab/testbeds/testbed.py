@@ -34,6 +34,7 @@ from trustlab.testbeds.populations import (
     OperatorPopulation,
     TeleoperatorPopulation,
     following_operator,
+    printed_person,
 )
 from trustlab.testbeds.team_testbed import RobotTeam
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
@@ -125,11 +126,9 @@ class Testbed(Protocol):
 
 
 @cache
-def _usual_population(name: str) -> OperatorPopulation:
-    """Return the population of a testbed where none is given."""
-    if name == "ground_robot":
-        return OperatorPopulation.ground_robot()
-    return OperatorPopulation.uav_following()
+def usual_population(testbed: str) -> OperatorPopulation:
+    """Return the population of a testbed of C1 to C5 where none is given."""
+    return getattr(OperatorPopulation, testbed)()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -159,6 +158,10 @@ class ConditionTestbed:
     title: ClassVar[str]
     e_max: ClassVar[float]
     laps: ClassVar[int] = 0
+    extent: ClassVar[str]
+    participant: ClassVar[Callable]
+    note: ClassVar[str]
+    measured: ClassVar[str]
     conditions: ClassVar[tuple[str, ...]] = tuple(KNOWN)
     printed_conditions: ClassVar[tuple[str, ...]] = tuple(CONDITIONS)
     printed_n: ClassVar[int] = 20
@@ -171,12 +174,10 @@ class ConditionTestbed:
 
     def __post_init__(self):
         for name, make in self.rules.items():
-            if name in KNOWN:
-                raise ValueError(f"rules: {name!r} is a condition of the dissertation; rename it")
-            if not callable(make):
+            if name in KNOWN or not callable(make):
                 raise ValueError(
-                    f"rules: {name!r} must be what makes a rule, as a class or "
-                    "lambda: ThresholdRule(0.0, 0.3), so that no run begins in the state of "
+                    f"rules: {name!r} must be a name of its own, for what makes a rule, as a class "
+                    "or lambda: ThresholdRule(0.0, 0.3), so that no run begins in the state of "
                     f"another; got {shown(make)}"
                 )
         object.__setattr__(self, "conditions", (*KNOWN, *self.rules))
@@ -184,15 +185,12 @@ class ConditionTestbed:
             not_negative("rest", self.rest)
         if self.population is not None:
             of_class("population", self.population, OperatorPopulation)
-            if self.population.testbed != self.name:
-                raise ValueError(
-                    f"population is of the testbed {self.population.testbed!r}, not {self.name!r}"
-                )
+            one_of("the testbed of population", self.population.testbed, [self.name])
 
     @property
     def operators(self) -> OperatorPopulation:
         """The population given, or the usual one."""
-        return _usual_population(self.name) if self.population is None else self.population
+        return usual_population(self.name) if self.population is None else self.population
 
     @property
     def origin(self) -> str:
@@ -219,8 +217,7 @@ class ConditionTestbed:
         seed : int
             Seed of the draws.
         """
-        assumed = checked_assumptions({} if assumptions is None else assumptions)
-        return self.operators.draw(n, seed).assign(**assumed)
+        return self.operators.draw(n, seed).assign(**checked_assumptions(assumptions or {}))
 
     def run(self, condition: str, person: Person, seed: Seed) -> ConditionRun:
         """
@@ -235,14 +232,8 @@ class ConditionTestbed:
         seed : int or numpy.random.SeedSequence
             As for `run_condition`.
         """
-        operator, model, default = person_of(person)
-        if condition in self.rules:
-            rule = self.rule_of(condition, person)
-            return self.run_rule(rule, operator, model, condition, seed)
-        task, thresholds = deciding.task_for(
-            condition, operator, model, None, default, self.e_max, self.laps
-        )
-        return self.result(task, operator, model, thresholds, condition, seed)
+        rule = self.rule_of(condition, person) if condition in self.rules else None
+        return self.conducted(condition, person_of(person), seed, rule=rule)
 
     def rule_of(self, condition: str, person: Person) -> Any:
         """
@@ -268,30 +259,92 @@ class ConditionTestbed:
             raise ValueError(f"condition {condition!r}: {error}") from error
         return rule
 
-    def run_rule(
-        self, rule: Any, operator: Operator, model: TscModel, condition: str, seed: Seed
+    def conducted(
+        self,
+        condition: str | None,
+        person: tuple[Operator, TscModel, tuple[float, float] | None],
+        seed: Seed,
+        thresholds: tuple[float, float] | None = None,
+        rule: Any = None,
     ) -> ConditionRun:
         """
-        Run one session in which a rule gives the modes.
+        Run one session.
 
         Parameters
         ----------
-        rule : object
-            With a method `step(tsc=…, p_r=…)`; the run works on a copy.
-        operator, model, condition, seed : object
-            Who drives, and what the metadata say of it.
+        condition, seed, thresholds, rule : object
+            As for `run_condition`; with a rule, the condition is a name for the metadata.
+        person : (Operator, TscModel, (float, float) or None)
+            The operator who drives, the model that rules and suggestions use, and the thresholds of
+            suggestions where `thresholds` are not given.
         """
-        rule, mode = prepared_rule(rule, None)
-        task = deciding.task_of(
-            deciding.SCHEDULE,
-            self.e_max,
-            False,
-            self.laps,
+        operator, model, usual = person
+        decide = None
+        if rule is None:
+            task, thresholds = deciding.task_for(
+                condition, operator, model, thresholds, usual, self.e_max, self.laps
+            )
+        else:
+            rule, mode = prepared_rule(rule, None)
+            decide, r0 = deciding.obeying(rule), operator.r0
+            task = deciding.task_of(
+                deciding.SCHEDULE, self.e_max, laps=self.laps, model=model, first_mode=mode, r0=r0
+            )
+        facts = {self.extent: getattr(self, self.extent), "settling": deciding.SETTLING}
+        if thresholds is not None:
+            facts |= zip(("TSC_l", "TSC_u"), thresholds, strict=True)
+        return self.simulated(
+            task,
+            decide,
+            operator=operator,
             model=model,
-            first_mode=mode,
-            r0=operator.r0,
+            thresholds=thresholds,
+            seed=seed,
+            metadata=deciding.metadata_of(
+                self.name, operator, condition, seed, self.note, self.measured, **facts
+            ),
         )
-        return self.result(task, operator, model, None, condition, seed, rule)
+
+    def simulated(self, task: Task, decide: Callable | None, seed: Seed, **facts: Any):
+        """
+        Return the run of a task.
+
+        Parameters
+        ----------
+        task : trustlab.testbeds.deciding.Task
+            What is to be done, and who decides.
+        decide : callable or None
+            What decides in place of the task.
+        seed : int or numpy.random.SeedSequence
+            Of the noise.
+        **facts : object
+            Operator, model, thresholds and metadata.
+        """
+        raise NotImplementedError
+
+    def identified(
+        self, participant: Any, operator: Operator | None, model: TscModel | None
+    ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
+        """
+        Return operator, model and thresholds of a participant by number or of a given operator.
+
+        Parameters
+        ----------
+        participant, operator, model : object
+            As for `run_condition`.
+        """
+        if (participant is None) == (operator is None):
+            raise ValueError(
+                "who drives? give either participant= or operator=, not both, and model= for an "
+                "Operator"
+            )
+        thresholds = None
+        if operator is None and not isinstance(participant, Operator):
+            operator, known, thresholds = self.participant(str(participant))
+            model = known if model is None else model
+        operator = participant if operator is None else operator
+        of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
+        return operator, of_class("model", model, TscModel), thresholds
 
     def next_session(self, person: Person, run: ConditionRun) -> Person:
         """
@@ -309,29 +362,6 @@ class ConditionTestbed:
             last = float(run.log["r"][-1])
             after["r0"] = last * run.model.human.a ** (self.rest / SAMPLE_TIME)  # (2.5)
         return after
-
-    def result(
-        self,
-        task: Task,
-        operator: Operator,
-        model: TscModel,
-        thresholds: tuple[float, float] | None,
-        condition: str,
-        seed: Seed,
-        rule: Any = None,
-    ) -> ConditionRun:
-        """
-        Return the run of a task.
-
-        Parameters
-        ----------
-        task, operator, model, thresholds, condition, seed : object
-            Who decides when (`deciding.Task`), the operator who drives, the model that rules and
-            suggestions use, thresholds, the name of the condition, and the seed of the noise.
-        rule : object, optional
-            What gives the modes instead of the task.
-        """
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -359,6 +389,10 @@ class GroundRobot(ConditionTestbed):
     name: ClassVar[str] = "ground_robot"
     title: ClassVar[str] = "the ground-robot testbed"
     e_max: ClassVar[float] = ground.E_MAX
+    extent: ClassVar[str] = "laps"
+    participant: ClassVar[Callable] = staticmethod(printed_person)
+    note: ClassVar[str] = ground.NOTE
+    measured: ClassVar[str] = ground.MEASURED
 
     laps: int = 8  # type: ignore[misc]  # of other testbeds a constant
     robot: Pioneer | None = None
@@ -367,55 +401,27 @@ class GroundRobot(ConditionTestbed):
     def __post_init__(self):
         super().__post_init__()
         whole_number("laps", self.laps, most=ground.MOST_LAPS)
-        if self.robot is not None:
-            of_class("robot", self.robot, Pioneer)
-        if self.course is not None:
-            of_class("course", self.course, Course)
+        ground.equipment(self.robot, self.course)
 
     @property
     def settings(self) -> dict[str, Any]:
         """Settings of all runs, by name."""
-        return {"laps": self.laps, "rest": self.rest}
+        return {"laps": self.laps} | super().settings
 
-    def identified(
-        self, participant: Any, operator: Operator | None, model: TscModel | None
-    ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
-        """
-        Return operator, model and thresholds of a printed participant or a given operator.
-
-        Parameters
-        ----------
-        participant, operator, model : object
-            As for `run_condition`.
-        """
-        return ground.who_drives(participant, operator, model)
-
-    def result(self, task, operator, model, thresholds, condition, seed, rule=None):
+    def simulated(self, task, decide, seed, **facts):
         """
         Return the run of a task.
 
         Parameters
         ----------
-        task, operator, model, thresholds, condition, seed : object
-            Who decides when (`deciding.Task`), the operator who drives, the model that rules and
-            suggestions use, thresholds, the name of the condition, and the seed of the noise.
-        rule : object, optional
-            What gives the modes instead of the task.
+        task, decide, seed, **facts : object
+            As for a `ConditionTestbed`.
         """
-        operator, robot, course = ground.checked(operator, self.robot, self.course)
-        decide = None if rule is None else deciding.obeying(rule)
+        robot, course = ground.equipment(self.robot, self.course)
+        operator = facts["operator"]
         log, lap_times = ground.driven(task, robot, course, operator, seed, decide=decide)
-        facts = {"laps": self.laps, "settling": deciding.SETTLING}
-        facts |= deciding.tsc_facts(thresholds)
         return ground.GroundRobotRun(
-            log=log,
-            metadata=ground.metadata_of(operator, condition, seed, **facts),
-            operator=operator,
-            model=model,
-            thresholds=thresholds,
-            course=course,
-            robot=robot,
-            lap_times=lap_times,
+            log=log, course=course, robot=robot, lap_times=lap_times, **facts
         )
 
 
@@ -438,50 +444,22 @@ class UavFollowing(ConditionTestbed):
     name: ClassVar[str] = "uav_following"
     title: ClassVar[str] = "the testbed of the UAV that follows a leader"
     e_max: ClassVar[float] = flight.E_MAX
+    extent: ClassVar[str] = "duration"
+    duration: ClassVar[float] = flight.DURATION
+    participant: ClassVar[Callable] = staticmethod(following_operator)
+    note: ClassVar[str] = flight.NOTE
+    measured: ClassVar[str] = flight.MEASURED
 
-    def identified(
-        self, participant: Any, operator: Operator | None, model: TscModel | None
-    ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
-        """
-        Return operator, model and thresholds of a seeded participant or a given operator.
-
-        Parameters
-        ----------
-        participant, operator, model : object
-            As for `run_condition`.
-        """
-        default = None
-        remedy = "who flies? give participant=, 1 to 20, or an Operator with model="
-        person = deciding.participant_or_operator(participant, operator, remedy)
-        if not isinstance(person, Operator):
-            person, identified, default = following_operator(person)
-            model = identified if model is None else model
-        return person, of_class("model", model, TscModel), default
-
-    def result(self, task, operator, model, thresholds, condition, seed, rule=None):
+    def simulated(self, task, decide, seed, **facts):
         """
         Return the run of a task.
 
         Parameters
         ----------
-        task, operator, model, thresholds, condition, seed : object
-            Who decides when (`deciding.Task`), the operator who drives, the model that rules and
-            suggestions use, thresholds, the name of the condition, and the seed of the noise.
-        rule : object, optional
-            What gives the modes instead of the task.
+        task, decide, seed, **facts : object
+            As for a `ConditionTestbed`.
         """
-        decide = None if rule is None else deciding.obeying(rule)
-        log = flight.flown(task, operator, seed, decide)
-        return ConditionRun(
-            log=log,
-            metadata=flight.metadata_of(operator, condition, seed, thresholds),
-            operator=operator,
-            model=model,
-            thresholds=thresholds,
-        )
-
-
-USUAL_TELEOPERATORS = TeleoperatorPopulation()
+        return ConditionRun(log=flight.flown(task, facts["operator"], seed, decide), **facts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -532,7 +510,7 @@ class UavTracking:
     takes_rules: ClassVar[bool] = False
 
     duration: float = 120.0
-    population: TeleoperatorPopulation = USUAL_TELEOPERATORS
+    population: TeleoperatorPopulation = field(default_factory=TeleoperatorPopulation)
 
     def __post_init__(self):
         finite_number("duration", self.duration)
@@ -576,10 +554,9 @@ class UavTracking:
         seed : int or numpy.random.SeedSequence
             As for `simulate_teleoperation`.
         """
-        operator = TeleoperatorPopulation.person(person)
-        study, duration = self.population.study, self.duration
+        operator, study = self.population.person(person), self.population.study
         return TeleoperationRun(
-            simulate_teleoperation(condition, operator, study, seed=seed, duration=duration)
+            simulate_teleoperation(condition, operator, study, seed=seed, duration=self.duration)
         )
 
     def next_session(self, person: Person, run: TeleoperationRun) -> Person:
@@ -706,19 +683,16 @@ def run_condition(
     """
     bed = named_testbed(testbed, laps, (GroundRobot.name, UavFollowing.name))
     of_class("testbed", bed, ConditionTestbed, "or a name")
-    operator, model, default = bed.identified(participant, operator, model)
+    person = bed.identified(participant, operator, model)
     if r0 is not None:
-        operator = replace(operator, r0=r0)
-    if rule is None:
-        task, thresholds = deciding.task_for(
-            condition, operator, model, thresholds, default, bed.e_max, bed.laps
-        )
-        run = bed.result(task, operator, model, thresholds, condition, seed)
-    elif condition is not None or thresholds is not None:
-        raise ValueError(
-            "condition and thresholds have no effect beside rule=, which decides; leave them out"
-        )
-    else:
-        run = bed.run_rule(rule, operator, model, f"rule {type(rule).__name__}", seed)
+        person = replace(person[0], r0=r0), *person[1:]
+    if rule is not None:
+        if condition is not None or thresholds is not None:
+            raise ValueError(
+                "condition and thresholds have no effect beside rule=, which decides; leave them "
+                "out"
+            )
+        condition = f"rule {type(rule).__name__}"
+    run = bed.conducted(condition, person, seed, thresholds, rule)
     deciding.warn_if_too_short(run.log.size * SAMPLE_TIME)
     return run
