@@ -261,7 +261,6 @@ NOT_WALKED = {
     "studies.tlx_weights": "needs fifteen choices a person",
     "teleoperation.plot_scales": "for one chapter",
     "teleoperation.switched_channel_run": "for one chapter",
-    "testbeds.plot_beside": "for one chapter",
 }
 """Names that are not walked over, with the reason."""
 

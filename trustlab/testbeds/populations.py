@@ -457,6 +457,8 @@ class OperatorPopulation:
                 shown = people.assign(**SAMPLE_TIME / (1.0 - people[["a_r", "a_pr"]]))
                 panel.plot(shown[x], shown[y], marks, alpha=0.6, label=label)
             panel.set(xlabel=QUANTITIES[x], ylabel=QUANTITIES[y])
+        if self.testbed == "ground_robot":
+            axes[0].set_ylabel(f"{QUANTITIES['p_h_max']} [m/s]")
         axes[0].legend()
         return axes
 
@@ -599,7 +601,7 @@ class TeleoperatorPopulation:
             A row per operator: participant (from 1), skill, proportional, derivative, reaction,
             lag, noise, patience, reach, crossover, compensation, allocation_cost, fatigue, law.
         """
-        people = checked_teleoperation(assumptions or {})
+        people = checked_teleoperation({} if assumptions is None else assumptions)
         rows = []
         for number in range(1, whole_number("n", n) + 1):
             rng = person_stream(seed, TELEOPERATORS, number)

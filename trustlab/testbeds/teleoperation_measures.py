@@ -3,7 +3,7 @@ What a study takes from teleoperation runs: measures of error, effort, allocatio
 figures (Figs. 3.13, 3.14, 3.22).
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 import pandas as pd
@@ -258,28 +258,3 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
         panel.set_title(run.label, fontsize="medium")
     axes[-1].set_xlabel("time [s]")
     return axes
-
-
-def plot_beside(series: Mapping[str, pd.DataFrame], ax=None):
-    """
-    Plot means with intervals by condition, several series beside each other.
-
-    Parameters
-    ----------
-    series : mapping of str to pandas.DataFrame
-        By name: index of conditions; columns mean, ci_low, ci_high.
-    ax : matplotlib.axes.Axes, optional
-        Where; a new figure when not given.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-    """
-    ax = axes_or_new(ax)
-    for number, (name, frame) in enumerate(series.items()):
-        places, mean = np.arange(len(frame)), frame["mean"]
-        aside = 0.24 * (number - 0.5 * (len(series) - 1))
-        half = [mean - frame["ci_low"], frame["ci_high"] - mean]
-        ax.errorbar(places + aside, mean, half, fmt="os^v"[number % 4], capsize=4, label=name)
-        ax.set_xticks(places, frame.index)
-    return ax

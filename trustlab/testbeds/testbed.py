@@ -217,7 +217,8 @@ class ConditionTestbed:
         seed : int
             Seed of the draws.
         """
-        return self.operators.draw(n, seed).assign(**checked_assumptions(assumptions or {}))
+        assumed = checked_assumptions({} if assumptions is None else assumptions)
+        return self.operators.draw(n, seed).assign(**assumed)
 
     def run(self, condition: str, person: Person, seed: Seed) -> ConditionRun:
         """
@@ -286,24 +287,23 @@ class ConditionTestbed:
             )
         else:
             rule, mode = prepared_rule(rule, None)
-            decide, r0 = deciding.obeying(rule), operator.r0
+            decide = deciding.obeying(rule)
             task = deciding.task_of(
-                deciding.SCHEDULE, self.e_max, laps=self.laps, model=model, first_mode=mode, r0=r0
+                deciding.SCHEDULE,
+                self.e_max,
+                laps=self.laps,
+                model=model,
+                first_mode=mode,
+                r0=operator.r0,
             )
         facts = {self.extent: getattr(self, self.extent), "settling": deciding.SETTLING}
         if thresholds is not None:
             facts |= zip(("TSC_l", "TSC_u"), thresholds, strict=True)
-        return self.simulated(
-            task,
-            decide,
-            operator=operator,
-            model=model,
-            thresholds=thresholds,
-            seed=seed,
-            metadata=deciding.metadata_of(
-                self.name, operator, condition, seed, self.note, self.measured, **facts
-            ),
+        metadata = deciding.metadata_of(
+            self.name, operator, condition, seed, self.note, self.measured, **facts
         )
+        who = {"operator": operator, "model": model, "thresholds": thresholds}
+        return self.simulated(task, decide, seed, metadata=metadata, **who)
 
     def simulated(self, task: Task, decide: Callable | None, seed: Seed, **facts: Any):
         """

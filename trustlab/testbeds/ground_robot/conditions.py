@@ -303,7 +303,8 @@ def plot_path(
     """
     of_class("session", session, Session)
     of_class("course", course, Course)
-    part = session.between(start, session.t[-1] if stop is None else stop)
+    stop = session.t[-1] if stop is None else finite_number("stop", stop)
+    part = session.between(finite_number("start", start), stop)
     mode, x, y = (part[name] for name in ("mode", "robot_x", "robot_y"))
     axes = axes_or_new(axes, figsize=(8.0, 5.6))
     axes.plot(*course.posts.T, "o", ms=4, mfc="none", color="0.55", label="guide posts")
