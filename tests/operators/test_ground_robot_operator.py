@@ -15,9 +15,12 @@ def test_numbers_are_the_operators_own(operators):
     who = operator(
         "3",
         operators["3"],
-        lower=(0.096, 0.13),
-        upper=(0.51, 0.29),
-        follow=(0.5, 0.6875),
+        lower=0.096,
+        lower_spread=0.13,
+        upper=0.51,
+        upper_spread=0.29,
+        follow_tsc=0.5,
+        follow_performance=0.6875,
         delay=0.4,
     )
     human = operators["3"].human
@@ -123,8 +126,8 @@ def test_bad_operators_are_named(operators, change, says):
 
 
 def test_bad_habits_are_named(operators):
-    with pytest.raises(ValueError, match="lower must be one-dimensional"):
-        operator("1", operators["1"], lower=0.1)
+    with pytest.raises(ValueError, match="lower must be a number"):
+        operator("1", operators["1"], lower=(0.1, 0.2))
     with pytest.raises(
         ValueError, match=r"an argument of an operator must be one of .*, got 'skill'"
     ):

@@ -4,14 +4,13 @@ Simulated operators of the ground robot: how well they drive, how fast they reac
 
 from collections import namedtuple
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from trustlab.models.checks import (
     between,
-    finite_array,
     of_class,
     one_of,
     positive,
@@ -275,16 +274,9 @@ def checked_assumptions(assumptions: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def operator(
-    participant: str | int,
-    model: TscModel | HumanModel,
-    lower: tuple[float, float] | None = None,
-    upper: tuple[float, float] | None = None,
-    follow: tuple[float, float] | None = None,
-    **more: Any,
-) -> Operator:
+def operator(participant: str | int, model: TscModel | HumanModel, **more: Any) -> Operator:
     """
-    Return the operator that a participant's identified model and observed habits make.
+    Return the operator that a participant's identified model makes.
 
     Parameters
     ----------
@@ -293,35 +285,21 @@ def operator(
     model : TscModel or HumanModel
         The participant's model, for example `trustlab.published_models()["3"]`; from a `TscModel`
         robot_floor and robot_gain follow, unless given.
-    lower, upper : (float, float), optional
-        Mean and standard deviation of the participant's own thresholds of TSC, as Table 2.3 prints
-        them.
-    follow : (float, float), optional
-        Shares of suggestions followed, by TSC and by robot performance, as Table 2.6 prints them,
-        but in [0, 1].
     **more : float or int
         Any other argument of `Operator`.
 
     Raises
     ------
     ValueError
-        If an argument is not of the form above or out of range.
+        If an argument is not one of an `Operator`, or out of range.
     """
-    values: dict[str, Any] = {}
-    human = model.human if isinstance(model, TscModel) else model
-    if isinstance(model, TscModel):
-        robot = model.robot
-        values = {"robot_floor": robot.p_min, "robot_gain": robot.b / (1.0 - robot.a)}
-    for names, pair in (
-        (("lower", "lower_spread"), lower),
-        (("upper", "upper_spread"), upper),
-        (("follow_tsc", "follow_performance"), follow),
-    ):
-        if pair is not None:
-            values |= zip(names, finite_array(names[0], pair, length=2).tolist(), strict=True)
     for name in more:
         one_of("an argument of an operator", name, FIELDS[2:])
-    return Operator(participant, human, **(values | more))
+    if isinstance(model, TscModel):
+        robot = model.robot
+        more = {"robot_floor": robot.p_min, "robot_gain": robot.b / (1.0 - robot.a)} | more
+        model = model.human
+    return Operator(participant, model, **more)
 
 
 def model_of(values: Mapping[str, Any]) -> TscModel:
@@ -351,5 +329,5 @@ def person_of(values: Mapping[str, Any]) -> tuple[Operator, TscModel, tuple[floa
     habits = {name: values[name] for name in FIELDS[2:] if name in values}
     name = values["participant"]
     name = name if isinstance(name, str) else int(name)
-    person = replace(operator(name, model), **habits)
+    person = operator(name, model, **habits)
     return person, model, (float(values["tsc_l"]), float(values["tsc_u"]))

@@ -565,21 +565,6 @@ class TeleoperatorPopulation:
     def __post_init__(self):
         one_of("study", self.study, REACH)
 
-    def table(self) -> pd.DataFrame:
-        """Return the distribution: columns quantity, distribution, mean, sd."""
-        share = np.sqrt(2.0 / 12.0) / 2.0
-        rows = [
-            (
-                name,
-                f"between {low:g} and {high:g} by skill",
-                (low + high) / 2,
-                abs(high - low) * share,
-            )
-            for name, (low, high) in RANGES.items()
-        ]
-        rows.append(("patience", "uniform, 2 to 4 s", 3.0, 2.0 / np.sqrt(12.0)))
-        return pd.DataFrame(rows, columns=["quantity", "distribution", "mean", "sd"])
-
     def draw(
         self, n: int, seed: int = 0, assumptions: Mapping[str, float] | None = None
     ) -> pd.DataFrame:

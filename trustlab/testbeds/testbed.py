@@ -338,13 +338,14 @@ class ConditionTestbed:
                 "who drives? give either participant= or operator=, not both, and model= for an "
                 "Operator"
             )
-        thresholds = None
-        if operator is None and not isinstance(participant, Operator):
-            operator, known, thresholds = self.participant(str(participant))
-            model = known if model is None else model
-        operator = participant if operator is None else operator
-        of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
-        return operator, of_class("model", model, TscModel), thresholds
+        person = participant
+        if operator is not None:
+            person = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
+        if isinstance(person, Operator):
+            return person, of_class("model", model, TscModel), None
+        operator, known, thresholds = self.participant(str(person))
+        model = known if model is None else of_class("model", model, TscModel)
+        return operator, model, thresholds
 
     def next_session(self, person: Person, run: ConditionRun) -> Person:
         """
@@ -650,7 +651,7 @@ def run_condition(
     -------
     ConditionRun
         With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot a
-        `GroundRobotRun`, which has `.laps()` and `.plot_path()` besides.
+        `GroundRobotRun`, which has `.lap_times` and `.plot_path()` besides.
 
     Raises
     ------

@@ -17,6 +17,7 @@ import trustlab as tl
 from trustlab.allocation.limits import threshold_limits
 from trustlab.campaign import CampaignError, CampaignWarning
 from trustlab.operators.ground_robot import person_of
+from trustlab.operators.teleoperator import RANGES
 from trustlab.studies.planning import virtual_study as one_participant
 from trustlab.testbeds import GroundRobot, OperatorPopulation, TeleoperatorPopulation, UavTracking
 from trustlab.testbeds.populations import COORDINATES, person_at, printed_people
@@ -147,12 +148,12 @@ def test_teleoperators_lie_in_their_ranges():
     drawn = TeleoperatorPopulation("preliminary").draw(500, seed=1)
     assert drawn["reaction"].between(0.15, 0.35).all()
     assert set(drawn["reach"]) == {2.5}
-    table = TeleoperatorPopulation().table().set_index("quantity")
-    for name in ("reaction", "noise", "patience"):
-        assert drawn[name].mean() == pytest.approx(
-            table.loc[name, "mean"], abs=0.15 * table.loc[name, "sd"]
-        )
-        assert drawn[name].std() == pytest.approx(table.loc[name, "sd"], rel=0.12)
+    for name, (low, high) in RANGES.items():
+        # half the sum of two uniform numbers
+        mean, sd = 0.5 * (low + high), abs(high - low) / np.sqrt(24.0)
+        assert drawn[name].mean() == pytest.approx(mean, abs=0.15 * sd)
+        assert drawn[name].std() == pytest.approx(sd, rel=0.12)
+    assert drawn["patience"].between(2.0, 4.0).all()
 
 
 # --- studies --------------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
 from trustlab.models.checks import (
     finite_array,
@@ -63,20 +62,6 @@ class GroundRobotRun(ConditionRun):
     course: Course
     robot: Pioneer
     lap_times: np.ndarray
-
-    def laps(self) -> pd.DataFrame:
-        """
-        Return the laps: columns lap, start [s], end [s], duration [s], manual_share, p_r,
-        path_error [m].
-        """
-        data, end = self.session.data, self.lap_times
-        start = np.r_[0.0, end[:-1]]
-        lap = np.searchsorted(end, data.index.to_numpy(), side="right").clip(max=end.size - 1)
-        means = data[["mode", "p_r", "path_error"]].groupby(lap).mean()
-        laps = {"lap": np.arange(1, end.size + 1), "start": start, "end": end}
-        return pd.DataFrame(laps | {"duration": end - start}).join(
-            means.rename(columns={"mode": "manual_share"})
-        )
 
     def plot_path(self, start: float = 0.0, stop: float | None = None, axes=None):
         """
