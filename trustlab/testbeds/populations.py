@@ -25,7 +25,12 @@ from trustlab.models.checks import (
 from trustlab.models.display import axes_or_new
 from trustlab.models.published import printed_pilot, published_table
 from trustlab.models.tsc import TscModel
-from trustlab.operators.ground_robot import Operator, model_of, person_of
+from trustlab.operators.ground_robot import (
+    Operator,
+    checked_assumptions,
+    model_of,
+    person_of,
+)
 from trustlab.operators.teleoperator import (
     RANGES,
     REACH,
@@ -73,6 +78,9 @@ def person_stream(seed: int, people: int, number: int) -> np.random.Generator:
 
 # The numbers of a person, in the order of `OperatorPopulation.draw`.
 MODEL = ["a_r", "beta", "p_h_min", "p_h_max", "a_pr", "p_r_min", "p_r_max"]
+# The same as `fit_population` names them, time constants [s] in place of a.
+IDENTIFIED = ["human_time_constant", "human_beta", "human_p_min", "human_p_max"]
+IDENTIFIED += ["robot_time_constant", "robot_p_min", "robot_p_max"]
 OWN = ["lower", "upper", "lower_spread", "upper_spread"]
 THRESHOLDS = ["tsc_l", "tsc_u"]
 FOLLOW = ["follow_tsc", "follow_performance"]
@@ -389,8 +397,7 @@ class OperatorPopulation:
         """
         rest = cls.ground_robot()
         new = of_class("people", people, Population, Population.how_to_get).new_person
-        person = new.set_axis(MODEL, axis=1)
-        # there time constants in seconds
+        person = new[IDENTIFIED].set_axis(MODEL, axis=1)
         person[["a_r", "a_pr"]] = np.exp(-SAMPLE_TIME / person[["a_r", "a_pr"]])
         model = [each for each in COORDINATES[rest.testbed] if each.quantity in MODEL]
         rows = np.column_stack([coordinate.of(person) for coordinate in model])
@@ -462,7 +469,9 @@ class OperatorPopulation:
         axes[0].legend()
         return axes
 
-    def draw(self, n: int, seed: int = 0) -> pd.DataFrame:
+    def draw(
+        self, n: int, seed: int = 0, assumptions: Mapping[str, float] | None = None
+    ) -> pd.DataFrame:
         """
         Draw operators; those of a smaller n are the first of a larger one.
 
@@ -472,21 +481,24 @@ class OperatorPopulation:
             How many.
         seed : int
             Each operator has a random stream of its own.
+        assumptions : mapping of str to float, optional
+            What is assumed of all operators: any of `trustlab.operators.ASSUMPTIONS`.
 
         Returns
         -------
         pandas.DataFrame
             A row per operator: participant (from 1), a_r, beta, p_h_min, p_h_max, a_pr, p_r_min,
             p_r_max, lower, upper, lower_spread, upper_spread, tsc_l, tsc_u, follow_tsc,
-            follow_performance, redrawn (how many draws were invalid).
+            follow_performance, redrawn (how many draws were invalid), and what is assumed.
 
         Raises
         ------
         ValueError
             If hardly any draw is a valid model.
         """
+        people = checked_assumptions({} if assumptions is None else assumptions)
         numbers = range(1, whole_number("n", n) + 1)
-        frame = pd.DataFrame([self._drawn(number, seed) for number in numbers])
+        frame = pd.DataFrame([self._drawn(number, seed) | people for number in numbers])
         frame.attrs["synthetic"] = True
         return frame
 

@@ -21,7 +21,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.tsc import TscModel
-from trustlab.operators.ground_robot import Operator, checked_assumptions, person_of
+from trustlab.operators.ground_robot import Operator, person_of
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.schemes import SCHEMES
 from trustlab.testbeds import deciding
@@ -45,38 +45,32 @@ Seed = int | np.random.SeedSequence
 Person = Mapping[str, Any]
 
 
-class TestbedRun(Protocol):
-    """One session on a testbed."""
-
-    @property
-    def measures(self) -> dict[str, float]:
-        """The outcome measures by name."""
-
-    @property
-    def session(self) -> Session:
-        """What was logged."""
-
-
 class Testbed(Protocol):
     """
     What studies know of a testbed.
 
     Attributes: `name`, one word everywhere; `title`, its name in sentences; `conditions`, all that
     can be run; `printed_conditions` and `printed_n`, those and the participants of the
-    dissertation's study; `measures`, those that figures show by default; `origin`, where the people
-    come from; `settings`, what else a study reports of it.
+    dissertation's study; `measures`, those that figures show by default; `takes_rules`, whether a
+    rule can be a condition.
     """
 
-    name: str
-    title: str
-    conditions: tuple[str, ...]
-    printed_conditions: tuple[str, ...]
-    printed_n: int
-    measures: tuple[str, ...]
+    name: ClassVar[str]
+    title: ClassVar[str]
+    conditions: ClassVar[tuple[str, ...]]
+    printed_conditions: ClassVar[tuple[str, ...]]
+    printed_n: ClassVar[int]
+    measures: ClassVar[tuple[str, ...]]
+    takes_rules: ClassVar[bool] = False
+
+    @property
+    def operators(self) -> Any:
+        """The population from which people are drawn."""
 
     @property
     def origin(self) -> str:
         """Where the people come from."""
+        return self.operators.origin
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -86,7 +80,7 @@ class Testbed(Protocol):
         self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
     ) -> pd.DataFrame:
         """
-        Return a row of numbers per person: participant, from 1, and their parameters.
+        Return a row of numbers per person: participant, from 1, and their parameters, as drawn.
 
         Parameters
         ----------
@@ -95,12 +89,14 @@ class Testbed(Protocol):
         assumptions : mapping of str to float, optional
             What is assumed of all of them, by name.
         seed : int
-            Seed of the draws.
+            Seed of the draws; people of a smaller n are the first of a larger one.
         """
+        return self.operators.draw(n, seed, assumptions)
 
-    def run(self, condition: str, person: Person, seed: Seed) -> TestbedRun:
+    def run(self, condition: str, person: Person, seed: Seed) -> Any:
         """
-        Run one session.
+        Run one session, and return what has it as `.session`, and its outcome measures by name as
+        `.measures`.
 
         Parameters
         ----------
@@ -114,7 +110,8 @@ class Testbed(Protocol):
 
     def next_session(self, person: Person, run: Any) -> Person:
         """
-        Return the person as they come to the session after this run.
+        Return the person as they come to the session after this run; the same unless a testbed
+        carries something over.
 
         Parameters
         ----------
@@ -123,6 +120,7 @@ class Testbed(Protocol):
         run : object
             What `run` returned.
         """
+        return person
 
 
 @cache
@@ -132,7 +130,7 @@ def usual_population(testbed: str) -> OperatorPopulation:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ConditionTestbed:
+class ConditionTestbed(Testbed):
     """
     What the testbeds of C1 to C5 have in common.
 
@@ -193,32 +191,9 @@ class ConditionTestbed:
         return usual_population(self.name) if self.population is None else self.population
 
     @property
-    def origin(self) -> str:
-        """Where the people come from."""
-        return self.operators.origin
-
-    @property
     def settings(self) -> dict[str, Any]:
         """Settings of all runs, by name."""
         return {"rest": self.rest}
-
-    def people(
-        self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
-    ) -> pd.DataFrame:
-        """
-        Return a row per operator: the population's draw, and what is assumed of all of them.
-
-        Parameters
-        ----------
-        n : int
-            How many; those of a smaller n are the first of a larger one.
-        assumptions : mapping of str to float, optional
-            Any of `trustlab.operators.ASSUMPTIONS` by name.
-        seed : int
-            Seed of the draws.
-        """
-        assumed = checked_assumptions({} if assumptions is None else assumptions)
-        return self.operators.draw(n, seed).assign(**assumed)
 
     def run(self, condition: str, person: Person, seed: Seed) -> ConditionRun:
         """
@@ -484,7 +459,7 @@ class TeleoperationRun:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class UavTracking:
+class UavTracking(Testbed):
     """
     The teleoperated UAV of Chapter 3, with the settings of `simulate_teleoperation`.
 
@@ -508,7 +483,6 @@ class UavTracking:
     printed_conditions: ClassVar[tuple[str, ...]] = ("M", "OMI", "MMI", "TMIG")
     printed_n: ClassVar[int] = 32
     measures: ClassVar[tuple[str, ...]] = ("tracking_error", "p_r", "p_h", "hand_force")
-    takes_rules: ClassVar[bool] = False
 
     duration: float = 120.0
     population: TeleoperatorPopulation = field(default_factory=TeleoperatorPopulation)
@@ -518,29 +492,14 @@ class UavTracking:
         of_class("population", self.population, TeleoperatorPopulation)
 
     @property
-    def origin(self) -> str:
-        """Where the people come from."""
-        return self.population.origin
+    def operators(self) -> TeleoperatorPopulation:
+        """The population given, or the usual one."""
+        return self.population
 
     @property
     def settings(self) -> dict[str, Any]:
         """Settings of all runs, by name."""
         return {"duration": self.duration}
-
-    def people(
-        self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
-    ) -> pd.DataFrame:
-        """
-        Return a row per operator: the population's draw.
-
-        Parameters
-        ----------
-        n, seed : int
-            As for `TeleoperatorPopulation.draw`.
-        assumptions : mapping, optional
-            Any of `trustlab.operators.TELEOPERATOR_ASSUMPTIONS` by name.
-        """
-        return self.population.draw(n, seed, assumptions)
 
     def run(self, condition: str, person: Person, seed: Seed) -> TeleoperationRun:
         """
@@ -559,19 +518,6 @@ class UavTracking:
         return TeleoperationRun(
             simulate_teleoperation(condition, operator, study, seed=seed, duration=self.duration)
         )
-
-    def next_session(self, person: Person, run: TeleoperationRun) -> Person:
-        """
-        Return the same operator: nothing is carried from session to session.
-
-        Parameters
-        ----------
-        person : mapping
-            As for `run`.
-        run : TeleoperationRun
-            The run.
-        """
-        return person
 
 
 TESTBEDS: dict[str, Callable[..., Any]] = {

@@ -30,7 +30,6 @@ SLOWEST = 0.15
 # Largest runs that are made: ten million samples, 1.2 GB, are nearly twelve days of driving.
 MOST_LAPS = 1000
 MOST_STEPS = 10_000_000
-MOST_PHASES = 10_000
 
 MAKE_OPERATOR = (
     "make one with trustlab.operators.operator(participant, model) or "
@@ -186,7 +185,7 @@ def identification_session(
         )
     if shortest > longest:
         raise ValueError(f"phase must be (shortest, longest), got {phase!r:.60}")
-    mixed = whole_number("mixed", mixed, least=0, most=MOST_PHASES)
+    mixed = whole_number("mixed", mixed, least=0)
     most_samples(sum(first) + mixed * longest, "manual, autonomous and mixed phases together")
     stream = np.random.default_rng(spawned(seed, 4)[3])
     lengths = np.r_[first, stream.uniform(shortest, longest, size=mixed)]
