@@ -185,7 +185,7 @@ def identification_session(
         )
     if shortest > longest:
         raise ValueError(f"phase must be (shortest, longest), got {phase!r:.60}")
-    mixed = whole_number("mixed", mixed, least=0)
+    mixed = whole_number("mixed", mixed, least=0, most=MOST_STEPS)
     most_samples(sum(first) + mixed * longest, "manual, autonomous and mixed phases together")
     stream = np.random.default_rng(spawned(seed, 4)[3])
     lengths = np.r_[first, stream.uniform(shortest, longest, size=mixed)]
