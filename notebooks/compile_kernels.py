@@ -16,9 +16,6 @@ import trustlab as tl
 
 def _ground_robot() -> None:
     tl.run_condition("C3", participant=2, laps=2, seed=0)
-    # The kernel again, with the correction in it.
-    corrector = tl.ThresholdCorrector(tl.published_models()["2"], (0.05, 0.4))
-    tl.run_correction(corrector, tests=1, setting=tl.testbeds.GroundRobotTests(2, laps=1))
     tl.virtual_study(n=4, testbed="uav_following", conditions=["C1", "C3"], seed=0)
 
 

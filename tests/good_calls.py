@@ -228,9 +228,6 @@ NOT_WALKED = {
     "fit_population": "takes seconds; sample_posterior checks the same arguments",
     "live.live_difficulty": "takes a minute",
     "live.policy_agreement": "needs a team that somebody led",
-    "operators.allocation_answers": "a part of virtual_study",
-    "operators.driving_style": "a kernel of the simulated operators",
-    "operators.joystick": "a kernel of the simulated operators",
     "publishing.caption": "for the notebooks of this project",
     "publishing.only_parameters": "reads the names of a notebook",
     "publishing.publish": "runs notebooks",
@@ -257,7 +254,6 @@ NOT_WALKED = {
     "studies.simultaneous_intervals": "goes",
     "studies.tlx_weights": "needs fifteen choices a person",
     "teleoperation.plot_scales": "for one chapter",
-    "testbeds.plot_beside": "for one chapter",
 }
 """Names that are not walked over, with the reason."""
 

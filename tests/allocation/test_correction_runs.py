@@ -262,5 +262,5 @@ def test_a_run_does_not_depend_on_an_earlier_one():
 def test_what_is_no_corrector_is_refused():
     with pytest.raises(ValueError, match="ThresholdCorrector"):
         tl.run_correction(SECOND, START)
-    with pytest.raises(ValueError, match="setting must be ModelTests"):
+    with pytest.raises(ValueError, match="setting must be of class ModelTests"):
         tl.run_correction(tl.ThresholdCorrector(SECOND, TARGET), START, setting=3)

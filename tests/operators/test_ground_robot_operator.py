@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.operators import OperatorNumbers, driving_style, joystick, operator
+from trustlab.operators import operator
+from trustlab.operators.ground_robot import OperatorNumbers, driving_style, joystick
 from trustlab.testbeds import drive_modes
 
 
@@ -14,9 +15,12 @@ def test_numbers_are_the_operators_own(operators):
     who = operator(
         "3",
         operators["3"],
-        lower=(0.096, 0.13),
-        upper=(0.51, 0.29),
-        follow=(0.5, 0.6875),
+        lower=0.096,
+        lower_spread=0.13,
+        upper=0.51,
+        upper_spread=0.29,
+        follow_tsc=0.5,
+        follow_performance=0.6875,
         delay=0.4,
     )
     human = operators["3"].human
@@ -108,11 +112,11 @@ def test_a_delayed_hand_weaves(operators):
     ("change", "says"),
     [
         ({"human": None}, "human must be of class HumanModel, got NoneType"),
-        ({"delay": -0.1}, "delay must not be negative"),
+        ({"delay": -0.1}, r"delay must lie in \[0, 5\], got -0.1"),
         ({"delay": np.nan}, "delay must be finite"),
         ({"look_ahead": 0.0}, "look_ahead must be positive"),
         ({"follow_tsc": 78.57}, r"follow_tsc must lie in .*, got 78.57"),
-        ({"lower": 0.5, "upper": 0.4}, "lower below upper"),
+        ({"lower": 0.5, "upper": 0.4}, "lower must be below upper"),
         ({"human": tl.HumanModel(0.999, 0.5, 10.0, 90.0)}, "rescale the model"),
     ],
 )
@@ -122,7 +126,9 @@ def test_bad_operators_are_named(operators, change, says):
 
 
 def test_bad_habits_are_named(operators):
-    with pytest.raises(ValueError, match="lower must be a pair"):
-        operator("1", operators["1"], lower=0.1)
-    with pytest.raises(ValueError, match="no 'skill'"):
+    with pytest.raises(ValueError, match="lower must be a number"):
+        operator("1", operators["1"], lower=(0.1, 0.2))
+    with pytest.raises(
+        ValueError, match=r"an argument of an operator must be one of .*, got 'skill'"
+    ):
         operator("1", operators["1"], skill=1.0)

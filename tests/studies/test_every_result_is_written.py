@@ -68,7 +68,6 @@ RESULTS = {
     "SmallestN": lambda: studies.smallest_n(0.5, [0.0, 0.8, 1.2], COVARIANCE, simulation=QUICK),
     "VirtualStudy": lambda: tl.virtual_study(n=4, conditions=["C1", "C5"], laps=1),
     "OperatorPopulation": lambda: tl.testbeds.OperatorPopulation.ground_robot(),
-    "TeleoperatorPopulation": lambda: tl.testbeds.TeleoperatorPopulation(),
     "LikertScale": lambda: studies.TRUST_CHECKLIST,
     "ScaleScores": lambda: studies.score_trust_checklist(ANSWERS, subject="who"),
     "Reliability": lambda: studies.cronbach_alpha(ANSWERS.drop(columns="who")),

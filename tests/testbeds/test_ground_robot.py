@@ -353,16 +353,15 @@ def test_measures_and_laps(runs):
     for name, run in runs.items():
         session = run.session
         measures = run.measures
-        laps = run.laps()
+        laps = np.diff(run.lap_times, prepend=0.0)
         assert measures["laps"] == 8
         assert measures["p_r"] == session["p_r"].mean()
         assert measures["switches"] == np.abs(np.diff(session["mode"])).sum()
         assert measures["duration"] == pytest.approx(run.lap_times[-1])
-        assert laps["duration"].sum() == pytest.approx(run.lap_times[-1])
-        assert (laps["duration"] > 60.0).all()
-        assert (laps["duration"] < 130.0).all()
-        weighted = (laps["path_error"] * laps["duration"]).sum() / laps["duration"].sum()
-        assert weighted == pytest.approx(measures["path_error"], rel=1e-2)
+        assert laps.size == 8
+        assert (laps > 60.0).all()
+        assert (laps < 130.0).all()
+        assert measures["lap_time"] == pytest.approx(laps.mean())
         table = run.table()
         assert table.loc[0, ["participant", "condition", "synthetic"]].tolist() == ["1", name, True]
         assert np.isnan(measures["followed_percent"]) == (name == "C1")
@@ -480,7 +479,7 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
         ({"condition": "C6"}, "'C5', 'own', 'random', or rule=, got 'C6'"),
         ({"operator": "pilot"}, "operator must be of class Operator, got str"),
         ({"model": None}, "model must be of class TscModel, got NoneType; fit one"),
-        ({"operator": tl.Teleoperator()}, "got Teleoperator, who flies a UAV"),
+        ({"operator": tl.Teleoperator()}, "must be of class Operator, got Teleoperator; make one"),
         ({"thresholds": None}, r"C3 needs thresholds.*choose_thresholds\(model\)"),
         ({"thresholds": (0.6, 0.1)}, "the lower threshold must be below the upper threshold"),
         ({"thresholds": (0.1, np.nan)}, "must be finite"),
@@ -495,7 +494,7 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
         ({"operator": None}, "who drives"),
         (
             {"operator": None, "participant": 6},
-            "no participant 6 among the printed ones: pilot, 1, 2, 3, 4, 5",
+            "participant must be one of 'pilot', '1', '2', '3', '4', '5', or an Operator",
         ),
         ({"operator": None, "participant": "pilt"}, "did you mean 'pilot'"),
         ({"laps": 0}, "laps must be a whole number"),
@@ -545,9 +544,7 @@ def test_bad_schedules_are_named(one):
         drive_modes([1], one)
     with pytest.raises(ValueError, match=r"at least 0\.1 s, got -5"):
         identification_session(one, manual=-5.0)
-    with pytest.raises(
-        ValueError, match=r"mixed must be a whole number, from 0 to 10000, got 1\.5"
-    ):
+    with pytest.raises(ValueError, match=r"mixed must be a whole number, from 0 .*, got 1\.5"):
         identification_session(one, mixed=1.5)
-    with pytest.raises(ValueError, match=r"phases, \(shortest, longest\)"):
+    with pytest.raises(ValueError, match=r"phase must be \(shortest, longest\), got \(500"):
         identification_session(one, phase=(500.0, 300.0))

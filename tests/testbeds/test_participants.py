@@ -11,7 +11,6 @@ from trustlab.testbeds import (
     published_thresholds,
     run_condition,
 )
-from trustlab.testbeds.ground_robot.conditions import participant_label
 
 PEOPLE = ("1", "2", "3", "4", "5")
 
@@ -40,7 +39,8 @@ def test_the_pilot_has_a_model_and_thresholds():
 
 @pytest.mark.parametrize("given", [3, "3", " 3 ", 3.0, np.int64(3)])
 def test_ways_to_name_a_participant(given):
-    assert participant_label(given) == "3"
+    assert published_operator(given).participant == "3"
+    assert published_operator(given) == published_operator("3")
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_ways_to_name_a_participant(given):
 )
 def test_unknown_participants_are_told_the_known(wrong):
     for ask in (published_operator, published_model, published_thresholds):
-        with pytest.raises(ValueError, match="pilot, 1, 2, 3, 4, 5"):
+        with pytest.raises(ValueError, match="'pilot', '1', '2', '3', '4', '5', or an Operator"):
             ask(wrong)
 
 

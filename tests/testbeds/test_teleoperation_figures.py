@@ -3,11 +3,10 @@
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.testbeds import plot_alpha, plot_beside, plot_energies, plot_signals, plot_trajectory
+from trustlab.testbeds import plot_alpha, plot_energies, plot_signals, plot_trajectory
 
 matplotlib.use("Agg")
 RUNS = [tl.simulate_teleoperation(scheme, seed=2, duration=12.0) for scheme in ("TMIG", "OMI")]
@@ -93,14 +92,3 @@ def test_a_session_without_the_columns_is_refused(call):
     thin = tl.Session(RUNS[0].data[["path_error"]], RUNS[0].metadata)
     with pytest.raises(ValueError, match="has no column"):
         call(thin)
-
-
-def test_means_stand_beside_each_other():
-    one = pd.DataFrame(
-        {"mean": [1.0, 2.0], "ci_low": [0.5, 1.5], "ci_high": [2.0, 3.0]}, index=["M", "TMIG"]
-    )
-    axes = plot_beside({"people": one, "simulated": one + 1.0})
-    assert [label.get_text() for label in axes.get_xticklabels()] == ["M", "TMIG"]
-    for container, shift in zip(axes.containers, (0.0, 1.0), strict=True):
-        low, high = container[2][0].get_segments()[0][:, 1]
-        assert (low, high) == (0.5 + shift, 2.0 + shift)

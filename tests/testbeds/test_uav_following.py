@@ -172,7 +172,7 @@ def test_figures_and_tables_say_that_they_are_synthetic(runs):
     [
         ({"participant": 21}, "participant must be a whole number, from 1 to 20, got 21"),
         ({"participant": "pilot"}, "participant must be a whole number, from 1 to 20"),
-        ({"participant": None}, "who flies"),
+        ({"participant": None}, "give either participant= or operator="),
         ({"operator": PEOPLE[0][0]}, "either participant= or operator="),
         ({"participant": PEOPLE[0][0]}, "model must be of class TscModel"),
         ({"testbed": "sea"}, "testbed must be one of"),

@@ -14,8 +14,6 @@ from .correction_path import (
 )
 from .correction_run import (
     CorrectionRun as CorrectionRun,
-    CorrectionSetting as CorrectionSetting,
-    CorrectionTest as CorrectionTest,
     ModelTests as ModelTests,
     OnlineCorrection as OnlineCorrection,
     OnlineStep as OnlineStep,

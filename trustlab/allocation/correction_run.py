@@ -1,13 +1,12 @@
 """
 Corrections of a person's thresholds while they drive: Algorithm 3 sample by sample, and consecutive
-tests as in Fig. 2.18, on the model or on a testbed.
+tests as in Fig. 2.18, on the model.
 """
 
 import math
 from dataclasses import dataclass
 from string import ascii_lowercase
 from time import perf_counter
-from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import pandas as pd
@@ -27,11 +26,11 @@ from trustlab.models.checks import (
     one_of,
     positive,
     set_checked,
-    shown,
     whole_number,
 )
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import (
+    RobotModel,
     TscConstants,
     next_performance,
     next_utilization,
@@ -49,9 +48,6 @@ OUTSIDE = (
     "A measurement lies outside the model's range by more than rounding, so the thresholds are "
     "held. Identify the model anew from this operator's sessions, or pass outside='nearest'."
 )
-UNSETTLED = (
-    "The window of measured performance is not full yet, so the thresholds are held until it is."
-)
 NEAREST = (
     "A measurement lies outside the model's range; the plan uses the nearest value in the range, "
     "as requested. Identify the model anew if this happens often."
@@ -63,6 +59,9 @@ COLUMNS = [
     *["lower", "upper", "c_l", "c_u"],
     *["cost", "cost_lower_bound", "status", "message", "latency"],
 ]
+
+HABITS = ("following", "lagging", "ignoring")
+SOURCE = "simulated, model of (2.1)-(2.6)"
 
 # Columns of the thresholds, each with that of its corrections.
 SIDES = (("lower", "c_l"), ("upper", "c_u"))
@@ -294,79 +293,6 @@ def measured(name: str, value: float | None) -> float:
 # --- consecutive tests ----------------------------------------------------------------------------
 
 
-class CorrectionTest(NamedTuple):
-    """
-    How one test begins.
-
-    Parameters
-    ----------
-    number : int
-        From 1.
-    habit : str
-        How the operator responds to suggestions.
-    start : (float, float)
-        The operator's thresholds before any correction.
-    thresholds : (float, float)
-        Those of the suggestions now.
-    stream : object
-        An item of `CorrectionSetting.streams`.
-    """
-
-    number: int
-    habit: str
-    start: tuple[float, float]
-    thresholds: tuple[float, float]
-    stream: Any
-
-
-class CorrectionSetting(Protocol):
-    """
-    A setting of consecutive tests: the model itself, or a testbed.
-
-    `habits` are the habits of operators that it has, `source` says where its data come from.
-    """
-
-    habits: ClassVar[tuple[str, ...]]
-    source: ClassVar[str]
-
-    def printed_thresholds(self) -> tuple[float, float] | None:
-        """Return the printed thresholds of a printed participant, if there is one."""
-
-    def streams(self, seed: int | np.random.SeedSequence, tests: int) -> list:
-        """
-        Return the random numbers of each test.
-
-        Parameters
-        ----------
-        seed : int or numpy.random.SeedSequence
-            Of all that is random.
-        tests : int
-            How many tests.
-        """
-
-    def run(
-        self, corrector: ThresholdCorrector, test: CorrectionTest
-    ) -> tuple[pd.DataFrame, tuple[float, float], Any]:
-        """
-        Run one test.
-
-        Parameters
-        ----------
-        corrector : ThresholdCorrector
-            What plans the corrections.
-        test : CorrectionTest
-            How the test begins.
-
-        Returns
-        -------
-        data : pandas.DataFrame
-            Its samples, with all columns of a `CorrectionRun` but "test".
-        thresholds : (float, float)
-            Those at its end.
-        session : Session or None
-        """
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class CorrectionRun(Result):
     """
@@ -382,9 +308,7 @@ class CorrectionRun(Result):
     operator : str
         How the operator responds to suggestions.
     source : str
-        Where the data come from: simulated, and by which model or testbed.
-    sessions : tuple of Session
-        The sessions that the data were taken from, one per test; on a testbed only.
+        Where the data come from.
     """
 
     title = "Correction run"
@@ -393,8 +317,7 @@ class CorrectionRun(Result):
     start: tuple[float, float]
     target: tuple[float, float]
     operator: str
-    source: str
-    sessions: tuple = ()
+    source: str = SOURCE
 
     @property
     def message(self) -> str:
@@ -471,94 +394,6 @@ class CorrectionRun(Result):
         return axes[0]
 
 
-def run_correction(
-    corrector: ThresholdCorrector,
-    start: tuple[float, float] | None = None,
-    tests: int = 4,
-    habit: str = "following",
-    seed: int | np.random.SeedSequence = 0,
-    setting: CorrectionSetting | None = None,
-) -> CorrectionRun:
-    """
-    Correct thresholds over several consecutive tests, Section 2.5 and Fig. 2.18.
-
-    Every test begins in the manual mode; thresholds carry over from test to test. No plan
-    anticipates how the operator will respond to suggestions.
-
-    Parameters
-    ----------
-    corrector : ThresholdCorrector
-        Model, target, horizon, largest correction and engine.
-    start : (float, float), optional
-        The operator's thresholds TSC_l and TSC_u; may be left out for a printed participant on a
-        testbed.
-    tests : int
-        How many tests.
-    habit : {"following", "lagging", "ignoring", "free", "adopting"}
-        How the operator responds to suggestions. "following": follows all, on a testbed after a
-        reaction; "lagging": follows those that still stand after a lag; "ignoring": decides by the
-        thresholds of `start`, on a testbed by the operator's own. On a testbed also "free":
-        follows as many as the operator does in C2; and "adopting": decides by the operator's own
-        thresholds, which move by the same corrections.
-    seed : int or numpy.random.SeedSequence
-        Of all that is random; on a testbed one child is spawned from it per test.
-    setting : ModelTests or trustlab.testbeds.GroundRobotTests, optional
-        Where the tests take place, how long they are, and from where they test; on the model,
-        `ModelTests()`, when not given.
-
-    Returns
-    -------
-    CorrectionRun
-        With `.data`, `.table()` and `.plot()`.
-
-    Raises
-    ------
-    ValueError
-        If an argument is of the wrong kind or out of range, or the setting does not have the habit.
-
-    Notes
-    -----
-    Simulated: no person took part.
-
-    Examples
-    --------
-    >>> import trustlab as tl
-    >>> corrector = tl.ThresholdCorrector(tl.published_models()["2"], target=(0.05, 0.4))
-    >>> setting = tl.allocation.ModelTests(duration=60.0)
-    >>> run = tl.run_correction(corrector, (0.0, 0.35), tests=1, setting=setting)
-    >>> run.table().columns.tolist()[:5]
-    ['test', 'lower', 'upper', 'remaining', 'p_r']
-    """
-    of_class("corrector", corrector, ThresholdCorrector)
-    setting = ModelTests() if setting is None else setting
-    if not hasattr(setting, "habits"):
-        raise ValueError(
-            "setting must be ModelTests, trustlab.testbeds.GroundRobotTests or one like them, got "
-            f"{shown(setting)}"
-        )
-    start = threshold_pair("start", setting.printed_thresholds() if start is None else start)
-    one_of("habit", habit, setting.habits)
-    tests = whole_number("tests", tests, most=1000)
-    if corrector.program is not None:
-        corrector.program.reset()
-    thresholds = start
-    parts = []
-    sessions = []
-    for number, stream in enumerate(setting.streams(seed, tests), start=1):
-        test = CorrectionTest(number, habit, start, thresholds, stream)
-        data, thresholds, session = setting.run(corrector, test)
-        parts.append(data.assign(test=number))
-        if session is not None:
-            sessions.append(session)
-    frame = pd.concat(parts, ignore_index=True)[COLUMNS]
-    return CorrectionRun(
-        frame, start, corrector.target, habit, setting.source, sessions=tuple(sessions)
-    )
-
-
-# --- on the model ---------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class ModelTests:
     """
@@ -593,9 +428,6 @@ class ModelTests:
     p_r0: float | None = None
     sample_time: float = 0.1
 
-    habits: ClassVar[tuple[str, ...]] = ("following", "lagging", "ignoring")
-    source: ClassVar[str] = "simulated, model of (2.1)-(2.6)"
-
     def __post_init__(self):
         set_checked(self, positive, "duration", "sample_time")
         set_checked(self, not_negative, "lag", "noise")
@@ -609,55 +441,18 @@ class ModelTests:
         """How many samples a test has."""
         return round(self.duration / self.sample_time)
 
-    def printed_thresholds(self) -> None:
-        """Return nothing: the model belongs to no printed participant."""
-
-    def streams(self, seed: int | np.random.SeedSequence, tests: int) -> list:
+    def start(self, robot: RobotModel) -> float:
         """
-        Return the random numbers of each test: those of one stream, one test after another.
+        Return robot performance at the beginning of each test.
 
         Parameters
         ----------
-        seed : int or numpy.random.SeedSequence
-            Of all that is random.
-        tests : int
-            How many tests.
+        robot : RobotModel
+            Within whose range it lies.
         """
-        if not isinstance(seed, np.random.SeedSequence):
-            seed = whole_number("seed", seed, least=0)
-        return [np.random.default_rng(seed)] * tests
-
-    def run(
-        self, corrector: ThresholdCorrector, test: CorrectionTest
-    ) -> tuple[pd.DataFrame, tuple[float, float], None]:
-        """
-        Run one test in closed loop.
-
-        Parameters
-        ----------
-        corrector : ThresholdCorrector
-            What plans the corrections.
-        test : CorrectionTest
-            How the test begins.
-
-        Returns
-        -------
-        data : pandas.DataFrame
-        thresholds : (float, float)
-        session : None
-        """
-        robot = corrector.tsc.robot
-        p_r0 = robot.p_min
-        if self.p_r0 is not None:
-            p_r0 = within_range("p_r0", self.p_r0, robot.p_min, robot.p_max)
-        online = OnlineCorrection(corrector, test.thresholds, 1, self.r0, outside="nearest")
-        wait = round(min(self.lag / self.sample_time, self.samples + 1))
-        operator = Responder(test.habit, test.start, wait)
-        disturbance = test.stream.standard_normal(self.samples) * self.noise
-        constants = corrector.tsc.constants()
-        truth = _closed_loop(online, operator, constants, self.r0, p_r0, disturbance)
-        time = np.arange(self.samples) * self.sample_time
-        return online.table().assign(t=time, **truth), (online.lower, online.upper), None
+        if self.p_r0 is None:
+            return robot.p_min
+        return within_range("p_r0", self.p_r0, robot.p_min, robot.p_max)
 
 
 class Responder:
@@ -718,3 +513,81 @@ def _closed_loop(
         if push:
             p_r = min(max(p_r + push, c.p_r_min), c.p_r_max)
     return truth
+
+
+def run_correction(
+    corrector: ThresholdCorrector,
+    start: tuple[float, float],
+    tests: int = 4,
+    habit: str = "following",
+    seed: int | np.random.SeedSequence = 0,
+    setting: ModelTests | None = None,
+) -> CorrectionRun:
+    """
+    Correct thresholds over several consecutive tests, Section 2.5 and Fig. 2.18.
+
+    Every test begins in the manual mode; thresholds carry over from test to test. No plan
+    anticipates how the operator will respond to suggestions.
+
+    Parameters
+    ----------
+    corrector : ThresholdCorrector
+        Model, target, horizon, largest correction and engine.
+    start : (float, float)
+        The operator's thresholds TSC_l and TSC_u.
+    tests : int
+        How many tests.
+    habit : {"following", "lagging", "ignoring"}
+        How the operator responds to suggestions. "following": follows all; "lagging": follows those
+        that still stand after a lag; "ignoring": decides by the thresholds of `start`.
+    seed : int or numpy.random.SeedSequence
+        Of all that is random.
+    setting : ModelTests, optional
+        How long the tests are, and from where they begin; `ModelTests()` when not given.
+
+    Returns
+    -------
+    CorrectionRun
+        With `.data`, `.table()` and `.plot()`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is of the wrong kind or out of range.
+
+    Notes
+    -----
+    Simulated: no person took part.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> corrector = tl.ThresholdCorrector(tl.published_models()["2"], target=(0.05, 0.4))
+    >>> setting = tl.allocation.ModelTests(duration=60.0)
+    >>> run = tl.run_correction(corrector, (0.0, 0.35), tests=1, setting=setting)
+    >>> run.table().columns.tolist()[:5]
+    ['test', 'lower', 'upper', 'remaining', 'p_r']
+    """
+    of_class("corrector", corrector, ThresholdCorrector)
+    setting = of_class("setting", ModelTests() if setting is None else setting, ModelTests)
+    start = threshold_pair("start", start)
+    one_of("habit", habit, HABITS)
+    tests = whole_number("tests", tests, most=1000)
+    if not isinstance(seed, np.random.SeedSequence):
+        seed = whole_number("seed", seed, least=0)
+    p_r0, r0 = setting.start(corrector.tsc.robot), setting.r0
+    wait = round(min(setting.lag / setting.sample_time, setting.samples + 1))
+    if corrector.program is not None:
+        corrector.program.reset()
+    rng, thresholds = np.random.default_rng(seed), start
+    parts = []
+    for number in range(1, tests + 1):
+        online = OnlineCorrection(corrector, thresholds, 1, r0, outside="nearest")
+        operator = Responder(habit, start, wait)
+        disturbance = rng.standard_normal(setting.samples) * setting.noise
+        truth = _closed_loop(online, operator, corrector.tsc.constants(), r0, p_r0, disturbance)
+        time = np.arange(setting.samples) * setting.sample_time
+        parts.append(online.table().assign(test=number, t=time, **truth))
+        thresholds = online.lower, online.upper
+    frame = pd.concat(parts, ignore_index=True)[COLUMNS]
+    return CorrectionRun(frame, start, corrector.target, habit)

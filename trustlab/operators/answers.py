@@ -49,16 +49,15 @@ def experience(session: Session, study: str | LoopSettings = "main") -> dict[str
     session.require("path_error", "f_h_x", "f_h_y", "f_h_z", "alpha", "p_r", "p_h")
     ends = settings.scattering
     force = np.sqrt(sum(session[f"f_h_{axis}"] ** 2 for axis in "xyz")).mean()
-    holding = (
-        float(np.mean(np.divide(settings.stiffness, settings.weight))) + ends.beta_max * ends.b
-    )
+    spring = np.mean(np.divide(settings.stiffness, settings.weight))
+    holding = spring + ends.beta_max * ends.b
     share = (session["alpha"] - ends.alpha_min) / max(ends.alpha_max - ends.alpha_min, 1e-12)
-    total = session["p_h"] + session["p_r"]
-    own = np.divide(session["p_h"], total, out=np.full(len(session), 0.5), where=total > 0.0)
+    p_h, total = session["p_h"], session["p_h"] + session["p_r"]
+    skill = np.divide(p_h, total, out=np.full(len(session), 0.5), where=total > 0.0)
     return {
         "error": float(min(session["path_error"].mean() / settings.error_range, 1.0)),
         "effort": float(force / (force + holding)),
-        "agreement": float(1.0 - np.abs(share - own).mean()),
+        "agreement": float(1.0 - np.abs(share - skill).mean()),
     }
 
 
@@ -112,37 +111,32 @@ def simulated_answers(
     >>> answers["mental"], answers["satisfaction"]
     (10, 6)
     """
-    participant, seed = (
-        whole_number("participant", participant),
-        whole_number("seed", seed, least=0),
-    )
+    participant = whole_number("participant", participant)
+    seed = whole_number("seed", seed, least=0)
     if isinstance(points, bool) or points not in (5, 7):
         raise ValueError(f"points must be 5 or 7, got {points!r}")
-    felt = experience(session, study)
-    error = felt["error"]
-    effort = felt["effort"]
-    agreement = felt["agreement"]
+    error, effort, agreement = experience(session, study).values()
     drives = {
-        "mental": (error, 0, 100, 5),
-        "physical": (effort, 0, 100, 5),
-        "temporal": (error, 0, 100, 5),
-        "performance": (error, 0, 100, 5),
-        "effort": (effort, 0, 100, 5),
-        "frustration": (1.0 - agreement, 0, 100, 5),
-        "satisfaction": (1.0 - error, 1, points, 1),
-        "comfort": (1.0 - effort, 1, points, 1),
-        "control": (agreement, 1, points, 1),
-        "trust": (0.5 * (1.0 - error + agreement), 1, 7, 1 / 12),
+        "mental": error,
+        "physical": effort,
+        "temporal": error,
+        "performance": error,
+        "effort": effort,
+        "frustration": 1.0 - agreement,
+        "satisfaction": 1.0 - error,
+        "comfort": 1.0 - effort,
+        "control": agreement,
+        "trust": 0.5 * (1.0 - error + agreement),
     }
+    # the ends and the step of each scale
+    scales = [(0, 100, 5)] * 6 + [(1, points, 1)] * 3 + [(1, 7, 1 / 12)]
     condition = list(str(session.metadata.condition).encode())
     person = np.random.default_rng([seed, participant]).normal(0.0, TRAIT, 3)
     mood = np.random.default_rng([seed, participant, *condition]).normal(0.0, MOOD, len(drives))
-    offsets = np.repeat(person, (6, 3, 1))
+    offsets = np.repeat(person, (6, 3, 1)) + mood
     answers = {}
-    for (name, (drive, low, high, step)), offset in zip(
-        drives.items(), offsets + mood, strict=True
-    ):
-        share = min(max(drive + offset, 0.0), 1.0)
+    for name, (low, high, step), offset in zip(drives, scales, offsets, strict=True):
+        share = min(max(drives[name] + offset, 0.0), 1.0)
         answers[name] = low + step * round(share * (high - low) / step)
     return answers
 
@@ -184,18 +178,15 @@ def allocation_answers(
     dict of str to float
         tlx, 100 load; satisfaction, 1 + 6 · ½(1 − load + p); trust, 1 + 6 · ½(p + agreement).
     """
-    load = (
-        operator.load_utilization * means["r"]
-        + operator.load_switching * 60.0 * judged / means["duration"]
-    )
-    load, robot = min(load, 1.0), model.robot
+    minutes, robot = means["duration"] / 60.0, model.robot
+    load = operator.load_utilization * means["r"] + operator.load_switching * judged / minutes
+    load = min(load, 1.0)
     relative = min(max((means["p_r"] - robot.p_min) / (robot.p_max - robot.p_min), 0.0), 1.0)
     agreement = agreeing(mode, tsc + operator.trust_bias, operator.lower, operator.upper)
-    satisfaction, trust = 0.5 * (1.0 - load + relative), 0.5 * (relative + agreement)
     return {
         "tlx": 100.0 * load,
-        "satisfaction": 1.0 + 6.0 * satisfaction,
-        "trust": 1.0 + 6.0 * trust,
+        "satisfaction": 1.0 + 3.0 * (1.0 - load + relative),
+        "trust": 1.0 + 3.0 * (relative + agreement),
     }
 
 
@@ -205,8 +196,8 @@ def agreeing(mode, tsc, lower, upper):
     Return the share of samples whose mode is that of rule (2.8) with these thresholds, begun in the
     same mode.
     """
-    own, count = int(mode[0]), 0
+    ruled, count = int(mode[0]), 0
     for k in range(mode.size):
-        own = threshold_mode(tsc[k], lower, upper, own)
-        count += own == mode[k]
+        ruled = threshold_mode(tsc[k], lower, upper, ruled)
+        count += ruled == mode[k]
     return count / mode.size

@@ -11,18 +11,18 @@ import numpy as np
 
 from trustlab.models.checks import (
     between,
-    finite_number,
-    not_negative,
     of_class,
     one_of,
     positive,
+    set_checked,
+    set_in_order,
     shown,
     whole_number,
 )
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
-# Largest values of an operator's numbers, far beyond what people do; TSC itself lies in [-1, 1].
+# Largest values of an operator's numbers, far beyond what people do. Times are in s.
 MOST = {
     "robot_floor": 1.0,
     "robot_gain": 10.0,
@@ -32,32 +32,30 @@ MOST = {
     "look_ahead": 100.0,
     "steering_gain": 100.0,
     "easing": 100.0,
+    "idle_share": 1.0,
     "wander_time": 3600.0,
     "reaction_lag": 60.0,
     "reaction_spread": 5.0,
+    "follow_tsc": 1.0,
+    "follow_performance": 1.0,
     "ignoring_time": 3600.0,
     "lower_spread": 2.0,
     "upper_spread": 2.0,
-    "take_over_lag": 60.0,
 }
-
 POSITIVE = ("look_ahead", "steering_gain", "wander_time", "hand_lag")
-SHARES = (
-    "idle_share",
-    "follow_tsc",
-    "follow_performance",
-    "r0",
-    "load_utilization",
-    "load_switching",
-)
-RANGES = {
+
+# What may be assumed of people beyond the identified models, with its range; 0 is off.
+ASSUMPTIONS = {
     "attention_cost": (0.0, 0.5),
     "trust_bias": (-2.0, 2.0),
     "learning": (0.0, 0.5),
     "fatigue": (0.0, 0.05),
+    "take_over_lag": (0.0, 60.0),
+    "r0": (0.0, 1.0),
+    "load_utilization": (0.0, 1.0),
+    "load_switching": (0.0, 1.0),
 }
-# What may be assumed of people beyond the identified models; 0 is off.
-ASSUMPTIONS = (*RANGES, "take_over_lag", "r0", "load_utilization", "load_switching")
+RANGES = {name: (0.0, most) for name, most in MOST.items()} | ASSUMPTIONS
 
 MOST_SESSIONS = 10
 
@@ -218,27 +216,11 @@ class Operator:
     def __post_init__(self):
         of_class("human", self.human, HumanModel, "of a TscModel take .human")
         check_participant(self.participant)
-        for item in fields(self)[2:]:
-            check = (
-                finite_number if item.name in ("lower", "upper", *SHARES, *RANGES) else not_negative
-            )
-            check = positive if item.name in POSITIVE else check
-            object.__setattr__(self, item.name, check(item.name, getattr(self, item.name)))
-        limits = (
-            {name: (0.0, most) for name, most in MOST.items()}
-            | dict.fromkeys(SHARES, (0.0, 1.0))
-            | RANGES
-        )
-        for name, (low, high) in limits.items():
-            between(name, getattr(self, name), low, high)
-        object.__setattr__(
-            self, "sessions", whole_number("sessions", self.sessions, least=0, most=MOST_SESSIONS)
-        )
-        if not self.lower < self.upper:
-            raise ValueError(
-                f"own thresholds must have lower below upper, got lower = {self.lower} and upper "
-                f"= {self.upper}"
-            )
+        set_checked(self, positive, *POSITIVE)
+        set_checked(self, lambda name, value: between(name, value, *RANGES[name]), *RANGES)
+        set_in_order(self, "lower", "upper")
+        sessions = whole_number("sessions", self.sessions, least=0, most=MOST_SESSIONS)
+        object.__setattr__(self, "sessions", sessions)
         if self.human.p_min < 0.1 or self.human.p_max > 1.0:
             raise ValueError(
                 "an operator drives at a performance (2.7) in m/s, between 0.1 and 1, but human "
@@ -258,12 +240,11 @@ class Operator:
     def numbers(self) -> Any:
         """The operator as plain numbers, `OperatorNumbers`."""
         human = (self.human.a, self.human.beta, self.human.p_min, self.human.p_max)
-        return OperatorNumbers._make(
-            (*human, *(getattr(self, name) for name in OperatorNumbers._fields[4:]))
-        )
+        rest = (getattr(self, name) for name in OperatorNumbers._fields[len(human) :])
+        return OperatorNumbers._make((*human, *rest))
 
 
-# What a loop reads of an operator while a run goes on; the rest is settled before or after it.
+# Settled before or after a run; the loop reads all else.
 ASIDE = (
     "participant",
     "human",
@@ -274,41 +255,28 @@ ASIDE = (
     "load_utilization",
     "load_switching",
 )
-READ = [item.name for item in fields(Operator) if item.name not in ASIDE]
+FIELDS = tuple(item.name for item in fields(Operator))
+READ = [name for name in FIELDS if name not in ASIDE]
 
-
-NUMBERS = ["a", "beta", "p_min", "p_max", *READ, "skill"]
-
-
-class OperatorNumbers(namedtuple("OperatorNumbers", NUMBERS)):  # type: ignore[misc]
-    """
-    An `Operator` as plain numbers for compiled loops; the names are the operator's and its human
-    model's.
-    """
-
-    __slots__ = ()
+# An `Operator` as plain numbers for compiled loops, by its names and those of its human model.
+OperatorNumbers = namedtuple(  # type: ignore[misc]
+    "OperatorNumbers", ["a", "beta", "p_min", "p_max", *READ, "skill"]
+)
 
 
 def checked_assumptions(assumptions: Mapping[str, Any]) -> dict[str, float]:
     """Return assumptions about operators by name, each within its range."""
     if not isinstance(assumptions, Mapping):
         raise ValueError(f"assumptions must map names to numbers, got {shown(assumptions)}")
-    for name in assumptions:
-        one_of("an assumption", name, ASSUMPTIONS)
-    anyone = Operator("anyone", HumanModel(0.999, 0.8, 0.4, 0.5), **assumptions)
-    return {name: getattr(anyone, name) for name in assumptions}
+    return {
+        name: between(name, value, *ASSUMPTIONS[one_of("an assumption", name, ASSUMPTIONS)])
+        for name, value in assumptions.items()
+    }
 
 
-def operator(
-    participant: str | int,
-    model: TscModel | HumanModel,
-    lower: tuple[float, float] | None = None,
-    upper: tuple[float, float] | None = None,
-    follow: tuple[float, float] | None = None,
-    **more: Any,
-) -> Operator:
+def operator(participant: str | int, model: TscModel | HumanModel, **more: Any) -> Operator:
     """
-    Return the operator that a participant's identified model and observed habits make.
+    Return the operator that a participant's identified model makes.
 
     Parameters
     ----------
@@ -317,41 +285,21 @@ def operator(
     model : TscModel or HumanModel
         The participant's model, for example `trustlab.published_models()["3"]`; from a `TscModel`
         robot_floor and robot_gain follow, unless given.
-    lower, upper : (float, float), optional
-        Mean and standard deviation of the participant's own thresholds of TSC, as Table 2.3 prints
-        them.
-    follow : (float, float), optional
-        Shares of suggestions followed, by TSC and by robot performance, as Table 2.6 prints them,
-        but in [0, 1].
     **more : float or int
         Any other argument of `Operator`.
 
     Raises
     ------
     ValueError
-        If an argument is not of the form above or out of range.
+        If an argument is not one of an `Operator`, or out of range.
     """
-    human = model.human if isinstance(model, TscModel) else model
+    for name in more:
+        one_of("an argument of an operator", name, FIELDS[2:])
     if isinstance(model, TscModel):
         robot = model.robot
         more = {"robot_floor": robot.p_min, "robot_gain": robot.b / (1.0 - robot.a)} | more
-    for name, pair, keys in (
-        ("lower", lower, ("lower", "lower_spread")),
-        ("upper", upper, ("upper", "upper_spread")),
-        ("follow", follow, ("follow_tsc", "follow_performance")),
-    ):
-        if pair is None:
-            continue
-        try:
-            first, second = pair
-        except (TypeError, ValueError):
-            raise ValueError(f"{name} must be a pair of numbers, got {pair!r}") from None
-        more |= dict(zip(keys, (first, second), strict=True))
-    known = [item.name for item in fields(Operator)[2:]]
-    unknown = sorted(set(more) - set(known))
-    if unknown:
-        raise ValueError(f"an Operator has no {unknown[0]!r}; it has {', '.join(known)}")
-    return Operator(participant, human, **more)
+        model = model.human
+    return Operator(participant, model, **more)
 
 
 def model_of(values: Mapping[str, Any]) -> TscModel:
@@ -366,22 +314,20 @@ def person_of(values: Mapping[str, Any]) -> tuple[Operator, TscModel, tuple[floa
     """
     Return the simulated operator, model and thresholds of TSC of one row of a population's draw.
 
-    Assumptions and `sessions` are taken from the row where it has them.
+    Parameters
+    ----------
+    values : mapping
+        The row; whatever else an `Operator` has, as assumptions, is taken from it where it is
+        there.
+
+    Raises
+    ------
+    ValueError
+        If the numbers make no model or operator.
     """
     model = model_of(values)
-    assumed = {name: values[name] for name in (*ASSUMPTIONS, "sessions") if name in values}
-    person = operator(
-        int(values["participant"]),
-        model,
-        lower=(values["lower"], values["lower_spread"]),
-        upper=(values["upper"], values["upper_spread"]),
-        follow=(values["follow_tsc"], values["follow_performance"]),
-        **assumed,
-    )
-    return person, model, (values["tsc_l"], values["tsc_u"])
-
-
-def share_drawn(mean: float, sd: float, rng: np.random.Generator) -> float:
-    """Return a share drawn from the beta distribution with this mean and standard deviation."""
-    total = mean * (1.0 - mean) / sd**2 - 1.0
-    return float(rng.beta(mean * total, (1.0 - mean) * total))
+    habits = {name: values[name] for name in FIELDS[2:] if name in values}
+    name = values["participant"]
+    name = name if isinstance(name, str) else int(name)
+    person = operator(name, model, **habits)
+    return person, model, (float(values["tsc_l"]), float(values["tsc_u"]))

@@ -3,17 +3,16 @@ from .ground_robot.conditions import (
     GroundRobotRun as GroundRobotRun,
     drive_modes as drive_modes,
     identification_session as identification_session,
-    published_model as published_model,
-    published_operator as published_operator,
-    published_thresholds as published_thresholds,
 )
-from .ground_robot.correction_tests import GroundRobotTests as GroundRobotTests
 from .ground_robot.course import Course as Course
 from .ground_robot.pioneer import Pioneer as Pioneer
 from .populations import (
     OperatorPopulation as OperatorPopulation,
     TeleoperatorPopulation as TeleoperatorPopulation,
     following_operator as following_operator,
+    published_model as published_model,
+    published_operator as published_operator,
+    published_thresholds as published_thresholds,
 )
 from .robot_team import (
     TeamLoop as TeamLoop,
@@ -23,7 +22,6 @@ from .team_run import TeamRun as TeamRun
 from .team_testbed import RobotTeam as RobotTeam
 from .teleoperation_measures import (
     plot_alpha as plot_alpha,
-    plot_beside as plot_beside,
     plot_energies as plot_energies,
     plot_signals as plot_signals,
     plot_trajectory as plot_trajectory,

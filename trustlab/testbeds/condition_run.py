@@ -3,6 +3,7 @@ What a run under one of the conditions C1–C5 hands back, on whichever testbed:
 suggestions, answers.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,7 +17,7 @@ from trustlab.allocation.estimates import (
     followed_suggestions,
     suggestion_episodes,
 )
-from trustlab.models.checks import finite_array, one_of
+from trustlab.models.checks import finite_array, one_of, shown
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscModel
 from trustlab.operators.answers import allocation_answers
@@ -49,7 +50,7 @@ def condition_measures(
     condition: str,
     operator: Operator | None = None,
     model: TscModel | None = None,
-    lap_times: np.ndarray | None = None,
+    lap_times: Any = None,
 ) -> dict[str, float]:
     """
     Return the outcome measures of a run from its log, anything with columns by name, as
@@ -57,18 +58,18 @@ def condition_measures(
 
     Without an operator nobody's answers are simulated: people give their own.
     """
+    mode, in_laps = log["mode"], lap_times is not None
     measures: dict[str, float] = {name: float(log[name].mean()) for name in MEANS}
-    if lap_times is not None:
+    if in_laps:
         measures["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
-    measures["manual_share"] = float(log["mode"].mean())
-    measures["switches"] = int(np.count_nonzero(np.diff(log["mode"])))
-    if lap_times is not None:
+    switches = int(np.count_nonzero(np.diff(mode)))
+    measures |= {"manual_share": float(mode.mean()), "switches": switches}
+    if in_laps:
         measures["laps"] = int(lap_times.size)
     measures["duration"] = float(t[-1] - t[0])
-    if lap_times is not None:
+    if in_laps:
         measures["lap_time"] = float(lap_times[-1] / lap_times.size)
-    episodes = suggestion_episodes(t, log["mode"], log["suggested_mode"], DEADLINE)
-    states = [state for _, _, _, state in episodes]
+    states = [state for *_, state in suggestion_episodes(t, mode, log["suggested_mode"], DEADLINE)]
     followed = states.count(FOLLOWED)
     decided = followed + states.count(NOT_FOLLOWED)
     measures["suggestions"] = decided
@@ -76,8 +77,8 @@ def condition_measures(
     if operator is not None and (operator.load_utilization or operator.load_switching):
         # Nobody judges a user's rule.
         scheme, forced = KNOWN.get(condition, (SCHEDULE, True))
-        judged = 0 if forced else measures["switches"] if scheme == OWN else decided
-        measures |= allocation_answers(log["mode"], log["tsc"], measures, judged, operator, model)
+        judged = 0 if forced else switches if scheme == OWN else decided
+        measures |= allocation_answers(mode, log["tsc"], measures, judged, operator, model)
     return measures
 
 
@@ -172,33 +173,23 @@ class ConditionRun(Result):
             If bounds name a column that is not plotted, or are not two finite numbers.
         """
         session = self.session
-        try:
-            bounds = dict(bounds if bounds is not None else {})
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"bounds must map columns to (low, high), got {bounds!r:.60}"
-            ) from None
-        for name, pair in bounds.items():
+        if not isinstance(bounds, Mapping | None):
+            raise ValueError(f"bounds must map columns to (low, high), got {shown(bounds)}")
+        lines: dict[str, Any] = {} if self.thresholds is None else {"tsc": self.thresholds}
+        for name, pair in (bounds or {}).items():
             one_of("a column of bounds", name, PANELS)
-            bounds[name] = tuple(finite_array(f"bounds[{name!r}]", pair, length=2))
-        if self.thresholds is not None:
-            bounds.setdefault("tsc", self.thresholds)
+            lines[name] = finite_array(f"bounds[{name!r}]", pair, length=2)
         axes = axes_or_new(None, len(PANELS), sharex=True, figsize=(8.0, 7.6))
-        unit = (
-            " [m/s]" if "v_command" in session else ""
-        )  # on the UAV testbed performance is a share
+        unit = " [m/s]" if "v_command" in session else ""  # performance of the UAV is a share
         for panel, (name, label) in zip(axes, PANELS.items(), strict=True):
-            panel.plot(session.t, session[name], lw=1.2, color="#0072b2")
-            values = np.r_[session[name], bounds.get(name, ())]
-            margin = 0.08 * max(float(np.ptp(values)), 1e-6)
-            panel.set_ylim(values.min() - margin, values.max() + margin)
-            for bound in bounds.get(name, ()):
-                panel.axhline(bound, ls="--", lw=1.0, color="#d55e00")
-            panel.set_ylabel(label + unit * (name in ("p_r", "p_h")))
+            panel.plot(session.t, session[name], lw=1.2)
+            for line in lines.get(name, ()):
+                panel.axhline(line, ls="--", lw=1.0, color="C1")
+            panel.set_ylabel(label + unit * name.startswith("p_"))
             shade_manual(panel, session.t, session["mode"])
         axes[-1].set(xlabel="time [s]", xlim=(session.t[0], session.t[-1]))
-        lines = (
-            "; dashed: " + ("thresholds" if set(bounds) == {"tsc"} else "bounds") if bounds else ""
-        )
-        axes[0].figure.suptitle(f"{session.label} (manual phases shaded{lines})", fontsize="medium")
+        words = "thresholds" if list(lines) == ["tsc"] else "bounds"
+        dashed = f"; dashed: {words}" if lines else ""
+        title = f"{session.label} (manual phases shaded{dashed})"
+        axes[0].figure.suptitle(title, fontsize="medium")
         return axes

@@ -12,10 +12,11 @@ import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
 from trustlab.allocation.rules import decision, performance_suggestion
-from trustlab.models.checks import between, one_of, warn
+from trustlab.models.checks import between, one_of, warn, whole_seed
 from trustlab.models.compiled import inner
 from trustlab.models.tsc import TscModel, performance_at, threshold_mode
 from trustlab.operators.ground_robot import Operator
+from trustlab.sessions.session import Metadata
 
 # Who allocates: a given sequence of modes, the operator, suggestions by (2.8), by Algorithm 2, at
 # random.
@@ -53,14 +54,6 @@ DEADLINE = 15.0
 # time: means of the first few samples, of a robot that has just been put on the path, are far above
 # what they become.
 SETTLING = 100.0
-
-
-def measured(how: str) -> dict[str, object]:
-    """
-    Return what a session's metadata say of its performance, measured by `how` over the window; fits
-    look there.
-    """
-    return {"performance": f"{how}, window {WINDOW:g} s", "performance_window": WINDOW}
 
 
 # What comes from outside at each sample: a mode, the thresholds of suggestions, and by how much the
@@ -207,25 +200,26 @@ def framed(log: np.ndarray) -> pd.DataFrame:
     )
 
 
-def participant_or_operator(participant: Any, operator: Operator | None, remedy: str) -> Any:
-    """Return whichever of the two is given; `remedy` says what to give where neither is."""
-    if (participant is None) == (operator is None):
-        raise ValueError(
-            remedy if operator is None else "give either participant= or operator=, not both"
-        )
-    return operator if participant is None else participant
-
-
-def tsc_facts(thresholds: tuple[float, float] | None) -> dict[str, float]:
-    """Return thresholds as metadata, where there are any."""
-    return {} if thresholds is None else dict(zip(("TSC_l", "TSC_u"), thresholds, strict=True))
-
-
-def seed_facts(seed: int | np.random.SeedSequence) -> dict[str, Any]:
-    """Return a seed as metadata."""
+def metadata_of(
+    testbed: str,
+    operator: Operator,
+    condition: str,
+    seed: int | np.random.SeedSequence,
+    note: str,
+    measured: str,
+    **facts: Any,
+) -> Metadata:
+    """
+    Return metadata that say how a run was made: what it stands for (`note`), how its performance is
+    `measured`, where fits look, and further facts.
+    """
     if isinstance(seed, np.random.SeedSequence):
-        return {"seed": str(seed.entropy), "spawn_key": ".".join(map(str, seed.spawn_key))}
-    return {"seed": int(seed)}
+        facts |= {"seed": str(seed.entropy), "spawn_key": ".".join(map(str, seed.spawn_key))}
+    else:
+        facts["seed"] = whole_seed(seed)
+    performance = f"{measured}, window {WINDOW:g} s"
+    facts |= {"note": note, "performance": performance, "performance_window": WINDOW}
+    return Metadata(operator.participant, condition, f"trustlab.testbeds.{testbed}", True, facts)
 
 
 @inner

@@ -1,12 +1,12 @@
 """
-Populations from which simulated operators are drawn: stand-ins for people, with the identified
-spread.
+Populations from which simulated operators are drawn: the people who are printed, and a spread about
+them.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,15 +17,20 @@ from trustlab.identification.posterior.population import Population
 from trustlab.models.checks import (
     finite_array,
     finite_number,
+    finite_numbers,
     of_class,
     one_of,
-    positive,
     whole_number,
 )
 from trustlab.models.display import axes_or_new
-from trustlab.models.published import published_models, published_table
+from trustlab.models.published import printed_pilot, published_table
 from trustlab.models.tsc import TscModel
-from trustlab.operators.ground_robot import Operator, model_of, person_of, share_drawn
+from trustlab.operators.ground_robot import (
+    Operator,
+    checked_assumptions,
+    model_of,
+    person_of,
+)
 from trustlab.operators.teleoperator import (
     RANGES,
     REACH,
@@ -37,13 +42,10 @@ from trustlab.testbeds.covariance import checked_covariance
 from trustlab.testbeds.deciding import SAMPLE_TIME
 
 # Mixed into the seed, so that people and their runs have different streams.
-PEOPLE = 0x70656F70
-PEOPLE_OF_UAV = 0x7561766C
+TELEOPERATORS = 0x70656F70
+PEOPLE = {"ground_robot": TELEOPERATORS, "uav_following": 0x7561766C}
 
 MOST_TRIES = 1000
-
-# The participants of Tables 2.1 to 2.3.
-PRINTED = ("1", "2", "3", "4", "5")
 
 # How many operators of the UAV go by a number; as many people took part in the study of Section
 # 2.4.2.
@@ -72,183 +74,227 @@ def person_stream(seed: int, people: int, number: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(root, spawn_key=(number,)))
 
 
-def _checked_thresholds(values: dict[str, float], limits, low: float, high: float) -> dict:
-    """Return the values with thresholds of TSC, unless own or suggested ones are out of order."""
-    inside = limits.lower < low < high < limits.upper
-    if not (inside and -1.0 <= values["lower"] < values["upper"] <= 1.0):
-        raise ValueError("thresholds lie outside their limits")
-    return values | {"tsc_l": low, "tsc_u": high}
+# --- people as printed ----------------------------------------------------------------------------
+
+# The numbers of a person, in the order of `OperatorPopulation.draw`.
+MODEL = ["a_r", "beta", "p_h_min", "p_h_max", "a_pr", "p_r_min", "p_r_max"]
+# The same as `fit_population` names them, time constants [s] in place of a.
+IDENTIFIED = ["human_time_constant", "human_beta", "human_p_min", "human_p_max"]
+IDENTIFIED += ["robot_time_constant", "robot_p_min", "robot_p_max"]
+OWN = ["lower", "upper", "lower_spread", "upper_spread"]
+THRESHOLDS = ["tsc_l", "tsc_u"]
+FOLLOW = ["follow_tsc", "follow_performance"]
+
+PRINTED = ["1", "2", "3", "4", "5"]
+
+# Of the pilot operator only the model and TSC_l(0) and TSC_u(0) are printed, in Sections 2.2 and
+# 2.5. The own thresholds are these; their spreads and the shares followed are an operator's usual
+# ones.
+PILOT = {"lower": 0.02, "upper": 0.45, "lower_spread": 0.1, "upper_spread": 0.1}
+PILOT |= {"tsc_l": 0.02, "tsc_u": 0.45, "follow_tsc": 0.7857, "follow_performance": 0.6389}
 
 
-def _ground_robot_values(z: Mapping[str, float], p_r_min: float) -> dict[str, float]:
+@cache
+def printed_people() -> pd.DataFrame:
+    """Return the numbers that Tables 2.1, 2.2, 2.3 and 2.6 print of people, a row for each."""
+    models = published_table("2.1").assign(pilot=pd.Series(printed_pilot()))
+    tables = [models.rename(index=str.lower).loc[MODEL]]
+    tables += [published_table("2.3").set_axis(["lower", "lower_spread", "upper", "upper_spread"])]
+    tables += [published_table("2.2").rename(index=str.lower).loc[THRESHOLDS]]
+    tables += [published_table("2.6").set_axis(FOLLOW)]
+    people = pd.concat(tables)[["pilot", *PRINTED]].astype(float).T
+    people[FOLLOW] /= 100.0
+    people.loc["pilot", list(PILOT)] = PILOT
+    return people.assign(participant=people.index)
+
+
+@cache
+def printed_person(participant: str) -> tuple[Operator, TscModel, tuple[float, float]]:
+    """Return the operator, the model and the thresholds of TSC that are printed of someone."""
+    people = printed_people()
+    name = participant.strip().lower().removesuffix(".0")
+    label = one_of("participant", name, people.index, "an Operator with model=")
+    return person_of(people.loc[label])
+
+
+def published_model(participant: int | str) -> TscModel:
     """
-    Return the parameters that coordinates stand for; raise `ValueError` if they make no model.
+    Return a participant's printed model, of Table 2.1 (the pilot's of Section 2.2).
+
+    Parameters
+    ----------
+    participant : int or str
+        1 to 5, "1" to "5", or "pilot".
+
+    Raises
+    ------
+    ValueError
+        If there is no such participant.
     """
-    values = {
-        "a_r": 1.0 - float(np.exp(-z["ln tau_r"])),
-        "beta": float(special.expit(z["logit beta"])),
-        "p_h_min": z["p_h_min"],
-        "p_h_max": z["p_h_min"] + float(np.exp(z["ln (p_h_max - p_h_min)"])),
-        "a_pr": 1.0 - float(np.exp(-z["ln tau_pr"])),
-        "p_r_min": p_r_min,
-        "p_r_max": p_r_min + float(np.exp(z["ln (p_r_max - p_r_min)"])),
-        "lower": z["own lower"],
-        "upper": z["own lower"] + float(np.exp(z["ln (own upper - own lower)"])),
-        "lower_spread": float(np.exp(z["ln own lower spread"])),
-        "upper_spread": float(np.exp(z["ln own upper spread"])),
-    }
-    limits = threshold_limits(model_of(values))
-    low = limits.lower + float(special.expit(z["logit place of TSC_l"])) * (
-        limits.upper - limits.lower
-    )
-    high = low + float(special.expit(z["logit place of TSC_u"])) * (limits.upper - low)
-    return _checked_thresholds(values, limits, low, high)
+    return printed_person(str(participant))[1]
 
 
-def _uav_values(z: Mapping[str, float], p_r_min: float) -> dict[str, float]:
+def published_operator(participant: int | str) -> Operator:
     """
-    Return the parameters that coordinates stand for; raise `ValueError` if they make no model.
+    Return the simulated stand-in for a participant, made of what is printed of them.
+
+    Utilization and performance are those of Table 2.1, own thresholds (mean and SD) those of Table
+    2.3, and the shares of suggestions followed those of Table 2.6. Of the pilot operator only the
+    model is printed (Sections 2.2.2 and 2.2.3): own thresholds have the means printed as decision
+    thresholds in Section 2.5, their spread and the shares are the defaults of `Operator`. How the
+    hand drives and reacts is not printed of anyone and is that of `Operator`.
+
+    Parameters
+    ----------
+    participant : int or str
+        1 to 5, "1" to "5", or "pilot".
+
+    Raises
+    ------
+    ValueError
+        If there is no such participant.
     """
-    values = {
-        "a_r": 1.0 - float(np.exp(-z["ln tau_r"])),
-        "beta": float(special.expit(z["logit beta"])),
-        "p_h_min": z["p_h_max"] - float(np.exp(z["ln (p_h_max - p_h_min)"])),
-        "p_h_max": z["p_h_max"],
-        "a_pr": 1.0 - float(np.exp(-z["ln tau_pr"])),
-        "p_r_min": p_r_min,
-        "p_r_max": z["p_r_max"],
-    }
-    if values["p_h_min"] <= 0.1 or values["p_h_max"] >= 0.98:
-        raise ValueError("human performance lies outside its range")
-    if not p_r_min + 0.05 < values["p_r_max"] < 0.95:
-        raise ValueError("robot performance lies outside its range")
-    limits = threshold_limits(model_of(values))
-    places = ("own lower", "own upper", "TSC_l", "TSC_u")
-    lower, upper, low, high = (
-        float(limits.lower + z[name] * (limits.upper - limits.lower)) for name in places
-    )
-    values |= {"lower": lower, "upper": upper}
-    values |= {"lower_spread": float(np.exp(z["ln lower spread"]))}
-    values |= {"upper_spread": float(np.exp(z["ln upper spread"]))}
-    return _checked_thresholds(values, limits, low, high)
+    return printed_person(str(participant))[0]
 
 
-class Coordinates(NamedTuple):
-    """What is normally distributed, and the parameters that it stands for."""
+def published_thresholds(participant: int | str) -> tuple[float, float]:
+    """
+    Return the decision thresholds TSC_l and TSC_u of Table 2.2 (the pilot's of Section 2.5).
 
-    names: tuple[str, ...]
-    values: Callable[[Mapping[str, float], float], dict[str, float]]
-    people: int
+    Parameters
+    ----------
+    participant : int or str
+        1 to 5, "1" to "5", or "pilot".
+
+    Raises
+    ------
+    ValueError
+        If there is no such participant.
+    """
+    return printed_person(str(participant))[2]
 
 
-# τ = 1/(1 − a) in samples. A place is a share of a range: of the limits (2.9)-(2.10) at δ_Ph = 0,
-# or, for TSC_u of the ground robot, of what lies between TSC_l and the upper limit.
+# --- what is normally distributed -----------------------------------------------------------------
+
+
+# From a number of a person to one that is normally distributed, and back. τ = 1/(1 − a) is a time
+# constant in samples.
+SAME = (lambda x: x, lambda z: z)
+LOG = (np.log, np.exp)
+LOG_BELOW = (lambda x: np.log(-x), lambda z: -np.exp(z))
+LOG_TAU = (lambda a: -np.log(1.0 - a), lambda z: 1.0 - np.exp(-z))
+LOGIT = (special.logit, special.expit)
+
+
+class PersonCoordinate(NamedTuple):
+    """
+    One of the normally distributed numbers of a person.
+
+    It stands for `quantity`, which is counted from the quantity `low`, where that is named, and as
+    a share of the way to `high`. tsc_lb and tsc_ub are the limits (2.9)-(2.10) at δ_Ph = 0.
+    """
+
+    name: str
+    quantity: str
+    scale: tuple[Callable, Callable] = SAME
+    low: str = ""
+    high: str = ""
+
+    def range(self, person: Mapping[str, Any]) -> tuple[Any, Any]:
+        """Return where the quantity is counted from, and its unit."""
+        low = person[self.low] if self.low else 0.0
+        return low, person[self.high] - low if self.high else 1.0
+
+    def of(self, person: Mapping[str, Any]) -> Any:
+        """Return the coordinate of a person, or of a table of people."""
+        low, unit = self.range(person)
+        to, _ = self.scale
+        return to((person[self.quantity] - low) / unit)
+
+    def quantity_at(self, z: float, person: Mapping[str, Any]) -> float:
+        """Return the quantity of the person, whose other quantities are known, by a coordinate."""
+        low, unit = self.range(person)
+        _, back = self.scale
+        return float(low + back(z) * unit)
+
+
 COORDINATES = {
-    "ground_robot": Coordinates(
-        (
-            "ln tau_r",
-            "logit beta",
-            "p_h_min",
-            "ln (p_h_max - p_h_min)",
-            "ln tau_pr",
-            "ln (p_r_max - p_r_min)",
-            "own lower",
-            "ln (own upper - own lower)",
-            "ln own lower spread",
-            "ln own upper spread",
-            "logit place of TSC_l",
-            "logit place of TSC_u",
-        ),
-        _ground_robot_values,
-        PEOPLE,
+    "ground_robot": (
+        PersonCoordinate("ln tau_r", "a_r", LOG_TAU),
+        PersonCoordinate("logit beta", "beta", LOGIT),
+        PersonCoordinate("p_h_min", "p_h_min"),
+        PersonCoordinate("ln (p_h_max - p_h_min)", "p_h_max", LOG, "p_h_min"),
+        PersonCoordinate("ln tau_pr", "a_pr", LOG_TAU),
+        PersonCoordinate("ln (p_r_max - p_r_min)", "p_r_max", LOG, "p_r_min"),
+        PersonCoordinate("own lower", "lower"),
+        PersonCoordinate("ln (own upper - own lower)", "upper", LOG, "lower"),
+        PersonCoordinate("ln own lower spread", "lower_spread", LOG),
+        PersonCoordinate("ln own upper spread", "upper_spread", LOG),
+        PersonCoordinate("logit place of TSC_l", "tsc_l", LOGIT, "tsc_lb", "tsc_ub"),
+        PersonCoordinate("logit place of TSC_u", "tsc_u", LOGIT, "tsc_l", "tsc_ub"),
     ),
-    "uav_following": Coordinates(
-        (
-            "own lower",
-            "own upper",
-            "TSC_l",
-            "TSC_u",
-            "ln tau_r",
-            "ln tau_pr",
-            "logit beta",
-            "ln lower spread",
-            "ln upper spread",
-            *LEVELS,
-        ),
-        _uav_values,
-        PEOPLE_OF_UAV,
+    "uav_following": (
+        PersonCoordinate("own lower", "lower", SAME, "tsc_lb", "tsc_ub"),
+        PersonCoordinate("own upper", "upper", SAME, "tsc_lb", "tsc_ub"),
+        PersonCoordinate("TSC_l", "tsc_l", SAME, "tsc_lb", "tsc_ub"),
+        PersonCoordinate("TSC_u", "tsc_u", SAME, "tsc_lb", "tsc_ub"),
+        PersonCoordinate("ln tau_r", "a_r", LOG_TAU),
+        PersonCoordinate("ln tau_pr", "a_pr", LOG_TAU),
+        PersonCoordinate("logit beta", "beta", LOGIT),
+        PersonCoordinate("ln lower spread", "lower_spread", LOG),
+        PersonCoordinate("ln upper spread", "upper_spread", LOG),
+        PersonCoordinate("p_h_max", "p_h_max"),
+        PersonCoordinate("ln (p_h_max - p_h_min)", "p_h_min", LOG_BELOW, "p_h_max"),
+        PersonCoordinate("p_r_max", "p_r_max"),
     ),
 }
 
 
-class Printed(NamedTuple):
-    """What Tables 2.1, 2.2 and 2.3 print of a participant."""
-
-    model: TscModel
-    lower: float
-    upper: float
-    lower_spread: float
-    upper_spread: float
-    tsc_l: float
-    tsc_u: float
+def _limits(person: Mapping[str, Any]) -> dict[str, float]:
+    """Return the limits of a person's thresholds of TSC, as `PersonCoordinate` names them."""
+    limits = threshold_limits(model_of(person))
+    return {"tsc_lb": limits.lower, "tsc_ub": limits.upper}
 
 
-def _printed(label: str) -> Printed:
-    """Return what is printed of a participant."""
-    habits = published_table("2.3")[label].astype(float)
-    thresholds = published_table("2.2")[label]
-    return Printed(
-        published_models()[label],
-        habits["TSC_l", "mean"],
-        habits["TSC_u", "mean"],
-        habits["TSC_l", "sd"],
-        habits["TSC_u", "sd"],
-        float(thresholds["TSC_l"]),
-        float(thresholds["TSC_u"]),
-    )
+def printed_coordinates(testbed: str) -> pd.DataFrame:
+    """Return the coordinates of the printed participants, a row for each."""
+    people = printed_people().loc[PRINTED]
+    people = people.join(pd.DataFrame(people.apply(_limits, axis=1).to_list(), people.index))
+    return pd.DataFrame({each.name: each.of(people) for each in COORDINATES[testbed]})
 
 
-def _ground_robot_coordinates(label: str) -> np.ndarray:
-    """Return a printed participant's coordinates."""
-    printed = _printed(label)
-    human, robot = printed.model.human, printed.model.robot
-    limits = threshold_limits(printed.model)
-    low, high = printed.tsc_l, printed.tsc_u
-    return np.array(
-        [
-            -np.log(human.b),
-            special.logit(human.beta),
-            human.p_min,
-            np.log(human.p_max - human.p_min),
-            -np.log(1.0 - robot.a),
-            np.log(robot.p_max - robot.p_min),
-            printed.lower,
-            np.log(printed.upper - printed.lower),
-            np.log(printed.lower_spread),
-            np.log(printed.upper_spread),
-            special.logit((low - limits.lower) / (limits.upper - limits.lower)),
-            special.logit((high - low) / (limits.upper - low)),
-        ]
-    )
+def person_at(z: np.ndarray, testbed: str, p_r_min: float) -> dict[str, float]:
+    """Return the numbers of the person at coordinates; `ValueError` if they make no model."""
+    person = {"p_r_min": p_r_min}
+    # places between the limits of thresholds come after the model that the limits follow from
+    for placed in (False, True):
+        if placed:
+            person |= _limits(person)
+        for coordinate, number in zip(COORDINATES[testbed], z.tolist(), strict=True):
+            if bool(coordinate.high) == placed:
+                person[coordinate.quantity] = coordinate.quantity_at(number, person)
+    valid = person["tsc_lb"] < person["tsc_l"] < person["tsc_u"] < person["tsc_ub"]
+    valid &= -1.0 <= person["lower"] < person["upper"] <= 1.0
+    if testbed == "uav_following":  # where performance is a share
+        valid &= person["p_h_min"] > 0.1 and person["p_h_max"] < 0.98
+        valid &= p_r_min + 0.05 < person["p_r_max"] < 0.95
+    if not valid:
+        raise ValueError("thresholds or performance lie outside their limits")
+    return {name: person[name] for name in (*MODEL, *OWN, *THRESHOLDS)}
 
 
-def _uav_coordinates(label: str) -> np.ndarray:
-    """Return the coordinates of a printed participant that the UAV's operators share with them."""
-    printed = _printed(label)
-    human, robot = printed.model.human, printed.model.robot
-    limits = threshold_limits(printed.model)
-    thresholds = (printed.lower, printed.upper, printed.tsc_l, printed.tsc_u)
-    width = limits.upper - limits.lower
-    return np.array(
-        [
-            *((value - limits.lower) / width for value in thresholds),
-            -np.log(1.0 - human.a),
-            -np.log(1.0 - robot.a),
-            special.logit(human.beta),
-            np.log(printed.lower_spread),
-            np.log(printed.upper_spread),
-        ]
-    )
+# What the figure of a population shows of people, across and up.
+PANELS = (("beta", "p_h_max"), ("a_r", "a_pr"), ("lower", "upper"))
+QUANTITIES = {
+    "beta": "β",
+    "p_h_max": "best human performance",
+    "a_r": "time constant of utilization [s]",
+    "a_pr": "of robot performance [s]",
+    "lower": "own lower threshold of TSC",
+    "upper": "own upper threshold",
+}
+
+# --- populations ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,71 +346,40 @@ class OperatorPopulation:
     testbed: str = "ground_robot"
 
     def __post_init__(self):
-        one_of("testbed", self.testbed, COORDINATES)
-        size = len(self.coordinates.names)
-        object.__setattr__(self, "mean", finite_array("mean", self.mean, length=size))
-        object.__setattr__(
-            self, "covariance", checked_covariance("covariance", self.covariance, size)
-        )
-        object.__setattr__(self, "p_r_min", finite_number("p_r_min", self.p_r_min))
-        try:
-            tsc, performance = self.follow
-            pairs = tuple(
-                (finite_number("follow", average), finite_number("follow", sd))
-                for average, sd in (tsc, performance)
-            )
-        except (TypeError, ValueError):
+        size = len(COORDINATES[one_of("testbed", self.testbed, COORDINATES)])
+        follow = finite_numbers("follow", self.follow)
+        if follow.shape != (2, 2):
             raise ValueError(
                 f"follow must be two pairs of numbers (mean, SD), got {self.follow!r:.100}"
-            ) from None
-        for average, sd in pairs:
-            if not (0.0 < average < 1.0 and 0.0 < sd < np.sqrt(average * (1.0 - average))):
-                raise ValueError(
-                    f"shares with mean {average:g} and SD {sd:g} have no beta distribution: the "
-                    "mean must lie in (0, 1) and the SD below √(mean (1 − mean))"
-                )
-        object.__setattr__(self, "follow", pairs)
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """What is normally distributed."""
-        return COORDINATES[self.testbed]
+            )
+        mean, sd = follow.T
+        if not ((sd > 0.0) & (sd**2 < mean * (1.0 - mean))).all():
+            raise ValueError(
+                f"follow: shares with means {mean} and SDs {sd} have no beta distribution: the "
+                "means must lie in (0, 1) and the SDs below √(mean (1 − mean))"
+            )
+        self.__dict__.update(
+            mean=finite_array("mean", self.mean, length=size),
+            covariance=checked_covariance("covariance", self.covariance, size),
+            follow=tuple(map(tuple, follow.tolist())),
+            p_r_min=finite_number("p_r_min", self.p_r_min),
+        )
 
     @classmethod
-    def ground_robot(cls, shrinkage: float = 0.5, spread: float = 1.0) -> "OperatorPopulation":
+    def ground_robot(cls) -> "OperatorPopulation":
         """
         Return the population with the means and spreads of the five participants of Tables 2.1,
         2.2, 2.3 and 2.6.
 
-        Parameters
-        ----------
-        shrinkage : float
-            λ in (0, 1] of (1 − λ) S + λ diag S, S the sample covariance of the five, which alone is
-            singular: correlations are shrunk towards zero, variances stay.
-        spread : float
-            Factor on all standard deviations of the coordinates; positive.
-
-        Raises
-        ------
-        ValueError
-            If a number is out of range.
+        The sample covariance of the five alone is singular: correlations are halved, variances
+        stay.
         """
-        shrinkage, spread = finite_number("shrinkage", shrinkage), positive("spread", spread)
-        if not 0.0 < shrinkage <= 1.0:
-            raise ValueError(
-                f"shrinkage must lie in (0, 1], got {shrinkage}: at 0 the covariance of five is "
-                "singular"
-            )
-        rows = np.array([_ground_robot_coordinates(label) for label in PRINTED])
+        rows = printed_coordinates("ground_robot").to_numpy()
         sample = np.cov(rows.T)
-        matrix = spread**2 * ((1.0 - shrinkage) * sample + shrinkage * np.diag(np.diag(sample)))
-        shares = published_table("2.6")[["mean", "sd"]].astype(float) / 100.0
-        tsc, performance = (
-            (float(shares.loc[c, "mean"]), float(shares.loc[c, "sd"])) for c in ("C2", "C4")
-        )
-        return cls(
-            rows.mean(axis=0), matrix, (tsc, performance), 0.24, "Tables 2.1, 2.2, 2.3 and 2.6"
-        )
+        matrix = 0.5 * sample + 0.5 * np.diag(np.diag(sample))
+        shares = published_table("2.6").loc[["C2", "C4"], ["mean", "sd"]].astype(float) / 100.0
+        origin = "Tables 2.1, 2.2, 2.3 and 2.6"
+        return cls(rows.mean(axis=0), matrix, shares.to_numpy(), 0.24, origin)
 
     @classmethod
     def of_people(cls, people: Population) -> "OperatorPopulation":
@@ -382,20 +397,13 @@ class OperatorPopulation:
         """
         rest = cls.ground_robot()
         new = of_class("people", people, Population, Population.how_to_get).new_person
-        seconds = new[["human_time_constant", "robot_time_constant"]].to_numpy()
-        tau = -1.0 / np.expm1(-SAMPLE_TIME / seconds)
-        columns = [
-            np.log(tau[:, 0]),
-            special.logit(new["human_beta"]),
-            new["human_p_min"],
-            np.log(new["human_p_max"] - new["human_p_min"]),
-            np.log(tau[:, 1]),
-            np.log(new["robot_p_max"] - new["robot_p_min"]),
-        ]
-        rows = np.column_stack(columns)
-        size = len(columns)
-        mean = np.r_[rows.mean(axis=0), rest.mean[size:]]
-        covariance = linalg.block_diag(np.cov(rows.T), rest.covariance[size:, size:])
+        person = new[IDENTIFIED].set_axis(MODEL, axis=1)
+        person[["a_r", "a_pr"]] = np.exp(-SAMPLE_TIME / person[["a_r", "a_pr"]])
+        model = [each for each in COORDINATES[rest.testbed] if each.quantity in MODEL]
+        rows = np.column_stack([coordinate.of(person) for coordinate in model])
+        mean = np.r_[rows.mean(axis=0), rest.mean[len(model) :]]
+        habits = rest.covariance[len(model) :, len(model) :]
+        covariance = linalg.block_diag(np.cov(rows.T), habits)
         origin = f"{len(people)} people by fit_population; answers by {rest.origin}"
         return cls(mean, covariance, rest.follow, float(new["robot_p_min"].mean()), origin)
 
@@ -409,8 +417,8 @@ class OperatorPopulation:
         those of Section 2.4.2.4. Ranges of performance are not printed for this study: they are of
         the size of its means, and no difference between conditions went into them.
         """
-        rows = pd.DataFrame([_uav_coordinates(label) for label in PRINTED])
-        mean, sd = np.transpose([*zip(rows.mean(), rows.std(), strict=True), *LEVELS.values()])
+        printed = printed_coordinates("uav_following").agg(["mean", "std"])
+        mean, sd = printed.assign(**LEVELS).to_numpy()
         origin = "Tables 2.1-2.3 and Section 2.4.2.4; ranges of performance plausible, not measured"
         return cls(mean, np.diag(sd**2), FOLLOWED, P_R_MIN, origin, "uav_following")
 
@@ -419,12 +427,13 @@ class OperatorPopulation:
         Return the distribution: columns quantity, distribution, mean, sd, of the coordinate as
         named.
         """
-        names = self.coordinates.names
         mean, sd = np.transpose(self.follow)
+        normal = [coordinate.name for coordinate in COORDINATES[self.testbed]]
+        words = ["normal, truncated to valid models"] * len(normal) + ["beta", "beta"]
         return pd.DataFrame(
             {
-                "quantity": [*names, "follow_tsc", "follow_performance"],
-                "distribution": ["normal, truncated to valid models"] * len(names) + ["beta"] * 2,
+                "quantity": normal + FOLLOW,
+                "distribution": words,
                 "mean": np.r_[self.mean, mean],
                 "sd": np.r_[np.sqrt(np.diag(self.covariance)), sd],
             }
@@ -446,25 +455,23 @@ class OperatorPopulation:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (3,)
         """
-        axes = axes_or_new(columns=3, figsize=(10, 3.4))
-        layers = [(self.draw(n, seed), {"marker": ".", "ms": 3, "alpha": 0.5}, "drawn")]
+        axes = axes_or_new(columns=len(PANELS), figsize=(10, 3.4))
+        layers = [(self.draw(n, seed), ".", "drawn")]
         if self.testbed == "ground_robot":
-            rows = [self._values(_ground_robot_coordinates(label)) for label in PRINTED]
-            crosses = {"marker": "x", "ms": 8, "color": "black"}
-            layers.append((pd.DataFrame(rows), crosses, "the five printed"))
-        for frame, style, label in layers:
-            seconds = SAMPLE_TIME / (1.0 - frame[["a_r", "a_pr"]])
-            axes[0].plot(frame["beta"], frame["p_h_max"], ls="", label=label, **style)
-            axes[1].plot(seconds["a_r"], seconds["a_pr"], ls="", **style)
-            axes[2].plot(frame["lower"], frame["upper"], ls="", **style)
-        unit = " [m/s]" if self.testbed == "ground_robot" else ""
-        axes[0].set(xlabel="β", ylabel=f"best human performance{unit}")
-        axes[1].set(xlabel="time constant of utilization [s]", ylabel="of robot performance [s]")
-        axes[2].set(xlabel="own lower threshold of TSC", ylabel="own upper threshold")
+            layers += [(printed_people().loc[PRINTED], "kx", "the five printed")]
+        for panel, (x, y) in zip(axes, PANELS, strict=True):
+            for people, marks, label in layers:
+                shown = people.assign(**SAMPLE_TIME / (1.0 - people[["a_r", "a_pr"]]))
+                panel.plot(shown[x], shown[y], marks, alpha=0.6, label=label)
+            panel.set(xlabel=QUANTITIES[x], ylabel=QUANTITIES[y])
+        if self.testbed == "ground_robot":
+            axes[0].set_ylabel(f"{QUANTITIES['p_h_max']} [m/s]")
         axes[0].legend()
         return axes
 
-    def draw(self, n: int, seed: int = 0) -> pd.DataFrame:
+    def draw(
+        self, n: int, seed: int = 0, assumptions: Mapping[str, float] | None = None
+    ) -> pd.DataFrame:
         """
         Draw operators; those of a smaller n are the first of a larger one.
 
@@ -474,62 +481,49 @@ class OperatorPopulation:
             How many.
         seed : int
             Each operator has a random stream of its own.
+        assumptions : mapping of str to float, optional
+            What is assumed of all operators: any of `trustlab.operators.ASSUMPTIONS`.
 
         Returns
         -------
         pandas.DataFrame
             A row per operator: participant (from 1), a_r, beta, p_h_min, p_h_max, a_pr, p_r_min,
             p_r_max, lower, upper, lower_spread, upper_spread, tsc_l, tsc_u, follow_tsc,
-            follow_performance, redrawn (how many draws were invalid).
+            follow_performance, redrawn (how many draws were invalid), and what is assumed.
 
         Raises
         ------
         ValueError
             If hardly any draw is a valid model.
         """
-        root = np.linalg.cholesky(self.covariance)
+        people = checked_assumptions({} if assumptions is None else assumptions)
         numbers = range(1, whole_number("n", n) + 1)
-        frame = pd.DataFrame([self._drawn(number, seed, root) for number in numbers])
+        frame = pd.DataFrame([self._drawn(number, seed) | people for number in numbers])
         frame.attrs["synthetic"] = True
         return frame
 
-    def _drawn(self, number: int, seed: int, root: np.ndarray) -> dict:
-        rng = person_stream(seed, self.coordinates.people, number)
-        tsc, performance = (share_drawn(average, sd, rng) for average, sd in self.follow)
-        shares = {"follow_tsc": tsc, "follow_performance": performance}
-        for tries in range(MOST_TRIES):
+    def _drawn(self, number: int, seed: int) -> dict[str, float]:
+        """Return the row of one operator."""
+        rng = person_stream(seed, PEOPLE[self.testbed], number)
+        shares = {}
+        for name, (mean, sd) in zip(FOLLOW, self.follow, strict=True):
+            total = mean * (1.0 - mean) / sd**2 - 1.0
+            shares[name] = rng.beta(mean * total, (1.0 - mean) * total)
+        root = np.linalg.cholesky(self.covariance)
+        for redrawn in range(MOST_TRIES):
             z = self.mean + root @ rng.standard_normal(len(self.mean))
             try:
-                values = {"participant": number} | self._values(z) | shares | {"redrawn": tries}
-                self.person(values)
+                row = {"participant": number} | person_at(z, self.testbed, self.p_r_min) | shares
+                person_of(row)
             except ValueError:
                 continue
-            return values
+            return row | {"redrawn": redrawn}
         raise ValueError(
             f"none of {MOST_TRIES} draws for participant {number} is a valid model; check means "
             "and spreads of this population"
         )
 
-    def _values(self, z: np.ndarray) -> dict[str, float]:
-        named = dict(zip(self.coordinates.names, z.tolist(), strict=True))
-        return self.coordinates.values(named, self.p_r_min)
-
-    @staticmethod
-    def person(values: Mapping[str, Any]) -> tuple[Operator, TscModel, tuple[float, float]]:
-        """
-        Return the simulated operator, model and thresholds of TSC of one row of `draw`.
-
-        Parameters
-        ----------
-        values : dict
-            The row.
-
-        Raises
-        ------
-        ValueError
-            If they make no model or operator.
-        """
-        return person_of(values)
+    person = staticmethod(person_of)
 
 
 @cache
@@ -547,8 +541,8 @@ def following_operator(participant: int | str) -> tuple[Operator, TscModel, tupl
     ValueError
         If there is no such participant.
     """
-    if isinstance(participant, str) and participant.isdecimal():
-        participant = int(participant)
+    if isinstance(participant, str) and participant.removesuffix(".0").isdecimal():
+        participant = int(float(participant))
     number = whole_number("participant", participant, most=PARTICIPANTS)
     rows = OperatorPopulation.uav_following().draw(number, seed=0).to_dict("records")
     return person_of(rows[-1])
@@ -568,10 +562,6 @@ class TeleoperatorPopulation:
     ----------
     study : {"preliminary", "main"}
         Study whose settings and target are used: that of Section 3.8 or 3.9.
-    testbed : str
-        "uav_tracking"; not an argument.
-    origin : str
-        Where the numbers come from; not an argument.
 
     Raises
     ------
@@ -579,22 +569,13 @@ class TeleoperatorPopulation:
         If the study is unknown.
     """
 
+    testbed: ClassVar[str] = "uav_tracking"
+    origin: ClassVar[str] = "plausible ranges, not measured"
+
     study: str = "main"
-    testbed: str = field(default="uav_tracking", init=False)
-    origin: str = field(default="plausible ranges, not measured", init=False)
 
     def __post_init__(self):
         one_of("study", self.study, REACH)
-
-    def table(self) -> pd.DataFrame:
-        """Return the distribution: columns quantity, distribution, mean, sd."""
-        share = np.sqrt(2.0 / 12.0) / 2.0
-        rows = []
-        for name, (low, high) in RANGES.items():
-            words = f"between {low:g} and {high:g} by skill"
-            rows.append((name, words, 0.5 * (low + high), abs(high - low) * share))
-        rows.append(("patience", "uniform, 2 to 4 s", 3.0, 2.0 / np.sqrt(12.0)))
-        return pd.DataFrame(rows, columns=["quantity", "distribution", "mean", "sd"])
 
     def draw(
         self, n: int, seed: int = 0, assumptions: Mapping[str, float] | None = None
@@ -620,7 +601,7 @@ class TeleoperatorPopulation:
         people = checked_teleoperation({} if assumptions is None else assumptions)
         rows = []
         for number in range(1, whole_number("n", n) + 1):
-            rng = person_stream(seed, PEOPLE, number)
+            rng = person_stream(seed, TELEOPERATORS, number)
             skill, last, *draws = rng.uniform(size=len(RANGES) + 2).tolist()
             row = {"participant": number, "skill": skill}
             for (name, (low, high)), u in zip(RANGES.items(), draws, strict=True):
@@ -641,5 +622,5 @@ class TeleoperatorPopulation:
         values : dict
             The row.
         """
-        names = [field.name for field in fields(Teleoperator)[1:] if field.name in values]
-        return Teleoperator(int(values["participant"]), **{name: values[name] for name in names})
+        names = [name for name in Teleoperator.__match_args__ if name in values]
+        return Teleoperator(**{name: values[name] for name in names})

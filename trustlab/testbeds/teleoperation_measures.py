@@ -3,7 +3,7 @@ What a study takes from teleoperation runs: measures of error, effort, allocatio
 figures (Figs. 3.13, 3.14, 3.22).
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 import pandas as pd
@@ -12,37 +12,31 @@ from trustlab.models.checks import of_class
 from trustlab.models.display import axes_or_new
 from trustlab.sessions.session import Session
 
-SIGNALS = ("path_error", "p_r", "p_h", "alpha", "beta", "port_share")
-ENERGIES = (
-    "energy_operator",
-    "energy_dissipated",
-    "energy_channel",
-    "energy_robot",
-    "energy_port",
-    "energy_target",
-    "energy_guidance",
-)
-
 # A share this close to 1 is 1 but for rounding: the passivity controller did not act.
 ROUNDING = 1e-9
 
-# What the figures show, each with its label.
-PANELS = (
-    ("performance", {"p_r": "robot $P_r$", "p_h": "operator $P_h$"}),
-    ("trust", {"trust_hr": "human-to-robot $T_{hr}$", "trust_rh": "robot-to-human $T_{rh}$"}),
-    ("scale", {"alpha": "share of the operator $α$", "beta": "force feedback $β$"}),
-)
-PORT_ENERGIES = {
-    "energy_operator": "supplied by the operator",
-    "energy_device": "stored in the device",
-    "energy_dissipated": "dissipated in the device",
-    "energy_channel": "taken by the channel",
-    "energy_robot": "taken by the robot's port",
-    "energy_guidance": "taken by the guidance",
-    "energy_port": "taken by the operator's port",
-    "energy_target": "given by the moving target",
+# What the figures show, panel by panel, each with its label.
+SIGNALS = {
+    "performance": {"p_r": "robot $P_r$", "p_h": "operator $P_h$"},
+    "trust": {"trust_hr": "human-to-robot $T_{hr}$", "trust_rh": "robot-to-human $T_{rh}$"},
+    "scale": {"alpha": "share of the operator $α$", "beta": "force feedback $β$"},
 }
-BLUE, RED = "#0072b2", "#d55e00"
+ENERGIES = (
+    {
+        "energy_operator": "supplied by the operator",
+        "energy_device": "stored in the device",
+        "energy_dissipated": "dissipated in the device",
+    },
+    {
+        "energy_channel": "taken by the channel, least {:z.3f} J",
+        "energy_robot": "taken by the robot's port, least {:z.3f} J",
+        "energy_guidance": "taken by the guidance, least {:z.3f} J",
+        "energy_port": "taken by the operator's port, least {:z.3f} J",
+        "energy_target": "given by the moving target, least {:z.3f} J",
+    },
+)
+# Legends stand outside of the axes.
+OUTSIDE = {"fontsize": "small", "frameon": False}
 
 
 def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFrame:
@@ -83,25 +77,28 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     0      M   1.00             -0.0
     1   TMIG   0.34             -0.0
     """
-    runs = runs_with(sessions, *SIGNALS, *ENERGIES)
+    runs = _runs(sessions)
     frame = pd.DataFrame([_measures(run) for run in runs])
     if any(run.metadata.synthetic for run in runs):
         frame.attrs["origin"] = "simulated operators"
     return frame
 
 
-def runs_with(sessions: Session | Iterable[Session], *columns: str) -> list[Session]:
-    """Return the runs, at least one and each with the columns."""
+def _runs(sessions: Session | Iterable[Session]) -> list[Session]:
+    """Return the runs, at least one."""
     runs = [sessions] if isinstance(sessions, Session) else list(sessions)
     if not runs:
         raise ValueError("sessions is empty: give at least one run of simulate_teleoperation")
-    for number, run in enumerate(runs):
-        of_class(f"sessions[{number}]", run, Session).require(*columns)
-    return runs
+    return [of_class(f"sessions[{number}]", run, Session) for number, run in enumerate(runs)]
 
 
 def _measures(run: Session) -> dict[str, object]:
     """Return the measures of one run by column."""
+    force, felt = (
+        np.sqrt(sum(run[f"{name}_{axis}"] ** 2 for axis in "xyz")) for name in ("f_h", "guide")
+    )
+    last = [f"energy_{name}" for name in ("operator", "dissipated", "target", "guidance")]
+    least = [f"energy_{name}" for name in ("channel", "robot", "port")]
     return {
         "participant": run.metadata.participant,
         "scheme": run.metadata.condition,
@@ -111,16 +108,10 @@ def _measures(run: Session) -> dict[str, object]:
         **{name: run[name].mean() for name in ("p_r", "p_h", "alpha")},
         "alpha_rate": np.abs(np.diff(run["alpha"])).mean() / run.sample_time,
         "beta": run["beta"].mean(),
-        "hand_force": np.sqrt(sum(run[f"f_h_{axis}"] ** 2 for axis in "xyz")).mean(),
-        "guidance_felt": np.sqrt(sum(run[f"guide_{axis}"] ** 2 for axis in "xyz")).mean(),
-        **{
-            f"energy_{name}": run[f"energy_{name}"][-1]
-            for name in ("operator", "dissipated", "target", "guidance")
-        },
-        **{
-            f"energy_{name}_min": run[f"energy_{name}"].min()
-            for name in ("channel", "robot", "port")
-        },
+        "hand_force": force.mean(),
+        "guidance_felt": felt.mean(),
+        **{name: run[name][-1] for name in last},
+        **{f"{name}_min": run[name].min() for name in least},
         "guarded": (run["port_share"] < 1.0 - ROUNDING).mean(),
         "port_share": run["port_share"].mean(),
     }
@@ -146,20 +137,18 @@ def plot_trajectory(session: Session, axes=None):
     ValueError
         If `session` is not a Session, or lacks a column.
     """
-    needed = [f"{stem}_{axis}" for stem in ("reference", "robot") for axis in "xyz"]
-    of_class("session", session, Session).require(*needed)
+    of_class("session", session, Session)
+    target, robot = (
+        [session[f"{name}_{axis}"] for axis in "xyz"] for name in ("reference", "robot")
+    )
     axes = axes_or_new(axes, figsize=(5.6, 4.6), subplot_kw={"projection": "3d"})
-    x, y, z = (session[f"reference_{axis}"] for axis in "xyz")
-    axes.plot(x, y, z, ls="--", lw=1.3, color=RED, label="target, at the height wanted")
-    x, y, z = (session[f"robot_{axis}"] for axis in "xyz")
-    axes.plot(x, y, z, lw=1.0, color=BLUE, label="UAV")
-    height = session["reference_z"][0]
+    axes.plot(*target, ls="--", label="target, at the height wanted")
+    axes.plot(*robot, lw=1.0, label="UAV")
+    height, z = target[2][0], robot[2]
     axes.set_zlim(min(z.min(), height - 0.5), max(z.max(), height + 0.5))
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.set_title(session.label, fontsize="medium")
-    axes.legend(
-        fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=2, frameon=False
-    )
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=2, **OUTSIDE)
     return axes
 
 
@@ -183,17 +172,13 @@ def plot_signals(session: Session, axes=None):
     ValueError
         If `session` is not a Session, or lacks a column.
     """
-    of_class("session", session, Session).require(
-        *(name for _, columns in PANELS for name in columns)
-    )
-    axes = axes_or_new(axes, len(PANELS), title=session.label, sharex=True, figsize=(7.2, 5.6))
-    for panel, (title, columns) in zip(axes, PANELS, strict=True):
-        for (name, label), color, style in zip(
-            columns.items(), (BLUE, RED), ("-", "--"), strict=True
-        ):
-            panel.plot(session.t, session[name], style, color=color, lw=1.2, label=label)
+    of_class("session", session, Session).require(*(n for names in SIGNALS.values() for n in names))
+    axes = axes_or_new(axes, len(SIGNALS), title=session.label, sharex=True, figsize=(7.2, 5.6))
+    for panel, (title, labels) in zip(axes, SIGNALS.items(), strict=True):
+        for style, (name, label) in zip(("-", "--"), labels.items(), strict=True):
+            panel.plot(session.t, session[name], style, lw=1.2, label=label)
         panel.set(ylabel=title, ylim=(-0.05, 1.05))
-        panel.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **OUTSIDE)
     axes[-1].set_xlabel("time [s]")
     return axes
 
@@ -222,26 +207,23 @@ def plot_energies(session: Session, axes=None):
     ValueError
         If `session` is not a Session, or lacks a column.
     """
-    of_class("session", session, Session).require(*PORT_ENERGIES)
+    of_class("session", session, Session).require(*ENERGIES[0], *ENERGIES[1])
     axes = axes_or_new(axes, columns=2, title=session.label, figsize=(8.6, 4.2))
-    names = tuple(PORT_ENERGIES)
-    for panel, part in ((axes[0], names[:3]), (axes[1], names[3:])):
-        values = np.array([session[name] for name in part])
-        labels = [PORT_ENERGIES[name] for name in part]
-        if panel is axes[1]:
-            least = values.min(axis=1)
-            labels = [
-                f"{label}, least {low:z.3f} J" for label, low in zip(labels, least, strict=True)
-            ]
-        apart = np.abs(values[:, None] - values[None]).max(axis=2)
+    for panel, names in zip(axes, ENERGIES, strict=True):
+        values = np.array([session[name] for name in names])
+        apart = np.abs(values[:, None] - values).max(axis=2)
         # the first energy that each lies on
-        lies_on = np.argmax(apart <= 0.01 * np.ptp(values) + 1e-12, axis=1)
-        for style, k in zip(("-", "--", ":", "-."), np.unique(lies_on), strict=False):
-            shared = [labels[i] for i in np.flatnonzero(lies_on == k)]
+        first = np.argmax(apart <= 0.01 * np.ptp(values) + 1e-12, axis=1)
+        for style, k in zip(("-", "--", ":", "-."), np.unique(first), strict=False):
+            shared = [
+                label.format(energy.min())
+                for label, energy, shown in zip(names.values(), values, first == k, strict=True)
+                if shown
+            ]
             panel.plot(session.t, values[k], style, lw=1.6, label=",\n".join(shared))
         panel.axhline(0.0, color="0.6", lw=0.8, zorder=0)
         panel.set(xlabel="time [s]", ylabel="energy [J]")
-        panel.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.18))
+        panel.legend(loc="upper left", bbox_to_anchor=(0.0, -0.18), **OUTSIDE)
     return axes
 
 
@@ -265,42 +247,14 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
     ValueError
         If there is no run, an item is not a Session, or the number of axes differs.
     """
-    runs = runs_with(sessions, "alpha")
-    axes = np.atleast_1d(
-        axes_or_new(axes, len(runs), sharex=True, figsize=(7.2, 1.2 + 1.5 * len(runs)))
-    )
+    runs = _runs(sessions)
+    size = (7.2, 1.2 + 1.5 * len(runs))
+    axes = np.atleast_1d(axes_or_new(axes, len(runs), sharex=True, figsize=size))
     if axes.size != len(runs):
         raise ValueError(f"there are {len(runs)} runs and {axes.size} axes; give one per run")
     for panel, run in zip(axes, runs, strict=True):
-        panel.plot(run.t, run["alpha"], lw=1.0, color=BLUE)
+        panel.plot(run.t, run["alpha"], lw=1.0)
         panel.set(ylabel="operator's\nshare $α$", ylim=(-0.05, 1.05))
         panel.set_title(run.label, fontsize="medium")
     axes[-1].set_xlabel("time [s]")
     return axes
-
-
-def plot_beside(series: Mapping[str, pd.DataFrame], ax=None):
-    """
-    Plot means with intervals by condition, several series beside each other.
-
-    Parameters
-    ----------
-    series : mapping of str to pandas.DataFrame
-        By name: index of conditions; columns mean, ci_low, ci_high.
-    ax : matplotlib.axes.Axes, optional
-        Where; a new figure when not given.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-    """
-    ax = axes_or_new(ax)
-    for number, (name, frame) in enumerate(series.items()):
-        place = np.arange(len(frame)) + 0.24 * (number - 0.5 * (len(series) - 1))
-        half = [frame["mean"] - frame["ci_low"], frame["ci_high"] - frame["mean"]]
-        face = "white" if number else None
-        ax.errorbar(
-            place, frame["mean"], half, fmt="os^v"[number % 4], mfc=face, capsize=4, label=name
-        )
-        ax.set_xticks(np.arange(len(frame)), frame.index)
-    return ax

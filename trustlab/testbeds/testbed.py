@@ -21,7 +21,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.tsc import TscModel
-from trustlab.operators.ground_robot import Operator, checked_assumptions, person_of
+from trustlab.operators.ground_robot import Operator, person_of
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.schemes import SCHEMES
 from trustlab.testbeds import deciding
@@ -34,6 +34,7 @@ from trustlab.testbeds.populations import (
     OperatorPopulation,
     TeleoperatorPopulation,
     following_operator,
+    printed_person,
 )
 from trustlab.testbeds.team_testbed import RobotTeam
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
@@ -44,38 +45,32 @@ Seed = int | np.random.SeedSequence
 Person = Mapping[str, Any]
 
 
-class TestbedRun(Protocol):
-    """One session on a testbed."""
-
-    @property
-    def measures(self) -> dict[str, float]:
-        """The outcome measures by name."""
-
-    @property
-    def session(self) -> Session:
-        """What was logged."""
-
-
 class Testbed(Protocol):
     """
     What studies know of a testbed.
 
     Attributes: `name`, one word everywhere; `title`, its name in sentences; `conditions`, all that
     can be run; `printed_conditions` and `printed_n`, those and the participants of the
-    dissertation's study; `measures`, those that figures show by default; `origin`, where the people
-    come from; `settings`, what else a study reports of it.
+    dissertation's study; `measures`, those that figures show by default; `takes_rules`, whether a
+    rule can be a condition.
     """
 
-    name: str
-    title: str
-    conditions: tuple[str, ...]
-    printed_conditions: tuple[str, ...]
-    printed_n: int
-    measures: tuple[str, ...]
+    name: ClassVar[str]
+    title: ClassVar[str]
+    conditions: ClassVar[tuple[str, ...]]
+    printed_conditions: ClassVar[tuple[str, ...]]
+    printed_n: ClassVar[int]
+    measures: ClassVar[tuple[str, ...]]
+    takes_rules: ClassVar[bool] = False
+
+    @property
+    def operators(self) -> Any:
+        """The population from which people are drawn."""
 
     @property
     def origin(self) -> str:
         """Where the people come from."""
+        return self.operators.origin
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -85,7 +80,7 @@ class Testbed(Protocol):
         self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
     ) -> pd.DataFrame:
         """
-        Return a row of numbers per person: participant, from 1, and their parameters.
+        Return a row of numbers per person: participant, from 1, and their parameters, as drawn.
 
         Parameters
         ----------
@@ -94,12 +89,14 @@ class Testbed(Protocol):
         assumptions : mapping of str to float, optional
             What is assumed of all of them, by name.
         seed : int
-            Seed of the draws.
+            Seed of the draws; people of a smaller n are the first of a larger one.
         """
+        return self.operators.draw(n, seed, assumptions)
 
-    def run(self, condition: str, person: Person, seed: Seed) -> TestbedRun:
+    def run(self, condition: str, person: Person, seed: Seed) -> Any:
         """
-        Run one session.
+        Run one session, and return what has it as `.session`, and its outcome measures by name as
+        `.measures`.
 
         Parameters
         ----------
@@ -113,7 +110,8 @@ class Testbed(Protocol):
 
     def next_session(self, person: Person, run: Any) -> Person:
         """
-        Return the person as they come to the session after this run.
+        Return the person as they come to the session after this run; the same unless a testbed
+        carries something over.
 
         Parameters
         ----------
@@ -122,18 +120,17 @@ class Testbed(Protocol):
         run : object
             What `run` returned.
         """
+        return person
 
 
 @cache
-def _usual_population(name: str) -> OperatorPopulation:
-    """Return the population of a testbed where none is given."""
-    if name == "ground_robot":
-        return OperatorPopulation.ground_robot()
-    return OperatorPopulation.uav_following()
+def usual_population(testbed: str) -> OperatorPopulation:
+    """Return the population of a testbed of C1 to C5 where none is given."""
+    return getattr(OperatorPopulation, testbed)()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ConditionTestbed:
+class ConditionTestbed(Testbed):
     """
     What the testbeds of C1 to C5 have in common.
 
@@ -159,6 +156,10 @@ class ConditionTestbed:
     title: ClassVar[str]
     e_max: ClassVar[float]
     laps: ClassVar[int] = 0
+    extent: ClassVar[str]
+    participant: ClassVar[Callable]
+    note: ClassVar[str]
+    measured: ClassVar[str]
     conditions: ClassVar[tuple[str, ...]] = tuple(KNOWN)
     printed_conditions: ClassVar[tuple[str, ...]] = tuple(CONDITIONS)
     printed_n: ClassVar[int] = 20
@@ -171,12 +172,10 @@ class ConditionTestbed:
 
     def __post_init__(self):
         for name, make in self.rules.items():
-            if name in KNOWN:
-                raise ValueError(f"rules: {name!r} is a condition of the dissertation; rename it")
-            if not callable(make):
+            if name in KNOWN or not callable(make):
                 raise ValueError(
-                    f"rules: {name!r} must be what makes a rule, as a class or "
-                    "lambda: ThresholdRule(0.0, 0.3), so that no run begins in the state of "
+                    f"rules: {name!r} must be a name of its own, for what makes a rule, as a class "
+                    "or lambda: ThresholdRule(0.0, 0.3), so that no run begins in the state of "
                     f"another; got {shown(make)}"
                 )
         object.__setattr__(self, "conditions", (*KNOWN, *self.rules))
@@ -184,43 +183,17 @@ class ConditionTestbed:
             not_negative("rest", self.rest)
         if self.population is not None:
             of_class("population", self.population, OperatorPopulation)
-            if self.population.testbed != self.name:
-                raise ValueError(
-                    f"population is of the testbed {self.population.testbed!r}, not {self.name!r}"
-                )
+            one_of("the testbed of population", self.population.testbed, [self.name])
 
     @property
     def operators(self) -> OperatorPopulation:
         """The population given, or the usual one."""
-        return _usual_population(self.name) if self.population is None else self.population
-
-    @property
-    def origin(self) -> str:
-        """Where the people come from."""
-        return self.operators.origin
+        return usual_population(self.name) if self.population is None else self.population
 
     @property
     def settings(self) -> dict[str, Any]:
         """Settings of all runs, by name."""
         return {"rest": self.rest}
-
-    def people(
-        self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
-    ) -> pd.DataFrame:
-        """
-        Return a row per operator: the population's draw, and what is assumed of all of them.
-
-        Parameters
-        ----------
-        n : int
-            How many; those of a smaller n are the first of a larger one.
-        assumptions : mapping of str to float, optional
-            Any of `trustlab.operators.ASSUMPTIONS` by name.
-        seed : int
-            Seed of the draws.
-        """
-        assumed = checked_assumptions({} if assumptions is None else assumptions)
-        return self.operators.draw(n, seed).assign(**assumed)
 
     def run(self, condition: str, person: Person, seed: Seed) -> ConditionRun:
         """
@@ -235,14 +208,8 @@ class ConditionTestbed:
         seed : int or numpy.random.SeedSequence
             As for `run_condition`.
         """
-        operator, model, default = person_of(person)
-        if condition in self.rules:
-            rule = self.rule_of(condition, person)
-            return self.run_rule(rule, operator, model, condition, seed)
-        task, thresholds = deciding.task_for(
-            condition, operator, model, None, default, self.e_max, self.laps
-        )
-        return self.result(task, operator, model, thresholds, condition, seed)
+        rule = self.rule_of(condition, person) if condition in self.rules else None
+        return self.conducted(condition, person_of(person), seed, rule=rule)
 
     def rule_of(self, condition: str, person: Person) -> Any:
         """
@@ -268,30 +235,92 @@ class ConditionTestbed:
             raise ValueError(f"condition {condition!r}: {error}") from error
         return rule
 
-    def run_rule(
-        self, rule: Any, operator: Operator, model: TscModel, condition: str, seed: Seed
+    def conducted(
+        self,
+        condition: str | None,
+        person: tuple[Operator, TscModel, tuple[float, float] | None],
+        seed: Seed,
+        thresholds: tuple[float, float] | None = None,
+        rule: Any = None,
     ) -> ConditionRun:
         """
-        Run one session in which a rule gives the modes.
+        Run one session.
 
         Parameters
         ----------
-        rule : object
-            With a method `step(tsc=…, p_r=…)`; the run works on a copy.
-        operator, model, condition, seed : object
-            Who drives, and what the metadata say of it.
+        condition, seed, thresholds, rule : object
+            As for `run_condition`; with a rule, the condition is a name for the metadata.
+        person : (Operator, TscModel, (float, float) or None)
+            The operator who drives, the model that rules and suggestions use, and the thresholds of
+            suggestions where `thresholds` are not given.
         """
-        rule, mode = prepared_rule(rule, None)
-        task = deciding.task_of(
-            deciding.SCHEDULE,
-            self.e_max,
-            False,
-            self.laps,
-            model=model,
-            first_mode=mode,
-            r0=operator.r0,
+        operator, model, usual = person
+        decide = None
+        if rule is None:
+            task, thresholds = deciding.task_for(
+                condition, operator, model, thresholds, usual, self.e_max, self.laps
+            )
+        else:
+            rule, mode = prepared_rule(rule, None)
+            decide = deciding.obeying(rule)
+            task = deciding.task_of(
+                deciding.SCHEDULE,
+                self.e_max,
+                laps=self.laps,
+                model=model,
+                first_mode=mode,
+                r0=operator.r0,
+            )
+        facts = {self.extent: getattr(self, self.extent), "settling": deciding.SETTLING}
+        if thresholds is not None:
+            facts |= zip(("TSC_l", "TSC_u"), thresholds, strict=True)
+        metadata = deciding.metadata_of(
+            self.name, operator, condition, seed, self.note, self.measured, **facts
         )
-        return self.result(task, operator, model, None, condition, seed, rule)
+        who = {"operator": operator, "model": model, "thresholds": thresholds}
+        return self.simulated(task, decide, seed, metadata=metadata, **who)
+
+    def simulated(self, task: Task, decide: Callable | None, seed: Seed, **facts: Any):
+        """
+        Return the run of a task.
+
+        Parameters
+        ----------
+        task : trustlab.testbeds.deciding.Task
+            What is to be done, and who decides.
+        decide : callable or None
+            What decides in place of the task.
+        seed : int or numpy.random.SeedSequence
+            Of the noise.
+        **facts : object
+            Operator, model, thresholds and metadata.
+        """
+        raise NotImplementedError
+
+    def identified(
+        self, participant: Any, operator: Operator | None, model: TscModel | None
+    ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
+        """
+        Return operator, model and thresholds of a participant by number or of a given operator.
+
+        Parameters
+        ----------
+        participant, operator, model : object
+            As for `run_condition`.
+        """
+        if (participant is None) == (operator is None):
+            raise ValueError(
+                "who drives? give either participant= or operator=, not both, and model= for an "
+                "Operator"
+            )
+        person = participant
+        if operator is not None:
+            person = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
+        if isinstance(person, Operator):
+            return person, of_class("model", model, TscModel), None
+        operator, known, thresholds = self.participant(str(person))
+        model = known if model is None else of_class("model", model, TscModel)
+        return operator, model, thresholds
 
     def next_session(self, person: Person, run: ConditionRun) -> Person:
         """
@@ -309,29 +338,6 @@ class ConditionTestbed:
             last = float(run.log["r"][-1])
             after["r0"] = last * run.model.human.a ** (self.rest / SAMPLE_TIME)  # (2.5)
         return after
-
-    def result(
-        self,
-        task: Task,
-        operator: Operator,
-        model: TscModel,
-        thresholds: tuple[float, float] | None,
-        condition: str,
-        seed: Seed,
-        rule: Any = None,
-    ) -> ConditionRun:
-        """
-        Return the run of a task.
-
-        Parameters
-        ----------
-        task, operator, model, thresholds, condition, seed : object
-            Who decides when (`deciding.Task`), the operator who drives, the model that rules and
-            suggestions use, thresholds, the name of the condition, and the seed of the noise.
-        rule : object, optional
-            What gives the modes instead of the task.
-        """
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -359,6 +365,10 @@ class GroundRobot(ConditionTestbed):
     name: ClassVar[str] = "ground_robot"
     title: ClassVar[str] = "the ground-robot testbed"
     e_max: ClassVar[float] = ground.E_MAX
+    extent: ClassVar[str] = "laps"
+    participant: ClassVar[Callable] = staticmethod(printed_person)
+    note: ClassVar[str] = ground.NOTE
+    measured: ClassVar[str] = ground.MEASURED
 
     laps: int = 8  # type: ignore[misc]  # of other testbeds a constant
     robot: Pioneer | None = None
@@ -367,55 +377,27 @@ class GroundRobot(ConditionTestbed):
     def __post_init__(self):
         super().__post_init__()
         whole_number("laps", self.laps, most=ground.MOST_LAPS)
-        if self.robot is not None:
-            of_class("robot", self.robot, Pioneer)
-        if self.course is not None:
-            of_class("course", self.course, Course)
+        ground.equipment(self.robot, self.course)
 
     @property
     def settings(self) -> dict[str, Any]:
         """Settings of all runs, by name."""
-        return {"laps": self.laps, "rest": self.rest}
+        return {"laps": self.laps} | super().settings
 
-    def identified(
-        self, participant: Any, operator: Operator | None, model: TscModel | None
-    ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
-        """
-        Return operator, model and thresholds of a printed participant or a given operator.
-
-        Parameters
-        ----------
-        participant, operator, model : object
-            As for `run_condition`.
-        """
-        return ground.who_drives(participant, operator, model)
-
-    def result(self, task, operator, model, thresholds, condition, seed, rule=None):
+    def simulated(self, task, decide, seed, **facts):
         """
         Return the run of a task.
 
         Parameters
         ----------
-        task, operator, model, thresholds, condition, seed : object
-            Who decides when (`deciding.Task`), the operator who drives, the model that rules and
-            suggestions use, thresholds, the name of the condition, and the seed of the noise.
-        rule : object, optional
-            What gives the modes instead of the task.
+        task, decide, seed, **facts : object
+            As for a `ConditionTestbed`.
         """
-        operator, robot, course = ground.checked(operator, self.robot, self.course)
-        decide = None if rule is None else deciding.obeying(rule)
+        robot, course = ground.equipment(self.robot, self.course)
+        operator = facts["operator"]
         log, lap_times = ground.driven(task, robot, course, operator, seed, decide=decide)
-        facts = {"laps": self.laps, "settling": deciding.SETTLING}
-        facts |= deciding.tsc_facts(thresholds)
         return ground.GroundRobotRun(
-            log=log,
-            metadata=ground.metadata_of(operator, condition, seed, **facts),
-            operator=operator,
-            model=model,
-            thresholds=thresholds,
-            course=course,
-            robot=robot,
-            lap_times=lap_times,
+            log=log, course=course, robot=robot, lap_times=lap_times, **facts
         )
 
 
@@ -438,50 +420,22 @@ class UavFollowing(ConditionTestbed):
     name: ClassVar[str] = "uav_following"
     title: ClassVar[str] = "the testbed of the UAV that follows a leader"
     e_max: ClassVar[float] = flight.E_MAX
+    extent: ClassVar[str] = "duration"
+    duration: ClassVar[float] = flight.DURATION
+    participant: ClassVar[Callable] = staticmethod(following_operator)
+    note: ClassVar[str] = flight.NOTE
+    measured: ClassVar[str] = flight.MEASURED
 
-    def identified(
-        self, participant: Any, operator: Operator | None, model: TscModel | None
-    ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
-        """
-        Return operator, model and thresholds of a seeded participant or a given operator.
-
-        Parameters
-        ----------
-        participant, operator, model : object
-            As for `run_condition`.
-        """
-        default = None
-        remedy = "who flies? give participant=, 1 to 20, or an Operator with model="
-        person = deciding.participant_or_operator(participant, operator, remedy)
-        if not isinstance(person, Operator):
-            person, identified, default = following_operator(person)
-            model = identified if model is None else model
-        return person, of_class("model", model, TscModel), default
-
-    def result(self, task, operator, model, thresholds, condition, seed, rule=None):
+    def simulated(self, task, decide, seed, **facts):
         """
         Return the run of a task.
 
         Parameters
         ----------
-        task, operator, model, thresholds, condition, seed : object
-            Who decides when (`deciding.Task`), the operator who drives, the model that rules and
-            suggestions use, thresholds, the name of the condition, and the seed of the noise.
-        rule : object, optional
-            What gives the modes instead of the task.
+        task, decide, seed, **facts : object
+            As for a `ConditionTestbed`.
         """
-        decide = None if rule is None else deciding.obeying(rule)
-        log = flight.flown(task, operator, seed, decide)
-        return ConditionRun(
-            log=log,
-            metadata=flight.metadata_of(operator, condition, seed, thresholds),
-            operator=operator,
-            model=model,
-            thresholds=thresholds,
-        )
-
-
-USUAL_TELEOPERATORS = TeleoperatorPopulation()
+        return ConditionRun(log=flight.flown(task, facts["operator"], seed, decide), **facts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -505,7 +459,7 @@ class TeleoperationRun:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class UavTracking:
+class UavTracking(Testbed):
     """
     The teleoperated UAV of Chapter 3, with the settings of `simulate_teleoperation`.
 
@@ -529,39 +483,23 @@ class UavTracking:
     printed_conditions: ClassVar[tuple[str, ...]] = ("M", "OMI", "MMI", "TMIG")
     printed_n: ClassVar[int] = 32
     measures: ClassVar[tuple[str, ...]] = ("tracking_error", "p_r", "p_h", "hand_force")
-    takes_rules: ClassVar[bool] = False
 
     duration: float = 120.0
-    population: TeleoperatorPopulation = USUAL_TELEOPERATORS
+    population: TeleoperatorPopulation = field(default_factory=TeleoperatorPopulation)
 
     def __post_init__(self):
         finite_number("duration", self.duration)
         of_class("population", self.population, TeleoperatorPopulation)
 
     @property
-    def origin(self) -> str:
-        """Where the people come from."""
-        return self.population.origin
+    def operators(self) -> TeleoperatorPopulation:
+        """The population given, or the usual one."""
+        return self.population
 
     @property
     def settings(self) -> dict[str, Any]:
         """Settings of all runs, by name."""
         return {"duration": self.duration}
-
-    def people(
-        self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
-    ) -> pd.DataFrame:
-        """
-        Return a row per operator: the population's draw.
-
-        Parameters
-        ----------
-        n, seed : int
-            As for `TeleoperatorPopulation.draw`.
-        assumptions : mapping, optional
-            Any of `trustlab.operators.TELEOPERATOR_ASSUMPTIONS` by name.
-        """
-        return self.population.draw(n, seed, assumptions)
 
     def run(self, condition: str, person: Person, seed: Seed) -> TeleoperationRun:
         """
@@ -576,24 +514,10 @@ class UavTracking:
         seed : int or numpy.random.SeedSequence
             As for `simulate_teleoperation`.
         """
-        operator = TeleoperatorPopulation.person(person)
-        study, duration = self.population.study, self.duration
+        operator, study = self.population.person(person), self.population.study
         return TeleoperationRun(
-            simulate_teleoperation(condition, operator, study, seed=seed, duration=duration)
+            simulate_teleoperation(condition, operator, study, seed=seed, duration=self.duration)
         )
-
-    def next_session(self, person: Person, run: TeleoperationRun) -> Person:
-        """
-        Return the same operator: nothing is carried from session to session.
-
-        Parameters
-        ----------
-        person : mapping
-            As for `run`.
-        run : TeleoperationRun
-            The run.
-        """
-        return person
 
 
 TESTBEDS: dict[str, Callable[..., Any]] = {
@@ -673,7 +597,7 @@ def run_condition(
     -------
     ConditionRun
         With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot a
-        `GroundRobotRun`, which has `.laps()` and `.plot_path()` besides.
+        `GroundRobotRun`, which has `.lap_times` and `.plot_path()` besides.
 
     Raises
     ------
@@ -706,19 +630,16 @@ def run_condition(
     """
     bed = named_testbed(testbed, laps, (GroundRobot.name, UavFollowing.name))
     of_class("testbed", bed, ConditionTestbed, "or a name")
-    operator, model, default = bed.identified(participant, operator, model)
+    person = bed.identified(participant, operator, model)
     if r0 is not None:
-        operator = replace(operator, r0=r0)
-    if rule is None:
-        task, thresholds = deciding.task_for(
-            condition, operator, model, thresholds, default, bed.e_max, bed.laps
-        )
-        run = bed.result(task, operator, model, thresholds, condition, seed)
-    elif condition is not None or thresholds is not None:
-        raise ValueError(
-            "condition and thresholds have no effect beside rule=, which decides; leave them out"
-        )
-    else:
-        run = bed.run_rule(rule, operator, model, f"rule {type(rule).__name__}", seed)
+        person = replace(person[0], r0=r0), *person[1:]
+    if rule is not None:
+        if condition is not None or thresholds is not None:
+            raise ValueError(
+                "condition and thresholds have no effect beside rule=, which decides; leave them "
+                "out"
+            )
+        condition = f"rule {type(rule).__name__}"
+    run = bed.conducted(condition, person, seed, thresholds, rule)
     deciding.warn_if_too_short(run.log.size * SAMPLE_TIME)
     return run

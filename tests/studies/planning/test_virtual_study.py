@@ -17,11 +17,13 @@ import trustlab as tl
 from trustlab.allocation.limits import threshold_limits
 from trustlab.campaign import CampaignError, CampaignWarning
 from trustlab.operators.ground_robot import person_of
+from trustlab.operators.teleoperator import RANGES
 from trustlab.studies.planning import virtual_study as one_participant
 from trustlab.testbeds import GroundRobot, OperatorPopulation, TeleoperatorPopulation, UavTracking
-from trustlab.testbeds.populations import COORDINATES
+from trustlab.testbeds.populations import COORDINATES, person_at, printed_people
 
 PUBLISHED = OperatorPopulation.ground_robot()
+FOLLOWING = {"participant": 1, "follow_tsc": 0.5, "follow_performance": 0.5}
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +53,7 @@ def test_the_published_population_has_the_printed_means_and_spreads():
         assert rows.loc[name, "mean"] == pytest.approx(values.mean(), rel=1e-12)
         assert rows.loc[name, "sd"] == pytest.approx(values.std(), rel=1e-9)
     assert list(rows.index) == [
-        *COORDINATES["ground_robot"].names,
+        *(coordinate.name for coordinate in COORDINATES["ground_robot"]),
         "follow_tsc",
         "follow_performance",
     ]
@@ -62,8 +64,7 @@ def test_thresholds_of_the_second_participant_are_at_their_place():
     limits = threshold_limits(tl.published_models()["2"], 0.0)
     place = (0.0 - limits.lower) / (limits.upper - limits.lower)
     above = (0.35 - 0.0) / (limits.upper - 0.0)
-    own = OperatorPopulation(PUBLISHED.mean, PUBLISHED.covariance, PUBLISHED.follow)
-    z = own.mean.copy()
+    z = PUBLISHED.mean.copy()
     printed = tl.published_table("2.1")["2"].astype(float)
     z[:6] = [
         np.log(1 / (1 - 0.9995)),
@@ -74,22 +75,33 @@ def test_thresholds_of_the_second_participant_are_at_their_place():
         np.log(0.35 - 0.24),
     ]
     z[10:] = [np.log(place / (1 - place)), np.log(above / (1 - above))]
-    values = own._values(z)
+    values = person_at(z, "ground_robot", 0.24)
     assert values["p_h_max"] == pytest.approx(printed["P_h_max"])
     assert [values["tsc_l"], values["tsc_u"]] == pytest.approx([0.0, 0.35], abs=1e-12)
 
 
-def test_shrinkage_makes_the_covariance_positive_definite_and_keeps_variances():
+def test_correlations_are_halved_so_that_the_covariance_is_positive_definite():
+    """Oracle: the variances of Table 2.1 and the correlation of two of its rows."""
     eigenvalues = np.linalg.eigvalsh(PUBLISHED.covariance)
     assert eigenvalues[0] > 1e-6 * eigenvalues[-1]
-    free = OperatorPopulation.ground_robot(shrinkage=1.0)
-    np.testing.assert_allclose(free.covariance, np.diag(np.diag(PUBLISHED.covariance)), atol=1e-15)
-    wide = OperatorPopulation.ground_robot(spread=2.0)
-    np.testing.assert_allclose(wide.covariance, 4.0 * PUBLISHED.covariance, rtol=1e-12)
-    with pytest.raises(
-        ValueError, match=r"shrinkage must lie in \(0, 1\], got 0.0: at 0 .* is singular"
+    table = tl.published_table("2.1").astype(float)
+    tau_r, tau_pr = -np.log(1.0 - table.loc["a_r"]), -np.log(1.0 - table.loc["a_pr"])
+    assert PUBLISHED.covariance[0, 0] == pytest.approx(tau_r.var())
+    assert PUBLISHED.covariance[0, 4] == pytest.approx(0.5 * tau_r.cov(tau_pr))
+
+
+@pytest.mark.parametrize("testbed", COORDINATES)
+def test_coordinates_lead_back_to_the_person(testbed):
+    population = getattr(OperatorPopulation, testbed)()
+    for z in np.random.default_rng(5).multivariate_normal(
+        population.mean, 0.01 * population.covariance, 20
     ):
-        OperatorPopulation.ground_robot(shrinkage=0)
+        person = person_at(z, testbed, population.p_r_min)
+        limits = threshold_limits(person_of(person | FOLLOWING)[1], 0.0)
+        person |= {"tsc_lb": limits.lower, "tsc_ub": limits.upper}
+        again = [coordinate.of(person) for coordinate in COORDINATES[testbed]]
+        np.testing.assert_allclose(again, z, rtol=1e-9)
+    assert list(printed_people().index) == ["pilot", "1", "2", "3", "4", "5"]
 
 
 def test_draws_have_the_distribution_and_all_are_models():
@@ -136,12 +148,12 @@ def test_teleoperators_lie_in_their_ranges():
     drawn = TeleoperatorPopulation("preliminary").draw(500, seed=1)
     assert drawn["reaction"].between(0.15, 0.35).all()
     assert set(drawn["reach"]) == {2.5}
-    table = TeleoperatorPopulation().table().set_index("quantity")
-    for name in ("reaction", "noise", "patience"):
-        assert drawn[name].mean() == pytest.approx(
-            table.loc[name, "mean"], abs=0.15 * table.loc[name, "sd"]
-        )
-        assert drawn[name].std() == pytest.approx(table.loc[name, "sd"], rel=0.12)
+    for name, (low, high) in RANGES.items():
+        # half the sum of two uniform numbers
+        mean, sd = 0.5 * (low + high), abs(high - low) / np.sqrt(24.0)
+        assert drawn[name].mean() == pytest.approx(mean, abs=0.15 * sd)
+        assert drawn[name].std() == pytest.approx(sd, rel=0.12)
+    assert drawn["patience"].between(2.0, 4.0).all()
 
 
 # --- studies --------------------------------------------------------------------------------------
@@ -497,8 +509,6 @@ def test_populations_refuse(arguments, message):
 
 
 def test_other_refusals_of_populations(kept):
-    with pytest.raises(ValueError, match="spread must be positive"):
-        OperatorPopulation.ground_robot(spread=0.0)
     with pytest.raises(ValueError, match="study must be one of 'preliminary', 'main'"):
         TeleoperatorPopulation("pilot")
     with pytest.raises(ValueError, match="n must be a whole number"):
@@ -561,9 +571,9 @@ def test_own_rules_beside_printed_conditions(tmp_path):
 @pytest.mark.parametrize(
     ("pair", "message"),
     [
-        (("C4", Alternating), "'C4' is a condition of the dissertation"),
-        (("mine", Alternating()), "must be what makes a rule"),
-        (("mine", "C4"), "must be what makes a rule"),
+        (("C4", Alternating), "rules: 'C4' must be a name of its own"),
+        (("mine", Alternating()), "for what makes a rule"),
+        (("mine", "C4"), "for what makes a rule"),
         (("mine/yours", Alternating), "text without /"),
     ],
 )

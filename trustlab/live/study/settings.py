@@ -7,9 +7,9 @@ from typing import Any
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.models.checks import finite_number, of_class, positive, shown, whole_number
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
-from trustlab.testbeds.ground_robot.conditions import published_model, published_thresholds
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
+from trustlab.testbeds.populations import published_model, published_thresholds
 
 IDENTIFICATION = ((1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0))
 """

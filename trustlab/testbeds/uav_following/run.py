@@ -5,15 +5,13 @@ of Fig. 2.10.
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import numpy as np
 
 from trustlab.models.checks import spawned
 from trustlab.models.simulation import Simulation
 from trustlab.operators.ground_robot import Operator
-from trustlab.sessions.session import Metadata
-from trustlab.teleoperation.records import filled, log_of
+from trustlab.teleoperation.records import filled
 from trustlab.testbeds import deciding
 from trustlab.testbeds.populations import P_R_MIN
 from trustlab.testbeds.uav_following import kernel
@@ -34,6 +32,7 @@ DRIFT_TIME = 40.0
 
 LEADER = TrackingTask(size_x=6.0, size_y=4.0, speed=0.3)
 NOTE = "simulated stand-in for the UAV testbed of Fig. 2.10"
+MEASURED = f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s"
 
 
 @cache
@@ -63,19 +62,6 @@ def flight() -> np.void:
     )
 
 
-def metadata_of(
-    operator: Operator,
-    condition: str,
-    seed: int | np.random.SeedSequence,
-    thresholds: tuple[float, float] | None,
-) -> Metadata:
-    """Return metadata that say how a run was made."""
-    facts: dict[str, Any] = {"duration": DURATION, "settling": deciding.SETTLING}
-    facts |= deciding.tsc_facts(thresholds) | deciding.seed_facts(seed) | {"note": NOTE}
-    facts |= deciding.measured(f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s")
-    return Metadata(operator.participant, condition, "trustlab.testbeds.uav_following", True, facts)
-
-
 def flown(
     task: deciding.Task,
     operator: Operator,
@@ -83,7 +69,7 @@ def flown(
     decide: Callable | None = None,
 ) -> np.ndarray:
     """Return the log of one test."""
-    _, log = log_of(kernel.LOG, SAMPLES)
+    log = np.empty(SAMPLES, kernel.LOG)
     sensing, hand, choices, start = map(np.random.default_rng, spawned(seed, 4))
     leader = LEADER.path(deciding.sample_times(SAMPLES), 0.0, start.uniform(0.0, 2.0 * np.pi))
     rates = kernel.rates_of(operator, flight(), task.sample_time)
