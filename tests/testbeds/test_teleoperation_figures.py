@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
+from trustlab.teleoperation import Guidance
 from trustlab.testbeds import plot_alpha, plot_energies, plot_signals, plot_trajectory
 
 matplotlib.use("Agg")
@@ -40,6 +41,15 @@ def test_measures_are_those_of_the_log():
     assert row["guarded"] == pytest.approx((data["port_share"] < 1).mean())
     assert row["port_share"] == pytest.approx(data["port_share"].mean(), rel=1e-12)
     assert len(tl.teleoperation_measures(RUNS[0])) == 1
+
+
+def test_every_energy_is_drawn_where_all_are_apart():
+    run = tl.simulate_teleoperation("TMIG", seed=0, guidance=Guidance(guard="off"))
+    data = run.data.assign(energy_target=3.0 * run["energy_target"])
+    panel = plot_energies(tl.sessions.Session(data, run.metadata))[1]
+    names = ",".join(str(line.get_label()) for line in panel.lines)
+    assert sum(names.count(word) for word in ("taken", "given")) == 5
+    assert len(panel.lines) == 6  # and the axis
 
 
 def test_figures_show_what_was_logged():

@@ -12,10 +12,9 @@ from trustlab.live.attempt import Attempt
 from trustlab.live.build import STATIC, WASM
 from trustlab.live.runs import drive_config, warn_if_too_short
 from trustlab.live.study.pages import read_words
-from trustlab.models.checks import flag, of_class, one_of
+from trustlab.models.checks import check_participant, flag, of_class, one_of
 from trustlab.models.extras import extra
 from trustlab.models.tsc import TscModel
-from trustlab.operators.ground_robot import check_participant
 from trustlab.sessions.session import Session
 from trustlab.testbeds.deciding import CONDITIONS, suggested_by_tsc
 

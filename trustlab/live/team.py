@@ -5,8 +5,7 @@ from pathlib import Path
 from trustlab.live.attempt import Attempt
 from trustlab.live.ground_robot import LiveWidget
 from trustlab.live.tasks.team import TASK, LeadingSettings
-from trustlab.models.checks import of_class, one_of, whole_number
-from trustlab.operators.ground_robot import check_participant
+from trustlab.models.checks import check_participant, of_class, one_of, whole_number
 
 
 class LiveTeam(LiveWidget):

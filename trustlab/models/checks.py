@@ -250,3 +250,11 @@ def mode_array(mode: Any) -> np.ndarray:
     them.
     """
     return array_between("mode", mode, 0.0, 1.0, "1 manual, 0 autonomous, or a share")
+
+
+def check_participant(participant: str | int) -> None:
+    """Refuse a participant that is neither a name nor a whole number."""
+    if isinstance(participant, str) and participant.strip():
+        return
+    if isinstance(participant, bool) or not isinstance(participant, int | np.integer):
+        raise ValueError(f"participant must be a name or a whole number, got {shown(participant)}")

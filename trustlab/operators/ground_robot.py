@@ -11,6 +11,7 @@ import numpy as np
 
 from trustlab.models.checks import (
     between,
+    check_participant,
     of_class,
     one_of,
     positive,
@@ -58,14 +59,6 @@ ASSUMPTIONS = {
 RANGES = {name: (0.0, most) for name, most in MOST.items()} | ASSUMPTIONS
 
 MOST_SESSIONS = 10
-
-
-def check_participant(participant: str | int) -> None:
-    """Refuse a participant that is neither a name nor a whole number."""
-    if isinstance(participant, str) and participant.strip():
-        return
-    if isinstance(participant, bool) or not isinstance(participant, int | np.integer):
-        raise ValueError(f"participant must be a name or a whole number, got {shown(participant)}")
 
 
 @njit

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import between, not_negative, one_of, positive
-from trustlab.operators.ground_robot import check_participant
+from trustlab.models.checks import between, check_participant, not_negative, one_of, positive
 from trustlab.teleoperation.loop.kernel import LAWS
 from trustlab.teleoperation.loop.records import HAND
 from trustlab.teleoperation.records import filled

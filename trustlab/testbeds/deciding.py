@@ -56,14 +56,13 @@ DEADLINE = 15.0
 SETTLING = 100.0
 
 
-# What comes from outside at each sample: a mode, the thresholds of suggestions, and by how much the
-# operator's own are moved; NaN where the scheme decides, or nothing is moved.
-INPUT = np.dtype([(name, float) for name in ("mode", "lower", "upper", "shift_l", "shift_u")])
+# What comes from outside at each sample: a mode; NaN where the scheme decides.
+INPUT = np.dtype([("mode", float)])
 
-# Performance summed over the window, utilization, own or suggested thresholds, how far a correction
-# has moved own ones, and when a decision takes effect. −1 stands for no suggestion, no decision
-# under way and no suggestion being considered.
-NUMBERS = "sum_r sum_h p_r p_h tsc r lower upper shift_l shift_u due episode_seen"
+# Performance summed over the window, utilization, own or suggested thresholds, and when a decision
+# takes effect. −1 stands for no suggestion, no decision under way and no suggestion being
+# considered.
+NUMBERS = "sum_r sum_h p_r p_h tsc r lower upper due episode_seen"
 COUNTS, FLAGS = "mode suggested decided episode", "willing"
 
 
@@ -159,7 +158,7 @@ def task_for(
 
 def no_inputs(size: int) -> np.ndarray:
     """Return records of INPUT for so many samples, in which nothing is decided yet."""
-    return np.full(size * len(INPUT.names or ()), np.nan).view(INPUT)
+    return np.full(size, np.nan).view(INPUT)
 
 
 def obeying(rule: Any) -> Callable:
@@ -331,33 +330,13 @@ def consider(task, person, t, state, rng):
 
 
 @inner
-def correct(task, given, state):
-    """
-    Take corrected thresholds of suggestions, and move the operator's own ones along.
-
-    Where the operator decides, the suggestion is shown.
-    """
-    if task.scheme == TSC:
-        state.lower, state.upper = given.lower, given.upper
-    else:
-        standing = state.mode if state.suggested < 0 else state.suggested
-        state.suggested = threshold_mode(state.tsc, given.lower, given.upper, standing)  # (2.8)
-    if not np.isnan(given.shift_l):
-        state.lower += given.shift_l - state.shift_l
-        state.upper += given.shift_u - state.shift_u
-        state.shift_l, state.shift_u = given.shift_l, given.shift_u
-
-
-@inner
-def allocate(task, person, given, t, state, rng):
+def allocate(task, person, external, t, state, rng):
     """Set who drives in this sample, as given from outside or by the scheme."""
     before = state.mode
-    if not np.isnan(given.lower):
-        correct(task, given, state)
     if task.scheme == SCHEDULE:
         state.suggested = -1
-    if not np.isnan(given.mode):
-        state.mode = state.suggested = int(given.mode)
+    if not np.isnan(external.mode):
+        state.mode = state.suggested = int(external.mode)
     elif task.scheme == SCHEDULE or t < SETTLING:
         pass
     elif task.scheme == OWN:
@@ -371,5 +350,5 @@ def allocate(task, person, given, t, state, rng):
     if state.mode != before:
         state.episode = -1
         if task.scheme == OWN:  # own thresholds are drawn anew at every switch
-            state.lower = task.lower + state.shift_l + person.lower_spread * rng.standard_normal()
-            state.upper = task.upper + state.shift_u + person.upper_spread * rng.standard_normal()
+            state.lower = task.lower + person.lower_spread * rng.standard_normal()
+            state.upper = task.upper + person.upper_spread * rng.standard_normal()

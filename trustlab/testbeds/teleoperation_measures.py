@@ -35,6 +35,8 @@ ENERGIES = (
         "energy_target": "given by the moving target, least {:z.3f} J",
     },
 )
+# One for each energy of a panel.
+STYLES = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
 # Legends stand outside of the axes.
 OUTSIDE = {"fontsize": "small", "frameon": False}
 
@@ -214,13 +216,13 @@ def plot_energies(session: Session, axes=None):
         apart = np.abs(values[:, None] - values).max(axis=2)
         # the first energy that each lies on
         first = np.argmax(apart <= 0.01 * np.ptp(values) + 1e-12, axis=1)
-        for style, k in zip(("-", "--", ":", "-."), np.unique(first), strict=False):
+        for style, k in zip(STYLES, np.unique(first), strict=False):
             shared = [
                 label.format(energy.min())
                 for label, energy, shown in zip(names.values(), values, first == k, strict=True)
                 if shown
             ]
-            panel.plot(session.t, values[k], style, lw=1.6, label=",\n".join(shared))
+            panel.plot(session.t, values[k], linestyle=style, lw=1.6, label=",\n".join(shared))
         panel.axhline(0.0, color="0.6", lw=0.8, zorder=0)
         panel.set(xlabel="time [s]", ylabel="energy [J]")
         panel.legend(loc="upper left", bbox_to_anchor=(0.0, -0.18), **OUTSIDE)

@@ -335,6 +335,8 @@ class TeleoperationLoop:
     def _functions(self, trust: Any) -> dict[str, Callable]:
         """Return the functions of a user's in this loop."""
         settings, vehicle = self.settings, self.task.vehicle
+        if vehicle is not None and is_state_space(vehicle):
+            vehicle = state_space(*vehicle)
         if trust is not None:
             trust = TrustInLoop.of(trust)
         if isinstance(trust, TrustInLoop):
@@ -343,7 +345,7 @@ class TeleoperationLoop:
         elif trust is not None and not callable(trust):
             raise ValueError(f"trust must be a function of the state, got {shown(trust)}")
         hooks = {
-            "vehicle": state_space(*vehicle) if is_state_space(vehicle) else vehicle,
+            "vehicle": vehicle,
             "trust": trust,
             "autonomy": self.task.autonomy,
             "scheme": self.scheme.shares,
