@@ -254,7 +254,7 @@ class TestLoop:
         np.testing.assert_array_equal(run.positions, whole.positions)
         np.testing.assert_array_equal(run.trust, whole.trust)
         assert run.facts == whole.facts
-        with pytest.raises(ValueError, match="longer duration than 12 s"):
+        with pytest.raises(ValueError, match="longer duration"):
             loop.step()
 
     def test_many_samples_at_once_are_so_many_steps(self):

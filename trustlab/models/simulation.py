@@ -7,10 +7,13 @@ from typing import Any
 import numba
 import numpy as np
 
-from trustlab.models.checks import did_you_mean
+from trustlab.models.checks import did_you_mean, finite_array, finite_number
 
 # What a kernel returns in place of a block where the run comes to its end.
 END = -2
+
+# How far away a hand is taken to be at the most [m], far beyond any device.
+FARTHEST_HAND = 10.0
 
 # Kernels as compiled for some kinds of arguments. numba would look for them at every call, by the
 # types of all records, which takes some hundred times as long as a sample.
@@ -194,6 +197,87 @@ class Simulation:
                     f"{self.blocks[block]} diverged at sample {self.done}{seconds}"
                 )
             self.ended = block == END
+
+
+class Loop:
+    """
+    A simulation that its user steps or runs: what `TeleoperationLoop` and `TeamLoop` share.
+
+    Attributes
+    ----------
+    simulation : Simulation
+        With `hand`, shape (3,), among its inputs.
+    count : int
+        How many samples it can do.
+    remedy : str
+        What to do about a run that diverges.
+    """
+
+    simulation: Simulation
+    count: int
+    remedy: str = ""
+    _failure: Exception | None = None
+
+    @property
+    def t(self) -> float:
+        """Time that has been simulated [s]."""
+        return self.simulation.done * self.simulation.sample_time
+
+    def so_far(self) -> Any:
+        """Return the run so far."""
+        raise NotImplementedError
+
+    def run(self, until: float | None = None) -> Any:
+        """
+        Advance until a time and return the run so far.
+
+        Parameters
+        ----------
+        until : float, optional
+            The time [s], counted from the start of the run; the loop's duration when not given.
+
+        Raises
+        ------
+        ValueError
+            If the loop is beyond that time, or does not last so long.
+        PartError
+            If a function of the user's raises an error or returns what cannot be.
+        DivergenceError
+            If the run grows without bound.
+        """
+        T = self.simulation.sample_time
+        stop = self.count if until is None else round(finite_number("until", until) / T)
+        if not max(self.simulation.done, 2) <= stop <= self.count:
+            raise ValueError(
+                f"until must lie between t = {self.t:g} s, where the loop is, and its duration of "
+                f"{self.count * T:g} s, got {until}"
+            )
+        self._advance(stop)
+        return self.so_far()
+
+    def _advance_by(self, samples: int, hand: Any) -> None:
+        """Do some samples, in which a hand wants the device to be somewhere [m]."""
+        run = self.simulation
+        stop = run.done + samples
+        if stop > self.count:
+            raise ValueError(f"the loop ends at t = {self.t:g} s; make it with a longer duration")
+        if hand is not None:
+            place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
+            run.inputs["hand"][run.done : stop] = place
+        self._advance(stop)
+
+    def _advance(self, stop: int) -> None:
+        """Do the samples before `stop`; a run that failed fails again."""
+        if self._failure is None:
+            try:
+                return self.simulation.advance(stop)
+            except PartError as error:
+                self._failure = error
+            except DivergenceError as error:
+                self._failure = DivergenceError(f"{error}; {self.remedy}")
+            if self.simulation.done > 1:
+                self._failure.session = self.so_far()
+        raise self._failure from self._failure.__cause__
 
 
 def compiled_for(function: Any, *arguments: Any) -> Callable:

@@ -11,12 +11,11 @@ import pandas as pd
 from trustlab.models.checks import (
     between,
     finite_array,
-    finite_number,
     of_class,
     spawned,
     whole_number,
 )
-from trustlab.models.simulation import DivergenceError, PartError, Simulation, View
+from trustlab.models.simulation import Loop, PartError, Simulation, View
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
@@ -46,8 +45,6 @@ NOTE = "simulated team and operator"
 DECISION = 0.1
 # How long a drifting robot's velocity takes to be forgotten [s].
 DRIFT_TIME = 5.0
-# A live hand is taken to be at most so far away [m], where its grip has long reached its limit.
-FARTHEST_HAND = 1e6
 # A run of as many samples takes some 3 GB.
 MOST_SAMPLES = 1e7
 # Numbers of the kernel that are settings as they are.
@@ -146,7 +143,7 @@ def simulate_team(
     ).run()
 
 
-class TeamLoop:
+class TeamLoop(Loop):
     """
     A team and its operator (Fig. 4.1), stepped or run.
 
@@ -216,6 +213,9 @@ class TeamLoop:
     ):
         self.seed = seed
         self.duration = duration
+        self.remedy = (
+            "push less, switch the scattering with the leader, or use a filter that is passive"
+        )
         self._policy = policy_named(policy)
         self._measure = measure_named(performance)
         self._measure_name = getattr(performance, "__name__", str(performance))
@@ -253,6 +253,7 @@ class TeamLoop:
         settings, trial = self._settings, self._trial
         channel, T = settings.channel, trial.sample_time
         count = round(between("duration", self.duration, 10.0 * T, MOST_SAMPLES * T) / T)
+        self.count = count
         robots = self._constants()
         root, rate = robots["root"][:, None], robots["max_delay_rate"].max()
         shape = robots.size, 3
@@ -329,11 +330,6 @@ class TeamLoop:
         return np.array(robots, kernel.ROBOT)
 
     @property
-    def t(self) -> float:
-        """Time that has been simulated [s]."""
-        return self.simulation.done * self._trial.sample_time
-
-    @property
     def leader(self) -> Hashable:
         """Name of the robot that leads; None before the first sample."""
         return None if self._leader is None else self.robots[self._leader]
@@ -376,65 +372,13 @@ class TeamLoop:
         DivergenceError
             If the run grows without bound.
         """
-        run = self.simulation
-        stop = run.done + whole_number("samples", samples)
-        if stop > run.inputs.size:
-            raise ValueError(
-                f"the loop ends at t = {self.t:g} s; make it with a longer duration than "
-                f"{self.duration:g} s"
-            )
-        if hand is not None:
-            place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
-            run.inputs["hand"][run.done : stop] = place
         if leader is not None:
             able = self._able()
             if leader not in able:
                 raise ValueError(f"leader must be one of {able}, got {leader!r}")
             self._named = self.robots.index(leader)
-        self._advance(stop)
+        self._advance_by(whole_number("samples", samples), hand)
         return self.state
-
-    def run(self, until: float | None = None) -> TeamRun:
-        """
-        Advance until a time and return the run so far.
-
-        Parameters
-        ----------
-        until : float, optional
-            The time [s], counted from the start; the loop's whole duration when not given.
-
-        Returns
-        -------
-        TeamRun
-            Up to the duration as of `simulate_team`, bit for bit.
-
-        Raises
-        ------
-        ValueError
-            If the loop is already beyond that time, or does not last so long.
-        DivergenceError
-            If the run grows without bound.
-        """
-        run = self.simulation
-        most, T = run.inputs.size, self._trial.sample_time
-        stop = most if until is None else round(finite_number("until", until) / T)
-        if not max(run.done, 1) <= stop <= most:
-            raise ValueError(
-                f"until must lie between t = {self.t:g} s, where the loop is, and its duration "
-                f"of {self.duration:g} s, got {until}"
-            )
-        self._advance(stop)
-        return self._result()
-
-    def _advance(self, stop: int) -> None:
-        """Do the samples before `stop`."""
-        try:
-            self.simulation.advance(stop)
-        except DivergenceError as error:
-            raise DivergenceError(
-                f"{error}; push less, switch the scattering with the leader, or use a filter that "
-                "is passive"
-            ) from None
 
     # --- decisions --------------------------------------------------------------------------------
 
@@ -522,7 +466,7 @@ class TeamLoop:
 
     # --- the run ----------------------------------------------------------------------------------
 
-    def _result(self) -> TeamRun:
+    def so_far(self) -> TeamRun:
         """Return the run so far."""
         run, T = self.simulation, self._trial.sample_time
         every, (numbers,) = self._trial.samples_per_row, run.setup.numbers

@@ -16,7 +16,6 @@ import pandas as pd
 
 from trustlab.models.checks import (
     between,
-    finite_array,
     finite_number,
     not_negative,
     of_class,
@@ -25,7 +24,7 @@ from trustlab.models.checks import (
     shown,
     spawned,
 )
-from trustlab.models.simulation import DivergenceError, PartError, Simulation, View, compiled_for
+from trustlab.models.simulation import Loop, Simulation, View, compiled_for
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
@@ -61,8 +60,6 @@ from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
-# How far away a live hand is taken to be at the most [m], far beyond any device.
-FARTHEST_HAND = 10.0
 
 WIDTH = len(COLUMNS)
 
@@ -219,7 +216,7 @@ TASKS = {
 DELAYS = {"preliminary": (0.1, 0.8), "main": (0.03, 0.2)}
 
 
-class TeleoperationLoop:
+class TeleoperationLoop(Loop):
     """
     One operator, one robot and what is between them (Fig. 3.1), stepped or run.
 
@@ -296,10 +293,10 @@ class TeleoperationLoop:
     ):
         self.scheme, self.settings = scheme_named(scheme), study_named(study)
         self.seed, self.guidance = seed, guidance_named(guidance)
+        self.remedy = "lower k_ffa, the hand's gains or the sample time, or see which guard is off"
         study = self.settings.study
         self.operator = operator_named(operator, REACH[study])
         self.task = of_class("task", TASKS[study] if task is None else task, TrackingTask)
-        self._failure: PartError | DivergenceError | None = None
         hooks = self._functions(trust)
         self._asked = ", ".join(hooks) or "built-in"
         numbers, whole = self._constants(hooks), state_of(self.settings, self.guidance)
@@ -307,7 +304,7 @@ class TeleoperationLoop:
         if self.scheme.shares == "optimal":
             hooks["scheme"] = optimal(numbers, whole)
         ends, T = self.settings.scattering, self.settings.sample_time
-        count = samples(duration, T)
+        self.count = count = samples(duration, T)
         start, losses, noise, *ways = spawned(seed, 5)
         delays = delays_of(self.settings, delay, count, ways)
         inputs = drawn(self.settings, self.task, self.operator, count + 1, (start, losses, noise))
@@ -380,11 +377,6 @@ class TeleoperationLoop:
             n["blend"] = blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
         return numbers
 
-    @property
-    def t(self) -> float:
-        """Time that has been simulated [s]."""
-        return self.simulation.done * self.settings.sample_time
-
     def step(self, hand: np.ndarray | None = None, alpha: float | None = None) -> View:
         """
         Advance one sample and return the state.
@@ -413,50 +405,12 @@ class TeleoperationLoop:
         DivergenceError
             If the run grows without bound.
         """
-        run, ends = self.simulation, self.settings.scattering
-        if run.done == run.log.size:
-            raise ValueError(f"the loop ends at t = {self.t:g} s; make it with a longer duration")
-        if hand is not None:
-            place = finite_array("hand", hand, length=3)
-            run.inputs["hand"][run.done] = np.clip(place, -FARTHEST_HAND, FARTHEST_HAND)
-        if alpha is not None:
+        if alpha is not None and self.simulation.done < self.count:
+            ends = self.settings.scattering
             share = between("alpha", alpha, ends.alpha_min, ends.alpha_max)
-            run.inputs["alpha"][run.done] = share
-        self._advance(run.done + 1)
+            self.simulation.inputs["alpha"][self.simulation.done] = share
+        self._advance_by(1, hand)
         return self.state
-
-    def run(self, until: float | None = None) -> Session:
-        """
-        Advance until a time and return the run so far.
-
-        Parameters
-        ----------
-        until : float, optional
-            The time [s], counted from the start of the run; the loop's duration when not given.
-
-        Returns
-        -------
-        Session
-            At the end that of `simulate_teleoperation`, bit for bit.
-
-        Raises
-        ------
-        ValueError
-            If the loop is beyond that time, or does not last so long.
-        PartError
-            If a function raises an error or returns what cannot be.
-        DivergenceError
-            If the run grows without bound.
-        """
-        run, T = self.simulation, self.settings.sample_time
-        stop = run.log.size if until is None else round(finite_number("until", until) / T)
-        if not max(run.done, 2) <= stop <= run.log.size:
-            raise ValueError(
-                f"until must lie between t = {self.t:g} s, where the loop is, and its duration of "
-                f"{run.log.size * T:g} s, got {until}"
-            )
-        self._advance(stop)
-        return self.session
 
     @property
     def decisions(self) -> dict[str, np.ndarray]:
@@ -496,21 +450,9 @@ class TeleoperationLoop:
             data, Metadata(self.operator.participant, self.scheme.name, __name__, True, facts)
         )
 
-    def _advance(self, stop: int) -> None:
-        """Do the samples before `stop`; a run that failed fails again."""
-        if self._failure is None:
-            try:
-                return self.simulation.advance(stop)
-            except PartError as error:
-                self._failure = error
-            except DivergenceError as error:
-                self._failure = DivergenceError(
-                    f"scheme {self.scheme.name}: {error}; lower k_ffa, the hand's gains or the "
-                    "sample time, or see which guard is off"
-                )
-            if self.simulation.done > 1:
-                self._failure.session = self.session
-        raise self._failure from self._failure.__cause__
+    def so_far(self) -> Session:
+        """Return the run so far."""
+        return self.session
 
 
 def simulate_teleoperation(
