@@ -402,7 +402,6 @@ def test_subscales_count_as_answered_and_scales_may_be_continuous():
         (("x", ["a"], 1, 7, ["b"]), "reversed must be one of 'a', got 'b'"),
         (("x", ["a"], 1, 7, (), {}, 4), "step must divide"),
         (("x", ["a"], 1, 7, (), {}, -1), "step must be positive"),
-        (("", ["a"], 1, 7), "name"),
         ((3, ["a"], 1, 7), "name must be of class str"),
     ],
 )

@@ -67,6 +67,10 @@ class Questionnaire(Result):
     --------
     >>> import trustlab as tl
     >>> ease = tl.studies.Questionnaire("ease", ["quick", "tiring"], 1, 5, reversed=["tiring"])
+    >>> tl.NASA_TLX
+    <NASA-TLX (Hart and Staveland 1988): 6 items, answered from 0 to 100>
+    >>> tl.TRUST_CHECKLIST.reversed
+    ('deceptive', 'underhanded', 'suspicious', 'wary', 'harmful')
     >>> ease.table()
          item  reversed
     0   quick     False
@@ -84,7 +88,8 @@ class Questionnaire(Result):
     source: str = ""
 
     def __post_init__(self):
-        labels_of("name", [of_class("name", self.name, str)], 1)
+        for argument in ("name", "source"):
+            of_class(argument, getattr(self, argument), str)
         of_class("subscales", self.subscales, dict)
         items = labels_of("items", self.items, 1)
         for name, part in self._parts().items():
@@ -116,26 +121,6 @@ class Questionnaire(Result):
             name: [item in part for item in self.items] for name, part in self._parts().items()
         }
         return pd.DataFrame({"item": self.items, **parts})
-
-    def coded(self, answers: pd.DataFrame) -> dict[str, pd.DataFrame]:
-        """
-        Return the items of every score that is a mean, as they count in it.
-
-        Parameters
-        ----------
-        answers : pandas.DataFrame
-            A column per item, as answered.
-        """
-        low, high = self.low, self.high
-        if self.task_load:
-            answers = 100.0 * (answers - low) / (high - low)
-            low, high = 0.0, 100.0
-        whole = answers.copy()
-        for item in self.reversed:
-            whole[item] = low + high - whole[item]
-        mean = f"{self.name}_raw" if self.task_load else f"{self.name}_mean"
-        parts = {name: answers[list(part)] for name, part in self.subscales.items()}
-        return {mean: whole, **parts}
 
 
 #: NASA task load index, performance answered from good (0) to poor (100).
@@ -203,7 +188,7 @@ def satisfaction_scale(
     >>> tl.satisfaction_scale(7, items=4).items
     ('satisfaction_1', 'satisfaction_2', 'satisfaction_3', 'satisfaction_4')
     """
-    points = whole_number("points", points, least=2)
+    points = whole_number("points", points, least=2, most=1000)
     if isinstance(items, Sequence):
         source = "satisfaction (Section 2.4.1.3)"
     else:
@@ -339,7 +324,7 @@ def score(
     of_class("questionnaire", questionnaire, Questionnaire)
     table = _read("answers", answers, questionnaire.items, subject, condition)
     _check_answers(table, questionnaire)
-    coded = questionnaire.coded(table)
+    coded = _coded(questionnaire, table)
     _check_missing(coded, missing)
     scores = {score_name: part.mean(axis=1) for score_name, part in coded.items()}
     name, whole = questionnaire.name, next(iter(coded.values()))
@@ -412,6 +397,20 @@ def _check_answers(table: pd.DataFrame, questionnaire: Questionnaire) -> None:
             f"from {low:g} to {high:g} in steps of {step}; if the form had another scale, score "
             "by dataclasses.replace(questionnaire, low=…, high=…, step=…)"
         )
+
+
+def _coded(questionnaire: Questionnaire, answers: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Return the items of every score that is a mean, as they count in it; all of them first."""
+    low, high = questionnaire.low, questionnaire.high
+    if questionnaire.task_load:
+        answers = 100.0 * (answers - low) / (high - low)
+        low, high = 0.0, 100.0
+    kind = "raw" if questionnaire.task_load else "mean"
+    whole = answers.copy()
+    for item in questionnaire.reversed:
+        whole[item] = low + high - whole[item]
+    parts = {part: answers[list(items)] for part, items in questionnaire.subscales.items()}
+    return {f"{questionnaire.name}_{kind}": whole, **parts}
 
 
 def _check_missing(coded: Mapping[str, pd.DataFrame], rule: str) -> None:
