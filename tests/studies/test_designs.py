@@ -176,7 +176,7 @@ def test_bad_designs_are_refused(arguments, words):
 
 def test_an_unfinished_square_only_when_asked_for():
     with pytest.warns(
-        UserWarning, match="18 participants do not fill whole squares.*20 would do, or 10"
+        UserWarning, match="participants: 18 do not fill whole squares.*20 would do, or 10"
     ):
         design = latin_square_design(list("ABCDE"), 18, whole_squares=False)
     assert not design.balance().balanced

@@ -106,7 +106,7 @@ def test_rules_by_hand():
     assert scores_of(quantile)[[0, -1]] == pytest.approx([1.9, 18.1])
     assert quantile.changes["subject"].tolist() == [0, 9]
     assert "None of 3 values" in of_values([1, 2, 3], outside="iqr", k=1.5, to="next").apa()
-    assert "1 of 10 value was winsorized (A, subject 9)" in sd.apa()
+    assert "1 of 10 values was winsorized (A, subject 9)" in sd.apa()
 
 
 @given(st.lists(st.integers(-1000, 1000), min_size=5, max_size=40), st.integers(1, 2))

@@ -292,7 +292,7 @@ def latin_square_design(
     if n % size:
         below, above = n // size * size, participants_needed(k, n)
         text = (
-            f"{n} participants do not fill whole squares: {k} conditions need a multiple of "
+            f"participants: {n} do not fill whole squares, as {k} conditions need a multiple of "
             f"{size}; {above} would do{f', or {below}' if below else ''}"
         )
         if whole_squares:

@@ -67,8 +67,8 @@ class Questionnaire(Result):
     --------
     >>> import trustlab as tl
     >>> ease = tl.studies.Questionnaire("ease", ["quick", "tiring"], 1, 5, reversed=["tiring"])
-    >>> tl.NASA_TLX
-    <NASA-TLX (Hart and Staveland 1988): 6 items, answered from 0 to 100>
+    >>> tl.NASA_TLX.message
+    'items answered from 0 to 100: mental, physical, temporal, performance, effort, frustration'
     >>> tl.TRUST_CHECKLIST.reversed
     ('deceptive', 'underhanded', 'suspicious', 'wary', 'harmful')
     >>> ease.table()
@@ -113,7 +113,9 @@ class Questionnaire(Result):
     @property
     def message(self) -> str:
         """How many items, and their scale."""
-        return f"{len(self.items)} items, answered from {self.low:g} to {self.high:g}"
+        return (
+            f"items answered from {self.low:g} to {self.high:g}: {', '.join(map(str, self.items))}"
+        )
 
     def table(self) -> pd.DataFrame:
         """Return a row per item: item, whether it is reversed, and whether in each subscale."""
@@ -577,12 +579,12 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
             raise ValueError(f"item {name!r} must hold only finite numbers ({column.dtype})")
     values = items.to_numpy(dtype=float)
     estimate = _alpha(values, confidence)
-    n, k = values.shape
     if np.isnan(estimate[0]):
         raise ValueError(
-            f"items: {k} items of {n} subjects; alpha needs two items and three subjects, and sums "
-            "that are not the same for all"
+            "items: alpha needs at least two items of three subjects, with sums that differ, "
+            f"got a table of shape {values.shape}"
         )
+    n, k = values.shape
     rest = [_alpha(np.delete(values, j, axis=1), confidence)[0] for j in range(k)]
     without = pd.Series(rest, items.columns, name="alpha_without")
     return Reliability(*estimate, confidence, n, k, without)

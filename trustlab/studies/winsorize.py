@@ -70,9 +70,9 @@ class Winsorized(Result):
         parts = []
         for condition, rows in self.changes.groupby("condition", sort=False):
             parts.append(f"{condition}, subject {', '.join(map(str, rows['subject']))}")
-        values = "value was" if len(self.changes) == 1 else "values were"
+        verb = "was" if len(self.changes) == 1 else "were"
         return (
-            f"{len(self.changes)} of {total} {values} winsorized ({'; '.join(parts)}). "
+            f"{len(self.changes)} of {total} values {verb} winsorized ({'; '.join(parts)}). "
             f"Rule: {self.rule}."
         )
 
