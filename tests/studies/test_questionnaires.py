@@ -466,7 +466,10 @@ def test_reliability_is_per_condition_and_score(trust):
     ("frame", "words"),
     [
         (pd.DataFrame({"a": [1, 2, 3]}), r"alpha needs at least two items .* shape \(3, 1\)"),
-        (pd.DataFrame({"a": [1, 2], "b": [1, 2]}), r"alpha needs at least two items .* shape \(2, 2\)"),
+        (
+            pd.DataFrame({"a": [1, 2], "b": [1, 2]}),
+            r"alpha needs at least two items .* shape \(2, 2\)",
+        ),
         (pd.DataFrame({"a": [1, 2, 3], "b": [3, 2, 1]}), "with sums that differ"),
         (
             pd.DataFrame({"a": [1, 2, np.nan], "b": [3, 2, 1]}),
