@@ -42,8 +42,8 @@ ALLOWED = {
     "read_sessions": {"on_error": "no file is faulty"},
     "repeated_measures": {"missing": "nothing is missing"},
     "run_correction": {"": "measures its own time"},
-    "score_likert": {"missing": "nothing is missing"},
-    "score_nasa_tlx": {"missing": "nothing is missing"},
+    "score": {"missing": "nothing is missing"},
+    "ScaleScores.reliability": {"confidence": "one subject has no alpha"},
     "simulate_allocation": {"mode": "none of 50 samples is near a threshold"},
     "smallest_n": {"most": "fewer suffice"},
     "FitResult.residuals": {"output": "the example has one output"},
@@ -278,14 +278,6 @@ KNOWN = {
     "Posterior.simulated": {
         "most": "foreign errors",
     },
-    "ScaleScores.reliability": {
-        "confidence": "anything is taken, no difference",
-    },
-    "score_satisfaction": {
-        "points": "foreign errors",
-        "items": "foreign errors",
-        "reversed": "foreign errors",
-    },
     "simulate_team": {
         "performance": "NaN is taken",
     },
@@ -360,13 +352,6 @@ KNOWN = {
         "fresh": "anything is taken",
         "other_versions": "anything is taken",
     },
-    "studies.LikertScale": {
-        "items": "foreign errors",
-        "reversed": "foreign errors",
-        "subscales": "foreign errors",
-        "step": "foreign errors",
-        "source": "anything is taken",
-    },
     "studies.Simulation": {
         "n_jobs": "anything is taken",
     },
@@ -376,11 +361,6 @@ KNOWN = {
         "subject": "NaN is taken",
         "between": "NaN is taken",
         "order": "NaN is taken",
-    },
-    "studies.Subscale": {
-        "name": "anything is taken",
-        "items": "anything is taken",
-        "reversed": "anything is taken",
     },
     "studies.apa_number": {
         "value": "foreign errors, NaN is taken",

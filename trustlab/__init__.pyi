@@ -103,6 +103,8 @@ from .sessions import (
     write_session as write_session,
 )
 from .studies import (
+    NASA_TLX as NASA_TLX,
+    TRUST_CHECKLIST as TRUST_CHECKLIST,
     bayes_factor as bayes_factor,
     cronbach_alpha as cronbach_alpha,
     design_balance as design_balance,
@@ -117,10 +119,8 @@ from .studies import (
     repeated_measures as repeated_measures,
     repeated_measures_batch as repeated_measures_batch,
     report as report,
-    score_likert as score_likert,
-    score_nasa_tlx as score_nasa_tlx,
-    score_satisfaction as score_satisfaction,
-    score_trust_checklist as score_trust_checklist,
+    satisfaction_scale as satisfaction_scale,
+    score as score,
     smallest_n as smallest_n,
     virtual_study as virtual_study,
     winsorize as winsorize,

@@ -15,7 +15,7 @@ import pandas as pd
 from scipy import signal
 
 import trustlab as tl
-from trustlab.studies import LikertScale, Simulation, StudyColumns
+from trustlab.studies import Questionnaire, Simulation, StudyColumns
 
 SESSIONS = Path(__file__).parents[1] / "sessions"
 PILOT = SESSIONS / "pilot.csv"
@@ -402,8 +402,8 @@ def simulated_study(testbed, n, conditions):
 
 def ease():
     """Return the scores of a questionnaire."""
-    scale = LikertScale("ease", items=tuple(f"q{i}" for i in range(5)), low=1, high=7)
-    return tl.score_likert(items().assign(person=range(20)), scale, subject="person").table()
+    scale = Questionnaire("ease", items=[f"q{i}" for i in range(5)], low=1, high=7)
+    return tl.score(items().assign(person=range(20)), scale, subject="person").table()
 
 
 CASES = {
@@ -482,7 +482,7 @@ CASES = {
     "virtual_study": lambda: simulated_study("ground_robot", 3, ["C1", "C3", "C5"]),
     "virtual_study_uav": lambda: tl.virtual_study(n=10, testbed="uav_following", seed=0).measures,
     "latin_square_design": lambda: tl.latin_square_design(["A", "B", "C", "D"], 12, seed=0).table(),
-    "score_likert": ease,
+    "score": ease,
     "cronbach_alpha": lambda: [tl.cronbach_alpha(items()).alpha],
     "repeated_measures": lambda: tl.repeated_measures(scores(), **WITHIN).table(),
     "pairs": lambda: tl.repeated_measures(scores(), **WITHIN).pairs(),

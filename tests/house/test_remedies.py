@@ -111,11 +111,3 @@ def test_the_advised_number_of_subjects_gives_a_covariance():
     assert conditions_from(None, None, frame(int(least)), columns).covariance.shape == (4, 4)
     with pytest.raises(ValueError, match="needs at least"):
         conditions_from(None, None, frame(int(least) - 1), columns)
-
-
-def test_the_advised_spread_of_winsorizing_is_reached():
-    values = [0.0] * 9 + [1.0]
-    (most,) = advised(lambda: tl.winsorize(values, outside="sd", k=3.0, to="limit"), "at most #")
-    assert len(tl.winsorize(values, outside="sd", k=0.999 * most, to="limit").table()) == 1
-    with pytest.raises(ValueError, match="at most"):
-        tl.winsorize(values, outside="sd", k=1.01 * most, to="limit")

@@ -40,7 +40,7 @@ from trustlab.sessions.session import Metadata, Session
 from trustlab.studies.analysis.rank_tests import friedman
 from trustlab.studies.analysis.report import report
 from trustlab.studies.planning.virtual_study import VirtualStudy
-from trustlab.studies.questionnaires.likert import ScaleScores
+from trustlab.studies.questionnaires import Questionnaire, ScaleScores
 from trustlab.studies.regression.formula_model import FormulaModel
 from trustlab.studies.regression.ordinal_model import OrdinalModel
 from trustlab.teleoperation import Passivity, TeamTrial
@@ -319,7 +319,9 @@ def built():
         friedman(np.arange(12.0).reshape(4, 3) % 5),
         tl.winsorize(scores(), **columns(), outside="iqr", k=0.1, to="next"),
         tl.repeated_measures_batch(np.random.default_rng(1).normal(size=(2, 5, 3))),
-        ScaleScores(NAME, scores(), scores(), {}, {}, scores()[:0]),
+        Questionnaire(NAME, ["a", NAME], 1, 7, source=NAME),
+        ScaleScores(Questionnaire(NAME, [NAME], 1, 7, source=NAME), scores(), {}, scores()[:0]),
+        tl.cronbach_alpha(pd.DataFrame({"a": [1, 2, 3], NAME: [1, 3, 2]})),
         design,
         design.balance(),
         virtual_study(),

@@ -176,7 +176,7 @@ def test_bad_designs_are_refused(arguments, words):
 
 def test_an_unfinished_square_only_when_asked_for():
     with pytest.warns(
-        UserWarning, match="18 participants do not fill whole squares.*20 would do, or 10"
+        UserWarning, match="participants: 18 do not fill whole squares.*20 would do, or 10"
     ):
         design = latin_square_design(list("ABCDE"), 18, whole_squares=False)
     assert not design.balance().balanced
@@ -200,15 +200,15 @@ def test_sizes_that_are_none(n):
         (lambda f: f.rename(columns={"condition": "conditon"}), "did you mean 'conditon'"),
         (
             lambda f: f.iloc[1:],
-            r"participant 1 has positions \[2, 3, 4\]; 4 conditions need 1 to 4",
+            "participant 1 had .* at positions 1 to 4",
         ),
-        (lambda f: pd.concat([f, f.iloc[:1]]), "participant 1 has positions"),
+        (lambda f: pd.concat([f, f.iloc[:1]]), "participant 1 had"),
         (
             lambda f: f.assign(condition=f["condition"].where(f.index != 2)),
             "column 'condition' has no label in row 2",
         ),
-        (lambda f: f.assign(condition="A"), "at least two conditions, found 1"),
-        (lambda f: f.assign(position=f["position"].astype(str)), "participant 1 has positions"),
+        (lambda f: f.assign(condition="A"), "condition must have at least 2 labels, got 1"),
+        (lambda f: f.assign(position=f["position"].astype(str)), "participant 1 had"),
         (lambda f: f.to_numpy(), "orders must be of class DataFrame, got ndarray"),
     ],
 )

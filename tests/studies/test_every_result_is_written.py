@@ -25,7 +25,7 @@ LONG = CELLS.to_frame(index=False).assign(
 ONE = LONG[LONG["task"] == "x"]
 PAIR = ONE[ONE["scheme"] != "C"]
 COLUMNS = {"dv": "error", "within": "scheme", "subject": "who"}
-ANSWERS = pd.DataFrame(RNG.integers(1, 8, (12, 12)), columns=studies.TRUST_CHECKLIST.items).assign(
+ANSWERS = pd.DataFrame(RNG.integers(1, 8, (12, 12)), columns=tl.TRUST_CHECKLIST.items).assign(
     who=range(12)
 )
 DESIGN = tl.latin_square_design(["A", "B", "C"], 12)
@@ -68,15 +68,11 @@ RESULTS = {
     "SmallestN": lambda: studies.smallest_n(0.5, [0.0, 0.8, 1.2], COVARIANCE, simulation=QUICK),
     "VirtualStudy": lambda: tl.virtual_study(n=4, conditions=["C1", "C5"], laps=1),
     "OperatorPopulation": lambda: tl.testbeds.OperatorPopulation.ground_robot(),
-    "LikertScale": lambda: studies.TRUST_CHECKLIST,
-    "ScaleScores": lambda: studies.score_trust_checklist(ANSWERS, subject="who"),
+    "Questionnaire": lambda: tl.TRUST_CHECKLIST,
+    "ScaleScores": lambda: tl.score(ANSWERS, tl.TRUST_CHECKLIST, subject="who"),
     "Reliability": lambda: studies.cronbach_alpha(ANSWERS.drop(columns="who")),
     "equivalence": lambda: tl.equivalence(ONE, **COLUMNS, bound=0.5),
     "bayes_factor": lambda: tl.bayes_factor(ONE, **COLUMNS),
-    "simultaneous_intervals": lambda: studies.simultaneous_intervals(
-        tl.repeated_measures(ONE, **COLUMNS), "bonferroni"
-    ),
-    "intraclass_correlation": lambda: studies.intraclass_correlation(ONE, "error", "scheme", "who"),
     "factorial_batch": lambda: studies.factorial_batch(RNG.standard_normal((2, 9, 2, 3))),
     "Friedman": lambda: tl.repeated_measures(ONE, **COLUMNS).friedman(),
     "aligned_ranks": lambda: tl.repeated_measures(

@@ -18,7 +18,7 @@ from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS, checked_te
 from trustlab.reproduction.effects import COLUMNS, Effect, effects, model_effects
 from trustlab.studies.analysis.plots import panels
 from trustlab.studies.planning.virtual_study import virtual_study
-from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES
+from trustlab.studies.questionnaires import NASA_TLX
 from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.populations import TeleoperatorPopulation
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
@@ -217,7 +217,7 @@ def teleoperate(
         answered = simulated_answers(session, study, int(person["participant"]), answers, points)
         measures |= {
             f"{scheme}/error": float(session["path_error"].mean()),
-            f"{scheme}/tlx": float(np.mean([answered[scale] for scale in TLX_SCALES])),
+            f"{scheme}/tlx": float(np.mean([answered[scale] for scale in NASA_TLX.items])),
             f"{scheme}/satisfaction": float(
                 np.mean([answered[item] for item in ("satisfaction", "comfort", "control")])
             ),

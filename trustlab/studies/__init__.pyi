@@ -11,13 +11,11 @@ from .analysis.descriptives import (
     partial_eta_interval as partial_eta_interval,
 )
 from .analysis.mixed_model import MixedModel as MixedModel, mixed_model as mixed_model
-from .analysis.paired_t_test import PairedTTest as PairedTTest, paired_t_test as paired_t_test
 from .analysis.repeated_measures import (
     RepeatedMeasures as RepeatedMeasures,
     repeated_measures as repeated_measures,
 )
 from .analysis.report import StudyReport as StudyReport, report as report
-from .analysis.winsorize import Winsorized as Winsorized, winsorize as winsorize
 from .designs import (
     DesignBalance as DesignBalance,
     LatinSquareDesign as LatinSquareDesign,
@@ -26,11 +24,11 @@ from .designs import (
     participants_needed as participants_needed,
     williams_square as williams_square,
 )
-from .evidence import (
+from .paired import (
+    PairedTTest as PairedTTest,
     bayes_factor as bayes_factor,
     equivalence as equivalence,
-    intraclass_correlation as intraclass_correlation,
-    simultaneous_intervals as simultaneous_intervals,
+    paired_t_test as paired_t_test,
 )
 from .planning.closed_form_power import (
     clopper_pearson as clopper_pearson,
@@ -46,24 +44,18 @@ from .planning.settings import (
 )
 from .planning.smallest_n import SmallestN as SmallestN, smallest_n as smallest_n
 from .planning.virtual_study import VirtualStudy as VirtualStudy, virtual_study as virtual_study
-from .questionnaires.likert import (
+from .questionnaires import (
+    NASA_TLX as NASA_TLX,
     TRUST_CHECKLIST as TRUST_CHECKLIST,
-    LikertScale as LikertScale,
+    Questionnaire as Questionnaire,
     Reliability as Reliability,
     ScaleScores as ScaleScores,
-    Subscale as Subscale,
     cronbach_alpha as cronbach_alpha,
     satisfaction_scale as satisfaction_scale,
-    score_likert as score_likert,
-    score_satisfaction as score_satisfaction,
-    score_trust_checklist as score_trust_checklist,
-)
-from .questionnaires.nasa_tlx import (
-    TLX_RESCALINGS as TLX_RESCALINGS,
-    TLX_SCALES as TLX_SCALES,
-    score_nasa_tlx as score_nasa_tlx,
+    score as score,
     tlx_weights as tlx_weights,
 )
 from .regression.formula_model import FormulaModel as FormulaModel, formula_model as formula_model
 from .regression.order_effects import OrderEffects as OrderEffects, order_effects as order_effects
 from .regression.ordinal_model import OrdinalModel as OrdinalModel, ordinal_model as ordinal_model
+from .winsorize import Winsorized as Winsorized, winsorize as winsorize

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import flag, of_class, spawned, warn, whole_number
-from trustlab.models.display import Result, as_html
+from trustlab.models.display import Result
 from trustlab.studies.columns import column_of, labels_of, refuse_missing_labels
 
 
@@ -74,8 +74,8 @@ def participants_needed(conditions: int | Sequence[Hashable], at_least: int = 1)
     return -(-whole_number("at_least", at_least) // _rows(n)) * _rows(n)
 
 
-@dataclass(frozen=True, eq=False)
-class DesignBalance:
+@dataclass(frozen=True, eq=False, repr=False)
+class DesignBalance(Result):
     """
     How often each condition stands at each position and follows each other condition.
 
@@ -87,20 +87,27 @@ class DesignBalance:
         Counts of the row's condition directly before the column's condition; the diagonal is NaN.
     """
 
+    title = "Balance of orders"
+
     positions: pd.DataFrame
     carry_over: pd.DataFrame
 
     @property
+    def message(self) -> str:
+        """Whether positions, and first-order carry-over, are balanced."""
+        words = {True: "balanced", False: "not balanced"}
+        follows = words[self.balanced_carry_over]
+        return f"positions {words[self.balanced_positions]}, first-order carry-over {follows}"
+
+    @property
     def balanced_positions(self) -> bool:
         """Whether every condition stands equally often at every position."""
-        counts = self.positions.to_numpy()
-        return bool((counts == counts[0, 0]).all())
+        return bool(np.ptp(self.positions.to_numpy()) == 0)
 
     @property
     def balanced_carry_over(self) -> bool:
         """Whether every condition follows every other one equally often."""
-        counts = self.carry_over.to_numpy()[~np.eye(len(self.carry_over), dtype=bool)]
-        return bool((counts == counts[0]).all())
+        return bool(np.ptp(self.carry_over.melt()["value"].dropna()) == 0)
 
     @property
     def balanced(self) -> bool:
@@ -120,13 +127,6 @@ class DesignBalance:
         table["balanced_count"] = places["count"].mean()
         columns = ["kind", "condition", "position", "after", "count", "balanced_count"]
         return table[columns].astype({"position": float, "count": int}).reset_index(drop=True)
-
-    def _repr_html_(self) -> str:
-        words = {True: "balanced", False: "not balanced"}
-        follows = f"First-order carry-over (row before column): {words[self.balanced_carry_over]}"
-        return as_html(f"Positions: {words[self.balanced_positions]}", self.positions) + as_html(
-            follows, self.carry_over
-        )
 
 
 def design_balance(
@@ -160,42 +160,28 @@ def design_balance(
     True
     """
     of_class("orders", orders, pd.DataFrame)
-    for argument, name in {
-        "participant": participant,
-        "position": position,
-        "condition": condition,
-    }.items():
+    columns = {"participant": participant, "position": position, "condition": condition}
+    for argument, name in columns.items():
         refuse_missing_labels(column_of(orders, argument, name), argument)
-    conditions = list(pd.unique(orders[condition]))
+    conditions = labels_of("condition", orders[condition].drop_duplicates(), 2)
     k = len(conditions)
-    if k < 2:
-        raise ValueError(
-            f"condition: column {condition!r} must hold at least two conditions, found {k}"
-        )
-    wide = []
-    for label, rows in orders.groupby(participant, sort=False):
-        places = rows[position].tolist()
-        words = any(isinstance(place, bool | str) for place in places)
-        if words or sorted(places) != list(range(1, k + 1)):
+    positions, carry_over = np.zeros((k, k), dtype=int), np.zeros((k, k), dtype=int)
+    for label, part in orders.groupby(participant, sort=False):
+        row = dict(zip(part[position], part[condition], strict=True))
+        order = [row.get(place) for place in range(1, k + 1)]
+        if len(part) != k or set(order) != set(conditions):
             raise ValueError(
-                f"participant {label!r} has positions {places}; {k} conditions need 1 to {k} once"
+                f"participant {label!r} had {row}; each of {list(conditions)} is needed once, at "
+                f"positions 1 to {k}"
             )
-        row = rows.sort_values(position)[condition].tolist()
-        if len(set(row)) != k:
-            raise ValueError(
-                f"participant {label!r} had {row}; each of {conditions} is needed once"
-            )
-        wide.append([conditions.index(name) for name in row])
-    square = np.array(wide)
-    counts, follows = np.zeros((k, k), dtype=int), np.zeros((k, k), dtype=int)
-    np.add.at(counts, (square, np.broadcast_to(np.arange(k), square.shape)), 1)
-    np.add.at(follows, (square[:, :-1], square[:, 1:]), 1)
-    carry = pd.DataFrame(np.where(np.eye(k, dtype=bool), np.nan, follows), conditions, conditions)
+        codes = [conditions.index(name) for name in order]
+        positions[codes, range(k)] += 1
+        carry_over[codes[:-1], codes[1:]] += 1
+    places = pd.RangeIndex(1, k + 1, name="position")
+    follows = pd.DataFrame(carry_over, conditions, conditions).where(~np.eye(k, dtype=bool))
     return DesignBalance(
-        pd.DataFrame(counts, conditions, range(1, k + 1)).rename_axis(
-            index="condition", columns="position"
-        ),
-        carry.rename_axis(index="before", columns="after"),
+        pd.DataFrame(positions, conditions, places).rename_axis(index="condition"),
+        follows.rename_axis(index="before", columns="after"),
     )
 
 
@@ -306,7 +292,7 @@ def latin_square_design(
     if n % size:
         below, above = n // size * size, participants_needed(k, n)
         text = (
-            f"{n} participants do not fill whole squares: {k} conditions need a multiple of "
+            f"participants: {n} do not fill whole squares, as {k} conditions need a multiple of "
             f"{size}; {above} would do{f', or {below}' if below else ''}"
         )
         if whole_squares:

@@ -18,8 +18,7 @@ from trustlab.live.study.pages import (
     read_words,
     steps_of,
 )
-from trustlab.studies.questionnaires.likert import SATISFACTION_ITEMS, TRUST_CHECKLIST
-from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES
+from trustlab.studies.questionnaires import NASA_TLX, TRUST_CHECKLIST, satisfaction_scale
 
 OWN = """
 [consent]
@@ -103,9 +102,9 @@ def test_items_are_those_that_the_questionnaires_score():
         name: [item.name for item in page.items if item.kind == "scale"]
         for name, page in pages.items()
     }
-    assert scale["nasa_tlx"] == list(TLX_SCALES)
+    assert scale["nasa_tlx"] == list(NASA_TLX.items)
     assert scale["trust"] == list(TRUST_CHECKLIST.items)
-    assert scale["satisfaction"] == list(SATISFACTION_ITEMS)
+    assert scale["satisfaction"] == list(satisfaction_scale().items)
     ends = {
         name: {(i.low, i.high, i.step) for i in page.items if i.kind == "scale"}
         for name, page in pages.items()

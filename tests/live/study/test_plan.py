@@ -58,7 +58,7 @@ def test_faults_of_a_plan(tmp_path):
         ({"conditions": ["C1"]}, "at least 2"),
         (
             {"participants": 3, "conditions": ["C1", "C2"]},
-            "3 participants do not fill whole squares",
+            "participants: 3 do not fill whole squares",
         ),
         (
             {"participants": ["P01", "Jane Doe"], "conditions": ["C1", "C2"]},

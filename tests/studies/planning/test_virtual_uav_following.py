@@ -82,7 +82,7 @@ def test_half_a_square_is_said_to_be_unbalanced():
     assert balance.balanced_positions
     assert not balance.balanced_carry_over
     assert half.design.participants == (1, 2, 3, 4, 5)
-    with pytest.warns(UserWarning, match="7 participants do not fill whole squares.*10 would do"):
+    with pytest.warns(UserWarning, match="participants: 7 do not fill whole squares.*10 would do"):
         tl.virtual_study(n=7, conditions=CONDITIONS, testbed="uav_following")
 
 

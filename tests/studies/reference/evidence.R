@@ -1,4 +1,4 @@
-# Reference values of tests/studies/evidence: paired Bayes factors of R's BayesFactor, and two one-sided t-tests of R's t.test.
+# Reference values of tests/studies/test_paired.py: paired Bayes factors of R's BayesFactor, and two one-sided t-tests of R's t.test.
 # Run in this folder: Rscript evidence.R    (BayesFactor, jsonlite; writes evidence.json)
 suppressPackageStartupMessages({
   library(BayesFactor)

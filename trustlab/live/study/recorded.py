@@ -6,7 +6,7 @@ analysis.
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,14 +27,14 @@ from trustlab.models.display import as_html
 from trustlab.sessions.reading import read_session
 from trustlab.sessions.session import Session
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
-from trustlab.studies.questionnaires.likert import (
-    LikertScale,
+from trustlab.studies.questionnaires import (
+    NASA_TLX,
+    TRUST_CHECKLIST,
+    Questionnaire,
     ScaleScores,
-    score_likert,
-    score_satisfaction,
-    score_trust_checklist,
+    satisfaction_scale,
+    score,
 )
-from trustlab.studies.questionnaires.nasa_tlx import score_nasa_tlx
 from trustlab.studies.regression.order_effects import OrderEffects, order_effects
 
 KEYS = ["participant", "position", "condition"]
@@ -300,15 +300,15 @@ class RecordedStudy:
         if not rows:
             return pd.DataFrame(columns=KEYS)
         table = pd.DataFrame(rows)
-        for name, score in self.scores().items():
+        for name, scored in self.scores().items():
             if self._page(name).section == "each":
                 columns = [
                     column
-                    for column in score.scores
+                    for column in scored.scores
                     if column in KEYS or column.endswith(("_raw", "_mean", "_subscale"))
                 ]
                 table = table.merge(
-                    score.scores[columns], how="left", on=["participant", "condition"]
+                    scored.scores[columns], how="left", on=["participant", "condition"]
                 )
         return self._labelled(table)
 
@@ -497,29 +497,22 @@ class RecordedStudy:
 
 def _score(page: StudyPage, answers: pd.DataFrame, per_condition: bool) -> ScaleScores:
     """Return the scores of one questionnaire from its answers, one to a row."""
-    where: dict[str, Any] = {"subject": "participant", "item": "item", "response": "answer"}
-    where["condition"] = "condition" if per_condition else None
-    items = [item for item in page.items if item.kind == "scale"]
-    first = items[0]
-    if page.scored == "nasa_tlx":
-        return score_nasa_tlx(answers, **where, scale=_tlx_scale(first.low, first.high, first.step))
+    condition = "condition" if per_condition else None
+    keys = ["participant", "condition"] if per_condition else ["participant"]
+    wide = answers.pivot_table("answer", keys, "item", sort=False).reset_index()
+    wide.attrs = answers.attrs
+    return score(wide, _questionnaire(page), subject="participant", condition=condition)
+
+
+def _questionnaire(page: StudyPage) -> Questionnaire:
+    """Return what a page asks, on the scale of its items."""
     if page.scored == "trust":
-        return score_trust_checklist(answers, **where)
+        return TRUST_CHECKLIST
+    items = [item for item in page.items if item.kind == "scale"]
+    scale = {name: getattr(items[0], name) for name in ("low", "high", "step")}
+    if page.scored == "nasa_tlx":
+        return replace(NASA_TLX, **scale)
     names, turned = [item.name for item in items], [item.name for item in items if item.reversed]
     if page.scored == "satisfaction":
-        return score_satisfaction(
-            answers,
-            points=first.high,
-            items={name: name for name in names},
-            reversed=turned,
-            **where,
-        )
-    scale = LikertScale(
-        page.name, tuple(names), first.low, first.high, tuple(turned), step=first.step
-    )
-    return score_likert(answers, scale, **where)
-
-
-def _tlx_scale(low: int, high: int, step: int) -> str:
-    """Return what `score_nasa_tlx` calls the form of a page."""
-    return f"{low}-{high}" if (low, high, step) != (0, 100, 5) else "0-100"
+        return satisfaction_scale(scale["high"], names, turned)
+    return Questionnaire(page.name, names, reversed=turned, **scale)

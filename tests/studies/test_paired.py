@@ -1,6 +1,7 @@
 """
-The paired t-test and what stands beside it: against R (reference/paired_t_test.R), pingouin and
-brute force.
+The paired t-test, equivalence and Bayes factors. Oracles: R (t.test, BayesFactor;
+reference/paired_t_test.R, reference/evidence.R), pingouin, mpmath, brute force, closed forms,
+simulation.
 """
 
 import itertools
@@ -12,14 +13,16 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
+from scipy import stats
 
 import trustlab as tl
-from trustlab.studies.analysis.paired_t_test import paired_t_test
+from trustlab.studies.paired import d_z_interval, log_jzs_bayes_factor, paired_t_test
 
 mpl.use("Agg")
-REFERENCE = json.loads(
-    (Path(__file__).parents[1] / "reference" / "paired_t_test.json").read_text()
-)["sets"]
+FOLDER = Path(__file__).parent / "reference"
+REFERENCE = json.loads((FOLDER / "paired_t_test.json").read_text())["sets"]
+SETS = json.loads((FOLDER / "evidence.json").read_text())["sets"]
+COLUMNS = {"dv": "v", "within": "c", "subject": "s"}
 SAME = [
     "mean_difference",
     "sd_difference",
@@ -136,6 +139,8 @@ def test_tables_sentence_and_plot():
     assert (
         f"C2 (M = {np.mean(x['a']):.1f}" in text
     )  # as many decimals as a standard deviation of some tens needs
+    interval = f"[{found.d_z_low:.2f}, {found.d_z_high:.2f}]".replace("-", "−")
+    assert text.endswith(f"d_z = {found.d_z:.2f}, 95% CI {interval}.")
     assert "t(35)" in found._repr_html_()
     axes = found.plot()
     assert axes.shape == (2,)
@@ -166,7 +171,7 @@ def test_missing_scores_only_when_asked_for():
     assert found.excluded == (1,)
     assert found.n == 4
     assert found.t == pytest.approx(run(frame[frame["who"] != 1]).t)
-    assert "1 subject(s) with missing scores were left out (1)." in found.apa()
+    assert found.apa().endswith("Left out for missing scores: subject 1.")
 
 
 GOOD = frame_of([1.0, 2, 4, 9], [2.0, 2, 3, 5])
@@ -232,3 +237,141 @@ def test_ties_do_not_depend_on_the_unit():
         assert found.wilcoxon_v == whole.wilcoxon_v
     assert "twelve digits" in run(frame_of(a * 0.1, b * 0.1)).wilcoxon_method
     assert "twelve digits" not in whole.wilcoxon_method
+
+
+@pytest.mark.parametrize("n", [3, 6, 20, 200])
+@pytest.mark.parametrize("t", [0.0, 0.7, -2.4, 8.0])
+def test_the_interval_of_d_z_inverts_the_noncentral_t(t, n):
+    """Oracle: SciPy's noncentral t distribution."""
+    low, high = np.sqrt(n) * np.array(d_z_interval(t, n, 0.9))
+    assert stats.nct.cdf(t, n - 1, low) == pytest.approx(0.95, abs=2e-5)
+    assert stats.nct.cdf(t, n - 1, high) == pytest.approx(0.05, abs=2e-5)
+
+
+def test_the_interval_of_a_huge_d_z_scales_with_it():
+    for n in (3, 30):
+        near, far = np.array(d_z_interval(1e6, n, 0.95)), np.array(d_z_interval(1e9, n, 0.95))
+        assert far / near == pytest.approx(1e3, rel=1e-3)
+
+
+def long(values, labels="ABCDEFGH"):
+    n, k = np.shape(values)
+    frame = pd.DataFrame({"s": np.repeat(range(n), k), "c": list(labels[:k]) * n})
+    return frame.assign(v=np.asarray(values, dtype=float).ravel())
+
+
+def pair_of(name):
+    return long(np.column_stack([SETS[name]["a"], SETS[name]["b"]]))
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_equivalence_agrees_with_r(name):
+    row = tl.equivalence(pair_of(name), **COLUMNS, bound=0.5).iloc[0]
+    for number in ("t_low", "p_low", "t_high", "p_high", "ci_low", "ci_high"):
+        assert row[number] == pytest.approx(SETS[name][number], rel=1e-9, abs=1e-14), number
+    assert row["p"] == max(row["p_low"], row["p_high"])
+    assert row["equivalent"] == (row["ci_low"] > -0.5 and row["ci_high"] < 0.5)
+
+
+def test_bounds_in_standard_deviations_and_several_pairs():
+    values = np.random.default_rng(0).standard_normal((30, 3))
+    found = tl.equivalence(long(values), **COLUMNS, bound=0.6, units="d_z")
+    assert found[["a", "b"]].to_numpy().tolist() == [["A", "B"], ["A", "C"], ["B", "C"]]
+    d = values[:, 0] - values[:, 1]
+    oracle = stats.ttest_1samp(d, -0.6 * d.std(ddof=1), alternative="greater")
+    assert found.loc[0, ["t_low", "p_low"]].tolist() == pytest.approx(list(oracle))
+    assert (found["p_holm"] >= found["p"]).all()
+
+
+def test_equivalence_is_claimed_in_five_percent_at_the_bound():
+    rng = np.random.default_rng(4)
+    claims = [
+        tl.equivalence(
+            long(rng.standard_normal((20, 2)) + np.array([0.9, 0.0])), **COLUMNS, bound=0.9
+        )["equivalent"].item()
+        for _ in range(300)
+    ]
+    assert abs(np.mean(claims) - 0.05) < 4.0 * np.sqrt(0.05 * 0.95 / 300)
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_bayes_factors_agree_with_r(name):
+    found = tl.bayes_factor(pair_of(name), **COLUMNS).iloc[0]
+    assert found["bf10"] == pytest.approx(SETS[name]["bf10"], rel=1e-6)
+    assert found["bf01"] == pytest.approx(1.0 / found["bf10"])
+    wide = tl.bayes_factor(pair_of(name), **COLUMNS, scale=1.0)["bf10"].item()
+    assert wide == pytest.approx(SETS[name]["bf10_wide"], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("t", "n", "scale", "expected"),
+    [
+        (0.0, 10, 2**-0.5, -1.1750823266311887),
+        (0.5, 3, 2**-0.5, -0.6576984390669531),
+        (2.5, 20, 2**-0.5, 0.9940459629939761),
+        (2.5, 20, 1.0, 0.8363147795400806),
+        (-4.2, 36, 2**-0.5, 5.015231518611739),
+        (30.0, 200, 2**-0.5, 166.06039418808658),
+        (80.0, 1000, 2**-0.5, 995.2161017634046),
+        (500.0, 10, 2**-0.5, 39.42762053607319),
+        (1000.0, 36, 2**-0.5, 172.11641002455337),
+        (1e6, 5, 0.2, 37.237967534704296),
+        (3.0, 2, 5.0, -0.13969377894660898),
+    ],
+)
+def test_bayes_factors_of_any_t(t, n, scale, expected):
+    """Oracle: the integral with 40 digits, by adaptive quadrature (mpmath)."""
+    assert log_jzs_bayes_factor(t, n, scale) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_a_bayes_factor_too_large_for_a_number_has_its_logarithm():
+    values = np.random.default_rng(5).standard_normal((600, 2)) * 1e-3 + np.array([9.0, 0.0])
+    factor = tl.bayes_factor(long(values), **COLUMNS).iloc[0]
+    assert factor["log_bf10"] > 709.0
+    assert factor["bf10"] == np.inf
+    assert factor["bf01"] == 0.0
+
+
+def test_bayes_factor_by_bic_is_the_closed_form():
+    """
+    Masson (2011): ΔBIC = N ln(SSE1/SSE0) + (k1 − k0) ln N with N = n (k − 1); sums of squares
+    written out.
+    """
+    x = np.random.default_rng(1).standard_normal((15, 4)) + np.array([0.0, 0.2, 0.4, 0.9])
+    rest = x - x.mean(0) - x.mean(1, keepdims=True) + x.mean()
+    sse1, sse0 = (rest**2).sum(), ((x - x.mean(1, keepdims=True)) ** 2).sum()
+    delta = 45 * np.log(sse1 / sse0) + 3 * np.log(45)
+    found = tl.bayes_factor(long(x), **COLUMNS).iloc[0]
+    assert found["method"] == "bic"
+    assert found["bf10"] == pytest.approx(np.exp(-delta / 2))
+    assert len(tl.bayes_factor(long(x), **COLUMNS, method="jzs")) == 6
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda f: tl.equivalence(f, **COLUMNS, bound=0.0), "bound must be positive"),
+        (lambda f: tl.equivalence(f, **COLUMNS, bound=1.0, units="sd"), "units must be one of"),
+        (lambda f: tl.equivalence(f, **COLUMNS, bound=1.0, alpha=0.6), "alpha must be below 0.5"),
+        (
+            lambda f: tl.equivalence(
+                f.assign(v=f["c"].map({"A": 0, "B": 1}) + f["s"]), **COLUMNS, bound=1.0
+            ),
+            "error variance",
+        ),
+        (lambda f: tl.bayes_factor(f, **COLUMNS, scale=-1.0), "scale must be positive"),
+        (lambda f: tl.bayes_factor(f, **COLUMNS, method="aic"), "method must be one of"),
+        (lambda f: tl.bayes_factor(f.iloc[1:], **COLUMNS), "missing cells in 'v': subject 0"),
+    ],
+)
+def test_bad_arguments(call, message):
+    frame = long(np.random.default_rng(0).standard_normal((6, 2)))
+    with pytest.raises(ValueError, match=message):
+        call(frame)
+
+
+def test_synthetic_data_say_so():
+    frame = long(np.random.default_rng(0).standard_normal((6, 2)))
+    frame.attrs["synthetic"] = True
+    tables = tl.equivalence(frame, **COLUMNS, bound=1.0), tl.bayes_factor(frame, **COLUMNS)
+    assert [table.attrs["origin"] for table in tables] == ["synthetic data"] * 2

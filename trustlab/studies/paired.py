@@ -1,0 +1,456 @@
+"""Two conditions: paired t-test, equivalence, and Bayes factor; two or more, pair by pair."""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import special
+from scipy.optimize import brentq
+
+from trustlab.models.checks import one_of, open_unit, positive
+from trustlab.models.display import Result
+from trustlab.studies.analysis.apa import apa_decimals, apa_number, apa_p
+from trustlab.studies.analysis.batch import analyse_table, holm
+from trustlab.studies.analysis.descriptives import describe, t_half_width
+from trustlab.studies.analysis.rank_tests import normality_of_differences, wilcoxon
+from trustlab.studies.analysis.score_table import (
+    ScoreTable,
+    complete_scores,
+    labelled,
+    read_scores,
+    same_for_all,
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PairedTTest(Result):
+    """
+    A dependent t-test, difference a − b.
+
+    Parameters
+    ----------
+    a, b : hashable
+        The two conditions.
+    n : int
+        Subjects compared.
+    mean_difference, sd_difference : float
+        Of a − b.
+    ci_low, ci_high : float
+        Interval of the mean difference.
+    confidence : float
+        Level of both intervals.
+    t, df, p : float
+        Student's t on n − 1 degrees of freedom, two-sided p.
+    d_z : float
+        Mean over standard deviation of the differences.
+    d_z_low, d_z_high : float
+        Its interval, which inverts the noncentral t distribution; exact to four digits.
+    d_av : float
+        Mean difference over the mean of the two standard deviations.
+    correlation : float
+        Pearson correlation of a and b; NaN if one of them is constant.
+    wilcoxon_v, wilcoxon_p : float
+        Sum of the ranks of positive differences, zero differences left out, and its two-sided p.
+    wilcoxon_method : str
+        "exact" below 50 subjects without ties or zero differences, else "normal approximation,
+        continuity corrected"; and whether ties were judged to twelve digits, where floating point
+        separates them.
+    rank_biserial : float
+        (positive − negative rank sum) over their total.
+    shapiro_w, shapiro_p : float
+        Shapiro and Wilk's test of the differences.
+    excluded : tuple
+        Subjects left out because a score is missing.
+    scores : ScoreTable
+        What was compared.
+    """
+
+    title = "Paired t-test"
+
+    a: Hashable
+    b: Hashable
+    n: int
+    mean_difference: float
+    sd_difference: float
+    ci_low: float
+    ci_high: float
+    confidence: float
+    t: float
+    df: int
+    p: float
+    d_z: float
+    d_z_low: float
+    d_z_high: float
+    d_av: float
+    correlation: float
+    wilcoxon_v: float
+    wilcoxon_p: float
+    wilcoxon_method: str
+    rank_biserial: float
+    shapiro_w: float
+    shapiro_p: float
+    excluded: tuple
+    scores: ScoreTable
+
+    @property
+    def message(self) -> str:
+        """The sentence a paper needs."""
+        return self.apa()
+
+    def table(self) -> pd.DataFrame:
+        """Return one row with every number."""
+        return pd.DataFrame([vars(self)]).drop(columns=["excluded", "scores"])
+
+    def descriptives(self) -> pd.DataFrame:
+        """
+        Return descriptive statistics as `RepeatedMeasures.descriptives`; intervals at `confidence`.
+        """
+        return describe(self.scores, self.confidence)
+
+    def apa(self) -> str:
+        """Return the sentence a paper needs."""
+        stats = self.descriptives()
+        digits = apa_decimals(stats["sd"].to_numpy())
+        means = [
+            f"{row.condition} (M = {apa_number(row.mean, digits)}, SD = "
+            f"{apa_number(row.sd, digits)})"
+            for row in stats.itertuples(index=False)
+        ]
+        low, high = apa_number(self.ci_low, digits), apa_number(self.ci_high, digits)
+        origin = f"[{self.scores.origin}] " if self.scores.origin else ""
+        left_out = ""
+        if self.excluded:
+            subjects = "subject" if len(self.excluded) == 1 else "subjects"
+            labels = ", ".join(map(str, self.excluded))
+            left_out = f" Left out for missing scores: {subjects} {labels}."
+        return (
+            f"{origin}{self.scores.dv} {'differed' if self.p < 0.05 else 'did not differ'} "
+            f"significantly between {' and '.join(means)}, t({self.df}) = {apa_number(self.t)}, "
+            f"{apa_p(self.p)}, mean difference {apa_number(self.mean_difference, digits)}, "
+            f"{100 * self.confidence:g}% CI [{low}, {high}], d_z = {apa_number(self.d_z)}, "
+            f"{100 * self.confidence:g}% CI [{apa_number(self.d_z_low)}, "
+            f"{apa_number(self.d_z_high)}].{left_out}"
+        )
+
+    def plot(self, axes=None):
+        """
+        Plot every subject's pair with both means and intervals, and the differences with theirs.
+
+        Parameters
+        ----------
+        axes : sequence of two matplotlib.axes.Axes, optional
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (2,)
+        """
+        from trustlab.studies.analysis.plots import plot_pair
+
+        return plot_pair(self, axes)
+
+
+def paired_t_test(
+    frame: pd.DataFrame,
+    dv: Hashable,
+    within: Hashable,
+    subject: Hashable,
+    *,
+    order: Sequence[Hashable] | None = None,
+    confidence: float = 0.95,
+    missing: str = "raise",
+) -> PairedTTest:
+    """
+    Compare two conditions within subjects: t = mean(a − b)/(s/√n) on n − 1 degrees of freedom.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        One row per subject and condition.
+    dv, within, subject : hashable
+        Columns with the score, the condition (two of them) and the subject.
+    order : sequence, optional
+        The two conditions, a then b. By default sorted, or in the order of a categorical column.
+    confidence : float
+        Level of the intervals.
+    missing : {"raise", "listwise"}
+        Whether a missing score is an error, or its subject is left out and named in the result.
+
+    Returns
+    -------
+    PairedTTest
+
+    Raises
+    ------
+    ValueError
+        If the table is refused (see `repeated_measures`), there are not exactly two conditions, or
+        every subject has the same difference.
+
+    References
+    ----------
+    D. Lakens, Calculating and reporting effect sizes, Frontiers in Psychology 4 (2013) 863.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> values = {"subject": [1, 1, 2, 2, 3, 3], "mode": ["A", "B"] * 3}
+    >>> frame = pd.DataFrame(values).assign(error=[1.0, 1.4, 1.1, 1.9, 0.8, 1.0])
+    >>> test = tl.paired_t_test(frame, dv="error", within="mode", subject="subject")
+    >>> test.table()[["mean_difference", "t", "df", "p"]].round(3)
+       mean_difference      t  df      p
+    0           -0.467 -2.646   2  0.118
+    """
+    confidence = open_unit("confidence", confidence)
+    table = read_scores(frame, dv, within, subject, order=order)
+    if len(table.conditions) != 2:
+        raise ValueError(
+            f"within: column {within!r} has {len(table.conditions)} conditions, "
+            f"{list(table.conditions)}; a paired t-test compares two. Select their rows, or use "
+            "repeated_measures"
+        )
+    scores, excluded = complete_scores(table, missing)
+    pair = analyse_table(scores).pairwise
+    names = ("mean_difference", "sd_difference", "t", "p", "d_z", "d_av")
+    test: dict[str, Any] = {name: getattr(pair, name).item() for name in names}
+    n = len(scores.subjects)
+    half = float(t_half_width(test["sd_difference"], n, confidence))
+    normality = normality_of_differences(scores.values, pair.a, pair.b)
+    a, b = scores.values.T
+    low, high = d_z_interval(test["t"], n, confidence)
+    return PairedTTest(
+        a=scores.conditions[0],
+        b=scores.conditions[1],
+        n=n,
+        ci_low=test["mean_difference"] - half,
+        ci_high=test["mean_difference"] + half,
+        confidence=confidence,
+        df=n - 1,
+        d_z_low=low,
+        d_z_high=high,
+        correlation=np.nan if same_for_all(scores) else float(np.corrcoef(a, b)[0, 1]),
+        shapiro_w=normality["W"].item(),
+        shapiro_p=normality["p"].item(),
+        excluded=excluded,
+        scores=scores,
+        **wilcoxon(a - b, np.abs(scores.values).max())._asdict(),
+        **test,
+    )
+
+
+def d_z_interval(t: float, n: int, confidence: float) -> tuple[float, float]:
+    """
+    Return the interval of d_z = δ/√n by the δ at which t is the upper, and the lower, quantile.
+
+    P(T ≤ t | δ) is the mean of Φ(t s − δ) over s, the sample's standard deviation over the
+    population's; 4000 quantiles of s give the limits four digits.
+    """
+    quantiles = (np.arange(4000) + 0.5) / 4000
+    reach = t * np.sqrt(special.chdtri(n - 1, quantiles) / (n - 1))
+
+    def excess(delta: float, p: float) -> float:
+        return special.ndtr(reach - delta).mean() - p
+
+    ends = reach.min() - 40.0, reach.max() + 40.0
+    low, high = (
+        float(brentq(excess, *ends, args=(0.5 + 0.5 * side * confidence,)) / np.sqrt(n))
+        for side in (1.0, -1.0)
+    )
+    return low, high
+
+
+def equivalence(
+    frame: pd.DataFrame,
+    dv: Hashable,
+    within: Hashable,
+    subject: Hashable,
+    *,
+    bound: float,
+    units: str = "raw",
+    order: Sequence | None = None,
+    missing: str = "raise",
+    alpha: float = 0.05,
+) -> pd.DataFrame:
+    """
+    Test every pair of conditions for equivalence by two one-sided paired t-tests.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        One row per subject and condition.
+    dv, within, subject : hashable
+        Columns with the score, the condition and the subject.
+    bound : float
+        Smallest difference that would matter; positive.
+    units : {"raw", "d_z"}
+        Whether `bound` is in units of the score, or in standard deviations of the differences as
+        estimated from these data.
+    order : sequence, optional
+        The order of the conditions.
+    missing : {"raise", "listwise"}
+        Whether a missing cell is an error, or its subject is left out; `.attrs["excluded"]` names
+        them.
+    alpha : float
+        Level of both tests, below 0.5.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row per pair: a, b, n, mean_difference (a − b), low, high (the bounds in units of the
+        score), t_low, p_low (against differences at or below `low`), t_high, p_high, df, p (the
+        greater of the two), p_holm, ci_low, ci_high (level 1 − 2 alpha; inside the bounds where p <
+        alpha), equivalent (p < alpha, unadjusted).
+
+    Raises
+    ------
+    ValueError
+        If the table is refused (see `repeated_measures`), every subject has the same difference, or
+        an argument is out of range.
+
+    References
+    ----------
+    D. Lakens, Equivalence tests: a practical primer, Social Psychological and Personality Science 8
+    (2017) 355-362.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> tests = tl.equivalence(frame, dv="value", within="condition", subject="subject", bound=10.0)
+    >>> tests[["a", "b", "p_holm", "equivalent"]].round(3).head(3)
+        a   b  p_holm  equivalent
+    0  C1  C2   0.019        True
+    1  C1  C3   0.569       False
+    2  C1  C4   0.003        True
+    """
+    bound, alpha = positive("bound", bound), open_unit("alpha", alpha)
+    if alpha >= 0.5:
+        raise ValueError(f"alpha must be below 0.5, as the interval has 1 − 2 alpha, got {alpha}")
+    one_of("units", units, ("raw", "d_z"))
+    table = read_scores(frame, dv, within, subject, order=order)
+    scores, excluded = complete_scores(table, missing)
+    pairs, n = analyse_table(scores).pairwise, len(scores.subjects)
+    mean, sd = pairs.mean_difference[0], pairs.sd_difference[0]
+    names = list(combinations(scores.conditions, 2))
+    if (sd == 0.0).any():
+        a, b = names[int(np.argmin(sd))]
+        raise ValueError(f"dv: every subject has the same difference between {a!r} and {b!r}")
+    reach = bound if units == "raw" else bound * sd
+    error = sd / np.sqrt(n)
+    t_low, t_high = (mean + reach) / error, (mean - reach) / error
+    p_low, p_high = special.stdtr(n - 1, -t_low), special.stdtr(n - 1, t_high)
+    p = np.maximum(p_low, p_high)
+    half = t_half_width(sd, n, 1.0 - 2.0 * alpha)
+    tests = {"n": n, "mean_difference": mean, "low": -reach, "high": reach, "t_low": t_low}
+    tests |= {"p_low": p_low, "t_high": t_high, "p_high": p_high, "df": n - 1, "p": p}
+    tests |= {"p_holm": holm(p), "ci_low": mean - half, "ci_high": mean + half}
+    result = pd.DataFrame(names, columns=["a", "b"]).assign(**tests, equivalent=p < alpha)
+    return labelled(result, scores.origin, excluded=excluded)
+
+
+def bayes_factor(
+    frame: pd.DataFrame,
+    dv: Hashable,
+    within: Hashable,
+    subject: Hashable,
+    *,
+    method: str | None = None,
+    scale: float = 2**-0.5,
+    order: Sequence | None = None,
+    missing: str = "raise",
+) -> pd.DataFrame:
+    """
+    Return how many times likelier the data are with a difference than without.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        One row per subject and condition.
+    dv, within, subject : hashable
+        Columns with the score, the condition and the subject.
+    method : {"jzs", "bic"}, optional
+        "jzs": every pair by the t-test of Rouder and others, a Cauchy prior on d_z.
+        "bic": all conditions against their common mean, exp(−ΔBIC/2) with n (k − 1) independent
+        observations. By default "jzs" for two conditions, else "bic".
+    scale : float
+        Scale of the Cauchy prior, positive; 1/√2 as in R's BayesFactor ("medium").
+    order : sequence, optional
+        The order of the conditions.
+    missing : {"raise", "listwise"}
+        Whether a missing cell is an error, or its subject is left out.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns comparison, method, statistic (t or F), df1, df2, log_bf10 (natural logarithm),
+        bf10, bf01, n; a row per pair for "jzs", one for "bic". Where bf10 is too large for a number
+        it is infinite; log_bf10 is not.
+
+    Raises
+    ------
+    ValueError
+        If the table is refused (see `repeated_measures`) or an argument is out of range.
+
+    References
+    ----------
+    J. N. Rouder and others, Bayesian t tests for accepting and rejecting the null hypothesis,
+    Psychonomic Bulletin & Review 16 (2009) 225-237. M. E. J. Masson, A tutorial on a practical
+    Bayesian alternative to null-hypothesis significance testing, Behavior Research Methods 43
+    (2011) 679-690.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> factors = tl.bayes_factor(frame, dv="value", within="condition", subject="subject")
+    >>> factors[["comparison", "bf10", "n"]].round(3)
+      comparison   bf10   n
+    0  condition  3.526  36
+    """
+    scale = positive("scale", scale)
+    table = read_scores(frame, dv, within, subject, order=order)
+    scores, excluded = complete_scores(table, missing)
+    batch, n = analyse_table(scores), len(scores.subjects)
+    if method is None:
+        method = "jzs" if batch.k == 2 else "bic"
+    if one_of("method", method, ("jzs", "bic")) == "bic":
+        size = n * batch.df1
+        share = (batch.ss_error / (batch.ss_effect + batch.ss_error)).item()
+        log_bf10 = -0.5 * (size * np.log(share) + batch.df1 * np.log(size))
+        rows = [(str(within), method, batch.F.item(), batch.df1, batch.df2, log_bf10)]
+    else:
+        rows = []
+        for (a, b), t in zip(combinations(scores.conditions, 2), batch.pairwise.t[0], strict=True):
+            rows.append((f"{a} − {b}", method, t, 1, n - 1, log_jzs_bayes_factor(t, n, scale)))
+    columns = ["comparison", "method", "statistic", "df1", "df2", "log_bf10"]
+    result = pd.DataFrame(rows, columns=columns)
+    with np.errstate(over="ignore"):
+        result["bf10"] = np.exp(result["log_bf10"])
+        result["bf01"] = np.exp(-result["log_bf10"])
+    return labelled(result.assign(n=n), scores.origin, excluded=excluded)
+
+
+def log_jzs_bayes_factor(t: float, n: int, scale: float) -> float:
+    """
+    Return ln BF10 of a paired t of n subjects (Rouder and others 2009, Equation 1); NaN for a NaN.
+
+    d_z has a Cauchy prior: variance g, with g = scale²/χ²₁. The integral over u = ln g is a
+    trapezoidal sum, which converges exponentially because the integrand is analytic and vanishes at
+    both ends; it is worked out in logarithms, so that no t is too large.
+    """
+    if np.isnan(t):
+        return np.nan
+    df = n - 1
+    # Beyond these ends the integrand is below e⁻⁵⁰ of its peak: it falls as exp(−scale²/2g) to the
+    # left and, past the variance that t speaks for, as 1/g to the right.
+    spoken_for = max(np.log(scale**2), np.log1p(t * t / n))
+    u = np.arange(np.log(scale**2) - 6.0, spoken_for + 60.0, 0.02)
+    g = np.exp(u)
+    likelihood = -0.5 * np.log1p(n * g)
+    likelihood -= 0.5 * n * np.log1p(t * t / (df * (1.0 + n * g)))
+    prior = np.log(scale) - 0.5 * np.log(2.0 * np.pi) - 0.5 * u - scale**2 / (2.0 * g)
+    integral = np.logaddexp.reduce(likelihood + prior) + np.log(u[1] - u[0])
+    return float(integral + 0.5 * n * np.log1p(t * t / df))

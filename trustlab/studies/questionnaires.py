@@ -1,0 +1,604 @@
+"""Questionnaires as data, the scores of their answers, and how reliable these are."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.models.checks import (
+    flag,
+    in_order,
+    of_class,
+    one_of,
+    open_unit,
+    positive,
+    shown,
+    whole_number,
+)
+from trustlab.models.display import Result
+from trustlab.studies.columns import (
+    column_of,
+    labels_of,
+    number_or_nan,
+    origin_of,
+    refuse_missing_labels,
+)
+
+
+@dataclass(frozen=True, repr=False)
+class Questionnaire(Result):
+    """
+    A questionnaire whose items are answered on one scale.
+
+    A form with other ends or steps is another questionnaire, such as
+    ``dataclasses.replace(tl.NASA_TLX, low=1, high=20, step=1)``.
+
+    Parameters
+    ----------
+    name : str
+        Its name, with which the columns of its scores begin.
+    items : sequence of str
+        Short names of the items.
+    low, high : float
+        The lowest and the highest answer.
+    reversed : sequence of str
+        Items worded in the opposite direction, which count as low + high − answer.
+    subscales : dict of str to sequence of str
+        Further scores, the means of some items as answered, by the names of their columns.
+    step : float or None
+        Distance between answers; None for a continuous scale.
+    task_load : bool
+        Whether it is a task load index: answers are stretched to a range from 0 to 100, and scores
+        are the mean `<name>_raw` and, where subjects weighted the items by pairwise choices,
+        `<name>_weighted`; else they are mean and sum, `<name>_mean` and `<name>_sum`.
+    source : str
+        Where it comes from.
+
+    Raises
+    ------
+    ValueError
+        If items repeat, a reversed item or one of a subscale is not among them, `low` is not below
+        `high`, or `step` does not divide the scale into equal parts.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> ease = tl.studies.Questionnaire("ease", ["quick", "tiring"], 1, 5, reversed=["tiring"])
+    >>> tl.NASA_TLX.message
+    'items answered from 0 to 100: mental, physical, temporal, performance, effort, frustration'
+    >>> tl.TRUST_CHECKLIST.reversed
+    ('deceptive', 'underhanded', 'suspicious', 'wary', 'harmful')
+    >>> ease.table()
+         item  reversed
+    0   quick     False
+    1  tiring      True
+    """
+
+    name: str
+    items: Sequence[str]
+    low: float
+    high: float
+    reversed: Sequence[str] = ()
+    subscales: dict[str, Sequence[str]] = field(default_factory=dict)
+    step: float | None = 1.0
+    task_load: bool = False
+    source: str = ""
+
+    def __post_init__(self):
+        for argument in ("name", "source"):
+            of_class(argument, getattr(self, argument), str)
+        of_class("subscales", self.subscales, dict)
+        items = labels_of("items", self.items, 1)
+        for name, part in self._parts().items():
+            for item in labels_of(name, part, 0 if name == "reversed" else 1):
+                one_of(name, item, map(str, items))
+        low, high = in_order("low", self.low, "high", self.high)
+        steps = 1.0 if self.step is None else (high - low) / positive("step", self.step)
+        if steps < 1.0 or abs(steps - round(steps)) > 1e-9:
+            raise ValueError(f"step must divide {low:g} to {high:g} equally, got {self.step:g}")
+        flag("task_load", self.task_load)
+        self.__dict__.update(items=items, reversed=tuple(self.reversed), low=low, high=high)
+
+    def _parts(self) -> dict[str, Sequence[str]]:
+        return {"reversed": self.reversed, **self.subscales}
+
+    @property
+    def title(self) -> str:
+        """Source, or else the name."""
+        return self.source or self.name
+
+    @property
+    def message(self) -> str:
+        """How many items, and their scale."""
+        return (
+            f"items answered from {self.low:g} to {self.high:g}: {', '.join(map(str, self.items))}"
+        )
+
+    def table(self) -> pd.DataFrame:
+        """Return a row per item: item, whether it is reversed, and whether in each subscale."""
+        parts = {
+            name: [item in part for item in self.items] for name, part in self._parts().items()
+        }
+        return pd.DataFrame({"item": self.items, **parts})
+
+
+#: NASA task load index, performance answered from good (0) to poor (100).
+NASA_TLX = Questionnaire(
+    "tlx",
+    ("mental", "physical", "temporal", "performance", "effort", "frustration"),
+    low=0,
+    high=100,
+    step=5,
+    task_load=True,
+    source="NASA-TLX (Hart and Staveland 1988)",
+)
+
+_DISTRUST = ("deceptive", "underhanded", "suspicious", "wary", "harmful")
+_TRUST = ("confident", "security", "integrity", "dependable", "reliable", "trust", "familiar")
+
+#: Trust checklist; its first five items, of distrust, are reversed in mean and sum.
+TRUST_CHECKLIST = Questionnaire(
+    "trust",
+    _DISTRUST + _TRUST,
+    low=1,
+    high=7,
+    reversed=_DISTRUST,
+    subscales={"trust_subscale": _TRUST, "distrust_subscale": _DISTRUST},
+    source="trust checklist (Jian, Bisantz and Drury 2000)",
+)
+
+
+def satisfaction_scale(
+    points: int = 5,
+    items: Sequence[str] | int = ("satisfaction", "comfort", "control"),
+    reversed: Sequence[str] = (),
+) -> Questionnaire:
+    """
+    Return the satisfaction questionnaire of the small studies, or of the large ones.
+
+    The small studies (Section 2.4.1.3) ask for satisfaction, comfort and the feeling of being in
+    control of the task, from 1 to 5. The large ones (Sections 2.4.2.4 and 3.9.3) take the
+    questionnaire of reference [65] of the dissertation, which prints neither its items, nor how
+    many they are, nor its scale (means up to 5.925 need more than five points): give `points`, and
+    how many items your copy has.
+
+    Parameters
+    ----------
+    points : int
+        Answers run from 1 to this, at least 2.
+    items : sequence of str or int
+        Short names of the items; or how many items of [65], which are then called satisfaction_1,
+        satisfaction_2 ….
+    reversed : sequence of str
+        Items for which a high answer means little satisfaction.
+
+    Returns
+    -------
+    Questionnaire
+
+    Raises
+    ------
+    ValueError
+        If `points` is no whole number of at least 2, or a reversed item is not among the items.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tl.satisfaction_scale(7, items=4).items
+    ('satisfaction_1', 'satisfaction_2', 'satisfaction_3', 'satisfaction_4')
+    """
+    points = whole_number("points", points, least=2, most=1000)
+    if isinstance(items, Sequence):
+        source = "satisfaction (Section 2.4.1.3)"
+    else:
+        source = "satisfaction, the questionnaire of [65] (Sections 2.4.2.4 and 3.9.3)"
+        items = [f"satisfaction_{k + 1}" for k in range(whole_number("items", items, most=100))]
+    return Questionnaire("satisfaction", items, 1, points, reversed, source=source)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ScaleScores(Result):
+    """
+    Scores of a questionnaire.
+
+    Parameters
+    ----------
+    questionnaire : Questionnaire
+        What was answered.
+    scores : pandas.DataFrame
+        A row per subject and condition: the columns that name them, then a column per score.
+    coded : dict of str to pandas.DataFrame
+        For each score that is a mean its items, rescaled and reversed as they count in it.
+    missing : pandas.DataFrame
+        Answers that were missing: the columns that name subject and condition, then item.
+    """
+
+    questionnaire: Questionnaire
+    scores: pd.DataFrame
+    coded: Mapping[str, pd.DataFrame]
+    missing: pd.DataFrame
+
+    @property
+    def title(self) -> str:
+        """The questionnaire."""
+        return self.questionnaire.title
+
+    @property
+    def message(self) -> str:
+        """How many forms were scored, and how many answers were missing."""
+        return f"forms scored: {len(self.scores)}; answers missing: {len(self.missing)}"
+
+    def table(self) -> pd.DataFrame:
+        """Return the scores."""
+        return self.scores
+
+    def reliability(self, confidence: float = 0.95) -> pd.DataFrame:
+        """
+        Return Cronbach's alpha of every score of two items or more.
+
+        There is an alpha per condition, as answers of a subject under several conditions are not
+        independent.
+
+        Parameters
+        ----------
+        confidence : float
+            Level of the intervals, in (0, 1).
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns score, condition (NaN where there is none), n, items, alpha, ci_low, ci_high.
+            Subjects with missing answers do not count in n; alpha is NaN for fewer than three
+            subjects, or where all have the same score.
+        """
+        confidence = open_unit("confidence", confidence)
+        rows = []
+        for name, coded in self.coded.items():
+            index = coded.index
+            condition = index.get_level_values(1) if index.nlevels > 1 else [np.nan] * len(index)
+            for label, group in coded.groupby(condition, sort=False, dropna=False):
+                items = group.dropna()
+                rows.append((name, label, *items.shape, *_alpha(items.to_numpy(), confidence)))
+        names = ["score", "condition", "n", "items", "alpha", "ci_low", "ci_high"]
+        return pd.DataFrame(rows, columns=names).query("items > 1").reset_index(drop=True)
+
+
+def score(
+    answers: pd.DataFrame,
+    questionnaire: Questionnaire,
+    *,
+    subject: str = "subject",
+    condition: str | None = None,
+    weights: pd.DataFrame | None = None,
+    missing: str = "refuse",
+) -> ScaleScores:
+    """
+    Score the answers to a questionnaire.
+
+    Mean and sum are over all items, reversed ones recoded; a subscale is the mean of its items as
+    answered. Of the task load index they are the raw score, the mean of six scales, and the
+    weighted one, Σ w x/Σ w.
+
+    Parameters
+    ----------
+    answers : pandas.DataFrame
+        A row per subject (and condition), a column per item that has its name; answers as given,
+        not reversed. `DataFrame.rename` gives columns the items' names, and `DataFrame.pivot` makes
+        a column per item of a row per answer.
+    questionnaire : Questionnaire
+        What was answered: NASA_TLX, TRUST_CHECKLIST, `satisfaction_scale`, or another.
+    subject, condition : str
+        Columns that say whose answers these are and under which condition; `condition` may be None.
+    weights : pandas.DataFrame, optional
+        Of a task load index: a weight per item, one row per subject, as `tlx_weights` gives them.
+    missing : {"refuse", "half_rule"}
+        Whether a missing answer is an error; or scores are formed where at least half of their
+        items are answered: means of these, sums prorated.
+
+    Returns
+    -------
+    ScaleScores
+
+    Raises
+    ------
+    ValueError
+        Naming subject, condition and item of an answer that is missing, not a number or not on the
+        scale, or whose weights cannot come from pairwise choices.
+
+    References
+    ----------
+    S. G. Hart, L. E. Staveland, Development of NASA-TLX, in: Human Mental Workload, 1988, 139-183.
+    J.-Y. Jian, A. M. Bisantz, C. G. Drury, Foundations for an empirically determined scale of trust
+    in automated systems, International Journal of Cognitive Ergonomics 4 (2000) 53-71.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> answers = pd.DataFrame([(60, 20, 45, 35, 50, 30)], columns=tl.NASA_TLX.items)
+    >>> tl.score(answers.assign(subject="P1"), tl.NASA_TLX).table()
+      subject  tlx_raw
+    0      P1     40.0
+    """
+    of_class("questionnaire", questionnaire, Questionnaire)
+    table = _read("answers", answers, questionnaire.items, subject, condition)
+    _check_answers(table, questionnaire)
+    coded = _coded(questionnaire, table)
+    _check_missing(coded, missing)
+    scores = {score_name: part.mean(axis=1) for score_name, part in coded.items()}
+    name, whole = questionnaire.name, next(iter(coded.values()))
+    if not questionnaire.task_load:
+        scores[f"{name}_sum"] = whole.mean(axis=1) * whole.shape[1]
+        if weights is not None:
+            raise ValueError(f"weights: the items of {name!r} are not weighted")
+    elif weights is not None:
+        w = _weights(weights, whole).where(whole.notna(), 0.0)
+        scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / w.sum(axis=1)
+    result = pd.DataFrame(scores).reset_index()
+    result.attrs = dict(answers.attrs)  # synthetic answers give synthetic scores
+    if origin := origin_of(answers):
+        result.attrs["origin"] = origin
+    gaps = table.isna().melt(var_name="item", value_name="gap", ignore_index=False).reset_index()
+    return ScaleScores(questionnaire, result, coded, gaps[gaps.pop("gap")].reset_index(drop=True))
+
+
+def _place(row: tuple, item: object = None) -> str:
+    """Return how an error refers to an answer: subject, condition where there are some, item."""
+    labels = [label.item() if isinstance(label, np.generic) else label for label in row]
+    place = [
+        f"{key} {label!r}" for key, label in zip(("subject", "condition"), labels, strict=False)
+    ]
+    return ", ".join(place if item is None else [*place, f"item {item!r}"])
+
+
+def _read(
+    argument: str, frame: pd.DataFrame, items: Sequence[str], subject: str, condition: str | None
+) -> pd.DataFrame:
+    """
+    Return a column of numbers per item, NaN where not answered; subject and condition are the
+    index.
+    """
+    of_class(argument, frame, pd.DataFrame)
+    keys = (
+        {"subject": subject} if condition is None else {"subject": subject, "condition": condition}
+    )
+    for key, name in keys.items():
+        refuse_missing_labels(column_of(frame, key, name), key)
+    index = pd.MultiIndex.from_arrays([frame[name] for name in keys.values()])
+    if frame.empty or index.has_duplicates:
+        rows = [_place(row) for row in index[index.duplicated()]]
+        raise ValueError(
+            f"{argument} must have one row per subject, or per subject and condition= if there are "
+            f"several; it has {len(frame)} rows, repeated: {'; '.join(rows[:5])}"
+        )
+    table = {}
+    for item in items:
+        table[item] = numbers = []
+        for row, answer in zip(index, column_of(frame, argument, item).array, strict=True):
+            try:
+                numbers.append(number_or_nan(answer))
+            except TypeError:
+                where = _place(row, item)
+                raise ValueError(f"{where}: {shown(answer)} is not a number") from None
+    return pd.DataFrame(table, index=index, dtype=float)
+
+
+def _check_answers(table: pd.DataFrame, questionnaire: Questionnaire) -> None:
+    """Refuse answers outside the scale or between its steps; missing ones pass."""
+    low, high, step = (getattr(questionnaire, name) for name in ("low", "high", "step"))
+    off = (table < low) | (table > high)
+    if step is not None:
+        steps = (table - low) / step
+        off |= (steps - steps.round()).abs() > 1e-9
+    for i, j in np.argwhere(off.to_numpy()):
+        raise ValueError(
+            f"{_place(table.index[i], table.columns[j])}: {table.iloc[i, j]:g} is not on the scale "
+            f"from {low:g} to {high:g} in steps of {step}; if the form had another scale, score "
+            "by dataclasses.replace(questionnaire, low=…, high=…, step=…)"
+        )
+
+
+def _coded(questionnaire: Questionnaire, answers: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Return the items of every score that is a mean, as they count in it; all of them first."""
+    low, high = questionnaire.low, questionnaire.high
+    if questionnaire.task_load:
+        answers = 100.0 * (answers - low) / (high - low)
+        low, high = 0.0, 100.0
+    kind = "raw" if questionnaire.task_load else "mean"
+    whole = answers.copy()
+    for item in questionnaire.reversed:
+        whole[item] = low + high - whole[item]
+    parts = {part: answers[list(items)] for part, items in questionnaire.subscales.items()}
+    return {f"{questionnaire.name}_{kind}": whole, **parts}
+
+
+def _check_missing(coded: Mapping[str, pd.DataFrame], rule: str) -> None:
+    """Refuse answers of which more are missing than the rule allows."""
+    rules = {"refuse": 0.0, "half_rule": 0.5}
+    most = rules[one_of("missing", rule, rules)]
+    for name, part in coded.items():
+        for row, gaps in part.isna().iterrows():
+            if gaps.mean() > most:
+                raise ValueError(
+                    f"{_place(row)}: missing answers of {name!r}: {', '.join(part.columns[gaps])}. "
+                    "Fill them in from the records, leave the subject out, or ask for "
+                    'missing="half_rule", which needs half of the items'
+                )
+
+
+def _weights(weights: pd.DataFrame, answers: pd.DataFrame) -> pd.DataFrame:
+    """Return a weight per item for every row of the answers."""
+    w = _read("weights", weights, answers.columns, answers.index.names[0], None)
+    # Landau (1953): of k items, the j chosen least meet each other j(j − 1)/2 times.
+    least = np.cumsum(range(w.shape[1]))
+    for row, counts in w.iterrows():
+        wins = np.cumsum(np.sort(counts))
+        if (wins < least).any() or wins[-1] != least[-1] or (counts % 1.0).any():
+            raise ValueError(
+                f"weights of {_place(row)}: no choices between two items give {counts.tolist()}"
+            )
+    subjects = answers.index.get_level_values(0)
+    w.index = w.index.get_level_values(0)
+    if lacking := [label for label in subjects if label not in w.index]:
+        raise ValueError(f"weights: there are none for subject {lacking[0]!r}")
+    return w.loc[subjects].set_axis(answers.index)
+
+
+def tlx_weights(
+    choices: pd.DataFrame,
+    *,
+    subject: str = "subject",
+    first: str = "first",
+    second: str = "second",
+    chosen: str = "chosen",
+) -> pd.DataFrame:
+    """
+    Count weights of the task load index from the fifteen pairwise choices.
+
+    Parameters
+    ----------
+    choices : pandas.DataFrame
+        A row per subject and pair of scales.
+    subject, first, second, chosen : str
+        Columns: who, the two scales compared, and the one that contributed more to the workload;
+        scales are named as in NASA_TLX.items.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row per subject: the subject column, then a whole number from 0 to 5 per scale, 15 in sum.
+
+    Raises
+    ------
+    ValueError
+        Naming the subject whose choices are not one for each pair, or lie outside the pair.
+    """
+    of_class("choices", choices, pd.DataFrame)
+    columns = {"subject": subject, "first": first, "second": second, "chosen": chosen}
+    for argument, name in columns.items():
+        refuse_missing_labels(column_of(choices, argument, name), argument)
+    rows = []
+    for label, part in choices.groupby(subject, sort=False):
+        counts = dict.fromkeys(NASA_TLX.items, 0)
+        for pair in combinations(NASA_TLX.items, 2):
+            compared = part[first].isin(pair) & part[second].isin(pair)
+            picks = part.loc[compared, chosen].tolist()
+            if len(picks) != 1 or picks[0] not in pair:
+                raise ValueError(
+                    f"subject {label!r}: of {' and '.join(pair)}, chosen is {picks}; one row per "
+                    "pair is needed, with one of the two"
+                )
+            counts[picks[0]] += 1
+        rows.append((label, *counts.values()))
+    return pd.DataFrame(rows, columns=[subject, *NASA_TLX.items])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Reliability(Result):
+    """
+    Internal consistency of a scale.
+
+    Parameters
+    ----------
+    alpha : float
+        Cronbach's alpha.
+    ci_low, ci_high : float
+        Its interval (Feldt's F interval).
+    confidence : float
+        The interval's level.
+    n, items : int
+        How many subjects and items.
+    without : pandas.Series
+        Alpha of the scale less each item; NaN where one item is left or all subjects agree.
+    """
+
+    title = "Cronbach's alpha"
+
+    alpha: float
+    ci_low: float
+    ci_high: float
+    confidence: float
+    n: int
+    items: int
+    without: pd.Series
+
+    @property
+    def message(self) -> str:
+        """Alpha and its interval."""
+        return (
+            f"α = {self.alpha:.2f}, {self.confidence:.0%} CI {self.ci_low:.2f}, {self.ci_high:.2f}"
+        )
+
+    def table(self) -> pd.DataFrame:
+        """Return one row: n, items, alpha, ci_low, ci_high."""
+        names = ["n", "items", "alpha", "ci_low", "ci_high"]
+        return pd.DataFrame([vars(self)])[names]
+
+
+def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability:
+    """
+    Return Cronbach's alpha of items scored in the same direction, α = k/(k − 1) · (1 − Σ s_i²/s²).
+
+    Parameters
+    ----------
+    items : pandas.DataFrame
+        A row per subject, a column per item, reversed items already recoded; no missing values.
+    confidence : float
+        Level of the interval, in (0, 1).
+
+    Returns
+    -------
+    Reliability
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two items or three subjects, an answer is missing or not a number,
+        or the sum of the items is the same for all subjects.
+
+    References
+    ----------
+    L. S. Feldt, D. J. Woodruff, F. A. Salih, Statistical inference for coefficient alpha, Applied
+    Psychological Measurement 11 (1987) 93-103.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> items = pd.DataFrame({"q1": [1, 2, 4, 5], "q2": [2, 2, 5, 4], "q3": [1, 3, 4, 5]})
+    >>> round(tl.cronbach_alpha(items).alpha, 3)
+    0.946
+    """
+    of_class("items", items, pd.DataFrame, "give a column per item")
+    confidence = open_unit("confidence", confidence)
+    for name, column in items.items():
+        if column.dtype.kind not in "iuf" or not np.isfinite(column).all():
+            raise ValueError(f"item {name!r} must hold only finite numbers ({column.dtype})")
+    values = items.to_numpy(dtype=float)
+    estimate = _alpha(values, confidence)
+    if np.isnan(estimate[0]):
+        raise ValueError(
+            "items: alpha needs at least two items of three subjects, with sums that differ, "
+            f"got a table of shape {values.shape}"
+        )
+    n, k = values.shape
+    rest = [_alpha(np.delete(values, j, axis=1), confidence)[0] for j in range(k)]
+    without = pd.Series(rest, items.columns, name="alpha_without")
+    return Reliability(*estimate, confidence, n, k, without)
+
+
+def _alpha(values: np.ndarray, confidence: float) -> tuple[float, float, float]:
+    """Return alpha and its interval; NaN where it is not defined."""
+    n, k = values.shape
+    values = values / (np.abs(values).max(initial=0.0) or 1.0)  # squares may overflow or underflow
+    total = values.sum(axis=1)
+    if k < 2 or n < 3 or np.ptp(total) <= 1e-12:
+        return np.nan, np.nan, np.nan
+    alpha = (1.0 - values.var(axis=0, ddof=1).sum() / total.var(ddof=1)) * k / (k - 1)
+    tail = 0.5 * (1.0 - confidence)
+    ends = special.fdtri(n - 1, (n - 1) * (k - 1), [1.0 - tail, tail])
+    low, high = 1.0 - (1.0 - alpha) * ends
+    return float(alpha), float(low), float(high)

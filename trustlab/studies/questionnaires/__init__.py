@@ -1,1 +1,0 @@
-"""Questionnaires: answers read and checked, scales scored, reliability."""
