@@ -32,7 +32,7 @@ ALLOWED = {
         "after": "a drive of four laps has too few switches",
         "sessions": "a drive of four laps has too few switches",
     },
-    "formula_model": {"seed": "without a bootstrap", "points": "of a normal response"},
+    "formula_model": {"seed": "without a bootstrap"},
     "ordinal_model": {"seed": "without a bootstrap"},
     "paired_t_test": {"missing": "nothing is missing"},
     "parameter_draws": {"laps": "a value may be anything"},

@@ -10,7 +10,6 @@ from .analysis.descriptives import (
     PartialEtaInterval as PartialEtaInterval,
     partial_eta_interval as partial_eta_interval,
 )
-from .analysis.mixed_model import MixedModel as MixedModel, mixed_model as mixed_model
 from .analysis.paired_t_test import PairedTTest as PairedTTest, paired_t_test as paired_t_test
 from .analysis.repeated_measures import (
     RepeatedMeasures as RepeatedMeasures,
@@ -32,6 +31,14 @@ from .evidence import (
     intraclass_correlation as intraclass_correlation,
     simultaneous_intervals as simultaneous_intervals,
 )
+from .mixed import (
+    FormulaModel as FormulaModel,
+    MixedModel as MixedModel,
+    formula_model as formula_model,
+    mixed_model as mixed_model,
+)
+from .order_effects import OrderEffects as OrderEffects, order_effects as order_effects
+from .ordinal import OrdinalModel as OrdinalModel, ordinal_model as ordinal_model
 from .planning.closed_form_power import (
     clopper_pearson as clopper_pearson,
     noncentral_f_power as noncentral_f_power,
@@ -64,6 +71,3 @@ from .questionnaires.nasa_tlx import (
     score_nasa_tlx as score_nasa_tlx,
     tlx_weights as tlx_weights,
 )
-from .regression.formula_model import FormulaModel as FormulaModel, formula_model as formula_model
-from .regression.order_effects import OrderEffects as OrderEffects, order_effects as order_effects
-from .regression.ordinal_model import OrdinalModel as OrdinalModel, ordinal_model as ordinal_model

@@ -27,6 +27,7 @@ from trustlab.models.display import as_html
 from trustlab.sessions.reading import read_session
 from trustlab.sessions.session import Session
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
+from trustlab.studies.order_effects import OrderEffects, order_effects
 from trustlab.studies.questionnaires.likert import (
     LikertScale,
     ScaleScores,
@@ -35,7 +36,6 @@ from trustlab.studies.questionnaires.likert import (
     score_trust_checklist,
 )
 from trustlab.studies.questionnaires.nasa_tlx import score_nasa_tlx
-from trustlab.studies.regression.order_effects import OrderEffects, order_effects
 
 KEYS = ["participant", "position", "condition"]
 REHEARSAL = "scripted hands, no person took part"
