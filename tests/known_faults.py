@@ -51,6 +51,7 @@ ALLOWED = {
     "run_campaign": {"out": "the table is the same"},
     "RecordedStudy.export": {"path": "the file is the same"},
     "HapticDevice.step": {"x": "one step", "f_m": "acts one sample later"},
+    "MixedModel.pairs": {"factor": "one factor"},
     "RepeatedMeasures.pairs": {"factor": "one factor", "at": "one factor", "error": "one factor"},
     "bayes_factor": {"missing": "nothing is missing"},
     "read_people": {"recipe": "the name has a recipe of its own"},
@@ -225,10 +226,7 @@ KNOWN = {
         "frame": "foreign errors, no difference",
     },
     "ordinal_model": {
-        "within": "foreign errors",
         "covariates": "foreign errors",
-        "random": "foreign errors",
-        "points": "foreign errors",
     },
     "PairedTTest.plot": {
         "axes": "foreign errors",

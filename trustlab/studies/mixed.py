@@ -196,7 +196,7 @@ class MixedModel(Result):
         """
         factor = [*self.factors][len(self.between)] if factor is None else factor
         for argument, name in {"factor": factor, "at": at}.items():
-            if name not in [*self.factors, None]:
+            if not isinstance(name, Hashable) or name not in {*self.factors, None}:
                 raise ValueError(f"{argument} must be one of {[*self.factors]}, got {name!r}")
         if factor == at:
             raise ValueError(f"factor and at are both {factor!r}; name two factors")
@@ -257,12 +257,15 @@ def levels_by_factor(
 ) -> dict[Hashable, list]:
     """Return the levels of each factor, those between subjects first."""
     people = column_of(frame, "subject", subject)
-    orders = dict(order if isinstance(order, dict) else dict.fromkeys(within, order))
     levels = {}
     for argument, names in {"between": between, "within": within}.items():
         for name in names:
             column = column_of(frame, argument, name)
-            levels[name] = levels_of(column, argument, orders.pop(name, None))
+            # A list is the order of the factor within subjects, or else of that between them.
+            listed = order if argument == "within" or not within else None
+            if isinstance(order, dict):
+                listed = order.get(name)
+            levels[name] = levels_of(column, argument, listed)
             if len(levels[name]) < 2:
                 raise ValueError(f"{argument}: column {name!r} has one level; two are needed")
             if argument == "between":
@@ -273,8 +276,10 @@ def levels_by_factor(
                 )
     if not levels:
         raise ValueError("within and between name no factor")
-    if orders:
-        raise ValueError(f"order: {next(iter(orders))!r} is no factor; there are {[*levels]}")
+    if unknown := [
+        name for name in (order if isinstance(order, dict) else ()) if name not in levels
+    ]:
+        raise ValueError(f"order: {unknown[0]!r} is no factor; there are {[*levels]}")
     return levels
 
 
@@ -298,6 +303,9 @@ def mixed_model(
 ) -> MixedModel:
     """
     Test one score in cells of factors with a random intercept per subject; cells may be missing.
+
+    All scores of a subject correlate alike (compound symmetry); `repeated_measures` does not assume
+    this, but needs every cell.
 
     Parameters
     ----------

@@ -36,6 +36,7 @@ FAR = 15.0
 # SD below which people do not vary.
 SINGULAR = 1e-3
 STEP = 1e-4  # of differences
+LEAST = 1e-6  # of the difference between thresholds
 
 
 class CumulativeFit(NamedTuple):
@@ -91,68 +92,48 @@ class Cumulative:
         Return the maximum of the likelihood; with `covariance`, to the last digits and with the
         inverse of the observed information. `nominal` regressors have an effect on every threshold.
         """
-        category = category.astype(int)
-        centre = x.mean(axis=0)
-        unit = np.abs(x - centre).max(axis=0)
-        if nominal is None:
-            nominal = np.zeros((len(x), 0))
-        else:  # in units of its own range
-            nominal = (nominal - nominal.mean(axis=0)) / np.ptp(nominal, axis=0)
+        category, count = category.astype(int), len(x)
         cut = np.pad(np.eye(self.cuts), ((1, 1), (0, 0)))
         ends = np.array([cut[category], cut[category + 1]])  # lower and upper bound of each row
-        wide = (ends[..., None] * nominal[:, None]).reshape(2, len(x), -1)
-        slopes = np.broadcast_to((x - centre) / unit, (2, *x.shape))
-        design = np.concatenate([-slopes, ends, -wide], axis=2)
-        infinite = np.where(ends.any(axis=2), 0.0, [[-np.inf], [np.inf]])
-        thresholds = slice(unit.size, unit.size + self.cuts)
+        effects = np.zeros((count, 0)) if nominal is None else nominal
+        wide = (ends[..., None] * effects[:, None]).reshape(2, count, -1)
+        finite = ends.any(axis=2)
+        design = np.concatenate([-x * finite[..., None], ends, -wide], axis=2)
+        infinite = np.where(finite, 0.0, [[-np.inf], [np.inf]])
+        # The search is along uncorrelated directions of equal size.
+        directions, size, rows = np.linalg.svd(np.concatenate(design), full_matrices=False)
+        directions, rows = directions[:, size > 1e-12 * size[0]], rows[size > 1e-12 * size[0]]
+        size = size[: len(rows)] / np.sqrt(count)
+        turned = np.sqrt(count) * directions.reshape(2, count, -1)
+        turn = rows.T / size
 
         def loss(point: np.ndarray) -> tuple[float, np.ndarray]:
-            value, by_bound, by_sd = self._integrals(design @ point[:-1] + infinite, point[-1])
-            slope = np.append(np.tensordot(by_bound, design), by_sd)
-            return -value, -slope
+            bounds = turned @ point[:-1] + infinite
+            value, by_bound, by_sd = self._integrals(bounds, point[-1])
+            return -value, -np.append(np.tensordot(by_bound, turned), by_sd)
 
-        def ascending(parameters: np.ndarray) -> np.ndarray:
-            """Return thresholds for the first of them and the logarithms of steps between them."""
-            point = parameters.copy()
-            point[thresholds][1:] = np.exp(point[thresholds][1:])
-            point[thresholds] = np.cumsum(point[thresholds])
-            return point
-
-        def search(parameters: np.ndarray) -> tuple[float, np.ndarray]:
-            value, slope = loss(ascending(parameters))
-            slope[thresholds] = np.cumsum(slope[thresholds][::-1])[::-1]
-            slope[thresholds][1:] *= np.exp(parameters[thresholds][1:])
-            return value, slope
-
-        start = np.append(np.zeros(design.shape[2]), 0.7)
         below = np.cumsum(np.bincount(category, self.weight, self.cuts + 1))[:-1]
+        start = np.zeros(design.shape[2])
         theta = special.logit(np.clip(below / self.weight.sum(), 1e-3, 1.0 - 1e-3))
-        start[thresholds] = np.append(theta[0], np.log(np.maximum(np.diff(theta), 1e-2)))
-        best = minimize(search, start, jac=True, method="BFGS", options={"gtol": 1e-6})
-        point = ascending(best.x)
+        start[x.shape[1] :][: self.cuts] = theta
+        start = np.append(size * (rows @ start), 0.7)
+        point = minimize(loss, start, jac=True, method="BFGS", options={"gtol": 1e-6}).x
         spread = np.zeros((0, 0))
         if covariance:
             # People who do not vary are at the boundary, which carries no information on the rest.
             free = point.size - (abs(point[-1]) < SINGULAR)
             steps = STEP * np.eye(point.size)[:free]
             ahead, behind = (
-                [loss(point + sign * row)[1][:free] for row in steps] for sign in (1, -1)
+                np.array([loss(point + sign * step)[1][:free] for step in steps])
+                for sign in (1.0, -1.0)
             )
-            inverse = np.linalg.inv((np.array(ahead) - behind) / (2.0 * STEP))
+            inverse = np.linalg.inv((ahead - behind) / (2.0 * STEP))
             point[:free] -= inverse @ loss(point)[1][:free]
-            turn = np.eye(thresholds.stop)
-            turn[: unit.size, : unit.size] = np.diag(1.0 / unit)
-            turn[thresholds, : unit.size] = centre / unit
-            spread = turn @ inverse[: len(turn), : len(turn)] @ turn.T
-        beta = point[: unit.size] / unit
-        return CumulativeFit(
-            llf=-loss(point)[0],
-            beta=beta,
-            thresholds=point[thresholds] + centre @ beta,
-            nominal=point[thresholds.stop : -1].reshape(self.cuts, -1),
-            sd=abs(point[-1]),
-            covariance=spread,
-        )
+            spread = turn @ inverse[: size.size, : size.size] @ turn.T
+        places = [x.shape[1], x.shape[1] + self.cuts]
+        beta, thresholds, nominal = np.split(turn @ point[:-1], places)
+        value, sd = float(-loss(point)[0]), float(abs(point[-1]))
+        return CumulativeFit(value, beta, thresholds, nominal, sd, spread)
 
     def _integrals(self, bounds: np.ndarray, sd: float) -> tuple[float, np.ndarray, float]:
         """
@@ -170,16 +151,19 @@ class Cumulative:
         v = mode[:, None] + width[:, None] * self.nodes
         logit = bounds[:, :, None] - sd * v[self.codes]
         # F(b) − F(a) = F(b) (1 − F(a)) (1 − e^(a − b)), without cancellation.
-        gap = np.maximum(bounds[1] - bounds[0], 1e-8)
+        gap = bounds[1] - bounds[0]
+        rate = 1.0 / np.expm1(np.maximum(gap, LEAST))
         chance = special.log_expit(logit[1]) + special.log_expit(-logit[0])
-        chance += np.log1p(-np.exp(-gap))[:, None]
+        # Beyond a least gap it goes on in a straight line, so that a search finds its way back.
+        chance += np.log1p(-np.exp(-np.maximum(gap, LEAST)))[:, None]
+        chance += (rate * np.minimum(gap - LEAST, 0.0))[:, None]
         logs = self.member @ chance - 0.5 * v**2 + self.log_mass
         total = special.logsumexp(logs, axis=1)
         share = np.exp(logs - total[:, None])
         level_at = special.expit(logit)
         pull = self.member @ (level_at.sum(axis=0) - 1.0)
         by_bound = -(share[self.codes] * level_at).sum(axis=2)
-        by_bound += np.array([[0.0], [1.0]]) + np.array([[-1.0], [1.0]]) / np.expm1(gap)
+        by_bound += np.array([[0.0], [1.0]]) + np.array([[-1.0], [1.0]]) * rate
         by_sd = (share * v * pull).sum()
 
         # Nodes move with bounds and sd; the more of them there are, the less it matters.
