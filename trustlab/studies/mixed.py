@@ -185,7 +185,7 @@ class MixedModel(Result):
         Returns
         -------
         pandas.DataFrame
-            Columns a, b, level (of `at`), mean_difference (a − b), se, t, p, ci_low, ci_high (95 %,
+            Columns level (of `at`), a, b, mean_difference (a − b), se, t, p, ci_low, ci_high (95 %,
             unadjusted), df, p_holm, d_z (over √2 residual standard deviations; NaN between groups)
             and d_av (over the standard deviation of a score).
 
@@ -201,21 +201,23 @@ class MixedModel(Result):
         if factor == at:
             raise ValueError(f"factor and at are both {factor!r}; name two factors")
         cells = pd.DataFrame(product(*self.factors.values()), columns=[*self.factors])
-        pairs = pd.DataFrame(combinations(self.factors[factor], 2), columns=["a", "b"])
+        labels = self.factors[factor]
+        pairs = pd.DataFrame(combinations(labels, 2), columns=["a", "b"])
+        first, second = np.triu_indices(len(labels), 1)
         df = self.tests.set_index("effect")["df2"][str(factor)]
         twice = np.nan if factor in self.between else 2.0 * self.residual_variance
         tables = []
         for level in [np.nan] if at is None else self.factors[at]:
-            label = cells[factor] if at is None else cells[factor].where(cells[at] == level)
-            mean = {name: (label == name) / (label == name).sum() for name in self.factors[factor]}
-            weights = np.array([mean[a] - mean[b] for a, b in pairs.itertuples(index=False)])
+            here = cells[factor] if at is None else cells[factor].where(cells[at] == level)
+            mean = np.array([(here == label) / (here == label).sum() for label in labels])
+            weights = mean[first] - mean[second]
             difference = weights @ self.means["mean"].to_numpy()
             se = np.sqrt(((weights @ self.covariance) * weights).sum(axis=1))
             tests = estimates_of(difference, se, df).rename(columns={"estimate": "mean_difference"})
             tests = tests.assign(df=df, p_holm=holm(tests["p"].to_numpy()))
             tests["d_z"] = difference / np.sqrt(twice)
             tests["d_av"] = difference / np.sqrt(self.subject_variance + self.residual_variance)
-            tables.append(pairs.assign(level=level).join(tests))
+            tables.append(pairs.assign(level=level)[["level", "a", "b"]].join(tests))
         return labelled(pd.concat(tables, ignore_index=True), self.origin)
 
     def apa(self) -> str:

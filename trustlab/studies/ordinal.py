@@ -97,9 +97,9 @@ class Cumulative:
         ends = np.array([cut[category], cut[category + 1]])  # lower and upper bound of each row
         effects = np.zeros((count, 0)) if nominal is None else nominal
         wide = (ends[..., None] * effects[:, None]).reshape(2, count, -1)
-        finite = ends.any(axis=2)
+        finite = ends.sum(axis=2)
         design = np.concatenate([-x * finite[..., None], ends, -wide], axis=2)
-        infinite = np.where(finite, 0.0, [[-np.inf], [np.inf]])
+        infinite = np.where(finite == 1.0, 0.0, [[-np.inf], [np.inf]])
         # The search is along uncorrelated directions of equal size.
         directions, size, rows = np.linalg.svd(np.concatenate(design), full_matrices=False)
         directions, rows = directions[:, size > 1e-12 * size[0]], rows[size > 1e-12 * size[0]]
