@@ -345,9 +345,10 @@ def orders():
 
 def logistic():
     """Return the coefficients of a logistic mixed model."""
-    fit = tl.formula_model(
-        "successes ~ condition", counts(), groups="subject", family="binomial", trials="tried"
-    )
+    trials = counts().loc[lambda f: f.index.repeat(f["tried"])]
+    rank = trials.groupby(["subject", "condition"]).cumcount()
+    trials["success"] = (rank < trials["successes"]).astype(int)
+    fit = tl.ordinal_model(trials, dv="success", within="condition", subject="subject")
     return estimates(fit.coefficients_table(), "estimate", "se")
 
 
@@ -495,7 +496,7 @@ CASES = {
         "estimate",
         "se",
     ),
-    "formula_model_of_counts": logistic,
+    "ordinal_model_of_two_categories": logistic,
     "ordinal_model": ratings,
     "order_effects": orders,
     "power_analysis": power,

@@ -39,10 +39,10 @@ from trustlab.reproduction.reconstruction.reconstruction import reconstruct_stud
 from trustlab.sessions.session import Metadata, Session
 from trustlab.studies.analysis.rank_tests import friedman
 from trustlab.studies.analysis.report import report
+from trustlab.studies.mixed import FormulaModel
+from trustlab.studies.ordinal import OrdinalModel
 from trustlab.studies.planning.virtual_study import VirtualStudy
 from trustlab.studies.questionnaires import Questionnaire, ScaleScores
-from trustlab.studies.regression.formula_model import FormulaModel
-from trustlab.studies.regression.ordinal_model import OrdinalModel
 from trustlab.teleoperation import Passivity, TeamTrial
 from trustlab.trust.comparison import MEASURES, TrustComparison
 
@@ -200,9 +200,7 @@ def columns():
 
 def late():
     """Results that are dear to compute, made of hostile tables."""
-    formula = FormulaModel(
-        NAME, NAME, NAME, "normal", 5, 15, scores(), scores(), scores(), 0.0, False, 0, NAME
-    )
+    formula = FormulaModel(NAME, NAME, 5, 15, scores(), scores(), scores(), 0.0, False, 0, NAME)
     tables = dict.fromkeys(("checks", "table", "reach"), lambda self: scores())
     own = type("OwnCalibration", (Calibration,), tables | {"words": NAME})
     calibration = own(
@@ -245,8 +243,11 @@ def posterior():
 def ordinal():
     """A model of ratings whose tables hold hostile names."""
     frame = scores()
-    values = (NAME, NAME, (1, 2), NAME, 5, 15, *[frame] * 7, 0.0, False, NAME)
-    return OrdinalModel(*values)
+    tests = pd.DataFrame({"term": [NAME], "chi2": 1.0, "df": 1, "p_chi2": 0.3})
+    pairs = pd.DataFrame({"a": [NAME], "b": NAME, "p_holm": 0.01, "odds_ratio": 2.0})
+    pairs = pairs.assign(ci_low=0.5, ci_high=0.9)
+    tables = (tests, *[frame] * 4, pairs, frame)
+    return OrdinalModel(NAME, NAME, (1, 2), 5, 15, *tables, 0.0, False, NAME)
 
 
 def of_trust():

@@ -10,7 +10,6 @@ from .analysis.descriptives import (
     PartialEtaInterval as PartialEtaInterval,
     partial_eta_interval as partial_eta_interval,
 )
-from .analysis.mixed_model import MixedModel as MixedModel, mixed_model as mixed_model
 from .analysis.repeated_measures import (
     RepeatedMeasures as RepeatedMeasures,
     repeated_measures as repeated_measures,
@@ -24,6 +23,14 @@ from .designs import (
     participants_needed as participants_needed,
     williams_square as williams_square,
 )
+from .mixed import (
+    FormulaModel as FormulaModel,
+    MixedModel as MixedModel,
+    formula_model as formula_model,
+    mixed_model as mixed_model,
+)
+from .order_effects import OrderEffects as OrderEffects, order_effects as order_effects
+from .ordinal import OrdinalModel as OrdinalModel, ordinal_model as ordinal_model
 from .paired import (
     PairedTTest as PairedTTest,
     bayes_factor as bayes_factor,
@@ -55,7 +62,4 @@ from .questionnaires import (
     score as score,
     tlx_weights as tlx_weights,
 )
-from .regression.formula_model import FormulaModel as FormulaModel, formula_model as formula_model
-from .regression.order_effects import OrderEffects as OrderEffects, order_effects as order_effects
-from .regression.ordinal_model import OrdinalModel as OrdinalModel, ordinal_model as ordinal_model
 from .winsorize import Winsorized as Winsorized, winsorize as winsorize

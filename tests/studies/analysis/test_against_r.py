@@ -133,7 +133,7 @@ def test_mixed_model_against_nlme(name):
     assert found.df2 == study["mixed_df2"]
     assert study["mixed_F"] == pytest.approx(
         found.F, rel=2e-6
-    )  # nlme stops there: test_mixed_model.py is tighter
+    )  # nlme stops there: test_mixed.py is tighter
     assert found.missing_cells == np.isnan(np.array(study["data"], dtype=float)).sum()
 
 

@@ -143,9 +143,9 @@ def test_shares_by_a_plain_loop():
     rng, found = np.random.default_rng(1), 0
     for _ in range(60):
         eta = special.logit([0.64, 0.5]) + 0.8 * rng.standard_normal((14, 1))
-        frame = pd.DataFrame({"who": np.repeat(range(14), 2), "c": ["C2", "C4"] * 14, "m": 10})
-        frame["y"] = rng.binomial(10, special.expit(eta)).ravel()
-        model = tl.formula_model("y ~ c", frame, groups="who", family="binomial", trials="m")
+        frame = pd.DataFrame({"who": np.repeat(range(14), 20), "c": ["C2", "C4"] * 140})
+        frame["y"] = rng.binomial(1, np.tile(special.expit(eta), 10).ravel())
+        model = tl.ordinal_model(frame, "y", "c", "who")
         found += model.table()["p_chi2"].item() < 0.05
     assert within_simulation_error(found / 60, power, 60, 4.5)
 

@@ -1,4 +1,4 @@
-# Reference values of tests/studies/regression/test_formula_model.py: lme4 on published data sets.
+# Reference values of tests/studies/test_mixed.py: lme4 on published data sets.
 # Run in this folder: Rscript formula_model.R    (lme4, nlme, jsonlite; writes formula_model.json)
 suppressPackageStartupMessages({
   library(lme4)
@@ -11,19 +11,15 @@ oats <- as.data.frame(nlme::Oats)[-c(3, 17, 40), ]
 oats$Block <- as.character(oats$Block)
 oats$Variety <- as.character(oats$Variety)
 sets <- list(
-  "Belenky and others (2003): lme4::sleepstudy" =
-    list(data = sleepstudy, y = "Reaction", fixed = "Days", random = "1 + Days", groups = "Subject"),
   "Potthoff and Roy (1964): nlme::Orthodont" =
-    list(data = orthodont, y = "distance", fixed = "age * Sex", random = "1", groups = "Subject"),
+    list(data = orthodont, y = "distance", fixed = "age * Sex", groups = "Subject"),
   "Yates (1935), three plots missing: nlme::Oats" =
-    list(data = oats, y = "yield", fixed = "nitro + Variety", random = "1", groups = "Block"),
-  "Yates (1935), slopes that are singular: nlme::Oats" =
-    list(data = oats, y = "yield", fixed = "nitro + Variety", random = "1 + nitro", groups = "Block")
+    list(data = oats, y = "yield", fixed = "nitro + Variety", groups = "Block")
 )
 analyse <- function(set) {
   control <- lmerControl(optimizer = "bobyqa", optCtrl = list(rhoend = 1e-10))
   fit <- function(fixed, reml = FALSE) {
-    lmer(as.formula(sprintf("%s ~ %s + (%s | %s)", set$y, fixed, set$random, set$groups)), set$data, REML = reml, control = control)
+    lmer(as.formula(sprintf("%s ~ %s + (1 | %s)", set$y, fixed, set$groups)), set$data, REML = reml, control = control)
   }
   labels <- attr(terms(as.formula(paste("~", set$fixed))), "term.labels")
   tests <- lapply(labels, function(term) {
@@ -37,7 +33,7 @@ analyse <- function(set) {
   own <- fit(set$fixed, TRUE)
   vc <- as.data.frame(VarCorr(own))
   list(
-    data = set$data, formula = paste(set$y, "~", set$fixed), random = set$random, groups = set$groups, tests = tests,
+    data = set$data, formula = paste(set$y, "~", set$fixed), groups = set$groups, tests = tests,
     estimate = unname(fixef(own)), se = unname(sqrt(diag(as.matrix(vcov(own))))),
     variances = vc$vcov[is.na(vc$var2)], log_likelihood = as.numeric(logLik(fit(set$fixed))),
     singular = isSingular(own, tol = 1e-6)

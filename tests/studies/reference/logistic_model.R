@@ -1,4 +1,4 @@
-# Reference values of tests/studies/regression/test_logistic_model.py: glmer of lme4 on published data sets.
+# Reference values of tests/studies/test_ordinal.py: glmer of lme4 on published data sets.
 # Run in this folder: Rscript logistic_model.R    (lme4, jsonlite; writes logistic_model.json)
 suppressPackageStartupMessages({
   library(lme4)

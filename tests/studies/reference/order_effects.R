@@ -1,4 +1,4 @@
-# Reference values of tests/studies/regression/test_order_effects.py: full and reduced regressions by R's lm, drop1-wise.
+# Reference values of tests/studies/test_order_effects.py: full and reduced regressions by R's lm, drop1-wise.
 # Run in this folder: Rscript order_effects.R    (emmeans, jsonlite; writes order_effects.json)
 suppressPackageStartupMessages({
   library(emmeans)

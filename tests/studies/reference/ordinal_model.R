@@ -1,4 +1,4 @@
-# Reference values of tests/studies/regression/test_ordinal_model.py: clmm and clmm2 of ordinal and glmer of lme4.
+# Reference values of tests/studies/test_ordinal.py: clmm and clmm2 of ordinal.
 # Run in this folder: Rscript ordinal_model.R    (ordinal, lme4, jsonlite; writes ordinal_model.json)
 suppressPackageStartupMessages({
   library(ordinal)
@@ -8,9 +8,9 @@ suppressPackageStartupMessages({
 data(wine, package = "ordinal")
 wine2 <- data.frame(judge = as.character(wine$judge), temp = as.character(wine$temp), contact = as.character(wine$contact),
                     rating = as.integer(wine$rating))
-aggression <- VerbAgg[VerbAgg$id %in% levels(VerbAgg$id)[1:40], c("id", "situ", "mode", "resp", "r2")]
+aggression <- VerbAgg[VerbAgg$id %in% levels(VerbAgg$id)[1:40], c("id", "situ", "mode", "resp")]
 verbal <- data.frame(id = as.character(aggression$id), situ = as.character(aggression$situ), mode = as.character(aggression$mode),
-                     answer = as.integer(aggression$resp), yes = as.integer(aggression$r2 == "Y"))
+                     answer = as.integer(aggression$resp))
 control <- clmm.control(gradTol = 1e-9, maxIter = 500, maxLineIter = 200)
 describe <- function(m) {
   n <- length(m$alpha); b <- length(m$beta)
@@ -23,19 +23,14 @@ nine <- clmm(r ~ temp * contact + (1 | judge), wine, nAGQ = 9, control = control
 both <- clmm(r ~ temp + contact + (1 | judge), wine, nAGQ = 9, control = control)
 no_temp <- clmm(r ~ contact + (1 | judge), wine, nAGQ = 9, control = control)
 no_contact <- clmm(r ~ temp + (1 | judge), wine, nAGQ = 9, control = control)
-slopes <- clmm(factor(answer, ordered = TRUE) ~ situ + mode + (1 + mode | id), verbal, control = control)
 chi2 <- function(small, large) as.numeric(2 * (logLik(large) - logLik(small)))
 wide <- clmm2(factor(answer, ordered = TRUE) ~ situ + mode, random = factor(id), data = verbal, nAGQ = 15, Hess = TRUE)
 nominal <- clmm2(factor(answer, ordered = TRUE) ~ situ, nominal = ~mode, random = factor(id), data = verbal, nAGQ = 15, Hess = TRUE)
-g <- glmer(yes ~ situ + mode + (1 + mode | id), verbal, binomial, glmerControl(optimizer = "bobyqa", optCtrl = list(rhoend = 1e-10, maxfun = 1e5), tolPwrss = 1e-12))
 out <- list(
   r = R.version.string, ordinal = as.character(packageVersion("ordinal")), lme4 = as.character(packageVersion("lme4")),
   wine = wine2, verbal = verbal,
   interaction = describe(nine),
   tests = list(temp = chi2(no_temp, both), contact = chi2(no_contact, both), interaction = chi2(both, nine)),
-  slopes = describe(slopes),
-  proportional = list(location = as.numeric(logLik(wide)), nominal = as.numeric(logLik(nominal))),
-  logistic = list(estimate = unname(fixef(g)), se = unname(sqrt(diag(as.matrix(vcov(g))))), covariance = unname(as.matrix(VarCorr(g)$id)[1:2, 1:2]),
-                  log_likelihood = as.numeric(logLik(g)))
+  proportional = list(location = as.numeric(logLik(wide)), nominal = as.numeric(logLik(nominal)))
 )
 write(toJSON(out, digits = NA, auto_unbox = TRUE, dataframe = "columns"), "ordinal_model.json")

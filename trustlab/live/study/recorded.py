@@ -27,6 +27,7 @@ from trustlab.models.display import as_html
 from trustlab.sessions.reading import read_session
 from trustlab.sessions.session import Session
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
+from trustlab.studies.order_effects import OrderEffects, order_effects
 from trustlab.studies.questionnaires import (
     NASA_TLX,
     TRUST_CHECKLIST,
@@ -35,7 +36,6 @@ from trustlab.studies.questionnaires import (
     satisfaction_scale,
     score,
 )
-from trustlab.studies.regression.order_effects import OrderEffects, order_effects
 
 KEYS = ["participant", "position", "condition"]
 REHEARSAL = "scripted hands, no person took part"

@@ -20,7 +20,6 @@ from trustlab.studies.analysis.batch import (
     table_error,
 )
 from trustlab.studies.analysis.descriptives import describe, noncentrality_interval
-from trustlab.studies.analysis.mixed_model import MixedModel, fit_mixed_model
 from trustlab.studies.analysis.rank_tests import (
     Friedman,
     friedman,
@@ -31,6 +30,7 @@ from trustlab.studies.analysis.rank_tests import (
 from trustlab.studies.analysis.score_table import ScoreTable, labelled, same_for_all
 from trustlab.studies.analysis.sphericity import CORRECTIONS, choose_correction
 from trustlab.studies.analysis.study_design import StudyDesign, read_design
+from trustlab.studies.mixed import MixedModel, fit_mixed_model
 
 _ETA2 = ["eta2_partial", "eta2_generalized"]
 # Statistics of the effect of conditions in a table of sources of variance.

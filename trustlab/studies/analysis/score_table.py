@@ -247,7 +247,8 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
         raise ValueError(
             f"missing cells in {table.dv!r}: {_missing_cells(table)}"
             f"{_similar_labels(table.conditions)}. Complete them; or leave these subjects out with "
-            "missing='listwise'; or use trustlab.studies.mixed_model, which accepts missing cells"
+            "missing='listwise'; or call tl.mixed_model with the same arguments: it takes missing "
+            "cells"
         )
     excluded = tuple(s for s, out in zip(table.subjects, gone, strict=True) if out)
     complete = tuple(s for s, out in zip(table.subjects, gone, strict=True) if not out)

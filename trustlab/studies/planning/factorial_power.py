@@ -30,9 +30,9 @@ from trustlab.studies.analysis.anova import (
 )
 from trustlab.studies.analysis.repeated_measures import repeated_measures
 from trustlab.studies.analysis.sphericity import CORRECTIONS, greenhouse_geisser
+from trustlab.studies.ordinal import Cumulative
 from trustlab.studies.planning.closed_form_power import clopper_pearson
 from trustlab.studies.planning.settings import Simulation, StudyColumns
-from trustlab.studies.regression.cumulative_model import Cumulative, Logistic
 from trustlab.testbeds.covariance import checked_covariance
 
 
@@ -203,12 +203,17 @@ class Proportions(_Answers):
         """
         logits = self.logits
         k = len(logits)
-        model = Logistic(np.repeat(np.arange(n), k), np.full(n * k, float(self.trials)), 9)
-        conditions, common = np.tile(np.eye(k), (n, 1)), np.ones((n * k, 1))
+        people = np.repeat(np.arange(n), 2 * k)
+        outcome = np.tile([0, 1], n * k)
+        conditions = np.tile(np.repeat(np.eye(k)[:, 1:], 2, axis=0), (n, 1))
         while True:
             chance = special.expit(logits + self.sd * rng.standard_normal((n, 1))).ravel()
             counts = rng.binomial(self.trials, chance).astype(float)
-            yield 2.0 * (model.fit(counts, conditions).llf - model.fit(counts, common).llf), k - 1
+            model = Cumulative(
+                people, 2, 9, np.column_stack([self.trials - counts, counts]).ravel()
+            )
+            chi2 = 2.0 * model.fit(outcome, conditions).llf
+            yield chi2 - 2.0 * model.fit(outcome, conditions[:, :0]).llf, k - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,7 +273,6 @@ class Ratings(_Answers):
         thresholds = np.tile(np.repeat(special.logit(below), self.repeats, axis=0), (n, 1))
         people = np.repeat(np.arange(n), k * self.repeats)
         conditions = np.tile(np.repeat(np.eye(k)[:, 1:], self.repeats, axis=0), (n, 1))
-        intercepts = np.ones((people.size, 1))
         while True:
             answers = self.sd * rng.standard_normal(n)[people]
             answers += special.logit(rng.random(people.size))
@@ -277,7 +281,7 @@ class Ratings(_Answers):
             levels, category = np.unique(ratings, return_inverse=True)
             chi2 = 0.0
             if levels.size > 1:
-                model = Cumulative(people, intercepts, 9, levels.size)
+                model = Cumulative(people, levels.size, 9)
                 chi2 = 2.0 * model.fit(category, conditions).llf
                 chi2 -= 2.0 * model.fit(category, conditions[:, :0]).llf
             yield chi2, k - 1

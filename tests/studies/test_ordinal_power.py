@@ -13,7 +13,7 @@ from scipy import special, stats
 
 import trustlab as tl
 
-R = json.loads((Path(__file__).parents[1] / "reference" / "ordinal_power.json").read_text())
+R = json.loads((Path(__file__).parents[0] / "reference" / "ordinal_power.json").read_text())
 BELOW = special.logit(np.cumsum(R["first"])[:-1])
 
 

@@ -13,7 +13,7 @@ from scipy import stats
 
 import trustlab as tl
 
-SETS = json.loads((Path(__file__).parents[1] / "reference" / "order_effects.json").read_text())[
+SETS = json.loads((Path(__file__).parents[0] / "reference" / "order_effects.json").read_text())[
     "sets"
 ]
 
@@ -111,7 +111,7 @@ def test_type_one_error(studies):
         (
             lambda f: f.assign(g=range(len(f))),
             {"sequence": "g"},
-            "sequence: subject 1 has two sequences",
+            "sequence: subject 1 has two labels",
         ),
         (lambda f: f, {"condition": "cond"}, "condition: no column 'cond'"),
         (lambda f: f, {"order": ["A"]}, "order must list every condition"),

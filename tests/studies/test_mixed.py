@@ -1,0 +1,470 @@
+"""
+Mixed models with a random intercept. Oracles: closed form (complete data), statsmodels' own
+search, brute force, the ANOVA, lme4 on published data (reference/formula_model.R); nlme in
+test_against_r.py.
+"""
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import optimize
+from statsmodels.regression.mixed_linear_model import MixedLM
+
+import trustlab as tl
+from trustlab.studies import mixed_model
+from trustlab.studies.analysis.score_table import ScoreTable
+from trustlab.studies.mixed import RandomIntercepts, fit_mixed_model
+
+
+def laid_out(values):
+    n, k = values.shape
+    return ScoreTable(values, tuple(range(n)), tuple(range(k)), "y", "c", "s")
+
+
+def draw(n, k, subjects=1.0, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((n, k)) + subjects * rng.standard_normal((n, 1)) + 0.3 * np.arange(k)
+
+
+@pytest.mark.parametrize(
+    ("n", "k", "subjects"),
+    [(24, 4, 1.0), (36, 5, 3.0), (12, 10, 1.0), (24, 4, 20.0), (24, 4, 300.0), (8, 2, 2.0)],
+)
+def test_complete_data_give_the_anova(n, k, subjects):
+    """
+    Closed form: with complete data and MS_subjects > MS_error, F, variances and df are the ANOVA's.
+    """
+    values = draw(n, k, subjects)
+    found, batch = fit_mixed_model(laid_out(values)), tl.repeated_measures_batch(values[None])
+    error, between = batch.ss_error[0] / batch.df2, batch.ss_subjects[0] / (n - 1)
+    assert between > error
+    np.testing.assert_allclose([found.F, found.residual_variance], [batch.F[0], error], rtol=1e-6)
+    np.testing.assert_allclose(found.subject_variance, (between - error) / k, rtol=2e-5)
+    np.testing.assert_allclose(found.p, batch.p[0], rtol=1e-5)
+    assert (found.df1, found.df2, found.singular, found.missing_cells) == (
+        batch.df1,
+        batch.df2,
+        False,
+        0,
+    )
+    np.testing.assert_allclose(found.means["mean"], values.mean(axis=0), rtol=1e-9, atol=1e-9)
+
+
+def test_a_variance_of_zero_is_said():
+    values = draw(12, 4, 0.0)
+    values += (
+        2.0 * (values.mean() - values.mean(axis=1, keepdims=True)) * 0.5
+    )  # subjects' means nearly equal
+    found, batch = fit_mixed_model(laid_out(values)), tl.repeated_measures_batch(values[None])
+    assert batch.ss_subjects[0] / 11 < batch.ss_error[0] / batch.df2
+    assert found.singular
+    assert found.subject_variance == found.icc == 0.0
+    pooled = (batch.ss_subjects[0] + batch.ss_error[0]) / (
+        11 + batch.df2
+    )  # closed form: a one-way ANOVA
+    np.testing.assert_allclose(found.F, batch.ss_effect[0] / 3 / pooled, rtol=1e-10)
+
+
+def test_statsmodels_own_search_finds_the_same():
+    values = draw(15, 4)
+    values[np.random.default_rng(1).random((15, 4)) < 0.2] = np.nan
+    found = fit_mixed_model(laid_out(values))
+    i, j = np.nonzero(~np.isnan(values))
+    design = (j[:, None] == np.arange(4)).astype(float)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fit = MixedLM(values[i, j], design, groups=i).fit(reml=True, method=["powell", "bfgs"])
+    np.testing.assert_allclose(found.means["mean"], fit.fe_params, rtol=1e-5)
+    np.testing.assert_allclose(
+        [found.subject_variance, found.residual_variance], [fit.cov_re[0, 0], fit.scale], rtol=1e-4
+    )
+
+
+def test_missing_cells_by_brute_force():
+    """
+    Oracle: the restricted likelihood with dense matrices, minimized over both variances;
+    generalized least squares.
+    """
+    values = draw(10, 3, seed=3)
+    values[[0, 0, 4, 7], [0, 1, 2, 1]] = np.nan
+    found = fit_mixed_model(laid_out(values))
+    i, j = np.nonzero(~np.isnan(values))
+    y, x = values[i, j], (j[:, None] == np.arange(3)).astype(float)
+    same = (i[:, None] == i).astype(float)
+
+    def restricted(log_variances):
+        v = np.exp(log_variances[0]) * same + np.exp(log_variances[1]) * np.eye(y.size)
+        inverse = np.linalg.inv(v)
+        information = x.T @ inverse @ x
+        error = y - x @ np.linalg.solve(information, x.T @ inverse @ y)
+        return np.linalg.slogdet(v)[1] + np.linalg.slogdet(information)[1] + error @ inverse @ error
+
+    best = optimize.minimize(
+        restricted,
+        [0.0, 0.0],
+        method="Nelder-Mead",
+        options={"xatol": 1e-9, "fatol": 1e-13, "maxiter": 4000},
+    )
+    np.testing.assert_allclose(
+        [found.subject_variance, found.residual_variance], np.exp(best.x), rtol=1e-5
+    )
+    v = found.subject_variance * same + found.residual_variance * np.eye(y.size)
+    covariance = np.linalg.inv(x.T @ np.linalg.solve(v, x))
+    beta = covariance @ x.T @ np.linalg.solve(v, y)
+    contrast = np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0]])
+    effect = contrast @ beta
+    chi2 = effect @ np.linalg.solve(contrast @ covariance @ contrast.T, effect)
+    np.testing.assert_allclose(found.chi2, chi2, rtol=1e-6)
+    np.testing.assert_allclose(found.means["mean"], beta, rtol=1e-7)
+    np.testing.assert_allclose(found.means["se"], np.sqrt(np.diag(covariance)), rtol=1e-6)
+    assert (found.n, found.cells, found.missing_cells, found.df2) == (10, 26, 4, 14)
+
+
+def test_unit_and_offset_do_not_matter():
+    values = draw(12, 4)
+    values[3, 2] = np.nan
+    one, two = fit_mixed_model(laid_out(values)), fit_mixed_model(laid_out(1e4 + 1e-3 * values))
+    np.testing.assert_allclose([two.F, two.p, two.icc], [one.F, one.p, one.icc], rtol=1e-5)
+    np.testing.assert_allclose(two.means["mean"], 1e4 + 1e-3 * one.means["mean"], rtol=1e-12)
+
+
+def test_a_subject_without_any_score_does_not_count():
+    values = draw(8, 3)
+    more = np.vstack([values, np.full((1, 3), np.nan)])
+    one, two = fit_mixed_model(laid_out(values)), fit_mixed_model(laid_out(more))
+    assert (two.n, two.missing_cells, two.df2) == (8, 0, one.df2)
+    np.testing.assert_allclose(two.F, one.F, rtol=1e-9)
+
+
+def test_from_a_long_table():
+    values = draw(6, 3)
+    frame = (
+        pd.DataFrame(values)
+        .rename_axis("subject")
+        .reset_index()
+        .melt("subject", var_name="condition")
+    )
+    frame = frame.drop(index=[4])
+    found = mixed_model(frame, dv="value", within="condition", subject="subject")
+    assert found.missing_cells == 1
+    assert found.means.index.tolist() == [0, 1, 2]
+    assert found.table()["F"].item() == found.F
+    assert "Mixed model" in found._repr_html_()
+
+
+def test_bad_tables():
+    values = draw(6, 3)
+    with pytest.raises(ValueError, match=r"subject: column 's' has 2 groups with scores"):
+        fit_mixed_model(laid_out(values[:2]))
+    alone = np.full((6, 3), np.nan)
+    alone[np.arange(6), np.arange(6) % 3] = 1.0 + np.arange(6)
+    with pytest.raises(ValueError, match="no error variance"):
+        fit_mixed_model(laid_out(alone))
+    with pytest.raises(ValueError, match="no error variance"):
+        fit_mixed_model(laid_out(np.full((6, 3), 2.0)))
+    exact = 0.1 * np.arange(6)[:, None] + 0.7 * np.arange(3)
+    exact[2, 1] = np.nan
+    with pytest.raises(ValueError, match="dv or formula: the scores have no error variance"):
+        fit_mixed_model(laid_out(exact))
+    frame = pd.DataFrame({"s": [1, 1], "c": ["a", "b"], "y": ["1", "2"]})
+    with pytest.raises(ValueError, match="holds '1' for subject 1, condition 'a'"):
+        mixed_model(frame, "y", "c", "s")
+
+
+def grouped(sizes=(6, 8), seed=3, within=("condition",)):
+    """Scores of two groups in all cells of within-subject factors with levels a, b, c."""
+    rng = np.random.default_rng(seed)
+    n = sum(sizes)
+    levels = [range(n), *[list("abc")] * len(within)]
+    frame = pd.MultiIndex.from_product(levels, names=["person", *within]).to_frame(index=False)
+    frame["group"] = np.where(frame["person"] < sizes[0], "novice", "expert")
+    people = 2.0 * rng.standard_normal(n)[frame["person"]]
+    frame["score"] = people + rng.standard_normal(len(frame)) + (frame[within[0]] == "c")
+    return frame
+
+
+GROUPED = {"dv": "score", "within": "condition", "subject": "person", "between": "group"}
+
+
+@pytest.mark.parametrize("within", [("condition",), ("condition", "task")])
+def test_groups_without_missing_cells_give_the_anova(within):
+    """
+    One factor within: every F and df is the ANOVA's. Several: numerators and denominators differ,
+    but the effect of the group, whose error is between people, does not.
+    """
+    call = GROUPED | {"within": list(within)}
+    model = tl.mixed_model(grouped(within=within), **call).table().set_index("effect")
+    anova = tl.repeated_measures(grouped(within=within), **call).table().set_index("effect")
+    effects = list(anova.index) if len(within) == 1 else ["group"]
+    np.testing.assert_allclose(model.loc[effects, "F"], anova.loc[effects, "F"], rtol=1e-7)
+    assert model.loc[effects, "df2"].tolist() == anova.loc[effects, "df2"].tolist()
+    assert set(model.index) == set(anova.index)
+
+
+def test_groups_with_missing_cells_by_brute_force():
+    """
+    Oracle: dense generalized least squares on effects that sum to zero, at the model's variances;
+    nlme's containment degrees of freedom.
+    """
+    frame = grouped().drop(index=[4, 17, 40])
+    model = tl.mixed_model(frame, **GROUPED)
+    condition = np.vstack([np.eye(2), -np.ones(2)])[pd.factorize(frame["condition"])[0]]
+    group = np.where(frame["group"] == "expert", 1.0, -1.0)[:, None]
+    x = np.column_stack([np.ones(len(frame)), group, condition, group * condition])
+    same = (frame["person"].to_numpy()[:, None] == frame["person"].to_numpy()) * 1.0
+    v = model.subject_variance * same + model.residual_variance * np.eye(len(frame))
+    covariance = np.linalg.inv(x.T @ np.linalg.solve(v, x))
+    beta = covariance @ x.T @ np.linalg.solve(v, frame["score"].to_numpy())
+    table = model.table().set_index("effect")
+    columns = {"group": [1], "condition": [2, 3], "group × condition": [4, 5]}
+    for effect, at in columns.items():
+        chi2 = beta[at] @ np.linalg.solve(covariance[np.ix_(at, at)], beta[at])
+        assert table.loc[effect, "chi2"] == pytest.approx(chi2, rel=1e-9)
+    assert table["df2"].tolist() == [14 - 2, 39 - 14 - 4, 39 - 14 - 4]
+    eta = table["F"] * table["df1"] / (table["F"] * table["df1"] + table["df2"])
+    np.testing.assert_allclose(table["eta2_partial"], eta)
+    low, high = table.loc["condition", ["eta2_partial_low", "eta2_partial_high"]]
+    assert low < eta["condition"] < high
+    # a − c, at experts: over the interaction's coding.
+    pair = model.pairs(at="group").set_index(["level", "a", "b"]).loc[("expert", "a", "c")]
+    contrast = np.array([0.0, 0.0, 2.0, 1.0, 2.0, 1.0])
+    assert pair["mean_difference"] == pytest.approx(contrast @ beta)
+    assert pair["t"] == pytest.approx(contrast @ beta / np.sqrt(contrast @ covariance @ contrast))
+    assert pair["d_z"] == pytest.approx(contrast @ beta / np.sqrt(2 * model.residual_variance))
+
+
+def test_pairs():
+    """Without missing cells they are t-tests with the pooled error of the ANOVA."""
+    frame = grouped()
+    model = tl.mixed_model(frame, **GROUPED)
+    pairs = model.pairs()
+    means = frame.groupby(["group", "condition"])["score"].mean().groupby("condition").mean()
+    np.testing.assert_allclose(pairs["mean_difference"][0], means["a"] - means["b"])
+    se = np.sqrt(2.0 * model.residual_variance * (1 / 6 + 1 / 8) / 4)
+    np.testing.assert_allclose(pairs["mean_difference"] / pairs["t"], se)
+    assert pairs["df"].unique().tolist() == [24]
+    assert pairs["p_holm"].to_numpy() == pytest.approx(tl.studies.holm(pairs["p"].to_numpy()))
+    between = model.pairs("group")
+    assert between["df"].item() == 12
+    assert np.isnan(between["d_z"].item())
+    assert np.isfinite(between["d_av"].item())
+    with pytest.raises(ValueError, match="factor must be one of"):
+        model.pairs("task")
+    with pytest.raises(ValueError, match="factor and at are both"):
+        model.pairs("group", at="group")
+
+
+def test_the_call_that_an_error_recommends_works_as_typed():
+    frame = grouped().drop(index=[4, 17, 40])
+    with pytest.raises(ValueError, match=r"missing cells.*tl\.mixed_model with the same arguments"):
+        tl.repeated_measures(frame, **GROUPED)
+    model = tl.mixed_model(frame, **GROUPED)
+    assert model.missing_cells == 3
+    assert model.table()["effect"].tolist() == ["group", "condition", "group × condition"]
+    assert "(N = 14, 3 cells missing): group was not significant, F(1, 12)" in model.apa()
+    assert model.apa() in tl.report(model).text
+    with pytest.raises(AttributeError, match="a row per effect"):
+        _ = model.F
+
+
+def test_effects_of_factors_whose_names_look_like_interactions():
+    frame = grouped(within=("A × B", "C"))
+    model = tl.mixed_model(frame, "score", ["A × B", "C"], "person", between="group")
+    assert model.table()["effect"].tolist()[:3] == ["group", "A × B", "C"]
+    order = {"C": ["c", "b", "a"]}
+    turned = tl.mixed_model(frame, "score", ["A × B", "C"], "person", order=order)
+    assert turned.pairs("C")[["a", "b"]].to_numpy().tolist() == [["c", "b"], ["c", "a"], ["b", "a"]]
+
+
+@pytest.mark.parametrize(
+    ("change", "more", "message"),
+    [
+        (lambda f: f.assign(group=f["condition"]), {}, "between: subject 0 has two labels"),
+        (lambda f: f.assign(group="one"), {}, "between: column 'group' has one level"),
+        (lambda f: f, {"between": "grup"}, "between: no column 'grup'; did you mean 'group'"),
+        (lambda f: f, {"order": {"task": ["a"]}}, "order: 'task' is no factor"),
+        (lambda f: f, {"order": ["a", "b"]}, "order must list every condition"),
+        (
+            lambda f: f[(f["group"] == "expert") | (f["condition"] != "a")],
+            {},
+            "within: no subject has a score in cell 'novice × a'",
+        ),
+    ],
+)
+def test_bad_groups_are_refused(change, more, message):
+    with pytest.raises(ValueError, match=message):
+        tl.mixed_model(change(grouped()), **GROUPED | more)
+
+
+# Models by formula.
+
+SETS = json.loads((Path(__file__).parents[0] / "reference" / "formula_model.json").read_text())[
+    "sets"
+]
+
+
+def trials(seed=0, n=8, effect=0.0):
+    rng = np.random.default_rng(seed)
+    frame = pd.DataFrame(
+        {
+            "who": np.repeat(range(n), 6),
+            "mode": ["A", "B", "C"] * (2 * n),
+            "trial": np.tile(range(6), n) * 1.0,
+        }
+    )
+    score = (
+        rng.standard_normal(len(frame))
+        + rng.standard_normal(n).repeat(6)
+        + effect * (frame["mode"] == "C")
+    )
+    return frame.assign(error=score)
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_formula_model_agrees_with_lme4(name):
+    reference = SETS[name]
+    fit = tl.formula_model(
+        reference["formula"],
+        pd.DataFrame(reference["data"]),
+        groups=reference["groups"],
+    )
+    assert fit.log_likelihood == pytest.approx(reference["log_likelihood"], abs=1e-9)
+    assert fit.singular == reference["singular"]
+    table = fit.table().set_index("term")
+    for test in reference["tests"]:
+        row = table.loc[test["term"]]
+        assert row["df"] == test["df"]
+        assert row["chi2"] == pytest.approx(test["chi2"], abs=1e-7)
+        assert row["p_chi2"] == pytest.approx(test["p"], rel=1e-7)
+    coefficients = fit.coefficients_table()
+    np.testing.assert_allclose(coefficients["estimate"], reference["estimate"], rtol=1e-8)
+    np.testing.assert_allclose(coefficients["se"], reference["se"], rtol=1e-6)
+    np.testing.assert_allclose(fit.random_effects()["variance"], reference["variances"], rtol=1e-5)
+
+
+def test_the_unit_of_the_score_does_not_matter():
+    one, other = (
+        tl.formula_model("error ~ mode", f, groups="who")
+        for f in (trials(), trials().assign(error=lambda f: 1e6 * f["error"]))
+    )
+    np.testing.assert_allclose(other.table()["chi2"], one.table()["chi2"], rtol=1e-6)
+    np.testing.assert_allclose(
+        other.coefficients["estimate"], 1e6 * one.coefficients["estimate"], rtol=1e-6
+    )
+
+
+def test_bootstrap():
+    """Same seed, same p; an effect is found; the p is a share of draws."""
+    first, again = (
+        tl.formula_model("error ~ mode", trials(effect=1.5), groups="who", bootstrap=19, seed=3)
+        for _ in range(2)
+    )
+    pd.testing.assert_frame_equal(first.table(), again.table())
+    assert first.table()["p_bootstrap"].item() == pytest.approx(0.05)
+    none = tl.formula_model("error ~ mode", trials(1), groups="who", bootstrap=19, seed=3).table()
+    assert none["p_bootstrap"].item() > 0.05
+    assert "19 simulated data sets" in first._repr_html_()
+
+
+@pytest.mark.parametrize("kind", ["synthetic", "reconstructed"])
+def test_origin_is_said(kind):
+    frame = trials()
+    frame.attrs[kind] = True
+    found = tl.formula_model("error ~ trial", data=frame, groups="who")
+    assert (
+        found.origin
+        == found.table().attrs["origin"]
+        == found.coefficients.attrs["origin"]
+        == f"{kind} data"
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "arguments", "message"),
+    [
+        (lambda f: f, {"formula": "error ~ modes"}, "formula 'error ~ modes'.*modes"),
+        (lambda f: f, {"formula": "error"}, "formula must be"),
+        (lambda f: f, {"groups": "whom"}, "groups: no column 'whom'; did you mean 'who'"),
+        (
+            lambda f: f.assign(trial=np.nan),
+            {"formula": "error ~ trial"},
+            "48 rows have a missing or infinite value",
+        ),
+        (
+            lambda f: f.assign(twice=f["trial"]),
+            {"formula": "error ~ trial + twice"},
+            "linearly dependent",
+        ),
+        (lambda f: f.assign(error=1.0), {}, "no error variance"),
+        (lambda f: f[f["who"] < 2], {}, "has 2 groups"),
+        (lambda f: None, {}, "data must be of class DataFrame"),
+    ],
+)
+def test_bad_models_are_refused(change, arguments, message):
+    options = {"formula": "error ~ mode", "groups": "who"} | arguments
+    with pytest.raises(ValueError, match=message):
+        tl.formula_model(options.pop("formula"), change(trials()), **options)
+
+
+def test_an_unknown_reference_level_is_refused_with_the_formula():
+    with pytest.raises(ValueError, match=r"formula .*'Z'.*is not among the provided levels"):
+        tl.formula_model("error ~ C(mode, contr.treatment('Z'))", trials(), groups="who")
+
+
+def test_drawn_scores_have_the_fitted_variances():
+    model = RandomIntercepts("subject", pd.Series(np.repeat(np.arange(4000), 3)))
+    x = np.tile(np.eye(3), (4000, 1))
+    rng = np.random.default_rng(0)
+    y = x @ [1.0, 2.0, 3.0] + rng.standard_normal(4000).repeat(3) + 2.0 * rng.standard_normal(12000)
+    drawn = model.fit(model.draw(model.fit(y, x), x, rng), x)
+    np.testing.assert_allclose(drawn.beta, [1.0, 2.0, 3.0], atol=0.15)
+    assert drawn.residual == pytest.approx(4.0, abs=0.3)
+    assert drawn.ratio == pytest.approx(0.25, abs=0.06)
+
+
+def labels_missing():
+    """72 trials, 11 without the label of their condition."""
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"who": np.repeat(range(12), 6), "c": ["A", "B"] * 36})
+    frame["y"] = rng.standard_normal(72) + 0.9 * (frame["c"] == "B")
+    frame.loc[frame.index[frame["c"] == "B"][:11], "c"] = None
+    return frame
+
+
+@pytest.mark.parametrize("kind", [object, "category", "str"])
+def test_a_missing_label_is_not_the_reference_level(kind):
+    frame = labels_missing().astype({"c": kind})
+    with pytest.raises(ValueError, match=r"data: 11 rows have a missing .* row 1 first"):
+        tl.formula_model("y ~ c", frame, groups="who")
+    complete = frame.dropna()
+    tl.formula_model("y ~ c", complete, groups="who")
+    ratings = frame.assign(y=np.digitize(frame["y"], [0.0, 1.0]))
+    with pytest.raises(ValueError, match="within: column 'c' has no label in row 1"):
+        tl.ordinal_model(ratings, "y", "c", "who")
+
+
+def test_a_positive_variance_is_not_reported_as_zero():
+    """
+    Balanced data: the restricted likelihood's variance is the ANOVA's, in closed form. A search
+    that began at a ratio of variances of zero, where the slope by its root vanishes, stayed there.
+    """
+    rng = np.random.default_rng(0)
+    n, k = 8, 3
+    frame = pd.DataFrame({"who": np.repeat(range(n), k), "c": np.tile(list("abc"), n)})
+    positive = 0
+    for _ in range(300):
+        scores = rng.standard_normal((n, k)) + 0.3 * rng.standard_normal((n, 1))
+        people = k * scores.mean(axis=1).var(ddof=1)
+        rest = scores - scores.mean(axis=1, keepdims=True) - scores.mean(axis=0) + scores.mean()
+        error = (rest**2).sum() / (n - 1) / (k - 1)
+        model = tl.formula_model("y ~ c", frame.assign(y=scores.ravel()), groups="who")
+        variance = model.random_effects()["variance"][0]
+        expected = max(people - error, 0.0) / k
+        positive += expected > 0.0
+        assert model.singular == (expected == 0.0)
+        assert variance == pytest.approx(expected, rel=1e-7, abs=1e-12)
+    assert 100 < positive < 250

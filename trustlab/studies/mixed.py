@@ -1,0 +1,641 @@
+"""
+Mixed models of scores with a random intercept per participant, all by one profiled likelihood.
+
+The scores of a participant have the covariance σ² (I + ρ 11ᵀ), where ρ is the variance between
+participants over the residual variance σ².
+"""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import chain, combinations, product
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy import special, stats
+from scipy.linalg import helmert
+from scipy.optimize import brentq
+
+from trustlab.models.checks import of_class, spawned, whole_number
+from trustlab.models.display import Result
+from trustlab.studies.analysis.apa import apa_number, apa_p
+from trustlab.studies.analysis.batch import holm
+from trustlab.studies.analysis.descriptives import partial_eta_interval
+from trustlab.studies.analysis.score_table import ScoreTable, labelled, levels_of, read_scores
+from trustlab.studies.columns import column_of, origin_of, refuse_missing_labels
+
+# Ratios of variances between which a minimum of the deviance is bracketed.
+RATIOS = np.concatenate([[0.0], np.exp(np.linspace(-16.0, 23.0, 14))])
+# Simulated statistics this close to the observed one are equal but for rounding.
+TIE = 1e-7
+
+
+class InterceptFit(NamedTuple):
+    """The best coefficients and residual variance at one ratio of variances."""
+
+    deviance: float  # −2 log-likelihood
+    slope: float  # of the deviance, by the ratio
+    beta: np.ndarray
+    inverse: np.ndarray  # of Xᵀ V⁻¹ X, V the covariance over the residual variance
+    ratio: float
+    residual: float
+
+    @property
+    def llf(self) -> float:
+        """Log-likelihood with all its constants."""
+        return -0.5 * self.deviance
+
+
+class RandomIntercepts:
+    """Scores by participant: a column, named by an argument, says whose each row is."""
+
+    def __init__(self, argument: str, people: pd.Series):
+        refuse_missing_labels(people, argument)
+        self.codes = pd.factorize(people)[0]
+        self.counts = np.bincount(self.codes)
+        if self.counts.size < 3:
+            raise ValueError(
+                f"{argument}: column {people.name!r} has {self.counts.size} groups with scores; at "
+                "least three are needed"
+            )
+
+    def fit(self, y: np.ndarray, x: np.ndarray, restricted: bool = False) -> InterceptFit:
+        """Return the maximum of the likelihood, or of the restricted one."""
+        # Least squares first, so that neither the offset nor the unit of scores costs digits.
+        start = np.linalg.lstsq(x, y)[0]
+        columns = np.column_stack([x, y - x @ start])
+        means = np.zeros((self.counts.size, columns.shape[1]))
+        np.add.at(means, self.codes, columns)
+        means /= self.counts[:, None]
+        inside = columns - means[self.codes]
+        products = inside.T @ inside
+        error = inside[:, -1] - inside[:, :-1] @ np.linalg.lstsq(inside[:, :-1], inside[:, -1])[0]
+        if np.abs(error).max() <= 32.0 * np.finfo(float).eps * np.abs(y).max():
+            raise ValueError(
+                "dv or formula: the scores have no error variance: each is its subject's level "
+                "plus its condition's"
+            )
+        free = y.size - restricted * x.shape[1]
+
+        def profile(ratio: float) -> InterceptFit:
+            # V⁻¹ = I − 11ᵀ/m + 11ᵀ/m / (1 + m ratio) for a participant with m scores.
+            weight = self.counts / (1.0 + self.counts * ratio)
+            weighted = products + (means.T * weight) @ means
+            inverse = np.linalg.inv(weighted[:-1, :-1])
+            shift = inverse @ weighted[:-1, -1]
+            contrast = np.append(-shift, 1.0)
+            residual = float(contrast @ weighted @ contrast) / free
+            pull = means * weight[:, None]
+            slope = weight.sum() - ((pull @ contrast) ** 2).sum() / residual
+            deviance = free * (1.0 + np.log(2.0 * np.pi * residual))
+            deviance += np.log1p(self.counts * ratio).sum()
+            if restricted:
+                slope -= (pull[:, :-1] @ inverse * pull[:, :-1]).sum()
+                deviance -= np.linalg.slogdet(inverse)[1]
+            return InterceptFit(deviance, slope, start + shift, inverse, ratio, residual)
+
+        # All minima are compared: a search from one start can stop at a variance of zero.
+        slopes = [profile(ratio).slope for ratio in RATIOS]
+        minima = [0.0]
+        for i in np.flatnonzero((np.sign(slopes[:-1]) < 0.0) & (np.sign(slopes[1:]) >= 0.0)):
+            bracket = RATIOS[i], RATIOS[i + 1]
+            minima.append(brentq(lambda ratio: profile(ratio).slope, *bracket, xtol=1e-18))
+        return min(map(profile, minima), key=lambda fit: fit.deviance)
+
+    def draw(self, fit: InterceptFit, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return scores drawn from a fitted model."""
+        people = np.sqrt(fit.ratio) * rng.standard_normal(self.counts.size)
+        noise = people[self.codes] + rng.standard_normal(self.codes.size)
+        return x @ fit.beta + np.sqrt(fit.residual) * noise
+
+
+# One score in cells of factors.
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MixedModel(Result):
+    """
+    Score = mean of the cell + random intercept of the subject + error, by restricted maximum
+    likelihood.
+
+    Parameters
+    ----------
+    dv : hashable
+        Column analysed.
+    factors : dict
+        Levels of each factor, those between subjects first.
+    between : tuple
+        Factors between subjects.
+    tests : pandas.DataFrame
+        A row per effect: effect, F (Wald's χ²/df1, type III), df1, df2 (those of the ANOVA where no
+        cell is missing), p, chi2, p_chi2 (asymptotic), eta2_partial and its 90 % interval.
+    means : pandas.DataFrame
+        Index cell; columns mean, se, ci_low, ci_high (95 %, t with the least df2).
+    covariance : numpy.ndarray, shape (cells, cells)
+        Of the means.
+    subject_variance, residual_variance : float
+        Variance components, in squared units of the score.
+    singular : bool
+        Whether the subjects' variance is estimated as zero; F is then not the ANOVA's, even without
+        missing cells.
+    n, cells, missing_cells : int
+        Subjects with a score, their cells with a score and without.
+    origin : str
+        What kind of data these are where they were not measured; else empty.
+    """
+
+    dv: Hashable
+    factors: dict
+    between: list
+    tests: pd.DataFrame
+    means: pd.DataFrame
+    covariance: np.ndarray
+    subject_variance: float
+    residual_variance: float
+    icc: float
+    singular: bool
+    n: int
+    cells: int
+    missing_cells: int
+    origin: str
+    title = "Mixed model, random intercept per subject"
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a number of the only effect, such as F or p."""
+        if name in TESTS and len(self.tests) == 1:
+            return self.tests[name].item()
+        raise AttributeError(f"no attribute {name!r}; table() has a row per effect")
+
+    def table(self) -> pd.DataFrame:
+        """Return the tests, a row per effect, beside every number of the model but the means."""
+        return self.tests.copy()
+
+    def pairs(self, factor: Hashable = None, at: Hashable = None) -> pd.DataFrame:
+        """
+        Return all pairwise comparisons of one factor's levels, a before b; others are averaged with
+        equal weights.
+
+        Parameters
+        ----------
+        factor, at : hashable, optional
+            The factor compared (by default the first within subjects), and the one whose levels are
+            fixed; p-values are adjusted within each level.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns level (of `at`), a, b, mean_difference (a − b), se, t, p, ci_low, ci_high (95 %,
+            unadjusted), df, p_holm, d_z (over √2 residual standard deviations; NaN between groups)
+            and d_av (over the standard deviation of a score).
+
+        Raises
+        ------
+        ValueError
+            If a factor is unknown, or both are the same.
+        """
+        factor = [*self.factors][len(self.between)] if factor is None else factor
+        for argument, name in {"factor": factor, "at": at}.items():
+            if not isinstance(name, Hashable) or name not in {*self.factors, None}:
+                raise ValueError(f"{argument} must be one of {[*self.factors]}, got {name!r}")
+        if factor == at:
+            raise ValueError(f"factor and at are both {factor!r}; name two factors")
+        cells = pd.DataFrame(product(*self.factors.values()), columns=[*self.factors])
+        labels = self.factors[factor]
+        pairs = pd.DataFrame(combinations(labels, 2), columns=["a", "b"])
+        first, second = np.triu_indices(len(labels), 1)
+        df = self.tests.set_index("effect")["df2"][str(factor)]
+        twice = np.nan if factor in self.between else 2.0 * self.residual_variance
+        tables = []
+        for level in [np.nan] if at is None else self.factors[at]:
+            here = cells[factor] if at is None else cells[factor].where(cells[at] == level)
+            mean = np.array([(here == label) / (here == label).sum() for label in labels])
+            weights = mean[first] - mean[second]
+            difference = weights @ self.means["mean"].to_numpy()
+            se = np.sqrt(((weights @ self.covariance) * weights).sum(axis=1))
+            tests = estimates_of(difference, se, df).rename(columns={"estimate": "mean_difference"})
+            tests = tests.assign(df=df, p_holm=holm(tests["p"].to_numpy()))
+            tests["d_z"] = difference / np.sqrt(twice)
+            tests["d_av"] = difference / np.sqrt(self.subject_variance + self.residual_variance)
+            tables.append(pairs.assign(level=level)[["level", "a", "b"]].join(tests))
+        return labelled(pd.concat(tables, ignore_index=True), self.origin)
+
+    def apa(self) -> str:
+        """Return the sentence for a paper, with the test of every effect."""
+        effects = []
+        for row in self.tests.itertuples():
+            sizes = (row.eta2_partial, row.eta2_partial_low, row.eta2_partial_high)
+            eta, low, high = (apa_number(size, below_one=True) for size in sizes)
+            effects.append(
+                f"{row.effect} {'was' if row.p < 0.05 else 'was not'} significant, F({row.df1}, "
+                f"{row.df2}) = {apa_number(row.F)}, {apa_p(row.p)}, ηp² = {eta}, 90% CI "
+                f"[{low}, {high}]"
+            )
+        origin = f"[{self.origin}] " if self.origin else ""
+        return (
+            f"{origin}A mixed model of {self.dv} with a random intercept per subject (N = {self.n},"
+            f" {self.missing_cells} cells missing): {'; '.join(effects)}."
+        )
+
+    @property
+    def message(self) -> str:
+        """The sentence for a paper."""
+        return self.apa()
+
+
+TESTS = ["effect", "F", "df1", "df2", "p", "chi2", "p_chi2"]
+TESTS += ["eta2_partial", "eta2_partial_low", "eta2_partial_high"]
+
+
+def names_of(names: Any) -> list[Hashable]:
+    """Return names of columns as a list; a text or None is one name or none."""
+    if isinstance(names, list | tuple):
+        return list(names)
+    return [] if names is None else [names]
+
+
+def levels_by_factor(
+    frame: pd.DataFrame, within: list, between: list, subject: Hashable, order: Any
+) -> dict[Hashable, list]:
+    """Return the levels of each factor, those between subjects first."""
+    people = column_of(frame, "subject", subject)
+    levels = {}
+    for argument, names in {"between": between, "within": within}.items():
+        for name in names:
+            column = column_of(frame, argument, name)
+            # A list is the order of the factor within subjects, or else of that between them.
+            listed = order if argument == "within" or not within else None
+            if isinstance(order, dict):
+                listed = order.get(name)
+            levels[name] = levels_of(column, argument, listed)
+            if len(levels[name]) < 2:
+                raise ValueError(f"{argument}: column {name!r} has one level; two are needed")
+            if argument == "between":
+                refuse_two_labels(argument, column, people)
+            elif column.groupby(people).nunique().max() == 1:
+                raise ValueError(
+                    f"within: column {name!r} has one label for every person; give between={name!r}"
+                )
+    if not levels:
+        raise ValueError("within and between name no factor")
+    if unknown := [
+        name for name in (order if isinstance(order, dict) else ()) if name not in levels
+    ]:
+        raise ValueError(f"order: {unknown[0]!r} is no factor; there are {[*levels]}")
+    return levels
+
+
+def refuse_two_labels(argument: str, column: pd.Series, people: pd.Series) -> None:
+    """Refuse a person with two labels in a column."""
+    counts = column.groupby(people).nunique()
+    if twice := counts.index[counts > 1].tolist():
+        raise ValueError(
+            f"{argument}: subject {twice[0]!r} has two labels in column {column.name!r}"
+        )
+
+
+def mixed_model(
+    frame: pd.DataFrame,
+    dv: Hashable,
+    within: Hashable | Sequence[Hashable],
+    subject: Hashable,
+    *,
+    between: Hashable | Sequence[Hashable] = None,
+    order: Any = None,
+) -> MixedModel:
+    """
+    Test one score in cells of factors with a random intercept per subject; cells may be missing.
+
+    All scores of a subject correlate alike (compound symmetry); `repeated_measures` does not assume
+    this, but needs every cell.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        One row per subject and cell; a missing cell is an absent row or a missing score.
+    dv, subject : hashable
+        Columns with the score and the subject.
+    within, between : hashable or list of hashable
+        Columns of the factors within and between subjects; all interactions are tested.
+    order : sequence or dict, optional
+        The order of a single factor's levels, or of several factors' by name.
+
+    Returns
+    -------
+    MixedModel
+
+    Raises
+    ------
+    ValueError
+        If the table is refused, fewer than three subjects have a score, a cell has fewer than two,
+        a subject has two groups, or nothing is left to estimate the error from.
+
+    See Also
+    --------
+    formula_model : Several trials in a cell, and covariates.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> fit = tl.mixed_model(frame, dv="value", within="condition", subject="subject")
+    >>> fit.table()[["F", "df1", "df2", "icc"]].round(2)
+          F  df1  df2   icc
+    0  5.89    4  140  0.78
+    """
+    of_class("frame", frame, pd.DataFrame, "with a row per subject and condition")
+    groups = names_of(between)
+    factors = levels_by_factor(frame, names_of(within), groups, subject, order)
+
+    def label(levels: tuple) -> Hashable:
+        return levels[0] if len(factors) == 1 else " × ".join(map(str, levels))
+
+    cells = [label(levels) for levels in product(*factors.values())]
+    long, name = frame.copy(), label(tuple(factors))
+    long[name] = [label(row) for row in frame[[*factors]].itertuples(index=False)]
+    if empty := [cell for cell in cells if cell not in set(long[name])]:
+        raise ValueError(f"within: no subject has a score in cell {empty[0]!r} of {name}")
+    return fit_mixed_model(read_scores(long, dv, name, subject, order=cells), factors, groups)
+
+
+def fit_mixed_model(
+    table: ScoreTable, factors: dict | None = None, between: list | None = None
+) -> MixedModel:
+    """
+    Fit a random intercept per subject to scores arranged as subjects × cells of the factors, NaN
+    where there is none; the first factors are those between subjects.
+    """
+    factors, between = factors or {table.within: table.conditions}, between or []
+    groups = int(np.prod([len(factors[name]) for name in between]))
+    subject, cell = np.nonzero(~np.isnan(table.values))
+    y, x = table.values[subject, cell], np.eye(len(table.conditions))[cell]
+    model = RandomIntercepts("subject", pd.Series(subject, name=table.subject))
+    fit = model.fit(y, x, restricted=True)
+    n = model.counts.size
+    covariance = fit.residual * fit.inverse
+    rows = []
+    for names in chain(*(combinations(factors, size + 1) for size in range(len(factors)))):
+        df2 = n - groups
+        if not set(names) <= set(between):
+            df2 = y.size - n - x.shape[1] + groups
+        rows.append((" × ".join(map(str, names)), *_wald(fit, factors, names, df2)))
+    tests = pd.DataFrame(rows, columns=TESTS)
+    means = estimates_of(fit.beta, np.sqrt(np.diag(covariance)), tests["df2"].min())
+    means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]
+    means.index = pd.Index(table.conditions, name="condition", tupleize_cols=False)
+    numbers = {
+        "subject_variance": fit.ratio * fit.residual,
+        "residual_variance": fit.residual,
+        "icc": fit.ratio / (1.0 + fit.ratio),
+        "singular": fit.ratio == 0.0,
+        "n": n,
+        "cells": y.size,
+        "missing_cells": n * x.shape[1] // groups - y.size,
+    }
+    return MixedModel(
+        dv=table.dv,
+        factors=factors,
+        between=between,
+        tests=labelled(tests.assign(**numbers), table.origin),
+        means=labelled(means, table.origin),
+        covariance=covariance,
+        origin=table.origin,
+        **numbers,
+    )
+
+
+def _wald(fit: InterceptFit, factors: dict, names: tuple, df2: int) -> tuple:
+    """Return the columns of `TESTS` but the first: contrasts of the factors' levels, averaged."""
+    parts = [
+        helmert(len(levels)).T if name in names else np.full((len(levels), 1), 1.0 / len(levels))
+        for name, levels in factors.items()
+    ]
+    contrasts = reduce(np.kron, parts)
+    effect = contrasts.T @ fit.beta
+    spread = fit.residual * contrasts.T @ fit.inverse @ contrasts
+    chi2 = float(effect @ np.linalg.solve(spread, effect))
+    df1 = effect.size
+    f = chi2 / df1
+    eta = partial_eta_interval(f, df1, df2)
+    p, p_chi2 = special.fdtrc(df1, df2, f), special.chdtrc(df1, chi2)
+    return f, df1, df2, p, chi2, p_chi2, chi2 / (chi2 + df2), eta.low, eta.high
+
+
+# Models by formula.
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FormulaModel(Result):
+    """
+    A mixed model: fixed effects by a formula, and a random intercept of every group.
+
+    Parameters
+    ----------
+    formula : str
+        Score and fixed effects.
+    groups : hashable
+        Column with the groups (subjects).
+    n, observations : int
+        Groups and rows.
+    coefficients, tests, variances : pandas.DataFrame
+        What `coefficients_table`, `table` and `random_effects` return.
+    log_likelihood : float
+        Maximum of the likelihood (not restricted), with all its constants.
+    singular : bool
+        Whether the groups' variance is estimated as zero.
+    draws : int
+        Simulated data sets of the parametric bootstrap; 0 without it.
+    origin : str
+        What kind of data these are where they were not measured; else empty.
+    """
+
+    formula: str
+    groups: Hashable
+    n: int
+    observations: int
+    coefficients: pd.DataFrame
+    tests: pd.DataFrame
+    variances: pd.DataFrame
+    log_likelihood: float
+    singular: bool
+    draws: int
+    origin: str
+
+    @property
+    def title(self) -> str:
+        """The formula."""
+        return f"{self.formula}, random intercepts of {self.groups}"
+
+    @property
+    def message(self) -> str:
+        """Which data, and how they were tested."""
+        tests = "likelihood ratios, asymptotic"
+        if self.draws:
+            tests += f" and by {self.draws} simulated data sets"
+        return f"{self.origin} {self.observations} rows of {self.n} groups; {tests}".strip()
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the likelihood-ratio test of every term against the model without the term and the
+        interactions that contain it.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns term, chi2, df, p_chi2 (asymptotic: too small with few groups), p_bootstrap
+            (share of data sets simulated from the model without the term whose χ² is as large,
+            (count + 1)/(draws + 1); NaN without a bootstrap).
+        """
+        return self.tests.copy()
+
+    def coefficients_table(self) -> pd.DataFrame:
+        """
+        Return the fixed effects by restricted likelihood: name estimate se z p ci_low ci_high
+        (95 %, normal).
+        """
+        return self.coefficients.copy()
+
+    def random_effects(self) -> pd.DataFrame:
+        """Return variance and standard deviation of the intercepts and the residual."""
+        return self.variances.copy()
+
+
+def formula_model(
+    formula: str, data: pd.DataFrame, groups: Hashable, *, bootstrap: int = 0, seed: int = 0
+) -> FormulaModel:
+    """
+    Fit a mixed model by formula, with a random intercept per group: trials and covariates.
+
+    Parameters
+    ----------
+    formula : str
+        Score and fixed effects, such as "error ~ autonomy * trial".
+    data : pandas.DataFrame
+        One row per trial; rows with missing values or labels are refused.
+    groups : hashable
+        The column whose groups (subjects) have random intercepts.
+    bootstrap : int
+        Data sets simulated to test each term. No maintained Python library has Satterthwaite's or
+        Kenward and Roger's degrees of freedom; the likelihood ratio's own p is asymptotic and too
+        small with few groups.
+    seed : int
+        Of the bootstrap.
+
+    Returns
+    -------
+    FormulaModel
+
+    Raises
+    ------
+    ValueError
+        If the formula does not fit the table, its effects are not estimable, or a value is missing.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> model = tl.formula_model("value ~ condition", frame, groups="subject")
+    >>> model.table()[["term", "df"]]
+            term  df
+    0  condition   4
+    """
+    of_class("formula", formula, str)
+    frame = of_class("data", data, pd.DataFrame, "with a row per trial").reset_index(drop=True)
+    if formula.count("~") != 1:
+        raise ValueError(f"formula must be “score ~ terms”, got {formula!r}")
+    model = RandomIntercepts("groups", column_of(frame, "groups", groups))
+    y, regressors, terms = matrices_of(formula, frame)
+    x = regressors.to_numpy()
+    origin = origin_of(data)
+    tests = likelihood_ratios(y, x, terms, model, bootstrap, seed)
+    fit = model.fit(y, x, restricted=True)
+    coefficients = estimates_of(fit.beta, np.sqrt(fit.residual * np.diag(fit.inverse)))
+    coefficients.insert(0, "name", regressors.columns)
+    return FormulaModel(
+        formula=formula,
+        groups=groups,
+        n=model.counts.size,
+        observations=y.size,
+        coefficients=labelled(coefficients, origin),
+        tests=labelled(tests, origin),
+        variances=variances_of(Intercept=fit.ratio * fit.residual, residual=fit.residual),
+        log_likelihood=model.fit(y, x).llf,
+        singular=fit.ratio == 0.0,
+        draws=bootstrap,
+        origin=origin,
+    )
+
+
+def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataFrame, dict]:
+    """Return score, regressors, and the numbers of every term's columns."""
+    from formulaic import Formula, model_matrix
+    from formulaic.errors import FormulaicError
+
+    try:
+        variables = Formula(formula).required_variables
+        matrices = model_matrix(formula, frame, na_action="ignore")
+    except (FormulaicError, NameError, KeyError, SyntaxError, ValueError) as error:
+        there = ", ".join(map(str, frame))
+        raise ValueError(f"formula {formula!r}: {error} (columns are {there})") from None
+    score, x = (pd.DataFrame(part, dtype=float) for part in (matrices.lhs, matrices.rhs))
+    if score.shape[1] != 1:
+        raise ValueError(f"formula {formula!r}: the score must be one column of numbers")
+    # A missing label has become zeros, as if it were the reference level.
+    bad = frame[[name for name in frame if name in variables]].isna().any(axis=1)
+    bad |= ~np.isfinite(np.column_stack([score, x])).all(axis=1)
+    if bad.any():
+        raise ValueError(
+            f"data: {bad.sum()} rows have a missing or infinite value, row {bad.idxmax()} first; "
+            "leave them out"
+        )
+    if np.linalg.matrix_rank(x) < x.shape[1]:
+        raise ValueError(
+            f"formula {formula!r}: its columns are linearly dependent; an effect is not estimable"
+        )
+    terms = matrices.rhs.model_spec.term_indices
+    terms = {str(term): columns for term, columns in terms.items() if str(term) != "1"}
+    return score.to_numpy()[:, 0], x, terms
+
+
+def likelihood_ratios(
+    y: np.ndarray, x: np.ndarray, terms: dict, model: Any, draws: int, seed: int
+) -> pd.DataFrame:
+    """
+    Return the test of every term against the model without it and the interactions that contain it,
+    asymptotic and by simulation; `model` has `fit` and `draw`.
+    """
+    draws = whole_number("bootstrap", draws, least=0, most=100_000)
+
+    def statistic(score: np.ndarray, full: np.ndarray, reduced: np.ndarray) -> float:
+        return max(2.0 * (model.fit(score, full).llf - model.fit(score, reduced).llf), 0.0)
+
+    rows = []
+    for name, child in zip(terms, spawned(seed, len(terms)), strict=True):
+        factors = set(name.split(":"))
+        above = [terms[term] for term in terms if factors < set(term.split(":"))]
+        full = np.delete(x, [*chain(*above)], axis=1)
+        reduced = np.delete(x, [*chain(terms[name], *above)], axis=1)
+        chi2, df = statistic(y, full, reduced), len(terms[name])
+        p_bootstrap = np.nan
+        if draws:
+            null, rng = model.fit(y, reduced), np.random.default_rng(child)
+            drawn = (model.draw(null, reduced, rng) for _ in range(draws))
+            least = chi2 * (1.0 - TIE)
+            larger = sum(statistic(score, full, reduced) >= least for score in drawn)
+            p_bootstrap = (larger + 1.0) / (draws + 1.0)
+        rows.append((name, chi2, df, float(special.chdtrc(df, chi2)), p_bootstrap))
+    return pd.DataFrame(rows, columns=["term", "chi2", "df", "p_chi2", "p_bootstrap"])
+
+
+def estimates_of(estimate: np.ndarray, se: np.ndarray, df: float = np.inf) -> pd.DataFrame:
+    """Return estimates with tests and 95 % intervals, by t or (by default) by the normal."""
+    half = stats.t.ppf(0.975, df) * se
+    columns = {"estimate": estimate, "se": se, "z" if np.isinf(df) else "t": estimate / se}
+    columns |= {"p": 2.0 * stats.t.sf(np.abs(estimate / se), df)}
+    return pd.DataFrame(columns | {"ci_low": estimate - half, "ci_high": estimate + half})
+
+
+def variances_of(**variances: float) -> pd.DataFrame:
+    """Return variances by name, with standard deviations."""
+    table = pd.DataFrame(variances.items(), columns=["name", "variance"])
+    return table.assign(sd=np.sqrt(table["variance"]))

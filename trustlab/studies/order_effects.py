@@ -1,0 +1,233 @@
+"""Orders of conditions: period, sequence, carry-over, and effects adjusted for them."""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.models.checks import of_class
+from trustlab.models.display import Result
+from trustlab.studies.analysis.batch import holm
+from trustlab.studies.analysis.score_table import labelled, levels_of, read_scores
+from trustlab.studies.columns import column_of, refuse_missing_labels
+from trustlab.studies.mixed import estimates_of, refuse_two_labels
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OrderEffects(Result):
+    """
+    The analysis of a design in which conditions come in several orders.
+
+    Parameters
+    ----------
+    dv : hashable
+        Column analysed.
+    conditions : tuple
+        Labels of the conditions.
+    n : int
+        Subjects.
+    tests, differences : pandas.DataFrame
+        What `table` and `pairs` return.
+    origin : str
+        What kind of data these are where they were not measured; else empty.
+    """
+
+    dv: Hashable
+    conditions: tuple
+    n: int
+    tests: pd.DataFrame
+    differences: pd.DataFrame
+    origin: str
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the tests, each effect adjusted for all others within subjects; sequences are
+        compared between subjects.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Rows sequence, position, condition, carry_over and condition_without_carry_over
+            (condition adjusted for position only); columns effect, ss, df1, df2, F, p, note. NaN
+            where the orders do not separate an effect from others; the note says so.
+        """
+        return self.tests.copy()
+
+    def pairs(self) -> pd.DataFrame:
+        """
+        Return differences between conditions, adjusted for position and carry-over (as far as the
+        orders separate them).
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns a, b, mean_difference, ci_low, ci_high (95 %, unadjusted), t, df, p, p_holm.
+        """
+        return self.differences.copy()
+
+    @property
+    def title(self) -> str:
+        """What was analysed."""
+        return f"Order effects on {self.dv}"
+
+    @property
+    def message(self) -> str:
+        """Which data."""
+        return f"{self.origin} {self.n} subjects, {len(self.conditions)} conditions".strip()
+
+
+def order_effects(
+    frame: pd.DataFrame,
+    dv: Hashable,
+    condition: Hashable,
+    position: Hashable,
+    sequence: Hashable | None = None,
+    subject: Hashable = "subject",
+    *,
+    order: Sequence | None = None,
+) -> OrderEffects:
+    """
+    Test period, sequence and first-order carry-over in Latin squares and Williams designs.
+
+    Within subjects, score = subject + position + condition + carry-over of the condition before
+    (none at the first position), by least squares; the sequence is tested on the subjects' means.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        A row per subject and position.
+    dv, condition, position, subject : hashable
+        Columns with the score, the condition, the position (1, 2 …) and the subject.
+    sequence : hashable, optional
+        Column with the name of the subject's order; by default it is read from the order itself.
+    order : sequence, optional
+        The order of the conditions.
+
+    Returns
+    -------
+    OrderEffects
+
+    Raises
+    ------
+    ValueError
+        If a column is unknown, positions of a subject are not 1, 2 …, a score is missing, or
+        nothing is left to estimate the error from.
+
+    References
+    ----------
+    B. Jones, M. G. Kenward, Design and Analysis of Cross-Over Trials, 3rd ed., 2014, Chapter 5.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> study = tl.virtual_study(n=10, conditions=["C1", "C2", "C3", "C4", "C5"], laps=2, seed=0)
+    >>> columns = {"condition": "condition", "position": "position", "subject": "participant"}
+    >>> effects = tl.order_effects(study.measures, dv="p_r", **columns)
+    >>> effects.table()[["effect", "df1", "df2"]]
+                             effect  df1  df2
+    0                      sequence    9    0
+    1                      position    4   28
+    2                     condition    4   28
+    3                    carry_over    4   28
+    4  condition_without_carry_over    4   32
+    """
+    of_class("frame", frame, pd.DataFrame, "with a row per subject and position")
+    scores = read_scores(frame, dv, position, subject)
+    if np.isnan(scores.values).any():
+        i, j = np.argwhere(np.isnan(scores.values))[0]
+        raise ValueError(
+            f"dv: subject {scores.subjects[i]!r} has no score at position {scores.conditions[j]!r}"
+        )
+    n, k = scores.values.shape
+    if list(scores.conditions) != list(range(1, k + 1)):
+        raise ValueError(
+            f"position: column {position!r} must hold 1 to {k}, got {list(scores.conditions)}"
+        )
+    labels = levels_of(column_of(frame, "condition", condition), "condition", order)
+    rows = frame.set_index([subject, position]).loc[[*product(scores.subjects, scores.conditions)]]
+    codes = rows[condition].map(labels.index).to_numpy().reshape(n, k)
+    sequences = pd.Series([*codes.astype(str)]).map(" ".join)
+    if sequence is not None:
+        refuse_missing_labels(column_of(frame, "sequence", sequence), "sequence")
+        refuse_two_labels("sequence", frame[sequence], frame[subject])
+        sequences = rows[sequence].iloc[::k]
+    y = (scores.values - scores.values.mean()).ravel()
+    full = _within_subjects(codes, len(labels))
+    error, df = _residual(y, full)
+    if error <= y.size * (4.0 * np.finfo(float).eps * np.abs(scores.values).max()) ** 2:
+        raise ValueError(
+            f"dv: {y.size} scores leave no error variance beside subjects, positions, conditions "
+            "and carry-over"
+        )
+    between = {"mean": np.ones((n, 1)), "sequence": pd.get_dummies(sequences).to_numpy(float)}
+    tests = [_test("sequence", y.reshape(n, k).sum(axis=1) / np.sqrt(k), between)]
+    direct = {name: x for name, x in full.items() if name != "carry_over"}
+    tests += [_test(name, y, full) for name in ("position", "condition", "carry_over")]
+    tests.append(("condition_without_carry_over", *_test("condition", y, direct)[1:]))
+    table = pd.DataFrame(tests, columns=["effect", "ss", "df1", "df2", "F", "p", "note"])
+    separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
+    pairs = _differences(y, full if separable else direct, labels)
+    return OrderEffects(
+        dv=dv,
+        conditions=tuple(labels),
+        n=n,
+        tests=labelled(table, scores.origin),
+        differences=labelled(pairs, scores.origin),
+        origin=scores.origin,
+    )
+
+
+def _within_subjects(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:
+    """Return the regressors of every effect within subjects, a row per subject and position."""
+    n, k = codes.shape
+    condition = (np.eye(count) - 1.0 / count)[codes]
+    # Before the first position there is nothing to carry over.
+    carried = np.pad(condition[:, :-1], ((0, 0), (1, 0), (0, 0)))
+    return {
+        "condition": condition.reshape(n * k, count),
+        "position": np.tile(np.eye(k) - 1.0 / k, (n, 1)),
+        "carry_over": carried.reshape(n * k, count),
+        "subject": np.repeat(np.eye(n), k, axis=0),
+    }
+
+
+def _residual(y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple[float, int]:
+    """Return the residual sum of squares of a regression and its degrees of freedom."""
+    x = np.column_stack([*parts.values()])
+    beta, _, rank, _ = np.linalg.lstsq(x, y)
+    return float(((y - x @ beta) ** 2).sum()), y.size - int(rank)
+
+
+def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple:
+    """Return a row of the table: the regression on all parts against the one without the effect."""
+    error, df2 = _residual(y, parts)
+    total, df = _residual(y, {name: x for name, x in parts.items() if name != effect})
+    df1, contrasts = df - df2, parts[effect].shape[1] - 1
+    note = "not testable: every sequence has one subject"
+    if df1 == 0:
+        note = "not estimable: these orders do not separate it from the other effects"
+    if df1 * df2 == 0:
+        return effect, np.nan, df1, df2, np.nan, np.nan, note
+    note = f"only {df1} of {contrasts} contrasts are estimable from these orders"
+    f = (total - error) / df1 / (error / df2)
+    p = float(special.fdtrc(df1, df2, f))
+    return effect, total - error, df1, df2, f, p, note if df1 < contrasts else ""
+
+
+def _differences(y: np.ndarray, parts: dict[str, np.ndarray], labels: list) -> pd.DataFrame:
+    """Return the differences of conditions, whose regressors are the first."""
+    error, df = _residual(y, parts)
+    x = np.column_stack([*parts.values()])
+    weights = np.array([a - b for a, b in combinations(np.eye(len(labels), x.shape[1]), 2)])
+    inverse = np.linalg.pinv(x)
+    se = np.sqrt(error / df * ((weights @ inverse) ** 2).sum(axis=1))
+    tests = estimates_of(weights @ inverse @ y, se, df)
+    # Estimable weights are combinations of contrasts of the regressors.
+    tests[~np.isclose(weights @ inverse @ x, weights, atol=1e-8).all(axis=1)] = np.nan
+    pairs = pd.DataFrame(combinations(labels, 2), columns=["a", "b"]).join(tests)
+    pairs = pairs.rename(columns={"estimate": "mean_difference"})
+    pairs = pairs.assign(df=df, p_holm=holm(pairs["p"].to_numpy()))
+    return pairs[["a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]]

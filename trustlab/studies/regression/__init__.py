@@ -1,1 +1,0 @@
-"""Regressions of trials: mixed models by formula, logistic models, effects of order."""
