@@ -188,6 +188,24 @@ def test_vehicles_as_matrices_and_as_functions_are_the_transfer_functions():
     np.testing.assert_allclose(np.diff(moved, axis=0), 0.01 * speed[1:], atol=1e-14)
 
 
+@pytest.mark.parametrize("guidance", GUIDANCE)
+def test_a_run_with_a_vehicle_is_guided_by_where_it_is_and_is_repeated_without_it(guidance):
+    """Oracle: the guiding force by (3.17), from the logged error, where the guard is off."""
+
+    def lag(state):
+        velocity = state.velocity + 0.02 * (state.command - state.velocity)
+        return state.robot + 0.01 * velocity, velocity
+
+    same = {"seed": 4, "duration": SHORT, "guidance": Guidance(guidance, "off")}
+    loop = tl.TeleoperationLoop("M", task=tl.TrackingTask(vehicle=lag), **same)
+    run = loop.run()
+    if guidance == "through_channel":
+        error = columns(run, "reference") - columns(run, "robot")
+        np.testing.assert_allclose(columns(run, "f_s"), -6.0 * error, atol=1e-12)
+    again = tl.simulate_teleoperation("M", signals=loop.decisions, **same)
+    assert again.data.equals(run.data)
+
+
 def test_a_device_axis_by_axis():
     settings = STUDIES["main"]
     same = tl.simulate_teleoperation("TMIG", seed=6, duration=SHORT)
@@ -387,7 +405,7 @@ def failing(state):
         ({"trust": lambda s: (np.nan, 0.5)}, "trust .* trust_hr = nan"),
         (
             {"guidance": Guidance(force=lambda s: np.full(3, np.inf))},
-            r"feedback .* guiding = \[inf inf inf\]",
+            r"guiding force .* guiding = \[inf inf inf\]",
         ),
         (
             {"task": tl.TrackingTask(autonomy=lambda s: s.picture[:2])},

@@ -393,6 +393,11 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
         ({"signals": {"alpha": np.ones(5)}}, ValueError, r"alpha must have shape \(12000,\)"),
         ({"signals": {"push": np.full((12000, 3), np.nan)}}, ValueError, "push .* but sample 0 is"),
         ({"signals": {"push": np.ones(3)}}, ValueError, r"push must have shape \(12000, 3\)"),
+        (
+            {"duration": 1.0, "signals": {"u_a": np.tile([0.0, np.nan, 0.0], (100, 1))}},
+            ValueError,
+            "u_a: sample 0 .* all three numbers, or none",
+        ),
         ({"signals": {"alfa": np.ones(5)}}, ValueError, "did you mean 'alpha'"),
         ({"signals": 3}, ValueError, "signals must map names to arrays, got 3"),
         ({"guidance": "by_hand"}, ValueError, "guidance must be one of"),

@@ -101,16 +101,16 @@ class TrackingTask:
     size_x, size_y : float
         Half lengths of the closed path [m].
     speed : float
-        Mean speed of the target [m/s].
+        Speed of the target, root mean square [m/s].
     failure_every, failure_length : float
         Mean time between losses of the target by the autonomous controller, and how long one lasts
         [s]; exponential.
     camera_delay : float
-        How late pictures arrive at the operator and the controller [s].
+        How late pictures arrive at the operator and the controller [s]; at least one sample.
     proportional, integral, derivative : float
         Gains of the hovering PID controller.
     reach : float
-        Its largest command [m/s].
+        Its largest command on each axis [m/s].
     view : float
         Half the width of the camera's picture [m], which shows operator and controller the target
         from above; without bound when not given (10⁶ m). A target that leaves it is lost until it
@@ -249,10 +249,11 @@ class TeleoperationLoop(Loop):
     signals : mapping of str to array_like, optional
         What comes from outside, a row for each sample, NaN where the loop decides: `alpha`, `beta`,
         `trust_hr`, `trust_rh`, shape (N,); `u_a`, `wanted`, `guiding`, `robot`, `velocity` and
-        `hand`, where a hand wants the device to be [m], shape (N, 3). Without NaN: `push`, a force
-        [N] added to the hand's, shape (N, 3), and `arrives`, bool of shape (N, 2), whether the
-        waves sent to the robot and back in a sample arrive. `decisions` of another loop repeats its
-        run without its functions.
+        `hand`, where a hand wants the device to be [m], shape (N, 3); units as of the functions
+        that they replace. Without NaN: `push`, a force [N] added to the hand's, shape (N, 3), and
+        `arrives`, bool of shape (N, 2), whether the waves sent to the robot and back in a sample
+        arrive. `decisions` of another loop repeats its run without its functions, with the same
+        seed, task, delays and settings.
 
     Attributes
     ----------
@@ -316,7 +317,9 @@ class TeleoperationLoop(Loop):
                 inputs[name][:-1] = signal
         carried = WAVES if self.scheme.bilateral else SIGNALS
         numbers["carried"] = carried if delays.any() else DIRECT
-        # The pause after the last sample is looked at by nobody.
+        # Inputs and delays have a row more than the log: padding, for a pause that nobody uses.
+        follows_error = self.guidance.where == "through_channel"
+        decide = asking(hooks, self.state, whole, ends, follows_error) if hooks else None
         setup = LoopSetup(numbers, np.pad(delays, ((0, 0), (0, 1)), "edge"), arrives)
         self.simulation = Simulation(
             teleoperate,
@@ -324,7 +327,7 @@ class TeleoperationLoop(Loop):
             LoopState(whole, np.zeros((2, count, 3)), accounts()),
             inputs,
             np.zeros(count, SAMPLE),
-            asking(hooks, self.state, whole, ends) if hooks else None,
+            decide,
             blocks=BLOCKS,
             sample_time=T,
         )
@@ -347,7 +350,7 @@ class TeleoperationLoop(Loop):
             "autonomy": self.task.autonomy,
             "scheme": self.scheme.shares,
             "operator": self.operator.law,
-            "feedback": self.guidance.force,
+            "guiding force": self.guidance.force,
         }
         return {part: hook for part, hook in hooks.items() if callable(hook)}
 
@@ -394,7 +397,8 @@ class TeleoperationLoop(Loop):
         -------
         View
             `state`, the same object in every step: the time that has been reached, where everything
-            is then, and the signals of the sample. `state.copy()` stays as it is.
+            is then, and the signals of the sample. A vehicle of a user's is asked where it went at
+            the next step. `state.copy()` stays as it is.
 
         Raises
         ------
@@ -479,8 +483,8 @@ def simulate_teleoperation(
     -------
     Session
         Every signal and every port's energy; column `alpha` is α, `trust_hr` and `trust_rh` are in
-        units of their trust models, `guide` is the guiding force at the haptic device where it is
-        rendered there. Labelled synthetic.
+        units of their trust models, `guide` is the force at the haptic device less the channel's
+        own damping, f_m − β b r_m. Labelled synthetic.
 
     Raises
     ------
@@ -547,6 +551,10 @@ def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.
         if np.isinf(array).any() or (name == "push" and np.isnan(array).any()):
             k = int(np.argwhere(~np.isfinite(array))[0][0])
             raise ValueError(f"{name} must be finite, but sample {k} is {array[k]}")
+        partial = np.isnan(array) if array.ndim == 2 else np.zeros((1, 1), bool)
+        if (partial.any(axis=1) != partial.all(axis=1)).any():
+            k = int(np.argmax(partial.any(axis=1) != partial.all(axis=1)))
+            raise ValueError(f"{name}: sample {k} is {array[k]}; give all three numbers, or none")
         checked[name] = array
     alpha, beta = (checked.get(name, np.full(1, np.nan)) for name in ("alpha", "beta"))
     ends.check_scales(alpha[~np.isnan(alpha)], beta[~np.isnan(beta)])

@@ -14,15 +14,15 @@ import numpy as np
 from trustlab.models.simulation import DivergenceError as DivergenceError, PartError, View
 from trustlab.teleoperation.ports.waves import Scattering
 
-# What a function of one's own decides, in the order in which they are asked. Where the vehicle went
-# and how trust changed follow from the sample before, so that nobody is asked at the start.
+# What a user's function decides, in the order in which they are asked. Where the vehicle went and
+# how trust changed follow from the sample before: these two are not asked at the start.
 HOOKS = {
     "vehicle": ("robot", "velocity"),
     "trust": ("trust_hr", "trust_rh"),
     "autonomy": ("u_a",),
     "scheme": ("alpha", "beta"),
     "operator": ("wanted",),
-    "feedback": ("guiding",),
+    "guiding force": ("guiding",),
 }
 FOLLOWING = ("vehicle", "trust")
 
@@ -32,13 +32,18 @@ SLACK = 1e-12
 
 
 def asking(
-    hooks: Mapping[str, Callable], view: View, records: np.ndarray, ends: Scattering
+    hooks: Mapping[str, Callable],
+    view: View,
+    records: np.ndarray,
+    ends: Scattering,
+    follows_error: bool,
 ) -> Callable:
     """
     Return the `decide` of a `Simulation` that asks these functions in turn.
 
     records: those that `view` reads; later functions see there what earlier ones decided. ends: the
-    bounds of the scales (3.1). What the inputs hold already, given from outside, prevails.
+    bounds of the scales (3.1). follows_error: whether the guiding force follows the error of the
+    moment, not the picture. What the inputs hold already, given from outside, prevails.
     """
     row = records["now"]
     bounds = {
@@ -50,11 +55,11 @@ def asking(
         for names in HOOKS.values()
         for name in names
     }
-    asked = [(port, names, hooks[port]) for port, names in HOOKS.items() if port in hooks]
+    asked = [(part, names, hooks[part]) for part, names in HOOKS.items() if part in hooks]
 
     def decide(_: Any, inputs: np.ndarray) -> None:
-        for port, names, hook in asked:
-            if port in FOLLOWING and view.t == 0.0:
+        for part, names, hook in asked:
+            if part in FOLLOWING and view.t == 0.0:
                 continue
             try:
                 values = hook(view)
@@ -69,10 +74,12 @@ def asking(
                 fault = str(error)
                 if not isinstance(error, ReturnedError):
                     fault = f"raised {type(error).__name__}: {fault}"
-                raise PartError(f"the {port} of this loop {fault}, at t = {view.t:g} s") from error
-            if port == "vehicle":
+                raise PartError(f"the {part} of this loop {fault}, at t = {view.t:g} s") from error
+            if part == "vehicle":
                 row["error"] = row["reference"] - row["robot"]
                 row["path_error"] = np.sqrt((row["error"] ** 2).sum())
+                if follows_error:
+                    records["stretch"] = row["error"]
 
     return decide
 

@@ -2,8 +2,8 @@
 The whole teleoperation loop (Fig. 3.1), compiled.
 
 `teleoperate` is a kernel of `Simulation`. A sample begins at its pause, when everything has
-arrived: pictures, waves, trust in what was done before, and what the built-in controller, operator
-and feedback propose. `obey` puts what was decided in their place; then hand, ports, books,
+arrived: pictures, waves, trust in what was done before, and what the built-in controller and
+operator propose. `obey` puts what was decided in their place; then hand, ports, books,
 performance and motion follow, and `arrive` leads to the pause of the next sample. c: constants, s:
 state, now: the row of the log.
 
@@ -97,7 +97,7 @@ def receive(k, setup, c, s, state, log):
                 s.arrived[i] = value + (where - first) * (later - value)
 
 
-# What the built-in controller, operator and feedback propose.
+# What the built-in controller and operator propose.
 
 
 @step
@@ -155,8 +155,6 @@ def arrive(k, setup, c, state, inputs, log):
     receive(k, setup, c, s, state, log)
     steer(c, s)
     want(c, s)
-    for i in range(3):
-        s.guiding[i] = -c.guidance * s.stretch[i]  # (3.17)
 
 
 # Decisions.
@@ -211,7 +209,9 @@ def obey(c, s, external):
         # the ideal controller has the gain 1/s
         now.u_i[i] = external.reference_velocity[i] + now.error[i]
         s.wanted[i] = chosen(external.wanted[i], s.wanted[i])
-        s.guiding[i] = chosen(external.guiding[i], s.guiding[i])
+        if c.guided_at != AT_OPERATOR:  # the vehicle may have been moved from outside
+            s.stretch[i] = now.error[i]
+        s.guiding[i] = chosen(external.guiding[i], -c.guidance * s.stretch[i])  # (3.17)
     now.path_error = np.sqrt(dot(now.error, now.error))
     now.trust_hr = chosen(external.trust_hr, now.trust_hr)
     now.trust_rh = chosen(external.trust_rh, now.trust_rh)
@@ -420,7 +420,7 @@ def account(c, s, external):
         s.middle[i], x_middle = v_middle, x + 0.5 * T * v_middle
         held = s.force[i] - hand.stiffness * x_middle - hand.damping * v_middle
         now.f_h[i] = held - hand.mass * (2.0 * (v_middle - v) / T)
-        # what the channel's end gives, (3.12) and (3.22), and what guidance and its guard add
+        # what the channel's end gives, (3.12) and (3.22); guidance and its guard give the rest
         end = now.beta * waves.operator_force(c.near, r_m, s.v_l[i]) if bilateral else 0.0
         now.guide[i] = f_m - now.beta * c.near.b * r_m if bilateral else 0.0
         now.energy_operator += T * r_m * now.f_h[i] / scaling  # (3.25)
