@@ -257,7 +257,6 @@ NOT_WALKED = {
     "sessions.plot_by_participant": "for one chapter",
     "sessions.plot_paths": "for one chapter",
     "sessions.tracking_error": "for one chapter",
-    "studies.factorial_batch": "for the power of factorial designs",
     "studies.intraclass_correlation": "goes",
     "studies.simultaneous_intervals": "goes",
     "studies.tlx_weights": "needs fifteen choices a person",

@@ -51,7 +51,7 @@ ALLOWED = {
     "run_campaign": {"out": "the table is the same"},
     "RecordedStudy.export": {"path": "the file is the same"},
     "HapticDevice.step": {"x": "one step", "f_m": "acts one sample later"},
-    "RepeatedMeasures.pairs": {"factor": "one factor", "at": "one factor", "error": "one factor"},
+    "RepeatedMeasures.pairs": {"factor": "one factor", "at": "one factor"},
     "bayes_factor": {"missing": "nothing is missing"},
     "read_people": {"recipe": "the name has a recipe of its own"},
     "testbeds.Pioneer": {"heading_drift": "positive is a word of the description, not the range"},
@@ -266,7 +266,6 @@ KNOWN = {
     "repeated_measures": {
         "within": "foreign errors",
         "between": "foreign errors",
-        "covariate": "foreign errors",
     },
     "RepeatedMeasures.aligned_ranks": {
         "error": "NaN is taken",
@@ -277,9 +276,6 @@ KNOWN = {
     },
     "RepeatedMeasures.plot": {
         "axes": "foreign errors",
-    },
-    "RepeatedMeasuresBatch.study": {
-        "s": "foreign errors",
     },
     "report": {
         "within": "foreign errors",

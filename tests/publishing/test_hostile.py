@@ -37,12 +37,11 @@ from trustlab.reproduction.calibration import Calibration
 from trustlab.reproduction.performance_line import PerformanceLine
 from trustlab.reproduction.reconstruction.reconstruction import reconstruct_study
 from trustlab.sessions.session import Metadata, Session
-from trustlab.studies.analysis.rank_tests import friedman
-from trustlab.studies.analysis.report import report
 from trustlab.studies.planning.virtual_study import VirtualStudy
 from trustlab.studies.questionnaires.likert import ScaleScores
 from trustlab.studies.regression.formula_model import FormulaModel
 from trustlab.studies.regression.ordinal_model import OrdinalModel
+from trustlab.studies.report import report
 from trustlab.teleoperation import Passivity, TeamTrial
 from trustlab.trust.comparison import MEASURES, TrustComparison
 
@@ -316,9 +315,7 @@ def built():
         analysis,
         analysis.mixed_model(),
         tl.paired_t_test(two, **columns()),
-        friedman(np.arange(12.0).reshape(4, 3) % 5),
         tl.winsorize(scores(), **columns(), outside="iqr", k=0.1, to="next"),
-        tl.repeated_measures_batch(np.random.default_rng(1).normal(size=(2, 5, 3))),
         ScaleScores(NAME, scores(), scores(), {}, {}, scores()[:0]),
         design,
         design.balance(),

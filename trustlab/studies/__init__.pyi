@@ -1,23 +1,11 @@
-from .analysis.apa import apa_number as apa_number, apa_p as apa_p, apa_table as apa_table
-from .analysis.batch import (
-    RepeatedMeasuresBatch as RepeatedMeasuresBatch,
-    bonferroni as bonferroni,
-    factorial_batch as factorial_batch,
-    holm as holm,
-    repeated_measures_batch as repeated_measures_batch,
-)
-from .analysis.descriptives import (
-    PartialEtaInterval as PartialEtaInterval,
-    partial_eta_interval as partial_eta_interval,
-)
 from .analysis.mixed_model import MixedModel as MixedModel, mixed_model as mixed_model
 from .analysis.paired_t_test import PairedTTest as PairedTTest, paired_t_test as paired_t_test
-from .analysis.repeated_measures import (
-    RepeatedMeasures as RepeatedMeasures,
-    repeated_measures as repeated_measures,
-)
-from .analysis.report import StudyReport as StudyReport, report as report
 from .analysis.winsorize import Winsorized as Winsorized, winsorize as winsorize
+from .anova import (
+    PartialEtaInterval as PartialEtaInterval,
+    partial_eta_interval as partial_eta_interval,
+    repeated_measures_batch as repeated_measures_batch,
+)
 from .designs import (
     DesignBalance as DesignBalance,
     LatinSquareDesign as LatinSquareDesign,
@@ -32,6 +20,7 @@ from .evidence import (
     intraclass_correlation as intraclass_correlation,
     simultaneous_intervals as simultaneous_intervals,
 )
+from .pairs import bonferroni as bonferroni, holm as holm
 from .planning.closed_form_power import (
     clopper_pearson as clopper_pearson,
     noncentral_f_power as noncentral_f_power,
@@ -67,3 +56,9 @@ from .questionnaires.nasa_tlx import (
 from .regression.formula_model import FormulaModel as FormulaModel, formula_model as formula_model
 from .regression.order_effects import OrderEffects as OrderEffects, order_effects as order_effects
 from .regression.ordinal_model import OrdinalModel as OrdinalModel, ordinal_model as ordinal_model
+from .repeated_measures import (
+    RepeatedMeasures as RepeatedMeasures,
+    repeated_measures as repeated_measures,
+)
+from .report import StudyReport as StudyReport, report as report
+from .words import apa_number as apa_number, apa_p as apa_p, apa_table as apa_table

@@ -1,15 +1,16 @@
 """Beyond significance: equivalence, Bayes factors, simultaneous intervals, agreement."""
 
 from collections.abc import Hashable, Sequence
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import one_of, open_unit, positive, spawned, whole_number
-from trustlab.studies.analysis.batch import analyse_table, holm, paired_differences
-from trustlab.studies.analysis.repeated_measures import RepeatedMeasures
-from trustlab.studies.analysis.score_table import complete_scores, labelled, read_scores
+from trustlab.studies.pairs import condition_pairs, holm
+from trustlab.studies.repeated_measures import RepeatedMeasures, table_effects
+from trustlab.studies.table import complete_scores, labelled, read_scores
 
 UNITS = ("raw", "d_z")
 
@@ -59,7 +60,7 @@ def equivalence(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.analysis.score_table`), every subject has the
+        If the table is refused (see `trustlab.studies.table`), every subject has the
         same difference, or an argument is out of range.
 
     References
@@ -89,18 +90,19 @@ def equivalence(
     scores, excluded = complete_scores(
         read_scores(frame, dv, within, subject, order=order), missing
     )
-    pairs, n = analyse_table(scores).pairwise, len(scores.subjects)
+    table_effects(scores)  # refuses scores without error variance
+    pairs, n = condition_pairs(scores.values[None]), len(scores.subjects)
     rows = []
-    for q, (i, j) in enumerate(zip(pairs.a, pairs.b, strict=True)):
+    for q, (i, j) in enumerate(combinations(range(len(scores.conditions)), 2)):
         a, b = scores.conditions[i], scores.conditions[j]
-        sd = float(pairs.sd_difference[0, q])
-        if sd == 0.0:
+        x, y = scores.values[:, [i, j]].T
+        sd = float((x - y).std(ddof=1))
+        if np.isnan(pairs.t[0, q]):
             raise ValueError(
                 f"dv: every subject has the same difference between {a!r} and {b!r}: no error to "
                 "test"
             )
         reach = bound if units == "raw" else bound * sd
-        x, y = scores.values[:, [i, j]].T
         p, (t_low, p_low, df), (t_high, p_high, _) = ttost_paired(x, y, -reach, reach)
         mean = float(pairs.mean_difference[0, q])
         half = special.stdtrit(df, 1.0 - alpha) * sd / np.sqrt(n)
@@ -155,7 +157,9 @@ def simultaneous_intervals(
     one_of("method", method, ("max_t", "bonferroni"))
     level, draws = open_unit("level", level), whole_number("draws", draws, least=1000, most=10**6)
     table = result.pairs()[["a", "b", "mean_difference", "t"]]
-    errors = result.batch.pairwise.sd_difference[0] / np.sqrt(result.n)
+    a, b = np.triu_indices(result.k, 1)
+    differences = result.scores.values[:, a] - result.scores.values[:, b]
+    errors = differences.std(axis=0, ddof=1) / np.sqrt(result.n)
     critical = special.stdtrit(result.n - 1, 1.0 - 0.5 * (1.0 - level) / len(table))
     if method == "max_t":
         greatest = _greatest_t(np.cov(result.scores.values.T), result.n, draws, seed)
@@ -178,8 +182,7 @@ def _greatest_t(covariance: np.ndarray, n: int, draws: int, seed: int) -> np.nda
     greatest = []
     for start in range(0, draws, 1000):
         scores = rng.standard_normal((min(1000, draws - start), n, k)) @ root
-        pairs = paired_differences(scores, scores.std(axis=1, ddof=1), np.zeros(len(scores)))
-        greatest.append(np.nanmax(np.abs(pairs.t), axis=1))
+        greatest.append(np.nanmax(np.abs(condition_pairs(scores).t), axis=1))
     return np.concatenate(greatest)
 
 
@@ -224,7 +227,7 @@ def bayes_factor(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.analysis.score_table`) or an argument is out
+        If the table is refused (see `trustlab.studies.table`) or an argument is out
         of range.
 
     References
@@ -247,23 +250,24 @@ def bayes_factor(
     scores, excluded = complete_scores(
         read_scores(frame, dv, within, subject, order=order), missing
     )
-    batch = analyse_table(scores)
+    test = table_effects(scores).iloc[0]
     n = len(scores.subjects)
     names = scores.conditions
     if method is None:
-        method = "jzs" if batch.k == 2 else "bic"
+        method = "jzs" if len(names) == 2 else "bic"
     one_of("method", method, ("jzs", "bic"))
     if method == "bic":
-        ss, total = batch.ss_error[0], batch.ss_effect[0] + batch.ss_error[0]
-        size = n * (batch.k - 1)
-        log_bf10 = -0.5 * (size * np.log(ss / total) + batch.df1 * np.log(size))
-        rows = [(str(within), method, float(batch.F[0]), batch.df1, batch.df2, log_bf10)]
+        ss, total = test["ss_error"], test["ss_effect"] + test["ss_error"]
+        size = n * (len(names) - 1)
+        df1, df2 = int(test["df1"]), int(test["df2"])
+        log_bf10 = -0.5 * (size * np.log(ss / total) + df1 * np.log(size))
+        rows = [(str(within), method, float(test["F"]), df1, df2, log_bf10)]
     else:
-        pairs = batch.pairwise
         rows = []
-        for i, j, t in zip(pairs.a, pairs.b, pairs.t[0].tolist(), strict=True):
+        statistics = condition_pairs(scores.values[None]).t[0].tolist()
+        for (a, b), t in zip(combinations(names, 2), statistics, strict=True):
             log_bf10 = log_jzs_bayes_factor(t, n, scale) if np.isfinite(t) else np.nan
-            rows.append((f"{names[i]} − {names[j]}", method, t, 1, n - 1, log_bf10))
+            rows.append((f"{a} − {b}", method, t, 1, n - 1, log_bf10))
     columns = ["comparison", "method", "statistic", "df1", "df2", "log_bf10"]
     table = pd.DataFrame(rows, columns=columns)
     with np.errstate(over="ignore"):
@@ -317,7 +321,7 @@ def intraclass_correlation(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.analysis.score_table`).
+        If the table is refused (see `trustlab.studies.table`).
 
     References
     ----------
@@ -327,7 +331,7 @@ def intraclass_correlation(
     import pingouin
 
     scores, excluded = complete_scores(read_scores(frame, dv, rater, subject), missing)
-    analyse_table(scores)  # refuses ratings without error variance
+    table_effects(scores)  # refuses ratings without error variance
     n, k = scores.values.shape
     cells = {
         "target": np.repeat(range(n), k),

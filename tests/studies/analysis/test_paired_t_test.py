@@ -98,7 +98,7 @@ def test_agrees_with_pingouin():
 def test_turning_and_scaling(pairs, factor):
     a, b = np.array(pairs, dtype=float).T
     if np.ptp(a - b) == 0:
-        with pytest.raises(ValueError, match=r"error variance is zero|every score is"):
+        with pytest.raises(ValueError, match=r"error variance is zero"):
             run(frame_of(a, b))
         return
     one = run(frame_of(a, b))
@@ -166,7 +166,7 @@ def test_missing_scores_only_when_asked_for():
     assert found.excluded == (1,)
     assert found.n == 4
     assert found.t == pytest.approx(run(frame[frame["who"] != 1]).t)
-    assert "1 subject(s) with missing scores were left out (1)." in found.apa()
+    assert "1 participant with missing scores was left out (1)." in found.apa()
 
 
 GOOD = frame_of([1.0, 2, 4, 9], [2.0, 2, 3, 5])
@@ -175,7 +175,7 @@ GOOD = frame_of([1.0, 2, 4, 9], [2.0, 2, 3, 5])
 @pytest.mark.parametrize(
     ("frame", "words"),
     [
-        (GOOD.assign(score=1.0), "every score is 1"),
+        (GOOD.assign(score=1.0), "error variance is zero"),
         (frame_of([0.1, 0.2, 0.3], [0.2, 0.3, 0.4]), "all subjects differ by the same amounts"),
         (GOOD[GOOD["which"] == "A"], "one condition only"),
         (GOOD[GOOD["who"] < 2], "at least three"),
@@ -211,8 +211,9 @@ def test_it_is_repeated_measures_of_two_conditions(seed):
     assert pytest.approx(ours.t**2, rel=1e-12) == anova.F
     assert anova.p == pytest.approx(ours.p, rel=1e-12)
     (pair,) = anova.pairs().to_dict("records")
-    for name in ("a", "b", "mean_difference", "t", "df", "p", "d_z", "d_av"):
+    for name in ("a", "b", "mean_difference", "t", "df", "p", "d_z"):
         assert pair[name] == getattr(ours, name)
+    assert pair["d_av"] == pytest.approx(ours.d_av, rel=1e-14)
     assert [pair["ci_low"], pair["ci_high"]] == pytest.approx(
         [ours.ci_low, ours.ci_high], rel=1e-14
     )

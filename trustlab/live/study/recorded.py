@@ -26,7 +26,6 @@ from trustlab.models.checks import one_of
 from trustlab.models.display import as_html
 from trustlab.sessions.reading import read_session
 from trustlab.sessions.session import Session
-from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.questionnaires.likert import (
     LikertScale,
     ScaleScores,
@@ -36,6 +35,7 @@ from trustlab.studies.questionnaires.likert import (
 )
 from trustlab.studies.questionnaires.nasa_tlx import score_nasa_tlx
 from trustlab.studies.regression.order_effects import OrderEffects, order_effects
+from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 
 KEYS = ["participant", "position", "condition"]
 REHEARSAL = "scripted hands, no person took part"

@@ -10,8 +10,8 @@ from scipy import special
 from scipy.optimize import minimize_scalar
 
 from trustlab.models.display import as_html
-from trustlab.studies.analysis.score_table import ScoreTable, read_scores
-from trustlab.studies.analysis.sphericity import orthonormal_contrasts
+from trustlab.studies.anova import orthonormal_contrasts
+from trustlab.studies.table import ScoreTable, read_scores
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def mixed_model(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.analysis.score_table.read_scores`), fewer
+        If the table is refused (see `trustlab.studies.table.read_scores`), fewer
         than three subjects have a score, a condition has fewer than two, or nothing is left to
         estimate the error from.
 

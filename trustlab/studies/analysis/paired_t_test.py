@@ -9,10 +9,9 @@ import pandas as pd
 
 from trustlab.models.checks import open_unit
 from trustlab.models.display import as_html
-from trustlab.studies.analysis.batch import analyse_table
-from trustlab.studies.analysis.descriptives import describe, t_half_width
-from trustlab.studies.analysis.rank_tests import normality_of_differences, wilcoxon
-from trustlab.studies.analysis.score_table import (
+from trustlab.studies.pairs import condition_pairs, normality_of_differences, wilcoxon
+from trustlab.studies.repeated_measures import describe, t_half_width, table_effects
+from trustlab.studies.table import (
     ScoreTable,
     complete_scores,
     read_scores,
@@ -93,11 +92,12 @@ class PairedTTest:
         """
         Return descriptive statistics as `RepeatedMeasures.descriptives`; intervals at `confidence`.
         """
-        return describe(self.scores, self.confidence)
+        labels = pd.Index(self.scores.conditions, tupleize_cols=False)
+        return pd.DataFrame({"condition": labels} | describe(self.scores.values, self.confidence))
 
     def apa(self) -> str:
         """Return the sentence a paper needs."""
-        from trustlab.studies.analysis.apa import apa_pair
+        from trustlab.studies.words import apa_pair
 
         return apa_pair(self)
 
@@ -114,7 +114,7 @@ class PairedTTest:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (2,)
         """
-        from trustlab.studies.analysis.plots import plot_pair
+        from trustlab.studies.plots import plot_pair
 
         return plot_pair(self, axes)
 
@@ -155,7 +155,7 @@ def paired_t_test(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.analysis.score_table`), there are not exactly
+        If the table is refused (see `trustlab.studies.table`), there are not exactly
         two conditions, or every subject has the same difference.
 
     References
@@ -182,12 +182,16 @@ def paired_t_test(
             "repeated_measures"
         )
     scores, excluded = complete_scores(table, missing)
-    pair = analyse_table(scores).pairwise
-    names = ("mean_difference", "sd_difference", "t", "p", "d_z", "d_av")
+    table_effects(scores)  # refuses scores without error variance
+    pair = condition_pairs(scores.values[None])
+    names = ("mean_difference", "t", "p", "d_z")
     test: dict[str, Any] = {name: float(getattr(pair, name)[0, 0]) for name in names}
-    half = float(t_half_width(test["sd_difference"], len(scores.subjects), confidence))
     a, b = scores.values.T
-    normality = normality_of_differences(scores.values, pair.a, pair.b)
+    test["sd_difference"] = float((a - b).std(ddof=1))
+    spread = 0.5 * (a.std(ddof=1) + b.std(ddof=1))
+    test["d_av"] = test["mean_difference"] / spread
+    half = float(t_half_width(test["sd_difference"], len(scores.subjects), confidence))
+    normality = normality_of_differences(scores.values)
     return PairedTTest(
         a=scores.conditions[0],
         b=scores.conditions[1],

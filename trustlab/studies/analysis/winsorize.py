@@ -9,8 +9,7 @@ import pandas as pd
 
 from trustlab.models.checks import did_you_mean, finite_array, one_of, positive, rounded_down
 from trustlab.models.display import as_html
-from trustlab.studies.analysis.score_table import ScoreTable, read_scores
-from trustlab.studies.columns import labels_of
+from trustlab.studies.table import ScoreTable, labels_of, read_scores
 
 # Which values count as outlying, by the name of the rule and its k.
 OUTLIER_RULES = {
@@ -232,7 +231,7 @@ def winsorize(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.analysis.score_table`), a rule is unknown or
+        If the table is refused (see `trustlab.studies.table`), a rule is unknown or
         cannot apply to so few or so many equal values, or a condition is unknown.
 
     Examples

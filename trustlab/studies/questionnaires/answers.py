@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, of_class, shown
-from trustlab.studies.columns import column_of, number_or_nan, refuse_missing_labels
+from trustlab.studies.table import column_of, number_or_nan, refuse_missing_labels
 
 
 def answer_name(row: object, item: object = None) -> str:

@@ -15,8 +15,8 @@ import pandas as pd
 
 from trustlab.models.checks import finite_number, in_order, of_class, one_of, open_unit
 from trustlab.models.display import as_html
-from trustlab.studies.columns import origin_of
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
+from trustlab.studies.table import origin_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, of_class, one_of
-from trustlab.studies.columns import column_of, refuse_missing_labels
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.likert import LikertScale, ScaleScores, scores_of
+from trustlab.studies.table import column_of, refuse_missing_labels
 
 # : The six scales: demands (mental, physical, temporal), performance (good → poor), effort,
 # frustration.

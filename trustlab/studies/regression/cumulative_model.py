@@ -15,8 +15,8 @@ from scipy.optimize import minimize
 
 from trustlab.models.checks import finite_array
 from trustlab.models.compiled import njit
-from trustlab.studies.columns import column_of
 from trustlab.studies.regression.newton import polished
+from trustlab.studies.table import column_of
 
 # SD below which random effects do not vary.
 _SINGULAR = 1e-3

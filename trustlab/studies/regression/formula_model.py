@@ -11,14 +11,13 @@ from scipy import special
 
 from trustlab.models.checks import of_class, one_of, spawned, whole_number
 from trustlab.models.display import as_html
-from trustlab.studies.analysis.score_table import labelled
-from trustlab.studies.columns import column_of, origin_of, refuse_missing_labels
 from trustlab.studies.regression.cumulative_model import (
     Cumulative,
     Logistic,
     checked_counts,
 )
 from trustlab.studies.regression.linear_model import Linear
+from trustlab.studies.table import column_of, labelled, origin_of, refuse_missing_labels
 
 # Logits beyond which no data tell a probability from 0 or 1.
 FAR = 15.0

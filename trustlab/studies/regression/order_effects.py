@@ -10,9 +10,8 @@ import pandas as pd
 
 from trustlab.models.checks import of_class
 from trustlab.models.display import as_html
-from trustlab.studies.analysis.batch import holm
-from trustlab.studies.analysis.score_table import labelled, levels_of, read_scores
-from trustlab.studies.columns import column_of
+from trustlab.studies.pairs import holm
+from trustlab.studies.table import column_of, labelled, levels_of, read_scores
 
 
 @dataclass(frozen=True, eq=False)

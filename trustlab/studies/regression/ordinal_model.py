@@ -11,9 +11,7 @@ from scipy import special
 
 from trustlab.models.checks import finite_array, of_class, spawned, whole_number
 from trustlab.models.display import as_html
-from trustlab.studies.analysis.batch import holm
-from trustlab.studies.analysis.score_table import labelled, levels_of
-from trustlab.studies.columns import column_of, origin_of, refuse_missing_labels
+from trustlab.studies.pairs import holm
 from trustlab.studies.regression.cumulative_model import (
     MOST_NODES,
     Cumulative,
@@ -26,6 +24,7 @@ from trustlab.studies.regression.formula_model import (
     term_test,
     variances_of,
 )
+from trustlab.studies.table import column_of, labelled, levels_of, origin_of, refuse_missing_labels
 
 MOST_CATEGORIES = 30
 # Nodes of the quadrature in each direction, by the number of random effects.

@@ -4,11 +4,10 @@ import textwrap
 
 import numpy as np
 import pandas as pd
-from scipy.special import stdtrit
 
 from trustlab.models.checks import one_of
 from trustlab.models.display import axes_or_new
-from trustlab.studies.analysis.score_table import ScoreTable
+from trustlab.studies.table import ScoreTable
 
 _BLUE, _GREY = "#1f5a8c", "0.6"
 
@@ -27,23 +26,20 @@ def panels(count: int, height: float, title: str = "") -> np.ndarray:
 
 def _subjects(scores: ScoreTable, axes) -> None:
     """Draw a line per subject."""
-    places = np.arange(len(scores.conditions))
-    axes.plot(places, scores.values.T, color=_GREY, lw=0.7, alpha=0.6, marker=".", ms=3)
+    axes.plot(scores.values.T, color=_GREY, lw=0.7, alpha=0.6, marker=".", ms=3)
 
 
-def _means(stats: pd.DataFrame, axes, suffix: str = "") -> None:
+def _means(stats: pd.DataFrame, axes, suffix: str = "", shift: float = 0.0, **style) -> None:
     """Draw means with the intervals in columns ci_low and ci_high with a suffix."""
     mean = stats["mean"]
     reach = [mean - stats[f"ci_low{suffix}"], stats[f"ci_high{suffix}"] - mean]
-    axes.errorbar(
-        np.arange(mean.size), mean, reach, fmt="o", color=_BLUE, capsize=5, lw=1.5, zorder=3
-    )
+    style = {"fmt": "o", "capsize": 5, "lw": 1.5, "zorder": 3} | style
+    axes.errorbar(np.arange(mean.size) + shift, mean, reach, **style)
 
 
-def _label_conditions(scores: ScoreTable, axes) -> None:
-    k = len(scores.conditions)
-    axes.set_xticks(np.arange(k), [str(condition) for condition in scores.conditions])
-    axes.set(xlim=(-0.6, k - 0.4), xlabel=str(scores.within), ylabel=str(scores.dv))
+def _label(levels: tuple, factor: object, dv: object, axes) -> None:
+    axes.set_xticks(range(len(levels)), [str(level) for level in levels])
+    axes.set(xlim=(-0.6, len(levels) - 0.4), xlabel=str(factor), ylabel=str(dv))
 
 
 def _title(origin: str, text: str, axes) -> str:
@@ -65,39 +61,47 @@ def _clouds(scores: ScoreTable, axes) -> None:
     from scipy.stats import gaussian_kde
 
     jitter = np.random.default_rng(0).uniform(-0.05, 0.05, scores.values.shape)
-    for j, values in enumerate(scores.values.T):
-        axes.plot(j - 0.22 + jitter[:, j], values, "o", ms=3, color=_BLUE, alpha=0.5, mew=0)
-        box = {
-            "widths": 0.12,
-            "manage_ticks": False,
-            "showfliers": False,
-            "medianprops": {"color": "k"},
-        }
-        axes.boxplot(values, positions=[j], **box)
-        spread = np.ptp(values)
-        if spread > 1e-9 * np.abs(values).max():
+    places = np.arange(len(scores.conditions))
+    style = {"color": _BLUE, "alpha": 0.5, "mew": 0}
+    axes.plot(places - 0.22 + jitter, scores.values, "o", ms=3, **style)
+    axes.boxplot(
+        scores.values,
+        positions=places,
+        widths=0.12,
+        manage_ticks=False,
+        showfliers=False,
+        medianprops={"color": "k"},
+    )
+    for place, values in zip(places + 0.12, scores.values.T, strict=True):
+        if np.ptp(values) > 1e-9 * np.abs(values).max():
             # no density beyond the scores
             grid = np.linspace(values.min(), values.max(), 200)
             density = gaussian_kde(values)(grid)
-            right = j + 0.12 + 0.3 * density / density.max()
-            axes.fill_betweenx(grid, j + 0.12, right, color=_BLUE, alpha=0.3, lw=0)
+            right = place + 0.3 * density / density.max()
+            axes.fill_betweenx(grid, place, right, color=_BLUE, alpha=0.3, lw=0)
 
 
 def plot_conditions(result, kind: str = "means", interval: str = "between", axes=None):
-    """
-    Draw the conditions of one analysis side by side; the arguments are those of
-    `RepeatedMeasures.plot`.
-    """
-    one_of("kind", kind, ("means", "raincloud", "paired"))
+    """Draw an analysis of variance; the arguments are those of `RepeatedMeasures.plot`."""
+    one_of("kind", kind, ("means", "raincloud", "paired") if result.one_way else ("means",))
     one_of("interval", interval, ("between", "within"))
-    axes = axes_or_new(axes, figsize=(max(4.2, 1.6 + 0.9 * result.k), 3.6))
+    factor, levels = next(iter(result.within.items()))
+    axes = axes_or_new(axes, figsize=(max(4.2, 1.6 + 0.9 * len(levels)), 3.6))
+    suffix = "" if interval == "between" else "_within"
+    stats = result.descriptives()
+    lines = [name for name in (*result.between, *result.within) if name != factor]
     if kind == "raincloud":
         _clouds(result.scores, axes)
+    elif lines:
+        for i, (cell, rows) in enumerate(stats.groupby(lines, sort=False, observed=True)):
+            style = {"fmt": "o-", "label": ", ".join(map(str, cell))}
+            _means(rows, axes, suffix, 0.06 * i, **style)
+        axes.legend(fontsize="small", title=", ".join(map(str, lines)))
     else:
         if kind == "paired":
             _subjects(result.scores, axes)
-        _means(result.descriptives(), axes, "" if interval == "between" else "_within")
-    _label_conditions(result.scores, axes)
+        _means(stats, axes, suffix, color=_BLUE)
+    _label(levels, factor, result.dv, axes)
     title = {
         "means": f"means, 95 % intervals {interval} subjects",
         "raincloud": "scores, quartiles, densities",
@@ -107,38 +111,16 @@ def plot_conditions(result, kind: str = "means", interval: str = "between", axes
     return axes
 
 
-def plot_cells(result, axes=None):
-    """
-    Draw the cell means of several factors: the first along the axis, a line per other cell.
-    """
-    axes = axes_or_new(axes, figsize=(6.0, 3.8))
-    first = next(iter(result.within))
-    lines = [name for name in (*result.between, *result.within) if name != first]
-    table = result.descriptives()
-    groups = table.groupby(lines, sort=False) if lines else [((), table)]
-    for i, (cell, rows) in enumerate(groups):
-        reach = stdtrit(rows["n"] - 1, 0.975) * rows["se"]
-        places = np.arange(len(rows)) + 0.06 * i
-        label = ", ".join(map(str, cell)) or None
-        axes.errorbar(places, rows["mean"], reach, fmt="o-", capsize=4, lw=1.3, label=label)
-    levels = result.within[first]
-    axes.set_xticks(range(len(levels)), [str(level) for level in levels])
-    axes.set(xlabel=str(first), ylabel=str(result.dv))
-    title = f"means, 95 % intervals between subjects (N = {result.n})"
-    axes.set_title(f"{result.origin}: {title}" if result.origin else title, fontsize="small")
-    axes.legend(fontsize="small", title=", ".join(map(str, lines)))
-    return axes
-
-
 def plot_pair(result, axes=None) -> np.ndarray:
     """
     Draw both conditions of a paired t-test subject by subject, and the differences beside them.
     """
     left, right = axes_or_new(axes, columns=2, figsize=(7.2, 3.6), width_ratios=[2, 1])
-    _subjects(result.scores, left)
-    _means(result.descriptives(), left)
-    _label_conditions(result.scores, left)
-    differences = result.scores.values[:, 0] - result.scores.values[:, 1]
+    scores = result.scores
+    _subjects(scores, left)
+    _means(result.descriptives(), left, color=_BLUE)
+    _label(scores.conditions, scores.within, scores.dv, left)
+    differences = scores.values[:, 0] - scores.values[:, 1]
     jitter = np.random.default_rng(0).uniform(-0.12, 0.12, differences.size)
     right.plot(jitter, differences, "o", color=_GREY, ms=4, zorder=1)
     half = result.ci_high - result.mean_difference
@@ -147,6 +129,6 @@ def plot_pair(result, axes=None) -> np.ndarray:
     )
     right.axhline(0.0, color="k", lw=0.8, ls=":")
     right.set(xlim=(-0.6, 0.6), xticks=[], ylabel=f"difference {result.a} − {result.b}")
-    if result.scores.origin:
-        left.set_title(result.scores.origin, fontsize="small", color="#8a5a00")
+    if scores.origin:
+        left.set_title(scores.origin, fontsize="small", color="#8a5a00")
     return np.array([left, right])
