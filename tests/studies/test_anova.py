@@ -18,7 +18,6 @@ from trustlab.studies import anova as engine
 from trustlab.studies.anova import (
     Design,
     effects,
-    f_tests,
     mauchly_p_value,
     orthonormal_contrasts,
     sphericity,
@@ -323,31 +322,21 @@ def test_which_correction_applies(correction, conditions, p, epsilon, applied, w
     assert chosen["p_corrected"] == p_of[applied]
 
 
-def test_tests_of_an_effect_by_hand():
-    """Two columns of groups, three contrasts; F, ε and p by their definitions and SciPy's F."""
-    covariance = np.array([[[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 0.5]]])
-    result = f_tests(np.array([12.0]), covariance, 2, 10)
-    f = (12.0 / 6.0) / (35.0 / 30.0)
-    gg = 3.5**2 / (3.0 * (covariance**2).sum())
-    hf = (11.0 * 3.0 * gg - 2.0) / (3.0 * (10.0 - 3.0 * gg))
-    expected = {
-        "F": f,
-        "p": stats.f.sf(f, 6, 30),
-        "eta2_partial": 12.0 / 47.0,
-        "epsilon_gg": gg,
-        "epsilon_hf": min(hf, 1.0),
-        "epsilon_hf_untruncated": hf,
-        "p_gg": stats.f.sf(f, 6 * gg, 30 * gg),
-        "p_hf": stats.f.sf(f, 6 * min(hf, 1.0), 30 * min(hf, 1.0)),
-    }
-    for name, value in expected.items():
-        assert result[name] == pytest.approx([value], rel=1e-12), name
-    assert hf < 1.0
-    # A Huynh–Feldt ε that has no finite value, or exceeds 1, is cut.
+def test_an_epsilon_without_a_finite_value_or_above_1_is_cut():
     assert sphericity(np.eye(3), 3)["epsilon_hf_untruncated"] == np.inf
     sphere = sphericity(np.eye(3), 10)
     assert sphere["epsilon_hf"] == 1.0
     assert sphere["epsilon_hf_untruncated"] == pytest.approx(31.0 / 21.0)
+
+
+def test_epsilon_by_hand():
+    covariance = np.array([[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 0.5]])
+    result = sphericity(covariance, 10)
+    gg = 3.5**2 / (3.0 * (covariance**2).sum())
+    assert result["epsilon_gg"] == pytest.approx(gg, rel=1e-12)
+    hf = (11.0 * 3.0 * gg - 2.0) / (3.0 * (10.0 - 3.0 * gg))
+    assert result["epsilon_hf"] == pytest.approx(hf, rel=1e-12)
+    assert hf < 1.0
 
 
 @pytest.mark.parametrize("k", [2, 3, 7])

@@ -154,6 +154,30 @@ class Regression(NamedTuple):
         errors = self.residual @ contrasts
         return np.swapaxes(errors, 1, 2) @ errors / self.design.df_error
 
+    def test(self, contrasts: np.ndarray, rows: np.ndarray) -> dict[str, Any]:
+        """
+        Return F of that hypothesis with its effect size, sphericity and p under each correction; F
+        is NaN where the error variance is zero.
+        """
+        df_error, cells = self.design.df_error, self.residual.shape[2]
+        ss, covariance = self.sum_of_squares(contrasts, rows), self.covariance(contrasts)
+        error = np.trace(covariance, axis1=1, axis2=2)
+        df1, df2 = contrasts.shape[1] * len(rows), contrasts.shape[1] * df_error
+        f = ss / len(rows) / np.where(error > 0.0, error, np.nan)
+        tests = sphericity(covariance, df_error, self.rounding**2, cells)
+        gg, hf = tests["epsilon_gg"], tests["epsilon_hf"]
+        return tests | {
+            "F": f,
+            "df1": df1,
+            "df2": df2,
+            "p": special.fdtrc(df1, df2, f),
+            "p_gg": special.fdtrc(gg * df1, gg * df2, f),
+            "p_hf": special.fdtrc(hf * df1, hf * df2, f),
+            "ss_effect": ss,
+            "ss_error": df_error * error,
+            "eta2_partial": f * df1 / (f * df1 + df2),
+        }
+
 
 def regress(scores: np.ndarray, design: Design) -> Regression:
     """Regress studies of shape (studies, n, cells) on the design between subjects."""
@@ -223,37 +247,6 @@ def sphericity(
     }
 
 
-def f_tests(
-    ss: np.ndarray,
-    covariance: np.ndarray,
-    q: int,
-    df_error: int,
-    floor: Any = 0.0,
-    cells: int | None = None,
-) -> dict[str, Any]:
-    """
-    Return F, partial η², sphericity and p under each correction of an effect of q columns times the
-    d contrasts with this error covariance; F is NaN where that is zero.
-    """
-    d = covariance.shape[-1]
-    df1, df2 = d * q, d * df_error
-    trace = np.trace(covariance, axis1=1, axis2=2)
-    f = ss / q / np.where(trace > 0.0, trace, np.nan)
-    tests = sphericity(covariance, df_error, floor, cells)
-    gg, hf = tests["epsilon_gg"], tests["epsilon_hf"]
-    return tests | {
-        "F": f,
-        "df1": df1,
-        "df2": df2,
-        "p": special.fdtrc(df1, df2, f),
-        "p_gg": special.fdtrc(gg * df1, gg * df2, f),
-        "p_hf": special.fdtrc(hf * df1, hf * df2, f),
-        "ss_effect": ss,
-        "ss_error": df_error * trace,
-        "eta2_partial": f * df1 / (f * df1 + df2),
-    }
-
-
 def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
     """
     Return the type III test of every effect, a row per study and effect, of scores of shape
@@ -274,27 +267,22 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
 def _effects(scores: np.ndarray, design: Design, studies: range) -> pd.DataFrame:
     """Return the tests of the studies with these numbers."""
     regression = regress(scores, design)
-    df_error, floor = design.df_error, regression.rounding**2
-    tests, errors = {}, {}
-    for names in subsets(design.within):
-        contrasts = design.contrasts(names)
-        covariance = regression.covariance(contrasts)
-        errors[names] = df_error * np.trace(covariance, axis1=1, axis2=2)
-        for block in design.blocks:
-            rows = design.rows(block)
-            ss = regression.sum_of_squares(contrasts, rows)
-            test = f_tests(ss, covariance, len(rows), df_error, floor, scores.shape[2])
-            tests[block, names] = test | {"ss_subjects": errors[()]}
-    for test in tests.values():
+    residual = regression.residual
+    subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / residual.shape[2]
+    labels, tests = [], []
+    for block, names in design.effects:
+        test = regression.test(design.contrasts(names), design.rows(block))
         # Of all variance but that of the other effects (Olejnik and Algina, 2003).
-        total = sum(errors.values(), start=test["ss_effect"])
+        total = test["ss_effect"] + (residual**2).sum(axis=(1, 2))
         test["eta2_generalized"] = test["ss_effect"] / np.where(total > 0.0, total, np.nan)
-    labels = [effect_name(*effect) for effect in design.effects]
-    columns = {}
-    for name in test:
-        values = [np.broadcast_to(tests[effect][name], len(studies)) for effect in design.effects]
-        columns[name] = np.column_stack(values)
-    flat = np.argwhere(columns["ss_error"] <= columns["df2"] * floor[:, None])
+        tests.append(test | {"ss_subjects": subjects})
+        labels.append(effect_name(block, names))
+    columns = {
+        name: np.column_stack([np.broadcast_to(test[name], len(studies)) for test in tests])
+        for name in tests[0]
+    }
+    noise = columns["df2"] * regression.rounding[:, None] ** 2
+    flat = np.argwhere(columns["ss_error"] <= noise)
     if len(flat):
         study, effect = flat[0]
         raise ValueError(

@@ -12,7 +12,6 @@ from trustlab.studies.anova import (
     Design,
     Regression,
     effect_name,
-    f_tests,
     orthonormal_contrasts,
     regress,
     subsets,
@@ -207,10 +206,8 @@ def simple_effects(
         contrasts, hypothesis = cells @ orthonormal_contrasts(len(means)), means[:1]
         if factor in design.between:
             contrasts, hypothesis = cells[:, :1], np.diff(means, axis=0)
-        ss = regression.sum_of_squares(contrasts, hypothesis)
-        covariance = regression.covariance(contrasts)
-        tests = f_tests(ss, covariance, len(hypothesis), design.df_error)
-        rows.append({"factor": factor, "at": at, "level": level} | _brief(tests))
+        test = _brief(regression.test(contrasts, hypothesis))
+        rows.append({"factor": factor, "at": at, "level": level} | test)
     table = pd.DataFrame(rows)
     return table.assign(p_holm=holm(table["p_gg"].to_numpy()))
 
@@ -252,24 +249,20 @@ def aligned(
 
 def aligned_tests(values: np.ndarray, design: Design, error: str) -> pd.DataFrame:
     """Return the test of every effect on the ranks aligned for it."""
+    every = orthonormal_contrasts(values.shape[1])
     rows = []
     for block, names in design.effects:
         regression = regress(aligned(values, design, (*block, *names))[None], design)
-        contrasts, hypothesis = design.contrasts(names), design.rows(block)
-        ss = regression.sum_of_squares(contrasts, hypothesis)
-        covariance = regression.covariance(contrasts)
+        test = regression.test(design.contrasts(names), design.rows(block))
+        row = {"effect": effect_name(block, names)} | _brief(test)
         if error == "pooled" and names:
-            every = orthonormal_contrasts(values.shape[1])
             variance = np.trace(regression.covariance(every)[0]) / every.shape[1]
-            tests = f_tests(ss, np.full((1, 1, 1), variance), len(hypothesis), design.df_error)
-            d, df2 = contrasts.shape[1], every.shape[1] * design.df_error
-            f, df1 = tests["F"] / d, tests["df1"] * d
-            tests |= {"F": f, "df1": df1, "df2": df2, "p": scipy.special.fdtrc(df1, df2, f)}
-            tests |= {"eta2_partial": f * df1 / (f * df1 + df2)}
-            tests |= {"epsilon_gg": np.nan, "p_gg": np.nan}
-        else:
-            tests = f_tests(ss, covariance, len(hypothesis), design.df_error)
-        rows.append({"effect": effect_name(block, names)} | _brief(tests))
+            f, df1 = float(test["ss_effect"][0]) / test["df1"] / variance, test["df1"]
+            df2 = every.shape[1] * design.df_error
+            row |= {"F": f, "df2": df2, "p": scipy.special.fdtrc(df1, df2, f)}
+            row |= {"epsilon_gg": np.nan, "p_gg": np.nan}
+            row["eta2_partial"] = f * df1 / (f * df1 + df2)
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -323,13 +316,16 @@ def wilcoxon(differences: np.ndarray, largest: float) -> Wilcoxon:
     return Wilcoxon(v, float(test.pvalue), method, (2.0 * v - total) / total)
 
 
+def _differences(values: np.ndarray) -> np.ndarray:
+    """Return the subjects' differences of every pair of conditions, shape (pairs, n)."""
+    a, b = np.triu_indices(values.shape[1], 1)
+    return (values[:, a] - values[:, b]).T
+
+
 def rank_pairs(values: np.ndarray) -> pd.DataFrame:
     """Compare every pair of conditions by Wilcoxon's signed-rank test, a row per pair."""
     largest = np.abs(values).max()
-    rows = []
-    for a, b in zip(*np.triu_indices(values.shape[1], 1), strict=True):
-        difference = values[:, a] - values[:, b]
-        rows.append((*wilcoxon(difference, largest), np.median(difference)))
+    rows = [(*wilcoxon(x, largest), np.median(x)) for x in _differences(values)]
     names = ["V", "p", "method", "rank_biserial", "median_difference"]
     table = pd.DataFrame(rows, columns=names)
     p = table["p"].to_numpy()
@@ -356,8 +352,7 @@ def normality_of_differences(values: np.ndarray) -> pd.DataFrame:
     """
     rounding = 4.0 * np.finfo(float).eps * np.abs(values).max()
     rows = []
-    for a, b in zip(*np.triu_indices(values.shape[1], 1), strict=True):
-        difference = values[:, a] - values[:, b]
+    for difference in _differences(values):
         if difference.size > 5000 or np.ptp(difference) <= 2.0 * rounding:
             rows.append((np.nan, np.nan))
         else:

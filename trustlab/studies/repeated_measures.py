@@ -3,6 +3,7 @@
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -216,26 +217,19 @@ class RepeatedMeasures(Result):
             two 95 % intervals of the mean: ci_low and ci_high between subjects, ci_low_within and
             ci_high_within after Cousineau and Morey.
         """
-        tables = []
-        sizes = [range(len(levels)) for levels in self.between.values()]
-        for group in pd.MultiIndex.from_product(sizes) if sizes else [()]:
-            members = np.ones(self.n, dtype=bool)
-            for name, place in zip(self.between, group, strict=True):
-                members &= self.design.groups[name] == place
-            labels = [
-                (
-                    *(levels[i] for levels, i in zip(self.between.values(), group, strict=True)),
-                    *cell,
-                )
-                for cell in (self.conditions if len(self.within) > 1 else zip(self.conditions))
-            ]
-            names = ["condition"] if self.one_way else [*self.between, *self.within]
-            columns = {
-                name: pd.Index(column, tupleize_cols=False)
-                for name, column in zip(names, zip(*labels, strict=True), strict=True)
-            }
-            tables.append(pd.DataFrame(columns | describe(self.scores.values[members])))
-        return labelled(pd.concat(tables, ignore_index=True), self.origin)
+        number = np.zeros(self.n, dtype=int)
+        for name, levels in self.between.items():
+            number = number * len(levels) + self.design.groups[name]
+        values = self.scores.values
+        tables = [pd.DataFrame(describe(values[number == i])) for i in range(number.max() + 1)]
+        names = ["condition"] if self.one_way else [*self.between, *self.within]
+        labels = zip(*product(*self.between.values(), *self.within.values()), strict=True)
+        columns = {
+            name: pd.Index(column, tupleize_cols=False)
+            for name, column in zip(names, labels, strict=True)
+        }
+        stats = pd.concat(tables, ignore_index=True)
+        return labelled(pd.DataFrame(columns).join(stats), self.origin)
 
     def pairs(
         self,
@@ -551,17 +545,14 @@ def repeated_measures(
     alpha = open_unit("alpha", alpha)
     if not factors:
         raise ValueError("within must name a column, got an empty list")
-    if order is None or (len(factors) == 1 and not isinstance(order, dict)):
-        orders = {} if order is None else dict.fromkeys(map(id, factors), order)
-        listed = [orders.get(id(name)) for name in factors]
-        order = {}
-    else:
-        of_class("order", order, dict, "give the levels of each factor")
-        if unknown := [name for name in order if name not in (*factors, *groups)]:
-            raise ValueError(
-                f"order: {unknown[0]!r} is not a factor of this design: {[*factors, *groups]}"
-            )
-        listed = [order.get(name) for name in factors]
+    if len(factors) == 1 and not isinstance(order, dict) and order is not None:
+        order = {factors[0]: order}
+    order = of_class("order", {} if order is None else order, dict, "give each factor's levels")
+    if unknown := [name for name in order if name not in (*factors, *groups)]:
+        raise ValueError(
+            f"order: {unknown[0]!r} is not a factor of this design: {[*factors, *groups]}"
+        )
+    listed = [order.get(name) for name in factors] if order else [None] * len(factors)
     levels = read_levels(frame, dv, factors, subject, listed)
     observed = read_cells(frame, dv, levels, subject)
     scores, excluded = complete_scores(observed, missing)
@@ -574,8 +565,13 @@ def repeated_measures(
         {name: codes for name, (_, codes) in read.items()},
     )
     _check_groups(design, scores)
-    tests = _tests(scores, design, correction, alpha)
-    tests = tests.assign(alpha=alpha, excluded=len(excluded), origin=scores.origin)
+    first = {"dv": scores.dv, "within": scores.within}
+    last = {"alpha": alpha, "excluded": len(excluded), "origin": scores.origin}
+    rows = []
+    for row in table_effects(scores, design).to_dict("records"):
+        effect = {"effect": row.pop("effect"), "n": design.n, "k": len(scores.conditions)}
+        rows.append(first | effect | _decided(row, design, correction, alpha) | last)
+    tests = pd.DataFrame(rows)
     return RepeatedMeasures(scores, observed, design, tests, excluded, correction, alpha)
 
 
@@ -607,32 +603,21 @@ def table_effects(scores: ScoreTable, design: Design | None = None) -> pd.DataFr
         raise ValueError(f"dv: column {scores.dv!r} by {scores.within!r}: {reason}") from None
 
 
-def _tests(scores: ScoreTable, design: Design, correction: str, alpha: float) -> pd.DataFrame:
-    """Return the table of effects, with the correction that applies."""
-    tests = table_effects(scores, design)
+def _decided(row: dict, design: Design, correction: str, alpha: float) -> dict[str, Any]:
+    """Return the test of an effect with the correction that applies and the interval of η²."""
     for end in ("gg", "hf"):
-        for df in ("df1", "df2"):
-            tests[f"{df}_{end}"] = tests[df] * tests[f"epsilon_{end}"]
-    decisions = []
-    for row in tests.to_dict("records"):
-        decision = _decision(row, design.df_error, correction, alpha)
-        df1, df2 = decision["df1_corrected"], decision["df2_corrected"]
-        interval = partial_eta_interval(row["F"], df1, df2)
-        # λ = n d ε η²/(1 − η²) in the population, for d contrasts within subjects.
-        d = row["df2"] // design.df_error
-        total = df2 + df1 * (design.n - design.df_error) * d / row["df1"]
-        for end in ("low", "high"):
-            strength = getattr(interval, f"noncentrality_{end}")
-            decision[f"eta2_partial_{end}"] = strength / (strength + total)
-        decisions.append(decision)
-    tests = tests.join(pd.DataFrame(decisions))
-    first = {"dv": scores.dv, "within": scores.within, "effect": tests.pop("effect")}
-    first |= {"n": design.n, "k": len(scores.conditions)}
-    for place, (name, value) in enumerate(first.items()):
-        tests.insert(
-            place, name, pd.Series([value] * len(tests)) if name in ("dv", "within") else value
-        )
-    return tests
+        row |= {f"{df}_{end}": row[df] * row[f"epsilon_{end}"] for df in ("df1", "df2")}
+    row |= _decision(row, design.df_error, correction, alpha)
+    df1, df2 = row["df1_corrected"], row["df2_corrected"]
+    interval = partial_eta_interval(row["F"], df1, df2)
+    # λ = n d ε η²/(1 − η²) in the population, for d contrasts within subjects.
+    d = row["df2"] // design.df_error
+    total = df2 + df1 * (design.n - design.df_error) * d / row["df1"]
+    low, high = interval.noncentrality_low, interval.noncentrality_high
+    return row | {
+        "eta2_partial_low": low / (low + total),
+        "eta2_partial_high": high / (high + total),
+    }
 
 
 def _decision(row: dict, df_error: int, correction: str, alpha: float) -> dict[str, Any]:

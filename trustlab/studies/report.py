@@ -177,7 +177,7 @@ def _section(result: RepeatedMeasures) -> dict[str, pd.DataFrame]:
     labels = {"condition"} if result.one_way else set(factors)
     stats = result.descriptives()
     moments = [name for name in stats if name in labels or name in ("n", "mean", "sd")]
-    stats = stats[[*moments, "ci_low", "ci_high"]].rename(columns={"mean": "M", "sd": "SD"})
+    stats = stats[[*moments, "ci_low", "ci_high"]]
     tests = result.table()
     df = [
         f"{df_text(df1)}, {df_text(df2)}"

@@ -25,6 +25,8 @@ _CORRECTIONS = {
 }
 # Heads of columns and names of parameters; others are written with blanks for underlines.
 _HEADS = {
+    "mean": "M",
+    "sd": "SD",
     "ci_low": "95% CI low",
     "ci_high": "95% CI high",
     "stderr": "standard error",
@@ -45,8 +47,7 @@ _HEADS = {
 } | {name: name for name in ("d_z", "95% CI of d_z", "TSC_l", "TSC_u")}
 # Columns in the unit of what was measured: as many decimals as show their error.
 _ESTIMATES = {"value", "estimate", "mean", "mean_difference", "stderr", "se", "sd"}
-_ESTIMATES |= {"ci_low", "ci_high", "M", "SD", "95% CI low", "95% CI high"}
-_ERRORS = ("stderr", "se", "sd", "SD")
+_ESTIMATES |= {"ci_low", "ci_high"}
 
 
 def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str:
@@ -125,13 +126,12 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
 
 def _errors(frame: pd.DataFrame) -> list:
     """Return the sizes of errors: of each row where it has a standard error, else of all."""
-    for name in _ERRORS:
+    for name in ("stderr", "se"):
         if name in frame:
-            return list(frame[name]) if name in ("stderr", "se") else [frame[name]]
-    for low, high in (("ci_low", "ci_high"), ("95% CI low", "95% CI high")):
-        if low in frame and high in frame:
-            return [(frame[high] - frame[low]) / 2.0]
-    return [0.0]
+            return list(frame[name])
+    if "ci_low" in frame and "ci_high" in frame:
+        return [(frame["ci_high"] - frame["ci_low"]) / 2.0]
+    return [frame.get("sd", 0.0)]
 
 
 def _decimals_of(values: Any, digits: int) -> int:
