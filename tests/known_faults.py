@@ -263,30 +263,17 @@ KNOWN = {
     "reconstruct_study": {
         "without": "foreign errors",
     },
-    "repeated_measures": {
-        "within": "foreign errors",
-        "between": "foreign errors",
-    },
     "RepeatedMeasures.aligned_ranks": {
         "error": "NaN is taken",
     },
-    "RepeatedMeasures.pairs": {
-        "factor": "foreign errors",
-        "at": "foreign errors",
-    },
     "RepeatedMeasures.plot": {
         "axes": "foreign errors",
-    },
-    "report": {
-        "within": "foreign errors",
-        "thresholds": "no difference",
     },
     "StudyReport.plot": {
         "axes": "foreign errors",
     },
     "StudyReport.write": {
         "path": "foreign errors, no argument named",
-        "digits": "foreign errors",
     },
     "GroundRobotRun.plot_path": {
         "axes": "foreign errors",
@@ -411,10 +398,6 @@ KNOWN = {
     },
     "studies.apa_p": {
         "p": "foreign errors, NaN is taken",
-    },
-    "studies.apa_table": {
-        "frame": "foreign errors",
-        "digits": "foreign errors",
     },
     "studies.bonferroni": {
         "p": "foreign errors, NaN is taken",

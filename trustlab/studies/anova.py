@@ -166,17 +166,17 @@ class Regression(NamedTuple):
         f = ss / len(rows) / np.where(error > 0.0, error, np.nan)
         tests = sphericity(covariance, df_error, self.rounding**2, cells)
         gg, hf = tests["epsilon_gg"], tests["epsilon_hf"]
-        return tests | {
+        return {
             "F": f,
             "df1": df1,
             "df2": df2,
             "p": special.fdtrc(df1, df2, f),
             "p_gg": special.fdtrc(gg * df1, gg * df2, f),
             "p_hf": special.fdtrc(hf * df1, hf * df2, f),
+            "eta2_partial": f * df1 / (f * df1 + df2),
             "ss_effect": ss,
             "ss_error": df_error * error,
-            "eta2_partial": f * df1 / (f * df1 + df2),
-        }
+        } | tests
 
 
 def regress(scores: np.ndarray, design: Design) -> Regression:
@@ -268,12 +268,13 @@ def _effects(scores: np.ndarray, design: Design, studies: range) -> pd.DataFrame
     """Return the tests of the studies with these numbers."""
     regression = regress(scores, design)
     residual = regression.residual
+    errors = (residual**2).sum(axis=(1, 2))
     subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / residual.shape[2]
     labels, tests = [], []
     for block, names in design.effects:
         test = regression.test(design.contrasts(names), design.rows(block))
         # Of all variance but that of the other effects (Olejnik and Algina, 2003).
-        total = test["ss_effect"] + (residual**2).sum(axis=(1, 2))
+        total = test["ss_effect"] + errors
         test["eta2_generalized"] = test["ss_effect"] / np.where(total > 0.0, total, np.nan)
         tests.append(test | {"ss_subjects": subjects})
         labels.append(effect_name(block, names))
@@ -318,10 +319,11 @@ def repeated_measures_batch(
     Returns
     -------
     pandas.DataFrame
-        Index study, effect. Columns epsilon_gg, epsilon_hf (cut at 1), epsilon_hf_untruncated;
-        mauchly_w, mauchly_chi2, mauchly_df, mauchly_p (to second order; NaN where the test is not
-        defined); F, df1, df2, p (sphericity assumed), p_gg, p_hf, ss_effect, ss_error,
-        eta2_partial, ss_subjects, eta2_generalized.
+        Index study, effect. Columns F, df1, df2, p (sphericity assumed), p_gg, p_hf (with
+        Greenhouse–Geisser's and Huynh–Feldt's ε), eta2_partial, ss_effect, ss_error, epsilon_gg,
+        epsilon_hf (cut at 1), epsilon_hf_untruncated, mauchly_w, mauchly_chi2, mauchly_df,
+        mauchly_p (to second order; NaN where the test is not defined), eta2_generalized and
+        ss_subjects.
 
     Raises
     ------

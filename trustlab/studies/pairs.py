@@ -156,13 +156,14 @@ def _marginals(
     levels, unweighted over other factors: with each level of `at`, or over all, with NaN.
     """
     k = len(levels_of_factor(design, factor))
+    fixed_levels = [np.nan] if at is None else levels_of_factor(design, at)
     if factor == at:
         raise ValueError(f"factor and at are both {factor!r}; name two factors")
     sizes = [len(levels) for levels in design.between.values()]
     count = int(np.prod(sizes))
     codes = np.indices(sizes).reshape(len(sizes), count)
     combinations = Design(count, {}, design.between, dict(zip(design.between, codes, strict=True)))
-    for place, level in enumerate([np.nan] if at is None else levels_of_factor(design, at)):
+    for place, level in enumerate(fixed_levels):
         fixed = [{factor: i} | ({} if at is None else {at: place}) for i in range(k)]
         cells = np.array([_share(design.within, levels) for levels in fixed]).T
         groups = np.array([_share(design.between, levels) for levels in fixed])

@@ -556,8 +556,8 @@ def repeated_measures(
     levels = read_levels(frame, dv, factors, subject, listed)
     observed = read_cells(frame, dv, levels, subject)
     scores, excluded = complete_scores(observed, missing)
+    read = {name: read_groups(frame, name, scores, order) for name in groups}
     refuse_repeated([dv, subject, *factors, *groups])
-    read = {name: read_groups(frame, name, scores, order.get(name)) for name in groups}
     design = Design(
         len(scores.subjects),
         levels,

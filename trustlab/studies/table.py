@@ -319,7 +319,7 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
 
 
 def read_groups(
-    frame: pd.DataFrame, name: Hashable, scores: ScoreTable, order: Any = None
+    frame: pd.DataFrame, name: Hashable, scores: ScoreTable, orders: Mapping
 ) -> tuple[tuple, np.ndarray]:
     """
     Return the groups in a column, each with two of the complete subjects or more, and the group
@@ -327,7 +327,7 @@ def read_groups(
     """
     groups: dict[Hashable, Hashable] = {}
     column = column_of(frame, "between", name)
-    listed = levels_of(column, "between", order)
+    listed = levels_of(column, "between", orders.get(name))
     for subject, group in zip(frame[scores.subject].tolist(), column.tolist(), strict=True):
         if groups.setdefault(subject, group) != group:
             raise ValueError(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import one_of
+from trustlab.models.checks import of_class, one_of, whole_number
 from trustlab.studies.pairs import d_z_interval
 from trustlab.studies.table import ScoreTable, same_for_all
 
@@ -106,6 +106,8 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
         or else of the interval's half width or the standard deviation; other columns as many as
         show two digits of a typical number.
     """
+    of_class("frame", frame, pd.DataFrame)
+    digits = whole_number("digits", digits, least=0, most=12)
     labels = {"a", "b", "level", "condition", *frame.attrs.get("labels", ())}
     table = frame.copy()
     for name in frame.select_dtypes("float").columns:
