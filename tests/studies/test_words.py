@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.studies.words import apa_decimals, apa_number, apa_p
+from trustlab.studies.words import apa_number, apa_p, decimals_of
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_p_values(p, text):
     ("sd", "digits"), [(31.0, 1), (1.7, 2), (0.09, 4), (2e-5, 7), (450.0, 0), (0.0, 2)]
 )
 def test_decimals_follow_the_standard_deviation(sd, digits):
-    assert apa_decimals(np.array([sd, sd])) == digits
+    assert decimals_of(np.array([sd, sd]), 3) == digits
 
 
 @pytest.mark.parametrize("seed", range(20))

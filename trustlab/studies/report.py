@@ -4,7 +4,6 @@ import html
 import io
 import os
 import re
-import unicodedata
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -285,13 +284,14 @@ def _printed(table: pd.DataFrame, digits: int) -> pd.DataFrame:
 
 def _refuse_control_characters(text: str, tables: dict[str, pd.DataFrame]) -> None:
     """Refuse what neither HTML nor LaTeX can hold, and what no reader could see."""
-    cells = [cell for table in tables.values() for cell in [*table, *table.to_numpy().ravel()]]
-    for words in [*cells, *tables, text]:
-        if any(unicodedata.category(sign) == "Cc" and sign not in "\n\t" for sign in words):
-            raise ValueError(
-                f"{words[:60]!r} holds a control character, which no document can show; rename the "
-                "level or column in the data"
-            )
+    words = "\n".join(
+        [text, *tables, *(table.to_csv(lineterminator="\n") for table in tables.values())]
+    )
+    if control := re.search(r".*[\x00-\x08\x0b-\x1f\x7f-\x9f]", words):
+        raise ValueError(
+            f"{control.group()[-60:]!r} holds a control character, which no document can show; "
+            "rename the level or column in the data"
+        )
 
 
 def _html(study: StudyReport, tables: dict[str, pd.DataFrame]) -> str:

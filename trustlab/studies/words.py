@@ -120,7 +120,7 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
             texts = [df_text(value) for value in values]
         else:
             sizes = _errors(frame) if name in _ESTIMATES else [values]
-            decimals = [_decimals_of(size, digits) for size in sizes]
+            decimals = [decimals_of(size, 2, digits) for size in sizes]
             texts = list(map(apa_number, values, np.resize(decimals, len(values)).tolist()))
         table[name] = np.where(np.isnan(values), "", texts)
     return table
@@ -136,18 +136,12 @@ def _errors(frame: pd.DataFrame) -> list:
     return [frame.get("sd", 0.0)]
 
 
-def _decimals_of(values: Any, digits: int) -> int:
-    """Return the decimals that show two digits of a typical number, at least `digits`."""
+def decimals_of(values: Any, digits: int, least: int = 0) -> int:
+    """Return the decimals, at least so many, that show some digits of a typical number."""
     sizes = np.abs(np.ravel(values).astype(float))
     sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
     typical = np.median(sizes) if sizes.size else 1.0
-    return int(np.clip(1 - np.floor(np.log10(typical)), digits, 12))
-
-
-def apa_decimals(sd: np.ndarray) -> int:
-    """Return how many decimals show three digits of the conditions' typical SD."""
-    typical = float(np.median(sd[sd > 0.0])) if (sd > 0.0).any() else 1.0
-    return int(np.clip(2 - np.floor(np.log10(typical)), 0, 12))
+    return int(np.clip(digits - 1 - np.floor(np.log10(typical)), least, 12))
 
 
 def in_words(name: str) -> str:
@@ -247,7 +241,7 @@ def _sphericity(row: dict, alpha: float) -> str:
 
 def condition_means(stats: pd.DataFrame) -> list[str]:
     """Return "C1 (M = 3.21, SD = 0.80)" for each row of descriptive statistics."""
-    digits = apa_decimals(stats["sd"].to_numpy())
+    digits = decimals_of(stats["sd"], 3)
     return [
         f"{condition} (M = {apa_number(mean, digits)}, SD = {apa_number(sd, digits)})"
         for condition, mean, sd in zip(stats["condition"], stats["mean"], stats["sd"], strict=True)
@@ -295,7 +289,7 @@ def apa_pair(result: Any) -> str:
     """Return a paired t-test as a sentence."""
     stats = result.descriptives()
     a, b = condition_means(stats)
-    digits = apa_decimals(stats["sd"].to_numpy())
+    digits = decimals_of(stats["sd"], 3)
     verb = "differed significantly" if result.p < 0.05 else "did not differ significantly"
     difference = interval(result.ci_low, result.ci_high, digits, level=100 * result.confidence)
     low, high = map(float, d_z_interval(result.t, result.df, result.n**-0.5))
