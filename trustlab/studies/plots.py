@@ -42,18 +42,12 @@ def _label(levels: tuple, factor: object, dv: object, axes) -> None:
     axes.set(xlim=(-0.6, len(levels) - 0.4), xlabel=str(factor), ylabel=str(dv))
 
 
-def _title(origin: str, text: str, axes) -> str:
-    """
-    Return the title in lines as wide as the axes; the origin has its own line if one is too short.
-    """
-    width = axes.bbox.width / axes.figure.dpi
-    letters = max(16, int(15.0 * width))  # of size "small" per inch
+def _title(origin: str, text: str, axes) -> None:
+    """Write the title in lines as wide as the axes; an origin has its own if one is too short."""
+    letters = max(16, int(15.0 * axes.bbox.width / axes.figure.dpi))  # of size "small" per inch
     whole = f"{origin}: {text}" if origin else text
-    if len(whole) <= letters:
-        return whole
-    parts = [f"{origin}:", text] if origin else [text]
-    parts = [part.replace("N = ", "N\xa0=\xa0") for part in parts]  # which textwrap keeps together
-    return "\n".join(textwrap.fill(part, letters) for part in parts).replace("\xa0", " ")
+    parts = [f"{origin}:", text] if origin and len(whole) > letters else [whole]
+    axes.set_title("\n".join(textwrap.fill(part, letters) for part in parts), fontsize="small")
 
 
 def _clouds(scores: ScoreTable, axes) -> None:
@@ -107,7 +101,7 @@ def plot_conditions(result, kind: str = "means", interval: str = "between", axes
         "raincloud": "scores, quartiles, densities",
         "paired": f"subjects; means, 95 % intervals {interval} subjects",
     }[kind]
-    axes.set_title(_title(result.origin, f"{title} (N = {result.n})", axes), fontsize="small")
+    _title(result.origin, f"{title} (N = {result.n})", axes)
     return axes
 
 
