@@ -172,7 +172,6 @@ CALLS = {
     },
     "PublishedStudy.pair": lambda: {"name": "A-B"},
     "RepeatedMeasures.pairs": dict,
-    "RepeatedMeasuresBatch.study": lambda: {"s": 0},
     "RobotModel.simulate": lambda: {
         "mode": np.array([1.0, 0.0, 1.0]),
         "p_h": np.array([0.4, 0.4, 0.4]),
