@@ -13,6 +13,7 @@ import pandas as pd
 
 import trustlab as tl
 from benchmarks.timing import Row, here, in_turns
+from trustlab.studies.pairs import condition_pairs
 
 TITLE = "Repeated measures"
 STUDIES = 10_000
@@ -28,7 +29,8 @@ def rows() -> Iterator[Row]:
     """
     array = studies()
     frames = [long_table(study) for study in array[:LOOPED]]
-    batch = tl.repeated_measures_batch(array)
+    batch = tl.repeated_measures_batch(array).droplevel("effect")
+    pairs = condition_pairs(array)
     for peer, analyse in (
         ("pingouin rm_anova, a loop", anova),
         ("pingouin rm_anova, epsilon, pairwise_tests, a loop", everything),
@@ -37,7 +39,7 @@ def rows() -> Iterator[Row]:
         ours = "trustlab repeated_measures_batch"
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # pandas' own, from inside pingouin
-            error = greatest_error(batch, [analyse(frame) for frame in frames])
+            error = greatest_error(batch, pairs, [analyse(frame) for frame in frames])
             if not error <= 1e-10:
                 yield Row(case, ours, peer, fault=f"its values differ by {error:.2g}")
                 continue
@@ -55,7 +57,7 @@ def two_way() -> Row:
         f"Two-way repeated measures, {STUDIES:,} studies of {SUBJECTS} × 2 × 3",
         "pingouin rm_anova, a loop",
     )
-    ours = "trustlab factorial_batch"
+    ours = "trustlab repeated_measures_batch"
     array = np.random.default_rng(6).standard_normal((STUDIES, SUBJECTS, 2, 3))
     cells = pd.MultiIndex.from_product(
         [range(SUBJECTS), range(2), range(3)], names=["subject", "A", "B"]
@@ -65,7 +67,7 @@ def two_way() -> Row:
     def analyse(frame: pd.DataFrame) -> pd.DataFrame:
         return pingouin.rm_anova(frame, dv="value", within=["A", "B"], subject="subject")
 
-    found = tl.studies.factorial_batch(array[:LOOPED])
+    found = tl.repeated_measures_batch(array[:LOOPED])
     errors = [
         np.abs(found.loc[s, "F"].to_numpy() / analyse(frame)["F"].to_numpy() - 1.0).max()
         for s, frame in enumerate(frames)
@@ -75,7 +77,7 @@ def two_way() -> Row:
         return Row(case, ours, peer, fault=f"its values differ by {error:.2g}")
     loop = here(lambda: [analyse(frame) for frame in frames])
     ours_ms, peer_ms, ratio = in_turns(
-        here(lambda: tl.studies.factorial_batch(array)),
+        here(lambda: tl.repeated_measures_batch(array)),
         lambda calls: loop(calls) * STUDIES / len(frames),
         5,
     )
@@ -120,7 +122,7 @@ def timed(
     """
     loop = here(lambda: [analyse(frame) for frame in frames])
     ours_ms, peer_ms, ratio = in_turns(
-        here(lambda: tl.repeated_measures_batch(array)),
+        here(lambda: (tl.repeated_measures_batch(array), condition_pairs(array))),
         lambda calls: loop(calls) * STUDIES / len(frames),
         5,
     )
@@ -214,15 +216,17 @@ def everything(frame: pd.DataFrame) -> dict[str, object]:
     }
 
 
-def greatest_error(batch, found: list[dict[str, object]]) -> float:
+def greatest_error(batch: pd.DataFrame, pairs, found: list[dict[str, object]]) -> float:
     """
     Return the greatest difference between the batch and the peer, relative where a value passes 1;
     NaN counts as one.
 
     Parameters
     ----------
-    batch : RepeatedMeasuresBatch
-        Ours.
+    batch : pandas.DataFrame
+        Ours, a row per study.
+    pairs : Pairs
+        Our comparisons of conditions.
     found : list of dict
         The peer's, study by study.
     """
@@ -230,9 +234,9 @@ def greatest_error(batch, found: list[dict[str, object]]) -> float:
     for s, values in enumerate(found):
         for name, theirs in values.items():
             if name in ("t", "pair_p", "p_holm"):
-                ours = getattr(batch.pairwise, name.removeprefix("pair_"))[s]
+                ours = getattr(pairs, name.removeprefix("pair_"))[s]
             else:
-                ours = getattr(batch, name)[s]
+                ours = batch.loc[s, name]
             error = np.max(np.abs(ours - theirs) / np.maximum(1.0, np.abs(theirs)))
             greatest = max(greatest, float(error)) if error == error else np.inf
     return greatest

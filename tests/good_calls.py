@@ -163,7 +163,6 @@ CALLS = {
     },
     "PublishedStudy.pair": lambda: {"name": "A-B"},
     "RepeatedMeasures.pairs": dict,
-    "RepeatedMeasuresBatch.study": lambda: {"s": 0},
     "RobotModel.simulate": lambda: {
         "mode": np.array([1.0, 0.0, 1.0]),
         "p_h": np.array([0.4, 0.4, 0.4]),
@@ -246,7 +245,6 @@ NOT_WALKED = {
     "sessions.plot_by_participant": "for one chapter",
     "sessions.plot_paths": "for one chapter",
     "sessions.tracking_error": "for one chapter",
-    "studies.factorial_batch": "for the power of factorial designs",
     "studies.tlx_weights": "needs fifteen choices a person",
     "teleoperation.plot_scales": "for one chapter",
 }

@@ -53,7 +53,7 @@ ALLOWED = {
     "RecordedStudy.export": {"path": "the file is the same"},
     "HapticDevice.step": {"x": "one step", "f_m": "acts one sample later"},
     "MixedModel.pairs": {"factor": "one factor"},
-    "RepeatedMeasures.pairs": {"factor": "one factor", "at": "one factor", "error": "one factor"},
+    "RepeatedMeasures.pairs": {"factor": "one factor", "at": "one factor"},
     "bayes_factor": {"missing": "nothing is missing"},
     "read_people": {"recipe": "the name has a recipe of its own"},
     "testbeds.Pioneer": {"heading_drift": "positive is a word of the description, not the range"},
@@ -238,34 +238,17 @@ KNOWN = {
     "reconstruct_study": {
         "without": "foreign errors",
     },
-    "repeated_measures": {
-        "within": "foreign errors",
-        "between": "foreign errors",
-        "covariate": "foreign errors",
-    },
     "RepeatedMeasures.aligned_ranks": {
         "error": "NaN is taken",
     },
-    "RepeatedMeasures.pairs": {
-        "factor": "foreign errors",
-        "at": "foreign errors",
-    },
     "RepeatedMeasures.plot": {
         "axes": "foreign errors",
-    },
-    "RepeatedMeasuresBatch.study": {
-        "s": "foreign errors",
-    },
-    "report": {
-        "within": "foreign errors",
-        "thresholds": "no difference",
     },
     "StudyReport.plot": {
         "axes": "foreign errors",
     },
     "StudyReport.write": {
         "path": "foreign errors, no argument named",
-        "digits": "foreign errors",
     },
     "GroundRobotRun.plot_path": {
         "axes": "foreign errors",
@@ -367,10 +350,6 @@ KNOWN = {
     },
     "studies.apa_p": {
         "p": "foreign errors, NaN is taken",
-    },
-    "studies.apa_table": {
-        "frame": "foreign errors",
-        "digits": "foreign errors",
     },
     "studies.bonferroni": {
         "p": "foreign errors, NaN is taken",

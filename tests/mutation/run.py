@@ -47,8 +47,7 @@ MODULES = {
     "teleoperation/ports/passivity": "teleoperation/test_passivity.py",
     "teleoperation/ports/waves": "teleoperation/test_channel.py teleoperation/test_transparency.py",
     "sessions/metrics": "sessions/test_metrics.py",
-    "studies/analysis/sphericity": "studies/analysis/test_sphericity.py "
-    "studies/analysis/test_batch.py",
+    "studies/anova": "studies/test_anova.py studies/test_factorial.py",
 }
 
 # Kinds of changes: a sum becomes a difference, a product a quotient, a bound open or closed, a

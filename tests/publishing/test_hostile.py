@@ -37,12 +37,11 @@ from trustlab.reproduction.calibration import Calibration
 from trustlab.reproduction.performance_line import PerformanceLine
 from trustlab.reproduction.reconstruction.reconstruction import reconstruct_study
 from trustlab.sessions.session import Metadata, Session
-from trustlab.studies.analysis.rank_tests import friedman
-from trustlab.studies.analysis.report import report
 from trustlab.studies.mixed import FormulaModel
 from trustlab.studies.ordinal import OrdinalModel
 from trustlab.studies.planning.virtual_study import VirtualStudy
 from trustlab.studies.questionnaires import Questionnaire, ScaleScores
+from trustlab.studies.report import report
 from trustlab.teleoperation import Passivity, TeamTrial
 from trustlab.trust.comparison import MEASURES, TrustComparison
 
@@ -317,9 +316,7 @@ def built():
         analysis,
         analysis.mixed_model(),
         tl.paired_t_test(two, **columns()),
-        friedman(np.arange(12.0).reshape(4, 3) % 5),
         tl.winsorize(scores(), **columns(), outside="iqr", k=0.1, to="next"),
-        tl.repeated_measures_batch(np.random.default_rng(1).normal(size=(2, 5, 3))),
         Questionnaire(NAME, ["a", NAME], 1, 7, source=NAME),
         ScaleScores(Questionnaire(NAME, [NAME], 1, 7, source=NAME), scores(), {}, scores()[:0]),
         tl.cronbach_alpha(pd.DataFrame({"a": [1, 2, 3], NAME: [1, 3, 2]})),

@@ -1,11 +1,10 @@
 """
-Every result of studies has .table() and is written to HTML, LaTeX and Word; files are read again by
+Every result of studies has .table() and is written to HTML and LaTeX; files are read again by
 independent readers.
 """
 
 import io
 
-import docx
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
@@ -39,7 +38,7 @@ RESULTS = {
     "RepeatedMeasures of several factors": lambda: tl.repeated_measures(
         LONG, "error", ["scheme", "task"], "who"
     ),
-    "RepeatedMeasuresBatch": lambda: studies.repeated_measures_batch(
+    "repeated_measures_batch": lambda: studies.repeated_measures_batch(
         RNG.standard_normal((4, 9, 3))
     ),
     "MixedModel": lambda: tl.mixed_model(ONE, **COLUMNS),
@@ -73,8 +72,7 @@ RESULTS = {
     "Reliability": lambda: studies.cronbach_alpha(ANSWERS.drop(columns="who")),
     "equivalence": lambda: tl.equivalence(ONE, **COLUMNS, bound=0.5),
     "bayes_factor": lambda: tl.bayes_factor(ONE, **COLUMNS),
-    "factorial_batch": lambda: studies.factorial_batch(RNG.standard_normal((2, 9, 2, 3))),
-    "Friedman": lambda: tl.repeated_measures(ONE, **COLUMNS).friedman(),
+    "friedman": lambda: tl.repeated_measures(ONE, **COLUMNS).friedman(),
     "aligned_ranks": lambda: tl.repeated_measures(
         LONG, "error", ["scheme", "task"], "who"
     ).aligned_ranks(),
@@ -96,22 +94,12 @@ def test_it_is_written_and_read_again(name, tmp_path):
     written = tl.report(result)
     pd.testing.assert_frame_equal(written.table(), table)
     html = pd.read_html(io.StringIO(written.write(tmp_path / "r.html").read_text(encoding="utf-8")))
-    document = docx.Document(str(written.write(tmp_path / "r.docx")))
     latex = written.write(tmp_path / "r.tex").read_text(encoding="utf-8")
-    assert (
-        len(html)
-        == len(document.tables)
-        == latex.count(r"\begin{tabular}")
-        == len(written.tables)
-        > 0
-    )
-    for read, grid in zip(html, document.tables, strict=True):
-        assert read.shape == (len(grid.rows) - 1, len(grid.columns))
-        assert [str(column) for column in read.columns] == [
-            cell.text for cell in grid.rows[0].cells
-        ]
+    assert len(html) == latex.count(r"\begin{tabular}") == len(written.tables) > 0
+    for page, own in zip(html, written.tables.values(), strict=True):
+        assert len(page) == len(own)
     if written.origin:
-        assert written.origin.split(",")[0] in document.paragraphs[int(bool(written.text))].text
+        assert written.origin.split(",")[0] in latex
 
 
 def test_one_wide_row_is_printed_as_a_column(tmp_path):
@@ -121,7 +109,7 @@ def test_one_wide_row_is_printed_as_a_column(tmp_path):
     ]
     assert own.columns.tolist() == ["statistic", "value"]
     assert len(own) == len(written.table().columns)
-    assert {"a", "mean_difference", "95% CI low", "p", "t"} <= set(own["statistic"])
+    assert {"a", "mean difference", "95% CI low", "p", "t"} <= set(own["statistic"])
 
 
 def test_what_is_no_result_is_refused():

@@ -16,8 +16,8 @@ from statsmodels.regression.mixed_linear_model import MixedLM
 
 import trustlab as tl
 from trustlab.studies import mixed_model
-from trustlab.studies.analysis.score_table import ScoreTable
 from trustlab.studies.mixed import RandomIntercepts, fit_mixed_model
+from trustlab.studies.table import ScoreTable
 
 
 def laid_out(values):
@@ -40,11 +40,12 @@ def test_complete_data_give_the_anova(n, k, subjects):
     """
     values = draw(n, k, subjects)
     found, batch = fit_mixed_model(laid_out(values)), tl.repeated_measures_batch(values[None])
-    error, between = batch.ss_error[0] / batch.df2, batch.ss_subjects[0] / (n - 1)
+    batch = batch.iloc[0]
+    error, between = batch.ss_error / batch.df2, batch.ss_subjects / (n - 1)
     assert between > error
-    np.testing.assert_allclose([found.F, found.residual_variance], [batch.F[0], error], rtol=1e-6)
+    np.testing.assert_allclose([found.F, found.residual_variance], [batch.F, error], rtol=1e-6)
     np.testing.assert_allclose(found.subject_variance, (between - error) / k, rtol=2e-5)
-    np.testing.assert_allclose(found.p, batch.p[0], rtol=1e-5)
+    np.testing.assert_allclose(found.p, batch.p, rtol=1e-5)
     assert (found.df1, found.df2, found.singular, found.missing_cells) == (
         batch.df1,
         batch.df2,
@@ -60,13 +61,12 @@ def test_a_variance_of_zero_is_said():
         2.0 * (values.mean() - values.mean(axis=1, keepdims=True)) * 0.5
     )  # subjects' means nearly equal
     found, batch = fit_mixed_model(laid_out(values)), tl.repeated_measures_batch(values[None])
-    assert batch.ss_subjects[0] / 11 < batch.ss_error[0] / batch.df2
+    batch = batch.iloc[0]
+    assert batch.ss_subjects / 11 < batch.ss_error / batch.df2
     assert found.singular
     assert found.subject_variance == found.icc == 0.0
-    pooled = (batch.ss_subjects[0] + batch.ss_error[0]) / (
-        11 + batch.df2
-    )  # closed form: a one-way ANOVA
-    np.testing.assert_allclose(found.F, batch.ss_effect[0] / 3 / pooled, rtol=1e-10)
+    pooled = (batch.ss_subjects + batch.ss_error) / (11 + batch.df2)  # closed form: a one-way ANOVA
+    np.testing.assert_allclose(found.F, batch.ss_effect / 3 / pooled, rtol=1e-10)
 
 
 def test_statsmodels_own_search_finds_the_same():
@@ -266,7 +266,7 @@ def test_the_call_that_an_error_recommends_works_as_typed():
     assert model.missing_cells == 3
     assert model.table()["effect"].tolist() == ["group", "condition", "group × condition"]
     assert "(N = 14, 3 cells missing): group was not significant, F(1, 12)" in model.apa()
-    assert model.apa() in tl.report(model).text
+    assert model.apa() in tl.report(model).message
     with pytest.raises(AttributeError, match="a row per effect"):
         _ = model.F
 

@@ -240,7 +240,7 @@ def test_groups_sentences_and_speed():
     )
     assert "mode, χ²(3) = " in model.apa()
     assert "novice × c" in model.apa()
-    assert model.apa() == model.message == tl.report(model).text
+    assert model.apa() == model.message == tl.report(model).message
     binary = ratings().assign(trust=lambda f: (f["trust"] > 3) * 1)
     assert "A logistic mixed model" in tl.ordinal_model(binary, "trust", "mode").apa()
     between = tl.ordinal_model(ratings(), "trust", [], between="group")

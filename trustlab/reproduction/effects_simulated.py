@@ -16,8 +16,8 @@ from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import ASSUMPTIONS, checked_assumptions
 from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS, checked_teleoperation
 from trustlab.reproduction.effects import COLUMNS, Effect, effects, model_effects
-from trustlab.studies.analysis.plots import panels
 from trustlab.studies.planning.virtual_study import virtual_study
+from trustlab.studies.plots import panels
 from trustlab.studies.questionnaires import NASA_TLX
 from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.populations import TeleoperatorPopulation

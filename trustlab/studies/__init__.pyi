@@ -1,20 +1,8 @@
-from .analysis.apa import apa_number as apa_number, apa_p as apa_p, apa_table as apa_table
-from .analysis.batch import (
-    RepeatedMeasuresBatch as RepeatedMeasuresBatch,
-    bonferroni as bonferroni,
-    factorial_batch as factorial_batch,
-    holm as holm,
-    repeated_measures_batch as repeated_measures_batch,
-)
-from .analysis.descriptives import (
+from .anova import (
     PartialEtaInterval as PartialEtaInterval,
     partial_eta_interval as partial_eta_interval,
+    repeated_measures_batch as repeated_measures_batch,
 )
-from .analysis.repeated_measures import (
-    RepeatedMeasures as RepeatedMeasures,
-    repeated_measures as repeated_measures,
-)
-from .analysis.report import StudyReport as StudyReport, report as report
 from .designs import (
     DesignBalance as DesignBalance,
     LatinSquareDesign as LatinSquareDesign,
@@ -37,6 +25,7 @@ from .paired import (
     equivalence as equivalence,
     paired_t_test as paired_t_test,
 )
+from .pairs import bonferroni as bonferroni, holm as holm
 from .planning.closed_form_power import (
     clopper_pearson as clopper_pearson,
     noncentral_f_power as noncentral_f_power,
@@ -62,4 +51,10 @@ from .questionnaires import (
     score as score,
     tlx_weights as tlx_weights,
 )
+from .repeated_measures import (
+    RepeatedMeasures as RepeatedMeasures,
+    repeated_measures as repeated_measures,
+)
+from .report import StudyReport as StudyReport, report as report
 from .winsorize import Winsorized as Winsorized, winsorize as winsorize
+from .words import apa_number as apa_number, apa_p as apa_p, apa_table as apa_table

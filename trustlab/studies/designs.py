@@ -9,7 +9,7 @@ import pandas as pd
 
 from trustlab.models.checks import flag, of_class, spawned, warn, whole_number
 from trustlab.models.display import Result
-from trustlab.studies.columns import column_of, labels_of, refuse_missing_labels
+from trustlab.studies.table import column_of, labels_of, refuse_missing_labels
 
 
 def williams_square(n: int) -> np.ndarray:

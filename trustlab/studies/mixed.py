@@ -19,11 +19,18 @@ from scipy.optimize import brentq
 
 from trustlab.models.checks import of_class, spawned, whole_number
 from trustlab.models.display import Result
-from trustlab.studies.analysis.apa import apa_number, apa_p
-from trustlab.studies.analysis.batch import holm
-from trustlab.studies.analysis.descriptives import partial_eta_interval
-from trustlab.studies.analysis.score_table import ScoreTable, labelled, levels_of, read_scores
-from trustlab.studies.columns import column_of, origin_of, refuse_missing_labels
+from trustlab.studies.anova import partial_eta_interval
+from trustlab.studies.pairs import holm
+from trustlab.studies.table import (
+    ScoreTable,
+    column_of,
+    labelled,
+    levels_of,
+    origin_of,
+    read_scores,
+    refuse_missing_labels,
+)
+from trustlab.studies.words import apa_number, apa_p
 
 # Ratios of variances between which a minimum of the deviance is bracketed.
 RATIOS = np.concatenate([[0.0], np.exp(np.linspace(-16.0, 23.0, 14))])
@@ -136,6 +143,8 @@ class MixedModel(Result):
         Of the means.
     subject_variance, residual_variance : float
         Variance components, in squared units of the score.
+    icc : float
+        Share of the variance that is between subjects.
     singular : bool
         Whether the subjects' variance is estimated as zero; F is then not the ANOVA's, even without
         missing cells.

@@ -10,10 +10,15 @@ from scipy import special
 
 from trustlab.models.checks import of_class
 from trustlab.models.display import Result
-from trustlab.studies.analysis.batch import holm
-from trustlab.studies.analysis.score_table import labelled, levels_of, read_scores
-from trustlab.studies.columns import column_of, refuse_missing_labels
 from trustlab.studies.mixed import estimates_of, refuse_two_labels
+from trustlab.studies.pairs import holm
+from trustlab.studies.table import (
+    column_of,
+    labelled,
+    levels_of,
+    read_scores,
+    refuse_missing_labels,
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -17,10 +17,6 @@ from scipy.optimize import minimize
 
 from trustlab.models.checks import finite_array, of_class, whole_number
 from trustlab.models.display import Result
-from trustlab.studies.analysis.apa import apa_number, apa_p
-from trustlab.studies.analysis.batch import holm
-from trustlab.studies.analysis.score_table import labelled
-from trustlab.studies.columns import column_of, origin_of, refuse_missing_labels
 from trustlab.studies.mixed import (
     estimates_of,
     levels_by_factor,
@@ -29,6 +25,9 @@ from trustlab.studies.mixed import (
     names_of,
     variances_of,
 )
+from trustlab.studies.pairs import holm
+from trustlab.studies.table import column_of, labelled, origin_of, refuse_missing_labels
+from trustlab.studies.words import apa_number, apa_p
 
 MOST_CATEGORIES = 30
 # Logits beyond which no data tell a probability from 0 or 1.

@@ -8,15 +8,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy import special
-from scipy.optimize import brentq
 
 from trustlab.models.checks import one_of, open_unit, positive
 from trustlab.models.display import Result
-from trustlab.studies.analysis.apa import apa_decimals, apa_number, apa_p
-from trustlab.studies.analysis.batch import analyse_table, holm
-from trustlab.studies.analysis.descriptives import describe, t_half_width
-from trustlab.studies.analysis.rank_tests import normality_of_differences, wilcoxon
-from trustlab.studies.analysis.score_table import (
+from trustlab.studies.pairs import (
+    condition_pairs,
+    d_z_interval,
+    holm,
+    normality_of_differences,
+    wilcoxon,
+)
+from trustlab.studies.repeated_measures import describe, t_half_width, table_effects
+from trustlab.studies.table import (
     ScoreTable,
     complete_scores,
     labelled,
@@ -108,32 +111,14 @@ class PairedTTest(Result):
         """
         Return descriptive statistics as `RepeatedMeasures.descriptives`; intervals at `confidence`.
         """
-        return describe(self.scores, self.confidence)
+        labels = pd.Index(self.scores.conditions, tupleize_cols=False)
+        return pd.DataFrame({"condition": labels} | describe(self.scores.values, self.confidence))
 
     def apa(self) -> str:
         """Return the sentence a paper needs."""
-        stats = self.descriptives()
-        digits = apa_decimals(stats["sd"].to_numpy())
-        means = [
-            f"{row.condition} (M = {apa_number(row.mean, digits)}, SD = "
-            f"{apa_number(row.sd, digits)})"
-            for row in stats.itertuples(index=False)
-        ]
-        low, high = apa_number(self.ci_low, digits), apa_number(self.ci_high, digits)
-        origin = f"[{self.scores.origin}] " if self.scores.origin else ""
-        left_out = ""
-        if self.excluded:
-            subjects = "subject" if len(self.excluded) == 1 else "subjects"
-            labels = ", ".join(map(str, self.excluded))
-            left_out = f" Left out for missing scores: {subjects} {labels}."
-        return (
-            f"{origin}{self.scores.dv} {'differed' if self.p < 0.05 else 'did not differ'} "
-            f"significantly between {' and '.join(means)}, t({self.df}) = {apa_number(self.t)}, "
-            f"{apa_p(self.p)}, mean difference {apa_number(self.mean_difference, digits)}, "
-            f"{100 * self.confidence:g}% CI [{low}, {high}], d_z = {apa_number(self.d_z)}, "
-            f"{100 * self.confidence:g}% CI [{apa_number(self.d_z_low)}, "
-            f"{apa_number(self.d_z_high)}].{left_out}"
-        )
+        from trustlab.studies.words import apa_pair
+
+        return apa_pair(self)
 
     def plot(self, axes=None):
         """
@@ -148,7 +133,7 @@ class PairedTTest(Result):
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (2,)
         """
-        from trustlab.studies.analysis.plots import plot_pair
+        from trustlab.studies.plots import plot_pair
 
         return plot_pair(self, axes)
 
@@ -213,14 +198,16 @@ def paired_t_test(
             "repeated_measures"
         )
     scores, excluded = complete_scores(table, missing)
-    pair = analyse_table(scores).pairwise
-    names = ("mean_difference", "sd_difference", "t", "p", "d_z", "d_av")
+    table_effects(scores)  # refuses scores without error variance
+    pair, n = condition_pairs(scores.values[None]), len(scores.subjects)
+    names = ("mean_difference", "t", "p", "d_z")
     test: dict[str, Any] = {name: getattr(pair, name).item() for name in names}
-    n = len(scores.subjects)
-    half = float(t_half_width(test["sd_difference"], n, confidence))
-    normality = normality_of_differences(scores.values, pair.a, pair.b)
     a, b = scores.values.T
-    low, high = d_z_interval(test["t"], n, confidence)
+    test["sd_difference"] = float((a - b).std(ddof=1))
+    test["d_av"] = test["mean_difference"] / (0.5 * (a.std(ddof=1) + b.std(ddof=1)))
+    half = float(t_half_width(test["sd_difference"], n, confidence))
+    normality = normality_of_differences(scores.values)
+    low, high = map(float, d_z_interval(test["t"], n - 1, n**-0.5, confidence))
     return PairedTTest(
         a=scores.conditions[0],
         b=scores.conditions[1],
@@ -239,27 +226,6 @@ def paired_t_test(
         **wilcoxon(a - b, np.abs(scores.values).max())._asdict(),
         **test,
     )
-
-
-def d_z_interval(t: float, n: int, confidence: float) -> tuple[float, float]:
-    """
-    Return the interval of d_z = δ/√n by the δ at which t is the upper, and the lower, quantile.
-
-    P(T ≤ t | δ) is the mean of Φ(t s − δ) over s, the sample's standard deviation over the
-    population's; 4000 quantiles of s give the limits four digits.
-    """
-    quantiles = (np.arange(4000) + 0.5) / 4000
-    reach = t * np.sqrt(special.chdtri(n - 1, quantiles) / (n - 1))
-
-    def excess(delta: float, p: float) -> float:
-        return special.ndtr(reach - delta).mean() - p
-
-    ends = reach.min() - 40.0, reach.max() + 40.0
-    low, high = (
-        float(brentq(excess, *ends, args=(0.5 + 0.5 * side * confidence,)) / np.sqrt(n))
-        for side in (1.0, -1.0)
-    )
-    return low, high
 
 
 def equivalence(
@@ -332,11 +298,14 @@ def equivalence(
     one_of("units", units, ("raw", "d_z"))
     table = read_scores(frame, dv, within, subject, order=order)
     scores, excluded = complete_scores(table, missing)
-    pairs, n = analyse_table(scores).pairwise, len(scores.subjects)
-    mean, sd = pairs.mean_difference[0], pairs.sd_difference[0]
-    names = list(combinations(scores.conditions, 2))
-    if (sd == 0.0).any():
-        a, b = names[int(np.argmin(sd))]
+    table_effects(scores)  # refuses scores without error variance
+    pairs, n = condition_pairs(scores.values[None]), len(scores.subjects)
+    first, second = np.triu_indices(len(scores.conditions), 1)
+    sd = (scores.values[:, first] - scores.values[:, second]).std(axis=0, ddof=1)
+    mean, names = pairs.mean_difference[0], list(combinations(scores.conditions, 2))
+    flat = np.isnan(pairs.t[0])
+    if flat.any():
+        a, b = names[int(np.argmax(flat))]
         raise ValueError(f"dv: every subject has the same difference between {a!r} and {b!r}")
     reach = bound if units == "raw" else bound * sd
     error = sd / np.sqrt(n)
@@ -413,17 +382,17 @@ def bayes_factor(
     scale = positive("scale", scale)
     table = read_scores(frame, dv, within, subject, order=order)
     scores, excluded = complete_scores(table, missing)
-    batch, n = analyse_table(scores), len(scores.subjects)
+    test, n = table_effects(scores).iloc[0], len(scores.subjects)
     if method is None:
-        method = "jzs" if batch.k == 2 else "bic"
+        method = "jzs" if len(scores.conditions) == 2 else "bic"
     if one_of("method", method, ("jzs", "bic")) == "bic":
-        size = n * batch.df1
-        share = (batch.ss_error / (batch.ss_effect + batch.ss_error)).item()
-        log_bf10 = -0.5 * (size * np.log(share) + batch.df1 * np.log(size))
-        rows = [(str(within), method, batch.F.item(), batch.df1, batch.df2, log_bf10)]
+        df1, df2 = int(test["df1"]), int(test["df2"])
+        share = test["ss_error"] / (test["ss_effect"] + test["ss_error"])
+        log_bf10 = -0.5 * (n * df1 * np.log(share) + df1 * np.log(n * df1))
+        rows = [(str(within), method, float(test["F"]), df1, df2, log_bf10)]
     else:
-        rows = []
-        for (a, b), t in zip(combinations(scores.conditions, 2), batch.pairwise.t[0], strict=True):
+        rows, statistics = [], condition_pairs(scores.values[None]).t[0].tolist()
+        for (a, b), t in zip(combinations(scores.conditions, 2), statistics, strict=True):
             rows.append((f"{a} − {b}", method, t, 1, n - 1, log_jzs_bayes_factor(t, n, scale)))
     columns = ["comparison", "method", "statistic", "df1", "df2", "log_bf10"]
     result = pd.DataFrame(rows, columns=columns)

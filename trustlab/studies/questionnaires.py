@@ -19,7 +19,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.display import Result
-from trustlab.studies.columns import (
+from trustlab.studies.table import (
     column_of,
     labels_of,
     number_or_nan,

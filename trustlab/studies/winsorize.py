@@ -8,8 +8,7 @@ import pandas as pd
 
 from trustlab.models.checks import one_of, positive
 from trustlab.models.display import Result
-from trustlab.studies.analysis.score_table import read_scores
-from trustlab.studies.columns import labels_of
+from trustlab.studies.table import labels_of, read_scores
 
 # Which values count as outlying, by the name of the rule and its k.
 OUTLIER_RULES = {

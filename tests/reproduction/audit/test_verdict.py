@@ -16,7 +16,7 @@ from trustlab.reproduction.audit.catalogue import printed_numbers
 from trustlab.reproduction.audit.sample_moments import attainable, sample_checks, simplest_ratio
 from trustlab.reproduction.audit.verdict import Check, Formula, Possible, reach, rows_of, show
 from trustlab.reproduction.printed_number import PrintedNumber
-from trustlab.studies.analysis.sphericity import mauchly_p_value
+from trustlab.studies.anova import mauchly_p_value
 
 
 def number(text, exact=False):

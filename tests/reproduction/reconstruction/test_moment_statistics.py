@@ -8,7 +8,7 @@ from trustlab.reproduction.reconstruction.constraints import Constraint
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem
 from trustlab.reproduction.reconstruction.moment_statistics import MomentStatistics
 from trustlab.reproduction.reconstruction.reconstruction import adjusted
-from trustlab.studies.analysis.sphericity import mauchly_p_value
+from trustlab.studies.anova import mauchly_p_value
 
 
 def data(k, n, seed=0):

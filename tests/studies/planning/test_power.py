@@ -12,7 +12,7 @@ from scipy import stats
 import trustlab as tl
 from tests.studies.planning.settings import settled
 from trustlab.studies import clopper_pearson, graded_covariance, noncentral_f_power, noncentrality
-from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
+from trustlab.studies.anova import orthonormal_contrasts, sphericity
 from trustlab.studies.planning import power as simulation
 from trustlab.studies.planning.covariances import Conditions
 
@@ -255,7 +255,7 @@ def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
 def test_draws_do_not_depend_on_how_many_are_in_memory(monkeypatch):
     arguments = {"n": 10, "replicates": 300, "seed": 5, "claims": [(1, 3)]}
     whole = settled(tl.power_analysis, [0, 0, 1], graded_covariance(3), **arguments)
-    monkeypatch.setattr("trustlab.studies.analysis.anova._CHUNK", 500)
+    monkeypatch.setattr("trustlab.studies.anova._CHUNK", 500)
     for name in ("table", "pairs", "claims"):
         pd.testing.assert_frame_equal(
             getattr(
@@ -290,7 +290,7 @@ def test_a_grid_has_a_row_per_cell_and_test_and_draws_itself():
 def test_epsilon_of_two_conditions_is_one():
     population = conditions_from([0, 1], [[1.0, 0.2], [0.2, 2.0]])
     assert population.epsilon == 1.0
-    assert greenhouse_geisser(population.contrasts) == 1.0
+    assert sphericity(population.contrasts, 9)["epsilon_gg"] == 1.0
 
 
 # --- the smallest n -------------------------------------------------------------------------------

@@ -230,7 +230,7 @@ def test_analyses_are_those_of_repeated_measures(kept):
     assert table.loc["p_r", "F"] == direct.F
     assert table.loc["p_r", "p"] == direct.p_corrected
     assert np.isnan(table.loc["laps", "F"])
-    assert "every score is 2" in table.loc["laps", "note"]
+    assert "the error variance is zero" in table.loc["laps", "note"]
     assert "C1" not in table.loc["followed_percent", "conditions"]
     assert set(table.index) == set(kept.names)
     assert kept.table().attrs["origin"] == "simulated operators"

@@ -1,4 +1,4 @@
-# Reference values of tests/studies/analysis/test_aligned_ranks.py: alignment by ave() and lm(), tests by afex (own error terms) and
+# Reference values of tests/studies/test_aligned_ranks.py: alignment by ave() and lm(), tests by afex (own error terms) and
 # lmerTest (random intercepts), contrasts by emmeans. Run in this folder: Rscript aligned_ranks.R    (writes aligned_ranks.json)
 suppressPackageStartupMessages({
   library(afex)

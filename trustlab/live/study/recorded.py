@@ -26,7 +26,6 @@ from trustlab.models.checks import one_of
 from trustlab.models.display import as_html
 from trustlab.sessions.reading import read_session
 from trustlab.sessions.session import Session
-from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.order_effects import OrderEffects, order_effects
 from trustlab.studies.questionnaires import (
     NASA_TLX,
@@ -36,6 +35,7 @@ from trustlab.studies.questionnaires import (
     satisfaction_scale,
     score,
 )
+from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 
 KEYS = ["participant", "position", "condition"]
 REHEARSAL = "scripted hands, no person took part"

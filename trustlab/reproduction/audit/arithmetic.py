@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from trustlab.reproduction.audit.equations import BY_NAME
-from trustlab.studies.analysis.sphericity import mauchly_factor, mauchly_p_value
+from trustlab.studies.anova import mauchly_factor, mauchly_p_value
 
 OPERATORS: dict[type, Callable] = {
     ast.Add: operator.add,

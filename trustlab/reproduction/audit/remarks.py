@@ -11,7 +11,7 @@ from trustlab.reproduction.audit.catalogue import (
 )
 from trustlab.reproduction.audit.relations import relations
 from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Possible, Remark
-from trustlab.studies.analysis.sphericity import mauchly_p_value
+from trustlab.studies.anova import mauchly_p_value
 
 
 def related(number: str, numbers: Numbers) -> Check:

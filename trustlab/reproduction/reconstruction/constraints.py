@@ -21,7 +21,7 @@ from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy, published_studies
 from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
 from trustlab.reproduction.reconstruction.readings import Reading, readings
-from trustlab.studies.analysis.sphericity import mauchly_p_value
+from trustlab.studies.anova import mauchly_p_value
 
 # Adjustments of pairwise p-values for the number of comparisons.
 ADJUSTMENTS = ("bonferroni", "holm", "sidak", "none")

@@ -16,7 +16,7 @@ import numpy as np
 
 from trustlab.models.linear_algebra import cholesky_factors, inverses
 from trustlab.reproduction.reconstruction.p_values import log_p_of_f, log_p_of_t, logarithms
-from trustlab.studies.analysis.sphericity import mauchly_factor
+from trustlab.studies.anova import mauchly_factor
 
 TINY = 1e-300
 

@@ -10,6 +10,7 @@ steps of a questionnaire. They are not measurements, and everything made from th
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
@@ -36,7 +37,8 @@ from trustlab.reproduction.reconstruction.feasibility import (
     prepared,
 )
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
-from trustlab.studies.analysis.batch import bonferroni, holm, repeated_measures_batch
+from trustlab.studies.anova import repeated_measures_batch
+from trustlab.studies.pairs import bonferroni, condition_pairs, holm
 
 NOTE = "Reconstructed data: not measurements, but values that have the printed statistics."
 # The mark that every table made from such data carries in its `attrs`.
@@ -285,8 +287,8 @@ def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[
     Mauchly's p has the second-order term.
     """
     names = study.conditions
-    result = repeated_measures_batch(values[None])
-    omnibus, pairs = result.study(0), result.pairwise
+    omnibus = repeated_measures_batch(values[None]).iloc[0]
+    pairs = condition_pairs(values[None])
     reading = reading_of(study)
     factor = omnibus["epsilon_gg"] if reading.df else 1.0
     p = omnibus["p_gg"] if reading.p else omnibus["p"]
@@ -294,16 +296,16 @@ def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[
         factor = reading.rounded
         df1 = factor * omnibus["df1"]
         p = special.fdtrc(df1, df1 * (len(values) - 1), omnibus["F"])
-    analysed = {f"mean.{c}": x for c, x in zip(names, result.mean[0], strict=True)}
-    analysed |= {f"sd.{c}": x for c, x in zip(names, result.sd[0], strict=True)}
+    analysed = {f"mean.{c}": x for c, x in zip(names, values.mean(axis=0), strict=True)}
+    analysed |= {f"sd.{c}": x for c, x in zip(names, values.std(axis=0, ddof=1), strict=True)}
     analysed |= {"anova.F": omnibus["F"], "anova.p": p, "anova.eta2": omnibus["eta2_partial"]}
     analysed |= {"anova.df1": factor * omnibus["df1"], "anova.df2": factor * omnibus["df2"]}
     analysed |= {"epsilon": omnibus["epsilon_gg"], "mauchly.chi2": omnibus["mauchly_chi2"]}
     analysed |= {"mauchly.df": study.k * (study.k - 1) // 2 - 1}
     analysed |= {"mauchly.p": omnibus["mauchly_p"], "mauchly.violated": omnibus["mauchly_p"]}
     analysed |= {"t_test.t": pairs.t[0, 0], "t_test.p": pairs.p[0, 0], "t_test.df": pairs.df}
-    for a, b, value in zip(pairs.a, pairs.b, adjusted(pairs.p[0], p_adjust), strict=True):
-        analysed[f"pairs.{names[a]}-{names[b]}"] = analysed[f"pairs.{names[b]}-{names[a]}"] = value
+    for (a, b), value in zip(combinations(names, 2), adjusted(pairs.p[0], p_adjust), strict=True):
+        analysed[f"pairs.{a}-{b}"] = analysed[f"pairs.{b}-{a}"] = value
     return {name: float(value) for name, value in analysed.items()}
 
 

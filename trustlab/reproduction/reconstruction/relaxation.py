@@ -22,7 +22,7 @@ from scipy import optimize, special
 from trustlab.reproduction.reconstruction.constraints import Constraint, Interval
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem
 from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
-from trustlab.studies.analysis.sphericity import mauchly_factor
+from trustlab.studies.anova import mauchly_factor
 
 
 def _cells(constraints: Sequence[Constraint], kind: str, k: int, default: Interval) -> np.ndarray:

@@ -17,9 +17,9 @@ from trustlab.models.checks import (
     warn,
     whole_number,
 )
-from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
-from trustlab.studies.columns import labels_of
+from trustlab.studies.anova import orthonormal_contrasts, sphericity
 from trustlab.studies.planning.settings import StudyColumns
+from trustlab.studies.table import labels_of
 from trustlab.testbeds.covariance import checked_covariance
 
 
@@ -79,7 +79,7 @@ class Conditions:
     @property
     def epsilon(self) -> float:
         """ε of the population; 1 where sphericity holds."""
-        return float(greenhouse_geisser(self.contrasts)) if len(self.mean) > 2 else 1.0
+        return float(sphericity(self.contrasts, len(self.mean))["epsilon_gg"])
 
     @property
     def correlation(self) -> float:
@@ -255,7 +255,7 @@ def _conditions_of_data(data: Any, mean: Any, columns: StudyColumns) -> Conditio
     """Return the population with the covariance of data, and their means where none are given."""
     import pandas as pd
 
-    from trustlab.studies.analysis.score_table import complete_scores, read_scores
+    from trustlab.studies.table import complete_scores, read_scores
 
     factor = columns.factors[0]
     frame = read_scores(data, columns.dv, factor, columns.subject, order=columns.order)

@@ -6,7 +6,7 @@ real ones are.
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice, product
+from itertools import islice
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,20 +19,19 @@ from trustlab.models.checks import (
     not_negative,
     whole_number,
 )
-from trustlab.studies.analysis.anova import (
-    BetweenDesign,
-    between_design,
+from trustlab.studies.anova import (
+    CORRECTIONS,
+    Design,
     chunks,
-    effect_tests,
+    effect_name,
+    effects,
     regress,
-    subsets,
-    within_contrasts,
+    sphericity,
 )
-from trustlab.studies.analysis.repeated_measures import repeated_measures
-from trustlab.studies.analysis.sphericity import CORRECTIONS, greenhouse_geisser
 from trustlab.studies.ordinal import Cumulative
 from trustlab.studies.planning.closed_form_power import clopper_pearson
 from trustlab.studies.planning.settings import Simulation, StudyColumns
+from trustlab.studies.repeated_measures import repeated_measures
 from trustlab.testbeds.covariance import checked_covariance
 
 
@@ -43,45 +42,37 @@ class NormalCells:
     varies fastest in both.
     """
 
-    within: Mapping[str, tuple]
-    between: Mapping[str, tuple]
+    within: Mapping[str, Sequence]
+    between: Mapping[str, Sequence]
     mean: np.ndarray
     covariance: np.ndarray
     simulated_origin: str = "simulated studies"
 
-    def _design(self, n: int) -> tuple[np.ndarray, BetweenDesign, dict[str, int]]:
-        """
-        Return the group number of each participant, n in each group, their design, and how many
-        levels factors have.
-        """
+    def _design(self, n: int) -> tuple[np.ndarray, Design]:
+        """Return the group number of each participant, n in each group, and their design."""
         groups = np.repeat(np.arange(len(self.mean)), n)
         codes = np.unravel_index(groups, [len(levels) for levels in self.between.values()] or [1])
-        sizes = {name: len(levels) for name, levels in self.within.items()}
-        return (
-            groups,
-            between_design(len(groups), dict(zip(self.between, codes, strict=False))),
-            sizes,
-        )
+        numbers = dict(zip(self.between, codes, strict=False))
+        return groups, Design(len(groups), self.within, self.between, numbers)
 
     def expected(self, n: int, alpha: float) -> Iterator[tuple[str, str, float, float]]:
         """
         Yield effect, test, population partial η² and power in closed form, which needs sphericity.
         """
-        groups, design, sizes = self._design(n)
+        groups, design = self._design(n)
         regression = regress(self.mean[groups][None], design)
-        for names, (block, columns) in product(subsets(list(sizes)), design.blocks.items()):
-            contrasts = within_contrasts(sizes, names)
+        for block, names in design.effects:
+            contrasts, rows = design.contrasts(names), design.rows(block)
             d, variances = contrasts.shape[1], contrasts.T @ self.covariance @ contrasts
-            rows = np.eye(design.matrix.shape[1])[columns]
-            ss = regression.hypothesis(contrasts, rows)
+            ss = regression.sum_of_squares(contrasts, rows)
             strength = float(ss[0]) * d / np.trace(variances)
-            df1, df2 = d * len(columns), d * design.df_error
+            df1, df2 = d * len(rows), d * design.df_error
             power = 1.0 - special.ncfdtr(df1, df2, strength, special.fdtri(df1, df2, 1.0 - alpha))
-            spherical = d == 1 or greenhouse_geisser(variances) > 1.0 - 1e-9
-            for test in CORRECTIONS if block or names else ():
+            spherical = sphericity(variances, design.df_error)["epsilon_gg"] > 1.0 - 1e-9
+            for test in CORRECTIONS:
                 closed = power if spherical and test == "none" else np.nan
                 yield (
-                    " × ".join(filter(None, (block, *names))),
+                    effect_name(block, names),
                     test,
                     strength / (strength + len(groups) * d),
                     closed,
@@ -92,14 +83,16 @@ class NormalCells:
     ) -> dict[str, int]:
         """Draw studies and count significant effects, "effect/test"."""
         found: Counter = Counter()
-        groups, design, sizes = self._design(n)
+        groups, design = self._design(n)
         root = np.linalg.cholesky(self.covariance).T
         for part in chunks(replicates, len(groups) * len(root)):
             shape = (len(part), len(groups), len(root))
             scores = rng.standard_normal(shape) @ root + self.mean[groups]
-            for effect, statistics in effect_tests(regress(scores, design), sizes).items():
-                for test, column in zip(CORRECTIONS, ("p", "p_gg", "p_hf"), strict=True):
-                    found[f"{effect}/{test}"] += int((statistics[column] < alpha).sum())
+            tests = effects(scores, design)
+            for test, column in zip(CORRECTIONS, ("p", "p_gg", "p_hf"), strict=True):
+                significant = (tests[column] < alpha).groupby("effect").sum()
+                for effect, count in significant.items():
+                    found[f"{effect}/{test}"] += int(count)
         return dict(found)
 
 
@@ -303,9 +296,8 @@ def population_of(mean: Any, covariance: Any, data: Any, columns: StudyColumns) 
             order=columns.order,
         )
         matrix = checked_covariance("covariance of data", pilot.residual_covariance())
-        means = np.array(
-            [pilot.scores.values[who].mean(axis=0) for _, who in pilot.design.members()]
-        )
+        rows = pilot.descriptives()["mean"].to_numpy()
+        means = rows.reshape(-1, pilot.k)
         factors = {str(name): levels for name, levels in pilot.within.items()}
         groups = {str(name): levels for name, levels in pilot.between.items()}
         origin = f"simulated studies, from {pilot.origin}" if pilot.origin else "simulated studies"

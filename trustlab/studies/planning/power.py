@@ -15,9 +15,8 @@ from numpy.random import SeedSequence
 
 from trustlab.models.checks import did_you_mean, of_class, one_of, whole_number
 from trustlab.models.display import as_html, axes_or_new
-from trustlab.studies.analysis.anova import chunks
-from trustlab.studies.analysis.batch import repeated_measures_batch
-from trustlab.studies.analysis.sphericity import CORRECTIONS
+from trustlab.studies.anova import CORRECTIONS, Design, chunks, effects
+from trustlab.studies.pairs import condition_pairs
 from trustlab.studies.planning.closed_form_power import (
     clopper_pearson,
     noncentral_f_power,
@@ -64,7 +63,7 @@ TESTS = (*CORRECTIONS, "auto")
 # The correction that `repeated_measures` makes by default.
 USUAL_TEST = "greenhouse-geisser"
 
-# Adjustments of the pairs' p-values, and their names in `PairwiseBatch`.
+# Adjustments of the pairs' p-values, and their names in `Pairs`.
 ADJUSTMENTS = {"none": "p", "bonferroni": "p_bonferroni", "holm": "p_holm"}
 
 
@@ -487,20 +486,21 @@ def count_findings(
     counts: Counter = Counter()
     for part in chunks(replicates, n * k):
         scores = rng.standard_normal((len(part), n, k)) @ root + population.mean
-        batch = repeated_measures_batch(scores)
+        tests = effects(scores, Design(n, {"condition": population.labels}))
+        pairs = condition_pairs(scores)
         # An undefined p of Mauchly's test (n ≤ k − 1) counts as a rejection, as in
-        # `repeated_measures`.
-        rejected = ~(batch.mauchly_p >= alpha) if k > 2 else np.zeros(len(part), dtype=bool)
-        p_values = (batch.p, batch.p_gg, batch.p_hf, np.where(rejected, batch.p_gg, batch.p))
+        # `repeated_measures`; of two conditions all p are the same.
+        p, mauchly_p, p_gg, p_hf = tests[["p", "mauchly_p", "p_gg", "p_hf"]].to_numpy().T
+        p_values = (p, p_gg, p_hf, np.where(mauchly_p >= alpha, p, p_gg))
         findings = {test: p < alpha for test, p in zip(TESTS, p_values, strict=True)}
         for test, found in findings.items():
             counts[f"F {test}"] += int(found.sum())
         for name, attribute in ADJUSTMENTS.items():
-            hits = getattr(batch.pairwise, attribute) < alpha
+            hits = getattr(pairs, attribute) < alpha
             for i, found in enumerate(hits.sum(axis=0)):
                 counts[f"pair {i} {name}"] += int(found)
             if claims is not None:
-                right = hits & (np.sign(batch.pairwise.mean_difference) == expected)
+                right = hits & (np.sign(pairs.mean_difference) == expected)
                 counts[f"claims {name}"] += int(
                     (right[:, claims].all(axis=1) & findings[USUAL_TEST]).sum()
                 )

@@ -12,7 +12,6 @@ from numpy.random import SeedSequence
 
 from trustlab.models.checks import of_class, one_of, open_unit, whole_number
 from trustlab.models.display import Result
-from trustlab.studies.analysis.apa import apa_number
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import (
     clopper_pearson,
@@ -35,6 +34,7 @@ from trustlab.studies.planning.settings import (
     Simulation,
     StudyColumns,
 )
+from trustlab.studies.words import apa_number
 
 # How many n are simulated at the same time where there are workers for it.
 AHEAD = 4

@@ -21,9 +21,9 @@ from trustlab.models.checks import one_of, shown, warn, whole_number
 from trustlab.models.display import as_html
 from trustlab.models.files import PARTIAL
 from trustlab.sessions.writing import write_session
-from trustlab.studies.analysis.plots import panels
-from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
+from trustlab.studies.plots import panels
+from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.testbeds.deciding import warn_if_too_short
 from trustlab.testbeds.testbed import TESTBEDS, ConditionTestbed, Testbed, named_testbed
 

@@ -13,7 +13,7 @@ import pytest
 import trustlab as tl
 from trustlab.studies import mixed_model
 
-STUDIES = json.loads((Path(__file__).parents[1] / "reference" / "reference.json").read_text())[
+STUDIES = json.loads((Path(__file__).parent / "reference" / "reference.json").read_text())[
     "studies"
 ]
 TOLERANCE = 1e-9  # of the unit, or relative for what is not of order 1; the issue asks for 1e-6
@@ -107,7 +107,7 @@ def test_pairs_and_normality(name):
     tolerance = LOOSER.get(name, TOLERANCE)
     assert pairs["a"].tolist() == np.atleast_1d(theirs["a"]).tolist()
     assert pairs["b"].tolist() == np.atleast_1d(theirs["b"]).tolist()
-    for column in pairs.columns[2:]:
+    for column in pairs.columns[2:].difference(["d_z_low", "d_z_high"]):  # test_effect_sizes.py
         agree(pairs[column], theirs[column], tolerance, f"{name} {column}")
     agree(normality["W"], theirs["shapiro_w"], 1e-7, f"{name} Shapiro W")
     agree(normality["p"], theirs["shapiro_p"], 1e-6, f"{name} Shapiro p")
@@ -115,15 +115,15 @@ def test_pairs_and_normality(name):
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_friedman(name):
-    study, found = STUDIES[name], analysed(STUDIES[name]).friedman()
+    study, found = STUDIES[name], analysed(STUDIES[name]).friedman().loc[0]
     agree(
-        [found.chi2, found.df, found.p],
+        found[["chi2", "df", "p"]],
         [study[f"friedman_{x}"] for x in ("chi2", "df", "p")],
         1e-11,
         name,
     )
-    n, k = study["complete"], found.df + 1
-    assert found.kendall_w == pytest.approx(study["friedman_chi2"] / (n * (k - 1)), abs=1e-12)
+    n, k = study["complete"], found["df"] + 1
+    assert found["kendall_w"] == pytest.approx(study["friedman_chi2"] / (n * (k - 1)), abs=1e-12)
 
 
 @pytest.mark.parametrize("name", [name for name in STUDIES if STUDIES[name]["mixed_F"] is not None])

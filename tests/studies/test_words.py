@@ -1,11 +1,13 @@
 """Numbers as the APA manual prints them: oracle, rounding on paper (halves away from zero)."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.studies.analysis.apa import apa_decimals, apa_number, apa_p
+from trustlab.studies.words import apa_number, apa_p, decimals_of
 
 
 @pytest.mark.parametrize(
@@ -41,6 +43,8 @@ def test_no_leading_zero_below_one():
         (0.0009999, "p < .001"),
         (0.001, "p = .001"),
         (0.0495, "p = .050"),
+        (0.9994, "p = .999"),
+        (0.9995, "p > .999"),
         (0.9996, "p > .999"),
         (1.0, "p > .999"),
     ],
@@ -53,7 +57,7 @@ def test_p_values(p, text):
     ("sd", "digits"), [(31.0, 1), (1.7, 2), (0.09, 4), (2e-5, 7), (450.0, 0), (0.0, 2)]
 )
 def test_decimals_follow_the_standard_deviation(sd, digits):
-    assert apa_decimals(np.array([sd, sd])) == digits
+    assert decimals_of(np.array([sd, sd]), 3) == digits
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -73,6 +77,60 @@ def test_a_mean_of_whole_points_is_exact(seed):
     for scheme, mean in zip("ABCD", answers.sum(axis=0), strict=True):
         on_paper = int((100 * mean + 12) // 24)  # hundredths, halves up
         assert f"{scheme} (M = {on_paper // 100}.{on_paper % 100:02d}, SD = " in result.apa()
+
+
+def test_levels_that_are_numbers_are_not_rounded():
+    frame = pd.DataFrame({"level": [0.125], "autonomy": [0.375], "mean": [0.375]})
+    frame.attrs["labels"] = ["autonomy"]
+    table = tl.studies.apa_table(frame)
+    assert table.loc[0].tolist() == [0.125, 0.375, "0.38"]
+
+
+def test_degrees_of_freedom_have_decimals_only_where_they_are_fractions():
+    frame = pd.DataFrame({"df1": [1.0, 2.0], "df2": [21.0, 30.5]})
+    assert tl.studies.apa_table(frame).to_dict("list") == {
+        "df1": ["1", "2"],
+        "df2": ["21.00", "30.50"],
+    }
+
+
+def two_way(n=12, **more):
+    cells = pd.MultiIndex.from_product([range(n), list("ab"), list("xyz")], names=["who", "A", "B"])
+    frame = cells.to_frame(index=False)
+    rng = np.random.default_rng(0)
+    frame["score"] = rng.normal(size=len(frame)) + rng.normal(size=n).repeat(6)
+    frame["side"] = np.where(frame["who"] < 5, "l", "r")
+    return tl.repeated_measures(frame, "score", ["A", "B"], "who", **more)
+
+
+@pytest.mark.parametrize("between", [None, "side"])
+def test_every_effect_has_the_interval_of_its_size(between):
+    result = two_way(between=between)
+    number = r"[−]?\d*\.\d\d"
+    pattern = rf"ηp² = {number}, 90% CI \[{number}, {number}\], ηG² = {number}"
+    assert len(re.findall(pattern, result.apa())) == len(result.table())
+    assert "greenhouse-geisser" not in result.apa()
+
+
+def test_pairs_have_the_interval_of_d_z():
+    scores = np.random.default_rng(1).normal(size=(9, 3)) + np.array([0.0, 2.0, 4.0])
+    cells = pd.MultiIndex.from_product([range(9), list("abc")], names=["who", "c"])
+    frame = cells.to_frame(index=False).assign(v=scores.ravel())
+    result = tl.repeated_measures(frame, "v", "c", "who")
+    row = result.pairs().iloc[1]
+    words = f"d_z = {apa_number(row['d_z'])}, 95% CI [{apa_number(row['d_z_low'])}, "
+    assert words + f"{apa_number(row['d_z_high'])}]" in result.apa()
+
+
+def test_one_participant_and_several():
+    cells = pd.MultiIndex.from_product([range(12), list("ab")], names=["who", "c"])
+    frame = cells.to_frame(index=False).assign(v=np.random.default_rng(2).normal(size=24))
+    for rows, words in (
+        ([3], "1 participant with missing cells was left out (1)."),
+        ([3, 5], "2 participants with missing cells were left out (1, 2)."),
+    ):
+        result = tl.repeated_measures(frame.drop(index=rows), "v", "c", "who", missing="listwise")
+        assert result.apa().endswith(words)
 
 
 def test_a_table_for_reading():

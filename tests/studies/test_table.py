@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
-from trustlab.studies.analysis.score_table import complete_scores, read_scores
+from trustlab.studies.table import complete_scores, read_scores
 
 
 def table(n=5, k=3):
@@ -44,12 +44,11 @@ def test_the_table_itself_is_fine():
 TABLES = {
     "duplicate cell": (
         pd.concat([table(), table().iloc[[4, 4]]]),
-        r"1 cell\(s\) with more than one row: subject 'P2', condition 'C2' has 3 rows "
-        r"\(4, 4, 4\); average the trials",
+        r"1 cell\(s\) with more than one row: subject 'P2', condition 'C2'; average the trials",
     ),
     "duplicate cell, one without score": (
         pd.concat([table(), table().iloc[[4]].assign(score=np.nan)]),
-        "subject 'P2', condition 'C2' has 2 rows",
+        r"1 cell\(s\) with more than one row: subject 'P2', condition 'C2'",
     ),
     "missing row": (table().drop(index=7), "subject 'P3' has no score in condition 'C2'"),
     "NaN": (
@@ -69,11 +68,11 @@ TABLES = {
     ),
     "spaces in a label": (
         changed(7, "condition", "C2 "),
-        "'C2' and 'C2 ' differ by spaces, case or type",
+        "subject 'P1' has no score in condition 'C2 '.*'P3' has no score in condition 'C2'",
     ),
     "case of a label": (
         changed(7, "condition", "c2"),
-        "'C2' and 'c2' differ by spaces, case or type",
+        "subject 'P1' has no score in condition 'c2'.*'P3' has no score in condition 'C2'",
     ),
     "text": (
         changed(7, "score", "n/a"),
@@ -93,15 +92,14 @@ TABLES = {
     ),
     "dates": (table().assign(score=pd.Timestamp("2020-01-01")), "holds Timestamp"),
     "durations": (table().assign(score=pd.Timedelta("1s")), "holds Timedelta"),
-    "categorical": (
-        table().assign(score=lambda f: f["score"].round().astype("category")),
-        "categorical",
-    ),
     "inf": (
         changed(7, "score", np.inf).astype({"score": float}),
-        "is inf for subject 'P3', condition 'C2'",
+        "holds inf for subject 'P3', condition 'C2'",
     ),
-    "-inf as an object": (changed(7, "score", -np.inf), "is -inf for subject 'P3', condition 'C2'"),
+    "-inf as an object": (
+        changed(7, "score", -np.inf),
+        "holds -inf for subject 'P3', condition 'C2'",
+    ),
     "no condition": (
         changed(7, "condition", None),
         "within: column 'condition' has no label in row 7",
@@ -113,20 +111,23 @@ TABLES = {
     ),
     "two subjects": (
         table(n=2),
-        r"2 complete subject\(s\) \('P1', 'P2'\) in column 'pid'; at least three",
+        r"2 complete subject\(s\) in column 'pid'; at least three",
     ),
     "one subject": (table(n=1), r"1 complete subject"),
-    "constant": (table().assign(score=4.5), "'score' by 'condition': every score is 4.5"),
+    "constant": (
+        table().assign(score=4.5),
+        "'score' by 'condition': the error variance is zero for condition",
+    ),
     "no error variance": (
         table().assign(score=np.tile([0.1, 0.4, 0.7], 5) + np.repeat(0.3 * np.arange(5), 3)),
-        "'score' by 'condition': the error variance is zero",
+        "'score' by 'condition': the error variance is zero for condition",
     ),
     "subjects constant": (
         table().assign(score=np.repeat([0.1, 0.2, 0.3, 0.4, 0.5], 3)),
-        "no subject's scores differ",
+        "all subjects differ by the same amounts",
     ),
     "no rows": (table().iloc[:0], "no rows"),
-    "mixed labels": (changed(7, "condition", 3), "mixes int and str"),
+    "mixed labels": (changed(7, "condition", 3), "mixes types of labels"),
     "labels that are lists": (table().assign(condition=[["a"]] * 15), "which is no label"),
     "huge": (table().assign(score=lambda f: f["score"] * 1e200), "another unit"),
 }
@@ -151,8 +152,8 @@ def test_tables_that_are_refused(name):
         ({"dv": None}, "dv: no column None"),
         ({"within": {"condition": 1}}, "within must be the name of one column"),
         ({"within": np.array(["condition"])}, "within must be the name of one column"),
-        ({"dv": "pid"}, "must be three columns"),
-        ({"subject": "condition"}, "must be three columns"),
+        ({"dv": "pid"}, "'pid' is named twice"),
+        ({"subject": "condition"}, "'condition' is named twice"),
     ],
 )
 def test_columns_that_are_refused(names, message):
@@ -165,18 +166,16 @@ def test_a_wide_table_is_told_how_to_become_long():
     wide.columns.name = None
     right = analysed(table()).F
     for frame, remedy in (
-        (wide, "frame.reset_index().melt("),
+        (wide, "frame.rename_axis('pid').reset_index().melt("),
         (wide.reset_index(), "frame.melt("),
         (wide.reset_index(drop=True), "frame.rename_axis('pid').reset_index().melt("),
     ):
-        with pytest.raises(ValueError, match=r"no column 'score'.*make it long: ") as caught:
+        with pytest.raises(ValueError, match=r"no column 'score'.*becomes long by ") as caught:
             analysed(frame)
-        code = str(caught.value).partition("make it long: ")[2]
+        code = str(caught.value).partition("becomes long by ")[2].rpartition(" (there are")[0]
         assert code.startswith(remedy)
         found = analysed(eval(code, {"frame": frame}))
         np.testing.assert_allclose(found.F, right, rtol=1e-12)
-    with pytest.raises(ValueError, match=r"no column 'value'.*score\)$"):
-        analysed(table(), dv="value")
 
 
 def test_column_in_the_index_and_column_there_twice():
@@ -195,7 +194,7 @@ def test_a_group_of_columns_is_no_column():
     assert analysed(frame, **names).F == analysed(table()).F
     with pytest.raises(
         ValueError,
-        match=r"dv: 'run' has columns below it; give one of them in full, \('run', 'score'\)",
+        match=r"dv: column 'run' occurs 1 times.*give a name of several levels in full",
     ):
         analysed(frame, **(names | {"dv": "run"}))
 

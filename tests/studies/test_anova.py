@@ -1,0 +1,351 @@
+"""
+The engine. Oracles: pingouin, SciPy and statsmodels study by study; sums of squares by brute force;
+Mauchly's test and ε by hand, and as programs print them; theorems.
+"""
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pingouin
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy import stats
+from statsmodels.stats.anova import AnovaRM
+
+import trustlab as tl
+from trustlab.studies import anova as engine
+from trustlab.studies.anova import (
+    Design,
+    effects,
+    mauchly_p_value,
+    orthonormal_contrasts,
+    sphericity,
+)
+from trustlab.studies.repeated_measures import _decision
+
+OMNIBUS = ["F", "p", "p_gg", "p_hf", "epsilon_gg", "epsilon_hf", "epsilon_hf_untruncated"]
+OMNIBUS += ["eta2_partial", "eta2_generalized", "mauchly_w", "mauchly_chi2", "mauchly_p"]
+
+
+def draw(studies, n, k, seed=0, effect=0.3, subjects=1.0):
+    rng = np.random.default_rng(seed)
+    scores = rng.standard_normal((studies, n, k)) * np.linspace(1.0, 2.0, k)
+    return scores + subjects * rng.standard_normal((studies, n, 1)) + effect * np.arange(k)
+
+
+def analysed(array):
+    return tl.repeated_measures_batch(array).droplevel("effect")
+
+
+def long_table(scores):
+    n, k = scores.shape
+    return pd.DataFrame(
+        {"s": np.repeat(np.arange(n), k), "c": np.tile(np.arange(k), n), "y": scores.ravel()}
+    )
+
+
+@pytest.mark.parametrize(("n", "k"), [(36, 5), (12, 3), (24, 4), (15, 10)])
+def test_equals_a_pingouin_loop(n, k):
+    array = draw(8, n, k)
+    batch = analysed(array)
+    columns = {"dv": "y", "within": "c", "subject": "s"}
+    for s, scores in enumerate(array):
+        frame = long_table(scores)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # pandas' own, from inside pingouin
+            row = pingouin.rm_anova(frame, correction=True, **columns).iloc[0]
+            partial = pingouin.rm_anova(frame, effsize="np2", **columns).iloc[0]["np2"]
+            epsilon = pingouin.epsilon(frame, correction="hf", **columns)
+            mauchly = pingouin.sphericity(frame, **columns)
+        names = ["F", "p", "p_gg", "epsilon_gg", "eta2_generalized"]
+        theirs = row[["F", "p_unc", "p_GG_corr", "eps", "ng2"]].to_numpy(dtype=float)
+        np.testing.assert_allclose(batch.loc[s, names], theirs, rtol=1e-10)
+        names = ["eta2_partial", "epsilon_hf", "mauchly_w", "mauchly_chi2", "mauchly_p"]
+        theirs = [partial, epsilon, mauchly.W, mauchly.chi2, mauchly.pval]
+        np.testing.assert_allclose(batch.loc[s, names], theirs, rtol=1e-10)
+        assert batch.loc[s, "mauchly_df"] == mauchly.dof
+
+
+def test_equals_statsmodels():
+    scores = draw(1, 14, 4)[0]
+    batch = analysed(scores[None])
+    table = AnovaRM(long_table(scores), "y", "s", within=["c"]).fit().anova_table
+    assert batch.F[0] == pytest.approx(table["F Value"].iloc[0], rel=1e-11)
+    assert batch.p[0] == pytest.approx(table["Pr > F"].iloc[0], rel=1e-10)
+    assert batch[["df1", "df2"]].loc[0].tolist() == [3, 39]
+
+
+def test_sums_of_squares_by_brute_force():
+    scores = draw(1, 7, 3, seed=4)[0]
+    n, k = scores.shape
+    batch = analysed(scores[None])
+    grand = scores.mean()
+    effect = sum(n * (scores[:, j].mean() - grand) ** 2 for j in range(k))
+    subjects = sum(k * (scores[i].mean() - grand) ** 2 for i in range(n))
+    error = sum(
+        (scores[i, j] - scores[i].mean() - scores[:, j].mean() + grand) ** 2
+        for i in range(n)
+        for j in range(k)
+    )
+    np.testing.assert_allclose(
+        batch.loc[0, ["ss_effect", "ss_subjects", "ss_error"]],
+        [effect, subjects, error],
+        rtol=1e-12,
+    )
+    assert batch.eta2_generalized[0] == pytest.approx(
+        effect / ((scores - grand) ** 2).sum(), rel=1e-12
+    )
+
+
+def test_two_conditions_are_a_paired_t_test():
+    array = draw(50, 9, 2)
+    batch = analysed(array)
+    t = stats.ttest_rel(array[:, :, 0], array[:, :, 1], axis=1)
+    np.testing.assert_allclose(batch.F, t.statistic**2, rtol=1e-11)
+    np.testing.assert_allclose(batch.p, t.pvalue, rtol=1e-10)
+    for name in ("epsilon_gg", "epsilon_hf", "epsilon_hf_untruncated"):
+        assert (batch[name] == 1.0).all()
+    assert batch[["mauchly_w", "mauchly_chi2", "mauchly_p"]].isna().all(axis=None)
+    assert (batch["mauchly_df"] == 0).all()
+    np.testing.assert_array_equal(batch.p_gg, batch.p)
+
+
+@pytest.mark.parametrize(
+    ("n", "k", "defined"),
+    [(3, 3, True), (3, 4, False), (5, 5, True), (5, 6, False), (4, 10, False)],
+)
+def test_mauchly_needs_n_above_k_less_one(n, k, defined):
+    batch = analysed(draw(20, n, k))
+    assert (np.isfinite(batch[["mauchly_w", "mauchly_p"]]) == defined).all(axis=None)
+    assert np.isfinite(batch[["F", "p", "epsilon_gg", "epsilon_hf", "p_gg", "p_hf"]]).all(axis=None)
+
+
+def test_mauchly_is_refused_where_a_condition_is_the_mean_of_two_others():
+    array = draw(300, 12, 4)
+    array[::2, :, 3] = 0.5 * (
+        array[::2, :, 0] + array[::2, :, 1]
+    )  # eigenvalues of ± 1e-17: both signs occur
+    batch = analysed(array)
+    assert np.isnan(batch.mauchly_w).tolist() == [True, False] * 150
+    assert np.isfinite(batch.p_gg).all()
+
+
+def test_nearly_singular_is_not_singular():
+    array = draw(1, 12, 4)
+    array[0, :, 3] = 0.5 * (array[0, :, 0] + array[0, :, 1]) + 1e-5 * array[0, :, 2]
+    assert 0.0 < analysed(array).mauchly_w[0] < 1e-9
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(3, 12), st.integers(2, 6), st.integers(0, 2**32 - 1))
+def test_bounds(n, k, seed):
+    batch = analysed(draw(3, n, k, seed=seed))
+    d = k - 1
+    assert batch.epsilon_gg.between(1.0 / d, 1.0).all()
+    assert (batch.epsilon_hf_untruncated >= batch.epsilon_gg * (1.0 - 1e-12)).all()
+    assert ((batch.epsilon_hf <= 1.0) & (batch.epsilon_hf <= batch.epsilon_hf_untruncated)).all()
+    for name in ("p", "p_gg", "p_hf", "mauchly_p", "mauchly_w", "eta2_partial", "eta2_generalized"):
+        assert (batch[name].isna() | batch[name].between(0.0, 1.0)).all(), name
+    assert (batch.eta2_generalized <= batch.eta2_partial * (1.0 + 1e-12)).all()
+
+
+def test_a_large_offset_costs_only_the_scores_own_digits():
+    array = np.round(draw(5, 20, 4), 3)
+    near, far = analysed(array), analysed(array + 1e9)
+    np.testing.assert_allclose(far.F, near.F, rtol=1e-5)
+    np.testing.assert_allclose(far.mauchly_p, near.mauchly_p, rtol=1e-4)
+
+
+def test_false_positives_at_the_level():
+    """Theorem: under sphericity and no effect, p is uniform; so is Mauchly's, nearly."""
+    rng = np.random.default_rng(7)
+    batch = analysed(
+        rng.standard_normal((20_000, 20, 4)) + 2.0 * rng.standard_normal((20_000, 20, 1))
+    )
+    for name in ("p", "mauchly_p"):
+        assert stats.kstest(batch[name], "uniform").pvalue > 0.01, name
+
+
+def test_chunks_do_not_matter(monkeypatch):
+    array = draw(11, 8, 3)
+    whole = analysed(array)
+    monkeypatch.setattr(engine, "_CHUNK", 50)
+    pd.testing.assert_frame_equal(analysed(array), whole, rtol=1e-12)
+    array[7] = 3.0
+    with pytest.raises(ValueError, match="study 7: the error variance is zero for condition"):
+        analysed(array)
+
+
+BAD = {
+    "two axes": (np.zeros((4, 3)), r"axes for studies .* array\[None\]"),
+    "no study": (np.zeros((0, 4, 3)), r"got shape \(0, 4, 3\)"),
+    "two subjects": (np.zeros((1, 2, 3)), r"got shape \(1, 2, 3\)"),
+    "one condition": (np.zeros((1, 4, 1)), r"got shape \(1, 4, 1\)"),
+    "text": (np.array([[["a", "b"]] * 3]), "array must be an array of numbers"),
+    "complex": (np.ones((1, 4, 3), dtype=complex), "array must be an array of numbers"),
+    "ragged": ([[[1.0, 2.0], [1.0]]], "array must be an array of numbers"),
+    "NaN": (np.full((1, 4, 3), np.nan), "array must be finite"),
+    "factors": ({"factors": ["a", "b"]}, "factors must name 1 factors"),
+    "groups": ({"groups": [0, 1]}, "groups must have a group for each of 5 subjects"),
+    "a group of one kind": ({"groups": [0] * 5}, "two or more"),
+    "no error": ({"groups": range(5)}, "two or more"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_arguments(name):
+    value, message = BAD[name]
+    arguments = {"array": draw(2, 5, 3)} | value if isinstance(value, dict) else {"array": value}
+    with pytest.raises(ValueError, match=message):
+        tl.repeated_measures_batch(**arguments)
+
+
+def test_studies_without_error_variance_are_named():
+    array = draw(3, 5, 4)
+    for flat in (0.7 * np.arange(4), np.zeros(4)):
+        array[1] = 0.1 + 0.2 * np.arange(5)[:, None] + flat
+        with pytest.raises(ValueError, match=r"study 1: the error variance is zero for condition"):
+            analysed(array)
+
+
+def test_units_beyond_double_precision_are_refused():
+    array = draw(1, 5, 4)
+    with pytest.raises(ValueError, match="another unit"):
+        analysed(array * 1e160)
+    with pytest.raises(ValueError, match="another unit"):
+        analysed(array * 1e-150)
+    usual = analysed(array)
+    for unit in (1e-95, 1e-20, 1e130):
+        pd.testing.assert_frame_equal(analysed(array * unit)[OMNIBUS], usual[OMNIBUS], rtol=1e-9)
+
+
+def test_a_factor_with_a_cross_in_its_name_keeps_its_place():
+    """Main effects come first, in the order of the design, whatever they are called."""
+    design = Design(8, {"A × B": range(2), "C": range(2)})
+    table = effects(np.random.default_rng(0).normal(size=(1, 8, 4)), design)
+    assert table.loc[0].index.tolist() == ["A × B", "C", "A × B × C"]
+
+
+# ---- sphericity
+
+
+def test_mauchly_second_order_term_by_hand():
+    result = sphericity(np.diag([1.0, 2.0, 4.0]), 9)
+    w = 8.0 / (7.0 / 3.0) ** 3
+    rho = 1.0 - (18.0 + 3.0 + 2.0) / (6.0 * 3.0 * 9.0)
+    chi2 = -9.0 * rho * np.log(w)
+    w2 = 5.0 * 2.0 * 1.0 * (54.0 + 54.0 + 3.0 * 4.0 + 2.0) / (288.0 * (9.0 * 3.0 * rho) ** 2)
+    first, second = stats.chi2.sf(chi2, 5), stats.chi2.sf(chi2, 9)
+    assert result["mauchly_w"] == pytest.approx(w)
+    assert result["mauchly_chi2"] == pytest.approx(chi2)
+    assert result["mauchly_df"] == 5
+    assert result["mauchly_p"] == pytest.approx(first + w2 * (second - first), rel=1e-12)
+    assert result["mauchly_p"] != pytest.approx(first, rel=1e-3)  # the term is there
+
+
+@pytest.mark.parametrize(
+    ("chi2", "n", "k", "printed"),
+    [
+        (10.695, 36, 5, 0.298),  # 0.297 without the second-order term
+        (15.030, 36, 5, 0.090),
+        (12.085, 36, 5, 0.209),
+        (28.304, 36, 5, 0.001),
+        (22.655, 36, 5, 0.007),
+        (5.14, 30, 4, 0.399),
+        (7.785, 30, 4, 0.169),
+    ],
+)
+def test_printed_p_of_mauchly(chi2, n, k, printed):
+    """
+    Oracle: the dissertation's Sections 2.4.2.4 and 3.9.4, χ² and p as its statistics program
+    printed them.
+    """
+    assert mauchly_p_value(chi2, n, k) == pytest.approx(printed, abs=6e-4)
+
+
+def test_the_second_order_term_shows_in_the_printed_p():
+    assert round(float(mauchly_p_value(10.695, 36, 5)), 3) == 0.298
+    assert round(stats.chi2.sf(10.695, 9), 3) == 0.297
+
+
+@pytest.mark.parametrize(
+    ("least", "floor", "defined"),
+    [
+        (1e-15, 0.0, False),  # rounding
+        (2.9e-14, 0.0, False),
+        (3.1e-14, 0.0, True),
+        (1e-3, 1.1e-3, False),  # no more than rounding of the scores can cause
+        (1e-3, 0.9e-3, True),
+    ],
+)
+def test_which_eigenvalues_count_as_zero(least, floor, defined):
+    w = sphericity(np.diag([1.0, 1.0, least])[None], 9, floor)["mauchly_w"]
+    assert np.isfinite(w).tolist() == [defined]
+    if defined:
+        assert w == pytest.approx(least / ((2.0 + least) / 3.0) ** 3, rel=1e-9)
+
+
+def test_a_p_value_is_at_most_1():
+    """The expansion exceeds 1 where subjects are as few as conditions, ten of either here."""
+    n, k, chi2 = 10, 10, 26.8
+    factor = 9.0 - (2.0 * 81.0 + 9.0 + 2.0) / 54.0
+    w2 = 11.0 * 8.0 * 7.0 * (1458.0 + 486.0 + 30.0 + 2.0) / (288.0 * (9.0 * factor) ** 2)
+    first, second = stats.chi2.sf(chi2, [44, 48])
+    assert first + w2 * (second - first) > 1.0
+    assert mauchly_p_value(chi2, n, k) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("correction", "conditions", "p", "epsilon", "applied", "words", "factor"),
+    [
+        ("auto", 4, 0.05, 0.6, "none", "does not reject", 1.0),
+        ("auto", 4, 0.0499, 0.6, "greenhouse-geisser", "p = 0.0499 < 0.05).", 0.6),
+        ("auto", 4, np.nan, 0.6, "greenhouse-geisser", "cannot be tested", 0.6),
+        ("auto", 2, np.nan, 1.0, "none", "two conditions", 1.0),
+        ("huynh-feldt", 2, np.nan, 1.0, "none", "two conditions", 1.0),
+        ("huynh-feldt", 4, 0.9, 0.6, "huynh-feldt", "whatever Mauchly's test says.", 0.7),
+        ("none", 4, 0.01, 0.6, "none", "whatever Mauchly's test says.", 1.0),
+    ],
+)
+def test_which_correction_applies(correction, conditions, p, epsilon, applied, words, factor):
+    d = conditions - 1
+    row = {"mauchly_w": p, "mauchly_p": p, "p": 0.1, "p_gg": 0.2, "p_hf": 0.3}
+    for end, share in (("", 1.0), ("_gg", epsilon), ("_hf", 0.7)):
+        row |= {f"df1{end}": 2 * d * share, f"df2{end}": 9 * d * share}
+    chosen = _decision(row, 9, correction, 0.05)
+    assert chosen["correction"] == applied
+    assert words in chosen["reason"]
+    assert chosen["df1_corrected"] == pytest.approx(2 * d * factor)
+    assert chosen["df2_corrected"] == pytest.approx(9 * d * factor)
+    p_of = {"none": 0.1, "greenhouse-geisser": 0.2, "huynh-feldt": 0.3}
+    assert chosen["p_corrected"] == p_of[applied]
+
+
+def test_an_epsilon_without_a_finite_value_or_above_1_is_cut():
+    assert sphericity(np.eye(3), 3)["epsilon_hf_untruncated"] == np.inf
+    sphere = sphericity(np.eye(3), 10)
+    assert sphere["epsilon_hf"] == 1.0
+    assert sphere["epsilon_hf_untruncated"] == pytest.approx(31.0 / 21.0)
+
+
+def test_epsilon_by_hand():
+    covariance = np.array([[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 0.5]])
+    result = sphericity(covariance, 10)
+    gg = 3.5**2 / (3.0 * (covariance**2).sum())
+    assert result["epsilon_gg"] == pytest.approx(gg, rel=1e-12)
+    hf = (11.0 * 3.0 * gg - 2.0) / (3.0 * (10.0 - 3.0 * gg))
+    assert result["epsilon_hf"] == pytest.approx(hf, rel=1e-12)
+    assert hf < 1.0
+
+
+@pytest.mark.parametrize("k", [2, 3, 7])
+def test_contrasts_are_orthonormal(k):
+    contrasts = orthonormal_contrasts(k)
+    np.testing.assert_allclose(contrasts.T @ contrasts, np.eye(k - 1), atol=1e-15)
+    np.testing.assert_allclose(contrasts.sum(axis=0), 0.0, atol=1e-15)
+
+
+def test_epsilon_is_one_for_a_sphere_and_least_for_a_line():
+    assert sphericity(np.eye(4), 9)["epsilon_gg"] == 1.0
+    assert sphericity(np.diag([1.0, 0.0, 0.0, 0.0]), 9)["epsilon_gg"] == 0.25

@@ -1,0 +1,90 @@
+"""
+What no analysis of scores depends on: the order of rows, the names of people and levels, the unit
+and the origin of scores. Negative control: one score that is changed.
+"""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings, strategies as st
+
+import trustlab as tl
+
+# In units of the score, or of its origin: changed by the unit.
+RAW = ["mean", "sd", "se", "median", "minimum", "maximum", "ci_low", "ci_high", "low", "high"]
+RAW += ["ci_low_within", "ci_high_within", "mean_difference", "median_difference", "ms", "ss"]
+RAW += ["ss_effect", "ss_error", "ss_subjects", "subject_variance", "residual_variance"]
+RAW += ["sd_difference"]
+ONE = {"dv": "score", "within": "mode", "subject": "person"}
+ANALYSES = {
+    "one factor": lambda f: tl.repeated_measures(f, **ONE).table(),
+    "its pairs": lambda f: tl.repeated_measures(f, **ONE).pairs(),
+    "its pooled pairs": lambda f: tl.repeated_measures(f, **ONE).pairs(error="pooled"),
+    "its pairs by ranks": lambda f: tl.repeated_measures(f, **ONE).pairs(method="wilcoxon"),
+    "its assumptions": lambda f: tl.repeated_measures(f, **ONE).assumptions(),
+    "two factors": lambda f: two(f).table(),
+    "their pairs": lambda f: two(f).pairs("mode", at="task"),
+    "their ranks": lambda f: two(f).aligned_ranks(),
+    "their simple effects": lambda f: two(f).simple_effects("mode", at="task"),
+    "groups": lambda f: two(f, between="group").table(),
+    "pairs of groups": lambda f: two(f, between="group").pairs("group", at="mode"),
+    "paired t-test": lambda f: tl.paired_t_test(f[f["mode"] < "c"], **ONE).table(),
+    "equivalence": lambda f: tl.equivalence(f, **ONE, bound=0.5, units="d_z"),
+    "Bayes factors": lambda f: tl.bayes_factor(f, **ONE, method="jzs"),
+    "mixed model": lambda f: tl.mixed_model(f, **ONE).table(),
+}
+
+
+def two(frame, **more):
+    return tl.repeated_measures(frame, "score", ["mode", "task"], "person", **more)
+
+
+def table(seed, several):
+    """Scores of nine people, five of them in a group, in three modes and two tasks, or one."""
+    rng = np.random.default_rng(seed)
+    cells = [range(9), list("abc"), [1, 2] if several else [1]]
+    index = pd.MultiIndex.from_product(cells, names=["person", "mode", "task"])
+    frame = index.to_frame(index=False)
+    scores = rng.normal(size=len(frame)) + rng.normal(size=9).repeat(len(frame) // 9)
+    return frame.assign(score=scores, group=np.where(frame["person"] < 5, "l", "r"))
+
+
+def numbers(name, frame):
+    result = ANALYSES[name](frame).select_dtypes("number")
+    kept = result.drop(columns=[column for column in RAW if column in result])
+    return kept.drop(columns=[column for column in ("a", "b", "level") if column in kept])
+
+
+def changed(frame, rng, unit, origin):
+    """The same scores in other rows, of other people's names, in another unit."""
+    names = dict(zip("abc", ("a mode", "b mode", "c mode"), strict=True))
+    people = {person: f"P{person}" for person in range(9)}
+    frame = frame.replace({"mode": names, "person": people}).infer_objects()
+    frame = frame.assign(score=origin + unit * frame["score"])
+    return frame.sample(frac=1.0, random_state=int(rng.integers(1000)))
+
+
+def several(name):
+    return any(word in name for word in ("two", "their", "groups"))
+
+
+@pytest.mark.parametrize("name", ANALYSES)
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 10_000),
+    unit=st.sampled_from([1e-3, 0.7, 1e3]),
+    origin=st.sampled_from([-50.0, 0.0, 200.0]),
+)
+def test_rows_names_and_units_do_not_matter(name, seed, unit, origin):
+    frame = table(seed, several(name))
+    other = changed(frame, np.random.default_rng(seed), unit, origin * unit)
+    pd.testing.assert_frame_equal(
+        numbers(name, other), numbers(name, frame), rtol=1e-6, atol=1e-9, check_dtype=False
+    )
+
+
+@pytest.mark.parametrize("name", ANALYSES)
+def test_one_score_matters(name):
+    frame = table(1, several(name))
+    other = frame.assign(score=frame["score"].mask(frame.index == 0, 9.0))
+    assert not numbers(name, other).equals(numbers(name, frame))

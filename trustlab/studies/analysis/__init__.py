@@ -1,1 +1,0 @@
-"""Analyses of scores from within-subject studies."""

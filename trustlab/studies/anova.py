@@ -1,0 +1,438 @@
+"""
+Analysis of variance with factors within and between subjects, for many studies at once.
+
+Scores are regressed on the design between subjects (sum-to-zero coding: sums of squares are of type
+III). Coefficients and residuals are projected on orthonormal contrasts of each effect within
+subjects: the intercept tests that effect, the columns of groups its interaction with them. Each
+effect within subjects has its own error term, as in `Anova` of car and `aov_car` of afex.
+"""
+
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, reduce
+from itertools import chain, combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy import special
+from scipy.optimize import brentq
+
+from trustlab.models.checks import finite_numbers, not_negative, open_unit, positive, shown
+from trustlab.studies.table import labels_of
+
+CORRECTIONS = ("none", "greenhouse-geisser", "huynh-feldt")
+
+# Scores analysed or drawn at once, so that memory does not grow with the number of studies.
+_CHUNK = 1 << 20
+
+# Sizes of scores beyond which squares would overflow, and below which they would underflow.
+_GREATEST, _LEAST = 1e140, 1e-100
+
+# Smallest ratio of eigenvalues that double precision distinguishes from zero.
+_RELATIVE_RANK = 1e-14
+
+# Beyond this noncentrality SciPy's noncentral F fails; the form for large λ has nine digits there.
+_LARGE = 1e9
+
+
+def chunks(studies: int, scores: int) -> list[range]:
+    """Return the studies, each of `scores` numbers, in parts that are analysed or drawn at once."""
+    step = max(1, _CHUNK // scores)
+    return [range(first, min(first + step, studies)) for first in range(0, studies, step)]
+
+
+def subsets(names: Iterable) -> list[tuple]:
+    """Return all subsets of some names, the empty one first and the largest last."""
+    names = list(names)
+    return list(chain.from_iterable(combinations(names, size) for size in range(len(names) + 1)))
+
+
+def orthonormal_contrasts(k: int) -> np.ndarray:
+    """Return Helmert contrasts of unit length, shape (k, k − 1): orthogonal to the constant."""
+    contrasts = np.triu(np.ones((k, k)))[:, :-1] - np.diag(np.arange(1.0, k), -1)[:, :-1]
+    return contrasts / np.linalg.norm(contrasts, axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """
+    Who was measured in which cells.
+
+    Parameters
+    ----------
+    n : int
+        Subjects.
+    within, between : mapping of Hashable to sequence
+        Factors and their levels; the last factor within subjects varies fastest among the cells.
+    groups : mapping of Hashable to numpy.ndarray, shape (n,)
+        The level number of every subject, for each factor between subjects.
+    """
+
+    n: int
+    within: Mapping[Any, Sequence]
+    between: Mapping[Any, Sequence] = field(default_factory=dict)
+    groups: Mapping[Any, np.ndarray] = field(default_factory=dict)
+
+    @cached_property
+    def effects(self) -> list[tuple[tuple, tuple]]:
+        """The factors between and within subjects of every effect, main effects first."""
+        pairs = [(block, names) for names in subsets(self.within) for block in self.blocks]
+        return sorted(pairs[1:], key=lambda pair: len(pair[0]) + len(pair[1]))
+
+    @cached_property
+    def blocks(self) -> dict[tuple, np.ndarray]:
+        """The regressors of every effect between subjects, the intercept first."""
+        coded = {}
+        for name, levels in self.between.items():
+            member = np.eye(len(levels))[self.groups[name]]
+            coded[name] = member[:, :-1] - member[:, -1:]  # the columns of a group sum to zero
+        ones = np.ones((self.n, 1))
+        return {
+            names: reduce(_products, (coded[name] for name in names), ones)
+            for names in subsets(coded)
+        }
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        """All regressors, shape (n, columns)."""
+        return np.hstack(list(self.blocks.values()))
+
+    @property
+    def df_error(self) -> int:
+        """Subjects less columns."""
+        return self.n - self.matrix.shape[1]
+
+    @property
+    def inverse(self) -> np.ndarray:
+        """(X'X/n)⁻¹."""
+        return np.linalg.inv(self.matrix.T @ self.matrix / self.n)
+
+    def rows(self, block: tuple) -> np.ndarray:
+        """Return the rows that select the coefficients of an effect between subjects."""
+        ends = np.cumsum([part.shape[1] for part in self.blocks.values()])
+        parts = np.split(np.eye(ends[-1]), ends[:-1])
+        return dict(zip(self.blocks, parts, strict=True))[block]
+
+    def contrasts(self, names: tuple) -> np.ndarray:
+        """Return orthonormal contrasts of the cells for an effect; other factors are averaged."""
+        parts = [
+            orthonormal_contrasts(len(levels))
+            if name in names
+            else np.full((len(levels), 1), len(levels) ** -0.5)
+            for name, levels in self.within.items()
+        ]
+        return reduce(np.kron, parts)
+
+
+def _products(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return (first[:, :, None] * second[:, None, :]).reshape(len(first), -1)
+
+
+class Regression(NamedTuple):
+    """
+    Studies, about their grand means, regressed on the design between subjects.
+
+    `coefficients` has shape (studies, columns, cells), `residual` (studies, n, cells); `rounding`
+    is the spread that rounding of the scores alone can cause, shape (studies,).
+    """
+
+    design: Design
+    coefficients: np.ndarray
+    residual: np.ndarray
+    rounding: np.ndarray
+
+    def sum_of_squares(self, contrasts: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return that of the hypothesis `rows` · coefficients · `contrasts` = 0 of each study."""
+        # SS = n |L⁻¹ R B C|² with L L' = R (X'X/n)⁻¹ R'
+        root = np.linalg.cholesky(rows @ self.design.inverse @ rows.T)
+        whitened = np.linalg.solve(root, rows) @ self.coefficients @ contrasts
+        return self.design.n * (whitened**2).sum(axis=(1, 2))
+
+    def covariance(self, contrasts: np.ndarray) -> np.ndarray:
+        """Return the residual covariance of contrasts, shape (studies, d, d)."""
+        errors = self.residual @ contrasts
+        return np.swapaxes(errors, 1, 2) @ errors / self.design.df_error
+
+    def test(self, contrasts: np.ndarray, rows: np.ndarray) -> dict[str, Any]:
+        """
+        Return F of that hypothesis with its effect size, sphericity and p under each correction; F
+        is NaN where the error variance is zero.
+        """
+        df_error, cells = self.design.df_error, self.residual.shape[2]
+        ss, covariance = self.sum_of_squares(contrasts, rows), self.covariance(contrasts)
+        error = np.trace(covariance, axis1=1, axis2=2)
+        df1, df2 = contrasts.shape[1] * len(rows), contrasts.shape[1] * df_error
+        f = ss / len(rows) / np.where(error > 0.0, error, np.nan)
+        tests = sphericity(covariance, df_error, self.rounding**2, cells)
+        gg, hf = tests["epsilon_gg"], tests["epsilon_hf"]
+        return {
+            "F": f,
+            "df1": df1,
+            "df2": df2,
+            "p": special.fdtrc(df1, df2, f),
+            "p_gg": special.fdtrc(gg * df1, gg * df2, f),
+            "p_hf": special.fdtrc(hf * df1, hf * df2, f),
+            "eta2_partial": f * df1 / (f * df1 + df2),
+            "ss_effect": ss,
+            "ss_error": df_error * error,
+        } | tests
+
+
+def regress(scores: np.ndarray, design: Design) -> Regression:
+    """Regress studies of shape (studies, n, cells) on the design between subjects."""
+    largest = np.abs(scores).max(axis=(1, 2))
+    centred = scores - scores.mean(axis=(1, 2), keepdims=True)
+    coefficients = design.inverse @ design.matrix.T / design.n @ centred
+    residual = centred - design.matrix @ coefficients
+    return Regression(design, coefficients, residual, 4.0 * np.finfo(float).eps * largest)
+
+
+def mauchly_factor(n: Any, k: int) -> Any:
+    """Return (n − 1) ρ, ρ = 1 − (2d² + d + 2) / (6 d (n − 1)), d = k − 1: χ² = −(n − 1) ρ ln W."""
+    d = k - 1
+    return n - 1 - (2 * d**2 + d + 2) / (6 * d)
+
+
+def mauchly_p_value(chi2: Any, n: Any, k: int, cells: int | None = None) -> Any:
+    """
+    Return the p-value of Mauchly's χ² to second order, as R, SPSS, JASP, jamovi and pingouin print
+    it; n ≥ k ≥ 3.
+
+    p = P_f + w₂ (P_{f+4} − P_f) with f = d (d + 1)/2 − 1 and w₂ = (d+2)(d−1)(d−2)(2d³ + 6d² + 3k +
+    2) / (288 ((n−1) d ρ)²), d = k − 1 (Anderson, 2003). The expansion can exceed 1 by some
+    thousandths when n is hardly above k; it is then 1.
+    """
+    d = k - 1
+    df = d * (d + 1) // 2 - 1
+    # Anderson has d in the place of k; the packages named above all put k there, and printed values
+    # come from them. In designs of several factors R puts the number of all cells there.
+    cubic = 2 * d**3 + 6 * d**2 + 3 * (cells or k) + 2
+    w2 = (d + 2) * (d - 1) * (d - 2) * cubic / (288 * (d * mauchly_factor(n, k)) ** 2)
+    first = special.chdtrc(df, chi2)
+    return np.minimum(first + w2 * (special.chdtrc(df + 4, chi2) - first), 1.0)
+
+
+def sphericity(
+    covariance: np.ndarray, df_error: int, floor: Any = 0.0, cells: int | None = None
+) -> dict[str, Any]:
+    """
+    Return ε and Mauchly's test of covariances of d orthonormal contrasts, from their eigenvalues.
+
+    ε of Greenhouse and Geisser is (Σ λ)² / (d Σ λ²), that of Huynh and Feldt (n d ε − 2) / (d (n −
+    1 − d ε)) with n = df_error + 1, as in car and afex; W = Π λ / (Σ λ / d)^d (Mauchly, 1940). W is
+    NaN for one contrast, for fewer degrees of freedom than contrasts, and where an eigenvalue is
+    not above `floor`, the variance that rounding of the scores alone can cause.
+    """
+    d, n = covariance.shape[-1], df_error + 1
+    eigenvalues = np.linalg.eigvalsh(covariance)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratios = eigenvalues / eigenvalues.mean(axis=-1, keepdims=True)
+        # The bounds are exact: only rounding is cut.
+        gg = np.clip(d / (ratios**2).sum(axis=-1), 1.0 / d, 1.0)
+        below = d * (n - 1 - d * gg)
+        hf = np.where(below > 1e-12 * n, (n * d * gg - 2.0) / below, np.inf) if d > 1 else gg
+        least = np.maximum(d * _RELATIVE_RANK * eigenvalues[..., -1], floor)
+        defined = (eigenvalues[..., 0] > least) & (1 < d <= df_error)
+        log_w = np.minimum(np.log(ratios).sum(axis=-1), np.where(defined, 0.0, np.nan))
+    chi2 = -mauchly_factor(n, d + 1) * log_w
+    return {
+        "epsilon_gg": gg,
+        "epsilon_hf": np.minimum(hf, 1.0),
+        "epsilon_hf_untruncated": hf,
+        "mauchly_w": np.exp(log_w),
+        "mauchly_chi2": chi2,
+        "mauchly_df": d * (d + 1) // 2 - 1,
+        "mauchly_p": mauchly_p_value(chi2, n, d + 1, cells),
+    }
+
+
+def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
+    """
+    Return the type III test of every effect, a row per study and effect, of scores of shape
+    (studies, n, cells); the columns are those of `repeated_measures_batch`.
+    """
+    largest = np.abs(scores).max(axis=(1, 2))
+    extreme = (largest > _GREATEST) | ((largest > 0.0) & (largest < _LEAST))
+    if extreme.any():
+        study = int(np.argmax(extreme))
+        raise ValueError(
+            f"study {study}: scores of size {largest[study]:.3g}, whose squares no number holds; "
+            "use another unit"
+        )
+    parts = chunks(len(scores), scores[0].size)
+    return pd.concat([_effects(scores[part.start : part.stop], design, part) for part in parts])
+
+
+def _effects(scores: np.ndarray, design: Design, studies: range) -> pd.DataFrame:
+    """Return the tests of the studies with these numbers."""
+    regression = regress(scores, design)
+    residual = regression.residual
+    errors = (residual**2).sum(axis=(1, 2))
+    subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / residual.shape[2]
+    labels, tests = [], []
+    for block, names in design.effects:
+        test = regression.test(design.contrasts(names), design.rows(block))
+        # Of all variance but that of the other effects (Olejnik and Algina, 2003).
+        total = test["ss_effect"] + errors
+        test["eta2_generalized"] = test["ss_effect"] / np.where(total > 0.0, total, np.nan)
+        tests.append(test | {"ss_subjects": subjects})
+        labels.append(effect_name(block, names))
+    columns = {
+        name: np.column_stack([np.broadcast_to(test[name], len(studies)) for test in tests])
+        for name in tests[0]
+    }
+    noise = columns["df2"] * regression.rounding[:, None] ** 2
+    flat = np.argwhere(columns["ss_error"] <= noise)
+    if len(flat):
+        study, effect = flat[0]
+        raise ValueError(
+            f"study {studies[study]}: the error variance is zero for {labels[effect]} (all "
+            "subjects differ by the same amounts, or not at all), so that F is not defined"
+        )
+    index = pd.MultiIndex.from_product([studies, labels], names=["study", "effect"])
+    return pd.DataFrame({name: values.ravel() for name, values in columns.items()}, index)
+
+
+def effect_name(block: tuple, names: tuple) -> str:
+    """Return "group × condition" for the factors of an effect."""
+    return " × ".join(map(str, (*block, *names)))
+
+
+def repeated_measures_batch(
+    array: np.ndarray,
+    factors: Sequence[Hashable] | None = None,
+    groups: Sequence[int] | None = None,
+) -> pd.DataFrame:
+    """
+    Analyse many studies of the same size at once.
+
+    Parameters
+    ----------
+    array : array_like, shape (studies, subjects, levels of the first factor, of the second, …)
+        Complete finite scores.
+    factors : sequence of hashable, optional
+        Names of the factors within subjects; by default "condition", or "A", "B" … of several.
+    groups : array_like, shape (subjects,), optional
+        Group of each subject; the factor is called "group".
+
+    Returns
+    -------
+    pandas.DataFrame
+        Index study, effect. Columns F, df1, df2, p (sphericity assumed), p_gg, p_hf (with
+        Greenhouse–Geisser's and Huynh–Feldt's ε), eta2_partial, ss_effect, ss_error, epsilon_gg,
+        epsilon_hf (cut at 1), epsilon_hf_untruncated, mauchly_w, mauchly_chi2, mauchly_df,
+        mauchly_p (to second order; NaN where the test is not defined), eta2_generalized and
+        ss_subjects.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, there are fewer than 3 subjects or 2 levels, a score is not a finite
+        number, or a study has no error variance.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trustlab as tl
+    >>> studies = np.random.default_rng(0).normal(size=(1000, 12, 3)) + [0.0, 0.2, 0.8]
+    >>> batch = tl.repeated_measures_batch(studies)
+    >>> float((batch["p"] < 0.05).mean())
+    0.382
+    """
+    scores = finite_numbers("array", array)
+    if scores.ndim < 3 or len(scores) < 1 or scores.shape[1] < 3 or min(scores.shape[2:]) < 2:
+        raise ValueError(
+            "array must have axes for studies (at least 1; one study is array[None]), subjects (3) "
+            f"and each factor's levels (2), got shape {scores.shape}"
+        )
+    n, *sizes = scores.shape[1:]
+    usual = ["condition"] if len(sizes) == 1 else [chr(ord("A") + i) for i in range(len(sizes))]
+    names = usual if factors is None else labels_of("factors", factors, len(sizes))
+    if len(names) != len(sizes):
+        raise ValueError(f"factors must name {len(sizes)} factors, got {shown(factors)}")
+    design = Design(n, {name: range(k) for name, k in zip(names, sizes, strict=True)})
+    if groups is not None:
+        labels, codes = np.unique(groups, return_inverse=True)
+        if codes.shape != (n,) or not 1 < len(labels) < n:
+            raise ValueError(f"groups must have a group for each of {n} subjects, two or more")
+        design = Design(n, design.within, {"group": labels.tolist()}, {"group": codes})
+    return effects(scores.reshape(*scores.shape[:2], -1), design)
+
+
+@dataclass(frozen=True)
+class PartialEtaInterval:
+    """
+    Interval of partial η² and of the noncentrality it comes from.
+
+    Parameters
+    ----------
+    low, high : float
+        Limits of partial η².
+    noncentrality_low, noncentrality_high : float
+        Limits of λ.
+    level : float
+        Coverage.
+    """
+
+    low: float
+    high: float
+    noncentrality_low: float
+    noncentrality_high: float
+    level: float
+
+
+def partial_eta_interval(
+    f: float, df1: float, df2: float, level: float = 0.90
+) -> PartialEtaInterval:
+    """
+    Return the interval of partial η² that inverts the noncentral F distribution.
+
+    With λ_low and λ_high such that P(F′ ≥ f | λ_low) = P(F′ ≤ f | λ_high) = (1 − level)/2, the
+    limits are λ / (λ + df1 + df2): λ = n (k − 1) η²/(1 − η²) in the population (`noncentrality`),
+    and n (k − 1) = df1 + df2. Where the test is corrected, both degrees of freedom are those times
+    ε, and λ is ε times that of the uncorrected F (Box, 1954). Steiger (2004) has one more below,
+    for designs between subjects. The customary level is 0.90: its lower limit is above 0 where the
+    test's p is below 0.05.
+
+    Parameters
+    ----------
+    f : float
+        Observed F, at least 0.
+    df1, df2 : float
+        Degrees of freedom, above 0.
+    level : float
+        Coverage, in (0, 1).
+
+    Raises
+    ------
+    ValueError
+        If F is negative or a number is not finite.
+    """
+    f, level = not_negative("f", f), open_unit("level", level)
+    df1, df2 = positive("df1", df1), positive("df2", df2)
+    tail = 0.5 * (1.0 - level)
+    low, high = (noncentrality_limit(f, df1, df2, share) for share in (1.0 - tail, tail))
+    total = df1 + df2
+    return PartialEtaInterval(low / (low + total), high / (high + total), low, high, level)
+
+
+def noncentrality_limit(f: float, df1: float, df2: float, probability: float) -> float:
+    """
+    Return the λ ≥ 0 at which P(F′ ≤ f | λ) is `probability`; 0 where it is less even at λ = 0.
+    """
+    # F′ df1/df2 = χ′²(λ)/χ²(df2), where χ′²(λ) = λ + df1 to within √λ: only the denominator is left
+    # to vary.
+    large = df1 * (f * float(special.chdtri(df2, probability)) / df2 - 1.0)
+    if large > _LARGE:
+        return large
+
+    def excess(noncentrality: float) -> float:
+        return float(special.ncfdtr(df1, df2, noncentrality, f)) - probability
+
+    if excess(0.0) <= 0.0:
+        return 0.0
+    high = max(1.0, 2.0 * df1 * f)
+    while excess(high) > 0.0:
+        high *= 2.0
+    return float(brentq(excess, 0.0, high, xtol=1e-12 * high, rtol=1e-13, maxiter=500))

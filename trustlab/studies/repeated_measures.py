@@ -1,0 +1,654 @@
+"""Repeated-measures ANOVA of a long table, and everything that a paper reports about it."""
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.models.checks import of_class, one_of, open_unit
+from trustlab.models.display import Result
+from trustlab.studies import pairs
+from trustlab.studies.anova import CORRECTIONS, Design, effects, partial_eta_interval, regress
+from trustlab.studies.table import (
+    ScoreTable,
+    complete_scores,
+    labelled,
+    read_cells,
+    read_groups,
+    read_levels,
+    refuse_repeated,
+    same_for_all,
+)
+
+# Statistics of the effect of conditions in a table of sources of variance.
+_OF_CONDITIONS = ["F", "p", "epsilon_gg", "p_gg", "epsilon_hf", "p_hf", "eta2_partial"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RepeatedMeasures(Result):
+    """
+    An analysis of variance with factors within and between subjects.
+
+    Where the design has one effect alone, every column of `table` is an attribute too: ``.F``,
+    ``.df1``, ``.p_corrected``, ``.epsilon_gg``, ``.reason`` and so on.
+
+    Parameters
+    ----------
+    scores, observed : ScoreTable
+        What was analysed, and what was read (with the cells of excluded subjects). The conditions
+        of several factors are their cells, as tuples.
+    design : Design
+        Factors within and between subjects, and groups.
+    tests : pandas.DataFrame
+        What `table` returns.
+    excluded : tuple
+        Subjects left out for missing cells.
+    correction_rule : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
+        The correction asked for.
+    alpha : float
+        Level below which a p-value is called significant.
+    """
+
+    scores: ScoreTable
+    observed: ScoreTable
+    design: Design
+    tests: pd.DataFrame
+    excluded: tuple
+    correction_rule: str
+    alpha: float
+
+    def __getattr__(self, name: str) -> Any:
+        # Python calls this only for names that are no field or method.
+        if name.startswith("_") or name == "tests" or name not in self.tests:
+            raise AttributeError(f"RepeatedMeasures has no attribute {name!r}")
+        if len(self.tests) > 1:
+            raise AttributeError(
+                f"there are {len(self.tests)} effects, each with its {name!r}: see .table()"
+            )
+        return self.tests[name].tolist()[0]
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *(self.tests if len(self.tests) == 1 else [])]
+
+    @property
+    def dv(self) -> Hashable:
+        """Column analysed."""
+        return self.scores.dv
+
+    @property
+    def conditions(self) -> tuple:
+        """Labels of the conditions: the levels of one factor, or the cells of several."""
+        return self.scores.conditions
+
+    @property
+    def n(self) -> int:
+        """Subjects analysed."""
+        return len(self.scores.subjects)
+
+    @property
+    def k(self) -> int:
+        """Conditions or cells."""
+        return len(self.scores.conditions)
+
+    @property
+    def within(self) -> Mapping[Hashable, Sequence]:
+        """Factors within subjects and their levels."""
+        return self.design.within
+
+    @property
+    def between(self) -> Mapping[Hashable, Sequence]:
+        """Factors between subjects and their levels; empty without groups."""
+        return self.design.between
+
+    @property
+    def origin(self) -> str:
+        """Synthetic or reconstructed data; empty for measured data."""
+        return self.scores.origin
+
+    @property
+    def one_way(self) -> bool:
+        """Whether there is one factor within subjects and nothing else."""
+        return len(self.within) == 1 and not self.between
+
+    @property
+    def title(self) -> str:
+        """The measure and the factors."""
+        origin = f" [{self.origin}]" if self.origin else ""
+        return f"{self.dv} by {', '.join(map(str, [*self.within, *self.between]))}{origin}"
+
+    @property
+    def message(self) -> str:
+        """The sentences for a paper, and what to know before using them."""
+        return " ".join([self.apa(), *self.notes])
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader should know before using the numbers."""
+        values = self.scores.values
+        if not self.one_way:
+            return tuple(pairs.rating_notes(values, "aligned_ranks()"))
+        notes = []
+        if constant := same_for_all(self.scores):
+            notes.append(
+                f"Every subject has the same score (SD = 0) in {', '.join(map(repr, constant))}: "
+                "a limit of the scale, or a fault of the data? Tests with that condition rest on "
+                "the variance of the other conditions alone."
+            )
+        table = self.pairs()
+        flat = table[table["t"].isna()]
+        if len(flat):
+            a, b = flat[["a", "b"]].iloc[0].tolist()
+            notes.append(
+                f"In {len(flat)} of {len(table)} pairs of conditions every subject has the same "
+                f"difference ({a!r} and {b!r} first): no t-test."
+            )
+        return (*notes, *pairs.rating_notes(values, 'friedman() and pairs(method="wilcoxon")'))
+
+    def _refuse_several_factors(self, name: str) -> None:
+        if not self.one_way:
+            raise ValueError(
+                f"{name} is for one factor within subjects, without groups; this design has "
+                f"{[*self.within, *self.between]}"
+            )
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the test of every effect, sums of squares of type III; nothing is rounded.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns dv, within (the factors), effect, n, k; those of `repeated_measures_batch`;
+            mauchly_reason (why Mauchly's test is not defined); df1_gg, df2_gg, df1_hf, df2_hf; the
+            correction that applies: correction, reason, df1_corrected, df2_corrected, p_corrected,
+            and eta2_partial_low, eta2_partial_high (90 %) with its degrees of freedom; alpha,
+            excluded (how many subjects), origin.
+        """
+        return labelled(self.tests.copy(), self.origin)
+
+    def anova_table(self) -> pd.DataFrame:
+        """
+        Return sums of squares, mean squares and the test of one factor, a row per source of
+        variance.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Rows condition, error (conditions × subjects) and subjects. Columns source, ss, df, ms
+            (of all three), then F, p (sphericity assumed), epsilon_gg, p_gg, epsilon_hf, p_hf,
+            eta2_partial and eta2_generalized, which only the first row has.
+        """
+        self._refuse_several_factors("anova_table()")
+        ss = np.array([self.ss_effect, self.ss_error, self.ss_subjects])
+        df = np.array([self.df1, self.df2, self.n - 1])
+        table = pd.DataFrame({"source": ["condition", "error", "subjects"], "ss": ss, "df": df})
+        tests = self.tests[[*_OF_CONDITIONS, "eta2_generalized"]]
+        return labelled(table.assign(ms=ss / df).join(tests), self.origin)
+
+    def corrections(self) -> pd.DataFrame:
+        """
+        Return the tests under each correction: columns effect correction epsilon df1 df2 F p
+        applies.
+        """
+        tables = []
+        for name, end in zip(CORRECTIONS, ("", "_gg", "_hf"), strict=True):
+            table = self.tests[["effect", "F"]].assign(correction=name)
+            table["epsilon"] = self.tests[f"epsilon{end}"] if end else 1.0
+            for column in ("df1", "df2", "p"):
+                table[column] = self.tests[f"{column}{end}"].astype(float)
+            tables.append(table.assign(applies=self.tests["correction"] == name))
+        names = ["effect", "correction", "epsilon", "df1", "df2", "F", "p", "applies"]
+        table = pd.concat(tables)[names].sort_index(kind="stable").reset_index(drop=True)
+        return labelled(table, self.origin)
+
+    def descriptives(self) -> pd.DataFrame:
+        """
+        Return descriptive statistics of the conditions, or of every group and cell.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns condition, or the factors' of several; n mean sd se median minimum maximum, then
+            two 95 % intervals of the mean: ci_low and ci_high between subjects, ci_low_within and
+            ci_high_within after Cousineau and Morey.
+        """
+        number = np.zeros(self.n, dtype=int)
+        for name, levels in self.between.items():
+            number = number * len(levels) + self.design.groups[name]
+        values = self.scores.values
+        tables = [pd.DataFrame(describe(values[number == i])) for i in range(number.max() + 1)]
+        names = ["condition"] if self.one_way else [*self.between, *self.within]
+        labels = zip(*product(*self.between.values(), *self.within.values()), strict=True)
+        columns = {
+            name: pd.Index(column, tupleize_cols=False)
+            for name, column in zip(names, labels, strict=True)
+        }
+        stats = pd.concat(tables, ignore_index=True)
+        return labelled(pd.DataFrame(columns).join(stats), self.origin)
+
+    def pairs(
+        self,
+        factor: Hashable = None,
+        at: Hashable = None,
+        *,
+        method: str = "t",
+        error: str = "own",
+    ) -> pd.DataFrame:
+        """
+        Return all pairwise comparisons of one factor's levels, a before b.
+
+        Other factors are averaged with equal weights, and groups share one error variance.
+
+        Parameters
+        ----------
+        factor, at : hashable, optional
+            The factor compared (by default the only one within subjects) and the one whose levels
+            are fixed; p-values are adjusted within each level.
+        method : {"t", "wilcoxon", "aligned_ranks"}
+            Paired t-tests; Wilcoxon's signed-rank tests of one factor; or, of several, t-tests of
+            ranks aligned for the cells of `factor` and `at` (ART-C: Elkin and others, UIST 2021,
+            754-768).
+        error : {"own", "pooled"}
+            Whether every comparison has the error of its own differences, as `emmeans` on afex's
+            multivariate model, or one variance of all cells, as with compound symmetry; degrees of
+            freedom are then Satterthwaite's.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns level (of `at`, with several factors) a b mean_difference (a − b) ci_low ci_high
+            (95 %, unadjusted) t df p p_bonferroni p_holm d_z (mean over the residual standard
+            deviation of the differences; NaN between groups) d_z_low d_z_high (95 %); of one factor
+            also d_av (mean over the mean of both standard deviations). For "wilcoxon", a b V p
+            method rank_biserial median_difference p_bonferroni p_holm; p is NaN where no subject's
+            scores differ.
+
+        Raises
+        ------
+        ValueError
+            If a factor is unknown or missing, both are the same, or an argument has no effect.
+        """
+        one_of("error", error, pairs.ERRORS)
+        one_of("method", method, ("t", "wilcoxon") if self.one_way else ("t", "aligned_ranks"))
+        if factor is None and len(self.within) == 1:
+            factor = next(iter(self.within))
+        if factor is None:
+            raise ValueError(f"factor must be one of {[*self.within, *self.between]}")
+        values = self.scores.values
+        if method == "aligned_ranks":
+            factors = [name for name in (factor, at) if name is not None]
+            for name in factors:
+                pairs.levels_of_factor(self.design, name)
+            values = pairs.aligned(values, self.design, factors, whole=True)
+        table = pairs.factor_pairs(values, self.design, factor, at, error)
+        if method == "wilcoxon":
+            if error != "own":
+                raise ValueError("error has no effect on Wilcoxon's tests; leave it out")
+            table = pd.concat([table[["level", "a", "b"]], pairs.rank_pairs(values)], axis=1)
+        elif self.one_way:
+            sd = self.scores.values.std(axis=0, ddof=1)
+            a, b = np.triu_indices(self.k, 1)
+            both = 0.5 * (sd[a] + sd[b])
+            table["d_av"] = table["mean_difference"] / np.where(both > 0.0, both, np.nan)
+        if self.one_way:
+            table = table.drop(columns="level")
+        return labelled(table, self.origin)
+
+    def simple_effects(self, factor: Hashable, at: Hashable) -> pd.DataFrame:
+        """
+        Return the effect of one factor at each level of another, with the error term of that level.
+
+        Parameters
+        ----------
+        factor, at : hashable
+            The factor tested, and the one whose levels are fixed. Other factors are averaged.
+            Groups share one error variance.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns factor, at, level, F, df1, df2, p, epsilon_gg, p_gg, eta2_partial, p_holm (of
+            the corrected p over levels).
+
+        Raises
+        ------
+        ValueError
+            If a factor is unknown or both are the same.
+        """
+        table = pairs.simple_effects(self.scores.values, self.design, factor, at)
+        return labelled(table, self.origin)
+
+    def aligned_ranks(self, error: str = "own") -> pd.DataFrame:
+        """
+        Return the test of every effect on ranks aligned for it: for ratings and skewed scores.
+
+        Parameters
+        ----------
+        error : {"own", "pooled"}
+            Error terms as for `pairs`; "pooled" is what ARTool's models with a random intercept per
+            subject have.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns effect, F, df1, df2, p, epsilon_gg, p_gg (NaN where the error is pooled),
+            eta2_partial, all of ranks.
+
+        Raises
+        ------
+        ValueError
+            If `error` is none of these.
+
+        References
+        ----------
+        J. O. Wobbrock, L. Findlater, D. Gergle, J. J. Higgins, The aligned rank transform for
+        nonparametric factorial analyses using only ANOVA procedures, CHI 2011, 143-146.
+        """
+        one_of("error", error, pairs.ERRORS)
+        table = pairs.aligned_tests(self.scores.values, self.design, error)
+        return labelled(table, self.origin)
+
+    def residual_covariance(self) -> np.ndarray:
+        """Return the covariance of the cells, given the groups."""
+        return regress(self.scores.values[None], self.design).covariance(np.eye(self.k))[0]
+
+    def normality(self) -> pd.DataFrame:
+        """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
+        self._refuse_several_factors("normality()")
+        tests = pairs.normality_of_differences(self.scores.values)
+        return labelled(pd.concat([self.pairs()[["a", "b"]], tests], axis=1), self.origin)
+
+    def friedman(self) -> pd.DataFrame:
+        """Return Friedman's rank test of one factor: columns chi2, df, p, kendall_w."""
+        self._refuse_several_factors("friedman()")
+        return labelled(pairs.friedman(self.scores.values), self.origin)
+
+    def assumptions(self) -> pd.DataFrame:
+        """
+        Return in one row what speaks for or against the ANOVA of one factor.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns p_shapiro_least (of all pairs' differences), pairs_not_normal (p below alpha
+            after Holm's adjustment), p_anova (corrected), friedman_chi2, p_friedman, kendall_w,
+            mixed_n, mixed_F, p_mixed.
+        """
+        normality = self.normality()["p"]
+        ranks = self.friedman().loc[0]
+        mixed = self.mixed_model()
+        row = {
+            "p_shapiro_least": normality.min(),
+            "pairs_not_normal": int((pairs.holm(normality.to_numpy()) < self.alpha).sum()),
+            "p_anova": self.p_corrected,
+            "friedman_chi2": ranks["chi2"],
+            "p_friedman": ranks["p"],
+            "kendall_w": ranks["kendall_w"],
+            "mixed_n": mixed.n,
+            "mixed_F": mixed.F,
+            "p_mixed": mixed.p,
+        }
+        return labelled(pd.DataFrame([row]), self.origin)
+
+    def mixed_model(self) -> Any:
+        """Return the mixed model of all scores of one factor, excluded subjects included."""
+        from trustlab.studies.mixed import fit_mixed_model
+
+        self._refuse_several_factors("mixed_model()")
+        return fit_mixed_model(self.observed)
+
+    def apa(self, adjust: str = "holm") -> str:
+        """
+        Return the sentences for a paper.
+
+        Parameters
+        ----------
+        adjust : {"holm", "bonferroni", "none"}
+            Which adjustment of the pairwise p-values to report; with several factors, every effect
+            is reported, and no pairs.
+        """
+        from trustlab.studies.words import apa_report
+
+        return apa_report(self, adjust)
+
+    def plot(self, kind: str = "means", *, interval: str = "between", axes=None):
+        """
+        Plot the conditions; with several factors, the first along the axis and a line per cell of
+        the others.
+
+        Parameters
+        ----------
+        kind : {"means", "raincloud", "paired"}
+            Means with 95 % intervals, as in Figs. 2.11–2.17 and 3.18–3.21; of one factor also
+            distributions, or a line per subject.
+        interval : {"between", "within"}
+            Which interval of the means to draw.
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from trustlab.studies.plots import plot_conditions
+
+        return plot_conditions(self, kind, interval, axes)
+
+
+def describe(values: np.ndarray, level: float = 0.95) -> dict[str, Any]:
+    """
+    Return n mean sd se median minimum maximum of every condition, and both intervals of the mean.
+
+    Removing the subjects' means (Cousineau, 2005) leaves the spread that a comparison within
+    subjects sees; the factor √(k/(k − 1)) (Morey, 2008) compensates for the variance that this
+    removes.
+    """
+    n, k = values.shape
+    mean, sd = values.mean(axis=0), values.std(axis=0, ddof=1)
+    centred = values - values.mean()  # a common offset would cost digits in the subjects' means
+    own = centred - centred.mean(axis=1, keepdims=True)
+    within_sd = own.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
+    between, within = (t_half_width(spread, n, level) for spread in (sd, within_sd))
+    return {
+        "n": n,
+        "mean": mean,
+        "sd": sd,
+        "se": sd / np.sqrt(n),
+        "median": np.median(values, axis=0),
+        "minimum": values.min(axis=0),
+        "maximum": values.max(axis=0),
+        "ci_low": mean - between,
+        "ci_high": mean + between,
+        "ci_low_within": mean - within,
+        "ci_high_within": mean + within,
+    }
+
+
+def t_half_width(sd: Any, n: int, level: float = 0.95) -> Any:
+    """Return half the width of the interval of a mean of n values, t · sd / √n."""
+    return special.stdtrit(n - 1, 0.5 + 0.5 * level) * sd / np.sqrt(n)
+
+
+def repeated_measures(
+    frame: pd.DataFrame,
+    dv: Hashable,
+    within: Hashable | list[Hashable],
+    subject: Hashable,
+    *,
+    between: Hashable | list[Hashable] | None = None,
+    missing: str = "raise",
+    order: Any = None,
+    correction: str = "greenhouse-geisser",
+    alpha: float = 0.05,
+) -> RepeatedMeasures:
+    """
+    Analyse one score under several conditions, or in all cells of several factors.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        Long table: one row per subject and condition; other columns are not looked at.
+    dv, subject : hashable
+        Columns with the score and the subject.
+    within : hashable or list of hashable
+        The column with the condition, or a list of those of several crossed factors.
+    between : hashable or list of hashable, optional
+        Columns with groups of subjects, each of whom is in one; only by keyword.
+    missing : {"raise", "listwise"}
+        Whether a missing cell is an error, or its subject is left out (and named in `.excluded`).
+    order : sequence or dict, optional
+        Conditions in the order wanted; with several factors, a dict of factor to levels. By default
+        a categorical column keeps the order of its categories (those that occur); numbers are
+        sorted by value and text by alphabet.
+    correction : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
+        Which correction `.p_corrected` has. "auto": Greenhouse–Geisser where Mauchly's test rejects
+        sphericity at `alpha` or is not defined, none elsewhere; with few subjects its type I error
+        is above `alpha`, as the test misses violations. All three are always in the result.
+    alpha : float
+        Level of significance.
+
+    Returns
+    -------
+    RepeatedMeasures
+        Sums of squares of type III, with Greenhouse–Geisser's and Huynh–Feldt's ε for every effect.
+
+    Raises
+    ------
+    ValueError
+        If a column is unknown, a label is missing, a score is not a finite number, a cell has
+        several rows or none, there is one condition or fewer than three complete subjects, a
+        subject is in two groups, a group has one subject, or scores have no error variance.
+
+    Notes
+    -----
+    Values follow R: `aov_car` of afex and `Anova` of car for F, ε and η², `mauchly.test` (its p to
+    second order, as SPSS prints it), `t.test(paired = TRUE)` and `p.adjust` for the pairs,
+    `friedman.test`, `shapiro.test`.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> result = tl.repeated_measures(frame, dv="value", within="condition", subject="subject")
+    >>> result.table()[["F", "df1", "df2", "epsilon_gg", "p_gg"]].round(3)
+           F  df1  df2  epsilon_gg   p_gg
+    0  5.891    4  140       0.819  0.001
+    """
+    factors = within if isinstance(within, list) else [within]
+    groups = between if isinstance(between, list) else [] if between is None else [between]
+    one_of("correction", correction, ("auto", *CORRECTIONS))
+    alpha = open_unit("alpha", alpha)
+    if not factors:
+        raise ValueError("within must name a column, got an empty list")
+    if len(factors) == 1 and not isinstance(order, dict) and order is not None:
+        order = {factors[0]: order}
+    order = of_class("order", {} if order is None else order, dict, "give each factor's levels")
+    if unknown := [name for name in order if name not in (*factors, *groups)]:
+        raise ValueError(
+            f"order: {unknown[0]!r} is not a factor of this design: {[*factors, *groups]}"
+        )
+    listed = [order.get(name) for name in factors] if order else [None] * len(factors)
+    levels = read_levels(frame, dv, factors, subject, listed)
+    observed = read_cells(frame, dv, levels, subject)
+    scores, excluded = complete_scores(observed, missing)
+    read = {name: read_groups(frame, name, scores, order) for name in groups}
+    refuse_repeated([dv, subject, *factors, *groups])
+    design = Design(
+        len(scores.subjects),
+        levels,
+        {name: group for name, (group, _) in read.items()},
+        {name: codes for name, (_, codes) in read.items()},
+    )
+    _check_groups(design, scores)
+    first = {"dv": scores.dv, "within": scores.within}
+    last = {"alpha": alpha, "excluded": len(excluded), "origin": scores.origin}
+    rows = []
+    for row in table_effects(scores, design).to_dict("records"):
+        effect = {"effect": row.pop("effect"), "n": design.n, "k": len(scores.conditions)}
+        rows.append(first | effect | _decided(row, design, correction, alpha) | last)
+    tests = pd.DataFrame(rows)
+    return RepeatedMeasures(scores, observed, design, tests, excluded, correction, alpha)
+
+
+def _check_groups(design: Design, scores: ScoreTable) -> None:
+    """Refuse groups whose effects are not defined or that leave no degree of freedom."""
+    columns = design.matrix.shape[1]
+    if np.linalg.matrix_rank(design.matrix) < columns:
+        raise ValueError(
+            f"between: some combination of {[*design.between]} has no participant: its effects are "
+            "not defined"
+        )
+    if design.df_error < 1:
+        raise ValueError(
+            f"subject: {design.n} participants {[*scores.subjects]} for {columns} parameters leave "
+            "nothing to estimate the error from"
+        )
+
+
+def table_effects(scores: ScoreTable, design: Design | None = None) -> pd.DataFrame:
+    """
+    Return the effects in complete scores, by default of one factor; an error names the columns.
+    """
+    if design is None:
+        design = Design(len(scores.subjects), {scores.within: scores.conditions})
+    try:
+        return effects(scores.values[None], design).loc[0].reset_index()
+    except ValueError as error:
+        reason = str(error).removeprefix("study 0: ")
+        raise ValueError(f"dv: column {scores.dv!r} by {scores.within!r}: {reason}") from None
+
+
+def _decided(row: dict, design: Design, correction: str, alpha: float) -> dict[str, Any]:
+    """Return the test of an effect with the correction that applies and the interval of η²."""
+    for end in ("gg", "hf"):
+        row |= {f"{df}_{end}": row[df] * row[f"epsilon_{end}"] for df in ("df1", "df2")}
+    row |= _decision(row, design.df_error, correction, alpha)
+    df1, df2 = row["df1_corrected"], row["df2_corrected"]
+    interval = partial_eta_interval(row["F"], df1, df2)
+    # λ = n d ε η²/(1 − η²) in the population, for d contrasts within subjects.
+    d = row["df2"] // design.df_error
+    total = df2 + df1 * (design.n - design.df_error) * d / row["df1"]
+    low, high = interval.noncentrality_low, interval.noncentrality_high
+    return row | {
+        "eta2_partial_low": low / (low + total),
+        "eta2_partial_high": high / (high + total),
+    }
+
+
+def _decision(row: dict, df_error: int, correction: str, alpha: float) -> dict[str, Any]:
+    """
+    Return the correction that applies to a test and why, its degrees of freedom and p; one contrast
+    needs none.
+    """
+    d = row["df2"] // df_error
+    why = ""
+    if d == 1:
+        why = "With two conditions sphericity always holds."
+    elif df_error < d:
+        why = f"{df_error + 1} subjects are too few for {d + 1} conditions"
+    elif np.isnan(row["mauchly_w"]):
+        why = "a condition is a linear combination of others, the covariance singular"
+    if why and d > 1:
+        why = f"Mauchly's test is not defined: {why}."
+    rejected = not row["mauchly_p"] >= alpha  # a p that is not defined rejects
+    reason = f"Correction “{correction}” applies, whatever Mauchly's test says. {why}".strip()
+    applied = correction
+    if correction == "auto":
+        applied = "greenhouse-geisser" if rejected else "none"
+        reason = f"{why} Sphericity cannot be tested and is not assumed."
+        if not why:
+            verb, sign = ("rejects", "<") if rejected else ("does not reject", "≥")
+            reason = (
+                f"Mauchly's test {verb} sphericity (p = {row['mauchly_p']:.3g} {sign} {alpha:g})."
+            )
+    if d == 1:
+        applied, reason = "none", why
+    end = {"none": "", "greenhouse-geisser": "_gg", "huynh-feldt": "_hf"}[applied]
+    corrected = {f"{name}_corrected": row[f"{name}{end}"] for name in ("df1", "df2", "p")}
+    corrected |= {name: float(corrected[name]) for name in corrected}
+    return {"mauchly_reason": why, "correction": applied, "reason": reason} | corrected

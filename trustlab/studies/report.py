@@ -1,0 +1,333 @@
+"""The Results section of a paper: sentences, tables and a figure, written to HTML or LaTeX."""
+
+import html
+import io
+import os
+import re
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import of_class, one_of, shown, whole_number
+from trustlab.models.display import Result
+from trustlab.models.extras import extra
+from trustlab.models.tsc import HumanModel, RobotModel, TscModel
+from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
+from trustlab.studies.words import apa_number, apa_table, df_text, in_words, share
+
+# What LaTeX has no letter for.
+_LATEX = {"−": "$-$", "×": r"$\times$", "ηp²": r"$\eta_p^2$", "ηG²": r"$\eta_G^2$", "²": "$^2$"}
+_LATEX |= {"±": r"$\pm$", "≥": r"$\geq$", "η": r"$\eta$", "ε": r"$\varepsilon$", "χ": r"$\chi$"}
+_LATEX |= {"τ": r"$\tau$", "β": r"$\beta$", "<": "$<$", ">": "$>$", "–": "--", r"d\_z": "$d_z$"}
+# Columns beyond which the one row of a result is printed as a column.
+_WIDE = 8
+# What is printed instead of a parameter that tells how fast a model forgets.
+_TIMES = {"a": "time constant [s]", "human_a": "human τ [s]", "robot_a": "robot τ [s]"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StudyReport(Result):
+    """
+    The Results section of one measure, or any result in the form of one.
+
+    Parameters
+    ----------
+    result : object
+        The analysis, or a table.
+    message : str
+        Its sentences: test with its correction, effect sizes, means, pairs, exclusions, and what to
+        know before using them; empty where the result has none.
+    tables : dict of str to pandas.DataFrame
+        Descriptive statistics, analysis of variance and pairwise comparisons by title; or the
+        result's own table; unrounded.
+    origin : str
+        What kind of data these are where they were not measured; else empty.
+    """
+
+    result: Any
+    message: str
+    tables: dict[str, pd.DataFrame]
+    origin: str
+
+    @property
+    def title(self) -> str:
+        """The origin, where data were not measured."""
+        return f"Report [{self.origin}]" if self.origin else "Report"
+
+    def table(self) -> pd.DataFrame:
+        """Return what `result.table()` does, or the table itself."""
+        return self.result if isinstance(self.result, pd.DataFrame) else self.result.table()
+
+    def plot(self, axes=None):
+        """
+        Plot the means of a section, as `result.plot()` does.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        return self.result.plot(axes=axes)
+
+    def write(self, path: str | os.PathLike, digits: int = 2) -> Path:
+        """
+        Write text, tables and (in HTML, of an analysis of variance) the figure to a file.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in .html, or .tex (a fragment that needs booktabs).
+        digits : int
+            Least number of decimals: estimates have as many as their errors ask for; p-values have
+            three.
+
+        Returns
+        -------
+        pathlib.Path
+
+        Raises
+        ------
+        ValueError
+            If the ending is another one, or a label holds a control character.
+        """
+        path, digits = Path(path), whole_number("digits", digits, least=0, most=12)
+        kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
+        mark = f" [{self.origin}]" if self.origin else ""
+        tables = {title + mark: _printed(table, digits) for title, table in self.tables.items()}
+        _refuse_control_characters(self.message, tables)
+        text = _html(self, tables) if kind == ".html" else _latex(self.message, tables)
+        path.write_text(text, encoding="utf-8")
+        return path
+
+
+def report(
+    frame: Any,
+    dv: Hashable = None,
+    within: Any = None,
+    subject: Hashable = None,
+    thresholds: Mapping[Hashable, Any] | None = None,
+    **options: Any,
+) -> StudyReport:
+    """
+    Analyse one measure and write its Results section; or put any result into the same form.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame, result or dict of results
+        Long table. Without `dv`: a result of this package with `.table()`, or a table of results,
+        as it is; or results by name, as fits by participant, which become one table.
+    thresholds : mapping, optional
+        With fits by name: what `choose_thresholds` returned for each, printed beside its fit.
+    dv, within, subject : hashable
+        Columns, as for `repeated_measures`.
+    **options : object
+        Passed on to `repeated_measures`: between, missing, order, correction, alpha.
+
+    Returns
+    -------
+    StudyReport
+
+    Raises
+    ------
+    ValueError
+        As `repeated_measures` does, or if there is neither a measure to analyse nor a result.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> study = tl.report(frame, dv="value", within="condition", subject="subject")
+    >>> study.result.n, study.result.k
+    (36, 5)
+    """
+    if isinstance(frame, Mapping):
+        return _side_by_side(frame, of_class("thresholds", thresholds or {}, dict))
+    if thresholds is not None:
+        raise ValueError("thresholds are printed beside fits by name: give frame={name: fit, …}")
+    result = frame if dv is None else repeated_measures(frame, dv, within, subject, **options)
+    if isinstance(result, RepeatedMeasures):
+        return StudyReport(result, result.message, _section(result), result.origin)
+    if not isinstance(result, pd.DataFrame) and not hasattr(result, "table"):
+        raise ValueError(
+            "frame must be a table with dv=, within=, subject=, or a result, got "
+            f"{type(frame).__name__}"
+        )
+    table, title = result, "Results"
+    if result is not table or not isinstance(result, pd.DataFrame):
+        table = result.table()
+        title = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(result).__name__).capitalize()
+    named = table.reset_index() if table.index.names != [None] else table
+    if len(named) == 1 and named.shape[1] > _WIDE:
+        named = _printed(named, 2).T.reset_index().set_axis(["statistic", "value"], axis=1)
+    return StudyReport(result, _sentences(result), {title: named}, _origin(result, table))
+
+
+def _section(result: RepeatedMeasures) -> dict[str, pd.DataFrame]:
+    """Return the tables of an analysis of variance; levels that are numbers stay as they are."""
+    factors = [*result.within, *result.between]
+    labels = {"condition"} if result.one_way else set(factors)
+    stats = result.descriptives()
+    moments = [name for name in stats if name in labels or name in ("n", "mean", "sd")]
+    stats = stats[[*moments, "ci_low", "ci_high"]]
+    tests = result.table()
+    df = [
+        f"{df_text(df1)}, {df_text(df2)}"
+        for df1, df2 in zip(tests["df1_corrected"], tests["df2_corrected"], strict=True)
+    ]
+    limits = _brackets(tests["eta2_partial_low"], tests["eta2_partial_high"], share)
+    heads = ["effect", "F", "p_corrected", "eta2_partial", "eta2_generalized", "correction"]
+    tests = tests[heads].copy()
+    for name in ("eta2_partial", "eta2_generalized"):
+        tests[name] = tests[name].map(share)
+    tests.insert(2, "df", df)
+    tests.insert(5, "90% CI", limits)
+    tables = {"Descriptive statistics": stats, "Analysis of variance": tests}
+    for factor in factors:
+        pairs = result.pairs(factor).drop(columns=["level", "d_av"], errors="ignore")
+        limits = _brackets(pairs.pop("d_z_low"), pairs.pop("d_z_high"), apa_number)
+        pairs["95% CI of d_z"] = limits
+        of_factor = "" if result.one_way else f" of {factor}"
+        tables[f"Pairwise comparisons{of_factor}"] = pairs
+    for table in tables.values():
+        table.attrs["labels"] = [*map(str, labels)]
+    return tables
+
+
+def _brackets(lows: pd.Series, highs: pd.Series, text: Callable[[float], str]) -> list[str]:
+    """Return intervals as "[0.12, 0.34]", empty where they are not defined."""
+    pairs = zip(lows, highs, strict=True)
+    return ["" if np.isnan(low) else f"[{text(low)}, {text(high)}]" for low, high in pairs]
+
+
+def _side_by_side(
+    results: Mapping[Hashable, Any], thresholds: Mapping[Hashable, Any]
+) -> StudyReport:
+    """Return results of one kind as one table, a row for each: estimates with standard errors."""
+    if not results:
+        raise ValueError("frame is an empty dict: give results by name")
+    if thresholds and set(thresholds) != set(results):
+        raise ValueError(
+            f"thresholds are of {', '.join(map(str, thresholds))}, but the results of "
+            f"{', '.join(map(str, results))}: give one for each"
+        )
+    whole = pd.concat({name: result.table() for name, result in results.items()}, names=["of"])
+    origins = {_origin(result, whole) for result in results.values()} - {""}
+    said = {name: _sentences(result) for name, result in results.items()}
+    text = " ".join(f"{name}: {sentences}" for name, sentences in said.items() if sentences)
+    title, rows = "Results", whole
+    if {"value", "stderr"} <= set(whole):
+        title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
+        rows = pd.DataFrame()
+        for name, result in results.items():
+            texts = _printed(_estimates(result), 2).replace({"standard error": {"": "–"}})
+            cells = texts["value"] + " ± " + texts["standard error"]
+            failed = "" if getattr(result, "success", True) else " (the fit failed)"
+            row = {"of": f"{name}{failed}"} | dict(zip(texts["parameter"], cells, strict=True))
+            if thresholds:
+                row |= _chosen(thresholds[name])
+            rows = pd.concat([rows, pd.DataFrame([row])], ignore_index=True)
+    return StudyReport(whole, text, {title: rows.fillna("")}, ", ".join(sorted(origins)))
+
+
+def _estimates(result: Any) -> pd.DataFrame:
+    """Return value and stderr by parameter: time constants for a, nothing derived from others."""
+    table = result.table()
+    if "status" in table:
+        table = table[table["status"] != "derived"]
+    table = table[["value", "stderr"]].rename_axis("parameter")
+    if isinstance(getattr(result, "model", None), TscModel | HumanModel | RobotModel):
+        for name in table.index.intersection(_TIMES):
+            a, error = table.loc[name]
+            seconds = -result.runs[0].step / np.log(a)
+            table.loc[name] = seconds, -error * seconds / (a * np.log(a))
+        table = table.rename(index=_TIMES)
+    return table
+
+
+def _chosen(choice: Any) -> dict[str, str]:
+    """Return the thresholds of one person; a fit's have no probability."""
+    row = {"TSC_l": apa_number(choice.lower, 3), "TSC_u": apa_number(choice.upper, 3)}
+    row["offered"] = "yes" if choice.offered else "no"
+    known = {} if np.isnan(choice.probability) else {"probability": f"{choice.probability:.2f}"}
+    return row | known
+
+
+def _sentences(result: Any) -> str:
+    """Return what a result says of itself: its sentences, or that a fit failed, and why."""
+    if hasattr(result, "apa"):
+        return result.apa()
+    if getattr(result, "success", True):
+        return ""
+    return f"The fit failed, and its estimates are not to be used: {result.message}"
+
+
+def _origin(result: Any, table: pd.DataFrame) -> str:
+    synthetic = "synthetic data" if getattr(result, "synthetic", False) else ""
+    return getattr(result, "origin", "") or table.attrs.get("origin", "") or synthetic
+
+
+def _printed(table: pd.DataFrame, digits: int) -> pd.DataFrame:
+    """Return a table of texts with the roundings and heads of a paper."""
+    named = table.reset_index() if table.index.names != [None] else table
+    texts = apa_table(named.rename(columns=str).rename_axis(columns=None), digits)
+    texts = texts.astype(object).where(texts.notna(), "").map(str).rename(columns=in_words)
+    for name in ("parameter", "correction"):
+        if name in texts:
+            texts[name] = texts[name].map(in_words)
+    return texts
+
+
+def _refuse_control_characters(text: str, tables: dict[str, pd.DataFrame]) -> None:
+    """Refuse what neither HTML nor LaTeX can hold, and what no reader could see."""
+    words = "\n".join(
+        [text, *tables, *(table.to_csv(lineterminator="\n") for table in tables.values())]
+    )
+    if control := re.search(r".*[\x00-\x08\x0b-\x1f\x7f-\x9f]", words):
+        raise ValueError(
+            f"{control.group()[-60:]!r} holds a control character, which no document can show; "
+            "rename the level or column in the data"
+        )
+
+
+def _html(study: StudyReport, tables: dict[str, pd.DataFrame]) -> str:
+    parts = [f"<p>{html.escape(study.message)}</p>"] if study.message else []
+    for number, (title, table) in enumerate(tables.items(), start=1):
+        caption = f"<p><b>Table {number}</b><br><i>{html.escape(title)}</i></p>"
+        parts += [caption, table.to_html(index=False, border=0)]
+    if isinstance(study.result, RepeatedMeasures):
+        import matplotlib.pyplot as plt
+
+        drawing = io.StringIO()
+        axes = study.plot()
+        axes.figure.savefig(drawing, format="svg")
+        plt.close(axes.figure)
+        parts.append(drawing.getvalue()[drawing.getvalue().index("<svg") :])
+    return "\n".join(parts)
+
+
+def _latex(text: str, tables: dict[str, pd.DataFrame]) -> str:
+    with extra("reports"):
+        import jinja2  # noqa: F401  what pandas writes LaTeX with
+    parts = [_in_latex(text)]
+    for title, table in tables.items():
+        cells = table.map(_in_latex).rename(columns=_in_latex)
+        parts.append(cells.to_latex(index=False, caption=_in_latex(title)))
+    return "\n\n".join(parts)
+
+
+def _in_latex(text: str) -> str:
+    """Return words for LaTeX: signs that it would misread, and those that it lacks."""
+    words = text.replace("\\", r"\textbackslash ")
+    words = re.sub(r"([&%$#_{}])", r"\\\1", words)
+    words = words.replace("~", r"\textasciitilde{}").replace("^", r"\textasciicircum{}")
+    for sign, symbol in _LATEX.items():
+        words = words.replace(sign, symbol)
+    return words

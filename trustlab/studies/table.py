@@ -1,0 +1,350 @@
+"""The one reader of tables: columns by name, labels, numbers, scores as subjects × conditions."""
+
+import decimal
+import numbers
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import did_you_mean, of_class, one_of, shown
+
+# Cells or subjects that an error lists before it counts the rest.
+_SHOWN = 5
+
+
+def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = "") -> pd.Series:
+    """
+    Return the one column that an argument names; `remedy` is appended to the error if no name is
+    similar.
+    """
+    if not isinstance(name, Hashable):
+        raise ValueError(
+            f"{argument} must be the name of one column, got {name!r}; one factor at a time"
+        )
+    if name not in frame.columns:
+        if name is not None and name in frame.index.names:
+            raise ValueError(
+                f"{argument}: {name!r} is in the index, not a column; give frame.reset_index()"
+            )
+        there = ", ".join(map(str, frame.columns))
+        hint = did_you_mean(name, frame.columns)
+        raise ValueError(f"{argument}: no column {name!r}{hint or remedy} (there are {there})")
+    column = frame[name]
+    if isinstance(column, pd.DataFrame):
+        raise ValueError(
+            f"{argument}: column {name!r} occurs {column.shape[1]} times; keep or rename all but "
+            "one, or give a name of several levels in full"
+        )
+    return column
+
+
+def refuse_missing_labels(column: pd.Series, argument: str) -> None:
+    """Refuse a column with a missing or unhashable label, and name its row."""
+    for row, label in zip(column.index.tolist(), column.tolist(), strict=True):
+        try:
+            hash(label)
+        except TypeError:  # a list, a dictionary, a signalling NaN
+            raise ValueError(
+                f"{argument}: column {column.name!r} holds {shown(label)} in row {row!r}, which "
+                "is no label"
+            ) from None
+        if pd.isna(label):
+            raise ValueError(
+                f"{argument}: column {column.name!r} has no label in row {row!r}; each row needs "
+                "one"
+            )
+
+
+def number_or_nan(value: object) -> float:
+    """
+    Return a real number as a float, a missing value as NaN; raise TypeError for anything else.
+    """
+    if value is None or value is pd.NA or value is pd.NaT:
+        return np.nan
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real | decimal.Decimal):
+        raise TypeError
+    try:
+        return float(value)
+    except (OverflowError, ValueError):  # beyond the range of floats, or a signalling NaN
+        raise TypeError from None
+
+
+def labels_of(name: str, values: object, least: int) -> tuple[Hashable, ...]:
+    """Return at least `least` labels, all different and none missing."""
+    if isinstance(values, str | bytes) or not isinstance(
+        values, Sequence | np.ndarray | pd.Series | pd.Index
+    ):
+        raise ValueError(f"{name} must be a list of labels, got {values!r}")
+    labels = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
+    for k, label in enumerate(labels):
+        usable = isinstance(label, Hashable) and not isinstance(label, bool)
+        if not usable or pd.isna([label]).any() or not str(label).strip():
+            raise ValueError(
+                f"{name}[{k}] is {label!r}; a label must be a number or a text that is not empty"
+            )
+        if label in labels[:k]:
+            raise ValueError(f"{name} must differ from one another, but {label!r} occurs twice")
+    if len(labels) < least:
+        raise ValueError(f"{name} must have at least {least} labels, got {len(labels)}")
+    return labels
+
+
+def origin_of(frame: pd.DataFrame) -> str:
+    """
+    Return what kind of data a table holds where they were not measured; "" for measured ones.
+
+    Its attrs say so ("reconstructed" or "synthetic" is True, or "origin" is a text), or a column
+    `synthetic`, which is left when tables are put together and attrs are lost.
+    """
+    for kind in ("reconstructed", "synthetic"):
+        if frame.attrs.get(kind) is True:
+            return f"{kind} data"
+    origin = frame.attrs.get("origin", "")
+    if origin and isinstance(origin, str):
+        return origin
+    marked = frame.get("synthetic", pd.Series(dtype=bool)) == True  # noqa: E712, no mark is NaN
+    if not marked.any():
+        return ""
+    return "synthetic data" if marked.all() else "partly synthetic data"
+
+
+def labelled(frame: pd.DataFrame, origin: str, **more: object) -> pd.DataFrame:
+    """
+    Record the origin of data that were not measured, and further facts, in a table's attrs.
+    """
+    frame.attrs |= more | ({"origin": origin} if origin else {})
+    return frame
+
+
+def levels_of(series: pd.Series, argument: str, order: Any = None) -> list:
+    """
+    Return each label of a column once, in the given order, else that of its categories, else
+    sorted.
+    """
+    refuse_missing_labels(series, argument)
+    labels = list(dict.fromkeys(series.tolist()))
+    if order is not None:
+        listed = list(order) if isinstance(order, Iterable) and not isinstance(order, str) else []
+        if len(listed) != len(labels) or any(label not in listed for label in labels):
+            raise ValueError(
+                f"order must list every condition in column {series.name!r} once, {labels}, got "
+                f"{order!r}; leave conditions out by selecting rows"
+            )
+        return sorted(labels, key=listed.index)
+    if isinstance(series.dtype, pd.CategoricalDtype):
+        return series.cat.remove_unused_categories().cat.categories.tolist()
+    try:
+        return sorted(labels)
+    except TypeError:
+        if argument == "subject":
+            return labels
+        raise ValueError(
+            f"{argument}: column {series.name!r} mixes types of labels, without a common order; "
+            "make them one type, or give order=[…]"
+        ) from None
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreTable:
+    """
+    Scores of every subject under every condition.
+
+    Parameters
+    ----------
+    values : numpy.ndarray, shape (subjects, conditions)
+        Scores; NaN for a missing cell.
+    subjects : tuple
+        Labels, sorted where they can be.
+    conditions : tuple
+        Labels in the order in which they are reported; of several factors, tuples of their levels.
+    dv, within, subject : hashable
+        Names of the columns; `within` of several factors is "A × B".
+    origin : str
+        What kind of data these are where they were not measured ("synthetic data", "reconstructed
+        data"); else empty.
+    """
+
+    values: np.ndarray
+    subjects: tuple
+    conditions: tuple
+    dv: Hashable
+    within: Hashable
+    subject: Hashable
+    origin: str = ""
+
+
+def read_scores(
+    frame: pd.DataFrame, dv: Hashable, within: Any, subject: Hashable, *, order: Any = None
+) -> ScoreTable:
+    """
+    Check a long table and arrange its scores as subjects × conditions, missing cells as NaN.
+
+    By default a categorical column keeps the order of its categories (those that occur); any other
+    is sorted. `within` is a column, `order` its levels.
+    """
+    levels = read_levels(frame, dv, [within], subject, [order])
+    return read_cells(frame, dv, levels, subject)
+
+
+def read_levels(
+    frame: pd.DataFrame, dv: Hashable, factors: list, subject: Hashable, orders: list
+) -> dict[Hashable, tuple]:
+    """Return the levels of every factor within subjects, of a table whose columns are checked."""
+    of_class("frame", frame, pd.DataFrame, "with a row per subject and condition")
+    start = "frame"
+    if isinstance(subject, Hashable) and subject not in frame.columns:
+        start = f"frame.rename_axis({subject!r}).reset_index()"
+    remedy = (
+        "; a table with a column per condition becomes long by "
+        f"{start}.melt(id_vars={subject!r}, var_name={factors[0]!r}, value_name={dv!r})"
+    )
+    column_of(frame, "dv", dv, remedy)
+    columns = [column_of(frame, "within", name, remedy) for name in factors]
+    column_of(frame, "subject", subject)
+    refuse_repeated([dv, subject, *factors])
+    if len(frame) == 0:
+        raise ValueError("frame has no rows")
+    levels = {}
+    for name, column, order in zip(factors, columns, orders, strict=True):
+        levels[name] = tuple(levels_of(column, "within", order))
+        if len(levels[name]) < 2:
+            raise ValueError(
+                f"within: column {name!r} has one condition only, {levels[name][0]!r}; two are "
+                "needed"
+            )
+    return levels
+
+
+def refuse_repeated(columns: list) -> None:
+    """Refuse a column that has two parts in a design."""
+    for name in columns:
+        if columns.count(name) > 1:
+            raise ValueError(f"every column has one part in a design, but {name!r} is named twice")
+
+
+def read_cells(
+    frame: pd.DataFrame, dv: Hashable, levels: Mapping[Hashable, tuple], subject: Hashable
+) -> ScoreTable:
+    """Return the scores in all cells of the factors; the last varies fastest."""
+    subjects = levels_of(frame[subject], "subject")
+    cells = list(product(*levels.values()))
+    conditions = [cell if len(levels) > 1 else cell[0] for cell in cells]
+    k = len(cells)
+    place_of = {label: k * i for i, label in enumerate(subjects)}
+    cell_of = {cell: j for j, cell in enumerate(cells)}
+    rows = zip(*(frame[name].tolist() for name in levels), strict=True)
+    places = np.array([place_of[label] for label in frame[subject].tolist()]) + np.array(
+        [cell_of[row] for row in rows]
+    )
+
+    def cell_name(place: int) -> str:
+        return f"subject {subjects[place // k]!r}, condition {conditions[place % k]!r}"
+
+    counts = np.bincount(places, minlength=len(subjects) * k)
+    values = np.full(counts.size, np.nan)
+    for place, value, row in zip(places, frame[dv].tolist(), frame.index.tolist(), strict=True):
+        try:
+            values[place] = number_or_nan(value)
+        except TypeError:
+            values[place] = np.inf
+        if np.isinf(values[place]):
+            raise ValueError(
+                f"dv: column {dv!r} holds {shown(value)} for {cell_name(place)} (row {row!r}); "
+                "scores must be numbers that are finite (pandas.to_numeric converts text)"
+            )
+    if (counts > 1).any():
+        repeated = [cell_name(place) for place in np.flatnonzero(counts > 1).tolist()]
+        raise ValueError(
+            f"{len(repeated)} cell(s) with more than one row: {_listed(repeated)}; average the "
+            f"trials of a cell first: frame.groupby({[subject, *levels]}, as_index=False)[{dv!r}]"
+            ".mean()"
+        )
+    return ScoreTable(
+        values=values.reshape(len(subjects), k),
+        subjects=tuple(subjects),
+        conditions=tuple(conditions),
+        dv=dv,
+        within=next(iter(levels)) if len(levels) == 1 else " × ".join(map(str, levels)),
+        subject=subject,
+        origin=origin_of(frame),
+    )
+
+
+def _listed(texts: list[str]) -> str:
+    """Return the first texts, and how many more there are."""
+    more = f"; and {len(texts) - _SHOWN} more" if len(texts) > _SHOWN else ""
+    return "; ".join(texts[:_SHOWN]) + more
+
+
+def same_for_all(table: ScoreTable) -> list:
+    """Return the conditions of a complete table in which every subject has the same score."""
+    spread = np.ptp(table.values, axis=0)
+    return [label for label, reach in zip(table.conditions, spread, strict=True) if reach == 0.0]
+
+
+def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTable, tuple]:
+    """
+    Return a table without missing cells, and the subjects left out (missing="listwise").
+    """
+    one_of("missing", missing, ("raise", "listwise"))
+    absent = np.isnan(table.values)
+    gaps = []
+    for subject, cells in zip(table.subjects, absent, strict=True):
+        names = [repr(name) for name, gap in zip(table.conditions, cells, strict=True) if gap]
+        if names:
+            where = f"in condition {', '.join(names)}" if not cells.all() else "at all"
+            gaps.append(f"subject {subject!r} has no score {where}")
+    if gaps and missing == "raise":
+        raise ValueError(
+            f"missing cells in {table.dv!r}: {_listed(gaps)}. Complete them; or leave these "
+            "subjects out with missing='listwise'; or call tl.mixed_model with the same "
+            "arguments: it takes missing cells"
+        )
+    complete = ~absent.any(axis=1)
+    if complete.sum() < 3:
+        left_out = f" (left out: {_listed(gaps)})" if gaps else ""
+        raise ValueError(
+            f"subject: {complete.sum()} complete subject(s) in column {table.subject!r}{left_out}; "
+            "at least three are needed"
+        )
+    subjects = [
+        tuple(s for s, whole in zip(table.subjects, complete, strict=True) if whole == side)
+        for side in (True, False)
+    ]
+    return replace(table, values=table.values[complete], subjects=subjects[0]), subjects[1]
+
+
+def read_groups(
+    frame: pd.DataFrame, name: Hashable, scores: ScoreTable, orders: Mapping
+) -> tuple[tuple, np.ndarray]:
+    """
+    Return the groups in a column, each with two of the complete subjects or more, and the group
+    number of each subject.
+    """
+    groups: dict[Hashable, Hashable] = {}
+    column = column_of(frame, "between", name)
+    listed = levels_of(column, "between", orders.get(name))
+    for subject, group in zip(frame[scores.subject].tolist(), column.tolist(), strict=True):
+        if groups.setdefault(subject, group) != group:
+            raise ValueError(
+                f"between: subject {subject!r} has two values in column {name!r}, "
+                f"{groups[subject]!r} and {group!r}"
+            )
+    members = [groups[subject] for subject in scores.subjects]
+    levels = tuple(level for level in listed if level in members)
+    if len(levels) < 2:
+        raise ValueError(
+            f"between: column {name!r} has one group only among the complete participants, "
+            f"{levels[0]!r}"
+        )
+    for level in levels:
+        if members.count(level) < 2:
+            raise ValueError(
+                f"between: group {level!r} of {name!r} has one participant, "
+                f"{scores.subjects[members.index(level)]!r}; two are needed"
+            )
+    return levels, np.array([levels.index(group) for group in members])

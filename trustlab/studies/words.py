@@ -1,0 +1,300 @@
+"""Numbers, heads and sentences of a results section, as the APA manual requires."""
+
+from collections.abc import Iterable
+from decimal import ROUND_HALF_UP, Context, Decimal
+from numbers import Number
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import of_class, one_of, whole_number
+from trustlab.studies.table import ScoreTable, same_for_all
+
+# Column of p-values and its name in the sentence.
+_ADJUSTMENTS = {
+    "holm": ("p_holm", "Holm-adjusted p"),
+    "bonferroni": ("p_bonferroni", "Bonferroni-adjusted p"),
+    "none": ("p", "unadjusted p"),
+}
+_CORRECTIONS = {
+    "none": "not corrected",
+    "greenhouse-geisser": "Greenhouse–Geisser corrected",
+    "huynh-feldt": "Huynh–Feldt corrected",
+}
+# Heads of columns and names of parameters; others are written with blanks for underlines.
+_HEADS = {
+    "mean": "M",
+    "sd": "SD",
+    "ci_low": "95% CI low",
+    "ci_high": "95% CI high",
+    "stderr": "standard error",
+    "se": "standard error",
+    "p_corrected": "p",
+    "p_gg": "p (Greenhouse–Geisser)",
+    "p_hf": "p (Huynh–Feldt)",
+    "p_holm": "p (Holm)",
+    "p_bonferroni": "p (Bonferroni)",
+    "eta2_partial": "ηp²",
+    "eta2_generalized": "ηG²",
+    "epsilon_gg": "ε (Greenhouse–Geisser)",
+    "epsilon_hf": "ε (Huynh–Feldt)",
+    "greenhouse-geisser": "Greenhouse–Geisser",
+    "huynh-feldt": "Huynh–Feldt",
+    "human_beta": "human β",
+    "robot_beta": "robot β",
+} | {name: name for name in ("d_z", "95% CI of d_z", "TSC_l", "TSC_u")}
+# Columns in the unit of what was measured: as many decimals as show their error.
+_ESTIMATES = {"value", "estimate", "mean", "mean_difference", "stderr", "se", "sd"}
+_ESTIMATES |= {"ci_low", "ci_high"}
+
+
+def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str:
+    """
+    Return a number as text, halves rounded away from zero, with a true minus sign.
+
+    The number is taken to twelve significant digits first, so that a mean of 6.875 that rounding
+    errors made one ulp too small becomes 6.88.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    digits : int
+        Decimals.
+    below_one : bool
+        Whether it cannot exceed 1, so that APA omits the leading zero.
+    """
+    if not np.isfinite(value):
+        return str(value)
+    step = Decimal(1).scaleb(-digits)
+    rounded = Decimal(f"{abs(value):.12g}").quantize(
+        step, rounding=ROUND_HALF_UP, context=Context(prec=400)
+    )
+    text = f"{rounded:f}"
+    if below_one:
+        text = text.removeprefix("0")
+    return f"−{text}" if value < 0.0 and rounded != 0 else text
+
+
+def apa_p(p: float) -> str:
+    """
+    Return "p = .012", "p < .001" or "p > .999".
+
+    Parameters
+    ----------
+    p : float
+        A p-value.
+    """
+    if p < 0.001:
+        return "p < .001"
+    return "p > .999" if p >= 0.9995 else f"p = {apa_number(p, 3, below_one=True)}"
+
+
+def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
+    """
+    Return a table for reading: numbers rounded, p-values as a paper prints them, NaN as empty text.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values. Columns of labels (a, b,
+        level, condition, and those that ``attrs["labels"]`` names) stay as they are.
+    digits : int
+        Least number of decimals. Estimates have as many as show two digits of their standard error,
+        or else of the interval's half width or the standard deviation; other columns as many as
+        show two digits of a typical number.
+    """
+    of_class("frame", frame, pd.DataFrame)
+    digits = whole_number("digits", digits, least=0, most=12)
+    labels = {"a", "b", "level", "condition", *frame.attrs.get("labels", ())}
+    table = frame.copy()
+    for name in frame.select_dtypes("float").columns:
+        if name in labels:
+            continue
+        values = frame[name].to_numpy()
+        if str(name).startswith(("p_", "mauchly_p")) or name == "p":
+            texts = [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
+        elif str(name).startswith("df") and not (values % 1.0).any():
+            texts = [df_text(value) for value in values]
+        else:
+            sizes = _errors(frame) if name in _ESTIMATES else [values]
+            decimals = [decimals_of(size, 2, digits) for size in sizes]
+            texts = list(map(apa_number, values, np.resize(decimals, len(values)).tolist()))
+        table[name] = np.where(np.isnan(values), "", texts)
+    return table
+
+
+def _errors(frame: pd.DataFrame) -> list:
+    """Return the sizes of errors: of each row where it has a standard error, else of all."""
+    for name in ("stderr", "se"):
+        if name in frame:
+            return list(frame[name])
+    if "ci_low" in frame and "ci_high" in frame:
+        return [(frame["ci_high"] - frame["ci_low"]) / 2.0]
+    return [frame.get("sd", 0.0)]
+
+
+def decimals_of(values: Any, digits: int, least: int = 0) -> int:
+    """Return the decimals, at least so many, that show some digits of a typical number."""
+    sizes = np.abs(np.ravel(values).astype(float))
+    sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
+    typical = np.median(sizes) if sizes.size else 1.0
+    return int(np.clip(digits - 1 - np.floor(np.log10(typical)), least, 12))
+
+
+def in_words(name: str) -> str:
+    """Return the head of a column, or the name of a parameter, as a paper prints it."""
+    return _HEADS.get(name, name.replace("_", " "))
+
+
+def counted(count: int, noun: str) -> str:
+    """Return "1 participant" or "2 participants"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def listed(labels: Iterable) -> str:
+    """Return labels with commas between them."""
+    return ", ".join(map(str, labels))
+
+
+def df_text(value: float) -> str:
+    """Return degrees of freedom, with decimals where they are no whole number."""
+    return f"{value:.2f}" if abs(value - round(value)) > 1e-6 else f"{round(value)}"
+
+
+def share(value: float) -> str:
+    """Return a number that cannot exceed 1, such as an effect size, with two decimals."""
+    return apa_number(value, below_one=True)
+
+
+def interval(low: float, high: float, digits: int = 2, *, level: float = 95.0) -> str:
+    """Return "95% CI [0.12, 0.34]"."""
+    return f"{level:g}% CI [{apa_number(low, digits)}, {apa_number(high, digits)}]"
+
+
+def f_text(row: Any) -> str:
+    """Return F, its p and its effect sizes of a row of `RepeatedMeasures.table`."""
+    df = f"{df_text(row['df1_corrected'])}, {df_text(row['df2_corrected'])}"
+    ends = f"[{share(row['eta2_partial_low'])}, {share(row['eta2_partial_high'])}]"
+    return (
+        f"F({df}) = {apa_number(row['F'])}, {apa_p(row['p_corrected'])}, "
+        f"ηp² = {share(row['eta2_partial'])}, 90% CI {ends}, ηG² = "
+        f"{share(row['eta2_generalized'])}"
+    )
+
+
+def apa_report(result: Any, adjust: str = "holm") -> str:
+    """Return the sentences of an analysis of variance."""
+    one_of("adjust", adjust, _ADJUSTMENTS)
+    body = _one_way(result, adjust) if result.one_way else _factorial(result)
+    return _origin(result.scores) + body + _left_out(result, "cells")
+
+
+def _factorial(result: Any) -> str:
+    """Return the test of every effect."""
+    sentences = []
+    for row in result.table().to_dict("records"):
+        verb = "was" if row["p_corrected"] < result.alpha else "was not"
+        sentences.append(f"{row['effect']} {verb} significant, {f_text(row)}")
+    factors = [len(levels) for levels in (*result.between.values(), *result.within.values())]
+    kind = "mixed" if result.between else "repeated-measures"
+    rule = _CORRECTIONS.get(result.correction_rule, "corrected where sphericity is rejected")
+    return (
+        f"A {' × '.join(map(str, factors))} {kind} ANOVA of {result.dv} (N = {result.n}, degrees "
+        f"of freedom {rule}): {'; '.join(sentences)}."
+    )
+
+
+def _one_way(result: Any, adjust: str) -> str:
+    """Return the test of the conditions, sphericity, means and pairs."""
+    (row,) = result.table().to_dict("records")
+    verb = "differed" if row["p_corrected"] < result.alpha else "did not differ"
+    within = str(result.scores.within)
+    of_factor = "" if within.lower() in ("condition", "conditions") else f" of {within}"
+    constant = listed(same_for_all(result.scores))
+    same = f" Every subject had the same score in {constant} (SD = 0)." if constant else ""
+    means = listed(condition_means(result.descriptives()))
+    return (
+        f"A one-way repeated-measures ANOVA (N = {result.n}) showed that {result.dv} {verb} "
+        f"significantly between the {result.k} conditions{of_factor}, {f_text(row)}."
+        f"{_sphericity(row, result.alpha)} By condition: {means}.{same}{_pairs(result, adjust)}"
+    )
+
+
+def _sphericity(row: dict, alpha: float) -> str:
+    if row["df1"] == 1:
+        return ""
+    applied = f"degrees of freedom are {_CORRECTIONS[row['correction']]}"
+    if row["correction"] != "none":
+        name = {"greenhouse-geisser": "epsilon_gg", "huynh-feldt": "epsilon_hf"}[row["correction"]]
+        applied += f", ε = {share(row[name])}"
+    if row["mauchly_reason"]:
+        return f" {row['mauchly_reason'].removesuffix('.')}; {applied}."
+    verdict = "was violated" if row["mauchly_p"] < alpha else "was not rejected"
+    return (
+        f" Sphericity {verdict} (Mauchly's W = {share(row['mauchly_w'])}, χ²({row['mauchly_df']}) "
+        f"= {apa_number(row['mauchly_chi2'])}, {apa_p(row['mauchly_p'])}); {applied}."
+    )
+
+
+def condition_means(stats: pd.DataFrame) -> list[str]:
+    """Return "C1 (M = 3.21, SD = 0.80)" for each row of descriptive statistics."""
+    digits = decimals_of(stats["sd"], 3)
+    return [
+        f"{condition} (M = {apa_number(mean, digits)}, SD = {apa_number(sd, digits)})"
+        for condition, mean, sd in zip(stats["condition"], stats["mean"], stats["sd"], strict=True)
+    ]
+
+
+def _pairs(result: Any, adjust: str) -> str:
+    table = result.pairs()
+    column, kind = _ADJUSTMENTS[adjust]
+    tests = f"Paired t-tests ({kind})" if len(table) > 1 else "A paired t-test"
+    significant, rest = [], []
+    for row in table.to_dict("records"):
+        a, b = row["a"], row["b"]
+        if row[column] < result.alpha:
+            higher = row["mean_difference"] > 0.0
+            order = f"{a} {'>' if higher else '<'} {b}"
+            if isinstance(a, Number):  # “0.0 > 0.2” would read as arithmetic
+                order = f"{'higher' if higher else 'lower'} at {a} than at {b}"
+            significant.append(
+                f"{order}, t({row['df']}) = {apa_number(row['t'])}, {apa_p(row[column])}, "
+                f"d_z = {apa_number(row['d_z'])}, {interval(row['d_z_low'], row['d_z_high'])}"
+            )
+        else:
+            reason = "no test: one difference" if np.isnan(row["p"]) else apa_p(row[column])
+            rest.append(f"{a} and {b} ({reason})")
+    if not significant:
+        return f" {tests} found no significant difference: {listed(rest)}."
+    end = f"; no significant difference between {listed(rest)}" if rest else ""
+    return f" {tests}: {'; '.join(significant)}{end}."
+
+
+def _left_out(result: Any, missing: str) -> str:
+    if not result.excluded:
+        return ""
+    verb = "was" if len(result.excluded) == 1 else "were"
+    people = counted(len(result.excluded), "participant")
+    return f" {people} with missing {missing} {verb} left out ({listed(result.excluded)})."
+
+
+def _origin(scores: ScoreTable) -> str:
+    return f"[{scores.origin}] " if scores.origin else ""
+
+
+def apa_pair(result: Any) -> str:
+    """Return a paired t-test as a sentence."""
+    stats = result.descriptives()
+    a, b = condition_means(stats)
+    digits = decimals_of(stats["sd"], 3)
+    verb = "differed significantly" if result.p < 0.05 else "did not differ significantly"
+    difference = interval(result.ci_low, result.ci_high, digits, level=100 * result.confidence)
+    d_z = interval(result.d_z_low, result.d_z_high, level=100 * result.confidence)
+    return (
+        f"{_origin(result.scores)}{result.scores.dv} {verb} between {a} and {b}, t({result.df}) "
+        f"= {apa_number(result.t)}, {apa_p(result.p)}, mean difference "
+        f"{apa_number(result.mean_difference, digits)}, {difference}, d_z = "
+        f"{apa_number(result.d_z)}, {d_z}.{_left_out(result, 'scores')}"
+    )
