@@ -40,6 +40,16 @@ def test_a_plain_index_is_not_shown_nor_more_than_sixty_rows():
     assert "<th>0</th>" not in shown
 
 
+def test_a_single_row_that_is_wider_than_a_page_stands_upright():
+    row = pd.DataFrame([{f"column {i}": i / 3 for i in range(13)} | {"words": "of it"}])
+    shown = as_html("", row)
+    assert shown.count("<tr") >= 14
+    assert "<th>column 12</th>" in shown
+    assert "<td>0.333333</td>" in shown
+    assert "<td>of it</td>" in shown
+    assert as_html("", row.iloc[:, :12]).count("<tr") == 2
+
+
 def test_axes_are_those_handed_over_or_of_a_new_figure():
     axes = axes_or_new(None, 2, title="both", sharex=True)
     assert len(axes) == 2

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-# Rows of a table that a result shows of itself; `table()` returns all.
+# Rows of a table that a result shows of itself; `table()` returns all. A single row with more
+# columns than a page is wide stands upright.
 MOST_ROWS = 60
+MOST_COLUMNS = 12
 
 
 class Result:
@@ -46,15 +48,18 @@ def as_html(text: str, *tables: pd.DataFrame, title: str = "") -> str:
     as a formula.
     """
     bold = f"<b>{html.escape(title)}</b>: " if title else ""
-    parts = [
-        table.to_html(
-            index=not isinstance(table.index, pd.RangeIndex),
-            float_format="{:.6g}".format,
-            na_rep="–",
-            max_rows=MOST_ROWS,
+    parts = []
+    for table in tables:
+        if len(table) == 1 and table.shape[1] > MOST_COLUMNS:
+            table = table.astype(object).T.set_axis([""], axis=1)
+        parts.append(
+            table.to_html(
+                index=not isinstance(table.index, pd.RangeIndex),
+                float_format="{:.6g}".format,
+                na_rep="–",
+                max_rows=MOST_ROWS,
+            )
         )
-        for table in tables
-    ]
     return f'<div class="tex2jax_ignore"><p>{bold}{html.escape(text)}</p>{"".join(parts)}</div>'
 
 
