@@ -286,7 +286,12 @@ def test_effects_of_factors_whose_names_look_like_interactions():
         (lambda f: f.assign(group=f["condition"]), {}, "between: subject 0 has two labels"),
         (lambda f: f.assign(group="one"), {}, "between: column 'group' has one level"),
         (lambda f: f, {"between": "grup"}, "between: no column 'grup'; did you mean 'group'"),
-        (lambda f: f, {"order": {"task": ["a"]}}, "order: 'task' is no factor"),
+        (lambda f: f, {"order": {"task": ["a"]}}, r"order is of \['task'\], but the factors are"),
+        (
+            lambda f: f[f["person"] < 3].assign(group=lambda f: f["person"]),
+            {},
+            "no error variance",
+        ),
         (lambda f: f, {"order": ["a", "b"]}, "order must list every condition"),
         (
             lambda f: f[(f["group"] == "expert") | (f["condition"] != "a")],

@@ -183,7 +183,7 @@ def test_the_mode_of_a_person_with_extreme_answers():
     bounds = np.array([ends[category], ends[category + 1]]) - [0.0, 1.8, 2.4, 0.1, 1.6, 2.5]
     model = Cumulative(np.zeros(6, dtype=int), 5, 9)
     for sd in (0.0, 1.0, 4.0, 15.0):
-        mode = model._modes(bounds, sd)
+        mode, _ = model._modes(bounds, sd)
         level = special.expit(bounds - sd * mode)
         assert sd * (level.sum() - 6.0) == pytest.approx(mode.item(), abs=1e-9)
 

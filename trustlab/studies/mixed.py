@@ -103,9 +103,9 @@ class RandomIntercepts:
             return InterceptFit(deviance, slope, start + shift, inverse, ratio, residual)
 
         # All minima are compared: a search from one start can stop at a variance of zero.
-        slopes = [profile(ratio).slope for ratio in RATIOS]
+        rising = np.array([profile(ratio).slope >= 0.0 for ratio in RATIOS])
         minima = [0.0]
-        for i in np.flatnonzero((np.sign(slopes[:-1]) < 0.0) & (np.sign(slopes[1:]) >= 0.0)):
+        for i in np.flatnonzero(~rising[:-1] & rising[1:]):
             bracket = RATIOS[i], RATIOS[i + 1]
             minima.append(brentq(lambda ratio: profile(ratio).slope, *bracket, xtol=1e-18))
         return min(map(profile, minima), key=lambda fit: fit.deviance)
@@ -287,10 +287,8 @@ def levels_by_factor(
                 )
     if not levels:
         raise ValueError("within and between name no factor")
-    if unknown := [
-        name for name in (order if isinstance(order, dict) else ()) if name not in levels
-    ]:
-        raise ValueError(f"order: {unknown[0]!r} is no factor; there are {[*levels]}")
+    if isinstance(order, dict) and not order.keys() <= levels.keys():
+        raise ValueError(f"order is of {[*order]}, but the factors are {[*levels]}")
     return levels
 
 
@@ -336,8 +334,8 @@ def mixed_model(
     Raises
     ------
     ValueError
-        If the table is refused, fewer than three subjects have a score, a cell has fewer than two,
-        a subject has two groups, or nothing is left to estimate the error from.
+        If the table is refused, fewer than three subjects have a score, a cell has none, a subject
+        has two groups, or nothing is left to estimate an error from.
 
     See Also
     --------

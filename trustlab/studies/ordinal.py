@@ -132,6 +132,7 @@ class Cumulative:
         places = [x.shape[1], x.shape[1] + self.cuts]
         beta, thresholds, nominal = np.split(turn @ point[:-1], places)
         value, sd = float(-loss(point)[0]), float(abs(point[-1]))
+        nominal = nominal.reshape(self.cuts, -1)
         return CumulativeFit(value, beta, thresholds, nominal, sd, spread)
 
     def _integrals(self, bounds: np.ndarray, sd: float) -> tuple[float, np.ndarray, float]:
@@ -139,8 +140,7 @@ class Cumulative:
         Return the log-likelihood and its slopes by the bounds of every row's category, θ − x β,
         lower and upper, and by the standard deviation of people.
         """
-        mode = self._modes(bounds, sd)
-        level = special.expit(bounds - sd * mode[self.codes])
+        mode, level = self._modes(bounds, sd)
         density = level * (1.0 - level)
         bend = density * (1.0 - 2.0 * level)
         second = self.member @ density.sum(axis=0)
@@ -175,8 +175,11 @@ class Cumulative:
         by_sd += (by_width * (sd**2 * mode * third - 2.0 * sd * second)).sum()
         return (total + np.log(width)).sum(), by_bound * self.weight, by_sd
 
-    def _modes(self, bounds: np.ndarray, sd: float) -> np.ndarray:
-        """Return where each person's integrand, which is log-concave, is greatest."""
+    def _modes(self, bounds: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return where each person's integrand, which is log-concave, is greatest, and the
+        probabilities up to each bound there.
+        """
         high = abs(sd) * self.member.sum(axis=1)
         low = -high
         mode = np.zeros(high.size)
@@ -187,7 +190,7 @@ class Cumulative:
             step = slope / (1.0 + sd**2 * (self.member @ (level * (1.0 - level)).sum(axis=0)))
             going = np.abs(step) > 1e-12 * (1.0 + np.abs(mode))
             if not going.any():
-                return mode
+                return mode, level
             low, high = np.where(slope > 0.0, mode, low), np.where(slope > 0.0, high, mode)
             # Newton's steps can go round in circles: where they do not shrink, halve the bracket.
             there = mode + step
@@ -533,7 +536,7 @@ def _proportional(
             continue
         wide = model.fit(y, np.delete(x, columns, axis=1), nominal=x[:, columns])
         chi2 = max(2.0 * (wide.llf - fit.llf), 0.0)
-        if np.abs(wide.nominal).max() > FAR or not np.isfinite(chi2):
+        if np.abs(wide.nominal * np.ptp(x[:, columns], axis=0)).max() > FAR:
             rows.append((name, np.nan, df, np.nan, "some category is empty in a cell"))
         else:
             rows.append((name, chi2, df, float(special.chdtrc(df, chi2)), ""))
