@@ -44,15 +44,6 @@ def njit(function: Callable | None = None, **options: Any) -> Any:
 inner = functools.partial(njit, no_cpython_wrapper=True)
 
 
-def cfunc(signature: Any, function: Callable, **options: Any) -> Any:
-    """
-    Compile a function to one that C can call, and cache it on disk; options are those of
-    `numba.cfunc`.
-    """
-    with _numba_caches_for(function):
-        return numba.cfunc(signature, cache=True, **options)(function)
-
-
 @contextlib.contextmanager
 def _numba_caches_for(function: Callable) -> Iterator[None]:
     """

@@ -37,15 +37,6 @@ def columns_of(log: np.dtype) -> tuple[str, ...]:
     return tuple(names)
 
 
-def log_of(log: np.dtype, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return an empty log twice, over the same memory: as a table, shape (count, columns), and as
-    records, shape (count,).
-    """
-    table = np.empty((count, len(columns_of(log))))
-    return table, table.view(log)[:, 0]
-
-
 def signal(
     name: str, values, rows: int | None = None, columns: int | None = None, least: int = 1
 ) -> np.ndarray:
