@@ -82,7 +82,7 @@ def any_target(prior="weak"):
     """A target that holds a prior, of no data."""
     mean, deviation, whitening = as_prior(prior).vectors(1)
     free = np.delete(np.arange(mean.size), DELAY)
-    return Target(None, mean, deviation, mean.copy(), whitening, free)
+    return Target(None, mean, deviation, whitening, free)
 
 
 def measured_case(rng, size=6000):

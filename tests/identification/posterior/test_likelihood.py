@@ -117,7 +117,7 @@ def test_a_prior_of_correlated_parameters_has_its_density():
     covariance = root @ root.T + np.eye(7)
     prior = prior_of(values.mean(axis=0), covariance)
     mean, deviation, whitening = prior.vectors(1)
-    target = Target(target.blocks, mean, deviation, mean, whitening, target.free)
+    target = Target(target.blocks, mean, deviation, whitening, target.free)
     rest = mean.copy()
     rest[:7] = theta[:7]
     expected = stats.multivariate_normal(mean[:7], covariance)

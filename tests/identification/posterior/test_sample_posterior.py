@@ -23,9 +23,7 @@ from trustlab.identification.posterior.coordinates import to_thetas
 from trustlab.identification.posterior.importance import (
     Component,
     Sample,
-    as_mixture,
     drawn,
-    log_mixture,
     pareto_fit,
     smoothed,
     weighed,
@@ -228,22 +226,6 @@ def test_the_tail_of_weights_is_a_pareto_distribution():
     assert smoothed(stats.norm().logpdf(x) - stats.norm(scale=0.5).logpdf(x))[1] > 0.6
     x = 1.5 * rng.standard_normal(20_000)
     assert smoothed(stats.norm().logpdf(x) - stats.norm(scale=1.5).logpdf(x))[1] < 0.3
-
-
-def test_the_density_of_a_mixture_is_that_of_its_parts():
-    rng = np.random.default_rng(34)
-    sides = rng.standard_normal((3, 4, 4))
-    parts = [
-        Component(weight, rng.standard_normal(4), side @ side.T + np.eye(4))
-        for weight, side in zip((30.0, 5.0, 0.1), sides, strict=True)
-    ]
-    points = 3.0 * rng.standard_normal((50, 4))
-    of_parts = np.empty((50, 3))
-    total = log_mixture(points, as_mixture(parts), of_parts)
-    for k, (weight, centre, scale) in enumerate(parts):
-        expected = np.log(weight) + stats.multivariate_t(centre, scale, df=7).logpdf(points)
-        np.testing.assert_allclose(of_parts[:, k], expected, rtol=1e-12)
-    np.testing.assert_allclose(total, np.logaddexp.reduce(of_parts, axis=1), rtol=1e-12)
 
 
 def test_points_of_all_rounds_count_by_the_mixture_of_their_proposals():

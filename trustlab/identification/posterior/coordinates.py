@@ -35,17 +35,16 @@ FAR_ODDS = 14.0
 
 class Target(NamedTuple):
     """
-    Data, prior and the origin of coordinates.
+    Data and prior.
 
-    A priori `whitening` (θ − `centre`) is standard normal. Coordinates are distances from `mean` in
-    units of `deviation`, whatever the prior. `free` are the places in θ that are sampled; the rest
+    A priori `whitening` (θ − `mean`) is standard normal. Coordinates are distances from `mean` in
+    units of `deviation`, correlated or not. `free` are the places in θ that are sampled; the rest
     stays at the mean.
     """
 
     blocks: Blocks
     mean: np.ndarray
     deviation: np.ndarray
-    centre: np.ndarray
     whitening: np.ndarray
     free: np.ndarray
 
@@ -97,7 +96,7 @@ def log_prior(theta, target):
     for i in range(theta.size):
         z = 0.0
         for j in range(i + 1):
-            z += target.whitening[i, j] * (theta[j] - target.centre[j])
+            z += target.whitening[i, j] * (theta[j] - target.mean[j])
         if not abs(z) < FAR:
             return -np.inf
         value -= 0.5 * z * z

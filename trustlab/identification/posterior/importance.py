@@ -14,9 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from trustlab.models.compiled import njit
-from trustlab.models.linear_algebra import cholesky_factors, inverses
-
 # Degrees of freedom of the proposals: tails that are heavier than a normal posterior's.
 FREEDOM = 7.0
 
@@ -80,70 +77,28 @@ def pareto_fit(excess: np.ndarray) -> tuple[float, float]:
     return (size * shape + 10.0 * 0.5) / (size + 10.0), -shape / best
 
 
-class Mixture(NamedTuple):
-    """Components in arrays: log weight with the density's constant, centre, inverse factor."""
+def distribution(part: Component):
+    """Return the multivariate t distribution of a part."""
+    from scipy import stats
 
-    constants: np.ndarray
-    centres: np.ndarray
-    inverses: np.ndarray
-
-
-def as_mixture(parts: list[Component]) -> Mixture:
-    """Return components as compiled code takes them; weights may add up to anything."""
-    size = parts[0].centre.size
-    factors, _ = cholesky_factors(np.array([part.scale for part in parts]))
-    diagonals = np.diagonal(factors, axis1=1, axis2=2)
-    constant = special.gammaln(0.5 * (FREEDOM + size)) - special.gammaln(0.5 * FREEDOM)
-    constant -= 0.5 * size * np.log(FREEDOM * np.pi)
-    weights = np.array([part.weight for part in parts])
-    return Mixture(
-        constant + np.log(weights) - np.log(diagonals).sum(axis=1),
-        np.array([part.centre for part in parts]),
-        inverses(factors),
-    )
+    return stats.multivariate_t(part.centre, part.scale, FREEDOM)
 
 
-@njit
-def log_parts_at(x, mixture, values):
-    """Write the logarithm of each part's density at x; return that of their sum."""
-    greatest = -np.inf
-    for part in range(values.size):
-        square = 0.0
-        for i in range(x.size):
-            z = 0.0
-            for j in range(i + 1):
-                z += mixture.inverses[part, i, j] * (x[j] - mixture.centres[part, j])
-            square += z * z
-        tail = 0.5 * (FREEDOM + x.size) * np.log1p(square / FREEDOM)
-        values[part] = mixture.constants[part] - tail
-        greatest = max(greatest, values[part])
-    total = 0.0
-    for value in values:
-        total += np.exp(value - greatest)
-    return greatest + np.log(total)
-
-
-@njit
-def log_mixture(points, mixture, of_parts):
-    """Return the logarithm of a mixture's density at rows of points; write that of each part."""
-    out = np.empty(len(points))
-    for i in range(len(points)):
-        out[i] = log_parts_at(points[i], mixture, of_parts[i])
-    return out
-
-
-def _drawn(part: Component, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Return points of a multivariate t distribution."""
-    normal = rng.standard_normal((count, part.centre.size)) @ np.linalg.cholesky(part.scale).T
-    return part.centre + normal / np.sqrt(rng.chisquare(FREEDOM, count) / FREEDOM)[:, None]
+def log_parts(points: np.ndarray, parts: list[Component]) -> np.ndarray:
+    """Return the logarithm of each part's weight times density, shape (points, parts)."""
+    logs = [distribution(part).logpdf(points) for part in parts]
+    return np.column_stack(logs) + np.log([part.weight for part in parts])
 
 
 def drawn(parts: list[Component], count: int, rng: np.random.Generator) -> np.ndarray:
     """Return points of a mixture, in random order."""
     shares = np.array([part.weight for part in parts])
     counts = rng.multinomial(count, shares / shares.sum())
-    points = [_drawn(part, number, rng) for part, number in zip(parts, counts, strict=True)]
-    return rng.permutation(np.concatenate(points))
+    points = [
+        distribution(part).rvs(number, random_state=rng)
+        for part, number in zip(parts, counts, strict=True)
+    ]
+    return rng.permutation(np.vstack(points))
 
 
 def weighed(points: np.ndarray, values: np.ndarray, parts: list[Component]) -> Sample:
@@ -153,7 +108,7 @@ def weighed(points: np.ndarray, values: np.ndarray, parts: list[Component]) -> S
     `values` are logarithms of the posterior's density. A component's weight is the number of points
     that it proposed, so that rounds add up to one mixture ([C]: no round is chosen for its luck).
     """
-    proposed = log_mixture(points, as_mixture(parts), np.empty((len(points), len(parts))))
+    proposed = special.logsumexp(log_parts(points, parts), axis=1)
     log_weights = np.where(np.isfinite(values), values - proposed, -1e300)
     log_weights, k_hat = smoothed(log_weights)
     weights = np.exp(log_weights - log_weights.max())
@@ -178,9 +133,7 @@ def fitted_mixture(sample: Sample, count: int, rng: np.random.Generator) -> list
     first = rng.choice(len(points), count, p=weights, replace=False)
     parts = [Component(1.0 / count, points[k], overall) for k in first]
     for _ in range(8):
-        shares = np.empty((len(points), count))
-        total = log_mixture(points, as_mixture(parts), shares)
-        shares = np.exp(shares - total[:, None]) * weights[:, None]
+        shares = special.softmax(log_parts(points, parts), axis=1) * weights[:, None]
         parts = [_refitted(points, share, overall, effective) for share in shares.T]
     return [Component(part.weight, part.centre, 1.1 * part.scale) for part in parts]
 

@@ -282,9 +282,3 @@ def innovations(theta, blocks, means, scaled):
             for k in range(last - first):
                 value -= 0.5 * of_run[k, 0] * of_run[k, 0]
     return value
-
-
-@njit
-def log_likelihood(theta, blocks):
-    """Return the logarithm of the density of all block means."""
-    return innovations(theta, blocks, simulate(theta, blocks), np.empty(blocks.measured.shape))

@@ -290,7 +290,7 @@ def _pooled(posteriors: list[Posterior], prior: Prior, rng: np.random.Generator)
     for posterior in posteriors:
         target: Target = posterior.target
         thetas = posterior.thetas[:, :SHARED]
-        whitened = (thetas - target.centre[:SHARED]) @ target.whitening[:SHARED, :SHARED].T
+        whitened = (thetas - target.mean[:SHARED]) @ target.whitening[:SHARED, :SHARED].T
         draws.append((thetas - centre[:SHARED]) / deviation[:SHARED])
         base.append(0.5 * (whitened**2).sum(axis=1))
     return pool(draws, base, rng)

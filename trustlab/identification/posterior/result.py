@@ -247,7 +247,7 @@ class Posterior(Result):
                     f"No noise of a white and a first-order part explains {output} (Ljung–Box p = "
                     f"{p:.2g}): intervals may be too narrow."
                 )
-        apart = (self.thetas[:, :SHARED].mean(axis=0) - self.target.centre[:SHARED]) / (
+        apart = (self.thetas[:, :SHARED].mean(axis=0) - self.target.mean[:SHARED]) / (
             self.target.deviation[:SHARED]
         )
         if np.abs(apart).max() > UNEXPECTED:

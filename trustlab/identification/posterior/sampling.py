@@ -175,7 +175,7 @@ def target_of(optimum: Optimum, prior: Prior, log: LogSettings) -> Target:
         deviation[DELAY] = error.spread
         whitening[DELAY, DELAY] = 1.0 / error.spread
     free = np.delete(np.arange(mean.size), [] if delayed else [DELAY])
-    return Target(blocks_of(optimum.problem), mean, deviation, mean.copy(), whitening, free)
+    return Target(blocks_of(optimum.problem), mean, deviation, whitening, free)
 
 
 def prior_thetas(target: Target, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -183,9 +183,9 @@ def prior_thetas(target: Target, count: int, rng: np.random.Generator) -> np.nda
     factor = np.linalg.inv(target.whitening)
     drawn: list[np.ndarray] = []
     while len(drawn) < count:
-        z = np.zeros((count, target.centre.size))
+        z = np.zeros((count, target.mean.size))
         z[:, target.free] = rng.standard_normal((count, target.free.size))
-        for theta in target.centre + z @ factor.T:
+        for theta in target.mean + z @ factor.T:
             if admissible(theta):
                 drawn.append(theta)
     return np.array(drawn[:count])

@@ -1,8 +1,4 @@
-"""
-Where the posterior is greatest: ascents from the optima of a fit.
-
-Everything is compiled and adds in a fixed order, so that a search goes the same way everywhere.
-"""
+"""Where the posterior is greatest: ascents from the optima of a fit."""
 
 from typing import NamedTuple
 
@@ -26,15 +22,20 @@ from trustlab.identification.posterior.likelihood import (
 )
 from trustlab.identification.problem import Optimum
 from trustlab.models.compiled import njit
-from trustlab.models.linear_algebra import symmetric_eigen
 
 # Steps of central differences in units of the prior's standard deviation: of the density and of
 # its gradient.
 STEP = 1e-4
 WIDE_STEP = 2e-3
 
-# Least curvature that a step or a proposal goes by: nothing is wider than two prior deviations.
+# Least curvature that a proposal goes by, nothing being wider than two prior deviations, and that
+# an ascent begins with.
 LEAST_CURVATURE = 0.25
+STEEP = 0.3
+
+# Slope per deviation of the hill at which an ascent ends, and minus the density where it is zero.
+CLOSE = 0.02
+NOWHERE = 1e10
 
 # Prior deviations from the mean within which an ascent begins: further out the prior would rule.
 BULK = 2.5
@@ -82,78 +83,7 @@ def curvature(x, target):
     return out
 
 
-@njit
-def inverse_of_size(matrix, least):
-    """Return the inverse of a symmetric matrix by its eigenvalues' sizes, at least `least`."""
-    size = len(matrix)
-    values, vectors = symmetric_eigen(matrix.reshape(1, size, size))
-    out = np.zeros((size, size))
-    for k in range(size):
-        weight = 1.0 / max(abs(values[0, k]), least)
-        for i in range(size):
-            for j in range(size):
-                out[i, j] += weight * vectors[0, i, k] * vectors[0, j, k]
-    return out
-
-
 # --- ascents --------------------------------------------------------------------------------------
-
-
-@njit
-def _product(matrix, vector):
-    out = np.zeros(len(matrix))
-    for i in range(len(matrix)):
-        for j in range(vector.size):
-            out[i] += matrix[i, j] * vector[j]
-    return out
-
-
-@njit
-def _dot(a, b):
-    total = 0.0
-    for i in range(a.size):
-        total += a[i] * b[i]
-    return total
-
-
-@njit
-def _update(inverse, step, change):
-    """Update an inverse curvature by a step and the change of the slope (BFGS)."""
-    along = _dot(step, change)
-    if along <= 1e-10:
-        return
-    turned = _product(inverse, change)
-    factor = (1.0 + _dot(change, turned) / along) / along
-    for i in range(step.size):
-        for j in range(step.size):
-            cross = turned[i] * step[j] + step[i] * turned[j]
-            inverse[i, j] += factor * step[i] * step[j] - cross / along
-
-
-@njit
-def ascend(x, target, inverse, most):
-    """Return the point and the value that BFGS steps reach from x."""
-    value = density(x, target)
-    slope = gradient(x, target)
-    for _ in range(most):
-        step = _product(inverse, slope)
-        gain = _dot(step, slope)
-        if not gain > 1e-3:  # within a fiftieth of a standard deviation of the top
-            break
-        share = 1.0
-        after = density(x + step, target)
-        while not after > value + 1e-4 * share * gain and share > 1e-4:
-            share *= 0.4
-            after = density(x + share * step, target)
-        if not after > value:
-            break
-        moved = share * step
-        x = x + moved
-        new = gradient(x, target)
-        _update(inverse, moved, slope - new)
-        slope = new
-        value = after
-    return x, value
 
 
 class Top(NamedTuple):
@@ -164,12 +94,27 @@ class Top(NamedTuple):
     covariance: np.ndarray
 
 
+def hill(x: np.ndarray, target: Target, least: float) -> np.ndarray:
+    """Return the inverse of the curvature's size, which is at least `least` in any direction."""
+    values, vectors = np.linalg.eigh(curvature(x, target))
+    return (vectors / np.maximum(np.abs(values), least)) @ vectors.T
+
+
 def climb(x: np.ndarray, target: Target) -> Top:
-    """Ascend twice, each time from the curvature at the beginning."""
-    for most in (40, 60):
-        inverse = inverse_of_size(curvature(x, target), 0.3)
-        x, value = ascend(x, target, inverse, most)
-    return Top(x, value, inverse_of_size(curvature(x, target), LEAST_CURVATURE))
+    """Return the maximum that an ascent from x reaches."""
+    from scipy.optimize import minimize
+
+    # Distances in deviations of the hill, as its curvature at the beginning foretells these.
+    root = np.linalg.cholesky(hill(x, target, STEEP))
+    end = minimize(
+        lambda z: -max(density(x + root @ z, target), -NOWHERE),
+        np.zeros(x.size),
+        jac=lambda z: -gradient(x + root @ z, target) @ root,
+        method="BFGS",
+        options={"gtol": CLOSE, "maxiter": 100},
+    )
+    top = x + root @ end.x
+    return Top(top, float(density(top, target)), hill(top, target, LEAST_CURVATURE))
 
 
 # --- where ascents begin --------------------------------------------------------------------------
