@@ -18,6 +18,10 @@ from scipy import special
 FREEDOM = 7.0
 
 
+# Independent points that a mixture is fitted to at least.
+LEVEL = 80.0
+
+
 class Component(NamedTuple):
     """One part of a mixture: its weight, centre and scale matrix."""
 
@@ -77,28 +81,27 @@ def pareto_fit(excess: np.ndarray) -> tuple[float, float]:
     return (size * shape + 10.0 * 0.5) / (size + 10.0), -shape / best
 
 
-def distribution(part: Component):
-    """Return the multivariate t distribution of a part."""
-    from scipy import stats
-
-    return stats.multivariate_t(part.centre, part.scale, FREEDOM)
-
-
 def log_parts(points: np.ndarray, parts: list[Component]) -> np.ndarray:
     """Return the logarithm of each part's weight times density, shape (points, parts)."""
-    logs = [distribution(part).logpdf(points) for part in parts]
-    return np.column_stack(logs) + np.log([part.weight for part in parts])
+    from scipy import stats
+
+    densities = [stats.multivariate_t(p.centre, p.scale, FREEDOM).logpdf(points) for p in parts]
+    return np.column_stack(densities) + np.log([part.weight for part in parts])
+
+
+def _drawn(part: Component, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return points of a multivariate t distribution."""
+    # SciPy draws by singular vectors, whose signs may differ between processors.
+    normal = rng.standard_normal((count, part.centre.size)) @ np.linalg.cholesky(part.scale).T
+    return part.centre + normal / np.sqrt(rng.chisquare(FREEDOM, count) / FREEDOM)[:, None]
 
 
 def drawn(parts: list[Component], count: int, rng: np.random.Generator) -> np.ndarray:
     """Return points of a mixture, in random order."""
     shares = np.array([part.weight for part in parts])
     counts = rng.multinomial(count, shares / shares.sum())
-    points = [
-        distribution(part).rvs(number, random_state=rng)
-        for part, number in zip(parts, counts, strict=True)
-    ]
-    return rng.permutation(np.vstack(points))
+    points = [_drawn(part, number, rng) for part, number in zip(parts, counts, strict=True)]
+    return rng.permutation(np.concatenate(points))
 
 
 def weighed(points: np.ndarray, values: np.ndarray, parts: list[Component]) -> Sample:
@@ -118,9 +121,10 @@ def weighed(points: np.ndarray, values: np.ndarray, parts: list[Component]) -> S
 
 def fitted_mixture(sample: Sample, count: int, rng: np.random.Generator) -> list[Component]:
     """Return a mixture of so many parts that resembles a weighted sample (EM, shrunk scales)."""
-    weights = sample.weights
-    if sample.effective < 80.0:  # few points carry all weight: level them
+    weights = np.maximum(sample.weights, 1e-300)
+    while 1.0 / np.sum(weights**2) < LEVEL:  # few points carry all weight: level them
         weights = weights**0.6
+        weights /= weights.sum()
     kept = weights > 1e-4 * weights.max()
     points = sample.points[kept]
     weights = weights[kept] / weights[kept].sum()
