@@ -5,7 +5,6 @@ tables, a policy.
 
 from __future__ import annotations
 
-import csv
 import importlib
 import inspect
 import json
@@ -38,7 +37,10 @@ NUMBER = re.compile(r"(\((?:\d|A)\.\d+\)|\b[Rr]eport \d\d\b|\b(?:Figure|Table) \
 LABEL = re.compile(r"(?:Figure|Table) (\d\d)-\d+")
 STUDIES = {"uav": "UAV study", "teleop": "teleoperation study"}
 REPORT = re.compile(r"\d\d_")
-FINDER = ROOT / "notebooks" / "finder.csv"
+VERDICTS = ROOT / "data" / "published" / "verdicts.toml"
+CLAIMS = tomllib.loads(VERDICTS.read_text(encoding="utf-8"))
+# What does not simply hold.
+IN_DOUBT = ("fails", "holds with a condition", "differs")
 
 # The theme's scripts, styles and fonts lie beside the pages; nothing else is loaded, from wherever.
 POLICY = (
@@ -167,6 +169,7 @@ class Equation(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return a block for each number."""
         self.env.note_dependency(str(PRINTED))
+        self.env.note_dependency(str(VERDICTS))
         return [self._shown(number) for number in self.arguments[0].split()]
 
     def _shown(self, number: str) -> nodes.Node:
@@ -189,9 +192,10 @@ class Equation(SphinxDirective):
                 "", nodes.literal("", name), refwarn=True, refdoc=self.env.docname, **target
             )
         block += words
-        if "differs" in entry:
-            said = nodes.strong("", "Not as printed: "), nodes.Text(entry["differs"])
-            block += nodes.paragraph("", "", *said, classes=["equation-differs"])
+        for claim, about in CLAIMS.items():
+            if about["verdict"] in IN_DOUBT and f"({number})" in f"{claim} {about['says']}":
+                said = f"{claim} {about['verdict']}: {about['why']}."
+                block += nodes.paragraph("", said, classes=["equation-differs"])
         return block
 
 
@@ -290,20 +294,20 @@ class FinderEntries(SphinxTransform):
     default_priority = 400  # before Sphinx collects the index
 
     def apply(self) -> None:
-        """Add the entries of a page."""
-        with FINDER.open(encoding="utf-8", newline="") as file:
-            rows = [row for row in csv.DictReader(file) if row["report"] == self.env.docname]
+        """Add the claims of a page."""
+        report = self.env.docname.partition("_")[2]
+        shown = {claim: about for claim, about in CLAIMS.items() if about.get("report") == report}
         for section in self.document.findall(nodes.section):
             title = section.next_node(nodes.title).astext()
-            names = [row["entry"] for row in rows if row["section"] == title]
+            names = [claim for claim, about in shown.items() if about["section"] == title]
             entries = [("single", name, section["ids"][0], "main", None) for name in names]
             section.insert(1, addnodes.index(entries=entries))
 
 
 class Finder(SphinxDirective):
     """
-    ``{finder}`` lists every figure, table, theorem and study with its verdict and the reason;
-    ``{finder} Theorem Table`` those whose names begin so, in this order.
+    ``{finder}`` lists every claim with its verdict and the reason; ``{finder} Theorem Table`` those
+    whose names begin so, in this order.
     """
 
     optional_arguments = 1
@@ -311,23 +315,47 @@ class Finder(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return a table whose places are links."""
-        self.env.note_dependency(str(FINDER))
-        with FINDER.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
+        self.env.note_dependency(str(VERDICTS))
         names = " ".join(self.arguments).split() or [""]
-        chosen = [row for name in names for row in rows if row["entry"].startswith(name)]
+        chosen = [claim for name in names for claim in CLAIMS if claim.startswith(name)]
         lines = ["| | What | Verdict | Why | Section |", "|---|---|---|---|---|"]
-        for row in chosen:
-            chapter = Path(self.env.srcdir, f"{row['report']}.ipynb")
-            self.env.note_dependency(str(chapter))
-            place = f"[{row['section']}]({chapter.name}"
-            # Where a notebook was not run, or failed, the sections are missing.
-            if chapter.is_file() and row["section"] in chapter.read_text(encoding="utf-8"):
-                place += f"#{slug(row['section'])}"
-            name = STUDIES.get(row["entry"].partition(".")[0], row["entry"])
-            cells = [name, row["what"], badge(row["verdict"]), row["why"]]
-            lines.append(f"| {' | '.join([*cells, f'{place})' if row['report'] else ''])} |")
+        for claim in chosen:
+            about = CLAIMS[claim]
+            name = STUDIES.get(claim.partition(".")[0], claim)
+            why = about.get("why", "")
+            cells = [name, about["says"], badge(about["verdict"]), why, place(self, about)]
+            lines.append(f"| {' | '.join(cells)} |")
         return [_parsed(self, lines, "finder")]
+
+
+class InDoubt(SphinxDirective):
+    """``{in-doubt}`` lists what does not simply hold as printed: why, and what to use instead."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return a list of definitions."""
+        self.env.note_dependency(str(VERDICTS))
+        lines = []
+        for claim, about in CLAIMS.items():
+            if about["verdict"] in IN_DOUBT and claim.partition(".")[0] not in STUDIES:
+                lines += [f"{claim}: {about['says']} {badge(about['verdict'])}"]
+                why = f"{about['why'][0].upper()}{about['why'][1:]}."
+                instead = f"*Instead*: {about['instead']}." if "instead" in about else ""
+                lines += [f": {why} {instead} {place(self, about)}", ""]
+        return [_parsed(self, lines, "in-doubt")]
+
+
+def place(directive: SphinxDirective, about: dict[str, str]) -> str:
+    """Return a link to where a claim is shown."""
+    if "report" not in about:
+        return ""
+    chapter = next(Path(directive.env.srcdir).glob(f"[0-9]*_{about['report']}.ipynb"), None)
+    link = f"[{about['section']}]({f'/{chapter.name}' if chapter else ''}"
+    if chapter:
+        directive.env.note_dependency(str(chapter))
+        # Where a notebook was not run, or failed, the sections are missing.
+        if about["section"] in chapter.read_text(encoding="utf-8"):
+            link += f"#{slug(about['section'])}"
+    return f"{link})"
 
 
 class Headlines(SphinxDirective):
@@ -370,7 +398,7 @@ def badge(kind: str) -> str:
 def _parsed(directive: SphinxDirective, lines: list[str], name: str) -> nodes.Node:
     """Return lines of Markdown as a block of a class."""
     block = nodes.container(classes=[name])
-    directive.state.nested_parse(StringList(lines, source=str(FINDER)), 0, block)
+    directive.state.nested_parse(StringList(lines, source=str(VERDICTS)), 0, block)
     return block
 
 
@@ -453,6 +481,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.add_enumerable_node(NumberedTable, "table", html=visitors)
     app.add_directive("equation", Equation)
     app.add_directive("finder", Finder)
+    app.add_directive("in-doubt", InDoubt)
     app.add_transform(FinderEntries)
     app.add_directive("headlines", Headlines)
     app.add_role("known_name", known_name)

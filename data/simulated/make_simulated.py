@@ -147,8 +147,8 @@ def failures(sets: int = 20_000, seed: int = SEED, invariant: int = 2_000) -> pd
 
 # Keywords of `simulate_teleoperation` by the name under which report 07 shows them.
 GUIDANCES: dict[str, dict[str, str]] = {
-    "as printed, guard off": Guidance("through_channel", "off"),
-    "as printed": Guidance("through_channel", "cancel"),
+    "through the channel, guard off": Guidance("through_channel", "off"),
+    "through the channel": Guidance("through_channel", "cancel"),
     "at the operator": Guidance(),
 }
 

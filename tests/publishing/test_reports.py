@@ -1,7 +1,6 @@
 """What reports are made of: the finder, figures in words, tables in words, and their origin."""
 
 import ast
-import csv
 import re
 import runpy
 from types import SimpleNamespace
@@ -27,82 +26,107 @@ from trustlab.publishing.chapter import empty_chapter
 from trustlab.publishing.figures import describe
 from trustlab.publishing.provenance import provenance, read_files, shared_digest
 from trustlab.publishing.tables import cell, table_html
+from trustlab.reproduction.published import VERDICTS
 
 NOTEBOOKS = ROOT / "notebooks"
 CHECK = "tl.publishing.only_parameters(globals())"
-VERDICTS = {"reproduced", "differs", "reconstructed", "simulated", "not checkable", "diagram only"}
-OF_CLAIMS = {"held", "fails as printed", "not confirmed"}
+CLAIMS = tl.reproduction.verdicts()
 
 
-def finder():
-    with (NOTEBOOKS / "finder.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+def heads_of(report):
+    path = next(NOTEBOOKS.glob(f"[0-9]*_{report}.ipynb"))
+    cells = nbformat.read(path, as_version=4).cells
+    texts = [cell.source for cell in cells if cell.cell_type == "markdown"]
+    return [line.lstrip("# ") for text in texts for line in text.splitlines()]
 
 
-def test_finder_has_every_figure_table_theorem_and_study():
-    from trustlab.reproduction.published_study import published_studies
-
-    wanted = {
+def test_every_claim_of_the_text_has_a_verdict():
+    text = {
         f"Fig. {chapter}.{n}"
-        for chapter, last in ((2, 18), (3, 22), (4, 5))
+        for chapter, last in ((1, 2), (2, 18), (3, 22), (4, 5))
         for n in range(1, last + 1)
     }
-    wanted |= {f"Table 2.{n}" for n in range(1, 7)} | {"Table 3.1"}
-    wanted |= (
-        {f"Theorem {n}" for n in range(1, 7)}
-        | {f"Proposition {n}" for n in range(1, 4)}
-        | set(published_studies())
-    )
-    wanted |= {
-        "Abstract",
-        "Section 2.4.1.3",
-        "Section 2.4.2.4",
-    }  # claims of what suggestions do for people
-    wanted |= {"Section 3.7.1", "Section 3.8.1", "Appendix A"}  # what else does not hold as printed
-    entries = [row["entry"] for row in finder()]
-    assert set(entries) == wanted
-    assert len(entries) == len(wanted)
+    numbered = {"Theorem": 6, "Lemma": 8, "Proposition": 3, "Algorithm": 3, "Remark": 13}
+    numbered |= {"Assumption": 4, "Definition": 4}
+    text |= {f"{kind} {n}" for kind, last in numbered.items() for n in range(1, last + 1)}
+    text |= {f"Table 2.{n}" for n in range(1, 7)} | {"Table 3.1", *tl.published_studies()}
+    assert text <= {*CLAIMS.index}
+    others = ("Abstract", "Chapter 1", "Section", "(", "Appendix A")
+    assert all(claim.startswith(others) for claim in {*CLAIMS.index} - text)
 
 
-@pytest.mark.parametrize("row", finder(), ids=lambda row: row["entry"])
-def test_finder_leads_to_a_section_and_says_why(row):
-    claim = row["entry"].startswith(("Theorem", "Proposition", "Abstract", "Section", "Appendix"))
-    assert row["verdict"] in (OF_CLAIMS if claim else VERDICTS)
-    assert row["why"] or row["verdict"] in ("reproduced", "diagram only")
-    cells = nbformat.read(NOTEBOOKS / f"{row['report']}.ipynb", as_version=4).cells
-    heads = [
-        line.lstrip("# ")
-        for cell in cells
-        if cell.cell_type == "markdown"
-        for line in cell.source.splitlines()
-    ]
-    assert row["section"] in heads
+@pytest.mark.parametrize("claim", CLAIMS.index)
+def test_a_verdict_has_its_reason_and_a_section_that_is_there(claim):
+    about = CLAIMS.loc[claim]
+    assert about["verdict"] in VERDICTS
+    assert about["why"] or about["verdict"] == "diagram"
+    assert not about["report"] or about["section"] in heads_of(about["report"])
 
 
-def test_finder_has_the_verdicts_of_the_audit_and_of_the_reconstructions():
+def test_verdicts_of_theorems_are_not_those_of_numbers():
+    words = {*VERDICTS[:3]}
+    for claim, verdict in CLAIMS["verdict"].items():
+        if claim.startswith(("Theorem", "Lemma", "Proposition", "Algorithm")):
+            assert verdict in words, claim
+
+
+def test_verdicts_are_those_of_the_audit_and_of_the_reconstructions():
     """
     Oracles: what of a table or study differs in the audit; which printed statistics no
     reconstructed data have.
     """
     audit = tl.audit()
     differ = set(audit.loc[audit["verdict"] == "differs", "id"].str.partition("/")[0])
-    differ |= {
-        id.rpartition("/")[2]
-        for id in audit.loc[audit["verdict"] == "differs", "id"]
-        if "/scale/" in id
-    }
-    found = {row["entry"]: row["verdict"] for row in finder()}
-    for entry, verdict in found.items():
-        if entry.startswith("Table"):
-            rows = audit[audit["id"].str.startswith(entry.lower().replace(" ", "_") + "/")]
+    for claim, verdict in CLAIMS["verdict"].items():
+        if claim.startswith("Table"):
+            rows = audit[audit["id"].str.startswith(claim.lower().replace(" ", "_") + "/")]
             held = "reproduced" if rows["verdict"].eq("reproduced").any() else "not checkable"
-            assert verdict == ("differs" if rows["verdict"].eq("differs").any() else held), entry
-        elif entry in tl.published_studies():
-            assert verdict == ("differs" if entry in differ else "reproduced"), entry
+            assert verdict == ("differs" if rows["verdict"].eq("differs").any() else held), claim
+        elif claim in tl.published_studies():
+            assert verdict == ("differs" if claim in differ else "reproduced"), claim
             if verdict == "reproduced":
                 assert not tl.reconstruct(
-                    tl.published_studies()[entry], p_adjust="bonferroni"
+                    tl.published_studies()[claim], p_adjust="bonferroni"
                 ).attrs["left_out"]
+
+
+def test_numbers_in_the_reasons_are_computed_again():
+    """Oracles: exact cycles, closed forms and the printed tables."""
+    models, table = tl.published_models(), tl.published_table("2.2")
+    pairs = {who: table.loc[["TSC_l", "TSC_u"], who].astype(float) for who in table}
+    cycles = {who: tl.limit_cycle(models[who], *pair) for who, pair in pairs.items()}
+    steps = tl.published_table("2.1").loc["delta_TSC"].astype(float)
+    bound = tl.steady_state_bounds(models["3"], *pairs["3"], steps["3"]).r_high
+    third = cycles["3"]
+    said = f"the steady cycle of r is {third.r_low:.3f} to {third.r_high:.3f}, and (2.33) gives"
+    assert f"{said} {bound:.3f}" in CLAIMS.loc["Theorem 2", "why"]
+    people = [models[who] for who in pairs]
+    by_hand = [100 * model.human.p_min / model.human.p_max for model in people]
+    ranges = [(model.robot.p_min, model.robot.p_max) for model in people]
+    earned = [
+        100 * (cycle.mean_p_r - low) / (high - low)
+        for cycle, (low, high) in zip(cycles.values(), ranges, strict=True)
+    ]
+    said = CLAIMS.loc["Section 2.2.4", "why"]
+    assert f"{min(by_hand):.0f} to {max(by_hand):.0f} % of the range" in said
+    assert f"the {min(earned):.0f} to {max(earned):.0f} % under the printed thresholds" in said
+    fifth = tl.published_table("2.1")["5"].astype(float)
+    robot = tl.RobotModel(
+        fifth["a_pr"], fifth["P_r_min"], fifth["P_r_max"], fifth["P_h_max"], b=fifth["b_pr"]
+    )
+    human = tl.HumanModel(0.999, 0.5, fifth["P_h_min"], fifth["P_h_max"])
+    upper = tl.threshold_limits(tl.TscModel(robot, human), fifth["delta_P_h"]).upper
+    assert pairs["5"]["TSC_u"] > upper
+    assert f"{upper:.3f}" in CLAIMS.loc["Section 2.4.1.2", "why"]
+    greatest = tl.published_table("2.1").loc["P_h_max"].astype(float).mean()
+    performed = tl.published_table("2.5").loc[["C4", "C5"], "P_h_mean"]
+    said = CLAIMS.loc["Table 2.5", "why"]
+    assert f"{greatest:.3f}" in said
+    assert f"{performed.iloc[0]} and {performed.iloc[1]}" in said
+    heaviest = tl.HapticDevice(0.005, 0.55, 100.0, 60.0).largest_mass()
+    assert f"{1000 * heaviest:.1f} g" in CLAIMS.loc["(3.10)", "why"]
+    least = tl.teleoperation.passivity_margin([2.0], [1.0, 2.0]).least_product
+    assert least == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize(
@@ -123,9 +147,9 @@ def test_first_page_quotes_what_a_report_says_in_bold(answer, said):
 def test_search_lists_the_section_of_a_table_first():
     """Sphinx shows an entry of the index that is what was asked for before every other result."""
     entries = runpy.run_path(str(ROOT / "docs" / "extension.py"))["FinderEntries"]
-    row = next(row for row in finder() if row["entry"] == "Table 2.1")
+    row = CLAIMS.loc["Table 2.1"]
     document = new_document("page")
-    document.settings.env = SimpleNamespace(docname=row["report"])
+    document.settings.env = SimpleNamespace(docname=f"03_{row['report']}")
     for title in (row["section"], "Another section"):
         document += nodes.section("", nodes.title(text=title), ids=["a"])
     entries(document).apply()

@@ -42,7 +42,7 @@ def make(root, **notebooks):
         shutil.copy(ROOT / name, root / name)
     shutil.copytree(ROOT / "docs" / "static", docs / "static", dirs_exist_ok=True)
     shutil.copy(ROOT / "data/published/equations.toml", root / "data/published")
-    shutil.copy(ROOT / "notebooks/finder.csv", root / "notebooks")
+    shutil.copy(ROOT / "data/published/verdicts.toml", root / "data/published")
     with (docs / "conf.py").open("a") as file:
         file.write(SETTINGS)
     page = docs / "concepts" / "equations.md"

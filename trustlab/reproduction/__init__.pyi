@@ -24,7 +24,11 @@ from .performance_line import (
     PerformanceLine as PerformanceLine,
     performance_line as performance_line,
 )
-from .published import published_models as published_models, published_table as published_table
+from .published import (
+    published_models as published_models,
+    published_table as published_table,
+    verdicts as verdicts,
+)
 from .published_study import (
     PublishedStudy as PublishedStudy,
     PublishedStudyError as PublishedStudyError,

@@ -498,13 +498,12 @@ def simulate_teleoperation(
 
     Notes
     -----
-    Printed is ``guidance=Guidance("through_channel", guard="cancel")``. There the force −k_ffa e
-    stands at the robot's port, whose velocity yields to any force by 1/b: the force drives the
-    robot to its target, with nobody at the device as well (guard="off"). Its energy comes from the
-    moving target (`energy_target`), a port that the passivity controller does not observe; what the
-    controller books as given away by the robot's port, and stops, is mostly this hidden autopilot.
-    So with the guard off a comparison of M and TMIG compares autopilots, and with it the operator
-    feels almost nothing.
+    Section 3.6 is ``guidance=Guidance("through_channel", guard="cancel")``, but for the sign that
+    Section 3.8.1 prints (``printed_sign=True`` of the settings). There the force −k_ffa e stands at
+    the robot's port, whose velocity yields to any force by 1/b. Without the controller
+    (guard="off") it would drive the robot to its target with nobody at the device, on energy of the
+    moving target (`energy_target`), a port that the controller does not observe; with the
+    controller the operator feels almost nothing. So neither tells which scheme is better.
 
     Examples
     --------
