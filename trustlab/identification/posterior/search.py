@@ -34,7 +34,7 @@ LEAST_CURVATURE = 0.25
 STEEP = 0.3
 
 # Slope per deviation of the hill at which an ascent ends, and minus the density where it is zero.
-CLOSE = 0.02
+CLOSE = 1e-3
 NOWHERE = 1e10
 
 # Prior deviations from the mean within which an ascent begins: further out the prior would rule.
@@ -114,6 +114,8 @@ def climb(x: np.ndarray, target: Target) -> Top:
         options={"gtol": CLOSE, "maxiter": 100},
     )
     top = x + root @ end.x
+    # After Newton's step, and rounded, it is the same point on every processor.
+    top = np.round(top + hill(top, target, LEAST_CURVATURE) @ gradient(top, target), 4)
     return Top(top, float(density(top, target)), hill(top, target, LEAST_CURVATURE))
 
 
