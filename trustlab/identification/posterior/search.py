@@ -113,9 +113,12 @@ def climb(x: np.ndarray, target: Target) -> Top:
         method="BFGS",
         options={"gtol": CLOSE, "maxiter": 100},
     )
-    top = x + root @ end.x
-    # After Newton's step, and rounded, it is the same point on every processor.
-    top = np.round(top + hill(top, target, LEAST_CURVATURE) @ gradient(top, target), 4)
+    reached = x + root @ end.x
+    step = hill(reached, target, LEAST_CURVATURE) @ gradient(reached, target)
+    # After Newton's step, and rounded, it is the same point on every processor. The step may lead
+    # to where there is no model.
+    points = [np.round(reached + step, 4), np.round(reached, 4), x]
+    top = max(points, key=lambda point: density(point, target))
     return Top(top, float(density(top, target)), hill(top, target, LEAST_CURVATURE))
 
 
