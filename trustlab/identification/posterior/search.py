@@ -115,10 +115,10 @@ def climb(x: np.ndarray, target: Target) -> Top:
     )
     reached = x + root @ end.x
     step = hill(reached, target, LEAST_CURVATURE) @ gradient(reached, target)
-    # After Newton's step, and rounded, it is the same point on every processor. The step may lead
-    # to where there is no model.
-    points = [np.round(reached + step, 4), np.round(reached, 4), x]
-    top = max(points, key=lambda point: density(point, target))
+    # After Newton's step, and rounded, it is the same point on every processor. Where an ascent
+    # stopped short, the step may lead to where there is no model.
+    points = (np.round(reached + step, 4), np.round(reached, 4), x)
+    top = next(point for point in points if density(point, target) >= density(x, target))
     return Top(top, float(density(top, target)), hill(top, target, LEAST_CURVATURE))
 
 
