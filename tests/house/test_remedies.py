@@ -9,7 +9,7 @@ import pytest
 import trustlab as tl
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.models.checks import rounded_down, rounded_up
-from trustlab.studies.planning.covariances import conditions_from
+from trustlab.studies.planning.conditions import conditions_from
 from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
 from trustlab.testbeds.ground_robot.course import Course
 

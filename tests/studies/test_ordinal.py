@@ -298,23 +298,3 @@ def test_bad_input_names_what_is_wrong():
         tl.ordinal_model(ratings(), "trust", "group")
     with pytest.raises(ValueError, match="within and between name no factor"):
         tl.ordinal_model(ratings(), "trust", [])
-
-
-def test_power_of_ratings():
-    """Level without an effect; with one and a rating per person and condition, a shared draw."""
-    equal = [[0.1, 0.2, 0.3, 0.25, 0.15]] * 2
-    quick = tl.studies.Simulation(replicates=100, seed=0)
-    level = tl.power_analysis(tl.studies.Ratings(equal, sd=1.0), n=12, simulation=quick)
-    assert level.table()["power"].item() <= 0.2
-    # P(y ≤ k) one logit apart.
-    below = special.logit(np.cumsum(equal[0])[:-1]) - 1.0
-    shifted = np.diff(special.expit(below), prepend=0.0, append=1.0)
-    plan = tl.power_analysis(
-        tl.studies.Ratings([equal[0], shifted], sd=1.0), n=[6, 36], simulation=quick
-    )
-    small, large = plan.table()["power"]
-    assert small < 0.4 < 0.5 < large
-    with pytest.raises(ValueError, match=r"row 1 sums to 1\.1, not to 1"):
-        tl.studies.Ratings([[0.5, 0.5], [0.5, 0.6]], sd=1.0)
-    with pytest.raises(ValueError, match="a row per condition and a column per rating"):
-        tl.studies.Ratings([0.5, 0.5], sd=1.0)

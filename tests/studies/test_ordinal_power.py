@@ -21,15 +21,18 @@ BELOW = special.logit(np.cumsum(R["first"])[:-1])
 @pytest.mark.parametrize("case", R["cases"], ids=str)
 def test_power_is_the_share_of_rejections_in_r(case):
     """Two binomial counts of one probability, within four standard errors."""
-    shifted = np.diff(special.expit(BELOW - case["shift"]), prepend=0.0, append=1.0)
-    population = tl.studies.Ratings([R["first"], shifted], sd=case["sd"])
-    count = R["replicates"]
-    quick = tl.studies.Simulation(replicates=count, seed=3)
-    power = tl.power_analysis(population, n=case["n"], simulation=quick).table()["power"].item()
-    other = case["rejected"] / R["replicates"]
+    rng = np.random.default_rng(3)
+    n, count, rejected = case["n"], 300, 0
+    frame = pd.DataFrame({"person": np.repeat(np.arange(n), 2), "condition": ["a", "b"] * n})
+    for _ in range(count):
+        answers = case["sd"] * np.repeat(rng.standard_normal(n), 2) + rng.logistic(size=2 * n)
+        answers += np.tile([0.0, case["shift"]], n)
+        frame["rating"] = np.searchsorted(BELOW, answers)
+        model = tl.ordinal_model(frame, "rating", "condition", "person")
+        rejected += model.table()["p_chi2"].item() < 0.05
+    power, other = rejected / count, case["rejected"] / R["replicates"]
     middle = 0.5 * (power + other)
     error = np.sqrt(middle * (1.0 - middle) * (1.0 / count + 1.0 / R["replicates"]))
-    print(case, power, other)
     assert abs(power - other) <= 4.0 * error
 
 

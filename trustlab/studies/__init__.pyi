@@ -26,18 +26,16 @@ from .paired import (
     paired_t_test as paired_t_test,
 )
 from .pairs import bonferroni as bonferroni, holm as holm
-from .planning.closed_form_power import (
+from .planning.conditions import (
+    Conditions as Conditions,
+    Simulation as Simulation,
+    StudyColumns as StudyColumns,
     clopper_pearson as clopper_pearson,
+    graded_covariance as graded_covariance,
     noncentral_f_power as noncentral_f_power,
     noncentrality as noncentrality,
 )
-from .planning.covariances import Conditions as Conditions, graded_covariance as graded_covariance
-from .planning.factorial_power import Proportions as Proportions, Ratings as Ratings
 from .planning.power import PowerAnalysis as PowerAnalysis, power_analysis as power_analysis
-from .planning.settings import (
-    Simulation as Simulation,
-    StudyColumns as StudyColumns,
-)
 from .planning.smallest_n import SmallestN as SmallestN, smallest_n as smallest_n
 from .planning.virtual_study import VirtualStudy as VirtualStudy, virtual_study as virtual_study
 from .questionnaires import (

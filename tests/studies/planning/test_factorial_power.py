@@ -1,18 +1,17 @@
 """
-Power of designs with several factors, groups and shares. Oracles: the noncentral F in closed form;
-a plain loop of tl.repeated_measures and tl.mixed_model over data drawn here; theorems (no effect:
-the level).
+Power of designs with several factors and groups. Oracles: the noncentral F in closed form; a plain
+loop of tl.repeated_measures over data drawn here; theorems (no effect: the level).
 """
 
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import special, stats
+from scipy import stats
 
 import trustlab as tl
 from tests.studies.planning.settings import settled
-from trustlab.studies import Proportions, graded_covariance
+from trustlab.studies import graded_covariance
 
 mpl.use("Agg")
 CELLS = pd.MultiIndex.from_product(
@@ -137,19 +136,6 @@ def test_a_pilot_study_is_the_population():
     assert "synthetic data" in found.plot().get_title()
 
 
-def test_shares_by_a_plain_loop():
-    shares = Proportions({"C2": 0.64, "C4": 0.5}, trials=10, sd=0.8)
-    power = settled(tl.power_analysis, shares, n=14, seed=2, replicates=150).table()["power"].item()
-    rng, found = np.random.default_rng(1), 0
-    for _ in range(60):
-        eta = special.logit([0.64, 0.5]) + 0.8 * rng.standard_normal((14, 1))
-        frame = pd.DataFrame({"who": np.repeat(range(14), 20), "c": ["C2", "C4"] * 140})
-        frame["y"] = rng.binomial(1, np.tile(special.expit(eta), 10).ravel())
-        model = tl.ordinal_model(frame, "y", "c", "who")
-        found += model.table()["p_chi2"].item() < 0.05
-    assert within_simulation_error(found / 60, power, 60, 4.5)
-
-
 def test_same_seed_same_table_wherever_it_runs():
     options = TWO_WAY | {"replicates": 300}
     one = settled(tl.power_analysis, MEANS, n=[8, 12], seed=3, **options).table()
@@ -180,23 +166,3 @@ def test_faults_are_named(arguments, message):
             tl.power_analysis,
             **{"mean": MEANS, "n": 12} | TWO_WAY | {"replicates": 100} | arguments,
         )
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"sd": None}, "sd must be a number"),
-        ({"probabilities": {"C2": 1.0, "C4": 0.4}}, "probabilities"),
-        ({"probabilities": {"C2": 0.5}}, "at least two conditions"),
-        ({"trials": 2.5}, "trials must be a whole number"),
-    ],
-)
-def test_faults_of_proportions_are_named(arguments, message):
-    usual = {"probabilities": {"C2": 0.6, "C4": 0.4}, "trials": 10, "sd": 1.0}
-    with pytest.raises(ValueError, match=message):
-        Proportions(**usual | arguments)
-
-
-def test_proportions_need_no_covariance():
-    with pytest.raises(ValueError, match="covariance has no effect here"):
-        tl.power_analysis(Proportions([0.6, 0.4], 10, 1.0), np.eye(2), n=6)

@@ -14,7 +14,7 @@ from tests.studies.planning.settings import settled
 from trustlab.studies import clopper_pearson, graded_covariance, noncentral_f_power, noncentrality
 from trustlab.studies.anova import orthonormal_contrasts, sphericity
 from trustlab.studies.planning import power as simulation
-from trustlab.studies.planning.covariances import Conditions
+from trustlab.studies.planning.conditions import Conditions
 
 MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
 
@@ -369,7 +369,7 @@ def test_a_huge_effect_needs_three_subjects():
 
 
 def test_results_do_not_depend_on_where_studies_are_simulated():
-    """Workers simulate sizes ahead of the search, of which the answer must not show a trace."""
+    """In this process, or in two workers."""
     grid = {
         "n": [5, 9],
         "effect_size": [0.1, 0.3],

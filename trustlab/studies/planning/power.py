@@ -1,12 +1,12 @@
 """
-Power of a within-subject design by simulated studies, against n, effect size, correlation and
-sphericity.
+Power of within-subject, factorial and mixed designs by simulated studies, against n, effect size,
+correlation and sphericity.
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, combinations, product
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -14,28 +14,20 @@ import pandas as pd
 from numpy.random import SeedSequence
 
 from trustlab.models.checks import did_you_mean, of_class, one_of, whole_number
-from trustlab.models.display import as_html, axes_or_new
-from trustlab.studies.anova import CORRECTIONS, Design, chunks, effects
+from trustlab.models.display import Result, as_html, axes_or_new
+from trustlab.studies.anova import CORRECTIONS, chunks, effect_name, effects, regress, sphericity
 from trustlab.studies.pairs import condition_pairs
-from trustlab.studies.planning.closed_form_power import (
-    clopper_pearson,
-    noncentral_f_power,
-    noncentrality,
-)
-from trustlab.studies.planning.covariances import Conditions, conditions_from
-from trustlab.studies.planning.factorial_power import (
-    NormalCells,
-    Proportions,
-    Ratings,
-    count_effects,
-    effects_power,
-    population_of,
-)
-from trustlab.studies.planning.settings import (
+from trustlab.studies.planning.conditions import (
     USUAL_COLUMNS,
     USUAL_SIMULATION,
+    Conditions,
     Simulation,
     StudyColumns,
+    clopper_pearson,
+    conditions_from,
+    exceeds_critical,
+    noncentral_f_power,
+    noncentrality,
 )
 
 # What power is computed against, and how a figure labels it.
@@ -45,14 +37,6 @@ AXES = {
     "correlation": "correlation of conditions",
     "epsilon": "ε of the population",
 }
-
-ENDS = ("power", "ci_low", "ci_high", "replicates")
-# What the tables of F, of pairs and of claims have after `AXES`.
-COLUMNS = (
-    ("noncentrality", "test", *ENDS, "closed_form"),
-    ("a", "b", "d_z", "adjust", *ENDS, "closed_form"),
-    ("adjust", "claims", *ENDS, "expected_found"),
-)
 
 MOST_CELLS = 10_000
 MOST_N = 100_000
@@ -67,34 +51,117 @@ USUAL_TEST = "greenhouse-geisser"
 ADJUSTMENTS = {"none": "p", "bonferroni": "p_bonferroni", "holm": "p_holm"}
 
 
-@dataclass(frozen=True, eq=False)
-class PowerAnalysis:
+# --- simulated studies ----------------------------------------------------------------------------
+
+
+def count_findings(
+    population: Conditions,
+    n: int,
+    draws: SeedSequence,
+    replicates: int,
+    alpha: float,
+    claims: Any,
+    seed: SeedSequence,
+) -> dict[str, int]:
+    """
+    Draw studies from a normal population, analyse each, and count those that are significant: a
+    task of `run_campaign`.
+
+    Keys: "effect/test"; of one factor also "pair i adjustment", pairs a < b in order; and where
+    `claims` says which pairs are claimed, "claims adjustment" (F under `USUAL_TEST` and every
+    claimed pair in the claimed direction) and "claimed adjustment" (claimed pairs found, summed
+    over studies). `draws` is the seed: which one belongs to which study size is the caller's
+    choice.
+    """
+    rng = np.random.default_rng(draws)
+    groups, design = population.design(n)
+    root = np.linalg.cholesky(population.covariance).T
+    mean = np.atleast_2d(population.mean)[groups]
+    counts: Counter = Counter()
+    for part in chunks(replicates, len(groups) * len(root)):
+        scores = rng.standard_normal((len(part), *mean.shape)) @ root + mean
+        tests = effects(scores, design)
+        # An undefined p of Mauchly's test (n ≤ k − 1) counts as a rejection, as in
+        # `repeated_measures`; of two conditions all p are the same.
+        tests["p_auto"] = np.where(tests["mauchly_p"] >= alpha, tests["p"], tests["p_gg"])
+        names = ("p", "p_gg", "p_hf", "p_auto")
+        significant = (tests[[*names]] < alpha).set_axis(TESTS, axis=1)
+        for effect, row in significant.groupby("effect").sum().iterrows():
+            counts.update({f"{effect}/{test}": int(count) for test, count in row.items()})
+        if not population.several:
+            usual = significant[USUAL_TEST].to_numpy()
+            counts.update(_pairs_found(scores, population, usual, alpha, claims))
+    return dict(counts)
+
+
+def _pairs_found(
+    scores: np.ndarray, population: Conditions, usual: np.ndarray, alpha: float, claims: Any
+) -> dict[str, int]:
+    """Count significant pairs, and studies that find all claimed ones with F."""
+    counts = {}
+    pairs = condition_pairs(scores)
+    a, b = np.triu_indices(len(population.labels), 1)
+    right_way = np.sign(pairs.mean_difference) == np.sign(population.mean[a] - population.mean[b])
+    for name, attribute in ADJUSTMENTS.items():
+        hits = getattr(pairs, attribute) < alpha
+        for i, count in enumerate(hits.sum(axis=0)):
+            counts[f"pair {i} {name}"] = int(count)
+        if claims is not None:
+            right = (hits & right_way)[:, claims]
+            counts[f"claims {name}"] = int((right.all(axis=1) & usual).sum())
+            counts[f"claimed {name}"] = int(right.sum())
+    return counts
+
+
+def counted(
+    cells: Sequence[tuple[int, Conditions]], simulation: Simulation, claims: Any = None
+) -> list[dict]:
+    """Return what `count_findings` counts in each cell, n and population."""
+    from trustlab.campaign import CampaignError, run_campaign
+
+    # A key of whole numbers, not of computed moments, whose last bits differ between machines: all
+    # populations of a size share their draws, which also makes them easier to compare.
+    parameters = [
+        {
+            "population": population,
+            "n": n,
+            "draws": SeedSequence(simulation.seed, spawn_key=(n,)),
+            "replicates": simulation.replicates,
+            "alpha": simulation.alpha,
+            "claims": claims,
+        }
+        for n, population in cells
+    ]
+    done = run_campaign(count_findings, parameters, n_jobs=simulation.n_jobs)
+    if done["failed"].any():
+        raise CampaignError(
+            f"studies could not be simulated: {done.loc[done['failed'], 'error'].iloc[0]}"
+        )
+    return done.to_dict("records")
+
+
+# --- power ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PowerAnalysis(Result):
     """
     Power of the omnibus F and of every pair, by simulation.
 
     Parameters
     ----------
-    conditions : Conditions, NormalCells, Proportions or Ratings
-        The population; `NormalCells` with several factors or groups.
-    alpha : float
-        Level of every test.
-    replicates : int
-        Simulated studies per cell.
-    level : float
-        Coverage of the Monte-Carlo intervals (Clopper–Pearson).
-    seed : int
-        Of the draws.
+    conditions : Conditions
+        The population.
+    simulation : Simulation
+        Replicates, seed and levels.
     varied : tuple of str
-        Axes of the grid for which several values were given.
+        Axes of the grid for which several values were given; of several factors n and effect.
     omnibus, pairwise, together : pandas.DataFrame
         What `table()`, `pairs()` and `claims()` return.
     """
 
-    conditions: Conditions | NormalCells | Proportions | Ratings
-    alpha: float
-    replicates: int
-    level: float
-    seed: int
+    conditions: Conditions
+    simulation: Simulation
     varied: tuple[str, ...]
     omnibus: pd.DataFrame
     pairwise: pd.DataFrame
@@ -111,8 +178,7 @@ class PowerAnalysis:
             noncentrality, test ("none", "greenhouse-geisser", "huynh-feldt", "auto"), power,
             ci_low, ci_high, replicates, closed_form (noncentral F; NaN where sphericity does not
             hold or the test is corrected). With several factors or groups a row per n, effect and
-            test: n (in each group), effect, eta2_partial (of the population), test, power …; of
-            shares the test is "likelihood ratio".
+            test: n (in each group), effect, eta2_partial (of the population), test, power ….
         """
         return self.omnibus.copy()
 
@@ -125,7 +191,7 @@ class PowerAnalysis:
         pandas.DataFrame
             A row per cell, pair and adjustment: n, effect_size, correlation, epsilon, a, b, d_z,
             adjust ("none", "bonferroni", "holm"), power, ci_low, ci_high, replicates, closed_form
-            (noncentral t; NaN for Holm's).
+            (noncentral t; NaN for Holm's). No rows with several factors.
         """
         return self.pairwise.copy()
 
@@ -147,6 +213,20 @@ class PowerAnalysis:
     def origin(self) -> str:
         """Where these numbers come from, for headers and captions."""
         return self.conditions.simulated_origin
+
+    @property
+    def title(self) -> str:
+        """What was simulated."""
+        return f"Power, {self.origin}"
+
+    @property
+    def message(self) -> str:
+        """How many studies, at which level."""
+        of = self.simulation
+        return (
+            f"{of.replicates} per cell, level {of.alpha:g}, {100 * of.level:g} % Monte-Carlo "
+            "intervals"
+        )
 
     def plot(self, against: str | None = None, test: str | Sequence[str] = USUAL_TEST, axes=None):
         """
@@ -175,9 +255,6 @@ class PowerAnalysis:
         tests = [test] if isinstance(test, str) else list(test)
         for name in tests:
             one_of("test", name, TESTS)
-        tests = (
-            ["likelihood ratio"] if isinstance(self.conditions, Proportions | Ratings) else tests
-        )
         against = against or (self.varied[0] if self.varied else "n")
         one_of("against", against, AXES)
         axes = axes_or_new(axes, figsize=(6.0, 3.8))
@@ -199,31 +276,20 @@ class PowerAnalysis:
             )
             if part["closed_form"].notna().any():
                 axes.plot(x, part["closed_form"], "x", ms=8, color=drawn[0].get_color())
-        axes.axhline(self.alpha, color="0.6", lw=0.8, ls=":")
+        axes.axhline(self.simulation.alpha, color="0.6", lw=0.8, ls=":")
         axes.set(xlabel=AXES[against], ylabel="power", ylim=(-0.02, 1.02))
         axes.set_title(
-            f"{self.origin}: F, correction “{', '.join(tests)}”, level {self.alpha:g}, "
-            f"{100 * self.level:g} % Monte-Carlo intervals",
+            f"{self.origin}: F, correction “{', '.join(tests)}”, level "
+            f"{self.simulation.alpha:g}, {100 * self.simulation.level:g} % Monte-Carlo intervals",
             fontsize="small",
         )
         if others or len(tests) > 1:
             axes.legend(fontsize="small")
         return axes
 
-    def __repr__(self) -> str:
-        cells = len(self.omnibus) // len(TESTS)
-        return (
-            f"PowerAnalysis({cells} cell(s) of {self.replicates} {self.origin}, alpha "
-            f"{self.alpha:g})"
-        )
-
     def _repr_html_(self) -> str:
-        words = (
-            f"{self.replicates} per cell, level {self.alpha:g}, {100 * self.level:g} % "
-            "Monte-Carlo intervals"
-        )
         parts = [part for part in (self.omnibus, self.pairwise, self.together) if len(part)]
-        return as_html(words, *parts, title=f"Power, {self.origin}")
+        return as_html(self.message, *parts, title=self.title)
 
 
 def power_analysis(
@@ -249,10 +315,9 @@ def power_analysis(
 
     Parameters
     ----------
-    mean : array_like, shape (k,), mapping, Series, Proportions or Ratings, optional
+    mean : array_like, shape (k,), mapping or Series, optional
         Means of the conditions, named by a mapping or Series. With several factors or groups
-        (`columns`) it is a Series indexed by their levels. `Proportions` of trials and `Ratings`
-        in ordered categories stand for populations that need no covariance.
+        (`columns`) it is a Series indexed by their levels.
     covariance : array_like, shape (k, k), optional
         Their covariance; `graded_covariance` makes one with a chosen correlation and ε.
     data : pandas.DataFrame, optional
@@ -275,8 +340,8 @@ def power_analysis(
     Returns
     -------
     PowerAnalysis
-        With several factors, groups or proportions, effect_size, correlation, epsilon and claims
-        have no effect and are refused.
+        With several factors or groups effect_size, correlation, epsilon and claims have no effect
+        and are refused.
 
     Raises
     ------
@@ -294,43 +359,30 @@ def power_analysis(
     """
     of_class("columns", columns, StudyColumns)
     of_class("simulation", simulation, Simulation)
-    proportions = isinstance(mean, Proportions | Ratings)
-    if proportions or len(columns.factors) > 1 or columns.groups:
-        idle = {
-            "effect_size": effect_size,
-            "correlation": correlation,
-            "epsilon": epsilon,
-            "claims": claims,
-        }
-        if proportions:
-            idle |= {"covariance": covariance, "data": data}
-        _refuse_idle(idle)
-        several = mean if proportions else population_of(mean, covariance, data, columns)
-        return _power_of_effects(several, _listed("n", n), simulation)
+    axes = {"effect_size": effect_size, "correlation": correlation, "epsilon": epsilon}
+    if columns.several:
+        for name, value in (axes | {"claims": claims}).items():
+            if value is not None:
+                raise ValueError(f"{name} has no effect here; leave it out")
     population = conditions_from(mean, covariance, data, columns)
     mask = claims_mask(claims, population)
-    axes = zip(AXES, (n, effect_size, correlation, epsilon), strict=True)
-    grid = [_listed(name, values) for name, values in axes]
-    studies = _cells(population, grid)
-    # A key of whole numbers, not of computed moments, whose last bits differ between machines: all
-    # populations of a size share their draws, which also makes them easier to compare.
-    cells = [
-        (cell, size, SeedSequence(simulation.seed, spawn_key=(size,))) for size, cell in studies
-    ]
-    counted = run_counts(count_findings, cells, simulation, claims=mask)
-    parts = [
-        _rows(cell, size, counts, simulation, mask)
-        for (size, cell), counts in zip(studies, counted, strict=True)
-    ]
-    tables = _tables(parts, population.simulated_origin)
-    varied = tuple(name for name, values in zip(AXES, grid, strict=True) if len(values) > 1)
-    return _power(population, simulation, varied, *tables)
-
-
-def _power(population, simulation: Simulation, varied: tuple, *tables) -> PowerAnalysis:
-    """Return the result with its settings beside its tables."""
-    s = simulation
-    return PowerAnalysis(population, s.alpha, s.replicates, s.level, s.seed, varied, *tables)
+    grid = {"n": _sizes(n)} | {name: _listed(name, values) for name, values in axes.items()}
+    cells = _cells(population, grid)
+    counts = counted(cells, simulation, mask)
+    varied = tuple(name for name, values in grid.items() if len(values) > 1)
+    kinds = [_omnibus, _pairwise, _together]
+    tables = []
+    for rows_of in kinds:
+        rows = [
+            row
+            for cell, of_cell in zip(cells, counts, strict=True)
+            for row in rows_of(*cell, of_cell, mask, simulation)
+        ]
+        tables.append(with_intervals(rows, simulation))
+        tables[-1].attrs["origin"] = population.simulated_origin
+    if columns.several:
+        varied = ("n", "effect")
+    return PowerAnalysis(population, simulation, varied, *tables)
 
 
 def _listed(name: str, value: Any) -> list:
@@ -343,38 +395,9 @@ def _listed(name: str, value: Any) -> list:
     return values
 
 
-def _tables(parts: list[tuple], origin: str) -> list[pd.DataFrame]:
-    """Return the tables of F, of pairs and of claims from the rows of every cell."""
-    tables = []
-    for rows, names in zip(zip(*parts, strict=True), COLUMNS, strict=True):
-        tables.append(pd.DataFrame(list(chain.from_iterable(rows)), columns=[*AXES, *names]))
-        tables[-1].attrs["origin"] = origin
-    return tables
-
-
-def _power_of_effects(
-    population: NormalCells | Proportions | Ratings, n: list, simulation: Simulation
-) -> PowerAnalysis:
-    """Return the power of every effect with each n participants in a group."""
-    sizes = _sizes(n)
-    cells = [(population, size, SeedSequence(simulation.seed, spawn_key=(size,))) for size in sizes]
-    counted = run_counts(count_effects, cells, simulation)
-    table = effects_power(population, sizes, counted, simulation)
-    table.attrs["origin"] = population.simulated_origin
-    empty = pd.DataFrame()
-    return _power(population, simulation, ("n", "effect"), table, empty, empty)
-
-
-def _refuse_idle(arguments: dict[str, Any]) -> None:
-    """Refuse arguments that would have no effect on this kind of power."""
-    for name, value in arguments.items():
-        if value is not None:
-            raise ValueError(f"{name} has no effect here; leave it out")
-
-
-def _sizes(values: list) -> list[int]:
+def _sizes(n: Any) -> list[int]:
     """Return numbers of subjects that a design can have."""
-    sizes = [whole_number("n", size, most=MOST_N) for size in values]
+    sizes = [whole_number("n", size, most=MOST_N) for size in _listed("n", n)]
     if min(sizes) < 3:
         raise ValueError(
             f"n = {min(sizes)} is too small for the design: repeated measures need at least 3 "
@@ -383,15 +406,15 @@ def _sizes(values: list) -> list[int]:
     return sizes
 
 
-def _cells(population: Conditions, grid: list[list]) -> list[tuple[int, Conditions]]:
+def _cells(population: Conditions, grid: Mapping[str, list]) -> list[tuple[int, Conditions]]:
     """Return subjects and population of every cell of n × effect_size × correlation × epsilon."""
-    sizes = _sizes(grid[0])
-    shapes = [population.with_structure(*pair) for pair in product(*grid[2:])]
-    effects = [
+    structures = product(grid["correlation"], grid["epsilon"])
+    shapes = [population.with_structure(*pair) for pair in structures]
+    populations = [
         shape if effect is None else shape.with_effect(effect)
-        for effect, shape in product(grid[1], shapes)
+        for effect, shape in product(grid["effect_size"], shapes)
     ]
-    cells = list(product(sizes, effects))
+    cells = list(product(grid["n"], populations))
     if len(cells) > MOST_CELLS:
         raise ValueError(
             f"{len(cells)} cells are too many for one call, at most {MOST_CELLS}; split the grid"
@@ -399,113 +422,77 @@ def _cells(population: Conditions, grid: list[list]) -> list[tuple[int, Conditio
     return cells
 
 
-def _rows(cell: Conditions, n: int, counts: dict, simulation: Simulation, mask: Any) -> tuple:
-    """
-    Return the rows of the three tables for one cell, from the counts of its simulated studies.
-    """
-    k = len(cell.mean)
-    alpha = simulation.alpha
-    replicates = simulation.replicates
-    axes = (n, cell.eta2_partial, cell.correlation, cell.epsilon)
-    strength = noncentrality(cell.eta2_partial, n, k)
-    exact = noncentral_f_power(n, k, strength, alpha) if cell.epsilon > 1.0 - 1e-9 else np.nan
+def with_intervals(rows: list[dict], simulation: Simulation) -> pd.DataFrame:
+    """Return a table with power and its interval in the place of counts."""
+    table = pd.DataFrame(rows)
+    if table.empty:
+        return table
+    low, high = clopper_pearson(table["count"].to_numpy(), simulation.replicates, simulation.level)
+    place = table.columns.get_loc("count")
+    ends = {"power": table.pop("count") / simulation.replicates, "ci_low": low, "ci_high": high}
+    for offset, (name, values) in enumerate((ends | {"replicates": simulation.replicates}).items()):
+        table.insert(place + offset, name, values)
+    return table
 
-    # All limits at once: one call takes a quarter of a millisecond, however many counts it gets.
-    keys = [key for key in counts if key.startswith(("F ", "pair ", "claims "))]
-    totals = [counts[key] for key in keys]
-    ends = np.transpose(clopper_pearson(totals, replicates, simulation.level))
-    limits = dict(zip(keys, ends.tolist(), strict=True))
 
-    def power(key: str) -> tuple[float, float, float, int]:
-        return counts[key] / replicates, *limits[key], replicates
+def _axes_of(n: int, cell: Conditions) -> dict[str, float]:
+    """Return where in the grid a cell lies."""
+    return {
+        "n": n,
+        "effect_size": cell.eta2_partial,
+        "correlation": cell.correlation,
+        "epsilon": cell.epsilon,
+    }
 
-    omnibus = [
-        (*axes, strength, test, *power(f"F {test}"), exact if test == "none" else np.nan)
-        for test in TESTS
-    ]
-    pairs, together = [], []
-    levels = {"none": alpha, "bonferroni": alpha / len(cell.d_z)}  # Holm's has no closed form
+
+def _omnibus(
+    n: int, cell: Conditions, counts: dict, mask: Any, simulation: Simulation
+) -> Iterator[dict]:
+    """Yield the rows of F, by effect and test; closed forms need sphericity."""
+    groups, design = cell.design(n)
+    regression = regress(np.atleast_2d(cell.mean)[groups][None], design)
+    for block, names in design.effects:
+        contrasts, rows = design.contrasts(names), design.rows(block)
+        d, variances = contrasts.shape[1], contrasts.T @ cell.covariance @ contrasts
+        squares = float(regression.sum_of_squares(contrasts, rows)[0])
+        strength = squares * d / np.trace(variances)
+        closed = exceeds_critical(d * len(rows), d * design.df_error, strength, simulation.alpha)
+        spherical = sphericity(variances, design.df_error)["epsilon_gg"] > 1.0 - 1e-9
+        effect, eta2 = effect_name(block, names), strength / (strength + len(groups) * d)
+        where = {"n": n, "effect": effect, "eta2_partial": eta2}
+        if not cell.several:
+            where = _axes_of(n, cell) | {
+                "noncentrality": noncentrality(cell.eta2_partial, n, d + 1)
+            }
+        for test in CORRECTIONS if cell.several else TESTS:
+            form = closed if spherical and test == "none" else np.nan
+            yield {**where, "test": test, "count": counts[f"{effect}/{test}"], "closed_form": form}
+
+
+def _pairwise(
+    n: int, cell: Conditions, counts: dict, mask: Any, simulation: Simulation
+) -> Iterator[dict]:
+    """Yield the rows of the pairs, by adjustment; Holm's has no closed form."""
+    if cell.several:
+        return
+    axes, alpha = _axes_of(n, cell), simulation.alpha
+    levels = {"none": alpha, "bonferroni": alpha / len(cell.d_z)}
     for i, (pair, d_z) in enumerate(zip(combinations(cell.labels, 2), cell.d_z, strict=True)):
         for name in ADJUSTMENTS:
-            closed = (
-                noncentral_f_power(n, 2, n * d_z**2, levels[name]) if name in levels else np.nan
-            )
-            pairs.append((*axes, *pair, d_z, name, *power(f"pair {i} {name}"), closed))
-    if mask is not None:
-        for name in ADJUSTMENTS:
-            expected = counts[f"claimed {name}"] / replicates
-            together.append((*axes, name, int(mask.sum()), *power(f"claims {name}"), expected))
-    return omnibus, pairs, together
+            row = axes | {"a": pair[0], "b": pair[1], "d_z": d_z, "adjust": name}
+            strength = n * d_z**2
+            form = noncentral_f_power(n, 2, strength, levels[name]) if name in levels else np.nan
+            yield row | {"count": counts[f"pair {i} {name}"], "closed_form": form}
 
 
-def run_counts(
-    task: Callable, cells: Sequence[tuple], simulation: Simulation, **more: Any
-) -> list[dict]:
-    """
-    Return what a task counts in each cell (population, n, draws), with the same further arguments
-    for all.
-    """
-    from trustlab.campaign import CampaignError, run_campaign
-
-    fixed = {"replicates": simulation.replicates, "alpha": simulation.alpha, **more}
-    parameters = [
-        {"population": population, "n": n, "draws": draws, **fixed}
-        for population, n, draws in cells
-    ]
-    done = run_campaign(task, parameters, n_jobs=simulation.n_jobs)
-    if done["failed"].any():
-        raise CampaignError(
-            f"studies could not be simulated: {done.loc[done['failed'], 'error'].iloc[0]}"
-        )
-    return done.to_dict("records")
-
-
-def count_findings(
-    population: Conditions,
-    n: int,
-    draws: SeedSequence,
-    replicates: int,
-    alpha: float,
-    claims: Any,
-    seed: SeedSequence,
-) -> dict[str, int]:
-    """
-    Draw studies from a normal population, analyse each, and count those that are significant: a
-    task of `run_campaign`.
-
-    Keys: "F test" by `TESTS`; "pair i adjustment", pairs a < b in order; and where `claims` says
-    which pairs are claimed, "claims adjustment" (F under `USUAL_TEST` and every claimed pair in the
-    claimed direction) and "claimed adjustment" (claimed pairs found, summed over studies). `draws`
-    is the seed: which one belongs to which study size is the caller's choice.
-    """
-    rng = np.random.default_rng(draws)
-    k = len(population.mean)
-    root = np.linalg.cholesky(population.covariance).T
-    a, b = np.triu_indices(k, 1)
-    expected = np.sign(population.mean[a] - population.mean[b])
-    counts: Counter = Counter()
-    for part in chunks(replicates, n * k):
-        scores = rng.standard_normal((len(part), n, k)) @ root + population.mean
-        tests = effects(scores, Design(n, {"condition": population.labels}))
-        pairs = condition_pairs(scores)
-        # An undefined p of Mauchly's test (n ≤ k − 1) counts as a rejection, as in
-        # `repeated_measures`; of two conditions all p are the same.
-        p, mauchly_p, p_gg, p_hf = tests[["p", "mauchly_p", "p_gg", "p_hf"]].to_numpy().T
-        p_values = (p, p_gg, p_hf, np.where(mauchly_p >= alpha, p, p_gg))
-        findings = {test: p < alpha for test, p in zip(TESTS, p_values, strict=True)}
-        for test, found in findings.items():
-            counts[f"F {test}"] += int(found.sum())
-        for name, attribute in ADJUSTMENTS.items():
-            hits = getattr(pairs, attribute) < alpha
-            for i, found in enumerate(hits.sum(axis=0)):
-                counts[f"pair {i} {name}"] += int(found)
-            if claims is not None:
-                right = hits & (np.sign(pairs.mean_difference) == expected)
-                counts[f"claims {name}"] += int(
-                    (right[:, claims].all(axis=1) & findings[USUAL_TEST]).sum()
-                )
-                counts[f"claimed {name}"] += int(right[:, claims].sum())
-    return dict(counts)
+def _together(
+    n: int, cell: Conditions, counts: dict, mask: Any, simulation: Simulation
+) -> Iterator[dict]:
+    """Yield the rows of all claims together, by adjustment."""
+    for name in ADJUSTMENTS if mask is not None else ():
+        row = _axes_of(n, cell) | {"adjust": name, "claims": int(mask.sum())}
+        expected = counts[f"claimed {name}"] / simulation.replicates
+        yield row | {"count": counts[f"claims {name}"], "expected_found": expected}
 
 
 def claims_mask(claims: Sequence[tuple] | None, conditions: Conditions) -> np.ndarray | None:

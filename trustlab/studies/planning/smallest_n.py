@@ -1,6 +1,4 @@
-"""
-The smallest study of a given power: bisection on simulated power, begun at the closed form.
-"""
+"""The smallest study of a given power: bisection on simulated power, begun at the closed form."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,36 +6,30 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.random import SeedSequence
 
 from trustlab.models.checks import of_class, one_of, open_unit, whole_number
 from trustlab.models.display import Result
 from trustlab.studies.designs import participants_needed
-from trustlab.studies.planning.closed_form_power import (
-    clopper_pearson,
+from trustlab.studies.planning.conditions import (
+    USUAL_COLUMNS,
+    USUAL_SIMULATION,
+    Conditions,
+    Simulation,
+    StudyColumns,
+    conditions_from,
     noncentral_f_power,
     noncentrality,
 )
-from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.power import (
     ADJUSTMENTS,
     MOST_N,
     TESTS,
     USUAL_TEST,
     claims_mask,
-    count_findings,
-    run_counts,
-)
-from trustlab.studies.planning.settings import (
-    USUAL_COLUMNS,
-    USUAL_SIMULATION,
-    Simulation,
-    StudyColumns,
+    counted,
+    with_intervals,
 )
 from trustlab.studies.words import apa_number
-
-# How many n are simulated at the same time where there are workers for it.
-AHEAD = 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,8 +58,6 @@ class SmallestN(Result):
     evaluations : pandas.DataFrame
         Every n that was simulated: n, power, ci_low, ci_high; n − 1 is among them, unless n is the
         least possible, 3.
-    origin : str
-        Where the numbers come from, for headers and captions.
     """
 
     title = "Smallest number of participants"
@@ -83,7 +73,11 @@ class SmallestN(Result):
     population: Conditions
     simulation: Simulation
     evaluations: pd.DataFrame
-    origin: str
+
+    @property
+    def origin(self) -> str:
+        """Where the numbers come from, for headers and captions."""
+        return self.population.simulated_origin
 
     @property
     def message(self) -> str:
@@ -110,7 +104,7 @@ class SmallestN(Result):
         return (
             f"A sample of {self.n} participants ({self.whole_squares} to fill whole Latin squares) "
             f"has a power of {apa_number(self.power, below_one=True)} "
-            f"(95% CI [{apa_number(self.ci_low, below_one=True)}, "
+            f"({100 * simulation.level:g}% CI [{apa_number(self.ci_low, below_one=True)}, "
             f"{apa_number(self.ci_high, below_one=True)}]) in {simulation.replicates} simulated "
             f"studies (seed {simulation.seed}), for the test {self.test} at α = "
             f"{simulation.alpha:g}. Assumed means (SDs) are {conditions}, with a mean correlation "
@@ -155,8 +149,7 @@ def smallest_n(
     most : int
         The largest n to try.
     simulation : Simulation
-        As for `power_analysis`. With workers several n are simulated at the same time; the answer
-        is the same.
+        As for `power_analysis`. One n is simulated after the other.
 
     Returns
     -------
@@ -179,7 +172,7 @@ def smallest_n(
     """
     of_class("columns", columns, StudyColumns)
     of_class("simulation", simulation, Simulation)
-    if len(columns.factors) > 1 or columns.groups:
+    if columns.several:
         raise ValueError(
             "smallest_n takes one factor within subjects; for several factors or groups compare "
             "values of n by power_analysis"
@@ -188,49 +181,45 @@ def smallest_n(
     if effect_size is not None:
         population = population.with_effect(effect_size)
     target = open_unit("power", power)
-    alpha = simulation.alpha
-    replicates = simulation.replicates
     most = whole_number("most", most, least=3, most=MOST_N)
     index, test, key, name = _chosen_test(population, pair, test)
-    if target <= alpha:
+    if target <= simulation.alpha:
         raise ValueError(
-            f"power = {target:g} must exceed alpha = {alpha:g}, its value without any effect"
+            f"power = {target:g} must exceed alpha = {simulation.alpha:g}, its value without any "
+            "effect"
         )
-    spreads = {
-        name: _closed_form(population, index, target, alpha, test, scale)
-        for name, scale in (("half", 0.5), ("once", 1.0), ("twice", 2.0))
+    by_theory = {
+        word: _closed_form(population, index, target, simulation.alpha, test, scale)
+        for word, scale in (("half", 0.5), ("once", 1.0), ("twice", 2.0))
     }
-    expected = spreads.pop("once")
-    by_spread = {name: _bisect(enough, 3, MOST_N) for name, enough in spreads.items()}
+    by_spread = {word: _bisect(by_theory[word], 3, MOST_N) for word in ("half", "twice")}
+    findings: dict[int, int] = {}
 
-    def simulated(sizes: list[int]) -> dict[int, int]:
-        cells = [(population, n, SeedSequence(simulation.seed, spawn_key=(n,))) for n in sizes]
-        counted = run_counts(count_findings, cells, simulation, claims=None)
-        return {n: counts[key] for n, counts in zip(sizes, counted, strict=True)}
+    def enough(size: int) -> bool:
+        if size not in findings:
+            findings[size] = counted([(size, population)], simulation)[0][key]
+        return findings[size] >= target * simulation.replicates
 
-    ahead = 1 if simulation.n_jobs == 1 else AHEAD
-    n, findings = _search(simulated, expected, target * replicates, most, ahead)
+    n = _bisect(enough, _bisect(by_theory["once"], 3, most) or most, most)
     if n is None:
-        share = findings[most] / replicates
+        share = findings[most] / simulation.replicates
         raise _out_of_reach(population, index, by_spread["half"], share, target, most)
-    low, high = clopper_pearson(list(findings.values()), replicates, simulation.level)
-    shares = [count / replicates for count in findings.values()]
-    rows = pd.DataFrame({"n": list(findings), "power": shares, "ci_low": low, "ci_high": high})
-    power, low, high = rows.set_index("n").loc[n]
-    squares = participants_needed(len(population.mean), n)
+    sizes = sorted(findings)
+    rows = [{"n": size, "count": findings[size]} for size in sizes]
+    table = with_intervals(rows, simulation).drop(columns="replicates")
+    reached, low, high = table.set_index("n").loc[n]
     return SmallestN(
         n=n,
-        power=power,
+        power=reached,
         ci_low=low,
         ci_high=high,
         wanted=target,
         test=name,
-        whole_squares=squares,
+        whole_squares=participants_needed(len(population.labels), n),
         n_by_spread=by_spread,
         population=population,
         simulation=simulation,
-        evaluations=rows,
-        origin=population.simulated_origin,
+        evaluations=table,
     )
 
 
@@ -240,7 +229,7 @@ def _chosen_test(
     """Return the pair's index, correction or adjustment, key among the findings, and name."""
     if pair is None:
         test = one_of("test", USUAL_TEST if test is None else test, TESTS)
-        return None, test, f"F {test}", f"F, {test}"
+        return None, test, f"condition/{test}", f"F, {test}"
     index = int(np.flatnonzero(claims_mask([pair], population))[0])
     test = one_of("test of a pair", "holm" if test is None else test, ADJUSTMENTS)
     return index, test, f"pair {index} {test}", f"{pair[0]} – {pair[1]}, {test}"
@@ -265,43 +254,7 @@ def _out_of_reach(
     )
 
 
-def _search(
-    simulated: Callable[[list[int]], dict],
-    expected: Callable[[int], bool],
-    least: float,
-    most: int,
-    ahead: int,
-) -> tuple[int | None, dict[int, int]]:
-    """
-    Return the smallest n with `least` findings, and the findings of every n that the search asked
-    for.
-
-    The search needs one n after the other. Workers simulate up to `ahead` at the same time, along
-    the path on which the closed form leads the search; where the simulation leads elsewhere, some
-    were simulated for nothing.
-    """
-    findings: dict[int, int] = {}
-    sizes: set[int] = set()
-    missing: list[int] = []
-
-    def enough(n: int) -> bool:
-        sizes.add(n)
-        if n in findings:
-            return findings[n] >= least
-        missing.append(n)
-        return expected(n)
-
-    start = _bisect(expected, 3, most) or most
-    while True:
-        sizes.clear()
-        missing.clear()
-        n = _bisect(enough, start, most)
-        if not missing:
-            return n, {size: findings[size] for size in sorted(sizes)}
-        findings |= simulated(list(dict.fromkeys(missing))[:ahead])
-
-
-def _bisect(enough, start: int, most: int) -> int | None:
+def _bisect(enough: Callable[[int], bool], start: int, most: int) -> int | None:
     """Return an n at which `enough` begins to hold, at least 3; None where `most` is not enough."""
     low, high = 2, most + 1  # sizes that are never tried stand for the ends until they are found
     n, step = max(start, 3), 1
@@ -322,22 +275,26 @@ def _closed_form(
     target: float,
     alpha: float,
     adjust: str,
-    scale: float = 1.0,
+    scale: float,
 ) -> Callable[[int], bool]:
     """
     Return whether n subjects are enough by noncentral F with Box's ε, or by noncentral t for a
     pair; with all standard deviations times `scale`.
     """
-    k, epsilon = len(population.mean), population.epsilon
+    k = len(population.labels)
+    epsilon = population.epsilon
+    eta2 = population.eta2_partial
     if pair is not None:
-        d_z = population.d_z[pair]
+        # λ = n d_z², as of two conditions. Holm's first step is Bonferroni's; its later steps have
+        # no closed form.
+        square = population.d_z[pair] ** 2
         k = 2
         epsilon = 1.0
-        # Holm's first step is Bonferroni's; its later steps have no closed form.
+        eta2 = square / (1.0 + square)
         alpha = alpha if adjust == "none" else alpha / len(population.d_z)
 
     def expected(n: int) -> bool:
-        strength = n * d_z**2 if pair is not None else noncentrality(population.eta2_partial, n, k)
-        return noncentral_f_power(n, k, strength / scale**2, alpha, epsilon) >= target
+        strength = noncentrality(eta2, n, k) / scale**2
+        return noncentral_f_power(n, k, strength, alpha, epsilon) >= target
 
     return expected
