@@ -6,6 +6,7 @@ all ratings, a grid against Kalman's filter, and parameters that simulations wer
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import optimize, stats
 
@@ -383,8 +384,8 @@ def test_ends_are_where_the_likelihood_has_fallen(name):
             assert fall == pytest.approx(stats.chi2.ppf(0.95, 1), abs=0.2)
     table = fit.table().set_index("parameter")
     assert (table["note"] == "").all()
-    assert (table["low"] < table["estimate"]).all()
-    assert (table["estimate"] < table["high"]).all()
+    assert (table["ci_low"] < table["estimate"]).all()
+    assert (table["estimate"] < table["ci_high"]).all()
 
 
 def test_intervals_that_mean_nothing_are_withheld_with_a_reason():
@@ -393,14 +394,14 @@ def test_intervals_that_mean_nothing_are_withheld_with_a_reason():
     table = tl.fit_trust(people, "series").table().set_index("parameter")
     assert list(table.index[table["note"] != ""]) == ["fault_now", "fault_before"]
     assert table.loc["fault_now", "note"] == "the data leave it open"
-    assert table.loc["fault_now", ["low", "high"]].isna().all()
+    assert table.loc["fault_now", ["ci_low", "ci_high"]].isna().all()
     for options, reason in (
         ({"criterion": "free"}, "free runs have no likelihood"),
         ({"pooling": "none"}, "no population was fitted"),
     ):
         table = tl.fit_trust(people, "performance", **options).table()
         assert (table["note"] == reason).all()
-        assert table[["low", "high"]].isna().all(axis=None)
+        assert table[["ci_low", "ci_high"]].isna().all(axis=None)
 
 
 @pytest.mark.long
@@ -438,3 +439,46 @@ def test_partial_pooling_finds_how_people_differ():
     assert np.corrcoef(rate, truth[:, names.index("a")])[0, 1] > 0.8
     pooled = fitted(drawn, model)
     assert fit.log_likelihood > pooled.log_likelihood + 50.0
+
+
+# --- nested models --------------------------------------------------------------------------------
+
+
+def rated_late(seed):
+    """People under (3.2) who are first asked after fifteen trials."""
+    rng = np.random.default_rng(seed)
+    people, trials = 20, 60
+    success = (rng.uniform(size=(people, trials)) < 0.77).astype(float)
+    trust = np.clip(rng.normal(0.6, 0.2, people), 0.0, 1.0)
+    rows = []
+    for k in range(trials):
+        decay = np.exp(-0.005)
+        trust = decay * trust + (1.0 - decay) * 0.75 * success[:, k] + rng.normal(0, 0.03, people)
+        ratings = np.clip(trust + rng.normal(0.0, 0.03, people), 0.0, 1.0)
+        asked = ratings if (k + 1) % 15 == 0 else np.full(people, np.nan)
+        rows += [(i, k, asked[i], success[i, k]) for i in range(people)]
+    frame = pd.DataFrame(rows, columns=["id", "t", "y", "p"])
+    columns = {"person": "id", "trial": "t", "rating": "y", "p_r": "p"}
+    recipe = {"columns": columns, "low": 0, "high": 1, "resolution": 0.04, "before": False}
+    return tl.read_people(frame, recipe)
+
+
+@pytest.mark.parametrize(
+    "seed", [0, 4, *(pytest.param(k, marks=pytest.mark.long) for k in range(5, 43))]
+)
+def test_no_model_is_below_one_that_it_contains(seed):
+    panel = rated_late(seed)
+    simple = tl.fit_trust(panel, "performance").log_likelihood
+    assert tl.fit_trust(panel, "asymmetric").log_likelihood > simple - 0.02
+    if seed % 4 == 0:
+        for model in ("series", "memory_bias"):
+            assert tl.fit_trust(panel, model).log_likelihood > simple - 0.02
+
+
+def test_models_that_contain_the_performance_model_predict_as_it():
+    panel = rated_late(1)
+    simple = tl.trust.MODELS["performance"](a=0.1, gain=0.7, process_sd=0.02, rating_sd=0.05)
+    for model in tl.trust.MODELS.values():
+        if model.contains_performance:
+            same = log_likelihood(model.as_performance(simple), panel)
+            np.testing.assert_allclose(same, log_likelihood(simple, panel), rtol=1e-9)

@@ -65,6 +65,8 @@ def main(words: list[str] | None = None) -> int:
     failed = [notebook for notebook in built if notebook.failure]
     for notebook in failed:
         print(f"\n── {notebook.name} failed in {notebook.failure}", file=sys.stderr)
+    if not whole:
+        print("\nthe book is not whole: python -m sphinx docs reports says why", file=sys.stderr)
     print(f"{len(built) - len(failed)} of {len(built)} notebooks: reports/index.html")
     return 0 if whole and not failed else 1
 

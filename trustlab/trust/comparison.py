@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,7 @@ from trustlab.models.display import as_html
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.fitting import CRITERIA, Link, fitted, model_class
 from trustlab.trust.interface import LEAST, TrustDynamics
-from trustlab.trust.likelihood import predict, simulate_ratings
+from trustlab.trust.likelihood import cell, predict, simulate_ratings
 from trustlab.trust.panel import Panel
 
 # Of every person: squared errors, less is better; log score in nats a rating, more is better; log
@@ -197,11 +198,13 @@ def _scores(model: TrustDynamics, link: Link, panel: Panel, since: int) -> pd.Da
     steps = predict(model, panel)
     free = predict(model, panel, free=True, known=since)
     logs = np.log(np.fmax(steps.probability(panel), LEAST))
-    below = [
-        rating.mass(np.full(len(panel), -np.inf), panel.ratings[:, k + 1])
-        for k, rating in enumerate(steps.distributions)
-    ]
-    inside = np.abs(np.stack(below, axis=1) - 0.5) <= 0.45  # of 90 %
+    inside = np.stack(
+        [
+            _in_central_interval(rating, panel.ratings[:, k + 1], panel.resolution)
+            for k, rating in enumerate(steps.distributions)
+        ],
+        axis=1,
+    )
     missing = np.isnan(actual)
     odds = link.bias + link.slope * steps.preference
     followed = panel.events.followed
@@ -214,6 +217,18 @@ def _scores(model: TrustDynamics, link: Link, panel: Panel, since: int) -> pd.Da
     }
     table = {name: _mean(value[:, since:]) for name, value in values.items()}
     return pd.DataFrame({"person": panel.people} | table)
+
+
+def _in_central_interval(rating: Any, actual: np.ndarray, resolution: float) -> np.ndarray:
+    """
+    Return whether ratings lie in the 90 % in the middle; at an end of the scale, whether what is
+    rounded to it does.
+    """
+    low, high = cell(actual, resolution)
+    at_end = np.isinf(low) | np.isinf(high)
+    low, high = np.where(at_end, low, actual), np.where(at_end, high, actual)
+    lowest = np.full(actual.size, -np.inf)
+    return (rating.mass(lowest, low) <= 0.95) & (rating.mass(lowest, high) >= 0.05)
 
 
 def _mean(values: np.ndarray) -> np.ndarray:

@@ -22,12 +22,18 @@ from trustlab.trust.search import (
     newton_step,
     pooled_optimum,
     profile_ends,
+    total_loss,
 )
 
 # A weak prior about the pooled estimate keeps what a person's data leave open near it.
 WEAK = 3.0
 LEAST_SPREAD = 0.05
 CRITERIA = ("step", "free")
+# Points drawn about the defaults, and how many of the best a search begins at.
+DRAWN = 40
+BEST = 2
+# Optima of log-likelihoods so near each other are one.
+ALIKE = 1e-3
 
 
 class Link(NamedTuple):
@@ -119,8 +125,9 @@ class TrustFit(Result):
         Returns
         -------
         pandas.DataFrame
-            Columns parameter, estimate, low, high, note. An end that the data leave open is that of
-            the parameter's range; where both are, there is no interval, and the note says so.
+            Columns parameter, estimate, ci_low, ci_high, note. An end that the data leave open is
+            that of the parameter's range; where both are, there is no interval, and the note says
+            so: such an estimate may differ between processors, and the likelihood does not.
         """
         names = list(self.model.parameters())
         _, least, most = np.array(list(self.model.parameters().values())).reshape(-1, 3).T
@@ -138,8 +145,8 @@ class TrustFit(Result):
             {
                 "parameter": names,
                 "estimate": values[0],
-                "low": np.where(without, np.nan, np.where(np.isinf(low), least, values[1])),
-                "high": np.where(without, np.nan, np.where(np.isinf(high), most, values[2])),
+                "ci_low": np.where(without, np.nan, np.where(np.isinf(low), least, values[1])),
+                "ci_high": np.where(without, np.nan, np.where(np.isinf(high), most, values[2])),
                 "note": np.where(without, reason, ""),
             }
         )
@@ -235,7 +242,11 @@ def fitted(
         raise ValueError("the panel has no rating after an event: nothing can be fitted")
     losses = _losses(panel, chosen, free, until)
     people = np.arange(len(panel))
-    centre = pooled_optimum(losses, coordinates_of(chosen()) if start is None else start, people)
+    starts = _starts(losses, chosen, panel, free, until) if start is None else [start]
+    optima = np.array([pooled_optimum(losses, each, people) for each in starts])
+    reached = total_loss(losses, optima, people)
+    # The first that is as good as the best: last bits do not decide.
+    centre = optima[np.argmax(reached <= reached.min() + ALIKE)]
     spread = np.zeros(centre.size)
     coordinates = centre
     if pooling != "full":
@@ -252,6 +263,23 @@ def fitted(
         link=reliance_link(model, panel, until),
         ratings=ratings,
     )
+
+
+def _starts(
+    losses: Losses, chosen: type[TrustDynamics], panel: Panel, free: bool, until: int | None
+) -> list[np.ndarray]:
+    """
+    Return where searches begin: at the defaults, at the best of points drawn about them, and where
+    the model is (3.2) as fitted, if it contains (3.2).
+    """
+    first = coordinates_of(chosen())
+    drawn = first + 2.0 * np.random.default_rng(0).standard_normal((DRAWN, first.size))
+    order = np.argsort(total_loss(losses, drawn, np.arange(len(panel))), kind="stable")
+    starts = [first, *drawn[order[:BEST]]]
+    if chosen.contains_performance:
+        simple = fitted(panel, MODELS["performance"], free=free, until=until).typical
+        starts.append(coordinates_of(chosen.as_performance(simple)))
+    return starts
 
 
 def _losses(

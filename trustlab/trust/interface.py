@@ -209,6 +209,7 @@ class TrustDynamics:
     """
 
     title: ClassVar[str] = ""
+    contains_performance: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -229,6 +230,19 @@ class TrustDynamics:
         for name, (_, low, high) in self.parameters().items():
             for value in np.ravel(getattr(self, name)):
                 between(name, value, low, high)
+
+    @classmethod
+    def as_performance(cls, fitted: Any) -> "TrustDynamics":
+        """
+        Return this model with the parameters that make it (3.2); a fit begins there, too, where
+        `contains_performance` says so.
+
+        Parameters
+        ----------
+        fitted : PerformanceTrust
+            (3.2).
+        """
+        raise NotImplementedError
 
     def start(self, rating) -> Any:
         """

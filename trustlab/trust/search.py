@@ -25,7 +25,7 @@ def pooled_optimum(losses: Losses, start: np.ndarray, people: np.ndarray) -> np.
     moves = np.concatenate([np.zeros((1, start.size)), STEP * np.eye(start.size)])
 
     def loss_and_slope(x: np.ndarray):
-        totals = _total(losses, x + moves, people) / people.size
+        totals = total_loss(losses, x + moves, people) / people.size
         return totals[0], (totals[1:] - totals[0]) / STEP
 
     if not start.size:
@@ -34,7 +34,7 @@ def pooled_optimum(losses: Losses, start: np.ndarray, people: np.ndarray) -> np.
     return minimize(loss_and_slope, start, jac=True, method="L-BFGS-B", bounds=bounds).x
 
 
-def _total(losses: Losses, x: np.ndarray, people: np.ndarray) -> np.ndarray:
+def total_loss(losses: Losses, x: np.ndarray, people: np.ndarray) -> np.ndarray:
     """Return the loss of all people at each row of coordinates."""
     each = losses(np.repeat(x, people.size, axis=0), np.tile(people, len(x)))
     return each.reshape(len(x), people.size).sum(axis=1)
@@ -55,7 +55,7 @@ def profile_ends(losses: Losses, centre: np.ndarray, people: np.ndarray) -> np.n
     spread[np.arange(place.size), place] = HELD
 
     def total(x: np.ndarray, _: np.ndarray) -> np.ndarray:
-        return _total(losses, x, people)
+        return total_loss(losses, x, people)
 
     least, _, curvature = derivatives(total, centre[None], place[:1])
     covariance = np.linalg.inv(definite(curvature[0]))

@@ -39,6 +39,7 @@ class CumulativeTrust(LinearTrust):
     """
 
     title: ClassVar[str] = "memory and bias (Hu and Akash)"
+    contains_performance: ClassVar[bool] = True
     direction: ClassVar[tuple[float, ...]] = (1.0, 1.0)
     offset: ClassVar[tuple[float, ...]] = (0.0, 0.0)
     change: float = parameter(0.3, 0.0, 1.0)
@@ -46,6 +47,20 @@ class CumulativeTrust(LinearTrust):
     memory: float = parameter(0.5, 0.0, 1.0)
     forgetting: float = parameter(0.2, 0.0, 1.0)
     bias: float = parameter(0.5, 0.0, 1.0)
+
+    @classmethod
+    def as_performance(cls, fitted):
+        """
+        Return this model where it is (3.2), for events of length 1.
+
+        Parameters
+        ----------
+        fitted : PerformanceTrust
+            (3.2).
+        """
+        change = 1.0 - float(np.exp(-fitted.a))
+        noise = {"process_sd": fitted.process_sd, "rating_sd": fitted.rating_sd}
+        return cls(change=change, experience=fitted.gain, memory=0.0, bias=0.0, **noise)
 
     def transition(self, event: Event):
         """
