@@ -186,6 +186,7 @@ def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():
             "an assumption must be one of",
         ),
         (lambda found: found.checks(studies=0), "studies must be a whole number"),
+        (lambda found: found.checks(studies=10**7), "studies must be a whole number, from 1 to"),
     ],
 )
 def test_what_a_calibration_does_not_have_is_refused(call, says):

@@ -5,9 +5,9 @@ computation over assumptions.
 A table of simulated studies, each under assumptions drawn from a prior, is made as a campaign. Each
 assumption, on the probit scale of its prior's range, is regressed on all effects over all simulated
 studies; the posterior is what the regression says for the printed effects, plus its residuals
-(Beaumont, Zhang and Balding 2002, with every simulation accepted). Residuals are those of leaving
-each study out, e_i/√(1 − h_i), and carry the regression's own error at the printed effects, √(1 +
-h_0): as they are, they are too small by the coefficients that they were fitted with.
+(Beaumont, Zhang and Balding 2002, with every simulation accepted). Residuals are scaled to equal
+variance, e_i/√(1 − h_i), as they are too small by the coefficients that they were fitted with, and
+carry the regression's own error at the printed effects, √(1 + h_0).
 `Calibration.coverage` shows that intervals cover: with every simulated study in turn as the printed
 one. Where printed effects lie beyond all that simulated studies give, the regression extrapolates,
 and the posterior means nothing (Frazier, Robert and Rousseau 2020): `Calibration.reach` tells, the
@@ -285,7 +285,8 @@ class Calibration:
         Parameters
         ----------
         studies : int
-            How many studies to simulate under assumptions drawn from the posterior.
+            How many studies to simulate under assumptions drawn from the posterior; at most as
+            many as it has draws.
         seed : int
             Of these.
         n_jobs : int
@@ -301,9 +302,8 @@ class Calibration:
             Effects that no simulated study has are left out.
         """
         seed = whole_number("seed", seed, least=0)
-        drawn = self.posterior.sample(whole_number("studies", studies), random_state=seed).to_dict(
-            "records"
-        )
+        studies = whole_number("studies", studies, most=len(self.posterior))
+        drawn = self.posterior.sample(studies, random_state=seed).to_dict("records")
         runs = [{"study": self.study, "n": self.settings["n"]} | row for row in drawn]
         done = run_campaign(simulated_study, runs, seed=seed, progress=False, n_jobs=n_jobs)
         rows = []

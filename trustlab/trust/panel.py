@@ -51,7 +51,8 @@ class Panel:
 
     def event(self, k: int) -> Event:
         """
-        Return everybody's event of one trial; where a person had none, nothing that changes trust.
+        Return everybody's event of one trial; where a person had none, one of length 0 with the
+        defaults of `Event`, which still moves models that count events.
 
         Parameters
         ----------
