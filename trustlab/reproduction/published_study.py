@@ -59,6 +59,9 @@ class PublishedStudy:
     listed_only : bool
         Whether pairs that are not listed were not reported at all. Otherwise they were reported as
         not significant (p > 0.05).
+    not_spherical : bool
+        Whether the text says that sphericity was violated, without a number for it. A correction
+        alone does not: many papers always correct.
     scale : tuple of float
         Lowest and highest value the measure can take; infinite where there is no limit.
     title, where : str
@@ -90,6 +93,7 @@ class PublishedStudy:
     pairs: Mapping[str, str] = field(default_factory=dict)
     significant_without_p: tuple[str, ...] = ()
     listed_only: bool = False
+    not_spherical: bool = False
     scale: tuple[float, float] = (float("-inf"), float("inf"))
     title: str = ""
     where: str = ""
@@ -264,7 +268,8 @@ def _check_design(study: PublishedStudy) -> None:
         isinstance(study.name, str) and study.name, f"name must be a text, got {shown(study.name)}"
     )
     object.__setattr__(study, "n", whole_number("n", study.n, least=3))
-    of_class("listed_only", study.listed_only, bool, "it must be true or false")
+    for name in ("listed_only", "not_spherical"):
+        of_class(name, getattr(study, name), bool, "it must be true or false")
     k, names = study.k, ", ".join(study.conditions)
     _require(len(set(study.conditions)) == k, f"conditions must differ, got {names}")
     _require(k >= 2, f"at least two conditions are needed, got {k}")

@@ -146,6 +146,19 @@ def test_what_data_say_is_found_again(p_adjust):
     assert result.violation == 0.0
 
 
+def test_a_paper_that_always_corrects_is_read_as_such():
+    """True data, printed with Greenhouse–Geisser degrees of freedom and no test of sphericity."""
+    printed = {
+        "n": 12,
+        "mean": {"C1": "1.37", "C2": "1.01", "C3": "1.56"},
+        "sd": {"C1": "1.47", "C2": "1.91", "C3": "1.34"},
+        "anova": {"F": "0.63", "df1": "1.60", "df2": "17.64", "p": ".509"},
+    }
+    assert tl.feasibility(tl.PublishedStudy("gg", **printed)).feasible
+    violated = tl.PublishedStudy("gg", **printed, not_spherical=True)
+    assert "mauchly.violated" in tl.feasibility(violated).message
+
+
 def test_a_changed_f_is_refuted_and_the_conflict_named():
     study = STUDIES["uav.followed"]
     values = {

@@ -92,7 +92,7 @@ def differences(study, frame):
     for q, value in (("chi2", "chi2"), ("p", "mauchly_p")):
         if q in study.mauchly and not rounds_to(found[value], study.mauchly[q]):
             bad.append(f"mauchly.{q}")
-    if study.corrected and not study.mauchly and found["mauchly_p"] >= 0.05:
+    if study.not_spherical and not study.mauchly and found["mauchly_p"] >= 0.05:
         bad.append("mauchly.violated")
     if study.t_test:
         bad += [] if rounds_to(found["t"].statistic, study.t_test["t"]) else ["t_test.t"]

@@ -118,7 +118,7 @@ def _omnibus(study: PublishedStudy, reading: Reading) -> list[Constraint]:
         add("mauchly.chi2", "chi2", printed_interval(chi2), chi2)
     if p:
         add("mauchly.p", "chi2", _chi2_interval(p, n, k), p)
-    elif study.corrected and (reading.df or reading.p) and not chi2:
+    elif study.not_spherical and not chi2:
         add(
             "mauchly.violated",
             "chi2",
@@ -203,8 +203,7 @@ def constraints(
     Return a constraint per printed number that means and covariance decide.
 
     A pair without a p-value was reported as not significant, p > 0.05, unless the study's
-    `listed_only` is set; a correction without a test of sphericity implies that the test was
-    significant. The reading is that of `reading_of` unless given.
+    `listed_only` is set. The reading is that of `reading_of` unless given.
     """
     of_class("study", study, PublishedStudy, _named_study(study) if isinstance(study, str) else "")
     one_of("p_adjust", p_adjust, ADJUSTMENTS)
