@@ -227,13 +227,21 @@ def test_an_interrupt_leaves_neither_report_nor_kernel(tmp_path):
     )
     root = make(tmp_path, n01_long=["# Long", new_code_cell(cell)])
     process = subprocess.Popen(
-        [sys.executable, "-m", "trustlab.publishing"], cwd=root, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "trustlab.publishing"],
+        cwd=root,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A job in the background hands down that the signal is ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     mark = root / "notebooks" / "pid"
-    while not (mark.exists() and mark.read_text()) and process.poll() is None:
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=120)[1]
+    try:
+        while not (mark.exists() and mark.read_text()) and process.poll() is None:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=120)[1]
+    finally:
+        process.kill()
     assert process.returncode == 130
     assert "no report is half made" in said
     assert "Traceback" not in said
