@@ -15,22 +15,11 @@ from trustlab.models.checks import (
     positive,
     set_checked,
 )
-from trustlab.models.compiled import njit
+from trustlab.teleoperation.delays import first_order
 from trustlab.teleoperation.ports.device import PassivityError
 from trustlab.teleoperation.records import signals
 
 SLACK = 1e-12
-
-
-@njit
-def first_order(u, gain, keep):
-    """Return y(k) = keep y(k − 1) + gain u(k) of every column, from rest."""
-    y = np.empty_like(u)
-    for i in range(u.shape[1]):
-        now = 0.0
-        for k in range(u.shape[0]):
-            y[k, i] = now = keep * now + gain * u[k, i]
-    return y
 
 
 @dataclass(frozen=True)

@@ -16,15 +16,14 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.simulation import Loop, PartError, Simulation, View
-from trustlab.teleoperation.delays import delays_in_samples
+from trustlab.teleoperation.delays import delays_in_samples, first_order
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
     WaveFilter,
-    first_order,
     passivity_margin,
 )
-from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
-from trustlab.teleoperation.records import filled, robot_numbers, signal
+from trustlab.teleoperation.ports.waves import READ_OUTS, accounts
+from trustlab.teleoperation.records import robot_numbers, signal
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.decisions import (
     SLACK,
@@ -279,8 +278,8 @@ class TeamLoop(Loop):
         drift = 0.5 * T * _drifts(robots, decisions, self._step, faults) / root
         filters = channel.filter_at(robots["b"].mean().item())
         self._filter, filtering = _filtering(filters)
-        numbers = filled(
-            kernel.NUMBERS,
+        numbers = np.zeros(1, kernel.NUMBERS)
+        constants = dict(
             **{name: getattr(settings, name) for name in FROM_SETTINGS},
             **{name: getattr(operator, name) for name in FROM_OPERATOR},
             **filtering,
@@ -297,6 +296,8 @@ class TeamLoop(Loop):
             drifting=drift.any(),
             switching=channel.switch_scattering,
         )
+        for name, value in constants.items():
+            numbers[name] = value
         formations = [
             formation_on(graph, settings.coupling, 0.5 * T, root[:, 0]) for graph in self._graphs
         ]
@@ -304,7 +305,7 @@ class TeamLoop(Loop):
         directed = [(graph.adjacency != graph.adjacency.T).any() for graph in self._graphs]
         storing = np.where(directed, np.nan, settings.force_gain / settings.lead_gain)
         setup = kernel.TeamSetup(
-            np.array([numbers]), robots, matrices, stiffness, storing, delays, draws, drift
+            numbers, robots, matrices, stiffness, storing, delays, draws, drift
         )
         rows = -(-count // trial.samples_per_row)
         log = kernel.TeamLog(

@@ -23,7 +23,7 @@ from trustlab.models.checks import (
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, person_of
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.loop.schemes import SCHEMES
+from trustlab.teleoperation.loop.settings import SCHEMES
 from trustlab.testbeds import deciding
 from trustlab.testbeds.condition_run import ConditionRun
 from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task

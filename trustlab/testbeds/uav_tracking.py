@@ -9,6 +9,7 @@ is stepped or run, and what is drawn at random. One sample is `teleoperate` in
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,7 @@ from trustlab.models.simulation import Loop, Simulation, View, compiled_for
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
-from trustlab.teleoperation.delays import delays_in_samples, random_walk_delay
-from trustlab.teleoperation.filters import first_order
+from trustlab.teleoperation.delays import delays_in_samples, first_order, random_walk_delay
 from trustlab.teleoperation.loop.hooks import asking, is_state_space, state_space
 from trustlab.teleoperation.loop.kernel import BLOCKS, DIRECT, LAWS, SIGNALS, WAVES, teleoperate
 from trustlab.teleoperation.loop.records import (
@@ -41,20 +41,22 @@ from trustlab.teleoperation.loop.records import (
     LoopSetup,
     LoopState,
 )
-from trustlab.teleoperation.loop.schemes import RULES, Scheme, optimal_share, scheme_named
 from trustlab.teleoperation.loop.settings import (
+    RULES,
     Guidance,
     LoopSettings,
+    Scheme,
     blending_cost,
     guidance_named,
     hold_device,
     numbers_of,
+    optimal_share,
+    scheme_named,
     state_of,
     study_named,
     vehicle_matrices,
 )
-from trustlab.teleoperation.ports.ledger import accounts
-from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.ports.waves import Scattering, accounts
 from trustlab.teleoperation.records import filled
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
@@ -89,6 +91,10 @@ def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
         else TransferFunction(omega**2, (2.0 * omega, omega**2))
         for model in PRINTED_UAV.values()
     )
+
+
+# What is flown unless a task has a vehicle of its own.
+usual_vehicle = cache(tracking_vehicle)
 
 
 @dataclass(frozen=True)
@@ -369,7 +375,7 @@ class TeleoperationLoop(Loop):
         n["auto"] = task.controller(T)
         n["asks_trust"], n["asks_vehicle"] = "trust" in hooks, "vehicle" in hooks
         if not n["asks_vehicle"]:
-            axes = three_axes(task.vehicle or tracking_vehicle())
+            axes = usual_vehicle() if task.vehicle is None else three_axes(task.vehicle)
             n["phi"], n["gamma"] = vehicle_matrices(axes, T)
         if shares == "optimal":
             if n["asks_vehicle"]:
