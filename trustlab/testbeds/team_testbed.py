@@ -35,6 +35,18 @@ SPREAD = 0.3
 HAND = ("push", "reach", "drag")
 
 
+def check_rules(rules: Any, known: Mapping, made: str) -> None:
+    """Refuse conditions of a user's whose name is taken, or that nothing makes."""
+    if not isinstance(rules, Mapping):
+        raise ValueError(f"rules must map names to what makes {made}; got {shown(rules)}")
+    for name, make in rules.items():
+        if name in known or not callable(make):
+            raise ValueError(
+                f"rules: {name!r} must be a name of its own, for what makes {made}, so that no run "
+                f"begins in the state of another; got {shown(make)}"
+            )
+
+
 @dataclass(frozen=True, eq=False)
 class TeamSession:
     """
@@ -139,15 +151,7 @@ class RobotTeam:
         if isinstance(self.robots, TeamRobot):
             raise ValueError("robots must be a sequence of TeamRobot, one for each robot")
         robots: Any = TeamSettings(robots=self.robots).robots
-        rules: Any = self.rules
-        if not isinstance(rules, Mapping):
-            raise ValueError(f"rules must map names to what makes a policy, got {shown(rules)}")
-        for name, make in rules.items():
-            if name in POLICIES or not callable(make):
-                raise ValueError(
-                    f"rules: {name!r} must be a name of its own, for what makes a policy, got "
-                    f"{shown(make)}"
-                )
+        check_rules(self.rules, POLICIES, "a policy, as a class or lambda: MostTrusted(0.2)")
         graph = self.graph
         if graph is None:
             after = np.roll(np.eye(len(robots)), 1, axis=0)

@@ -17,7 +17,6 @@ from trustlab.models.checks import (
     not_negative,
     of_class,
     one_of,
-    shown,
     whole_number,
 )
 from trustlab.models.tsc import TscModel
@@ -36,7 +35,7 @@ from trustlab.testbeds.populations import (
     following_operator,
     printed_person,
 )
-from trustlab.testbeds.team_testbed import RobotTeam
+from trustlab.testbeds.team_testbed import RobotTeam, check_rules
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
 from trustlab.testbeds.uav_following import run as flight
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
@@ -171,13 +170,7 @@ class ConditionTestbed(Testbed):
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
-        for name, make in self.rules.items():
-            if name in KNOWN or not callable(make):
-                raise ValueError(
-                    f"rules: {name!r} must be a name of its own, for what makes a rule, as a class "
-                    "or lambda: ThresholdRule(0.0, 0.3), so that no run begins in the state of "
-                    f"another; got {shown(make)}"
-                )
+        check_rules(self.rules, KNOWN, "a rule, as a class or lambda: ThresholdRule(0.0, 0.3)")
         object.__setattr__(self, "conditions", (*KNOWN, *self.rules))
         if self.rest is not None:
             not_negative("rest", self.rest)

@@ -63,8 +63,6 @@ from trustlab.trust.interface import TrustDynamics
 
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
 
-WIDTH = len(COLUMNS)
-
 
 def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
     """
@@ -439,10 +437,7 @@ class TeleoperationLoop(Loop):
         """The run so far: every signal and every port's energy, labelled synthetic."""
         done = self.simulation.done  # once: another thread may step meanwhile, as in a notebook
         rows = self.simulation.log[:done].view(float).reshape(done, -1)
-        table = np.empty((done, WIDTH), order="F")
-        # rows become columns a stretch at a time, which the cache holds
-        for first in range(0, done, 512):
-            table[first : first + 512] = rows[first : first + 512, :WIDTH]
+        table = np.asfortranarray(rows[:, : len(COLUMNS)])
         t = np.round(self.settings.sample_time * np.arange(done), 9)
         data = pd.DataFrame(table, index=pd.Index(t, name="t"), columns=COLUMNS, copy=False)
         guidance = self.guidance
