@@ -13,13 +13,13 @@ from trustlab.models.checks import (
     one_of,
     positive,
     set_checked,
-    shown,
     spawned,
     whole_number,
 )
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.team.decisions import POLICIES, policy_named
 from trustlab.teleoperation.team.settings import TeamOperator, TeamRobot, TeamSettings, TeamTrial
+from trustlab.testbeds.deciding import check_rules
 from trustlab.testbeds.populations import person_stream
 from trustlab.testbeds.robot_team import simulate_team
 from trustlab.testbeds.team_run import FORCE, TeamRun
@@ -33,18 +33,6 @@ ABILITIES = (TeamRobot(), TeamRobot(speed=0.4), TeamRobot(loss=0.5), TeamRobot(d
 # By how much, as a share, operators' hands differ from those of a `TeamOperator`.
 SPREAD = 0.3
 HAND = ("push", "reach", "drag")
-
-
-def check_rules(rules: Any, known: Mapping, made: str) -> None:
-    """Refuse conditions of a user's whose name is taken, or that nothing makes."""
-    if not isinstance(rules, Mapping):
-        raise ValueError(f"rules must map names to what makes {made}; got {shown(rules)}")
-    for name, make in rules.items():
-        if name in known or not callable(make):
-            raise ValueError(
-                f"rules: {name!r} must be a name of its own, for what makes {made}, so that no run "
-                f"begins in the state of another; got {shown(make)}"
-            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.settings import SCHEMES
 from trustlab.testbeds import deciding
 from trustlab.testbeds.condition_run import ConditionRun
-from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task
+from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task, check_rules
 from trustlab.testbeds.ground_robot import conditions as ground
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
@@ -35,7 +35,7 @@ from trustlab.testbeds.populations import (
     following_operator,
     printed_person,
 )
-from trustlab.testbeds.team_testbed import RobotTeam, check_rules
+from trustlab.testbeds.team_testbed import RobotTeam
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
 from trustlab.testbeds.uav_following import run as flight
 from trustlab.testbeds.uav_tracking import simulate_teleoperation

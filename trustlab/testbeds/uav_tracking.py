@@ -437,7 +437,10 @@ class TeleoperationLoop(Loop):
         """The run so far: every signal and every port's energy, labelled synthetic."""
         done = self.simulation.done  # once: another thread may step meanwhile, as in a notebook
         rows = self.simulation.log[:done].view(float).reshape(done, -1)
-        table = np.asfortranarray(rows[:, : len(COLUMNS)])
+        table = np.empty((done, len(COLUMNS)), order="F")
+        # rows become columns a stretch at a time, which the cache holds
+        for first in range(0, done, 512):
+            table[first : first + 512] = rows[first : first + 512, : len(COLUMNS)]
         t = np.round(self.settings.sample_time * np.arange(done), 9)
         data = pd.DataFrame(table, index=pd.Index(t, name="t"), columns=COLUMNS, copy=False)
         guidance = self.guidance
