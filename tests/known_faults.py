@@ -416,12 +416,6 @@ KNOWN = {
     "teleoperation.team_graph": {
         "require_connected": "foreign errors, anything is taken, no difference",
     },
-    "testbeds.GroundRobot": {
-        "rules": "foreign errors",
-    },
-    "testbeds.UavFollowing": {
-        "rules": "foreign errors",
-    },
     "testbeds.following_operator": {
         "participant": "foreign errors",
     },

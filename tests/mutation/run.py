@@ -42,10 +42,10 @@ MODULES = {
     "allocation/bounds": "allocation/test_bounds_as_printed.py",
     "allocation/steady": "allocation/test_limit_cycle.py",
     "allocation/thresholds": "allocation/test_thresholds.py allocation/test_posterior_choice.py",
-    "teleoperation/ports/device": "teleoperation/test_haptic_device.py",
-    "teleoperation/ports/ledger": "teleoperation/test_ledger.py teleoperation/test_channel.py",
-    "teleoperation/ports/passivity": "teleoperation/test_passivity.py",
-    "teleoperation/ports/waves": "teleoperation/test_channel.py teleoperation/test_transparency.py",
+    "teleoperation/ports/device": "teleoperation/test_haptic_device.py "
+    "teleoperation/test_passivity.py",
+    "teleoperation/ports/waves": "teleoperation/test_ledger.py teleoperation/test_channel.py "
+    "teleoperation/test_transparency.py",
     "sessions/metrics": "sessions/test_metrics.py",
     "studies/anova": "studies/test_anova.py studies/test_factorial.py",
 }

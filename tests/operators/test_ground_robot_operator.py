@@ -85,17 +85,17 @@ def test_skill_follows_utilization(operators):
 
 
 def test_better_performance_is_faster_steadier_and_busier():
-    levels = [driving_style(p, 0.24, 0.326) for p in (0.37, 0.42, 0.46)]
+    levels = [driving_style.py_func(p, 0.24, 0.326) for p in (0.37, 0.42, 0.46)]
     assert [s[0] for s in levels] == sorted(s[0] for s in levels)
     assert [s[1] for s in levels] == sorted((s[1] for s in levels), reverse=True)
     assert [s[2] for s in levels] == sorted(s[2] for s in levels)
 
 
 def test_joystick_steers_towards_what_it_looks_at():
-    v, w = joystick(0.5, 0.4, 1.2, 0.3)
+    v, w = joystick.py_func(0.5, 0.4, 1.2, 0.3)
     assert (v, w) == (pytest.approx(0.4 * 0.85), pytest.approx(0.6))
-    assert joystick(-0.5, 0.4, 1.2, 0.3) == (pytest.approx(v), pytest.approx(-w))
-    assert joystick(3.0, 0.4, 1.2, 1.0)[0] == pytest.approx(0.08)
+    assert joystick.py_func(-0.5, 0.4, 1.2, 0.3) == (pytest.approx(v), pytest.approx(-w))
+    assert joystick.py_func(3.0, 0.4, 1.2, 1.0)[0] == pytest.approx(0.08)
 
 
 def test_a_delayed_hand_weaves(operators):

@@ -16,8 +16,7 @@ from trustlab.teleoperation.delays import (
     packet_delay,
     random_walk_delay,
 )
-from trustlab.teleoperation.ports.ledger import EnergyLedger
-from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.ports.waves import EnergyLedger, Scattering
 
 T, N = 0.01, 1500
 INTERPOLATION = 0.011

@@ -11,17 +11,17 @@ from scipy.interpolate import interp1d
 
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import Delay
-from trustlab.teleoperation.ports.ledger import (
+from trustlab.teleoperation.ports.waves import (
     HOLD,
     INTERPOLATED,
     LEDGER,
     WINDOW,
     EnergyLedger,
+    Scattering,
     accounts,
     read_wave,
     read_waves,
 )
-from trustlab.teleoperation.ports.waves import Scattering
 
 T, N = 0.01, 4000
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.optimize import minimize_scalar
 
-from trustlab.teleoperation.ports.passivity import (
+from trustlab.teleoperation.ports.device import (
     CANCEL,
     OFF,
     REPAY,

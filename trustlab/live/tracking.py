@@ -19,8 +19,13 @@ from trustlab.models.extras import extra
 from trustlab.models.simulation import DivergenceError, PartError
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.loop.schemes import Scheme, scheme_named
-from trustlab.teleoperation.loop.settings import Guidance, LoopSettings, study_named
+from trustlab.teleoperation.loop.settings import (
+    Guidance,
+    LoopSettings,
+    Scheme,
+    scheme_named,
+    study_named,
+)
 from trustlab.testbeds.uav_tracking import TASKS, TeleoperationLoop, TrackingTask
 
 with extra("live"):

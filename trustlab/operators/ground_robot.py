@@ -20,7 +20,7 @@ from trustlab.models.checks import (
     shown,
     whole_number,
 )
-from trustlab.models.compiled import njit
+from trustlab.models.compiled import inner
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
 # Largest values of an operator's numbers, far beyond what people do. Times are in s.
@@ -61,7 +61,7 @@ RANGES = {name: (0.0, most) for name, most in MOST.items()} | ASSUMPTIONS
 MOST_SESSIONS = 10
 
 
-@njit
+@inner
 def driving_style(performance, robot_floor, robot_gain):
     """
     Return cruising speed [m/s], wander [m] and steering activity [rad/s] for a given performance
@@ -79,7 +79,7 @@ def driving_style(performance, robot_floor, robot_gain):
     return max(speed, 0.05), max(wander, 0.05), min(activity, 1.0)
 
 
-@njit
+@inner
 def joystick(bearing, speed, gain, easing):
     """
     Return the commands v, w of a hand that steers towards what it looks at, slower the farther that

@@ -7,7 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import between, check_participant, not_negative, one_of, positive
+from trustlab.models.checks import (
+    between,
+    check_participant,
+    not_negative,
+    one_of,
+    positive,
+    set_checked,
+)
 from trustlab.teleoperation.loop.kernel import LAWS
 from trustlab.teleoperation.loop.records import HAND
 from trustlab.teleoperation.records import filled
@@ -26,6 +33,7 @@ RANGES = {
 }
 
 
+POSITIVE = ["reach", "lag", "noise_time", "patience", "compensation", "crossover", "adaptation"]
 MOST = {
     "reaction": 2.0,
     "lag": 5.0,
@@ -156,19 +164,8 @@ class Teleoperator:
         if not callable(self.law):
             one_of("law", self.law, LAWS, also="a function of the state")
         for item in fields(self)[1:]:
-            if item.name == "law":
-                continue
-            above_zero = (
-                "reach",
-                "lag",
-                "noise_time",
-                "patience",
-                "compensation",
-                "crossover",
-                "adaptation",
-            )
-            check = positive if item.name in above_zero else not_negative
-            object.__setattr__(self, item.name, check(item.name, getattr(self, item.name)))
+            if item.name != "law":
+                set_checked(self, positive if item.name in POSITIVE else not_negative, item.name)
         for name, most in MOST.items():
             between(name, getattr(self, name), 0.0, most)
 

@@ -18,17 +18,20 @@ from .filters import (
     sinusoid_energy as sinusoid_energy,
 )
 from .loop.hooks import DivergenceError as DivergenceError, PartError as PartError
-from .loop.schemes import SCHEMES as SCHEMES, Scheme as Scheme
 from .loop.settings import (
+    SCHEMES as SCHEMES,
     STUDIES as STUDIES,
     Guidance as Guidance,
     LoopSettings as LoopSettings,
+    Scheme as Scheme,
 )
 from .ports.budget import GuidanceBudget as GuidanceBudget
-from .ports.device import HapticDevice as HapticDevice, PassivityError as PassivityError
-from .ports.ledger import EnergyLedger as EnergyLedger
-from .ports.passivity import PassivityController as PassivityController
-from .ports.waves import Scattering as Scattering
+from .ports.device import (
+    HapticDevice as HapticDevice,
+    PassivityController as PassivityController,
+    PassivityError as PassivityError,
+)
+from .ports.waves import EnergyLedger as EnergyLedger, Scattering as Scattering
 from .stability import Passivity as Passivity, passivity as passivity
 from .team.decisions import (
     GivenSequence as GivenSequence,

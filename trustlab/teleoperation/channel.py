@@ -13,8 +13,7 @@ from trustlab.models.checks import finite_numbers, of_class, one_of, positive
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.ports import waves
-from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts, read_waves
-from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.ports.waves import READ_OUTS, Scattering, accounts, read_waves
 from trustlab.teleoperation.records import record, robot_numbers, signals
 
 # One end of the channel: see `OperatorEnd` and `RobotEnd`.

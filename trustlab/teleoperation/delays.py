@@ -1,4 +1,7 @@
-"""Communication delays: numbers, functions of time, random walks, and traces of packets."""
+"""
+Communication delays: numbers, functions of time, random walks, and traces of packets; and the
+recurrence of coloured noise.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -6,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trustlab.models.checks import finite_array, in_order, not_negative, positive, whole_seed
+from trustlab.models.compiled import njit
 from trustlab.teleoperation.ports.waves import delay_rate
 
 SLACK = 1e-9
@@ -232,3 +236,14 @@ def delays_in_samples(
         raise ValueError(f"{' and '.join(pair)} must both be {least} one sample, {sample_time:g} s")
     whole = np.round(delays)
     return np.where(np.abs(delays - whole) < 1e-6, whole, delays)
+
+
+@njit
+def first_order(u, gain, keep):
+    """Return y(k) = keep y(k − 1) + gain u(k) of every column, from rest."""
+    y = np.empty_like(u)
+    for i in range(u.shape[1]):
+        now = 0.0
+        for k in range(u.shape[0]):
+            y[k, i] = now = keep * now + gain * u[k, i]
+    return y

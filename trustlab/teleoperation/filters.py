@@ -15,22 +15,11 @@ from trustlab.models.checks import (
     positive,
     set_checked,
 )
-from trustlab.models.compiled import njit
+from trustlab.teleoperation.delays import first_order
 from trustlab.teleoperation.ports.device import PassivityError
 from trustlab.teleoperation.records import signals
 
 SLACK = 1e-12
-
-
-@njit
-def first_order(u, gain, keep):
-    """Return y(k) = keep y(k − 1) + gain u(k) of every column, from rest."""
-    y = np.empty_like(u)
-    for i in range(u.shape[1]):
-        now = 0.0
-        for k in range(u.shape[0]):
-            y[k, i] = now = keep * now + gain * u[k, i]
-    return y
 
 
 @dataclass(frozen=True)
@@ -178,12 +167,17 @@ class TwoPortFilter:
     def __post_init__(self):
         set_checked(self, positive, "cutoff")
         set_checked(self, not_negative, "k12", "k21")
-        product = self.k12 * self.k21
-        if self.require_passive and product < 0.25 * (1.0 - SLACK):
+        if self.require_passive and not self.is_passive:
+            product = self.k12 * self.k21
             raise PassivityError(
                 f"the two-port filter is not passive: k_12 k_21 = {product:.4g}, and max (Im H)² = "
                 "0.25; raise k12 or k21, or pass require_passive=False to see it fail"
             )
+
+    @property
+    def is_passive(self) -> bool:
+        """Whether k_12 k_21 ≥ max (Im H)², which is 1/4 for every cutoff."""
+        return self.k12 * self.k21 >= 0.25 * (1.0 - SLACK)
 
     def run(self, u_1: np.ndarray, u_2: np.ndarray, sample_time: float) -> FilterRun:
         """

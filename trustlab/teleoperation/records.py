@@ -3,7 +3,6 @@
 import numpy as np
 
 from trustlab.models.checks import finite_array
-from trustlab.models.compiled import njit
 
 
 def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = "") -> np.dtype:
@@ -13,12 +12,6 @@ def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = 
     """
     kinds = (vectors, (float, 3)), (numbers, float), (counts, np.int64), (flags, np.bool_)
     return np.dtype([(name, kind) for names, kind in kinds for name in names.split()])
-
-
-@njit(error_model="numpy", forceinline=True, _nrt=False)
-def dot(a, b):
-    """Return aᵀb of two vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def filled(kind: np.dtype, **values) -> np.void:

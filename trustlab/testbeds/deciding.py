@@ -4,7 +4,7 @@ suggestions, for all testbeds.
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
 from trustlab.allocation.rules import decision, performance_suggestion
-from trustlab.models.checks import between, one_of, warn, whole_seed
+from trustlab.models.checks import between, one_of, shown, warn, whole_seed
 from trustlab.models.compiled import inner
 from trustlab.models.tsc import TscModel, performance_at, threshold_mode
 from trustlab.operators.ground_robot import Operator
@@ -174,6 +174,18 @@ def obeying(rule: Any) -> Callable:
                 inputs["mode"] = mode
 
     return decide
+
+
+def check_rules(rules: Any, known: Mapping, made: str) -> None:
+    """Refuse conditions of a user's whose name is taken, or that nothing makes."""
+    if not isinstance(rules, Mapping):
+        raise ValueError(f"rules must map names to what makes {made}; got {shown(rules)}")
+    for name, make in rules.items():
+        if name in known or not callable(make):
+            raise ValueError(
+                f"rules: {name!r} must be a name of its own, for what makes {made}, so that no run "
+                f"begins in the state of another; got {shown(make)}"
+            )
 
 
 def warn_if_too_short(longest: float) -> None:

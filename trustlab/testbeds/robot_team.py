@@ -16,15 +16,13 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.simulation import Loop, PartError, Simulation, View
-from trustlab.teleoperation.delays import delays_in_samples
+from trustlab.teleoperation.delays import delays_in_samples, first_order
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
     WaveFilter,
-    first_order,
-    passivity_margin,
 )
-from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
-from trustlab.teleoperation.records import filled, robot_numbers, signal
+from trustlab.teleoperation.ports.waves import READ_OUTS, accounts
+from trustlab.teleoperation.records import robot_numbers, signal
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.decisions import (
     SLACK,
@@ -279,8 +277,8 @@ class TeamLoop(Loop):
         drift = 0.5 * T * _drifts(robots, decisions, self._step, faults) / root
         filters = channel.filter_at(robots["b"].mean().item())
         self._filter, filtering = _filtering(filters)
-        numbers = filled(
-            kernel.NUMBERS,
+        numbers = np.zeros(1, kernel.NUMBERS)
+        constants = dict(
             **{name: getattr(settings, name) for name in FROM_SETTINGS},
             **{name: getattr(operator, name) for name in FROM_OPERATOR},
             **filtering,
@@ -297,6 +295,8 @@ class TeamLoop(Loop):
             drifting=drift.any(),
             switching=channel.switch_scattering,
         )
+        for name, value in constants.items():
+            numbers[name] = value
         formations = [
             formation_on(graph, settings.coupling, 0.5 * T, root[:, 0]) for graph in self._graphs
         ]
@@ -304,7 +304,7 @@ class TeamLoop(Loop):
         directed = [(graph.adjacency != graph.adjacency.T).any() for graph in self._graphs]
         storing = np.where(directed, np.nan, settings.force_gain / settings.lead_gain)
         setup = kernel.TeamSetup(
-            np.array([numbers]), robots, matrices, stiffness, storing, delays, draws, drift
+            numbers, robots, matrices, stiffness, storing, delays, draws, drift
         )
         rows = -(-count // trial.samples_per_row)
         log = kernel.TeamLog(
@@ -523,8 +523,7 @@ def _filtering(filters: TwoPortFilter | WaveFilter | None) -> tuple[str, dict]:
     if isinstance(filters, WaveFilter):
         return f"waves, {cutoff:g} rad/s", {"filtering": kernel.WAVES, "cutoff": cutoff}
     gains = {"k12": filters.k12, "k21": filters.k21}
-    margin = passivity_margin([cutoff], [1.0, cutoff], **gains)
-    kind = "two-port" if margin.is_passive else "two-port that is not passive"
+    kind = "two-port" if filters.is_passive else "two-port that is not passive"
     return f"{kind}, {cutoff:g} rad/s", {"filtering": kernel.TWO_PORT, "cutoff": cutoff, **gains}
 
 

@@ -13,13 +13,13 @@ from trustlab.models.checks import (
     one_of,
     positive,
     set_checked,
-    shown,
     spawned,
     whole_number,
 )
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.team.decisions import POLICIES, policy_named
 from trustlab.teleoperation.team.settings import TeamOperator, TeamRobot, TeamSettings, TeamTrial
+from trustlab.testbeds.deciding import check_rules
 from trustlab.testbeds.populations import person_stream
 from trustlab.testbeds.robot_team import simulate_team
 from trustlab.testbeds.team_run import FORCE, TeamRun
@@ -139,15 +139,7 @@ class RobotTeam:
         if isinstance(self.robots, TeamRobot):
             raise ValueError("robots must be a sequence of TeamRobot, one for each robot")
         robots: Any = TeamSettings(robots=self.robots).robots
-        rules: Any = self.rules
-        if not isinstance(rules, Mapping):
-            raise ValueError(f"rules must map names to what makes a policy, got {shown(rules)}")
-        for name, make in rules.items():
-            if name in POLICIES or not callable(make):
-                raise ValueError(
-                    f"rules: {name!r} must be a name of its own, for what makes a policy, got "
-                    f"{shown(make)}"
-                )
+        check_rules(self.rules, POLICIES, "a policy, as a class or lambda: MostTrusted(0.2)")
         graph = self.graph
         if graph is None:
             after = np.roll(np.eye(len(robots)), 1, axis=0)

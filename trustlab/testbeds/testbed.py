@@ -17,16 +17,15 @@ from trustlab.models.checks import (
     not_negative,
     of_class,
     one_of,
-    shown,
     whole_number,
 )
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, person_of
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.loop.schemes import SCHEMES
+from trustlab.teleoperation.loop.settings import SCHEMES
 from trustlab.testbeds import deciding
 from trustlab.testbeds.condition_run import ConditionRun
-from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task
+from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task, check_rules
 from trustlab.testbeds.ground_robot import conditions as ground
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
@@ -171,13 +170,7 @@ class ConditionTestbed(Testbed):
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
-        for name, make in self.rules.items():
-            if name in KNOWN or not callable(make):
-                raise ValueError(
-                    f"rules: {name!r} must be a name of its own, for what makes a rule, as a class "
-                    "or lambda: ThresholdRule(0.0, 0.3), so that no run begins in the state of "
-                    f"another; got {shown(make)}"
-                )
+        check_rules(self.rules, KNOWN, "a rule, as a class or lambda: ThresholdRule(0.0, 0.3)")
         object.__setattr__(self, "conditions", (*KNOWN, *self.rules))
         if self.rest is not None:
             not_negative("rest", self.rest)

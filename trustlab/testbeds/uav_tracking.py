@@ -9,6 +9,7 @@ is stepped or run, and what is drawn at random. One sample is `teleoperate` in
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,7 @@ from trustlab.models.simulation import Loop, Simulation, View, compiled_for
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
-from trustlab.teleoperation.delays import delays_in_samples, random_walk_delay
-from trustlab.teleoperation.filters import first_order
+from trustlab.teleoperation.delays import delays_in_samples, first_order, random_walk_delay
 from trustlab.teleoperation.loop.hooks import asking, is_state_space, state_space
 from trustlab.teleoperation.loop.kernel import BLOCKS, DIRECT, LAWS, SIGNALS, WAVES, teleoperate
 from trustlab.teleoperation.loop.records import (
@@ -41,27 +41,27 @@ from trustlab.teleoperation.loop.records import (
     LoopSetup,
     LoopState,
 )
-from trustlab.teleoperation.loop.schemes import RULES, Scheme, optimal_share, scheme_named
 from trustlab.teleoperation.loop.settings import (
+    RULES,
     Guidance,
     LoopSettings,
+    Scheme,
     blending_cost,
     guidance_named,
     hold_device,
     numbers_of,
+    optimal_share,
+    scheme_named,
     state_of,
     study_named,
     vehicle_matrices,
 )
-from trustlab.teleoperation.ports.ledger import accounts
-from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.ports.waves import Scattering, accounts
 from trustlab.teleoperation.records import filled
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
-
-WIDTH = len(COLUMNS)
 
 
 def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
@@ -89,6 +89,10 @@ def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
         else TransferFunction(omega**2, (2.0 * omega, omega**2))
         for model in PRINTED_UAV.values()
     )
+
+
+# What is flown unless a task has a vehicle of its own.
+usual_vehicle = cache(tracking_vehicle)
 
 
 @dataclass(frozen=True)
@@ -369,7 +373,7 @@ class TeleoperationLoop(Loop):
         n["auto"] = task.controller(T)
         n["asks_trust"], n["asks_vehicle"] = "trust" in hooks, "vehicle" in hooks
         if not n["asks_vehicle"]:
-            axes = three_axes(task.vehicle or tracking_vehicle())
+            axes = usual_vehicle() if task.vehicle is None else three_axes(task.vehicle)
             n["phi"], n["gamma"] = vehicle_matrices(axes, T)
         if shares == "optimal":
             if n["asks_vehicle"]:
@@ -433,10 +437,10 @@ class TeleoperationLoop(Loop):
         """The run so far: every signal and every port's energy, labelled synthetic."""
         done = self.simulation.done  # once: another thread may step meanwhile, as in a notebook
         rows = self.simulation.log[:done].view(float).reshape(done, -1)
-        table = np.empty((done, WIDTH), order="F")
+        table = np.empty((done, len(COLUMNS)), order="F")
         # rows become columns a stretch at a time, which the cache holds
         for first in range(0, done, 512):
-            table[first : first + 512] = rows[first : first + 512, :WIDTH]
+            table[first : first + 512] = rows[first : first + 512, : len(COLUMNS)]
         t = np.round(self.settings.sample_time * np.arange(done), 9)
         data = pd.DataFrame(table, index=pd.Index(t, name="t"), columns=COLUMNS, copy=False)
         guidance = self.guidance

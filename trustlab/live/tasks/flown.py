@@ -18,8 +18,8 @@ from trustlab.teleoperation.loop.records import (
     LoopSetup,
     LoopState,
 )
-from trustlab.teleoperation.loop.schemes import optimal_share
-from trustlab.teleoperation.ports.ledger import ACCOUNT
+from trustlab.teleoperation.loop.settings import optimal_share
+from trustlab.teleoperation.ports.waves import ACCOUNT
 from trustlab.teleoperation.records import record
 
 HAND = record(numbers="reach_x reach_y alpha_min alpha_max", counts="samples", flags="optimal")

@@ -11,7 +11,7 @@ from numba import carray
 from trustlab.live.tasks.browser import entry, pointer
 from trustlab.models.compiled import njit
 from trustlab.models.trust import trust_step
-from trustlab.teleoperation.ports.ledger import ACCOUNT
+from trustlab.teleoperation.ports.waves import ACCOUNT
 from trustlab.teleoperation.records import record
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.decisions import most_trusted, rate_move, with_packets

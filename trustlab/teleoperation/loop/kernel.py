@@ -18,9 +18,8 @@ import numpy as np
 from trustlab.models.compiled import inner, njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
-from trustlab.teleoperation.ports.ledger import LEDGER, read_waves
-from trustlab.teleoperation.ports.passivity import activation, demanded
-from trustlab.teleoperation.records import dot
+from trustlab.teleoperation.ports.device import activation, demanded
+from trustlab.teleoperation.ports.waves import LEDGER, dot, read_waves
 
 BLOCKS = ("the haptic device", "the channel", "the robot")
 DEVICE, CHANNEL, ROBOT = range(3)

@@ -1,4 +1,7 @@
-"""The scattering transformation with variable power scaling, (3.12)-(3.14) and (3.22)."""
+"""
+The scattering transformation with variable power scaling, (3.12)-(3.14) and (3.22), and how its
+waves are read when they arrive late.
+"""
 
 import math
 from dataclasses import dataclass
@@ -6,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_number, positive, set_checked
+from trustlab.models.checks import finite_array, finite_number, positive, set_checked, whole_number
 from trustlab.models.compiled import njit
 
 
@@ -32,6 +35,12 @@ class RobotEnd(NamedTuple):
     arriving: float
     sent: float
     reflected: float
+
+
+@njit(error_model="numpy", forceinline=True, _nrt=False)
+def dot(a, b):
+    """Return aᵀb of two vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 # These six functions are the only place where the wave equations stand. Kernels call them compiled;
@@ -221,3 +230,184 @@ class Scattering:
                     f"{name} must lie in [{low}, {high}] ({name}_min, {name}_max), but sample {k} "
                     f"is {values.flat[k]}"
                 )
+
+
+# --- waves that arrive late ---------------------------------------------------------------------
+
+HOLD = 0
+INTERPOLATED = 1
+LEDGER = 2
+READ_OUTS = {"hold": HOLD, "interpolated": INTERPOLATED, "ledger": LEDGER}
+
+# The ledger of one direction: first sample not yet booked, energy in hand [J], latest sample that
+# was read.
+ACCOUNT = np.dtype([("unbooked", np.int64), ("balance", float), ("latest", float)])
+
+# How many of the newest packets an `EnergyLedger` remembers: 65 s at 1 kHz.
+WINDOW = 65_536
+
+
+def accounts() -> np.ndarray:
+    """Return two empty accounts, to the robot and back."""
+    pair = np.zeros(2, ACCOUNT)
+    pair["latest"] = -1.0
+    return pair
+
+
+@njit(error_model="numpy", forceinline=True)
+def amplitude(energy, balance, pace):
+    """
+    Return the amplitude in [0, 1] at which the newest wave, of this energy per sample, is read.
+
+    `pace` is the share of a sample by which the reading moves on, 1 − dT/dt: while a delay grows,
+    waves are read at √pace, which spends their energy as evenly as it arrives. What the balance
+    holds beyond one more packet is left from samples that jitter or loss made the reading skip; it
+    is spent at once. Without this the energy would stay in the ledger for ever, and a steady wave
+    would arrive too small.
+    """
+    if energy <= 0.0:
+        return 1.0
+    share = min(max(pace, (balance - energy) / energy), 1.0)
+    return np.sqrt(min(share, balance / energy))
+
+
+# no reference counts (_nrt): they are atomic, and would take a third of the teleoperation loop's
+# time
+@njit(error_model="numpy", forceinline=True, _nrt=False)
+def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out):
+    """
+    Read the wave that arrives in sample k, sent `delay` samples before, into `out`.
+
+    sent, shape (N, n): waves by the sample they were sent in. arrives, shape (N,): whether they
+    arrive at all. account: a record of ACCOUNT, used by the "ledger" read-out alone. What was lost,
+    or not yet sent, is read as zero.
+    """
+    n = sent.shape[1]
+    where = k - delay
+    first = int(np.floor(where))
+    part = where - first
+    if read_out != LEDGER:
+        share = 1.0 if read_out == HOLD else 1.0 - part
+        for i in range(n):
+            out[i] = 0.0
+            if first >= 0 and arrives[first]:
+                out[i] = share * sent[first, i]
+            if share < 1.0 and first >= -1 and arrives[first + 1]:
+                out[i] += part * sent[first + 1, i]
+            out[i] *= gain
+        return
+    while account.unbooked <= first:  # each packet is booked once, when it has arrived
+        if arrives[account.unbooked]:
+            for i in range(n):
+                account.balance += sample_time * sent[account.unbooked, i] ** 2
+        account.unbooked += 1
+    pace = max(where - account.latest, 0.0)
+    account.latest = max(account.latest, where)
+    newest = first
+    while newest >= 0 and not arrives[newest]:
+        newest -= 1
+    energy = spent = 0.0
+    for i in range(n):
+        out[i] = sent[newest, i] if newest >= 0 else 0.0
+        energy += sample_time * out[i] ** 2
+    share = amplitude(energy, account.balance, pace)
+    for i in range(n):
+        out[i] *= share
+        spent += sample_time * out[i] ** 2
+    account.balance = max(account.balance - spent, 0.0)  # rounding may leave −1e-17 J
+
+
+@njit(error_model="numpy", forceinline=True, _nrt=False)
+def read_waves(u_l, u_r, arrives, k, delays, gain, read_out, sample_time, accounts, v_l, v_r):
+    """Read the waves that arrive at both ends in sample k, (3.16), into `v_l` and `v_r`."""
+    read_wave(u_l, arrives[0], k, delays[0, k], gain, read_out, sample_time, accounts[0], v_r)
+    read_wave(u_r, arrives[1], k, delays[1, k], gain, read_out, sample_time, accounts[1], v_l)
+
+
+class EnergyLedger:
+    """
+    Read packets of waves so that never more energy leaves than came in, whatever their jitter, loss
+    and order.
+
+    Every packet is booked once, with the energy it carries, when it arrives. A read returns the
+    newest wave, scaled down where the balance does not hold its energy. A packet that arrives more
+    than 65,536 numbers after a newer one is refused: it could not be told from a duplicate.
+
+    Parameters
+    ----------
+    sample_time : float
+        T [s]: a packet carries T‖u‖² [J].
+
+    Raises
+    ------
+    ValueError
+        If the sample time is not positive.
+
+    Examples
+    --------
+    >>> ledger = EnergyLedger(sample_time=0.01)
+    >>> ledger.receive(0, [2.0])
+    True
+    >>> ledger.read().tolist(), ledger.read().tolist()
+    ([2.0], [0.0])
+    """
+
+    def __init__(self, sample_time: float):
+        self.sample_time = positive("sample_time", sample_time)
+        self.received = self.given = 0.0
+        # A ring by number modulo its length: a duplicate is recognised in constant memory, however
+        # long the run.
+        self._seen = [-1] * WINDOW
+        self._newest = -1
+        self._wave = np.zeros(0)
+
+    @property
+    def balance(self) -> float:
+        """Energy that came in and has not gone out [J]; never negative."""
+        return max(self.received - self.given, 0.0)
+
+    def _energy(self, wave: np.ndarray) -> float:
+        """Return the energy that a wave carries in a sample [J]."""
+        return self.sample_time * float(wave @ wave)
+
+    def receive(self, number: int, wave: np.ndarray) -> bool:
+        """
+        Book a packet; a packet that came twice is booked once.
+
+        Parameters
+        ----------
+        number : int
+            The packet's number at its sender, 0 or more.
+        wave : array_like, shape (n,)
+            The wave it carries [√W].
+
+        Returns
+        -------
+        bool
+            Whether it was booked.
+
+        Raises
+        ------
+        ValueError
+            If the number is not a whole number, or the wave is not finite or has another length.
+        """
+        number = whole_number("number", number, least=0)
+        values = finite_array(f"wave of packet {number}", wave, length=self._wave.size or None)
+        if number <= self._newest - WINDOW or self._seen[number % WINDOW] == number:
+            return False
+        self._seen[number % WINDOW] = number
+        self.received += self._energy(values)
+        if number > self._newest:
+            self._newest, self._wave = number, values.copy()
+        return True
+
+    def read(self) -> np.ndarray:
+        """
+        Return the wave to use in this sample, shape (n,); an empty array before the first packet.
+        """
+        # Packets carry no time, so that nothing is known of the delay's rate: they are read at full
+        # pace.
+        share = amplitude.py_func(self._energy(self._wave), self.balance, 1.0)
+        out = self._wave * share
+        self.given += self._energy(out)
+        return out

@@ -17,8 +17,8 @@ import numpy as np
 from trustlab.models.compiled import inner, njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
-from trustlab.teleoperation.ports.ledger import read_waves
-from trustlab.teleoperation.records import columns_of, dot, record
+from trustlab.teleoperation.ports.waves import dot, read_waves
+from trustlab.teleoperation.records import columns_of, record
 
 # What only the kernel calls, compiled into it.
 part = partial(inner, error_model="numpy", forceinline=True, _nrt=False)

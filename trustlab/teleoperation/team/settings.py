@@ -26,8 +26,7 @@ from trustlab.teleoperation.filters import (
     printed_filter,
 )
 from trustlab.teleoperation.ports.device import HapticDevice
-from trustlab.teleoperation.ports.ledger import READ_OUTS
-from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.ports.waves import READ_OUTS, Scattering
 from trustlab.teleoperation.team.graphs import GraphError, laplacian, team_graph
 
 # Filters by name, of a cutoff [rad/s] and an impedance b [N s/m].

@@ -13,7 +13,7 @@ from trustlab.models.checks import (
     rounded_up,
     set_checked,
 )
-from trustlab.models.compiled import njit
+from trustlab.models.compiled import inner, njit
 from trustlab.teleoperation.records import signal
 
 CORNERS = (
@@ -45,7 +45,7 @@ class CourseNumbers(NamedTuple):
     posts: np.ndarray
 
 
-@njit(_nrt=False)
+@inner(_nrt=False)
 def piece_at(s, path):
     """Return the piece of a polyline that arc length `s` lies on."""
     low, high = 0, path.shape[0] - 1
