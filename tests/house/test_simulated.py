@@ -13,6 +13,9 @@ import pytest
 
 import trustlab as tl
 from tests.house.documents import ROOT
+from trustlab.reproduction.reconstruction.constraints import constraints
+from trustlab.reproduction.reconstruction.contradictions import contradictions, reading_of
+from trustlab.reproduction.reconstruction.reconstruction import agreeing, reanalyse
 from trustlab.testbeds import TeleoperatorPopulation
 
 DATA = ROOT / "data" / "simulated"
@@ -97,6 +100,21 @@ def test_adjustments():
     study = tl.published_studies()["uav.robot_performance"]
     again = tl.reproduction.compare_adjustments({"uav.robot_performance": study}, seed=SEED + 1)
     assert again["status"].to_dict() == own.loc[again.index, "status"].to_dict()
+
+
+def test_reconstructions():
+    """Each stored data set has every printed statistic that arithmetic does not contradict."""
+    studies, own = tl.published_studies(), stored("reconstructions")
+    assert set(own["study"]) == set(studies)
+    for (name, _), data in own.groupby(["study", "seed"]):
+        study = studies[name]
+        wide = data.pivot_table(index="subject", columns="condition", values="value")
+        again = reanalyse(wide[list(study.conditions)].to_numpy(), study, "bonferroni")
+        for row in constraints(study, "bonferroni", reading_of(study)):
+            if row.name not in contradictions(study):
+                low, high = agreeing(row)
+                assert low <= again[row.name] <= high, (name, row)
+    assert own.groupby("study")["seed"].nunique().to_dict()["uav.tlx"] == 5
 
 
 def test_recording(make):

@@ -1,4 +1,4 @@
-"""Printed studies come back as printed; what cannot be is refused and the field named."""
+"""Printed studies come back as printed; what is no number is refused and the field named."""
 
 import dataclasses
 import pickle
@@ -67,8 +67,6 @@ def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (changed(anova={"F": "8.1", "p": "1.2"}), r"anova\.p = '1\.2'"),
-        (changed(anova={"F": "-8.1"}), r"anova\.F = -8\.1"),
         (changed(anova={"F": "nan"}), r"anova\.F must be a number"),
         (changed(anova={"F": "8,1"}), r"anova\.F .*got '8,1'; write a decimal point"),
         (
@@ -76,26 +74,11 @@ def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
             r"anova\.epsilon is unknown.*; give epsilon=\.\.\. beside",
         ),
         (changed(anova={"F": 8.1}), r"anova\.F must be a number as printed, in quotes"),
-        (changed(anova={"F": "<8"}), r"anova\.F must be a number as printed, not the inequality"),
         (changed(anova={"G": "8"}), r"anova\.G is unknown"),
-        (changed(anova={"eta2": "1.3"}), r"anova\.eta2"),
-        (changed(anova={"df1": "3"}), r"anova\.df1 = 3 must be 2 for 3 conditions"),
-        (changed(epsilon="0.3"), r"epsilon = 0\.3"),
-        (changed(epsilon="1.2"), r"epsilon = 1\.2"),
-        (changed(mauchly={"df": "9"}), r"mauchly\.df = 9 does not belong to 3 conditions"),
-        (changed(mauchly={"chi2": "-1"}), r"mauchly\.chi2"),
-        (changed(sd={"A": "0", "B": "1", "C": "1"}), r"sd\.A = 0 must be positive"),
-        (changed(sd={"A": "-1", "B": "1", "C": "1"}), r"sd\.A"),
-        (changed(sd={"A": "3.5", "B": "1", "C": "1"}), r"sd\.A = 3\.5 exceeds what 20 values"),
-        (
-            changed(mean={"A": "8.0", "B": "4", "C": "3"}),
-            r"mean\.A = 8\.0 lies outside the scale 1 to 7",
-        ),
         (changed(mean={"A": None, "B": "4", "C": "3"}), r"mean\.A"),
         (changed(mean=[1, 2]), r"mean must be a table"),
         (changed(pairs={"A-D": "0.01"}), r"pairs: 'A-D'"),
         (changed(pairs={"A-C": "0.01", "C-A": "0.02"}), r"C-A was given already"),
-        (changed(pairs={"A-C": "1.2"}), r"pairs\.A-C"),
         (changed(pairs={"A-C": True}), r"pairs\.A-C"),
         (changed(significant_without_p="A-B"), r"significant_without_p must be a list"),
         (changed(n=2), r"n must be a whole number, 3 or more"),
@@ -104,19 +87,14 @@ def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
         (changed(scale=(7, 1)), r"scale"),
         (changed(scale="1-7"), r"scale"),
         (changed(listed_only="no"), r"listed_only"),
-        (changed(t_test={"t": "2"}), r"t_test needs two conditions"),
         (changed(conditions=("A", "B")), r"mean\.C is not among the conditions"),
-        (
-            changed(conditions=("A", "B", "C", "D"), scale=(1, float("inf"))),
-            r"scale must have both ends",
-        ),
         (changed(colour="red"), r"unknown field 'colour'"),
         ({k: v for k, v in GOOD.items() if k != "n"}, r"n is missing"),
         ({k: v for k, v in GOOD.items() if k != "sd"}, r"sd is missing"),
         ([1], r"must be a table of fields"),
     ],
 )
-def test_what_cannot_be_is_refused_by_field(values, message):
+def test_what_is_no_number_is_refused_by_field(values, message):
     with pytest.raises(PublishedStudyError, match=message):
         tl.PublishedStudy.from_dict(values, "mine")
 

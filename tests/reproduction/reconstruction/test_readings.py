@@ -11,8 +11,8 @@ from scipy import optimize, stats
 
 import trustlab as tl
 from trustlab.reproduction import reconstruct_study
-from trustlab.reproduction.reconstruction.constraints import arithmetic_conflicts, reading_of
-from trustlab.reproduction.reconstruction.readings import BOTH, NEITHER, ONLY_DF, ONLY_P
+from trustlab.reproduction.reconstruction.constraints import BOTH, NEITHER, ONLY_DF, ONLY_P
+from trustlab.reproduction.reconstruction.contradictions import contradictions, reading_of
 
 
 def study(anova, epsilon="", n=18):
@@ -84,7 +84,7 @@ def test_degrees_of_freedom_of_more_people_are_not_read_as_corrected():
     """ε is at most 1, so that corrected degrees of freedom never exceed (k − 1)(n − 1) = 51."""
     answer = tl.feasibility(study({"F": "4.10", "df1": "3", "df2": "57", "p": text_of_p(4.1, 1.0)}))
     assert answer.left_out.keys() == {"anova.df2"}
-    assert "belongs to n = 20" in answer.message
+    assert "belong to 4 conditions, n = 20" in answer.message
     assert answer.reading == NEITHER.words
 
 
@@ -106,7 +106,7 @@ def test_a_contradiction_is_never_consistent():
     assert not answer
     assert answer.feasible is False
     assert answer.rest_feasible
-    assert "it belongs to n = 20" in answer.left_out["anova.df2"]
+    assert "belong to 4 conditions, n = 20" in answer.left_out["anova.df2"]
     assert answer.left_out["anova.df2"] in answer.message
     assert answer.table().loc["anova.df2", "left_out"] == answer.left_out["anova.df2"]
     table = reconstruct_study(answer.study).table()
@@ -169,5 +169,5 @@ def test_no_reading_of_true_data_is_called_a_contradiction(seed, k, reading, dec
     rng = np.random.default_rng(seed)
     values = rng.normal(size=(k + 3 + seed % 30, k)) @ rng.normal(size=(k, k)) + rng.normal(size=k)
     printed = print_of(values, reading, decimals)
-    assert arithmetic_conflicts(printed) == {}
+    assert contradictions(printed) == {}
     assert reading_of(printed).df == reading.df or printed.anova["df1"] == f"{k - 1:.{decimals}f}"

@@ -15,7 +15,7 @@ from scipy import stats
 
 import trustlab as tl
 from trustlab.reproduction import reconstruct_study
-from trustlab.reproduction.reconstruction.reconstruction import sample_with_moments
+from trustlab.reproduction.reconstruction.moments import sample_with_moments
 
 STUDIES = tl.published_studies()
 SLIPS = {"teleop.tracking_error": {"anova.df1"}}
@@ -184,7 +184,7 @@ def test_a_conflict_is_left_out_and_named():
     assert result.p_adjust == "holm"
     (name,) = result.left_out
     assert name.startswith(("pairs.", "mean."))
-    assert "cannot hold together" in result.left_out[name]
+    assert "no data were found that have it together with" in result.left_out[name]
     table = result.table()
     assert set(table.index[~table["agrees"]]) == {name}
 

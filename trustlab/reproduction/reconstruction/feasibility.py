@@ -1,102 +1,30 @@
 """Whether a study's printed numbers can belong to one data set, and what conflicts if not."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
-from trustlab.models.checks import whole_number
+from trustlab.models.checks import of_class, one_of, whole_number
 from trustlab.models.display import Result
-from trustlab.reproduction.published_study import PublishedStudy
+from trustlab.reproduction.printed_number import printed_interval
+from trustlab.reproduction.published_study import PublishedStudy, published_studies
 from trustlab.reproduction.reconstruction.constraints import (
     ADJUSTMENTS,
-    Constraint,
-    arithmetic_conflicts,
+    ONLY_P,
     constraints,
-    degrees,
-    reading_of,
     select,
 )
-from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
-from trustlab.reproduction.reconstruction.readings import ONLY_P, fitting_epsilon, uncorrected_p
-from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
-
-# How far inside the printed intervals solutions are sought, as shares of their half-widths, one
-# after the other.
-MARGINS = (0.3, 0.1, 0.02)
+from trustlab.reproduction.reconstruction.contradictions import contradictions, reading_of
+from trustlab.reproduction.reconstruction.moments import MomentProblem, Moments
 
 REQUESTED = "left out on request"
 
-# What the deletion filter leaves out first: numbers that follow from others, or that rarely matter.
-LEAST_MISSED = (
-    "sd",
-    "anova.eta2",
-    "anova.df2",
-    "anova.df1",
-    "anova.p",
-    "epsilon",
-    "mauchly.p",
-    "mauchly",
-)
-
-
-@dataclass(frozen=True, eq=False)
-class Verdict:
-    """
-    What is known about a set of constraints.
-
-    `status` is "solved" (a solution was found), "proved" (there is none) or "not found" (neither);
-    `moments` are the solutions, or the candidates that come closest, least violated first; `starts`
-    is how many starts were tried.
-    """
-
-    status: str
-    moments: Moments
-    starts: int
-
-
-def moment_problem(
-    study: PublishedStudy, rows: Sequence[Constraint], p_adjust: str
-) -> MomentProblem:
-    """Return constraints of a study as a system of inequalities."""
-    corrected = reading_of(study).p
-    return MomentProblem(rows, study.n, study.k, p_adjust, corrected, study.scale)
-
-
-def decide(
-    problem: MomentProblem,
-    rng: np.random.Generator,
-    starts: int = 512,
-    branches: int = 80,
-    enough: int = 2,
-) -> Verdict:
-    """
-    Search for `enough` solutions and, if none is found at once, for a proof that there is none.
-
-    A proof may solve up to `branches` relaxations (0: no proof is attempted): one after the first
-    starts, because it is cheap, and all of them after 256 starts.
-    """
-    tried = 0
-    best = None
-    count = 32
-    efforts = {count: min(1, branches), 8 * count: branches}
-    while tried < starts:
-        margin = MARGINS[(tried // 64) % len(MARGINS)]
-        moments = problem.search(*problem.starts(count, rng), margin, enough=enough)
-        tried += count
-        if 0.0 < moments.violation[0] < 1.0:  # nearly there: go on from the nearest
-            again = problem.search(
-                moments.mean[:8], moments.factor[:8], margin, (0.0, 0.0, 0.0), enough
-            )
-            moments = again if again.violation[0] < moments.violation[0] else moments
-        if moments.solved[0]:
-            return Verdict("solved", moments.select(moments.solved), tried)
-        if best is None or moments.violation[0] < best.violation[0]:
-            best = moments
-        if efforts.get(tried, 0) and proves_infeasible(problem, efforts[tried]):
-            return Verdict("proved", best, tried)
-    return Verdict("not found", best, tried)
+# Starts from which data without one of the printed numbers are sought.
+FEW_STARTS = 8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,49 +38,51 @@ class Feasibility(Result):
         The study.
     p_adjust : str
         How the printed pairwise p-values were taken to be adjusted.
-    status : {"solved", "proved", "not found"}
-        Of what is not left out: a solution was found; it is proved that there is none; or none was
-        found from many starts.
-    conflict : tuple of str
-        The smallest set found of statistics that cannot hold together. Without any one of them this
-        is no longer proved (if `conflict_proved`), or a solution was found (otherwise). Empty when
-        feasible.
-    conflict_proved : bool
-        Whether it is proved that the conflict cannot hold together.
-    remedies : tuple of str
-        Statistics any one of which can be left out so that all others hold.
     left_out : mapping of str to str
         Reasons for statistics left out beforehand, by name: those asked for, and those that
         contradict others by arithmetic.
-    violation : float
-        Largest violation of the closest candidate, in half-widths of printed intervals; 0 when
-        feasible.
-    verdict : Verdict
-        The solutions, or the closest candidates.
+    conflict : tuple of str
+        Where no data were found: the statistics that the closest ones do not have.
+    remedies : tuple of str
+        Statistics any one of which can be left out so that data with all others are found.
+    moments : Moments
+        Means and covariance that were found, or the closest ones.
     """
 
     study: PublishedStudy
     p_adjust: str
-    status: str
-    conflict: tuple[str, ...]
-    conflict_proved: bool
-    remedies: tuple[str, ...]
     left_out: Mapping[str, str]
-    violation: float
-    verdict: Verdict = field(repr=False)
+    conflict: tuple[str, ...]
+    remedies: tuple[str, ...]
+    moments: Moments = field(repr=False)
 
     def __bool__(self) -> bool:
-        return self.feasible
+        return self.feasible is True
 
     @property
-    def feasible(self) -> bool:
-        """Whether one data set can have everything that is printed; False if any is left out."""
-        return self.rest_feasible and not self.left_out
+    def feasible(self) -> bool | None:
+        """
+        True if data with everything that is printed were found; False if arithmetic contradicts
+        it; None if it was not decided: none were found, or something was left out on request.
+        """
+        if any(why != REQUESTED for why in self.left_out.values()):
+            return False
+        return None if self.left_out else self.rest_feasible
 
     @property
-    def rest_feasible(self) -> bool:
-        """Whether one data set can have all that is not left out."""
-        return self.status == "solved"
+    def rest_feasible(self) -> bool | None:
+        """True if data with all that is not left out were found, None if none were."""
+        return True if self.status == "solved" else None
+
+    @property
+    def status(self) -> str:
+        """Of what is not left out: "solved" if data were found, otherwise "not found"."""
+        return "not found" if self.violation else "solved"
+
+    @property
+    def violation(self) -> float:
+        """Largest violation of the closest data, in half-widths of printed intervals; 0: none."""
+        return self.moments.violation
 
     @property
     def reading(self) -> str:
@@ -161,33 +91,49 @@ class Feasibility(Result):
 
     @property
     def epsilon(self) -> tuple[float, float] | None:
-        """Least and greatest ε with which a corrected p fits F; None where none does."""
-        return fitting_epsilon(self.study)
+        """Least and greatest ε, of 2,001, with which a corrected p fits F; None where none does."""
+        study = self.study
+        if study.k == 2 or not {"F", "p"} <= study.anova.keys():
+            return None
+        least, most = printed_interval(study.anova["p"])
+        f_ratio = np.maximum(printed_interval(study.anova["F"]), 0.0)
+        epsilon = np.linspace(1.0 / (study.k - 1), 1.0, 2001)
+        df = (study.k - 1) * epsilon[:, None]
+        p = special.fdtrc(df, df * (study.n - 1), f_ratio)
+        fits = epsilon[(p.min(axis=1) <= most) & (p.max(axis=1) >= least)]
+        return (float(fits[0]), float(fits[-1])) if fits.size else None
 
     @property
     def message(self) -> str:
         """The answer in words: what contradicts what, and the reading with its ε."""
-        outcome = {"solved": "can", "proved": "cannot", "not found": "could not be found to"}
-        subject = "The rest" if self.left_out else "All that is printed"
-        parts = [f"Left out: {reason}." for reason in self._contradictions()]
+        study = self.study
+        wrong = [why for why in self.left_out.values() if why != REQUESTED]
         requested = [name for name, why in self.left_out.items() if why == REQUESTED]
+        parts = [f"Left out: {reason}." for reason in wrong]
         parts += [f"Left out on request: {', '.join(requested)}."] if requested else []
-        parts.append(f"{subject} {outcome[self.status]} hold together.")
-        parts += [f"In conflict: {', '.join(self.conflict)}."] if self.conflict else []
-        if {"F", "p"} <= set(self.study.anova) and self.study.k > 2:
+        subject = "the rest" if self.left_out else "all that is printed"
+        if self.status == "solved":
+            parts.append(f"{subject.capitalize()} can hold together.")
+        else:
+            parts.append(
+                f"No data with {subject} were found from {self.moments.starts} starts; the closest "
+                f"miss {', '.join(self.conflict)}."
+            )
+        if self.remedies:
+            parts.append(f"Found without any one of {', '.join(self.remedies)}.")
+        if {"F", "p"} <= study.anova.keys() and study.k > 2:
             parts.append(f"Read as {self.reading}.")
-            doubtful = reading_of(self.study) == ONLY_P or "anova.p" in self.left_out
+            doubtful = reading_of(study) == ONLY_P or "anova.p" in self.left_out
             if self.epsilon and doubtful:
                 low, high = self.epsilon
-                uncorrected = f"{uncorrected_p(self.study):.3f}".removeprefix("0")
+                f_ratio = np.maximum(printed_interval(study.anova["F"]), 0.0).mean()
+                df = study.k - 1
+                uncorrected = f"{special.fdtrc(df, df * (study.n - 1), f_ratio):.3f}"
                 parts.append(
                     f"A corrected p fits F with ε from {low:.3f} to {high:.3f}; uncorrected, p "
-                    f"would be {uncorrected}."
+                    f"would be {uncorrected.removeprefix('0')}."
                 )
         return " ".join(parts)
-
-    def _contradictions(self) -> list[str]:
-        return [why for why in self.left_out.values() if why != REQUESTED]
 
     @property
     def title(self) -> str:
@@ -198,16 +144,13 @@ class Feasibility(Result):
         """
         Return what is printed, what it allows, and its part in a conflict.
 
-        Index statistic; columns printed, low, high (of the statistic itself), in_conflict, remedy,
-        left_out (the reason, or empty).
+        Index statistic; columns printed, low, high (of the statistic itself; p before adjustment,
+        but for Holm's), in_conflict, remedy, left_out (the reason, or empty).
         """
         rows = []
-        for s in [*constraints(self.study, self.p_adjust), *degrees(self.study)]:
-            low, high = s.low, s.high
-            if s.kind.startswith("log"):
-                low, high = float(np.exp(low)), float(np.exp(min(high, 0.0)))
+        for s in constraints(self.study, self.p_adjust, reading_of(self.study)):
             marks = s.name in self.conflict, s.name in self.remedies
-            rows.append((s.name, s.text, low, high, *marks, self.left_out.get(s.name, "")))
+            rows.append((s.name, s.text, s.low, s.high, *marks, self.left_out.get(s.name, "")))
         columns = ["statistic", "printed", "low", "high", "in_conflict", "remedy", "left_out"]
         return pd.DataFrame(rows, columns=columns).set_index("statistic")
 
@@ -223,9 +166,8 @@ def feasibility(
     Determine whether printed numbers can belong to one data set, and if not, what conflicts.
 
     Feasibility is shown by means and a covariance matrix that have all statistics within rounding;
-    infeasibility is proved by a linear relaxation wherever that suffices (`status`). The conflict
-    is an irreducible infeasible subset, by a deletion filter (Chinneck & Dravnieks 1991) in several
-    orders, the smallest found.
+    infeasibility by arithmetic (`left_out`). Where neither is found the answer is None: no
+    accusation.
 
     Parameters
     ----------
@@ -238,7 +180,7 @@ def feasibility(
     seed : int
         Seed of the search.
     explain : bool
-        Whether to look for the conflict.
+        Whether to look for remedies where no data are found.
 
     Returns
     -------
@@ -256,92 +198,51 @@ def feasibility(
     >>> answer.feasible, answer.left_out
     (True, {})
     """
-    problem, left_out = prepared(study, p_adjust, without)
     rng = generator(seed)
-    verdict = decide(problem, rng)
-    solved = verdict.status == "solved"
-    conflict: tuple[str, ...] = ()
-    remedies: tuple[str, ...] = ()
-    proved = explain and verdict.status == "proved"
-    if not solved and explain:
-        conflict = _smallest_conflict(problem, proved, rng)
-        remedies = tuple(name for name in conflict if _holds(_less(problem, name), rng))
-    violation = float(verdict.moments.violation[0])
-    outcome = verdict.status, conflict, proved, remedies
-    return Feasibility(study, p_adjust, *outcome, left_out, violation, verdict)
+    problem, left_out = moment_problem(study, p_adjust, without)
+    moments = problem.solve(rng)
+    conflict = tuple(s.name for s in problem.constraints if moments.outside[s.name] > 0.0)
+    # What presses on the closest data, most first.
+    pressing = sorted(moments.outside, key=lambda name: -moments.outside[name])
+    remedies = tuple(
+        name
+        for name in pressing
+        if explain
+        and name in conflict
+        and len(problem.constraints) > 1
+        and problem.without(name).solve(rng, FEW_STARTS).violation == 0.0
+    )
+    return Feasibility(study, p_adjust, left_out, conflict, remedies, moments)
 
 
-def prepared(
+def moment_problem(
     study: PublishedStudy, p_adjust: str, without: Iterable[str]
 ) -> tuple[MomentProblem, dict[str, str]]:
     """Return the constraints that are to hold, and the reasons for those that are left out."""
-    printed = constraints(study, p_adjust)
-    printed += degrees(study)
-    rows = select(printed, without)
-    reasons = {s.name: REQUESTED for s in printed if s not in rows}
-    reasons |= {
-        name: why for name, why in arithmetic_conflicts(study).items() if name not in reasons
-    }
-    rows = [s for s in rows if s.name not in reasons and s.kind != "degrees"]
+    hint = _named_study(study) if isinstance(study, str) else ""
+    of_class("study", study, PublishedStudy, hint)
+    one_of("p_adjust", p_adjust, ADJUSTMENTS)
+    reading = reading_of(study)
+    printed = constraints(study, p_adjust, reading)
+    wanted = select(printed, without)
+    reasons = {s.name: REQUESTED for s in printed if s not in wanted}
+    reasons = contradictions(study, p_adjust) | reasons
+    rows = [s for s in wanted if s.name not in reasons and s.kind != "fixed"]
     if not rows:
         raise ValueError(f"without: nothing of {study.name} is left")
-    return moment_problem(study, rows, p_adjust), reasons
+    return MomentProblem(rows, study.n, study.k, reading.p, study.scale), reasons
+
+
+def _named_study(name: str) -> str:
+    """Return how to get the printed study that a name is nearest to."""
+    known = published_studies()
+    near = name if name in known else next(iter(get_close_matches(name, known, n=1)), "uav.tlx")
+    return f"a printed one is published_studies()[{near!r}]"
 
 
 def generator(seed: int) -> np.random.Generator:
     """Return the generator of a seed."""
     return np.random.default_rng(np.random.SeedSequence(whole_number("seed", seed, least=0)))
-
-
-def _less(problem: MomentProblem, name: str) -> MomentProblem:
-    return replace(problem, constraints=[s for s in problem.constraints if s.name != name])
-
-
-def _holds(problem: MomentProblem, rng: np.random.Generator) -> bool:
-    """Return whether a solution is found; refuted first where that is quick."""
-    if proves_infeasible(problem, branches=1):
-        return False
-    return decide(problem, rng, starts=64, branches=0).status == "solved"
-
-
-def _smallest_conflict(
-    problem: MomentProblem, proved: bool, rng: np.random.Generator
-) -> tuple[str, ...]:
-    """
-    Delete what is not needed for a conflict, in several orders, and return the smallest conflict.
-
-    Where the conflict is proved, what remains is proved to conflict at every deletion; otherwise no
-    solution is found.
-    """
-
-    def rank(s: Constraint) -> int:
-        hits = [q for q, key in enumerate(LEAST_MISSED) if key in (s.name, s.name.split(".")[0])]
-        return (
-            hits[0]
-            if hits
-            else len(LEAST_MISSED) + (s.text != "not significant") + (s.kind == "mean")
-        )
-
-    branches = 1 if proves_infeasible(problem, branches=1) else 16
-
-    def conflicting(fewer: MomentProblem) -> bool:
-        return proves_infeasible(fewer, branches) if proved else not _holds(fewer, rng)
-
-    order, best = sorted(problem.constraints, key=rank), problem
-    orders = [
-        order,
-        order[::-1],
-        *([order[q] for q in rng.permutation(len(order))] for _ in range(2)),
-    ]
-    quick = proved and branches == 1  # otherwise one order is all there is time for
-    for order in orders if quick else orders[:1]:
-        subset = problem
-        for s in order:
-            fewer = _less(subset, s.name)
-            if fewer.constraints and conflicting(fewer):
-                subset = fewer
-        best = min(best, subset, key=lambda p: len(p.constraints))
-    return tuple(s.name for s in best.constraints)
 
 
 def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) -> pd.DataFrame:
@@ -358,9 +259,9 @@ def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) ->
     Returns
     -------
     pandas.DataFrame
-        Index study, p_adjust; columns feasible (nothing left out), rest_feasible (of what is not
-        left out), status (solved, proved, not found), violation (of the closest candidate, in
-        half-widths of printed intervals), left_out.
+        Index study, p_adjust; columns feasible (True, False or None, as of `Feasibility`),
+        rest_feasible (of what is not left out), status (solved, not found), violation (of the
+        closest data, in half-widths of printed intervals), left_out.
     """
     rows = []
     for name, study in studies.items():

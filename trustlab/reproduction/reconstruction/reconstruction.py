@@ -2,10 +2,10 @@
 Data that have all statistics printed for a study.
 
 All printed statistics of a one-way within-subject study are functions of the means and the
-covariance matrix. A reconstruction therefore finds these moments first (`moment_search`), with
-every statistic within its rounding, and then draws n subjects with exactly these moments inside the
-scale of the measure (`sample_with_moments`). The values are continuous: they do not follow the
-steps of a questionnaire. They are not measurements, and everything made from them says so.
+covariance matrix. A reconstruction therefore finds these moments first, with every statistic within
+its rounding, and then draws n subjects with exactly these moments inside the scale of the measure.
+The values are continuous: they do not follow the steps of a questionnaire. They are not
+measurements, and everything made from them says so.
 """
 
 from collections.abc import Iterable, Mapping
@@ -17,7 +17,6 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.display import Result
-from trustlab.models.linear_algebra import polar_factor, products, transposed
 from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import (
@@ -25,24 +24,25 @@ from trustlab.reproduction.reconstruction.constraints import (
     ALPHA,
     Constraint,
     constraints,
-    degrees,
-    reading_of,
     size_interval,
 )
+from trustlab.reproduction.reconstruction.contradictions import reading_of
 from trustlab.reproduction.reconstruction.feasibility import (
-    Verdict,
-    decide,
+    Feasibility,
     feasibility,
     generator,
-    prepared,
+    moment_problem,
 )
-from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
+from trustlab.reproduction.reconstruction.moments import sample_with_moments
 from trustlab.studies.anova import repeated_measures_batch
 from trustlab.studies.pairs import bonferroni, condition_pairs, holm
 
 NOTE = "Reconstructed data: not measurements, but values that have the printed statistics."
 # The mark that every table made from such data carries in its `attrs`.
 RECONSTRUCTED = {"reconstructed": True, "note": NOTE}
+
+MOST_LEFT_OUT = 4  # statistics without which data are sought
+MOST_DRAWS = 6  # solutions for which values within the scale are sought
 
 
 class ReconstructionError(ValueError):
@@ -107,9 +107,10 @@ class Reconstruction(Result):
         """
         again = reanalyse(self.values, self.study, self.p_adjust)
         rows = []
-        for s in [*constraints(self.study, self.p_adjust), *degrees(self.study)]:
-            value, reason = again[s.name], self.left_out.get(s.name, "")
-            rows.append((s.name, s.text, *printed_ends(s), value, agrees(s, value), reason))
+        for s in constraints(self.study, self.p_adjust, reading_of(self.study)):
+            value, (low, high) = again[s.name], agreeing(s)
+            reason = self.left_out.get(s.name, "")
+            rows.append((s.name, s.text, low, high, value, low <= value <= high, reason))
         columns = ["statistic", "printed", "low", "high", "reconstructed", "agrees", "left_out"]
         table = pd.DataFrame(rows, columns=columns).set_index("statistic")
         table.attrs = dict(RECONSTRUCTED)
@@ -198,29 +199,23 @@ def reconstruct_study(
     >>> bool(found.table()["agrees"].all())
     True
     """
-    without = tuple(without) if not isinstance(without, str) else without
-    for candidate in ADJUSTMENTS if p_adjust is None else (p_adjust,):
-        problem, left_out = prepared(study, candidate, without)
-        verdict = decide(problem, generator(seed))
-        if verdict.status == "solved":
+    answer = _most_feasible(study, p_adjust, without, seed)
+    left_out = dict(answer.left_out)
+    for _ in range(MOST_LEFT_OUT):
+        if answer.status == "solved":
             break
-    else:
-        candidate = p_adjust or ADJUSTMENTS[0]
-        problem, verdict, left_out = _remedied(study, candidate, tuple(without), seed)
-    draws = generator(seed).spawn(1)[0]
-    values = _draw(problem, verdict.moments, draws)
-    for _ in range(5):  # no values within the scale have these moments: try others
-        if values is not None:
-            break
-        verdict = decide(problem, draws, branches=0, enough=8)
-        values = _draw(problem, verdict.moments, draws) if verdict.status == "solved" else None
-    if values is None:
+        name = (answer.remedies or answer.conflict)[0]
+        against = ", ".join(x for x in answer.conflict if x != name) or "the rest"
+        left_out[name] = f"no data were found that have it together with {against}"
+        answer = feasibility(study, answer.p_adjust, left_out, seed)
+    if answer.status != "solved":
         raise ReconstructionError(
-            f"{study.name}: no {study.n} values within the scale {study.scale} were found that "
-            "have a solution's means and covariances; try another seed, or leave out a standard "
-            "deviation"
+            f"{study.name}: no data were found under p_adjust={answer.p_adjust!r}, nor when "
+            f"{', '.join(left_out)} are left out; feasibility() says what the closest data miss, "
+            "`without` leaves statistics out"
         )
-    result = Reconstruction(study, candidate, int(seed), values, left_out)
+    values = _draw(answer, left_out, generator(seed).spawn(1)[0])
+    result = Reconstruction(study, answer.p_adjust, int(seed), values, left_out)
     table = result.table()
     wrong = table.index[~table["agrees"] & (table["left_out"] == "")]
     if len(wrong):
@@ -230,40 +225,35 @@ def reconstruct_study(
     return result
 
 
-def _draw(problem: MomentProblem, moments: Moments, rng: np.random.Generator) -> np.ndarray | None:
-    """Return values that have the first moments for which there are any within the scale."""
-    for mean, factor in zip(moments.mean, moments.factor, strict=True):
-        values = sample_with_moments(mean, factor, problem.n, problem.scale, rng)
+def _most_feasible(
+    study: PublishedStudy, p_adjust: str | None, without: Iterable[str], seed: int
+) -> Feasibility:
+    """Return the answer of the first adjustment under which data are found, else of the first."""
+    without = tuple(without) if not isinstance(without, str) else without
+    candidates = ADJUSTMENTS if p_adjust is None else (p_adjust,)
+    for candidate in sorted(candidates, key=lambda c: len(moment_problem(study, c, without)[1])):
+        answer = feasibility(study, candidate, without, seed, explain=False)
+        if answer.status == "solved":
+            return answer
+    return feasibility(study, candidates[0], without, seed)
+
+
+def _draw(answer: Feasibility, left_out: Iterable[str], rng: np.random.Generator) -> np.ndarray:
+    """Return values within the scale that have the moments found, or others that hold as well."""
+    study = answer.study
+    problem, _ = moment_problem(study, answer.p_adjust, left_out)
+    moments = answer.moments
+    for _ in range(MOST_DRAWS):
+        mean, factor = moments.mean, moments.factor
+        values = sample_with_moments(mean, factor, study.n, study.scale, rng)
         if values is not None:
             return values
-    return None
-
-
-def _remedied(
-    study: PublishedStudy, p_adjust: str, without: tuple[str, ...], seed: int
-) -> tuple[MomentProblem, Verdict, dict[str, str]]:
-    """Leave out conflicting statistics, one at a time, until the rest can hold together."""
-    names = list(without)
-    reasons: dict[str, str] = {}
-    for _ in range(4):
-        result = feasibility(study, p_adjust, names, seed)
-        if result.rest_feasible:
-            problem, left_out = prepared(study, p_adjust, names)
-            return problem, result.verdict, left_out | reasons
-        name = next(iter((*reversed(result.remedies), *reversed(result.conflict))), None)
-        if name is None:
+        moments = problem.solve(rng)
+        if moments.violation:
             break
-        against = ", ".join(x for x in result.conflict if x != name)
-        reasons[name] = (
-            f"cannot hold together with {against}"
-            if result.conflict_proved
-            else f"no data were found that have it together with {against} (not proved impossible)"
-        )
-        names.append(name)
     raise ReconstructionError(
-        f"{study.name}: the printed numbers cannot hold together under p_adjust={p_adjust!r}, nor "
-        f"when {', '.join(reasons)} are left out; feasibility() names the conflict, `without` "
-        "leaves statistics out"
+        f"{study.name}: no {study.n} values within the scale {study.scale} were found that have a "
+        "solution's means and covariances; try another seed, or leave out a standard deviation"
     )
 
 
@@ -303,73 +293,20 @@ def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[
     analysed |= {"epsilon": omnibus["epsilon_gg"], "mauchly.chi2": omnibus["mauchly_chi2"]}
     analysed |= {"mauchly.df": study.k * (study.k - 1) // 2 - 1}
     analysed |= {"mauchly.p": omnibus["mauchly_p"], "mauchly.violated": omnibus["mauchly_p"]}
-    analysed |= {"t_test.t": pairs.t[0, 0], "t_test.p": pairs.p[0, 0], "t_test.df": pairs.df}
-    for (a, b), value in zip(combinations(names, 2), adjusted(pairs.p[0], p_adjust), strict=True):
-        analysed[f"pairs.{a}-{b}"] = analysed[f"pairs.{b}-{a}"] = value
+    # Which condition is first is not printed.
+    analysed |= {"t_test.t": abs(pairs.t[0, 0]), "t_test.p": pairs.p[0, 0], "t_test.df": pairs.df}
+    p_values = dict(zip(combinations(names, 2), adjusted(pairs.p[0], p_adjust), strict=True))
+    for (a, b), p_value in p_values.items():
+        analysed[f"pairs.{a}-{b}"] = analysed[f"pairs.{b}-{a}"] = p_value
     return {name: float(value) for name, value in analysed.items()}
 
 
-def printed_ends(s: Constraint) -> tuple[float, float]:
+def agreeing(s: Constraint) -> tuple[float, float]:
     """Return the values that agree with a constraint, in the units in which it is printed."""
     if s.text == "not significant":
         return ALPHA, 1.0
-    if s.text in ("significant", "sphericity violated, p < 0.05"):
+    if s.text == "significant" or s.name == "mauchly.violated":
         return 0.0, ALPHA
-    low, high = printed_interval(s.text)
+    low, high = size_interval(s.text) if s.name == "t_test.t" else printed_interval(s.text)
     is_p = s.name.startswith("pairs.") or s.name.endswith(".p")
     return (max(low, 0.0), min(high, 1.0)) if is_p else (low, high)
-
-
-def agrees(s: Constraint, value: float) -> bool:
-    """Return whether a value rounds to what is printed, or obeys its inequality; of t the size."""
-    low, high = printed_ends(s)
-    if s.name == "t_test.t":
-        (low, high), value = size_interval(s.text), abs(value)
-    if s.text == "not significant":
-        return low < value <= high
-    if s.text == "significant" or s.text.strip().startswith("<") or s.name == "mauchly.violated":
-        return value < high
-    return low <= value <= high
-
-
-def sample_with_moments(
-    mean: np.ndarray,
-    factor: np.ndarray,
-    n: int,
-    scale: tuple[float, float],
-    rng: np.random.Generator,
-    iterations: int = 2000,
-) -> np.ndarray | None:
-    """
-    Draw values, shape (n, k), with given means and covariance GG' within a scale.
-
-    The covariance has n − 1 in its denominator.
-
-    Normal draws are given the moments exactly, X = 1m' + √(n − 1) U G' with UᵀU = I, Uᵀ1 = 0. While
-    values lie outside the scale they are moved to its ends, and the nearest values with the exact
-    moments are taken: U is the orthogonal polar factor of the centred values times G (orthogonal
-    Procrustes problem, Schönemann 1966; alternating projections).
-
-    `factor` is G, of which only the first n − 1 columns may differ from 0; the ends of the scale
-    may be infinite. None where `iterations` projections find none.
-    """
-    factor = np.ascontiguousarray(factor[:, : n - 1])
-    low, high = scale
-    inset = 1e-4 * (high - low) if np.isfinite(high - low) else 1e-3 * float(np.abs(factor).max())
-    draws = rng.standard_normal((1, n, factor.shape[1]))
-    values = mean + products(draws, transposed(factor)[None])[0]
-    for _ in range(iterations):
-        values = _with_moments(values, mean, factor)
-        if values.min() >= low and values.max() <= high:
-            return values
-        values = np.clip(values, low + inset, high - inset)
-    return None
-
-
-def _with_moments(values: np.ndarray, mean: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    """Return the nearest values with exactly these moments."""
-    n = len(values)
-    (projected,) = products((values - values.mean(axis=0))[None], factor[None])
-    whitened = polar_factor(projected)
-    whitened = whitened - whitened.mean(axis=0)
-    return mean + np.sqrt(n - 1.0) * products(whitened[None], transposed(factor)[None])[0]
