@@ -34,7 +34,6 @@ from trustlab.models.display import Result
 from trustlab.publishing.book import publish, write_book
 from trustlab.publishing.tables import table_html
 from trustlab.reproduction.calibration import Calibration
-from trustlab.reproduction.performance_line import PerformanceLine
 from trustlab.reproduction.reconstruction.reconstruction import reconstruct_study
 from trustlab.sessions.session import Metadata, Session
 from trustlab.studies.mixed import FormulaModel
@@ -201,16 +200,14 @@ def late():
     """Results that are dear to compute, made of hostile tables."""
     formula = FormulaModel(NAME, NAME, 5, 15, scores(), scores(), scores(), 0.0, False, 0, NAME)
     tables = dict.fromkeys(("checks", "table", "reach"), lambda self: scores())
-    own = type("OwnCalibration", (Calibration,), tables | {"words": NAME})
+    own = type("OwnCalibration", (Calibration,), tables | {"message": NAME})
     calibration = own(
         NAME, {}, scores(), (NAME,), scores(), (NAME,), {"simulations": NAME, "n": NAME}
     )
-    means = pd.DataFrame(1.0, [f"{NAME} {i}" for i in range(3)], ["p_r", "p_h", "r"])
     return (
         formula,
         calibration,
         report(scores(), **columns()),
-        PerformanceLine(NAME, means, 0.0, 1.0),
         Passivity(pd.DataFrame({NAME: [0.0, -1.0]}), False, False, 12.0),
         *live(),
     )

@@ -96,8 +96,6 @@ def test_reports_of_the_stored_calibration(stored):
     assert ((reach["share"] >= 0.0) & (reach["share"] <= 1.0)).all()
     assert "simulated operators" in stored._repr_html_()
     assert "simulated" in stored.plot()[0].figure.get_suptitle()
-    first = str(checks["id"][0])
-    assert "simulated" in given.plot_sign(first).get_title()
     plt.close("all")
 
 

@@ -11,9 +11,8 @@ import pytest
 from scipy import stats
 
 import trustlab as tl
-from trustlab.reproduction import performance_line, plot_effects
-from trustlab.reproduction.effects import COLUMNS
-from trustlab.reproduction.effects_simulated import SILENT
+from trustlab.reproduction import plot_effects
+from trustlab.reproduction.effects import COLUMNS, SILENT
 from trustlab.testbeds import TeleoperatorPopulation
 
 BY_HAND = {
@@ -166,36 +165,6 @@ def test_the_t_test_of_followed_suggestions_has_a_simulated_counterpart():
     assert row["operators"] == test.n
     assert row["simulated"] == pytest.approx(test.mean_difference)
     assert row["p_simulated"] == pytest.approx(test.p)
-
-
-def test_the_line_of_both_printed_studies():
-    ground, uav = performance_line("ground_robot"), performance_line("uav")
-    for line, expected in ((ground, -0.0135), (uav, -0.0435)):
-        distance = line.table().set_index("condition")["distance"]
-        assert distance["C1"] == pytest.approx(expected, abs=2e-4)
-        assert distance.drop("C1").abs().max() < 0.005
-        assert distance.drop("C1").sum() == pytest.approx(0.0, abs=1e-12)
-    fitted = stats.linregress(
-        [0.855 * 0.835, 0.851 * 0.836, 0.928 * 0.794, 0.95 * 0.772], [0.547, 0.551, 0.588, 0.58]
-    )
-    assert (uav.slope, uav.intercept) == pytest.approx((fitted.slope, fitted.intercept))
-    assert "printed" in uav.plot().get_title()
-    plt.close("all")
-
-
-def test_the_line_of_simulated_means_and_what_it_refuses():
-    rows = pd.DataFrame({"condition": [f"C{i}" for i in range(1, 6)] * 2, "p_r": 0.5, "p_h": 0.7})
-    rows["r"] = np.tile([0.4, 0.5, 0.6, 0.7, 0.8], 2)
-    rows.loc[rows["condition"] == "C1", "p_r"] -= 0.1
-    line = performance_line(rows)
-    assert line.table()["distance"][0] == pytest.approx(-0.1)
-    assert "simulated" in line._repr_html_()
-    with pytest.raises(ValueError, match="there is no r"):
-        performance_line(rows.drop(columns="r"))
-    with pytest.raises(ValueError, match="there is no C4"):
-        performance_line(rows[rows["condition"] != "C4"])
-    with pytest.raises(ValueError, match="means must be"):
-        performance_line("teleop")
 
 
 def test_effects_are_plotted_with_every_simulation_named(simulated):

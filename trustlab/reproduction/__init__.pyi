@@ -18,11 +18,11 @@ from .comparison import (
     recompute as recompute,
     smallest_change as smallest_change,
 )
-from .effects import model_effects as model_effects, printed_effects as printed_effects
-from .effects_simulated import plot_effects as plot_effects, simulated_effects as simulated_effects
-from .performance_line import (
-    PerformanceLine as PerformanceLine,
-    performance_line as performance_line,
+from .effects import (
+    model_effects as model_effects,
+    plot_effects as plot_effects,
+    printed_effects as printed_effects,
+    simulated_effects as simulated_effects,
 )
 from .published import (
     published_models as published_models,

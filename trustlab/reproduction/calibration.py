@@ -18,7 +18,6 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import combinations
 from pathlib import Path
 
@@ -30,13 +29,13 @@ from scipy.spatial import KDTree
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import between, in_order, one_of, whole_number
 from trustlab.models.digest import room_digest
-from trustlab.models.display import as_html, axes_or_new
+from trustlab.models.display import Result, axes_or_new
 from trustlab.models.files import write_atomically
-from trustlab.reproduction.effects import Effect
-from trustlab.reproduction.effects_simulated import (
+from trustlab.reproduction.effects import (
     ALLOCATION,
     TELEOPERATION,
     UNITS,
+    Effect,
     all_checked,
     effects_of,
     simulated_effects,
@@ -67,13 +66,10 @@ TELEOPERATOR_PRIORS = {
 LEAST_PER_COEFFICIENT = 2
 # Measures that are answered only where a workload is assumed.
 ANSWERS = ("tlx", "satisfaction", "trust")
-# Resampled tables of simulations behind the errors of interval ends, and their seed.
-RESAMPLED = 200
-RESAMPLING = 0x656E6473
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Result):
     """
     Which assumptions about people reproduce a study's printed effects at once, within this model of
     operators.
@@ -116,48 +112,34 @@ class Calibration:
         """Medians of the posterior, for `simulated_effects`."""
         return {str(name): float(value) for name, value in self.posterior.median().items()}
 
+    @property
+    def title(self) -> str:
+        """The study."""
+        return f"Calibration of {self.study}"
+
+    @property
+    def message(self) -> str:
+        """What this is, in a line."""
+        measures = ", ".join(UNITS.get(name, name) for name in self.measures)
+        return (
+            f"{self.settings['simulations']} simulated studies of {self.settings['n']} simulated "
+            f"operators, given {measures}"
+        )
+
     def table(self) -> pd.DataFrame:
         """
-        Return assumption, prior_low, prior_high, median, low, high (95 %), their Monte Carlo errors
-        low_error, high_error, contraction (1 − variance over the prior's), extrapolated.
-
-        The errors are standard deviations over tables of as many simulations, drawn with
-        replacement from those there are: more simulations make them smaller.
+        Return assumption, prior_low, prior_high, median, low, high (95 %), contraction (1 −
+        variance over the prior's), extrapolated.
         """
-        errors = self._end_errors
-        rows = []
-        for name, (low, high) in self.priors.items():
-            values = self.posterior[name]
-            rows.append(
-                {
-                    "assumption": name,
-                    "prior_low": low,
-                    "prior_high": high,
-                    "median": values.median(),
-                    "low": values.quantile(0.025),
-                    "high": values.quantile(0.975),
-                    "low_error": errors.loc[0.025, name],
-                    "high_error": errors.loc[0.975, name],
-                    "contraction": 1.0 - 12.0 * values.var() / (high - low) ** 2,
-                    "extrapolated": name in self.extrapolated,
-                }
-            )
-        return pd.DataFrame(rows)
-
-    @cached_property
-    def _end_errors(self) -> pd.DataFrame:
-        """Return the Monte Carlo errors of the ends of 95 % intervals, a column per assumption."""
-        chosen = [effect for effect in self.observed if effect.measure in self.measures]
-        drawn = self.simulations[list(self.priors)]
-        simulated = self.simulations[[effect.id for effect in chosen]].to_numpy(float)
-        printed = np.array([effect.printed for effect in chosen])
-        rng = np.random.default_rng([self.settings["seed"], RESAMPLING])
-        ends = []
-        for _ in range(RESAMPLED):
-            rows = rng.integers(len(drawn), size=len(drawn))
-            sample, _ = posterior_sample(drawn.iloc[rows], simulated[rows], printed, self.priors)
-            ends.append(sample.quantile([0.025, 0.975]))
-        return pd.concat(ends).groupby(level=0).std(ddof=1)
+        low, high = np.transpose(list(self.priors.values()))
+        ends = self.posterior.quantile([0.5, 0.025, 0.975]).T.to_numpy()
+        table = pd.DataFrame(
+            {"assumption": list(self.priors), "prior_low": low, "prior_high": high}
+        )
+        table[["median", "low", "high"]] = ends
+        table["contraction"] = 1.0 - 12.0 * self.posterior.var().to_numpy() / (high - low) ** 2
+        table["extrapolated"] = table["assumption"].isin(self.extrapolated)
+        return table
 
     def coverage(self) -> pd.DataFrame:
         """
@@ -337,71 +319,6 @@ class Calibration:
             if name in self.extrapolated:
                 axis.set_title("extrapolated", fontsize="small")
         return axes[0]
-
-    def plot_sign(self, effect: str, x: str = "attention_cost", y: str = "trust_bias", axes=None):
-        """
-        Plot an effect of all simulated studies over two assumptions, and where it changes its sign.
-
-        Parameters
-        ----------
-        effect : str
-            Its id.
-        x, y : str
-            The assumptions; all others vary as the priors say.
-        axes : matplotlib.axes.Axes, optional
-            Where to draw; a new figure by default.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-
-        Raises
-        ------
-        ValueError
-            If the effect or an assumption is unknown.
-        """
-        known = {candidate.id: candidate for candidate in self.observed}
-        measured = known[one_of("effect", effect, known)]
-        u, v = (
-            self.simulations[one_of("an assumption", name, self.priors)].to_numpy()
-            for name in (x, y)
-        )
-        size = self.simulations[effect].to_numpy()
-        axis = axes_or_new(axes)
-        most = np.abs(size).max()
-        dots = axis.scatter(u, v, c=size, cmap="RdBu", vmin=-most, vmax=most, s=9)
-        label = f"{UNITS.get(measured.measure, measured.measure)}, {measured.contrast}"
-        axis.figure.colorbar(dots, ax=axis, label=label)
-        surface = np.linalg.lstsq(_quadratic(u, v), size, rcond=None)[0]
-        across, up = np.meshgrid(*(np.linspace(*self.priors[name], 60) for name in (x, y)))
-        height = (_quadratic(across.ravel(), up.ravel()) @ surface).reshape(across.shape)
-        for level, style in ((0.0, "-"), (measured.printed, "--")):
-            axis.contour(across, up, height, [level], colors="black", linestyles=style)
-        axis.set(
-            xlabel=x.replace("_", " "),
-            ylabel=y.replace("_", " "),
-            title="simulated; —: 0; - -: as printed",
-        )
-        return axis
-
-    @property
-    def words(self) -> str:
-        """What this is, in a line."""
-        measures = ", ".join(UNITS.get(name, name) for name in self.measures)
-        return (
-            f"{self.study}: {self.settings['simulations']} simulated studies of "
-            f"{self.settings['n']} operators, given {measures}"
-        )
-
-    def _repr_html_(self) -> str:
-        return as_html(
-            f"{self.words} (simulated operators)", self.table(), self.reach(), title="Calibration"
-        )
-
-
-def _quadratic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the terms of a quadratic surface."""
-    return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
 def calibrate(

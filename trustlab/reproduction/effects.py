@@ -1,19 +1,37 @@
-"""Effects that the dissertation prints or claims, and what the printed models alone predict."""
+"""
+Every effect that the dissertation prints or claims: as printed, as the printed models alone
+predict, and in simulated people under named assumptions about them.
+"""
 
 import math
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from decimal import Decimal
-from functools import cache
-from typing import NamedTuple
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
 from trustlab.allocation.rules import PerformanceRule
 from trustlab.allocation.simulation import simulate_allocation
+from trustlab.campaign.run import run_campaign
+from trustlab.models.checks import one_of, shown, whole_number
+from trustlab.operators.answers import simulated_answers
+from trustlab.operators.ground_robot import ASSUMPTIONS, checked_assumptions
+from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS, checked_teleoperation
 from trustlab.reproduction.printed_number import printed_decimal, printed_interval
 from trustlab.reproduction.published import published_facts, published_models, published_table
 from trustlab.reproduction.published_study import published_studies
+from trustlab.studies.planning.virtual_study import virtual_study
+from trustlab.studies.plots import panels
+from trustlab.studies.questionnaires import NASA_TLX
+from trustlab.testbeds.deciding import CONDITIONS
+from trustlab.testbeds.populations import TeleoperatorPopulation
+from trustlab.testbeds.uav_tracking import simulate_teleoperation
+from trustlab.trust.driving import TrustInLoop
+from trustlab.trust.interface import TrustDynamics
 
 COLUMNS = ["id", "where", "measure", "contrast", "printed", "low", "high", "p"]
 
@@ -65,15 +83,8 @@ def _of_tables(tables: list[dict]) -> Iterator[Effect]:
             for contrast in table["contrasts"]:
                 after, before = contrast.split("-")
                 size = _difference(means.loc[after, column], means.loc[before, column])
-                yield Effect(
-                    f"{study}/{measure}/{contrast}",
-                    where,
-                    measure,
-                    contrast,
-                    *size,
-                    math.nan,
-                    study,
-                )
+                id = f"{study}/{measure}/{contrast}"
+                yield Effect(id, where, measure, contrast, *size, math.nan, study)
 
 
 def _of_studies(studies: list[dict]) -> Iterator[Effect]:
@@ -84,18 +95,10 @@ def _of_studies(studies: list[dict]) -> Iterator[Effect]:
         for contrast in named["contrasts"]:
             after, before = contrast.split("-")
             text = printed.pairs.get(f"{before}-{after}") or printed.pairs.get(f"{after}-{before}")
-            text = text or (printed.t_test or {}).get("p")
-            p = (
-                printed_interval(text)[1]
-                if text and text.startswith("<")
-                else float(text)
-                if text
-                else math.nan
-            )
+            text = text or printed.t_test.get("p", "nan")
             size = _difference(printed.mean[after], printed.mean[before])
-            yield Effect(
-                f"{study}/{measure}/{contrast}", printed.where, measure, contrast, *size, p, study
-            )
+            id, p = f"{study}/{measure}/{contrast}", float(text.removeprefix("<"))
+            yield Effect(id, printed.where, measure, contrast, *size, p, study)
 
 
 def _of_claims(claims: list[dict]) -> Iterator[Effect]:
@@ -187,19 +190,270 @@ def model_means(condition: str) -> pd.DataFrame:
     rows = []
     for label in "12345":
         model = published_models()[label]
+        thresholds = captured.xs("mean", level=1) if condition == "C1" else chosen
         if condition == "C5":
-            motion = simulate_allocation(
-                model, rule=PerformanceRule(model.robot.p_min, model.robot.p_max), steps=STEPS
-            )
+            rule = PerformanceRule(model.robot.p_min, model.robot.p_max)
+            motion = simulate_allocation(model, rule=rule, steps=STEPS)
         else:
-            lower, upper = (
-                (
-                    captured.loc[(name, "mean"), label]
-                    if condition == "C1"
-                    else chosen.loc[name, label]
-                )
-                for name in ("TSC_l", "TSC_u")
-            )
-            motion = simulate_allocation(model, float(lower), float(upper), steps=STEPS)
+            lower, upper = (float(thresholds.loc[name, label]) for name in ("TSC_l", "TSC_u"))
+            motion = simulate_allocation(model, lower, upper, steps=STEPS)
         rows.append(motion[["p_r", "p_h", "r"]].iloc[STEPS // 2 :].mean())
     return pd.DataFrame(rows, index=list("12345"), dtype=np.float64)
+
+
+# Testbeds of the studies under C1–C5.
+ALLOCATION = {
+    "table_2.4": "ground_robot",
+    "table_2.5": "ground_robot",
+    "table_2.6": "ground_robot",
+    "uav": "uav_following",
+}
+
+# Settings, schemes and points of the scale of satisfaction of the studies of Chapter 3.
+TELEOPERATION = {
+    "table_3.1": ("preliminary", ("M", "MI", "MMI", "TMIG", "TMIS"), 5),
+    "teleop": ("main", ("M", "OMI", "MMI", "TMIG"), 7),
+}
+
+SIMULATED = ["simulated", "se", "operators", "p_simulated", "agrees", "reason"]
+SILENT = (
+    "simulated operators answer no questionnaire unless load_utilization or load_switching "
+    "is assumed"
+)
+# Satisfaction was answered from 1 to 5 in Section 2.4.1, and is simulated from 1 to 7.
+FIVE_POINTS = 4.0 / 6.0
+UNITS = {
+    "p_r": "robot performance",
+    "p_h": "human performance",
+    "r": "utilization",
+    "tlx": "task load",
+}
+UNITS |= {"error": "tracking error [m]", "followed_percent": "suggestions followed [%]"}
+
+
+def simulated_effects(
+    assumptions: Mapping[str, float] | None = None,
+    n: int = 20,
+    seed: int = 0,
+    *,
+    only: str | None = None,
+    trust: TrustDynamics | TrustInLoop | None = None,
+    n_jobs: int = 1,
+) -> pd.DataFrame:
+    """
+    Return every printed effect beside what simulated people do under named assumptions.
+
+    Studies under C1–C5 are virtual studies on the two testbeds; those of Chapter 3 are runs of
+    `simulate_teleoperation` with `simulated_answers`, where an operator flies every scheme on the
+    same path, with the same losses of the target. All conditions are within subjects.
+
+    Parameters
+    ----------
+    assumptions : mapping of str to float, optional
+        Any of `trustlab.operators.ASSUMPTIONS`, for the studies under C1–C5, and of
+        `TELEOPERATOR_ASSUMPTIONS` beside them, for those of Chapter 3; none, everything off, by
+        default.
+    n : int
+        Operators of every study; under C1–C5 the next multiple of five, so that every condition
+        comes equally often first, second …
+    seed : int
+        Of all operators and runs.
+    only : str, optional
+        "ground_robot", "uav", "table_2.4", "table_2.5", "table_2.6", "table_3.1" or "teleop".
+        The study to simulate, "ground_robot" for that of Tables 2.4 to 2.6; all of them when not
+        given. Rows of other studies are then left out.
+    trust : TrustDynamics or TrustInLoop, optional
+        A model of `trustlab.trust` in place of (3.2) in the runs of Chapter 3.
+    n_jobs : int
+        Processes, as for `run_campaign`; no effect on results.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns id, where, measure, contrast, printed, low, high, p as `printed_effects`; simulated,
+        the mean difference; se, its standard error over operators; operators, how many have the
+        measure in both conditions; p_simulated, of the paired t-test, not adjusted for the number
+        of pairs; agrees, whether simulated ± 2 se meets what is printed, from low to high (missing
+        where nothing is simulated); reason, why not. `attrs["origin"]` says that it is simulated.
+
+    Raises
+    ------
+    ValueError
+        If an assumption is unknown or out of range, or n is below 3.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> assumptions = {"attention_cost": 0.05}
+    >>> effects = tl.simulated_effects(assumptions, n=4, seed=0, only="table_2.6", n_jobs=1)
+    >>> effects["id"].tolist()
+    ['table_2.6/followed_percent/C2-C4']
+    """
+    assumed = all_checked({} if assumptions is None else assumptions)
+    n, seed = whole_number("n", n, least=3), whole_number("seed", seed, least=0)
+    measures: dict[str, pd.DataFrame] = {}
+    rows = []
+    for effect in effects_of(only):
+        place = ALLOCATION.get(effect.study, effect.study)
+        if place not in measures:
+            measures[place] = _measured(place, assumed, n, seed, trust, n_jobs)
+        rows.append((*effect[: len(COLUMNS)], *_compared(effect, measures[place])))
+    frame = pd.DataFrame(rows, columns=[*COLUMNS, *SIMULATED])
+    frame["agrees"] = frame["agrees"].astype("boolean")
+    frame.attrs = {"origin": "simulated operators", "assumptions": assumed, "n": n, "seed": seed}
+    return frame
+
+
+def all_checked(assumptions: Mapping[str, float]) -> dict[str, float]:
+    """Return assumptions about operators of both chapters, each within its range."""
+    if not isinstance(assumptions, Mapping):
+        raise ValueError(f"assumptions must map names to numbers, got {shown(assumptions)}")
+    for name in assumptions:
+        one_of("an assumption", name, (*ASSUMPTIONS, *TELEOPERATOR_ASSUMPTIONS))
+    drivers = checked_assumptions(_among(ASSUMPTIONS, assumptions))
+    return drivers | checked_teleoperation(_among(TELEOPERATOR_ASSUMPTIONS, assumptions))
+
+
+def _among(names: Iterable[str], assumptions: Mapping[str, float]) -> dict[str, float]:
+    """Return the assumptions of these names."""
+    return {name: assumptions[name] for name in names if name in assumptions}
+
+
+def effects_of(study: str | None) -> list[Effect]:
+    """Return the effects of a study, of all studies on the ground robot, or all."""
+    if study is None:
+        return list(effects())
+    one_of("only", study, [*dict.fromkeys([*ALLOCATION.values(), *ALLOCATION, *TELEOPERATION])])
+    return [effect for effect in effects() if study in (effect.study, ALLOCATION.get(effect.study))]
+
+
+def _measured(
+    place: str, assumed: dict[str, float], n: int, seed: int, trust: Any, n_jobs: int
+) -> pd.DataFrame:
+    """Return a study's measures by participant (the operator's number) and condition."""
+    if place in TELEOPERATION:
+        population = TeleoperatorPopulation(TELEOPERATION[place][0])
+        people = population.draw(n, seed, _among(TELEOPERATOR_ASSUMPTIONS, assumed))
+        return _teleoperated(place, people, seed, trust, n_jobs)
+    n = len(CONDITIONS) * math.ceil(n / len(CONDITIONS))
+    with warnings.catch_warnings():
+        # Carry-over, which half squares leave unbalanced, is not estimated.
+        warnings.filterwarnings("ignore", f"{n} participants fill half")
+        study = virtual_study(
+            n=n,
+            seed=seed,
+            testbed=place,
+            assumptions=_among(ASSUMPTIONS, assumed),
+            n_jobs=n_jobs,
+            progress=False,
+        )
+    frame = study.measures.astype({"condition": str})
+    if place == "ground_robot" and "satisfaction" in frame:
+        frame["satisfaction"] = 1.0 + FIVE_POINTS * (frame["satisfaction"] - 1.0)
+    return frame
+
+
+def _teleoperated(
+    place: str, people: pd.DataFrame, seed: int, trust: Any, n_jobs: int
+) -> pd.DataFrame:
+    """Return error and answers of teleoperators under all schemes of a study of Chapter 3."""
+    study, schemes, points = TELEOPERATION[place]
+    fixed = {"study": study, "schemes": " ".join(schemes), "points": points, "answers": seed}
+    task = teleoperate if trust is None else partial(teleoperate, trust=trust)
+    plans = [fixed | row for row in people.to_dict("records")]
+    done = run_campaign(task, plans, seed=seed, n_jobs=n_jobs, progress=False)
+    done = done[~done["failed"].to_numpy(bool)]
+    names = ["error", "tlx", "satisfaction", "trust"]
+    flown = [
+        done[["participant", *(f"{scheme}/{name}" for name in names)]]
+        .set_axis(["participant", *names], axis=1)
+        .assign(condition=scheme)
+        for scheme in schemes
+    ]
+    return pd.concat(flown)
+
+
+def teleoperate(
+    study: str,
+    schemes: str,
+    points: int,
+    answers: int,
+    seed: np.random.SeedSequence,
+    trust: Any = None,
+    **person: Any,
+) -> dict[str, float]:
+    """Fly all schemes on one path and answer after each: a task of `run_campaign`."""
+    operator = TeleoperatorPopulation.person(person)
+    measures: dict[str, float] = {}
+    for scheme in schemes.split():
+        session = simulate_teleoperation(scheme, operator, study, seed=seed, trust=trust)
+        answered = simulated_answers(session, study, int(person["participant"]), answers, points)
+        measures |= {
+            f"{scheme}/error": float(session["path_error"].mean()),
+            f"{scheme}/tlx": float(np.mean([answered[scale] for scale in NASA_TLX.items])),
+            f"{scheme}/satisfaction": float(
+                np.mean([answered[item] for item in ("satisfaction", "comfort", "control")])
+            ),
+            f"{scheme}/trust": answered["trust"],
+        }
+    return measures
+
+
+def _compared(
+    effect: Effect, measures: pd.DataFrame
+) -> tuple[float, float, int, float, object, str]:
+    """Return mean difference, standard error, count, p, agreement, and why there is none."""
+    if effect.measure not in measures:
+        return math.nan, math.nan, 0, math.nan, pd.NA, SILENT
+    names = {"index": "participant", "columns": "condition", "values": effect.measure}
+    wide = measures.pivot(**names)  # noqa: PD010 (a repeat is an error)
+    after, before = wide.reindex(columns=effect.conditions).T.to_numpy(float)
+    difference = pd.Series(after - before).dropna()
+    count = len(difference)
+    if count < 3:
+        few = f"only {count} operators have the measure in both conditions"
+        return math.nan, math.nan, count, math.nan, pd.NA, few
+    mean, se = float(difference.mean()), float(difference.sem())
+    p = float(2.0 * special.stdtr(count - 1, -abs(mean) / se)) if se > 0.0 else math.nan
+    agrees = effect.low <= mean + 2.0 * se and mean - 2.0 * se <= effect.high
+    return mean, se, count, p, agrees, ""
+
+
+def plot_effects(study: str, simulated: Mapping[str, pd.DataFrame]) -> np.ndarray:
+    """
+    Plot a study's effects, a panel per measure: printed, predicted and simulated.
+
+    Parameters
+    ----------
+    study : {"ground_robot", "uav", "table_2.4", "table_2.5", "table_2.6", "table_3.1", "teleop"}
+        The study.
+    simulated : mapping of str to pandas.DataFrame
+        Results of `simulated_effects` by what is assumed; bars are ± 2 standard errors.
+
+    Returns
+    -------
+    numpy.ndarray of matplotlib.axes.Axes
+    """
+    sized = [effect for effect in effects_of(study) if np.isfinite(effect.printed)]
+    measures = list(dict.fromkeys(effect.measure for effect in sized))
+    predicted = model_effects().set_index("id")
+    axes = panels(len(measures), 2.8)
+    for axis, measure in zip(axes, measures, strict=True):
+        shown = [effect for effect in sized if effect.measure == measure]
+        ids, x = [effect.id for effect in shown], np.arange(len(shown), dtype=float)
+        axis.axhline(0.0, color="black", lw=0.6)
+        sizes = [effect.printed for effect in shown]
+        axis.plot(x, sizes, "_", color="black", ms=16, mew=2, label="printed")
+        axis.plot(x, predicted.loc[ids, "model"], "x", color="#444444", label="model")
+        for i, (label, frame) in enumerate(simulated.items()):
+            effects_at = frame.set_index("id").loc[ids]
+            places, label = x + 0.15 * (i + 1), f"simulated: {label}"
+            bars = 2.0 * effects_at["se"]
+            axis.errorbar(places, effects_at["simulated"], bars, fmt="o", ms=3, label=label)
+        axis.set_xlim(-0.4, x[-1] + 0.2 + 0.15 * len(simulated))
+        axis.set_xticks(x, [effect.contrast for effect in shown], rotation=45)
+        axis.set_title(UNITS.get(measure, measure), fontsize="medium")
+    axes[0].figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2 + len(simulated)
+    )
+    return axes
