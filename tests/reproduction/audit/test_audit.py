@@ -17,8 +17,8 @@ import pytest
 import trustlab as tl
 from trustlab.reproduction.audit.audit import MAKERS, audit
 from trustlab.reproduction.audit.catalogue import printed_numbers
+from trustlab.reproduction.audit.check import VERDICTS, Check, rows_of
 from trustlab.reproduction.audit.joint_consistency import joint_rows
-from trustlab.reproduction.audit.verdict import VERDICTS, Check, rows_of
 
 PUBLISHED = Path(__file__).parents[3] / "data" / "published"
 QUICK = [maker for maker in MAKERS if maker is not joint_rows]
@@ -395,10 +395,10 @@ def test_no_certain_slip_within_rounding():
         least, most = numbers[check.number].compatible
         for way in (check.formula, *check.conventions):
             values = {}
-            for symbol, id in way.inputs.items():
+            for symbol, id in way.inputs(numbers).items():
                 half = 0.0 if symbol in way.as_printed else numbers[id].half
                 values[symbol] = numbers[id].value + half * rng.uniform(-1, 1, 20000)
-            found = np.broadcast_to(way.compute(values), (20000,))
+            found = np.broadcast_to(way.at(values), (20000,))
             assert not ((found >= least) & (found <= most)).any(), (check.number, way.label)
 
 

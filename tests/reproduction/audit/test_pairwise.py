@@ -12,8 +12,8 @@ import pytest
 from scipy import stats
 
 from trustlab.reproduction.audit.catalogue import conditions_of, printed_numbers
+from trustlab.reproduction.audit.check import rows_of
 from trustlab.reproduction.audit.statistics import pair_checks
-from trustlab.reproduction.audit.verdict import rows_of
 from trustlab.reproduction.printed_number import PrintedNumber
 
 NAMES = conditions_of("uav.made")

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
-from trustlab.reproduction.audit.arithmetic import chi2_of_epsilon
 from trustlab.reproduction.audit.catalogue import printed_numbers
+from trustlab.reproduction.audit.check import Check, Formula, Possible, reach, rows_of, show
+from trustlab.reproduction.audit.relations import chi2_of_epsilon
 from trustlab.reproduction.audit.sample_moments import attainable, sample_checks, simplest_ratio
-from trustlab.reproduction.audit.verdict import Check, Formula, Possible, reach, rows_of, show
 from trustlab.reproduction.printed_number import PrintedNumber
 from trustlab.studies.anova import mauchly_p_value
 
@@ -74,7 +74,7 @@ NUMBERS = {
 
 def verdict(printed, conventions=(), explanations=(), **more):
     numbers = NUMBERS | {"product": PrintedNumber("product", "Table", "product", printed)}
-    product = Formula.of("a * b", {"a": "a", "b": "b"})
+    product = Formula("a b", lambda v: v.a * v.b, {"a": "a", "b": "b"})
     return Check("product", product, conventions, explanations, **more).row(numbers)
 
 
@@ -90,7 +90,7 @@ def test_verdicts_at_their_edges():
 
 
 def test_conventions_are_tried_and_explanations_only_explain():
-    total = Formula.of("a + b", {"a": "a", "b": "b"}, "the sum")
+    total = Formula("a + b", lambda v: v.a + v.b, {"a": "a", "b": "b"}, "the sum")
     assert verdict("5.0", conventions=(total,)).verdict == "reproduced"
     row = verdict("5.0", explanations=(total,))
     assert row.verdict == "differs"
@@ -106,8 +106,8 @@ def test_one_digit_is_noticed():
 
 
 def test_possible_ranges():
-    least = Formula.of("a", {"a": "a"})
-    most = Formula.of("b", {"b": "b"})
+    least = Formula("a", lambda v: v.a, {"a": "a"})
+    most = Formula("b", lambda v: v.b, {"b": "b"})
 
     def at(text):
         numbers = NUMBERS | {"product": PrintedNumber("product", "Table", "product", text)}

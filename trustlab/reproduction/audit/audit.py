@@ -9,12 +9,12 @@ import pandas as pd
 from trustlab.models.checks import shown
 from trustlab.models.display import axes_or_new
 from trustlab.reproduction.audit.catalogue import printed_numbers, why_unchecked
+from trustlab.reproduction.audit.check import VERDICTS, Remark, Row, rows_of
 from trustlab.reproduction.audit.joint_consistency import joint_rows
 from trustlab.reproduction.audit.remarks import relation_checks, remarks
 from trustlab.reproduction.audit.sample_moments import sample_checks
 from trustlab.reproduction.audit.statements import claim_checks, statement_checks
 from trustlab.reproduction.audit.statistics import study_checks
-from trustlab.reproduction.audit.verdict import VERDICTS, Remark, Row, rows_of
 from trustlab.reproduction.published import published_facts
 
 MAKERS = (

@@ -1,8 +1,5 @@
 """The equations behind Tables 2.1 and 2.2, as functions of arrays of printed parameters."""
 
-from collections.abc import Callable
-from functools import partial
-
 import numpy as np
 
 from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
@@ -60,25 +57,7 @@ def bounds(v: dict) -> dict[str, np.ndarray]:
     return {"P_rl": p.p_r_low, "P_ru": p.p_r_high, "r_l": r_low, "r_u": r_high}
 
 
-def largest_step(*values: np.ndarray) -> np.ndarray:
+def largest_step(v: dict) -> np.ndarray:
     """Return |a_T δ_Pr + b_T δ_Ph| (Remark 3) of the ranges of performance, δ_Pr and δ_Ph."""
-    *performance, delta_p_r, delta_p_h = values
-    a_T, b_T = performance_weights(*performance)
-    return np.abs(a_T * delta_p_r + b_T * delta_p_h)
-
-
-def _output(compute: Callable, name: str, inputs: tuple[str, ...], *values: np.ndarray):
-    """Return an output of a function of named inputs; b_pr may follow them."""
-    return compute(dict(zip((*inputs, "b_pr"), values, strict=False)))[name]
-
-
-BY_NAME: dict[str, Callable] = {
-    "robot_gain": gain_of_human_performance,
-    "largest_step": largest_step,
-    "lower_limit": partial(_output, limits, "TSC_lb", LIMIT_INPUTS),
-    "upper_limit": partial(_output, limits, "TSC_ub", LIMIT_INPUTS),
-    "least_performance": partial(_output, bounds, "P_rl", RANGE_INPUTS),
-    "greatest_performance": partial(_output, bounds, "P_ru", RANGE_INPUTS),
-    "least_utilization": partial(_output, bounds, "r_l", RATE_INPUTS),
-    "greatest_utilization": partial(_output, bounds, "r_u", RATE_INPUTS),
-}
+    a_T, b_T = performance_weights(*(v[name] for name in PERFORMANCE))
+    return np.abs(a_T * v["delta_P_r"] + b_T * v["delta_P_h"])

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS
+from trustlab.reproduction.audit.check import NOTHING, Numbers, Row, listing, row_about
 from trustlab.reproduction.audit.equations import (
     LIMIT_INPUTS,
     PERFORMANCE,
@@ -13,7 +14,6 @@ from trustlab.reproduction.audit.equations import (
     limits,
 )
 from trustlab.reproduction.audit.remarks import related
-from trustlab.reproduction.audit.verdict import NOTHING, Numbers, Row, listing, row_about
 
 LIMITS = ("TSC_lb", "TSC_ub", "b_pr")
 BOUNDS = ("P_rl", "P_ru", "r_l", "r_u")

@@ -2,6 +2,10 @@
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
 
 from trustlab.reproduction.audit.catalogue import (
     PARTICIPANTS,
@@ -9,8 +13,9 @@ from trustlab.reproduction.audit.catalogue import (
     study_names,
     why_unchecked,
 )
-from trustlab.reproduction.audit.relations import relations
-from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Possible, Remark
+from trustlab.reproduction.audit.check import Check, Finding, Formula, Numbers, Possible, Remark
+from trustlab.reproduction.audit.equations import LIMIT_INPUTS, limits
+from trustlab.reproduction.audit.relations import chi2_of_epsilon, relations, upper_limit
 from trustlab.studies.anova import mauchly_p_value
 
 
@@ -20,7 +25,7 @@ def related(number: str, numbers: Numbers) -> Check:
 
 
 def relation_checks(numbers: Numbers) -> list[Finding]:
-    """Return the checks of relations.toml, with what is to be said of them."""
+    """Return the checks of all relations, with what is to be said of them."""
     checks = list(relations(numbers))
     notes = {
         **_notes_on_limits(numbers),
@@ -113,20 +118,19 @@ def _chosen_thresholds(numbers: Numbers) -> list[Remark]:
         name: f"pilot/{name}" for name in ("P_r_min", "P_r_max", "P_h_min", "P_h_max", "delta_P_h")
     }
     ids |= {"a_pr": "pilot/a_pr", "b_pr": "pilot/b_pr"}
-    common = "P_r_min, P_r_max, P_h_min, P_h_max, a_pr, delta_P_h"
-    lower, _, _ = Formula.of(f"lower_limit({common})", ids).range(numbers)
-    upper = replace(Formula.of(f"upper_limit({common}, b_pr)", ids), as_printed=("b_pr",))
+    lower = Formula("TSC_lb", lambda v: limits(v.named(*LIMIT_INPUTS))["TSC_lb"], ids)
+    upper = Formula("TSC_ub", lambda v: upper_limit(v, "b_pr"), ids, as_printed=("b_pr",))
     limit, least, most = upper.range(numbers)
-    limits = (
+    allowed = (
         f"The pilot's own numbers give TSC_ub = {limit:.3f} by (2.10), from {least:.3f} to "
-        f"{most:.3f} within rounding, and TSC_lb = {lower:.3f}."
+        f"{most:.3f} within rounding, and TSC_lb = {lower.range(numbers)[0]:.3f}."
     )
     over = "Suspicious: above the limit under which Theorem 1 guarantees switching."
     remarks = []
     for name in ("TSC_l_0", "TSC_u_0", "TSC_ld", "TSC_ud"):
         id = f"section_2_5/{name}"
         first = over if numbers[id].value > most else "Chosen by the author."
-        remarks.append(Remark(id, f"{first} {limits}"))
+        remarks.append(Remark(id, f"{first} {allowed}"))
     return remarks
 
 
@@ -145,6 +149,11 @@ def _captured_thresholds(numbers: Numbers) -> list[Remark]:
     return remarks
 
 
+def _chi2(v: Any, k: int, greatest: bool) -> np.ndarray:
+    """Return the least or greatest χ² that an ε leaves."""
+    return chi2_of_epsilon(v.ε, v.n, k, greatest)
+
+
 def _unprinted_sphericity(numbers: Numbers) -> list[Remark]:
     """Return remarks on tests of sphericity whose χ² is not printed, from the ε that is."""
     remarks = []
@@ -153,8 +162,11 @@ def _unprinted_sphericity(numbers: Numbers) -> list[Remark]:
             continue
         k = len(conditions_of(name))
         ids = {"ε": f"{name}/epsilon", "n": f"{name}/n"}
-        _, low, _ = Formula.of(f"least_chi2(ε, n, {k})", ids).range(numbers)
-        _, _, high = Formula.of(f"greatest_chi2(ε, n, {k})", ids).range(numbers)
+        least, most = (
+            Formula("χ²", partial(_chi2, k=k, greatest=greatest), ids) for greatest in (False, True)
+        )
+        _, low, _ = least.range(numbers)
+        _, _, high = most.range(numbers)
         n = numbers[ids["n"]].value
         p_low, p_high = (float(mauchly_p_value(chi2, n, k)) for chi2 in (high, low))
         reason = (

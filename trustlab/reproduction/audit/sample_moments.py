@@ -3,11 +3,12 @@
 import math
 from collections.abc import Mapping
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, study_names
-from trustlab.reproduction.audit.verdict import (
+from trustlab.reproduction.audit.check import (
     Finding,
     Formula,
     Numbers,
@@ -86,11 +87,15 @@ def _sd(measure: str, mean: str) -> Possible | Remark:
     inputs = {"M": mean, "n": _size(measure)}
 
     text = f"√(n/(n − 1) (M − {least:g})({most:g} − M)), all scores at the ends of the scale"
-    expression = f"sqrt(max(n / (n - 1.0) * (M - {least}) * ({most} - M), 0.0))"
+
+    def at_the_ends(v: Any) -> np.ndarray:
+        variance = v.n / (v.n - 1.0) * (v.M - least) * (most - v.M)
+        return np.sqrt(np.maximum(variance, 0.0))
+
+    greatest = Formula(text, at_the_ends, inputs)
     if math.isinf(most):
-        text, expression = "M √n, all but one score 0", "M * sqrt(n)"
-    greatest = Formula.of(expression, inputs, text=text)
-    return Possible(sd, Formula.of("0", {}), greatest)
+        greatest = Formula("M √n, all but one score 0", lambda v: v.M * np.sqrt(v.n), inputs)
+    return Possible(sd, Formula("0", lambda v: 0), greatest)
 
 
 def _units(measure: str, condition: str, numbers: Numbers, per_person: Fraction) -> Fraction:
@@ -192,7 +197,7 @@ def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Pos
 
     def mean_of(end: str) -> Formula:
         ids = {f"x_{p}": f"table_2.1/{name}_{end}/{p}" for p in PARTICIPANTS}
-        return Formula.of("mean(x)", ids, text=f"mean of {name}_{end} of Table 2.1")
+        return Formula(f"mean of {name}_{end} of Table 2.1", lambda v: v.x.mean(axis=0), ids)
 
     top, _, _ = mean_of("max").range(numbers)
     if numbers[id].value >= top:

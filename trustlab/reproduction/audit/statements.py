@@ -2,9 +2,13 @@
 
 from dataclasses import replace
 from decimal import ROUND_HALF_UP, Decimal
+from typing import Any
+
+import numpy as np
 
 from trustlab.reproduction.audit.catalogue import claims
-from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Row, row_about
+from trustlab.reproduction.audit.check import Check, Finding, Formula, Numbers, Row, row_about
+from trustlab.reproduction.audit.relations import CHANGE, change
 from trustlab.reproduction.printed_number import ROUNDINGS, last_unit
 
 SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
@@ -16,12 +20,16 @@ def _rank(number: str, numbers: Numbers) -> Check:
     scheme, measure = number.split("/")[1].split("_", 1)
     ids = {f"x_{name}": f"table_3.1/{name}/{measure}_mean" for name in SCHEMES}
     highest = HIGHER_IS_BETTER[measure] != (numbers[number].printed == "worst")
-    sign = "" if highest else "-"
+    sign = 1 if highest else -1
     order = sorted(SCHEMES, key=lambda c: numbers[ids[f"x_{c}"]].value, reverse=highest)
     means = ", ".join(f"{c} {numbers[ids[f'x_{c}']].printed}" for c in order)
     text = f"rank of {scheme}, {'highest' if highest else 'lowest'} first"
-    formula = Formula.of(f"rank({sign}x_{scheme}, {sign}x)", ids, text=text)
-    return Check(number, formula, note=f"In order: {means}.")
+
+    def rank(v: Any) -> np.ndarray:
+        this = getattr(v, f"x_{scheme}")
+        return 1.0 + (sign * v.x > sign * this).sum(axis=0)
+
+    return Check(number, Formula(text, rank, ids), note=f"In order: {means}.")
 
 
 def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
@@ -67,8 +75,7 @@ def statement_checks(numbers: Numbers) -> list[Finding]:
 
 def _relative(after: str, before: str) -> Formula:
     """Return the magnitude of a change relative to `before`, in %."""
-    ids = {"after": after, "before": before}
-    return Formula.of("100 * abs(after - before) / before", ids, "relative change")
+    return Formula(CHANGE, change, {"after": after, "before": before}, "relative change")
 
 
 def _by_range(number: str, after: str, before: str) -> Check:
@@ -79,11 +86,18 @@ def _by_range(number: str, after: str, before: str) -> Check:
         "P_r_min": "remark_7/P_r_min",
         "P_r_max": "remark_7/P_r_max",
     }
-    change = "100 * (after - before)"
-    difference = Formula.of(
-        f"{change} / (P_r_max - P_r_min)", ids, "difference of two values of (2.39)"
+    difference = Formula(
+        "100 (after − before)/(P_r_max − P_r_min)",
+        lambda v: 100 * (v.after - v.before) / (v.P_r_max - v.P_r_min),
+        ids,
+        "difference of two values of (2.39)",
     )
-    relative = Formula.of(f"{change} / (before - P_r_min)", ids, "relative change of (2.39)")
+    relative = Formula(
+        "100 (after − before)/(before − P_r_min)",
+        lambda v: 100 * (v.after - v.before) / (v.before - v.P_r_min),
+        ids,
+        "relative change of (2.39)",
+    )
     return Check(number, difference, (relative,))
 
 
@@ -93,8 +107,8 @@ def _in_points(number: str, after: str, before: str, scale: float, numbers: Numb
     label = (
         "difference in units of the measure, printed as %" if scale == 1.0 else "percentage points"
     )
-    difference = "abs(after - before)" if scale == 1.0 else f"{scale:g} * abs(after - before)"
-    points = Formula.of(difference, relative.inputs, label)
+    text = "|after − before|" if scale == 1.0 else f"{scale:g} |after − before|"
+    points = Formula(text, lambda v: scale * abs(v.after - v.before), relative.ids, label)
     would, _, _ = relative.range(numbers)
     note = f"Printed with a % sign, which reads as a relative change; that would be {would:.1f} %."
     return Check(number, points, (relative,), note=note)

@@ -6,8 +6,7 @@ import numpy as np
 from scipy import stats
 
 from trustlab.reproduction.audit.catalogue import conditions_of, study_names
-from trustlab.reproduction.audit.relations import relations
-from trustlab.reproduction.audit.verdict import (
+from trustlab.reproduction.audit.check import (
     Finding,
     Formula,
     Numbers,
@@ -16,6 +15,7 @@ from trustlab.reproduction.audit.verdict import (
     listing,
     row_about,
 )
+from trustlab.reproduction.audit.relations import relations
 from trustlab.reproduction.printed_number import PrintedNumber
 
 ALPHA = 0.05
@@ -83,7 +83,7 @@ def _adjustment(name: str, numbers: Numbers) -> Row:
     k = len(conditions)
     ids = {f"M_{c}": f"{name}/mean.{c}" for c in conditions} | {"n": f"{name}/n", "F": number.id}
     text = "k(k − 1) MS_conditions/F"
-    formula = Formula.of(f"{k} * {k - 1.0} * n * variance(M) / F", ids, text=text)
+    formula = Formula(text, lambda v: k * (k - 1.0) * v.n * v.M.var(axis=0, ddof=1) / v.F, ids)
     value, low, high = formula.range(numbers)
     times = {"unadjusted": 1.0, "Bonferroni": k * (k - 1) / 2}
     spans = {way: _sum_of_variances(name, numbers, m) for way, m in times.items()}
@@ -102,7 +102,7 @@ def _adjustment(name: str, numbers: Numbers) -> Row:
         reason += f"The adjustment is not printed; of the two only {fits[0]} is possible."
     else:
         reason = f"Suspicious: {reason}Neither is possible."
-    span, used = (value, low, high), listing(formula.inputs, numbers)
+    span, used = (value, low, high), listing(formula.inputs(numbers), numbers)
     id, quantity = f"{name}/pairs/adjustment", f"{number.quantity}, against the pairwise p-values"
     return row_about(number, "not checkable", reason, span, formula.text, used, id, quantity)
 

@@ -1,6 +1,5 @@
 """How a verdict is made: a formula of printed numbers, its range, and what is printed."""
 
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import product
@@ -8,14 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.reproduction.audit.arithmetic import evaluate
 from trustlab.reproduction.printed_number import PrintedNumber
 
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
 Numbers = Mapping[str, PrintedNumber]
-Compute = Callable[[Mapping[str, np.ndarray]], Any]
-SYMBOL = re.compile(r"[^\W\d]\w*")
 Span = tuple[float, float, float]
 NOTHING = (np.nan, np.nan, np.nan)
 
@@ -68,57 +64,83 @@ def listing(inputs: Mapping[str, str], numbers: Numbers) -> str:
     return "; ".join(f"{symbol} = {numbers[id].printed} ({id})" for symbol, id in inputs.items())
 
 
+class NotPrintedError(LookupError):
+    """A formula uses a symbol for which no number is printed."""
+
+
+class Values:
+    """
+    Printed numbers by the symbols of a formula, as attributes; notes which are used.
+
+    A symbol that stands for several numbers, x for x_1, x_2 …, is their stack along a new first
+    axis. `value` gives the value of a symbol and its id; `constants` are attributes as well.
+    """
+
+    def __init__(
+        self,
+        ids: Mapping[str, str],
+        value: Callable[[str, str], Any],
+        constants: Mapping[str, float] | None = None,
+    ) -> None:
+        self._ids, self._value = ids, value
+        self.used: dict[str, str] = {}
+        self.__dict__ |= constants or {}
+
+    def __getattr__(self, symbol: str) -> Any:
+        """Return the value of a symbol, or the values of the numbers that it stands for."""
+        family = {x: id for x, id in self._ids.items() if x.startswith(f"{symbol}_")}
+        named = {symbol: self._ids[symbol]} if symbol in self._ids else family
+        if not named:
+            raise NotPrintedError(symbol)
+        self.used |= named
+        values = [self._value(x, id) for x, id in named.items()]
+        return values[0] if symbol in named else np.stack(values)
+
+    def named(self, *symbols: str) -> dict[str, Any]:
+        """Return the values of several symbols by name."""
+        return {symbol: getattr(self, symbol) for symbol in symbols}
+
+
 @dataclass(frozen=True)
 class Formula:
     """
     A way to compute one printed number from others.
 
-    `expression` is what `arithmetic.evaluate` takes; `inputs` maps its symbols to ids of printed
-    numbers; `text` is the formula as one reads it; `label` names the convention, or says what an
-    explanation assumes. `changed` has symbols put in place of printed values, without rounding (the
-    change that an explanation tries); `as_printed` names symbols that are used with the printed
-    digits as they stand.
+    `text` is the formula as one reads it; `compute` takes `Values`; `ids` maps symbols to ids of
+    printed numbers; `label` names the convention, or says what an explanation assumes. `changed`
+    has symbols put in place of printed values, without rounding (the change that an explanation
+    tries); `as_printed` names symbols that are used with the printed digits as they stand;
+    `constants` are numbers that are not printed, such as how many conditions there are.
     """
 
-    expression: str
-    inputs: Mapping[str, str]
     text: str
+    compute: Callable[[Any], Any]
+    ids: Mapping[str, str] = field(default_factory=dict)
     label: str = ""
     changed: Mapping[str, float] = field(default_factory=dict)
     as_printed: tuple[str, ...] = ()
+    constants: Mapping[str, float] = field(default_factory=dict)
 
-    @classmethod
-    def of(
-        cls, expression: str, ids: Mapping[str, str], label: str = "", text: str = ""
-    ) -> "Formula":
-        """
-        Return the formula of an expression, with those of `ids` that it names as inputs.
+    def inputs(self, numbers: Numbers) -> dict[str, str]:
+        """Return the ids of the numbers that the formula uses, by symbol."""
+        values = Values(self.ids, lambda _, id: np.asarray(numbers[id].value), self.constants)
+        with np.errstate(all="ignore"):
+            self.compute(values)
+        return values.used
 
-        The text is the expression set as in print, unless given, so that what is shown is what is
-        computed.
-        """
-        inputs: dict[str, str] = {}
-        for name in dict.fromkeys(SYMBOL.findall(expression)):
-            family = [symbol for symbol in ids if symbol.startswith(f"{name}_")]
-            inputs |= {symbol: ids[symbol] for symbol in ([name] if name in ids else family)}
-        return cls(expression, inputs, text or _as_in_print(expression), label)
-
-    def compute(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    def at(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the value of the formula at arrays of its inputs."""
-        return evaluate(self.expression, values)
+        return self.compute(Values(self.ids, lambda symbol, _: values[symbol], self.constants))
 
     def range(self, numbers: Numbers) -> Span:
         """
         Return the value, and its least and greatest when every input varies within its rounding.
         """
-        middle = {symbol: numbers[id].value for symbol, id in self.inputs.items()} | dict(
-            self.changed
-        )
+        inputs = self.inputs(numbers)
+        middle = {symbol: numbers[id].value for symbol, id in inputs.items()} | dict(self.changed)
         fixed = {*self.changed, *self.as_printed}
-        half = {
-            symbol: numbers[id].half for symbol, id in self.inputs.items() if symbol not in fixed
-        }
-        return reach(self.compute, middle, half)
+        half = {symbol: numbers[id].half for symbol, id in inputs.items() if symbol not in fixed}
+        return reach(self.at, middle, half)
 
     def meets(self, number: PrintedNumber, numbers: Numbers) -> bool:
         """
@@ -129,15 +151,7 @@ class Formula:
         return low <= most and high >= least
 
 
-def _as_in_print(expression: str) -> str:
-    """Return an expression without signs of multiplication, and with bars for magnitudes."""
-    text = re.sub(r"abs\(([^()]*)\)", r"|\1|", expression)
-    for code, sign in ((" * ", " "), (") (", ")("), (" / ", "/"), ("-", "−"), (" % ", " modulo ")):
-        text = text.replace(code, sign)
-    return text
-
-
-def reach(compute: Compute, middle: Mapping[str, float], half: Mapping[str, float]) -> Span:
+def reach(compute: Callable, middle: Mapping[str, float], half: Mapping[str, float]) -> Span:
     """
     Return a function's value at the middle of a box, and its least and greatest over the box.
 
@@ -225,7 +239,7 @@ class Check:
             verdict = "not checkable" if self.binding else "differs"
             reason = f"{self._missed(number, ways)} {self._explained(numbers, least, most)}".strip()
         reason = f"{reason} {self.note}"
-        id, inputs = number.id + self.suffix, listing(way.inputs, numbers)
+        id, inputs = number.id + self.suffix, listing(way.inputs(numbers), numbers)
         return row_about(number, verdict, reason, span, way.text, inputs, id, self.quantity)
 
     def _missed(self, number: PrintedNumber, ways: list) -> str:
@@ -291,7 +305,7 @@ class Possible:
             reason = f"Not determined by other printed numbers, which allow it {between}."
         first = self.note.startswith("Suspicious")
         reason = f"{self.note} {reason}" if first else f"{reason} {self.note}"
-        inputs = listing(self.most.inputs or self.least.inputs, numbers)
+        inputs = listing(self.most.inputs(numbers) or self.least.inputs(numbers), numbers)
         span = (np.nan, low, high)
         return row_about(
             number, verdict, reason, span, f"{self.least.text} … {self.most.text}", inputs
