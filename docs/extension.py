@@ -32,8 +32,8 @@ EQUATIONS_PAGE = "concepts/equations"
 PRINTED = ROOT / "data" / "published" / "equations.toml"
 EQUATIONS = tomllib.loads(PRINTED.read_text(encoding="utf-8"))
 BETWEEN_EQUATIONS = re.compile(r"(?<=,)\s*\\quad\s")
-# (2.3), report 03, or Table 03-1.
-NUMBER = re.compile(r"(\((?:\d|A)\.\d+\)|\b[Rr]eport \d\d\b|\b(?:Figure|Table) \d\d-\d+\b)")
+# (2.3), report “allocation”, or Table 03-1.
+CITED = re.compile(r"(\((?:\d|A)\.\d+\)|\b[Rr]eport “[a-z ]+”|\b(?:Figure|Table) \d\d-\d+\b)")
 LABEL = re.compile(r"(?:Figure|Table) (\d\d)-\d+")
 STUDIES = {"uav": "UAV study", "teleop": "teleoperation study"}
 REPORT = re.compile(r"\d\d_")
@@ -239,19 +239,21 @@ def link_names(app: Sphinx, doctree: nodes.document, docname: str) -> None:
     for report in filter(REPORT.match, app.env.found_docs):
         uri = app.builder.get_relative_uri(docname, report)
         if report != docname:
-            places[f"report {report[:2]}"] = uri
+            places[f"report “{report[3:].replace('_', ' ')}”"] = uri
         for kind, numbers in app.env.toc_fignumbers.get(report, {}).items():
             numbered.add(report[:2])
             for anchor, (number,) in numbers.items():
                 places[f"{kind.capitalize()} {number}"] = f"{uri}#{anchor}"
     for text in list(doctree.findall(nodes.Text)):
-        parts = NUMBER.split(text.astext())
+        parts = CITED.split(text.astext())
         if len(parts) == 1 or _is_literal(text):
             continue
         new: list[nodes.Node] = []
         for part in filter(None, parts):
             place = places.get(part.replace("Report", "report"))
             cited = LABEL.fullmatch(part)
+            if "eport “" in part and not place:
+                logging.getLogger(__name__).warning("there is no %s", part, location=docname)
             if cited and not place and cited[1] in numbered:
                 logging.getLogger(__name__).warning(
                     "%s is cited, which report %s does not have", part, cited[1], location=docname

@@ -40,14 +40,14 @@ SEED = 0
 
 
 def adjustments() -> pd.DataFrame:
-    """Which adjustments of p-values the printed numbers of each study can belong to (report 05)."""
+    """Which adjustments of p-values the printed numbers of each study can belong to."""
     return tl.reproduction.compare_adjustments(tl.published_studies(), SEED).reset_index()
 
 
 def reconstructions() -> pd.DataFrame:
     """
     Data with the printed statistics of each study, not measurements, reconstructed with several
-    seeds (reports 05 and 09). Another processor finds other data that fit as well.
+    seeds. Another processor finds other data that fit as well.
     """
     frames = []
     for name, study in tl.published_studies().items():
@@ -58,7 +58,7 @@ def reconstructions() -> pd.DataFrame:
 
 
 # Studies of which the reports need more than one reconstruction: those that lack a printed mean,
-# and the one by which report 09 asks how much the reconstruction matters.
+# and the one by which the report on virtual studies asks how much the reconstruction matters.
 SEVERAL = ("uav.satisfaction", "uav.trust", "uav.tlx")
 
 
@@ -129,9 +129,9 @@ def outside(run: pd.DataFrame, bounds) -> list[bool]:
 
 def failures(sets: int = 20_000, seed: int = SEED, invariant: int = 2_000) -> pd.DataFrame:
     """
-    How often random parameter sets violate the printed bounds, and those of `invariant_bounds`
-    (report 03). All thresholds lie within (2.9)-(2.10) with the δ_Ph of the set's own steady
-    motion, whose δ_TSC the bounds take; "switching" is violated by motions that stay in one mode.
+     How often random parameter sets violate the printed bounds, and those of `invariant_bounds`
+    . All thresholds lie within (2.9)-(2.10) with the δ_Ph of the set's own steady
+     motion, whose δ_TSC the bounds take; "switching" is violated by motions that stay in one mode.
     """
     root = np.random.SeedSequence(seed)
     left = np.zeros(len(TESTED), int)
@@ -163,7 +163,7 @@ def failures(sets: int = 20_000, seed: int = SEED, invariant: int = 2_000) -> pd
     return pd.DataFrame(counts).assign(share=lambda table: table["left"] / table["sets"])
 
 
-# Keywords of `simulate_teleoperation` by the name under which report 07 shows them.
+# Keywords of `simulate_teleoperation` by the name under which they are shown.
 GUIDANCES: dict[str, dict[str, str]] = {
     "through the channel, guard off": Guidance("through_channel", "off"),
     "through the channel": Guidance("through_channel", "cancel"),
@@ -173,7 +173,7 @@ GUIDANCES: dict[str, dict[str, str]] = {
 
 def guidance(operators: int = 30) -> pd.DataFrame:
     """
-    Simulated operators of the main study in every scheme under every guidance (report 07).
+    Simulated operators of the main study in every scheme under every guidance.
 
     Every operator has one path, one series of losses of the target, delays and noise, the same in
     all runs.
@@ -195,7 +195,7 @@ def guidance(operators: int = 30) -> pd.DataFrame:
 
 def checks() -> pd.DataFrame:
     """
-    Printed effects beside 40 studies of each testbed simulated under the posterior (report 10);
+    Printed effects beside 40 studies of each testbed simulated under the posterior;
     needs `make calibration`.
     """
     found = {
@@ -308,7 +308,7 @@ def tracking_errors(study: str, schemes: list[str], person: dict, seed, task=Non
 def compensation() -> pd.DataFrame:
     """
     Schemes of the main study by how much operators make up for the channel's scale, and by how
-    often autonomy fails (report 07).
+    often autonomy fails.
     """
     whole = 0.5 / STUDIES["main"].scattering.beta_min ** 0.5
     kinds = {f"factor {f:.3g}": {"compensation": f} for f in (1.0, 1.25, 1.6, whole)}
@@ -332,7 +332,7 @@ FLOWN = {"preliminary": ["M", "MI", "MMI", "TMIG", "TMIS"], "main": ["M", "MI", 
 
 def orders() -> pd.DataFrame:
     """
-    Which simulated operators bring the printed order of schemes about (report 07).
+    Which simulated operators bring the printed order of schemes about.
 
     For both studies and laws: operators as shipped; with assumptions drawn from the priors of the
     calibration, for each operator anew; and likewise where the picture shows a part only.
@@ -398,7 +398,7 @@ def flown_guided(scheme: str, person: dict, stiffness: float, seed) -> dict:
 
 
 def felt() -> pd.DataFrame:
-    """Guidance with a budget against none, also at equal command gain (report 07)."""
+    """Guidance with a budget against none, also at equal command gain."""
     rows = []
     cells = itertools.product(LAWS, ("M", "TMIG"), (6.0, 20.0))
     for law, scheme, stiffness in cells:
@@ -440,7 +440,7 @@ def time_with_fault(fault: str, policy: str, number: int, seed: np.random.SeedSe
 
 
 def trust_value() -> pd.DataFrame:
-    """When teams with one faulty robot are at the goal, under three policies (report 08)."""
+    """When teams with one faulty robot are at the goal, under three policies."""
     cells = [
         {"fault": fault, "policy": policy, "number": number}
         for fault in FAULTS
@@ -480,7 +480,7 @@ QUICK = [name for name in (*tl.trust.MODELS, *tl.trust.BASELINES) if name != "op
 
 
 def trust_scores() -> pd.DataFrame:
-    """Models of trust on real people, and on simulated ones (report 13)."""
+    """Models of trust on real people, and on simulated ones."""
     tables = {}
     for name in ("hybrid_vr", "hybrid_real"):
         for criterion in ("step", "free"):
@@ -493,7 +493,7 @@ def trust_scores() -> pd.DataFrame:
 
 
 def trust_recovery() -> pd.DataFrame:
-    """Which model is chosen where people follow which, 3 panels of each (report 13)."""
+    """Which model is chosen where people follow which, 3 panels of each."""
     shares = tl.trust.recover_trust_models(tl.read_people("hybrid_vr"), n=3, seed=SEED)
     return shares.reset_index()
 
@@ -514,7 +514,7 @@ def driver(name: str | None, rate: float) -> tl.trust.TrustInLoop | None:
 
 
 def trust_effects() -> pd.DataFrame:
-    """Printed effects of Chapter 3 under other models of trust, 20 operators (report 13)."""
+    """Printed effects of Chapter 3 under other models of trust, 20 operators."""
     tables = {
         (name or PRINTED, study): tl.simulated_effects(
             n=20, seed=SEED, only=study, trust=driver(name, 0.2), n_jobs=1
@@ -547,7 +547,7 @@ def arrival(policy: str, name: str | None, number: int) -> dict[str, float]:
 
 
 def trust_teams() -> pd.DataFrame:
-    """40 teams led by the most trusted robot under other models of trust (report 13)."""
+    """40 teams led by the most trusted robot under other models of trust."""
     cases = [("sequence", None), ("random", None), *(("most_trusted", name) for name in DRIVERS)]
     return pd.DataFrame(
         {"policy": policy, "trust": name or PRINTED, "team": number} | arrival(policy, name, number)

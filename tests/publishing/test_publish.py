@@ -20,7 +20,7 @@ from trustlab.publishing.__main__ import main
 from trustlab.publishing.book import publish, write_book
 
 GOOD = [
-    "# A good one\n\nIt shows $\\overline{P}_h$, and succeeds as in (2.3) and in report 03. "
+    "# A good one\n\nIt shows $\\overline{P}_h$, and succeeds as in (2.3) and in report “plain”. "
     "See Table 01-1.",
     tagged("seed = 7\nsize = 2", "parameters"),
     new_code_cell(
@@ -105,7 +105,7 @@ def test_a_report_has_its_answer_figures_tables_and_origin(world):
         assert f"Figure 01-{number}" in text
     assert re.search("Table 01-1 .*Synthetic data. What <em>x</em> is.", text)
     assert 'href="concepts/equations.html#eq-2-3"' in text
-    assert 'href="03_plain.html">report 03</a>' in text
+    assert 'href="03_plain.html">report “plain”</a>' in text
     assert re.search('<a [^>]*href="[^"]*#[^"]+">Table 01-1</a>', text)
     assert "<math" in text
     assert '<mover accent="true">' in text

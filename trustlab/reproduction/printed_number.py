@@ -96,12 +96,12 @@ class PrintedNumber:
 
     @property
     def is_bound(self) -> bool:
-        """Whether an upper bound is printed, such as "<.0005"."""
-        return self.printed.strip().startswith("<")
+        """Whether a bound is printed, such as "<.0005" or ">.05"."""
+        return self.printed.strip().startswith(("<", ">"))
 
     def _decimal(self) -> Decimal:
         try:
-            return Decimal(self.printed.strip().lstrip("<"))
+            return Decimal(self.printed.strip().lstrip("<>"))
         except InvalidOperation:
             return Decimal("nan")
 
@@ -131,6 +131,6 @@ class PrintedNumber:
     def compatible(self) -> tuple[float, float]:
         """Least and greatest value that rounds to the number, or obeys the bound."""
         if self.is_bound:
-            return -math.inf, self.value
+            return printed_interval(self.printed)
         reach = self.half * (1.0 + 1e-9)  # a value on the edge may miss it by its own rounding
         return self.value - reach, self.value + reach

@@ -17,7 +17,7 @@ NOTEBOOKS = sorted((Path(__file__).parents[3] / "notebooks").glob("*.ipynb"))
 def test_reports_take_verdicts_from_the_audit(path):
     """
     `recompute` varies every input by itself, b_pr too, which gave TSC_ub of participant 5 another
-    verdict in report 03.
+    verdict in report “allocation”.
     """
     code = "".join("".join(cell["source"]) for cell in json.loads(path.read_text())["cells"])
     assert "recompute(" not in code

@@ -30,6 +30,7 @@ def test_printed_text_keeps_its_rounding():
     assert number("worst").value == 1.0
     assert number("4 and 11").value == 2.0
     assert number("<.0005").compatible == (-math.inf, 0.0005)
+    assert number(">.05").compatible == (0.05, math.inf)
     assert number("31").compatible == pytest.approx((30.5, 31.5))
     assert math.isnan(number("met").value)
 
