@@ -29,7 +29,6 @@ MODULES = {
     "models/simulation": "models/test_simulation.py",
     "models/trust": "models/test_trust.py",
     "models/uav": "models/test_uav.py",
-    "models/linear_algebra": "models/test_linear_algebra.py",
     "allocation/blending": "allocation/test_blending.py",
     "allocation/estimates": "allocation/test_thresholds.py testbeds/test_ground_robot.py",
     "allocation/simulation": "allocation/test_rules.py allocation/test_guarantees.py",

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from trustlab.models.checks import between, finite_array, in_order, positive
 from trustlab.models.compiled import njit
-from trustlab.models.linear_algebra import matrix_exponential, products, transposed
-from trustlab.models.portable import cos_sin
 from trustlab.models.uav import TransferFunction, three_axes
 
 # Degree of the interpolation of the cost in α; its error over 0.2 s is below rounding (a test
@@ -209,9 +208,9 @@ class OptimalBlending:
     def _series(self) -> np.ndarray:
         """Return the cost of an α that is held as Chebyshev series, shape (3, DEGREE + 1, 5, 5)."""
         count = DEGREE + 1
-        nodes = np.array([cos_sin(np.pi * (k + 0.5) / count)[0] for k in range(count)])
+        nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
         # At these nodes Chebyshev's polynomials are orthogonal.
-        fit = 2.0 / count * transposed(np.polynomial.chebyshev.chebvander(nodes, DEGREE))
+        fit = 2.0 / count * np.polynomial.chebyshev.chebvander(nodes, DEGREE).T
         fit[0] *= 0.5
         values = np.empty((3, count, 5, 5))
         for axis in range(3):
@@ -222,12 +221,10 @@ class OptimalBlending:
                 difference = np.array([1.0, -1.0, 0.0, 0.0, 0.0])
                 q += self.deviation_weight * (1.0 - alpha) ** 2 * np.outer(difference, difference)
                 block = np.block([[-a.T, q], [np.zeros((5, 5)), a]])
-                whole = matrix_exponential(block * self.horizon)  # Van Loan
-                flow = np.ascontiguousarray(whole[5:, 5:])
-                (gram,) = products(transposed(flow)[None], whole[None, :5, 5:].copy())
+                whole = linalg.expm(block * self.horizon)  # Van Loan
+                gram = whole[5:, 5:].T @ whole[:5, 5:]
                 values[axis, k] = 0.5 * (gram + gram.T)
-        series = products(np.repeat(fit[None], 3, axis=0), values.reshape(3, count, 25))
-        return series.reshape(values.shape)
+        return (fit @ values.reshape(3, count, 25)).reshape(values.shape)
 
     def cost(self, alpha: float, u_h, u_a, e, rate, acceleration) -> float:
         """

@@ -2,10 +2,10 @@
 Elementary functions from +, −, × and ÷ alone, so that every machine gets the same bits.
 
 IEEE 754 fixes the results of these four operations, of the square root, of rounding to a whole
-number and of scaling by powers of 2, but not those of a library's sine or logarithm. The
+number and of scaling by powers of 2, but not those of a library's sine or exponential. The
 polynomials are those of fdlibm (Sun Microsystems, 1993; freely distributable). Angles are reduced
-by π/2 in two parts: within 2 units in the last place, or 10⁻²¹, for |x| ≤ 10⁵; `exponential` and
-`logarithm` are within 1 unit.
+by π/2 in two parts: within 2 units in the last place, or 10⁻²¹, for |x| ≤ 10⁵; `exponential` is
+within 1 unit.
 """
 
 import math
@@ -95,31 +95,6 @@ def wrapped(angle):
 
 
 @njit
-def logarithm(x):
-    """Return the natural logarithm of x; −∞ at 0, NaN below."""
-    if not x > 0.0:
-        return -np.inf if x == 0.0 else np.nan
-    if x == np.inf:
-        return np.inf
-    fraction, power = math.frexp(x)
-    if fraction < 0.7071067811865476:
-        fraction *= 2.0
-        power -= 1
-    f = fraction - 1.0
-    s = f / (2.0 + f)
-    z = s * s
-    w = z * z
-    even = w * (
-        3.999999999940941908e-01 + w * (2.222219843214978396e-01 + w * 1.531383769920937332e-01)
-    )
-    odd = 2.857142874366239149e-01 + w * (1.818357216161805012e-01 + w * 1.479819860511658591e-01)
-    odd = z * (6.666666666666735130e-01 + w * odd)
-    half = 0.5 * f * f
-    low = s * (half + (odd + even)) + power * 1.90821492927058770002e-10
-    return power * 6.93147180369123816490e-01 - ((half - low) - f)
-
-
-@njit
 def exponential(x):
     """Return e to the power of x."""
     if not x < 709.78:
@@ -136,18 +111,3 @@ def exponential(x):
     )
     c = r - z * (1.66666666666666019037e-01 + z * (-2.77777777770155933842e-03 + z * c))
     return math.ldexp(1.0 - ((low - r * c / (2.0 - c)) - high), int(power))
-
-
-@njit
-def log_gamma(x):
-    """Return ln Γ(x), x > 0: Stirling's series beyond 12, and the recurrence below."""
-    shift = 1.0
-    while x < 12.0:
-        shift *= x
-        x += 1.0
-    z = 1.0 / (x * x)
-    series = 1.0 / 1188.0 + z * (-691.0 / 360360.0 + z / 156.0)
-    series = 1.0 / 1260.0 + z * (-1.0 / 1680.0 + z * series)
-    series = (1.0 / 12.0 + z * (-1.0 / 360.0 + z * series)) / x
-    stirling = (x - 0.5) * logarithm(x) - x + 0.91893853320467274178 + series
-    return stirling - logarithm(shift)

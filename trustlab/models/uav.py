@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from trustlab.models.checks import finite_array, finite_number, positive, set_checked
-from trustlab.models.linear_algebra import matrix_exponential
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class TransferFunction:
         a, b = self.matrices()
         block = np.zeros((self.order + 1, self.order + 1))
         block[:-1, :-1], block[:-1, -1] = a, b
-        exponential = matrix_exponential(block * sample_time)
+        exponential = linalg.expm(block * sample_time)
         return exponential[:-1, :-1], exponential[:-1, -1]
 
 

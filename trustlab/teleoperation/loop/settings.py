@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+from scipy import linalg
 
 from trustlab.allocation.blending import OptimalBlending, best_share
 from trustlab.models.checks import (
@@ -22,7 +23,6 @@ from trustlab.models.checks import (
     shown,
 )
 from trustlab.models.compiled import njit
-from trustlab.models.linear_algebra import matrix_exponential
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
 from trustlab.teleoperation.loop.kernel import (
     BY_HAND,
@@ -481,7 +481,7 @@ def vehicle_matrices(axes: tuple, sample_time: float) -> tuple[np.ndarray, np.nd
         block[0, 1] = 1.0
         block[1:n, 1:n] = a
         block[1:n, n] = b
-        whole = matrix_exponential(block * sample_time)
+        whole = linalg.expm(block * sample_time)
         phi[i, :n, :n], gamma[i, :n] = whole[:n, :n], whole[:n, n]
     phi.flags.writeable = gamma.flags.writeable = False
     return phi, gamma
