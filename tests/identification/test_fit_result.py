@@ -118,7 +118,7 @@ def test_plots_and_html_say_that_data_are_synthetic(session):
     html = fit._repr_html_()
     assert "synthetic data" in html
     assert "robot_a" in html
-    assert repr(fit).startswith("<TscModel, 1 run(s), 20000 samples")
+    assert repr(fit).startswith("<TscModel, 1 run, 20000 samples")
     assert isinstance(fit.initial_states, pd.DataFrame)
 
 

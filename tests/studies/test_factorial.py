@@ -346,7 +346,7 @@ def put(frame, row, column, value):
             {"between": ["one", "two"]},
             r"4 participants \[0, 1, 2, 3\] for 4 parameters leave nothing",
         ),
-        (lambda f: f[f["who"] < 2], {}, r"2 complete subject\(s\) in column 'who'"),
+        (lambda f: f[f["who"] < 2], {}, r"2 complete subjects in column 'who'"),
         (
             lambda f: f.assign(
                 one=np.where(f["who"] < 5, "a", "b"), two=np.where(f["who"] < 5, "c", "d")

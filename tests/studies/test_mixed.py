@@ -258,6 +258,18 @@ def test_pairs():
         model.pairs("group", at="group")
 
 
+def test_intervals_of_d_z_are_those_of_the_analysis_of_variance():
+    """Oracle: pooled pairs of complete scores without groups, where both models are the same."""
+    frame = grouped()
+    columns = {"dv": "score", "within": "condition", "subject": "person"}
+    ours = tl.mixed_model(frame, **columns).pairs()
+    other = tl.repeated_measures(frame, **columns).pairs(error="pooled")
+    for name in ("d_z", "d_z_low", "d_z_high"):
+        np.testing.assert_allclose(ours[name], other[name], rtol=1e-5)
+    between = tl.mixed_model(frame, **GROUPED).pairs("group")
+    assert between[["d_z", "d_z_low", "d_z_high"]].isna().all(axis=None)
+
+
 def test_the_call_that_an_error_recommends_works_as_typed():
     frame = grouped().drop(index=[4, 17, 40])
     with pytest.raises(ValueError, match=r"missing cells.*tl\.mixed_model with the same arguments"):
@@ -266,6 +278,8 @@ def test_the_call_that_an_error_recommends_works_as_typed():
     assert model.missing_cells == 3
     assert model.table()["effect"].tolist() == ["group", "condition", "group × condition"]
     assert "(N = 14, 3 cells missing): group was not significant, F(1, 12)" in model.apa()
+    one = tl.mixed_model(grouped().drop(index=[4]), **GROUPED)
+    assert "(N = 14, 1 cell missing)" in one.apa()
     assert model.apa() in tl.report(model).message
     with pytest.raises(AttributeError, match="a row per effect"):
         _ = model.F

@@ -44,11 +44,11 @@ def test_the_table_itself_is_fine():
 TABLES = {
     "duplicate cell": (
         pd.concat([table(), table().iloc[[4, 4]]]),
-        r"1 cell\(s\) with more than one row: subject 'P2', condition 'C2'; average the trials",
+        r"1 cells? with more than one row: subject 'P2', condition 'C2'; average the trials",
     ),
     "duplicate cell, one without score": (
         pd.concat([table(), table().iloc[[4]].assign(score=np.nan)]),
-        r"1 cell\(s\) with more than one row: subject 'P2', condition 'C2'",
+        r"1 cells? with more than one row: subject 'P2', condition 'C2'",
     ),
     "missing row": (table().drop(index=7), "subject 'P3' has no score in condition 'C2'"),
     "NaN": (
@@ -111,7 +111,7 @@ TABLES = {
     ),
     "two subjects": (
         table(n=2),
-        r"2 complete subject\(s\) in column 'pid'; at least three",
+        r"2 complete subjects in column 'pid'; at least three",
     ),
     "one subject": (table(n=1), r"1 complete subject"),
     "constant": (
@@ -235,7 +235,7 @@ def test_options_that_are_refused(options, message):
 
 def test_many_faults_are_counted_not_listed():
     frame = pd.concat([table(20), table(20)])
-    with pytest.raises(ValueError, match=r"60 cell\(s\) with more than one row") as error:
+    with pytest.raises(ValueError, match=r"60 cells? with more than one row") as error:
         analysed(frame)
     assert len(str(error.value)) < 700
     with pytest.raises(ValueError, match="and 15 more") as error:
@@ -254,7 +254,7 @@ def test_listwise_refuses_too_few_that_are_left():
     frame = table().drop(index=[0, 4, 8])
     with pytest.raises(
         ValueError,
-        match=r"2 complete subject\(s\).*left out: subject 'P1' has no score in condition 'C1'",
+        match=r"2 complete subjects.*left out: subject 'P1' has no score in condition 'C1'",
     ):
         analysed(frame, missing="listwise")
 

@@ -12,6 +12,7 @@ import numpy as np
 from trustlab.identification.estimate import NOT_WHITE, Estimate
 from trustlab.identification.noise import hac_lags
 from trustlab.identification.problem import Problem
+from trustlab.models.display import counted
 
 # Standard errors from which on a delay counts: of sound fits one in a thousand is doubted.
 CERTAIN = 3.3
@@ -72,7 +73,8 @@ def _initial_states(estimate: Estimate) -> Iterator[str]:
         for end, meaning in ((0.0, "a rested operator"), (1.0, "an operator at full load")):
             number = int((held & (estimate.values == end)).sum())
             if number:
-                yield f"{name} = {end:g}, {meaning}, in {number} of {len(problem.runs)} run(s)."
+                runs = counted(len(problem.runs), "run")
+                yield f"{name} = {end:g}, {meaning}, in {number} of {runs}."
 
 
 def _dropouts(problem: Problem) -> Iterator[str]:

@@ -19,7 +19,7 @@ from trustlab.identification.noise import (
     pooled_cross_correlation,
 )
 from trustlab.models.checks import one_of, open_unit, whole_number
-from trustlab.models.display import Result
+from trustlab.models.display import Result, counted
 from trustlab.sessions.plots import shade_manual
 
 # Standard errors from the middle of a 95 % interval to its end.
@@ -338,8 +338,8 @@ class FitResult(Result):
         origin = ", synthetic data" if self.synthetic else ""
         samples = sum(run.t.size for run in self.runs)
         return (
-            f"{type(self.model).__name__}, {len(self.runs)} run(s), {samples} samples, fit "
-            f"{numbers}{origin}"
+            f"{type(self.model).__name__}, {counted(len(self.runs), 'run')}, {samples} samples, "
+            f"fit {numbers}{origin}"
         )
 
 

@@ -18,9 +18,9 @@ from scipy.linalg import helmert
 from scipy.optimize import brentq
 
 from trustlab.models.checks import of_class, spawned, whole_number
-from trustlab.models.display import Result
+from trustlab.models.display import Result, counted
 from trustlab.studies.anova import partial_eta_interval
-from trustlab.studies.pairs import holm
+from trustlab.studies.pairs import d_z_interval, holm
 from trustlab.studies.table import (
     ScoreTable,
     column_of,
@@ -196,7 +196,8 @@ class MixedModel(Result):
         pandas.DataFrame
             Columns level (of `at`), a, b, mean_difference (a − b), se, t, p, ci_low, ci_high (95 %,
             unadjusted), df, p_holm, d_z (over √2 residual standard deviations; NaN between groups)
-            and d_av (over the standard deviation of a score).
+            with its interval, d_z_low, d_z_high (95 %), and d_av (over the standard deviation of a
+            score).
 
         Raises
         ------
@@ -224,7 +225,10 @@ class MixedModel(Result):
             se = np.sqrt(((weights @ self.covariance) * weights).sum(axis=1))
             tests = estimates_of(difference, se, df).rename(columns={"estimate": "mean_difference"})
             tests = tests.assign(df=df, p_holm=holm(tests["p"].to_numpy()))
-            tests["d_z"] = difference / np.sqrt(twice)
+            scale = se / np.sqrt(twice)
+            tests["d_z"] = tests["t"] * scale
+            limits = d_z_interval(tests["t"].to_numpy(), df, scale)
+            tests["d_z_low"], tests["d_z_high"] = limits
             tests["d_av"] = difference / np.sqrt(self.subject_variance + self.residual_variance)
             tables.append(pairs.assign(level=level)[["level", "a", "b"]].join(tests))
         return labelled(pd.concat(tables, ignore_index=True), self.origin)
@@ -242,8 +246,8 @@ class MixedModel(Result):
             )
         origin = f"[{self.origin}] " if self.origin else ""
         return (
-            f"{origin}A mixed model of {self.dv} with a random intercept per subject (N = {self.n},"
-            f" {self.missing_cells} cells missing): {'; '.join(effects)}."
+            f"{origin}A mixed model of {self.dv} with a random intercept per subject "
+            f"(N = {self.n}, {counted(self.missing_cells, 'cell')} missing): {'; '.join(effects)}."
         )
 
     @property

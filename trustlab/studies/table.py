@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, of_class, one_of, shown
+from trustlab.models.display import counted
 
 # Cells or subjects that an error lists before it counts the rest.
 _SHOWN = 5
@@ -258,10 +259,10 @@ def read_cells(
             )
     if (counts > 1).any():
         repeated = [cell_name(place) for place in np.flatnonzero(counts > 1).tolist()]
+        mean = f"frame.groupby({[subject, *levels]}, as_index=False)[{dv!r}].mean()"
         raise ValueError(
-            f"{len(repeated)} cell(s) with more than one row: {_listed(repeated)}; average the "
-            f"trials of a cell first: frame.groupby({[subject, *levels]}, as_index=False)[{dv!r}]"
-            ".mean()"
+            f"{counted(len(repeated), 'cell')} with more than one row: {_listed(repeated)}; "
+            f"average the trials of a cell first: {mean}"
         )
     return ScoreTable(
         values=values.reshape(len(subjects), k),
@@ -308,8 +309,8 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
     if complete.sum() < 3:
         left_out = f" (left out: {_listed(gaps)})" if gaps else ""
         raise ValueError(
-            f"subject: {complete.sum()} complete subject(s) in column {table.subject!r}{left_out}; "
-            "at least three are needed"
+            f"subject: {counted(complete.sum(), 'complete subject')} in column "
+            f"{table.subject!r}{left_out}; at least three are needed"
         )
     subjects = [
         tuple(s for s, whole in zip(table.subjects, complete, strict=True) if whole == side)

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import of_class, one_of, whole_number
+from trustlab.models.display import counted
 from trustlab.studies.table import ScoreTable, same_for_all
 
 # Column of p-values and its name in the sentence.
@@ -146,11 +147,6 @@ def decimals_of(values: Any, digits: int, least: int = 0) -> int:
 def in_words(name: str) -> str:
     """Return the head of a column, or the name of a parameter, as a paper prints it."""
     return _HEADS.get(name, name.replace("_", " "))
-
-
-def counted(count: int, noun: str) -> str:
-    """Return "1 participant" or "2 participants"."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def listed(labels: Iterable) -> str:

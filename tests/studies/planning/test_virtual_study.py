@@ -364,7 +364,7 @@ def test_a_participant_who_fails_is_listed_and_left_out(monkeypatch):
     assert "joystick" in study.failures["error"].item()
     assert set(study.measures["participant"]) == {1, 3, 4}
     assert study.analysis("p_r").n == 3
-    assert "1 participant(s) failed" in study.summary
+    assert "left out: 1 participant." in study.summary
 
 
 def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):

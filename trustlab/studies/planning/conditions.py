@@ -23,6 +23,7 @@ from trustlab.models.checks import (
     warn,
     whole_number,
 )
+from trustlab.models.display import counted
 from trustlab.studies.anova import Design, orthonormal_contrasts, sphericity
 from trustlab.studies.repeated_measures import repeated_measures
 from trustlab.studies.table import labels_of
@@ -365,9 +366,8 @@ def _conditions_of_cells(mean: pd.Series, covariance: Any, columns: StudyColumns
     """Return the population of means indexed by the levels of several factors."""
     names = [*map(str, columns.groups), *map(str, columns.factors)]
     if mean.index.nlevels != len(names):
-        raise ValueError(
-            f"mean must be indexed by {', '.join(names)}, got {mean.index.nlevels} level(s)"
-        )
+        given = counted(mean.index.nlevels, "level")
+        raise ValueError(f"mean must be indexed by {', '.join(names)}, got {given}")
     levels = {name: tuple(mean.index.unique(i)) for i, name in enumerate(names)}
     cells = mean.reindex(pd.MultiIndex.from_product(levels.values()))
     if cells.isna().any():

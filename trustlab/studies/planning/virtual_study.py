@@ -18,7 +18,7 @@ from numpy.random import SeedSequence
 
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import one_of, shown, warn, whole_number
-from trustlab.models.display import as_html
+from trustlab.models.display import as_html, counted
 from trustlab.models.files import PARTIAL
 from trustlab.sessions.writing import write_session
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
@@ -241,9 +241,9 @@ class VirtualStudy:
             order = "; people learn or tire from session to session."
         failed = ""
         if len(self.failures):
-            failed = f" {len(self.failures)} participant(s) failed and are left out."
+            failed = f" Failed and left out: {counted(len(self.failures), 'participant')}."
         more = self.measures["participant"].nunique() + len(self.failures) - len(self.participants)
-        joined = f" {more} participant(s) of recorded runs joined." if more else ""
+        joined = f" {counted(more, 'participant')} of recorded runs joined." if more else ""
         return (
             f"Virtual study on {self.testbed.title}: {len(self.participants)} simulated operators "
             f"({self.testbed.origin}), conditions {', '.join(self.conditions)}; {setting}. No "
