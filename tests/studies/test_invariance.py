@@ -32,7 +32,24 @@ ANALYSES = {
     "equivalence": lambda f: tl.equivalence(f, **ONE, bound=0.5, units="d_z"),
     "Bayes factors": lambda f: tl.bayes_factor(f, **ONE, method="jzs"),
     "mixed model": lambda f: tl.mixed_model(f, **ONE).table(),
+    "formula model": lambda f: tl.formula_model("score ~ mode", f, groups="person").table(),
+    "ordinal model": lambda f: tl.ordinal_model(in_thirds(f), *ONE.values()).table(),
+    "its odds ratios": lambda f: tl.ordinal_model(in_thirds(f), *ONE.values()).pairs(),
+    "order effects": lambda f: in_order(f).table(),
 }
+
+
+def in_thirds(frame):
+    """Ratings: the third of all scores in which each lies."""
+    return frame.assign(score=pd.qcut(frame["score"], 3, labels=False))
+
+
+def in_order(frame):
+    """Effects of orders, where each person was in the modes in one of the orders of a square."""
+    mode = frame["mode"].str[0].map({"a": 0, "b": 1, "c": 2})
+    person = frame["person"].astype(str).str.removeprefix("P").astype(int)
+    frame = frame.assign(position=(mode * (1 + person % 2) + person // 2) % 3 + 1)
+    return tl.order_effects(frame, "score", "mode", "position", subject="person")
 
 
 def two(frame, **more):

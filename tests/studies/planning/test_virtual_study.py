@@ -238,7 +238,7 @@ def test_analyses_are_those_of_repeated_measures(kept):
 
 def test_reports_say_that_they_are_simulated(kept):
     assert "No person took part" in kept._repr_html_()
-    assert "orders have no effect" in kept.summary
+    assert "orders have no effect" in kept.message
     axes = kept.plot()
     assert "simulated operators" in axes[0].figure.get_suptitle()
     assert len(axes) == 4
@@ -282,7 +282,7 @@ def test_rest_carries_utilization_over_by_2_5(tmp_path):
         assert sessions[who, 1]["r"][0] == 0.0
         assert begin == pytest.approx(end * a[who] ** 1200, rel=1e-12)
         assert begin > 0.0
-    assert "carried over" in study.summary
+    assert "carried over" in study.message
 
 
 def test_the_uav_testbed_measures_what_teleoperation_measures_does():
@@ -364,7 +364,7 @@ def test_a_participant_who_fails_is_listed_and_left_out(monkeypatch):
     assert "joystick" in study.failures["error"].item()
     assert set(study.measures["participant"]) == {1, 3, 4}
     assert study.analysis("p_r").n == 3
-    assert "left out: 1 participant." in study.summary
+    assert "left out: 1 participant." in study.message
 
 
 def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):

@@ -18,7 +18,7 @@ from numpy.random import SeedSequence
 
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import one_of, shown, warn, whole_number
-from trustlab.models.display import as_html, counted
+from trustlab.models.display import Result, counted
 from trustlab.models.files import PARTIAL
 from trustlab.sessions.writing import write_session
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
@@ -38,8 +38,8 @@ EFFECT = ("eta2_partial", "eta2_partial_low", "eta2_partial_high")
 FILES = ("participants.csv", "orders.csv", "measures.csv", "about.txt")
 
 
-@dataclass(frozen=True, eq=False)
-class VirtualStudy:
+@dataclass(frozen=True, eq=False, repr=False)
+class VirtualStudy(Result):
     """
     A study of simulated operators; no person took part.
 
@@ -226,7 +226,12 @@ class VirtualStudy:
         return axes
 
     @property
-    def summary(self) -> str:
+    def title(self) -> str:
+        """The testbed."""
+        return f"Virtual study on {self.testbed.title}"
+
+    @property
+    def message(self) -> str:
         """What was simulated, in a sentence or two."""
         setting = ", ".join(
             f"{name} {value}" for name, value in self.settings.items() if value is not None
@@ -245,22 +250,9 @@ class VirtualStudy:
         more = self.measures["participant"].nunique() + len(self.failures) - len(self.participants)
         joined = f" {counted(more, 'participant')} of recorded runs joined." if more else ""
         return (
-            f"Virtual study on {self.testbed.title}: {len(self.participants)} simulated operators "
+            f"{len(self.participants)} simulated operators "
             f"({self.testbed.origin}), conditions {', '.join(self.conditions)}; {setting}. No "
             f"person took part in it. {start}{order}{failed}{joined}"
-        )
-
-    def __repr__(self) -> str:
-        conditions = ", ".join(self.conditions)
-        return (
-            f"VirtualStudy({self.testbed.name}, {len(self.participants)} simulated operators, "
-            f"{conditions})"
-        )
-
-    def _repr_html_(self) -> str:
-        means = self.measures.groupby("condition", observed=True)[list(self.names)].mean().T
-        return as_html(self.summary, self.table()) + as_html(
-            f"Means ({self.origin})", means[list(self.conditions)]
         )
 
 
@@ -590,7 +582,7 @@ class StudyFolder:
                 "remove the folder and run the study again"
             )
         about = (
-            f"SIMULATED. {study.summary}\nOne file per session in sessions/: "
+            f"SIMULATED. {study.title}: {study.message}\nOne file per session in sessions/: "
             "trustlab.read_sessions reads them.\n"
         )
         study.participants.to_csv(self.path / "participants.csv", index=False)
