@@ -180,9 +180,6 @@ KNOWN = {
     "fit_robot": {
         "p_h_max": "NaN is taken",
     },
-    "fit_transfer_function": {
-        "sample_time": "foreign errors",
-    },
     "fit_trust": {
         "pooling": "NaN is taken",
     },

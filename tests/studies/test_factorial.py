@@ -404,7 +404,7 @@ def test_statistics_are_attributes_where_there_is_one_effect():
         _ = result.f
 
 
-@pytest.mark.parametrize("name", ["friedman", "normality", "anova_table", "mixed_model"])
+@pytest.mark.parametrize("name", ["friedman", "normality", "mixed_model"])
 def test_what_is_for_one_factor_says_so(name):
     with pytest.raises(ValueError, match=r"is for one factor within subjects.*\['A', 'B'\]"):
         getattr(run(two_way()), name)()

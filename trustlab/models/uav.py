@@ -86,13 +86,16 @@ class TransferFunction:
         Raises
         ------
         ValueError
-            If `sample_time` is not positive.
+            If `sample_time` is not positive, or so long that the matrices are infinite.
         """
         sample_time = positive("sample_time", sample_time)
         a, b = self.matrices()
         block = np.zeros((self.order + 1, self.order + 1))
         block[:-1, :-1], block[:-1, -1] = a, b
-        exponential = linalg.expm(block * sample_time)
+        with np.errstate(all="ignore"):
+            exponential = linalg.expm(block * sample_time)
+        if not np.isfinite(exponential).all():
+            raise ValueError(f"sample_time = {sample_time:g} s is too long for the poles of {self}")
         return exponential[:-1, :-1], exponential[:-1, -1]
 
 

@@ -25,9 +25,6 @@ from trustlab.studies.table import (
     same_for_all,
 )
 
-# Statistics of the effect of conditions in a table of sources of variance.
-_OF_CONDITIONS = ["F", "p", "epsilon_gg", "p_gg", "epsilon_hf", "p_hf", "eta2_partial"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RepeatedMeasures(Result):
@@ -170,41 +167,6 @@ class RepeatedMeasures(Result):
             excluded (how many subjects), origin.
         """
         return labelled(self.tests.copy(), self.origin)
-
-    def anova_table(self) -> pd.DataFrame:
-        """
-        Return sums of squares, mean squares and the test of one factor, a row per source of
-        variance.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Rows condition, error (conditions × subjects) and subjects. Columns source, ss, df, ms
-            (of all three), then F, p (sphericity assumed), epsilon_gg, p_gg, epsilon_hf, p_hf,
-            eta2_partial and eta2_generalized, which only the first row has.
-        """
-        self._refuse_several_factors("anova_table()")
-        ss = np.array([self.ss_effect, self.ss_error, self.ss_subjects])
-        df = np.array([self.df1, self.df2, self.n - 1])
-        table = pd.DataFrame({"source": ["condition", "error", "subjects"], "ss": ss, "df": df})
-        tests = self.tests[[*_OF_CONDITIONS, "eta2_generalized"]]
-        return labelled(table.assign(ms=ss / df).join(tests), self.origin)
-
-    def corrections(self) -> pd.DataFrame:
-        """
-        Return the tests under each correction: columns effect correction epsilon df1 df2 F p
-        applies.
-        """
-        tables = []
-        for name, end in zip(CORRECTIONS, ("", "_gg", "_hf"), strict=True):
-            table = self.tests[["effect", "F"]].assign(correction=name)
-            table["epsilon"] = self.tests[f"epsilon{end}"] if end else 1.0
-            for column in ("df1", "df2", "p"):
-                table[column] = self.tests[f"{column}{end}"].astype(float)
-            tables.append(table.assign(applies=self.tests["correction"] == name))
-        names = ["effect", "correction", "epsilon", "df1", "df2", "F", "p", "applies"]
-        table = pd.concat(tables)[names].sort_index(kind="stable").reset_index(drop=True)
-        return labelled(table, self.origin)
 
     def descriptives(self) -> pd.DataFrame:
         """
