@@ -180,9 +180,6 @@ KNOWN = {
     "fit_robot": {
         "p_h_max": "NaN is taken",
     },
-    "fit_trust": {
-        "pooling": "NaN is taken",
-    },
     "latin_square_design": {
         "participants": "foreign errors",
     },

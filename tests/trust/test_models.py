@@ -389,19 +389,15 @@ def test_ends_are_where_the_likelihood_has_fallen(name):
 
 
 def test_intervals_that_mean_nothing_are_withheld_with_a_reason():
-    """No faults, so that no rating tells of them; free runs; people without a population."""
+    """No faults, so that no rating tells of them; free runs."""
     people = tl.read_people("hybrid_vr").of(range(30))
     table = tl.fit_trust(people, "series").table().set_index("parameter")
     assert list(table.index[table["note"] != ""]) == ["fault_now", "fault_before"]
     assert table.loc["fault_now", "note"] == "the data leave it open"
     assert table.loc["fault_now", ["ci_low", "ci_high"]].isna().all()
-    for options, reason in (
-        ({"criterion": "free"}, "free runs have no likelihood"),
-        ({"pooling": "none"}, "no population was fitted"),
-    ):
-        table = tl.fit_trust(people, "performance", **options).table()
-        assert (table["note"] == reason).all()
-        assert table[["ci_low", "ci_high"]].isna().all(axis=None)
+    table = tl.fit_trust(people, "performance", criterion="free").table()
+    assert (table["note"] == "free runs have no likelihood").all()
+    assert table[["ci_low", "ci_high"]].isna().all(axis=None)
 
 
 @pytest.mark.long
