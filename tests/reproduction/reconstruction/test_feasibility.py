@@ -319,3 +319,36 @@ def test_bad_input_is_refused():
         tl.feasibility({"n": 3})
     with pytest.raises(ValueError, match="seed"):
         tl.feasibility(STUDIES["uav.tlx"], seed="0")
+
+
+def printed_at_random(rng):
+    """A number as a misprint or a careless table may have it."""
+    value = rng.normal() * 10.0 ** rng.uniform(-3.0, 3.0)
+    text = f"{value:.{rng.integers(0, 4)}f}" if rng.random() < 0.9 else "0"
+    return rng.choice(["<", ">"]) + text.lstrip("-") if rng.random() < 0.15 else text
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("count", [6, pytest.param(150, marks=pytest.mark.long)])
+def test_no_row_of_numbers_raises(count):
+    """Whatever is printed, the answer says what is wrong with it."""
+    rng = np.random.default_rng(4)
+    for _ in range(count):
+        names = "ABCD"[: rng.integers(2, 5)]
+        fields = {
+            key: {name: printed_at_random(rng) for name in listed if rng.random() < 0.7}
+            for key, listed in (
+                ("mean", names),
+                ("sd", names),
+                ("anova", ("F", "df1", "df2", "p", "eta2")),
+                ("mauchly", ("chi2", "df", "p")),
+                ("t_test", ("t", "df", "p")),
+                ("pairs", ("A-B",)),
+            )
+        }
+        fields["mean"] = fields["mean"] or {"A": "1"}
+        more = {"n": int(rng.integers(3, 30)), "conditions": tuple(names)}
+        more |= {"scale": (1.0, 7.0)} if rng.random() < 0.3 else {}
+        answer = tl.feasibility(tl.PublishedStudy("s", **fields, **more), explain=False)
+        assert answer.message
+        assert len(answer.table()) >= 1

@@ -161,15 +161,15 @@ def _chi2_interval(text: str, n: int, k: int) -> Interval:
     """Return the χ² whose p by Mauchly's test, to second order, rounds to the printed one."""
 
     def quantile(p: float) -> float:
-        if mauchly_p_value(0.0, n, k) <= p:
-            return 0.0
+        if p <= 0.0 or mauchly_p_value(0.0, n, k) <= p:
+            return math.inf if p <= 0.0 else 0.0
         # The plain chi-square quantile of p/2 lies above, as the second-order term is small beside
         # p.
         above = 2.0 * (special.chdtri(k * (k - 1) // 2 - 1, p * 0.5) + 10.0)
         return optimize.brentq(lambda x: mauchly_p_value(x, n, k) - p, 0.0, above)
 
     low, high = printed_interval(text)
-    return quantile(high) if high < 1.0 else 0.0, quantile(low) if low > 0.0 else math.inf
+    return quantile(high), quantile(low)
 
 
 def _f_interval(text: str, study: PublishedStudy, epsilon: float) -> Interval:

@@ -184,7 +184,7 @@ def _where_degrees_belong(study: PublishedStudy) -> str:
     if not 0.0 < low1 <= high1 < math.inf or math.isinf(df2):
         return ""
     people, k = round(df2 / df1) + 1, math.ceil(df1) + 1
-    if not low2 / high1 <= people - 1 <= high2 / low1:
+    if people < 2 or not low2 / high1 <= people - 1 <= high2 / low1:
         return ""
     epsilon = df2 / (k - 1) / (people - 1)
     by = f", ε = {epsilon:.2f}" if df1 < k - 1 else ""
@@ -245,7 +245,8 @@ def _beside_the_cells(
         if s.name in wrong or not known or s.kind not in ("p", "adjusted_p", "f_ratio"):
             continue
         mean, sd = (np.array([boxes[kind, i] for i in cells]) for kind in ("mean", "sd"))
-        least, most = _possible_f(mean, sd, study.n)
+        with np.errstate(all="ignore"):  # an end that is open allows everything
+            least, most = _possible_f(mean, sd, study.n)
         label = "F"
         if s.kind != "f_ratio":
             label = "p"
@@ -267,8 +268,7 @@ def _possible_f(mean: np.ndarray, sd: np.ndarray, n: int) -> Interval:
     least_error = _least_spread(np.maximum(sd, 0.0))
     most_error = 0.5 * largest.sum() ** 2 if len(sd) == 2 else (largest**2).sum()
     most_effect = (np.abs(mean - mean.mean()).max(axis=1) ** 2).sum()
-    with np.errstate(divide="ignore"):
-        return n * _least_spread(mean) / most_error, np.divide(n * most_effect, least_error)
+    return np.divide(n * _least_spread(mean), most_error), np.divide(n * most_effect, least_error)
 
 
 def _least_spread(boxes: np.ndarray) -> float:

@@ -161,8 +161,8 @@ class MomentProblem:
         p = np.log(np.maximum(2.0 * special.stdtr(n - 1, -np.abs(t)), TINY))
         df = d * np.minimum(epsilon, 1.0) if self.corrected else np.full(len(mean), float(d))
         low, high = self.scale
-        with np.errstate(invalid="ignore"):  # an unlimited scale has no such rows
-            spread = variance * (n - 1) / n - (mean - low) * (high - mean)
+        # Of no use where the scale is unlimited.
+        spread = variance * (n - 1) / n - (mean - low) * (high - mean)
         return {
             "mean": mean,
             "sd": np.sqrt(variance),
@@ -216,6 +216,7 @@ class MomentProblem:
         factor *= sd[:, None]
         return np.concatenate([mean, factor[np.tril_indices(k, 0, rank)]]) / spread
 
+    @np.errstate(all="ignore")  # candidates may be degenerate, and numbers that are printed, too
     def solve(self, rng: np.random.Generator, starts: int = STARTS) -> Moments:
         """Search from several starts; return the first solution, or the closest candidate."""
         closest, least = None, np.inf
