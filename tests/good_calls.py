@@ -53,12 +53,6 @@ CALLS = {
     "reproduction.matching_digits": lambda: {"value": 0.3204, "printed": "0.320"},
     "reproduction.part_of": lambda: {"where": "Table 2.1"},
     "reproduction.read_calibration": lambda: {"study": "uav", "folder": "data/calibration"},
-    "reproduction.recompute": lambda: {
-        "compute": twice,
-        "inputs": {"x": "1.0"},
-        "outputs": {"y": "2.0"},
-        "draws": 3,
-    },
     "reproduction.smallest_change": lambda: {
         "compute": twice,
         "inputs": {"x": "1.0"},

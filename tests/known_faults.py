@@ -57,10 +57,6 @@ ALLOWED = {
     "bayes_factor": {"missing": "nothing is missing"},
     "read_people": {"recipe": "the name has a recipe of its own"},
     "testbeds.Pioneer": {"heading_drift": "positive is a word of the description, not the range"},
-    "reproduction.recompute": {
-        "draws": "twice a number is exact",
-        "seed": "twice a number is exact",
-    },
     "reproduction.smallest_change": {"units": "few are needed"},
     "teleoperation.packet_delay": {"sent": "the answer holds a function"},
     "teleoperation.random_walk_delay": {
@@ -298,10 +294,6 @@ KNOWN = {
     "reproduction.read_calibration": {
         "study": "no argument named",
         "folder": "foreign errors, no argument named",
-    },
-    "reproduction.recompute": {
-        "inputs": "no argument named",
-        "outputs": "no argument named",
     },
     "ros.AllocationCore": {
         "thresholds": "foreign errors, no argument named",

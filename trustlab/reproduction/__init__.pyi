@@ -15,7 +15,6 @@ from .calibration import (
 from .comparison import (
     compare as compare,
     matching_digits as matching_digits,
-    recompute as recompute,
     smallest_change as smallest_change,
 )
 from .effects import (

@@ -1,9 +1,7 @@
-"""Computed numbers beside printed ones: digits, ranges, and the least change that explains."""
+"""Computed numbers beside printed ones: digits, and the least change that explains."""
 
-import contextlib
 from collections.abc import Callable, Mapping
 from decimal import Decimal
-from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -149,72 +147,6 @@ def _outputs(compute: Compute, inputs: Mapping[str, float], names: list) -> Mapp
     return outputs
 
 
-def recompute(
-    compute: Compute,
-    inputs: Mapping[str, str],
-    outputs: Mapping[str, str],
-    draws: int = 500,
-    seed: int = 0,
-) -> pd.DataFrame:
-    """
-    Recompute printed outputs from printed inputs, and their ranges within rounding.
-
-    Parameters
-    ----------
-    compute : callable
-        Takes inputs as a dictionary of floats and returns outputs by name; may raise ValueError
-        where inputs are impossible, which is left out of the ranges.
-    inputs, outputs : mapping of str to str
-        Numbers as printed.
-    draws : int
-        Random points inside the box of rounding, besides its corners (all of them up to 12 inputs).
-    seed : int
-        Seed of the draws.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Index `quantity`; columns recomputed, printed, low, high, verdict: "reproduced" (rounds to
-        the printed number), "within rounding" (the range meets what rounds to it), else "differs".
-
-    Raises
-    ------
-    ValueError
-        If nothing can be computed from the printed inputs, an output is not computed, or an
-        argument is not understood.
-    """
-    inputs, outputs = _printed_values("inputs", inputs), _printed_values("outputs", outputs)
-    draws, seed = (
-        whole_number("draws", draws, least=0, most=10**6),
-        whole_number("seed", seed, least=0),
-    )
-    centre = np.array([float(text) for text in inputs.values()])
-    half = np.array([half_unit(text) for text in inputs.values()])
-    points = np.random.default_rng(seed).uniform(-1.0, 1.0, (draws, len(inputs)))
-    if len(inputs) <= 12:
-        points = np.concatenate([points, np.array(list(product((-1.0, 1.0), repeat=len(inputs))))])
-    exact = _outputs(compute, dict(zip(inputs, centre.tolist(), strict=True)), list(outputs))
-    points_computed = [exact]
-    for point in points:
-        with contextlib.suppress(ValueError):
-            points_computed.append(compute(dict(zip(inputs, centre + half * point, strict=True))))
-    span = pd.DataFrame(points_computed)[list(outputs)].agg(["min", "max"]).T
-    table = compare({name: exact[name] for name in outputs}, outputs).assign(
-        low=span["min"], high=span["max"]
-    )
-    for name, text in outputs.items():
-        value, reach = float(text), half_unit(text)
-        if (
-            table.loc[name, "verdict"] == "differs"
-            and span["min"][name] <= value + reach
-            and span["max"][name] >= value - reach
-        ):
-            table.loc[name, "verdict"] = "within rounding"
-    return table.rename(columns={"ours": "recomputed"})[
-        ["recomputed", "printed", "low", "high", "verdict"]
-    ]
-
-
 def smallest_change(
     compute: Compute, inputs: Mapping[str, str], output: str, printed: str, units: int = 400
 ) -> pd.DataFrame:
@@ -224,7 +156,8 @@ def smallest_change(
     Parameters
     ----------
     compute : callable
-        As for `recompute`.
+        Takes inputs as a dictionary of floats and returns outputs by name; may raise ValueError
+        where inputs are impossible, which is passed over.
     inputs : mapping of str to str
         Numbers as printed.
     output : str
