@@ -14,8 +14,8 @@ from scipy import stats
 import trustlab as tl
 from trustlab.identification.log import read_runs
 from trustlab.identification.noise import filter_columns, process
-from trustlab.identification.posterior import likelihood as kernel
-from trustlab.identification.posterior.coordinates import (
+from trustlab.identification.posterior import density as kernel
+from trustlab.identification.posterior.density import (
     Target,
     density,
     from_theta,

@@ -19,18 +19,20 @@ from tests.house.documents import ROOT
 from trustlab.identification.fitting import rough_optima
 from trustlab.identification.log import read_runs
 from trustlab.identification.posterior import sampling
-from trustlab.identification.posterior.coordinates import to_thetas
-from trustlab.identification.posterior.importance import (
+from trustlab.identification.posterior.density import physical, to_thetas
+from trustlab.identification.posterior.result import MODEL, interval_words
+from trustlab.identification.posterior.sampling import (
     Component,
     Sample,
+    Top,
     drawn,
     pareto_fit,
+    sample_target,
     smoothed,
+    tops_of,
+    walked,
     weighed,
 )
-from trustlab.identification.posterior.result import MODEL, interval_words, physical
-from trustlab.identification.posterior.sampling import sample_target, tops_of, walked
-from trustlab.identification.posterior.search import Top
 from trustlab.identification.tsc import TSC
 from trustlab.sessions.metrics import window_mean
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.posterior.likelihood import SHARED
+from trustlab.identification.posterior.density import SHARED
 from trustlab.models.checks import finite_number, of_class, one_of, positive
 from trustlab.models.published import published_models
 

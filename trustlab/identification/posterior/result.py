@@ -7,22 +7,9 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.posterior.coordinates import Target
-from trustlab.identification.posterior.likelihood import (
-    BETA,
-    DELAY,
-    H_MIN,
-    H_SPAN,
-    NOISES,
-    OUTPUTS,
-    P_MIN,
-    P_R0,
-    P_SPAN,
-    PER_RUN,
-    R0,
+from trustlab.identification.posterior.density import (
     SHARED,
-    TAU_P,
-    TAU_R,
+    Target,
     simulate,
 )
 from trustlab.identification.posterior.priors import Prior
@@ -67,32 +54,6 @@ WORDS = {
 """The model's parameters in words."""
 
 MODEL = tuple(WORDS)
-
-
-def physical(thetas: np.ndarray, step: float) -> pd.DataFrame:
-    """Return rows of θ as parameters in their own units; `step` [s] is that of the models."""
-    columns = {
-        "human_time_constant": np.exp(thetas[:, TAU_R]),
-        "human_a": np.exp(-step / np.exp(thetas[:, TAU_R])),
-        "human_beta": 1.0 / (1.0 + np.exp(-thetas[:, BETA])),
-        "human_p_min": thetas[:, H_MIN],
-        "human_p_max": thetas[:, H_MIN] + np.exp(thetas[:, H_SPAN]),
-        "robot_time_constant": np.exp(thetas[:, TAU_P]),
-        "robot_a": np.exp(-step / np.exp(thetas[:, TAU_P])),
-        "robot_p_min": thetas[:, P_MIN],
-        "robot_p_max": thetas[:, P_MIN] + np.exp(thetas[:, P_SPAN]),
-        "mode_delay": thetas[:, DELAY],
-    }
-    runs = (thetas.shape[1] - R0) // PER_RUN
-    for run in range(runs):
-        label = f"[{run}]" if runs > 1 else ""
-        columns[f"r0{label}"] = 1.0 / (1.0 + np.exp(-thetas[:, R0 + PER_RUN * run]))
-        columns[f"p_r0{label}"] = thetas[:, P_MIN] + thetas[:, P_R0 + PER_RUN * run]
-    for output, at in zip(OUTPUTS, NOISES, strict=True):
-        columns[f"{output}_white"] = np.exp(thetas[:, at.white])
-        columns[f"{output}_slow"] = np.exp(thetas[:, at.slow])
-        columns[f"{output}_slow_time"] = np.exp(thetas[:, at.time])
-    return pd.DataFrame(columns)
 
 
 def tsc_models(draws: pd.DataFrame) -> list[TscModel]:
