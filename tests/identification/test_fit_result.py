@@ -8,7 +8,7 @@ from statsmodels.stats.sandwich_covariance import S_hac_simple
 from statsmodels.tsa.stattools import acf
 
 import trustlab as tl
-from trustlab.identification.noise import (
+from trustlab.identification.problem import (
     hac_matrix,
     pooled_autocorrelation,
     pooled_cross_correlation,

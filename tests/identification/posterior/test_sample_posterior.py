@@ -16,7 +16,6 @@ from scipy import stats
 
 import trustlab as tl
 from tests.house.documents import ROOT
-from trustlab.identification.fitting import rough_optima
 from trustlab.identification.log import read_runs
 from trustlab.identification.posterior import sampling
 from trustlab.identification.posterior.density import physical, to_thetas
@@ -33,6 +32,7 @@ from trustlab.identification.posterior.sampling import (
     walked,
     weighed,
 )
+from trustlab.identification.search import rough_optima
 from trustlab.identification.tsc import TSC
 from trustlab.sessions.metrics import window_mean
 

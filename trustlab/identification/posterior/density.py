@@ -20,8 +20,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.model import IdentificationError
-from trustlab.identification.noise import filter_columns, process
-from trustlab.identification.problem import Problem
+from trustlab.identification.problem import Problem, filter_columns, process
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import yerkes_dodson
 

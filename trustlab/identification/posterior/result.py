@@ -13,6 +13,7 @@ from trustlab.identification.posterior.density import (
     simulate,
 )
 from trustlab.identification.posterior.priors import Prior
+from trustlab.identification.problem import NOT_WHITE
 from trustlab.models.checks import open_unit
 from trustlab.models.display import Result
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
@@ -35,9 +36,6 @@ MOST_K = 0.7
 
 # Width of an interval, as a share of the prior's, up to which data count as telling the value.
 DETERMINED = 0.5
-
-# p value below which residuals speak against the noise model.
-NOT_WHITE = 1e-3
 
 # Distance from the prior's mean, in its standard deviations, from which on it is in doubt.
 UNEXPECTED = 3.0

@@ -20,10 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from trustlab.identification.fitting import rough_optima
 from trustlab.identification.log import LogSettings, log_settings, read_runs
 from trustlab.identification.model import IdentificationError
-from trustlab.identification.noise import whiteness_p
 from trustlab.identification.posterior.density import (
     BETA,
     DELAY,
@@ -56,7 +54,8 @@ from trustlab.identification.posterior.density import (
 )
 from trustlab.identification.posterior.priors import Normal, Prior, as_prior
 from trustlab.identification.posterior.result import MOST_K, Posterior
-from trustlab.identification.problem import Optimum
+from trustlab.identification.problem import whiteness_p
+from trustlab.identification.search import Optimum, rough_optima
 from trustlab.identification.tsc import TSC
 from trustlab.models.checks import whole_number, whole_seed
 from trustlab.sessions.session import Session
