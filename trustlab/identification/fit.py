@@ -23,8 +23,8 @@ from trustlab.identification.log import (
     window_means,
 )
 from trustlab.identification.model import IdentificationError, Model
-from trustlab.identification.problem import NOT_WHITE, Problem, hac_lags
-from trustlab.identification.result import HALF_WIDTH, FitResult, RunFit
+from trustlab.identification.problem import HALF_WIDTH, NOT_WHITE, Problem, hac_lags
+from trustlab.identification.result import FitResult, RunFit
 from trustlab.identification.search import NOISES, Estimate, estimate_runs
 from trustlab.models.checks import of_class, one_of
 from trustlab.sessions.session import Session
@@ -188,7 +188,7 @@ def estimate_table(estimate: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
     return table, pd.DataFrame(block, index=labels, columns=labels)
 
 
-def _time_constant(name: str, step: float, **values: Any) -> Any:
+def _time_constant(name: str, step: float, /, **values: Any) -> Any:
     """Return after how many seconds 1/e of a deviation is left."""
     return -step / np.log(values[name])
 

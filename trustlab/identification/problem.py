@@ -27,48 +27,34 @@ LAGS = 25
 # p value of the Ljung–Box test below which residuals do not count as white.
 NOT_WHITE = 1e-3
 
+# Standard errors from the middle of a 95 % interval to its end.
+HALF_WIDTH = float(special.ndtri(0.975))
+
 # Robust standard deviations beyond which a sudden residual counts as an outlier: of white noise one
 # sample in 5·10⁸ is.
 FAR = 6.0
 
 
-def pooled_autocorrelation(residuals: list[np.ndarray], lags: int) -> np.ndarray:
+def pooled_correlation(errors: list[np.ndarray], others: list[np.ndarray], lags: int) -> np.ndarray:
     """
-    Return the autocorrelation ρ(0) = 1, ρ(1), … of residuals, pooled over runs.
+    Return the correlation of e(k) with u(k − lag), lag = 0, 1, …, pooled over runs.
 
-    No product crosses from one run to the next; the mean is that of all runs, as in statsmodels.
+    No product crosses from one run to the next; means are those of all runs, as in statsmodels.
+    0 where one of them never moves.
     """
-    mean = np.concatenate(residuals).mean()
-    sums = np.zeros(lags + 1)
-    for run in residuals:
-        centred = run - mean
-        sums += [centred[: max(run.size - lag, 0)] @ centred[lag:] for lag in range(lags + 1)]
-    return sums / sums[0] if sums[0] > 0.0 else np.r_[1.0, np.zeros(lags)]
-
-
-def pooled_cross_correlation(
-    residuals: list[np.ndarray], inputs: list[np.ndarray], lags: int
-) -> np.ndarray:
-    """
-    Return the correlation of e(k) with u(k − lag), pooled over runs.
-
-    Lags run from −lags to lags; 0 where no input moves.
-    """
-    from scipy import signal
-
-    e_mean = np.concatenate(residuals).mean()
-    u_mean = np.concatenate(inputs).mean()
-    sums = np.zeros(2 * lags + 1)
-    e_power = 0.0
-    u_power = 0.0
-    for e, u in zip(residuals, inputs, strict=True):
-        e = e - e_mean
-        u = u - u_mean
-        e_power += e @ e
-        u_power += u @ u
-        sums += signal.correlate(e, u)[e.size - 1 - lags : e.size + lags]
-    scale = np.sqrt(e_power * u_power)
+    e_mean, u_mean = (np.concatenate(each).mean() for each in (errors, others))
+    sums, powers = np.zeros(lags + 1), np.zeros(2)
+    for e, u in zip(errors, others, strict=True):
+        e, u = e - e_mean, u - u_mean
+        sums += [e[lag:] @ u[: max(u.size - lag, 0)] for lag in range(lags + 1)]
+        powers += e @ e, u @ u
+    scale = np.sqrt(powers.prod())
     return sums / scale if scale > 0.0 else sums
+
+
+def autocorrelation(errors: list[np.ndarray], lags: int) -> np.ndarray:
+    """Return the autocorrelation ρ(0), ρ(1), … of residuals, pooled over runs."""
+    return pooled_correlation(errors, errors, lags)
 
 
 def ljung_box(correlation: np.ndarray, samples: int) -> tuple[float, int, float]:
@@ -83,7 +69,7 @@ def ljung_box(correlation: np.ndarray, samples: int) -> tuple[float, int, float]
 
 def whiteness_p(residuals: list[np.ndarray]) -> float:
     """Return the p value of the Ljung–Box test."""
-    return ljung_box(pooled_autocorrelation(residuals, LAGS), sum(run.size for run in residuals))[2]
+    return ljung_box(autocorrelation(residuals, LAGS), sum(run.size for run in residuals))[2]
 
 
 def hac_lags(residuals: list[np.ndarray]) -> int:
@@ -104,7 +90,7 @@ def hac_lags(residuals: list[np.ndarray]) -> int:
             run[: run.size // length * length].reshape(-1, length).mean(axis=1) for run in residuals
         ]
         total = sum(run.size for run in means)
-        rho = min(abs(float(pooled_autocorrelation(means, 1)[1])), 0.9999)
+        rho = min(abs(float(autocorrelation(means, 1)[1])), 0.9999)
         if length == 1 or rho > 3.0 / np.sqrt(total):
             alpha = 4.0 * rho**2 / (1.0 - rho**2) ** 2
             widest = max(widest, length * 1.1447 * (alpha * total) ** (1.0 / 3.0))
@@ -358,11 +344,6 @@ class Series:
     plain: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
     white: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
 
-    @property
-    def errors(self) -> np.ndarray:
-        """Prediction errors of the samples that count."""
-        return self.white[self.known, 0]
-
 
 class Equations(NamedTuple):
     """
@@ -397,7 +378,9 @@ class Problem:
         shared, states = len(model.names), len(model.states)
         self.unknowns = [*model.names, *model.states * len(runs)]
         self.coordinates = [model.coordinate(name) for name in self.unknowns]
-        self.low, self.high = (self._vector(limits, end) for end in (0, 1))
+        lows = {name: low for name, (low, _) in limits.items()}
+        highs = {name: high for name, (_, high) in limits.items()}
+        self.low, self.high = self.full_vector(lows), self.full_vector(highs)
         self.free = np.flatnonzero(self.low < self.high)
         loads = [model.coordinates.get(name) == "load" for name in self.unknowns]
         self.loads = np.flatnonzero(loads)
@@ -420,9 +403,6 @@ class Problem:
             measured = undo_window(measured, run.window)
         mine = np.flatnonzero(np.isin(self.free, self.of_run[i]))
         return Series(i, j, measured, np.ones(run.size, bool), np.r_[0, 1 + mine])
-
-    def _vector(self, limits: Mapping, end: int) -> np.ndarray:
-        return self.full_vector({name: pair[end] for name, pair in limits.items()})
 
     def full_vector(self, values: Mapping) -> np.ndarray:
         """Return the full vector of values by name; a state may have one value per run."""

@@ -7,16 +7,13 @@ import pandas as pd
 from scipy import special
 
 from trustlab.identification.problem import (
+    autocorrelation,
     ljung_box,
-    pooled_autocorrelation,
-    pooled_cross_correlation,
+    pooled_correlation,
 )
 from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.models.display import Result
 from trustlab.sessions.plots import shade_manual
-
-# Standard errors from the middle of a 95 % interval to its end.
-HALF_WIDTH = float(special.ndtri(0.975))
 
 LABELS = {
     "p_r": "robot performance $P_r$",
@@ -208,12 +205,13 @@ class FitResult(Result):
             band: ± 2.58/√n for white residuals.
         """
         residuals = self._errors_for(lags, output)
-        auto = pooled_autocorrelation(residuals, lags)
+        auto = autocorrelation(residuals, lags)
         inputs = [next(iter(run.inputs.values())) for run in self.runs]
-        cross = pooled_cross_correlation(residuals, inputs, lags)
+        before = pooled_correlation(inputs, residuals, lags)[:0:-1]
+        cross = np.r_[before, pooled_correlation(residuals, inputs, lags)]
         band = special.ndtri(0.995) / np.sqrt(sum(run.size for run in residuals))
         columns = {
-            "autocorrelation": np.r_[auto[:0:-1], auto],
+            "autocorrelation": np.r_[auto[:0:-1], 1.0, auto[1:]],
             "cross_correlation": cross,
             "band": band,
         }
@@ -237,7 +235,7 @@ class FitResult(Result):
         for name in self.outputs:
             residuals = self._errors_for(lags, name)
             samples = sum(run.size for run in residuals)
-            rows[name] = ljung_box(pooled_autocorrelation(residuals, lags), samples)
+            rows[name] = ljung_box(autocorrelation(residuals, lags), samples)
         table = pd.DataFrame.from_dict(rows, orient="index", columns=["statistic", "df", "p"])
         return table.rename_axis("output")
 

@@ -425,15 +425,27 @@ def _whitened(series: Series, values: np.ndarray, noise: Noise) -> np.ndarray:
     return whiten(values[:, None], series.known, noise)[0][:, 0]
 
 
+def _answer(
+    optimum: Optimum, inverse: np.ndarray, series: list[Series], changes: list[np.ndarray]
+) -> np.ndarray:
+    """Return what the loose unknowns make of changes of outputs, as prediction errors see these."""
+    by_all = np.zeros(optimum.problem.free.size)
+    for each, change in zip(series, changes, strict=True):
+        weight = optimum.equations.weights[each.output]
+        by_all[each.places[1:] - 1] += weight * (change @ each.white[:, 1:])
+    return inverse @ by_all[optimum.loose]
+
+
 def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
     """Return the covariance due to independent errors of the mode's stamps."""
-    problem, weights = optimum.problem, optimum.equations.weights
+    problem = optimum.problem
     added = np.zeros(inverse.shape)
     for i, run in enumerate(problem.runs):
         if run.stamp_error == 0.0 or "mode" not in run.columns:
             continue
         mode = run["mode"]
         simulated = problem.simulated(run, i, optimum.x)
+        of_run = [series for series in problem.series if series.run == i]
         switches = np.flatnonzero(np.diff(mode > 0.5)) + 1
         # Neighbours add about the same: of thousands of switches some stand for all.
         chosen = switches[:: 1 + switches.size // SWITCHES]
@@ -442,13 +454,12 @@ def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
             moved = mode.copy()
             moved[k] = mode[k - 1]
             outputs = problem.simulated(run.changed({"mode": moved}), i, optimum.x)
-            by_all = np.zeros(problem.free.size)
-            for series in (s for s in problem.series if s.run == i):
-                j = series.output
-                change = problem.observed(series, outputs[j] - simulated[j]) / run.sample_time
-                change = _whitened(series, change, problem.noise[j])
-                by_all[series.places[1:] - 1] += weights[j] * (change @ series.white[:, 1:])
-            shift = run.stamp_error * inverse @ by_all[optimum.loose]
+            changes = []
+            for series in of_run:
+                change = outputs[series.output] - simulated[series.output]
+                change = problem.observed(series, change) / run.sample_time
+                changes.append(_whitened(series, change, problem.noise[series.output]))
+            shift = _answer(optimum, run.stamp_error * inverse, of_run, changes)
             added += np.outer(shift, shift) * switches.size / chosen.size
     return added
 
@@ -462,7 +473,6 @@ def mode_delay(optimum: Optimum, inverse: np.ndarray, sandwiched: bool) -> ModeD
     if not {"mode"} <= inputs <= {"mode", "p_h"} or "mode_delay" in problem.model.names:
         return none
     slopes = []
-    by_all = np.zeros(problem.free.size)
     runs = list(enumerate(problem.runs))
     simulated = [problem.simulated(run, i, optimum.x) for i, run in runs]
     moved = [problem.simulated(late(run, run.sample_time), i, optimum.x) for i, run in runs]
@@ -472,11 +482,9 @@ def mode_delay(optimum: Optimum, inverse: np.ndarray, sandwiched: bool) -> ModeD
         # Mode acting later shifts the whole simulation, but for states, which are estimated.
         values = problem.observed(series, simulated[series.run][series.output])
         slope = -np.gradient(values, problem.runs[series.run].sample_time)
-        slope = _whitened(series, slope, problem.noise[series.output])
-        slopes.append(slope)
-        by_all[series.places[1:] - 1] += weights[series.output] * (slope @ series.white[:, 1:])
-    answer = np.zeros(by_all.size)
-    answer[loose] = inverse @ by_all[loose]
+        slopes.append(_whitened(series, slope, problem.noise[series.output]))
+    answer = np.zeros(problem.free.size)
+    answer[loose] = _answer(optimum, inverse, problem.series, slopes)
     total = information = score = spread = 0.0
     for series, slope in zip(problem.series, slopes, strict=True):
         weight = weights[series.output]
@@ -601,14 +609,21 @@ def _deviance_with_noise(optimum: Optimum) -> float:
     return deviance
 
 
+def _with_loads(optimum: Optimum, loads: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return the full vector that a search finds with loads held at other places."""
+    x = optimum.x.copy()
+    x[loads] = places
+    moving = ~np.isin(optimum.problem.free, loads)
+    return descend(optimum.problem, x, moving, **ROUGH)[0]
+
+
 def _elsewhere(optimum: Optimum) -> Iterator[Optimum]:
     """Hold loads at other places, search there, and go on from there with them free."""
     problem = optimum.problem
     loads = np.intersect1d(problem.loads, problem.free)
     for share in (0.1, 0.3, 0.5, 0.8) if loads.size else ():
-        x = optimum.x.copy()
-        x[loads] = problem.low[loads] + share * (problem.high - problem.low)[loads]
-        x = descend(problem, x, ~np.isin(problem.free, loads), **ROUGH)[0]
+        places = problem.low[loads] + share * (problem.high - problem.low)[loads]
+        x = _with_loads(optimum, loads, places)
         if problem.equations(x).deviance < optimum.equations.deviance + SHALLOW:
             yield search(problem, x, **ROUGH)
 
@@ -626,9 +641,7 @@ def _beside_ends(optimum: Optimum) -> Optimum:
     loads, ends = loads[near], ends[near]
     tried = []
     for share in NEAR:
-        start = x.copy()
-        start[loads] = ends + share * inwards
-        start = descend(problem, start, ~np.isin(problem.free, loads), **ROUGH)[0]
+        start = _with_loads(optimum, loads, ends + share * inwards)
         tried.append((problem.equations(start).deviance, share, start))
     other = search(problem, min(tried)[2])
     return min(optimum, other, key=lambda each: each.deviance)

@@ -166,7 +166,7 @@ def test_walkers_agree_with_weights():
     rng = np.random.default_rng(0)
     runs = read_runs(session, "mode", "p_h", "p_r")
     tops = tops_of(target, rough_optima(TSC, runs, TSC.limits()))
-    walkers = walked(target, sample_target(target, tops, rng).sample, rng)
+    walkers = walked(target, sample_target(target, tops, rng)[0], rng)
     by_walkers = physical(to_thetas(walkers.points, target), 0.1)
     for name in MODEL:
         mean, sd = posterior.draws[name].mean(), posterior.draws[name].std()

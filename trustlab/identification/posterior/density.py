@@ -182,15 +182,6 @@ def robot(blocks, shape, a, low, span, p_min, gain, starts, means):
 
 
 @njit
-def initial_performance(theta, runs):
-    """Return P_r at the first sample of every run: θ holds its distance from P_min."""
-    starts = np.empty(runs)
-    for run in range(runs):
-        starts[run] = theta[P_MIN] + theta[P_R0 + PER_RUN * run]
-    return starts
-
-
-@njit
 def simulate(theta, blocks):
     """Return block means of P_h and P_r, shape (2, blocks)."""
     means = np.empty(blocks.measured.shape)
@@ -207,7 +198,8 @@ def drive(theta, blocks, shape, means):
     span = np.exp(theta[H_SPAN])
     a = np.exp(-blocks.step / np.exp(theta[TAU_P]))
     gain = np.exp(theta[P_SPAN]) / (low + span)
-    starts = initial_performance(theta, blocks.first_block.size - 1)
+    # P_r at the first sample of every run: θ holds its distance from P_min.
+    starts = theta[P_MIN] + theta[P_R0::PER_RUN]
     robot(blocks, shape, a, low, span, theta[P_MIN], gain, starts, means[1])
     for k in range(means.shape[1]):
         means[0, k] = low + span * means[0, k]

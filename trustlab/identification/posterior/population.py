@@ -17,18 +17,16 @@ a person of a population has the same prior, but for heavier tails, as a person 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from trustlab.identification.log import LogSettings
+from trustlab.identification.log import LogSettings, as_list
 from trustlab.identification.posterior.density import H_MIN, P_MIN, R0, SHARED, Target, physical
 from trustlab.identification.posterior.priors import Prior, as_prior, prior_of
 from trustlab.identification.posterior.result import (
-    LABELS,
     MODEL,
     WORDS,
     Posterior,
@@ -291,7 +289,7 @@ class Population(Result):
             above = places[:-1] + 0.25
             panel.hlines(above, own["ci_low"], own["ci_high"], color="0.6")
             panel.plot(own["mean"], above, ".", color="0.6", label="alone")
-            panel.set_xlabel(LABELS[parameter])
+            panel.set_xlabel(WORDS[parameter])
             panel.set_yticks(places, names)
         panels[7].axis("off")
         panels[7].legend(*panels[0].get_legend_handles_labels(), loc="center")
@@ -372,20 +370,17 @@ def fit_population(
     root = np.random.SeedSequence(whole_seed(seed))
     seeds = [int(value) for value in root.generate_state(2 * len(people))]
     rng = np.random.default_rng(root)
-    sessions = {
-        name: [each] if isinstance(each, Session) else list(each) for name, each in people.items()
-    }
+    sessions = {name: as_list(each) for name, each in people.items()}
     expected = prior
     alone: dict[str, Posterior] = {}
     hidden = None if progress is None else not flag("progress", progress)
-    bar = tqdm(list(sessions.items()) * 2, unit="posterior", disable=hidden)
-    draws = (
-        (name, sample_posterior(each, expected, max(n, DRAWS), seeds[i], log, **settings))
-        for i, (name, each) in enumerate(bar)
-    )
+    steps = iter(tqdm(seeds, unit="posterior", disable=hidden))
     for _ in range(2):
-        # `draws` reads `expected` at each step: the prior first, then what the others show.
-        drawn = dict(islice(draws, len(people)))
+        # Under the prior first, then under what the others show.
+        drawn = {
+            name: sample_posterior(each, expected, max(n, DRAWS), next(steps), log, **settings)
+            for name, each in sessions.items()
+        }
         alone = alone or drawn
         pooled = _pooled(list(drawn.values()), prior, rng)
         thetas = _new_people(pooled, prior, rng)

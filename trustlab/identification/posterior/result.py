@@ -14,19 +14,10 @@ from trustlab.identification.posterior.density import (
 )
 from trustlab.identification.posterior.priors import Prior
 from trustlab.identification.problem import NOT_WHITE
+from trustlab.identification.tsc import TSC, build_tsc
 from trustlab.models.checks import open_unit
 from trustlab.models.display import Result
-from trustlab.models.tsc import HumanModel, RobotModel, TscModel
-
-LABELS = {
-    "human_time_constant": "operator's time constant [s]",
-    "human_beta": "β",
-    "human_p_min": "$P_{h,min}$",
-    "human_p_max": "$P_{h,max}$",
-    "robot_time_constant": "robot's time constant [s]",
-    "robot_p_min": "$P_{r,min}$",
-    "robot_p_max": "$P_{r,max}$",
-}
+from trustlab.models.tsc import TscModel
 
 # Share of the prior's range below which a posterior would be a mere line in it.
 NARROW = 0.15
@@ -56,16 +47,7 @@ MODEL = tuple(WORDS)
 
 def tsc_models(draws: pd.DataFrame) -> list[TscModel]:
     """Return the model of every draw."""
-    models = []
-    for row in draws.to_dict("records"):
-        human = HumanModel(
-            row["human_a"], row["human_beta"], row["human_p_min"], row["human_p_max"]
-        )
-        robot = RobotModel(
-            row["robot_a"], row["robot_p_min"], row["robot_p_max"], row["human_p_max"]
-        )
-        models.append(TscModel(robot, human))
-    return models
+    return [build_tsc(**row) for row in draws[list(TSC.names)].to_dict("records")]
 
 
 def summary(draws: pd.DataFrame, level: float) -> pd.DataFrame:
@@ -250,7 +232,7 @@ class Posterior(Result):
                 panel.set_xlim(least - (most - least), most + (most - least))
                 panel.locator_params(axis="x", nbins=4)
                 panel.set_title(f"prior: {low:.3g} to {high:.3g}", fontsize="small")
-            panel.set_xlabel(LABELS[name])
+            panel.set_xlabel(WORDS[name])
             panel.set_yticks([])
         panels[0].legend(fontsize="small")
         blocks = self.target.blocks

@@ -52,7 +52,7 @@ from trustlab.identification.posterior.density import (
     simulate,
     to_thetas,
 )
-from trustlab.identification.posterior.priors import Normal, Prior, as_prior
+from trustlab.identification.posterior.priors import Prior, as_prior
 from trustlab.identification.posterior.result import MOST_K, Posterior
 from trustlab.identification.problem import whiteness_p
 from trustlab.identification.search import Optimum, rough_optima
@@ -426,16 +426,16 @@ def sample_posterior(
     optima = rough_optima(TSC, runs, TSC.limits(), robust=log.robust)
     target = target_of(optima[0], prior, log)
     rng = np.random.default_rng(whole_seed(seed))
-    sampled = sample_target(target, tops_of(target, optima), rng, max(POINTS, 4 * n))
-    thetas = to_thetas(resampled(sampled.sample, n, rng), target)
+    sample, method = sample_target(target, tops_of(target, optima), rng, max(POINTS, 4 * n))
+    thetas = to_thetas(resampled(sample, n, rng), target)
     step = runs[0].step
     return Posterior(
         draws=_columns(thetas, target, step),
         prior_draws=_columns(prior_thetas(target, 4000, rng), target, step),
         prior=prior,
-        k_hat=float(sampled.sample.k_hat),
-        effective=sampled.sample.effective,
-        method=sampled.method,
+        k_hat=float(sample.k_hat),
+        effective=sample.effective,
+        method=method,
         whiteness=_whiteness(thetas.mean(axis=0), target.blocks),
         labels=tuple(run.label for run in runs),
         synthetic=any(run.synthetic for run in runs),
@@ -456,9 +456,8 @@ def target_of(optimum: Optimum, prior: Prior, log: LogSettings) -> Target:
     stamp_error = max(run.stamp_error for run in runs)
     delayed = log.mode_delay or stamp_error > 0.0
     if delayed and not log.mode_delay:
-        error = Normal(0.0, stamp_error, "plain")
-        deviation[DELAY] = error.spread
-        whitening[DELAY, DELAY] = 1.0 / error.spread
+        deviation[DELAY] = stamp_error
+        whitening[DELAY, DELAY] = 1.0 / stamp_error
     free = np.delete(np.arange(mean.size), [] if delayed else [DELAY])
     return Target(blocks_of(optimum.problem), mean, deviation, whitening, free)
 
@@ -494,13 +493,6 @@ def _whiteness(theta: np.ndarray, blocks: Blocks) -> dict[str, float]:
 
 
 # --- the sampler ----------------------------------------------------------------------------------
-
-
-class Sampled(NamedTuple):
-    """A weighted sample, and how it was made."""
-
-    sample: Sample
-    method: str
 
 
 def good(sample: Sample) -> bool:
@@ -543,9 +535,9 @@ def proposals(tops: list[Top]) -> list[Component]:
 
 def sample_target(
     target: Target, tops: list[Top], rng: np.random.Generator, count: int = POINTS
-) -> Sampled:
+) -> tuple[Sample, str]:
     """
-    Sample a posterior from its maxima.
+    Sample a posterior from its maxima: return a weighted sample, and how it was made.
 
     Proposals are adapted where weights are bad, and walkers come last.
     """
@@ -569,7 +561,7 @@ def sample_target(
     if not good(sample):
         method = "ensemble"
         sample = walked(target, sample, rng)
-    return Sampled(sample, method)
+    return sample, method
 
 
 def shared(mixture: list[Component], count: int) -> list[Component]:
