@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 
 import trustlab as tl
-from trustlab.identification.fitting import estimate_runs
+from trustlab.identification.fit import estimate_table, weak_names
 from trustlab.identification.log import LogSettings, read_runs
 from trustlab.identification.problem import Problem
-from trustlab.identification.result import estimate_table, weak_names
+from trustlab.identification.search import estimate_runs
 from trustlab.identification.tsc import TSC
 from trustlab.sessions.metrics import window_mean
 

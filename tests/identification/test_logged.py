@@ -18,7 +18,7 @@ from hypothesis import given, strategies as st
 
 import trustlab as tl
 from trustlab.identification.log import undo_window, window_means
-from trustlab.identification.noise import Noise, whiten
+from trustlab.identification.problem import Noise, whiten
 from trustlab.sessions.metrics import window_mean
 
 ROOT = Path(__file__).parents[2]
@@ -342,9 +342,9 @@ def test_errors_of_many_stamps_are_worked_out_for_some_of_them(
     operators, make_session, monkeypatch
 ):
     session = make_session(operators["pilot"], np.repeat([1.0, 0.0] * 60, 100), noise=0.003)
-    monkeypatch.setattr("trustlab.identification.estimate.SWITCHES", 10_000)
+    monkeypatch.setattr("trustlab.identification.search.SWITCHES", 10_000)
     every = tl.fit_human(session, stamp_error=0.3).table()["stderr"]
-    monkeypatch.setattr("trustlab.identification.estimate.SWITCHES", 35)
+    monkeypatch.setattr("trustlab.identification.search.SWITCHES", 35)
     some = tl.fit_human(session, stamp_error=0.3).table()["stderr"]
     assert not some.equals(every)
     np.testing.assert_allclose(some, every, rtol=0.05)

@@ -20,8 +20,8 @@ from statsmodels.stats.sandwich_covariance import S_hac_simple
 import trustlab as tl
 from trustlab.identification import HUMAN, ROBOT, TSC
 from trustlab.identification.log import read_runs
-from trustlab.identification.noise import hac_lags
-from trustlab.identification.problem import Problem
+from trustlab.identification.problem import Problem, hac_lags
+from trustlab.identification.search import robust_search
 
 T = 0.1
 
@@ -91,7 +91,7 @@ def test_samples_left_out_count_alike_in_any_unit(unit):
     for robust, deviance in expected.items():
         runs = read_runs(session, "mode", "p_r")
         problem = Problem(level, runs, level.limits())
-        optimum = problem.robust_search(np.array([0.3 * unit]), robust)
+        optimum = robust_search(problem, np.array([0.3 * unit]), robust)
         assert optimum.deviance == pytest.approx(deviance, abs=1e-6)
 
 

@@ -23,8 +23,8 @@ from trustlab.allocation.steady import (
     points as points_of,
     survey,
 )
-from trustlab.identification.posterior.likelihood import SHARED
-from trustlab.identification.posterior.result import Posterior, physical, tsc_models
+from trustlab.identification.posterior.density import SHARED, physical
+from trustlab.identification.posterior.result import Posterior, tsc_models
 from trustlab.identification.result import FitResult
 from trustlab.models.checks import (
     between,

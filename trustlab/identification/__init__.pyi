@@ -1,4 +1,4 @@
-from .fitting import fit as fit
+from .fit import fit as fit
 from .log import LogSettings as LogSettings
 from .model import IdentificationError as IdentificationError, Model as Model
 from .posterior.population import Population as Population, fit_population as fit_population

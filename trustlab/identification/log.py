@@ -143,7 +143,7 @@ def read_runs(
     Where `log` leaves the window or the error of the stamps open, each session's metadata decide.
     """
     log = log or LogSettings()
-    sessions = _as_list(sessions)
+    sessions = as_list(sessions)
     for session in sessions:
         of_class("sessions", session, Session, HOW_TO_GET)
         session.require(*columns)
@@ -169,7 +169,7 @@ def read_runs(
     ]
 
 
-def _as_list(sessions: Any) -> list:
+def as_list(sessions: Any) -> list:
     """Return one or several sessions as a list."""
     # A table, a mapping or a path can be iterated over too, but what comes out says nothing of the
     # mistake.

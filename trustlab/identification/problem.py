@@ -1,10 +1,10 @@
 """
-The likelihood of a model: simulate, compare, whiten, and search where it is greatest.
+The likelihood of a model: simulate, compare, whiten.
 
 What a log shows beyond the simulated outputs, e = y − ŷ, is noise: white, or an AR(1) process plus
-white noise, whose Kalman filter leaves prediction errors. A model simulates many lanes in one call:
-the first at the unknowns themselves, each of the others with one of them moved a little, so that
-the differences are derivatives.
+white noise, whose Kalman filter leaves prediction errors; a sandwich widens the covariance for any
+other. A model simulates many lanes in one call: the first at the unknowns themselves, each of the
+others with one of them moved a little, so that the differences are derivatives.
 
 [L] Ljung, *System Identification: Theory for the User*, 2nd ed., 1999.
 [S] Söderström and Stoica, *System Identification*, 1989.
@@ -15,11 +15,293 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import special
 
-from trustlab.identification.log import Run, counts, joined, undo_window, window_means
-from trustlab.identification.model import IdentificationError, Model
-from trustlab.identification.noise import FAR, Noise, fit_noise, outliers, robust_deviation, whiten
+from trustlab.identification.log import Run, joined, undo_window, window_means
+from trustlab.identification.model import Model
 from trustlab.models.compiled import njit
+
+# Lags of the Ljung–Box test that chooses between white and robust standard errors.
+LAGS = 25
+
+# p value of the Ljung–Box test below which residuals do not count as white.
+NOT_WHITE = 1e-3
+
+# Standard errors from the middle of a 95 % interval to its end.
+HALF_WIDTH = float(special.ndtri(0.975))
+
+# Robust standard deviations beyond which a sudden residual counts as an outlier: of white noise one
+# sample in 5·10⁸ is.
+FAR = 6.0
+
+
+def pooled_correlation(errors: list[np.ndarray], others: list[np.ndarray], lags: int) -> np.ndarray:
+    """
+    Return the correlation of e(k) with u(k − lag), lag = 0, 1, …, pooled over runs.
+
+    No product crosses from one run to the next; means are those of all runs, as in statsmodels.
+    0 where one of them never moves.
+    """
+    e_mean, u_mean = (np.concatenate(each).mean() for each in (errors, others))
+    sums, powers = np.zeros(lags + 1), np.zeros(2)
+    for e, u in zip(errors, others, strict=True):
+        e, u = e - e_mean, u - u_mean
+        sums += [e[lag:] @ u[: max(u.size - lag, 0)] for lag in range(lags + 1)]
+        powers += e @ e, u @ u
+    scale = np.sqrt(powers.prod())
+    return sums / scale if scale > 0.0 else sums
+
+
+def autocorrelation(errors: list[np.ndarray], lags: int) -> np.ndarray:
+    """Return the autocorrelation ρ(0), ρ(1), … of residuals, pooled over runs."""
+    return pooled_correlation(errors, errors, lags)
+
+
+def ljung_box(correlation: np.ndarray, samples: int) -> tuple[float, int, float]:
+    """
+    Return Q = n(n + 2) Σ ρ²(l)/(n − l) of ρ(0) … ρ(lags), its degrees of freedom and its p value.
+    """
+    lags = min(correlation.size - 1, samples - 1)
+    terms = correlation[1 : lags + 1] ** 2 / (samples - np.arange(1, lags + 1))
+    q = samples * (samples + 2.0) * np.sum(terms)
+    return float(q), lags, float(special.chdtrc(lags, q))
+
+
+def whiteness_p(residuals: list[np.ndarray]) -> float:
+    """Return the p value of the Ljung–Box test."""
+    return ljung_box(autocorrelation(residuals, LAGS), sum(run.size for run in residuals))[2]
+
+
+def hac_lags(residuals: list[np.ndarray]) -> int:
+    """
+    Return the bandwidth of the Bartlett window for residuals, by Andrews' rule for an AR(1).
+
+    The rule, 1.1447 (α n)^(1/3) with α = 4ρ²/((1 − ρ)²(1 + ρ)²), is equations (6.2) and (6.4) of
+    Andrews (1991), *Econometrica* 59, 817-858; here at most a quarter of the shortest run.
+    """
+    # White noise on top hides slow noise from the first autocorrelation, but averages out in
+    # blocks: the rule is applied to the means over 1, 2, 4, 8 … samples too, and the widest result
+    # taken.
+    shortest = min(run.size for run in residuals)
+    widest = 0.0
+    length = 1
+    while length == 1 or shortest // length >= 50:
+        means = [
+            run[: run.size // length * length].reshape(-1, length).mean(axis=1) for run in residuals
+        ]
+        total = sum(run.size for run in means)
+        rho = min(abs(float(autocorrelation(means, 1)[1])), 0.9999)
+        if length == 1 or rho > 3.0 / np.sqrt(total):
+            alpha = 4.0 * rho**2 / (1.0 - rho**2) ** 2
+            widest = max(widest, length * 1.1447 * (alpha * total) ** (1.0 / 3.0))
+        length *= 2
+    return int(min(widest, shortest // 4))
+
+
+def hac_matrix(scores: np.ndarray, lags: int) -> np.ndarray:
+    """
+    Return the Bartlett-weighted sum of products of scores, shape (n, p), over lags (Newey–West).
+    """
+    # Sums over lags + 1 scores in a row hold each product at lag l in lags + 1 − l places: as
+    # Bartlett weights it.
+    total = np.cumsum(np.pad(scores, ((lags + 1, lags), (0, 0))), axis=0)
+    sums = total[lags + 1 :] - total[: -lags - 1]
+    return sums.T @ sums / (lags + 1)
+
+
+def sandwich(bread: np.ndarray, meat: np.ndarray | None, samples: float) -> np.ndarray:
+    """
+    Return n/(n − p) · bread · meat · bread, or n/(n − p) · bread for white residuals.
+
+    `bread` is the inverse of the information matrix Σ w JᵀJ with w = n/Σ e², `meat` the long-run
+    covariance of the scores w Jᵀe.
+    """
+    # The residuals of a fit with p parameters are too small by (n − p)/n on average. The factor
+    # makes the white form s² (JᵀJ)⁻¹ with s² = Σ e²/(n − p). The robust form takes the same factor
+    # (HC1 of MacKinnon & White 1985, Stata's newey): both agree where residuals are white.
+    factor = samples / max(samples - len(bread), 1.0)
+    return factor * (bread if meat is None else bread @ meat @ bread)
+
+
+class Noise(NamedTuple):
+    """AR(1) noise under white noise: share of the variance, correlation of successive samples."""
+
+    share: float = 0.0
+    memory: float = 0.0
+
+
+class Process(NamedTuple):
+    """
+    Noise y = c x + v of a first-order process x and white noise v, from one value to the next.
+
+    x becomes φ x + w; `drive`, `error` and `both` are the variance of w, that of v, and their
+    covariance; `variance` is that of x.
+    """
+
+    phi: float
+    c: float
+    drive: float
+    error: float
+    both: float
+    variance: float
+
+
+@njit
+def process(white, slow, memory, samples):
+    """
+    Return the noise of means over `samples`.
+
+    Of each sample, `white` and `slow` are the deviations of white and AR(1) noise; `memory` is the
+    correlation of successive samples of the latter.
+    """
+    total = 0.0
+    power = 1.0
+    error = 0.0
+    both = 0.0
+    # After m samples a shock has added `total` = 1 + … + φ^(m − 1) to the sum.
+    for m in range(samples):
+        if m > 0:
+            error += total * total
+            both += total * power
+        total += power
+        power *= memory
+    shock = slow * slow * (1.0 - memory * memory)
+    return Process(
+        power,
+        total / samples,
+        slow * slow * (1.0 - power * power),
+        (shock * error / samples + white * white) / samples,
+        shock * both / samples,
+        slow * slow,
+    )
+
+
+@njit
+def filter_columns(columns, known, noise, errors):
+    """
+    Write the prediction errors of a Kalman filter, scaled to variance one; return Σ ln variance.
+
+    Columns, shape (N, p), are filtered alike; where nothing is known the noise is only predicted
+    (Kailath, Sayed and Hassibi, *Linear Estimation*, 2000, Section 9.5: correlated noises).
+    """
+    state = np.zeros(columns.shape[1])
+    variance = noise.variance
+    before = -1.0
+    scale = 1.0
+    gain = 0.0
+    after = 0.0
+    logarithm = 0.0
+    logs = 0.0
+    for k in range(columns.shape[0]):
+        if not known[k]:
+            for j in range(state.size):
+                errors[k, j] = 0.0
+                state[j] *= noise.phi
+            variance = noise.phi * noise.phi * variance + noise.drive
+            continue
+        if abs(variance - before) > 1e-14 * variance:  # the filter settles within some samples
+            before = variance
+            total = noise.c * noise.c * variance + noise.error
+            scale = 1.0 / np.sqrt(total)
+            gain = (noise.phi * noise.c * variance + noise.both) / total
+            after = noise.phi * noise.phi * variance + noise.drive - gain * gain * total
+            logarithm = np.log(total)
+        for j in range(state.size):
+            error = columns[k, j] - noise.c * state[j]
+            errors[k, j] = scale * error
+            state[j] = noise.phi * state[j] + gain * error
+        variance = after
+        logs += logarithm
+    return logs
+
+
+def whiten(columns: np.ndarray, known: np.ndarray, noise: Noise) -> tuple[np.ndarray, float]:
+    """
+    Return columns, shape (N, p), whitened by a Kalman filter, and the log-determinant.
+
+    Errors and their derivatives are filtered alike ([L] Section 4.3).
+    """
+    errors = np.empty(columns.shape)
+    of_samples = process(np.sqrt(1.0 - noise.share), np.sqrt(noise.share), noise.memory, 1)
+    return errors, filter_columns(columns, known, of_samples, errors)
+
+
+def fit_noise(
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], samples: float, before: Noise
+) -> Noise:
+    """
+    Return the noise model of greatest restricted likelihood, near that of the round before.
+
+    A part is one run: residual and derivatives side by side, shape (N, 1 + p); which samples are
+    known; and the places of the columns among those of all runs. Restricted (Patterson & Thompson
+    1971, *Biometrika* 58, 545-554): the parameters are solved for at every noise model, and what
+    they take from the residuals is allowed for.
+    """
+    from scipy import optimize
+
+    def deviance(at):
+        return _restricted_deviance(parts, samples, _noise(at))
+
+    memories, shares = np.array([0.3, 0.9, 0.99, 0.999]), np.array([0.05, 0.5, 0.95])
+    starts = [_coordinates(Noise(s, m)) for m in memories for s in shares]
+    size = 1.0
+    if before != Noise():
+        starts, size = [_coordinates(before)], 0.3
+    best = np.array(min(starts, key=deviance))
+    simplex = best + size * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.5]])
+    options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.02, "maxfev": 80}
+    return _noise(optimize.minimize(deviance, best, method="Nelder-Mead", options=options).x)
+
+
+def _restricted_deviance(parts: list[tuple], samples: float, noise: Noise) -> float:
+    """Return minus twice the restricted log-likelihood, but for a constant."""
+    size = 1 + max(int(places.max()) for *_, places in parts)
+    gram = np.zeros((size, size))
+    log_determinant = 0.0
+    for values, known, places in parts:
+        errors, part = whiten(values, known, noise)
+        gram[np.ix_(places, places)] += errors.T @ errors
+        log_determinant += part
+    scale = np.sqrt(np.maximum(np.diag(gram)[1:], 1e-300))
+    roots, vectors = np.linalg.eigh(gram[1:, 1:] / np.outer(scale, scale))
+    regular = roots > 1e-10
+    along = (gram[0, 1:] / scale) @ vectors[:, regular]
+    squares = max(gram[0, 0] - along @ (along / roots[regular]), 1e-300)
+    value = (samples - regular.sum()) * np.log(squares) + log_determinant
+    return value + np.log(roots[regular]).sum() + 2.0 * np.log(scale).sum()
+
+
+def _coordinates(noise: Noise) -> tuple[float, float]:
+    """Return unbounded coordinates: −ln(1 − memory), log odds of the share."""
+    return -np.log1p(-noise.memory), np.log(noise.share) - np.log1p(-noise.share)
+
+
+def _noise(at) -> Noise:
+    """Return the noise model at unbounded coordinates."""
+    share = 1.0 / (1.0 + np.exp(-np.clip(at[1], -12.0, 12.0)))
+    return Noise(float(share), float(np.clip(-np.expm1(-at[0]), 0.0, 1.0 - 1e-6)))
+
+
+def outliers(error: np.ndarray, scale: float) -> np.ndarray:
+    """Return which residuals are far off and begin or end with a jump, as dropouts do."""
+    from scipy import ndimage
+
+    far = np.abs(error) > FAR * scale
+    if not far.any():
+        return far
+    jumps = np.abs(np.diff(error, prepend=0.0, append=0.0)) > FAR * scale
+    out = np.zeros(error.size, dtype=bool)
+    for (stretch,) in ndimage.find_objects(ndimage.label(far)[0]):
+        out[stretch] = jumps[stretch.start] or jumps[stretch.stop]
+    return out
+
+
+def robust_deviation(errors: list[np.ndarray]) -> float:
+    """Return the standard deviation of Gaussian residuals with this median of absolute values."""
+    sizes = np.abs(np.concatenate(errors))
+    # A few thousand samples tell it to a few per cent.
+    return 1.4826 * float(np.median(sizes[:: 1 + sizes.size // 4000]))
+
 
 # Steps of the lanes in coordinates of the search; relative where a coordinate has no scale. That of
 # a load spans the kink that (2.6) has at rest and at full load.
@@ -62,11 +344,6 @@ class Series:
     plain: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
     white: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
 
-    @property
-    def errors(self) -> np.ndarray:
-        """Prediction errors of the samples that count."""
-        return self.white[self.known, 0]
-
 
 class Equations(NamedTuple):
     """
@@ -101,7 +378,9 @@ class Problem:
         shared, states = len(model.names), len(model.states)
         self.unknowns = [*model.names, *model.states * len(runs)]
         self.coordinates = [model.coordinate(name) for name in self.unknowns]
-        self.low, self.high = (self._vector(limits, end) for end in (0, 1))
+        lows = {name: low for name, (low, _) in limits.items()}
+        highs = {name: high for name, (_, high) in limits.items()}
+        self.low, self.high = self.full_vector(lows), self.full_vector(highs)
         self.free = np.flatnonzero(self.low < self.high)
         loads = [model.coordinates.get(name) == "load" for name in self.unknowns]
         self.loads = np.flatnonzero(loads)
@@ -124,9 +403,6 @@ class Problem:
             measured = undo_window(measured, run.window)
         mine = np.flatnonzero(np.isin(self.free, self.of_run[i]))
         return Series(i, j, measured, np.ones(run.size, bool), np.r_[0, 1 + mine])
-
-    def _vector(self, limits: Mapping, end: int) -> np.ndarray:
-        return self.full_vector({name: pair[end] for name, pair in limits.items()})
 
     def full_vector(self, values: Mapping) -> np.ndarray:
         """Return the full vector of values by name; a state may have one value per run."""
@@ -222,127 +498,6 @@ class Problem:
         self.evaluated = (x.copy(), equations)
         return equations
 
-    # --- the search -------------------------------------------------------------------------------
-
-    def search(
-        self, x: np.ndarray, tolerance: float = FINE, most: int = 40, method: str = "dogbox"
-    ) -> "Optimum":
-        """Return the optimum next to a full vector; its last step gained less than `tolerance`."""
-        x = np.clip(x, self.low, self.high)
-        first = self.equations(x)
-        if not np.isfinite(first.deviance + first.matrix.sum()):
-            values = zip(self.labels, self.values(x), strict=True)
-            raise ValueError(
-                "the model simulates values that are not finite at "
-                f"{', '.join(f'{name} = {value:.4g}' for name, value in values)}; start elsewhere "
-                "with guess={...} or narrow the bounds"
-            )
-        moving = np.ones(self.free.size, bool)
-        x, held, converged, steps = self.descend(x, moving, tolerance, most, method)
-        ends = np.where(x - self.low < self.high - x, self.low, self.high)
-        at_end = np.isin(self.free, self.loads) & (np.abs(x - ends)[self.free] < STEP_OF_LOAD)
-        if not converged and (at_end.any() or tolerance <= FINE):
-            # (2.6) has a kink at rest and at full load, which defies any quadratic model: a search
-            # that does not settle there goes on with the others. One that is to be fine goes on.
-            x[self.free[at_end]] = ends[self.free[at_end]]
-            x, held, converged, more = self.descend(x, ~at_end, tolerance, 4 * most)
-            held, steps = held | at_end, steps + more
-        at_bound = np.zeros(x.size, bool)
-        at_bound[self.free] = held
-        return Optimum(self, x, at_bound, converged, steps)
-
-    def descend(
-        self,
-        start: np.ndarray,
-        moving: np.ndarray,
-        tolerance: float,
-        most: int,
-        method: str = "dogbox",
-    ) -> tuple[np.ndarray, np.ndarray, bool, int]:
-        """
-        Search with some of the free unknowns moving.
-
-        Return where it ended, which of the free unknowns a bound holds, whether it settled, and
-        after how many evaluations.
-        """
-        from scipy.optimize import least_squares
-
-        places = self.free[moving]
-        held = np.zeros(self.free.size, bool)
-        if places.size == 0:
-            return start, held, True, 1
-        # A search for least squares uses no more of f and J than |f|², Jᵀf and JᵀJ. Those of the
-        # likelihood itself fit in one row more than there are unknowns.
-        floor = float(self.counts @ np.log(self.floors / self.counts)) - 30.0 * self.counts.sum()
-
-        def at(x: np.ndarray) -> np.ndarray:
-            full = start.copy()
-            full[places] = x
-            return full
-
-        def residuals(x: np.ndarray) -> np.ndarray:
-            here = self.equations(at(x))
-            rest = here.deviance - floor - here.residual @ here.residual
-            return np.r_[here.residual, np.sqrt(max(rest, 0.0))]
-
-        def jacobian(x: np.ndarray) -> np.ndarray:
-            root = self.equations(at(x)).root[:, moving]
-            return np.vstack([root, np.zeros(places.size)])
-
-        end = least_squares(
-            residuals,
-            start[places],
-            jacobian,
-            bounds=(self.low[places], self.high[places]),
-            # "dogbox" holds what reaches a bound there, and may run to one from far away; "trf"
-            # comes near a bound in many steps, and finds its way from far.
-            method=method,
-            x_scale="jac",
-            ftol=max(tolerance / (self.equations(start).deviance - floor), 4e-16),
-            xtol=1e-13,
-            gtol=1e-13,
-            max_nfev=most,
-        )
-        held[moving] = end.active_mask != 0
-        # No search can come closer than rounding.
-        exact = (self.equations(at(end.x)).squares <= ROUNDING * self.floors).all()
-        return at(end.x), held, bool(end.success or exact), int(end.nfev)
-
-    def robust_search(self, x: np.ndarray, robust: bool, **options: Any) -> "Optimum":
-        """Search, and again without the outliers that show."""
-        optimum = self.search(x, **options)
-        for _ in range(5):
-            if not robust or optimum.exact.all() or not self._leave_out():
-                break
-            optimum = self.search(optimum.x, **options)
-        return optimum
-
-    def _leave_out(self) -> bool:
-        """Leave out outliers among the residuals; return whether there are new ones."""
-        samples = sum(run.size for run in self.runs)
-        marks: list[tuple[Series, np.ndarray]] = []
-        for of_output in self.by_output():
-            scale = robust_deviation([s.plain[s.known, 0] for s in of_output])
-            far = [outliers(error, scale) for error in self._all_errors(of_output)]
-            # More than a quarter are no outliers: the model does not describe these data.
-            if sum(mark.sum() for mark in far) >= 0.25 * samples:
-                return False
-            marks += zip(of_output, far, strict=True)
-        if all(np.array_equal(~mark, series.known) for series, mark in marks):
-            return False
-        for series, mark in marks:
-            series.known = ~mark
-        self.evaluated = (None, None)
-        return True
-
-    def _all_errors(self, of_output: list[Series]) -> list[np.ndarray]:
-        """Return measured minus simulated of all samples, also of those left out."""
-        errors = []
-        for series in of_output:
-            simulated = self.simulated(self.runs[series.run], series.run, self.evaluated[0])
-            errors.append(series.measured - self.observed(series, simulated[series.output]))
-        return errors
-
     def fitted_noise(self) -> list[Noise]:
         """Return the noise of each output that its residuals at the last point show."""
         noise = []
@@ -365,100 +520,3 @@ def _least_squares(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     roots = np.maximum(roots, 1e-14)
     root = np.sqrt(roots)[:, None] * vectors.T
     return -(root @ (gram[0, 1:] / scale)) / roots, root * scale
-
-
-# --- an optimum -----------------------------------------------------------------------------------
-
-
-class Optimum:
-    """Where a search settled: a full vector, the likelihood there, and what a bound holds."""
-
-    def __init__(
-        self, problem: Problem, x: np.ndarray, at_bound: np.ndarray, converged: bool, steps: int
-    ):
-        self.problem, self.x = problem, x
-        self.at_bound = at_bound
-        self.converged, self.steps = converged, steps
-        self.equations = problem.equations(x)
-        self.deviance = self._comparable()
-
-    @property
-    def loose(self) -> np.ndarray:
-        """Which of the free unknowns no bound holds: indices into `problem.free`."""
-        return np.flatnonzero(~self.at_bound[self.problem.free])
-
-    @property
-    def exact(self) -> np.ndarray:
-        """Whether an output's residuals are mere rounding, by output: no noise to be tested."""
-        return self.equations.squares <= ROUNDING * self.problem.floors
-
-    def values(self) -> dict[str, Any]:
-        """Return estimates by name; of states an array, shape (runs,)."""
-        model = self.problem.model
-        row = self.problem.values(self.x)
-        shared = len(model.names)
-        states = row[shared:].reshape(len(self.problem.runs), len(model.states))
-        values: dict[str, Any] = dict(zip(model.names, row[:shared].tolist(), strict=True))
-        return values | dict(zip(model.states, states.T, strict=True))
-
-    def same_as(self, other: "Optimum") -> bool:
-        """Return whether two rough optima are one: within five standard errors."""
-        step = (self.x - other.x)[self.problem.free]
-        return float(step @ other.equations.matrix @ step) < 25.0
-
-    def _comparable(self) -> float:
-        """
-        Return the deviance, comparable between optima that leave out different samples.
-
-        A sample left out counts as one that is `FAR` deviations off, in whatever unit data are.
-        """
-        problem, at = self.problem, self.equations
-        of_window = 0.0
-        if problem.unwindow:
-            # The means of n values have 1/n times the density of the values themselves.
-            of_window = sum(np.log(counts(run.size, run.window)).sum() for run in problem.runs)
-        lost = np.array([sum((~s.known).sum() for s in of) for of in problem.by_output()])
-        variance = (at.squares + problem.floors) / problem.counts
-        added = lost @ np.log(variance) + FAR**2 * lost.sum()
-        return float(at.deviance + added - 2.0 * len(problem.noise) * of_window)
-
-    def inverse_information(self) -> np.ndarray:
-        """
-        Return the inverse of the information matrix of the loose unknowns.
-
-        Where the matrix is singular, raise: the unknowns involved are not identifiable.
-        """
-        loose = self.loose
-        labels = [self.problem.labels[j] for j in self.problem.free[loose]]
-        matrix = self.equations.matrix[np.ix_(loose, loose)]
-        if loose.size == 0:
-            return matrix
-        diagonal = np.diag(matrix).copy()
-        unknown = diagonal <= 1e-30 * diagonal.max(initial=1e-300)
-        if not unknown.any():
-            # Scaled to unit diagonal: units of the unknowns do not decide what is singular.
-            scale = np.sqrt(diagonal)
-            values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
-            if values[0] > SINGULAR:
-                return (vectors / values) @ vectors.T / np.outer(scale, scale)
-            # Unknowns with a share in the direction that the data say nothing about.
-            unknown = np.abs(vectors[:, 0]) > 0.25
-        lost = tuple(label for label, flag in zip(labels, unknown, strict=True) if flag)
-        raise IdentificationError(
-            f"these data do not determine {' and '.join(lost)} ({self._cause()}); record phases "
-            "that move the model more, or fix a parameter, for example "
-            f"fixed={{{lost[-1].split('[')[0]!r}: ...}}",
-            lost,
-        )
-
-    def _cause(self) -> str:
-        """Say what about the data makes unknowns indistinguishable."""
-        runs, model = self.problem.runs, self.problem.model
-        if "mode" in model.inputs:
-            modes = joined(runs, "mode")
-            if np.ptp(modes) == 0.0:
-                return f"mode never changes: it is {modes[0]:g} throughout"
-            if all(np.ptp(run["mode"]) == 0.0 for run in runs):
-                return f"mode never changes within any of the {len(runs)} runs"
-        ranges = [f"{name} moves by {np.ptp(joined(runs, name)):.3g}" for name in model.outputs]
-        return "several values explain them equally well; " + " and ".join(ranges)

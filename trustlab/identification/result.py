@@ -1,29 +1,19 @@
 """The result of a fit: the model, its uncertainty and its residuals, in tables and plots."""
 
-from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.identification.doubts import doubts, remarks, search_remark
-from trustlab.identification.estimate import Estimate
-from trustlab.identification.log import window_means
-from trustlab.identification.model import IdentificationError
-from trustlab.identification.noise import (
+from trustlab.identification.problem import (
+    autocorrelation,
     ljung_box,
-    pooled_autocorrelation,
-    pooled_cross_correlation,
+    pooled_correlation,
 )
 from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.models.display import Result, counted
 from trustlab.sessions.plots import shade_manual
-
-# Standard errors from the middle of a 95 % interval to its end.
-HALF_WIDTH = float(special.ndtri(0.975))
 
 LABELS = {
     "p_r": "robot performance $P_r$",
@@ -215,12 +205,13 @@ class FitResult(Result):
             band: ± 2.58/√n for white residuals.
         """
         residuals = self._errors_for(lags, output)
-        auto = pooled_autocorrelation(residuals, lags)
+        auto = autocorrelation(residuals, lags)
         inputs = [next(iter(run.inputs.values())) for run in self.runs]
-        cross = pooled_cross_correlation(residuals, inputs, lags)
+        before = pooled_correlation(inputs, residuals, lags)[:0:-1]
+        cross = np.r_[before, pooled_correlation(residuals, inputs, lags)]
         band = special.ndtri(0.995) / np.sqrt(sum(run.size for run in residuals))
         columns = {
-            "autocorrelation": np.r_[auto[:0:-1], auto],
+            "autocorrelation": np.r_[auto[:0:-1], 1.0, auto[1:]],
             "cross_correlation": cross,
             "band": band,
         }
@@ -244,7 +235,7 @@ class FitResult(Result):
         for name in self.outputs:
             residuals = self._errors_for(lags, name)
             samples = sum(run.size for run in residuals)
-            rows[name] = ljung_box(pooled_autocorrelation(residuals, lags), samples)
+            rows[name] = ljung_box(autocorrelation(residuals, lags), samples)
         table = pd.DataFrame.from_dict(rows, orient="index", columns=["statistic", "df", "p"])
         return table.rename_axis("output")
 
@@ -340,165 +331,4 @@ class FitResult(Result):
         return (
             f"{type(self.model).__name__}, {counted(len(self.runs), 'run')}, {samples} samples, "
             f"fit {numbers}{origin}"
-        )
-
-
-# --- from an estimate to the tables ---------------------------------------------------------------
-
-
-def result_of(estimate: Estimate) -> FitResult:
-    """Put an estimate and its tables into a FitResult; weak unknowns are marked here."""
-    problem = estimate.problem
-    model, shared = problem.model, len(problem.model.names)
-    table, covariance = estimate_table(estimate)
-    weak = weak_names(estimate, table)
-    reasons = list(doubts(estimate))
-    sentences = [search_remark(estimate), *_mark(weak, table, model.hints)]
-    sentences += [*remarks(estimate), *reasons]
-    if (weak or reasons) and "p_h" in model.outputs:
-        sentences.append(
-            "What mode, p_h and p_r do tell of (2.3)-(2.6), trustlab.sample_posterior says."
-        )
-    # NaN for what was fixed; rows of what a bound holds are NaN already.
-    stderr = np.sqrt(np.where(estimate.fixed, np.nan, np.diag(estimate.covariance)))
-    states = {}
-    for j, name in enumerate(model.states):
-        column = slice(shared + j, None, len(model.states))
-        states[name], states[f"{name}_stderr"] = estimate.values[column], stderr[column]
-    labels = pd.Index([run.label for run in problem.runs], name="run")
-    return FitResult(
-        model=_model(estimate, weak, reasons),
-        parameters=table,
-        covariance=covariance,
-        initial_states=pd.DataFrame(states, index=labels),
-        runs=list(_run_fits(estimate)),
-        noise=estimate.noise,
-        sigma=dict(zip(model.outputs, estimate.sigma.tolist(), strict=True)),
-        cost=0.5 * float(estimate.optimum.equations.squares.sum()),
-        success=bool(estimate.optimum.converged and not weak and not reasons),
-        message=" ".join(sentences),
-        degrees_of_freedom=estimate.degrees_of_freedom,
-    )
-
-
-def estimate_table(estimate: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the table of the names, derived rows included, and the covariance of the estimated."""
-    model, optimum = estimate.problem.model, estimate.optimum
-    names = model.names
-    values, covariance = estimate.values[: len(names)], estimate.covariance
-    covariance = covariance[: len(names), : len(names)]
-    status = np.where(optimum.at_bound, "at bound", "estimated")
-    status = np.where(estimate.fixed, "fixed", status)[: len(names)]
-    free = status == "estimated"
-    stderr = np.where(free, np.sqrt(np.diag(covariance)), np.nan)
-    rows = list(zip(values.tolist(), stderr.tolist(), status.tolist(), strict=True))
-    known = np.nan_to_num(covariance)
-    step = estimate.problem.runs[0].step
-    derived = dict(model.derived)
-    units = dict.fromkeys(names, "") | {"mode_delay": "s"}
-    for name in names:
-        if model.coordinates.get(name) == "rate":
-            units[name] = f"per {step:g} s"
-            # human_a has its human_time_constant.
-            prefix = name[:-1] if f"_{name}".endswith("_a") else f"{name}_"
-            longer = f"{prefix}time_constant"
-            derived[longer], units[longer] = partial(_time_constant, name, step), "s"
-    for function in derived.values():
-        value, slope = _gradient(function, names, values)
-        # NaN where nothing that the row depends on was estimated.
-        error = float(np.sqrt(slope @ known @ slope)) if slope[free].any() else np.nan
-        rows.append((value, error, "derived"))
-    index = pd.Index([*names, *derived], name="parameter")
-    table = pd.DataFrame(rows, index=index, columns=["value", "stderr", "status"])
-    table["unit"] = [units.get(name, "") for name in index]
-    labels = index[: len(names)][free].rename(None)
-    block = covariance[np.ix_(free, free)]
-    return table, pd.DataFrame(block, index=labels, columns=labels)
-
-
-def _time_constant(name: str, step: float, **values: Any) -> Any:
-    """Return after how many seconds 1/e of a deviation is left."""
-    return -step / np.log(values[name])
-
-
-def _gradient(function: Callable, names: tuple, values: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return a function of estimates by name, and its derivatives by complex steps."""
-    at = dict(zip(names, values.tolist(), strict=True))
-    # f(x + ih) = f(x) + ih f'(x) + O(h²) involves no difference of like numbers, so h may be as
-    # small as one likes, and the derivative is exact to rounding.
-    step = 1e-100
-    slopes = [
-        np.imag(function(**at | {name: value + 1j * step})) / step for name, value in at.items()
-    ]
-    return float(function(**at)), np.array(slopes)
-
-
-def weak_names(estimate: Estimate, table: pd.DataFrame) -> list[str]:
-    """Return the names at a bound, or with a 95 % interval too wide to be of use."""
-    names = estimate.problem.model.names
-    useful = estimate.problem.model.useful(table["value"].to_dict())
-    widths = {name: HALF_WIDTH * table["stderr"][name] for name in names}
-    return [
-        name
-        for name in names
-        if table["status"][name] == "at bound" or widths[name] > useful.get(name, np.inf)
-    ]
-
-
-def _mark(weak: list[str], table: pd.DataFrame, hints: Mapping[str, str]) -> Iterator[str]:
-    """Mark weak unknowns in the table and say what would help."""
-    for name in weak:
-        value, stderr = table["value"][name], table["stderr"][name]
-        if table["status"][name] == "at bound":
-            yield (
-                f"{name} is at its bound, {value:.6g}: the fit is better beyond it, or "
-                "these data do not determine it."
-            )
-        else:
-            table.loc[name, "status"] = "weak"
-            hint = hints.get(name, "record phases that move the model more")
-            yield (
-                f"{name} is weakly determined by these data ({value:.4g} ± "
-                f"{HALF_WIDTH * stderr:.2g}); {hint}, or fix it."
-            )
-
-
-def _model(estimate: Estimate, weak: list[str], reasons: list[str]) -> Any:
-    """Return the model's object; an error names the weak unknowns and the doubts."""
-    model = estimate.problem.model
-    values = dict(zip(model.names, estimate.values.tolist(), strict=False))
-    if model.build is None:
-        return values
-    try:
-        return model.build(**values)
-    except IdentificationError as error:
-        # What is wrong with the data may be why nothing can be built of them.
-        text = f"{error}{'.' if reasons else ''}"
-        if weak:
-            text = (
-                f"these data do not determine {', '.join(weak)}; hold some of them with "
-                f"fixed={{…}}: {text}"
-            )
-        lost = tuple(weak) or error.parameters
-        raise IdentificationError(" ".join([text, *reasons]), lost) from error
-
-
-def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
-    """Put every run beside its fitted outputs and prediction errors."""
-    problem = estimate.problem
-    outputs, model = problem.model.outputs, problem.model
-    for i, run in enumerate(problem.runs):
-        simulated = problem.simulated(run, i, estimate.optimum.x)
-        if run.window > 1:
-            simulated = [window_means(values, run.window) for values in simulated]
-        errors = [series.white[:, 0].copy() for series in problem.series if series.run == i]
-        yield RunFit(
-            run.label,
-            run.synthetic,
-            run.t,
-            {name: run[name] for name in model.inputs},
-            {name: run[name] for name in outputs},
-            dict(zip(outputs, simulated, strict=True)),
-            dict(zip(outputs, errors, strict=True)),
-            run.step,
         )

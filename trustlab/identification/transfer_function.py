@@ -5,11 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import linalg, signal
 
-from trustlab.identification.estimate import NOISES
-from trustlab.identification.fitting import check_data, estimate_runs
+from trustlab.identification.fit import check_data, result_of
 from trustlab.identification.log import Run, joined
 from trustlab.identification.model import IdentificationError, Model
-from trustlab.identification.result import FitResult, result_of
+from trustlab.identification.result import FitResult
+from trustlab.identification.search import NOISES, estimate_runs
 from trustlab.models.checks import finite_array, one_of, positive, whole_number
 from trustlab.models.uav import TransferFunction
 

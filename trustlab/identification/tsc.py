@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.identification.estimate import NOT_WHITE
-from trustlab.identification.fitting import SHALLOW, fit
+from trustlab.identification.fit import fit
 from trustlab.identification.log import LogSettings, Run, block_means, joined
 from trustlab.identification.model import COORDINATES, IdentificationError, Model
-from trustlab.identification.noise import whiteness_p
-from trustlab.identification.problem import Problem
+from trustlab.identification.problem import NOT_WHITE, Problem, whiteness_p
 from trustlab.identification.result import FitResult
+from trustlab.identification.search import SHALLOW, search
 from trustlab.models.checks import positive
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import (
@@ -273,7 +272,7 @@ def _refined(
     for name in rates:
         coarse[name] = tuple(np.clip(np.array(limits[name]) ** length, edges.low, edges.high))
     problem = Problem(model, means, coarse)
-    optima = [problem.search(problem.full_vector(p), tolerance=1e-2, most=15) for p in points]
+    optima = [search(problem, problem.full_vector(p), tolerance=1e-2, most=15) for p in points]
     optima.sort(key=lambda optimum: optimum.deviance)
     starts = []
     for k, optimum in enumerate(optima):

@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 
 import trustlab as tl
-from trustlab.identification.posterior.coordinates import Target
-from trustlab.identification.posterior.likelihood import DELAY, NOISES, P_R0, R0
+from trustlab.identification.posterior.density import DELAY, NOISES, P_R0, R0, Target
 from trustlab.identification.posterior.priors import as_prior, transformed
 from trustlab.identification.posterior.sampling import prior_thetas
 

@@ -16,8 +16,9 @@ from scipy.special import logit
 
 import trustlab as tl
 from tests.house.documents import ROOT
-from trustlab.identification.posterior import pooling
-from trustlab.identification.posterior.result import MODEL, physical
+from trustlab.identification.posterior import population as pooling
+from trustlab.identification.posterior.density import physical
+from trustlab.identification.posterior.result import MODEL
 from trustlab.testbeds import GroundRobot
 from trustlab.testbeds.populations import OperatorPopulation
 

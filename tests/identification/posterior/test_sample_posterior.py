@@ -16,21 +16,23 @@ from scipy import stats
 
 import trustlab as tl
 from tests.house.documents import ROOT
-from trustlab.identification.fitting import rough_optima
 from trustlab.identification.log import read_runs
 from trustlab.identification.posterior import sampling
-from trustlab.identification.posterior.coordinates import to_thetas
-from trustlab.identification.posterior.importance import (
+from trustlab.identification.posterior.density import physical, to_thetas
+from trustlab.identification.posterior.result import MODEL, interval_words
+from trustlab.identification.posterior.sampling import (
     Component,
     Sample,
+    Top,
     drawn,
     pareto_fit,
+    sample_target,
     smoothed,
+    tops_of,
+    walked,
     weighed,
 )
-from trustlab.identification.posterior.result import MODEL, interval_words, physical
-from trustlab.identification.posterior.sampling import sample_target, tops_of, walked
-from trustlab.identification.posterior.search import Top
+from trustlab.identification.search import rough_optima
 from trustlab.identification.tsc import TSC
 from trustlab.sessions.metrics import window_mean
 
@@ -164,7 +166,7 @@ def test_walkers_agree_with_weights():
     rng = np.random.default_rng(0)
     runs = read_runs(session, "mode", "p_h", "p_r")
     tops = tops_of(target, rough_optima(TSC, runs, TSC.limits()))
-    walkers = walked(target, sample_target(target, tops, rng).sample, rng)
+    walkers = walked(target, sample_target(target, tops, rng)[0], rng)
     by_walkers = physical(to_thetas(walkers.points, target), 0.1)
     for name in MODEL:
         mean, sd = posterior.draws[name].mean(), posterior.draws[name].std()

@@ -1,34 +1,151 @@
-"""`fit_population`: several people at once, each held by what the others show."""
+"""
+`fit_population`: several people at once, each held by what the others show (partial pooling).
+
+Parameters of people are normal, with a mean and a covariance that are sampled.
+
+[L] Lunn, Barrett, Sweeting and Thompson, Fully Bayesian hierarchical modelling in two stages, with
+application to meta-analysis, *Applied Statistics* 62 (2013), 551-572: draws of each person alone
+serve the Gibbs sampler of all.
+[H] Huang and Wand, Simple marginally noninformative prior distributions for covariance matrices,
+*Bayesian Analysis* 8 (2013), 439-452.
+
+Coordinates z are θ of the first seven parameters less the prior's mean, in its deviations. Half of
+the prior's variance is that of the population's mean, half the expected variance within it, so that
+a person of a population has the same prior, but for heavier tails, as a person alone.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from trustlab.identification.log import LogSettings
-from trustlab.identification.posterior.coordinates import Target
-from trustlab.identification.posterior.importance import Sample, resampled, smoothed
-from trustlab.identification.posterior.likelihood import H_MIN, P_MIN, R0, SHARED
-from trustlab.identification.posterior.pooling import Pool, pool
+from trustlab.identification.log import LogSettings, as_list
+from trustlab.identification.posterior.density import H_MIN, P_MIN, R0, SHARED, Target, physical
 from trustlab.identification.posterior.priors import Prior, as_prior, prior_of
 from trustlab.identification.posterior.result import (
-    LABELS,
     MODEL,
     WORDS,
     Posterior,
     interval_words,
-    physical,
     summary,
 )
-from trustlab.identification.posterior.sampling import sample_posterior
+from trustlab.identification.posterior.sampling import Sample, resampled, sample_posterior, smoothed
 from trustlab.models.checks import flag, one_of, open_unit, whole_number, whole_seed
+from trustlab.models.compiled import njit
 from trustlab.models.display import Result
 from trustlab.sessions.session import Session
+
+# Variance of the population's mean. A spread within the population is half-t, [H]; its degrees of
+# freedom give correlations a standard deviation of 1/√(FREEDOM + 1), its scale the variance left.
+OF_MEAN = 0.5
+FREEDOM = 8.0
+SCALE = np.sqrt((1.0 - OF_MEAN) * (FREEDOM - 2.0) / FREEDOM)
+
+# Draws of the covariance for each of the people: without these the sampler moves slowly.
+REPEATS = 4
+
+# Steps of the Gibbs sampler, and how many of them are left out at its beginning.
+STEPS = 4000
+SETTLING = 800
+
+
+class Pool(NamedTuple):
+    """
+    What the Gibbs sampler draws.
+
+    Means (steps, 7) and covariances (steps, 7, 7) of the population; for every person the
+    probability of each of their draws.
+    """
+
+    means: np.ndarray
+    covariances: np.ndarray
+    weights: list[np.ndarray]
+
+
+@njit
+def choose(draws, base, mean, whitening, uniform, weights):
+    """Return a draw with probability ∝ exp(base) · normal density; add these to `weights`."""
+    logarithms = base.copy()
+    for k in range(len(draws)):
+        for i in range(mean.size):
+            z = 0.0
+            for j in range(i + 1):
+                z += whitening[i, j] * (draws[k, j] - mean[j])
+            logarithms[k] -= 0.5 * z * z
+    probability = np.exp(logarithms - logarithms.max())
+    total = 0.0
+    for value in probability:
+        total += value
+    weights += probability / total
+    limit = uniform * total
+    passed = 0.0
+    for k in range(len(draws)):
+        passed += probability[k]
+        if passed > limit:
+            return k
+    return len(draws) - 1
+
+
+def pool(draws: list[np.ndarray], base: list[np.ndarray], rng: np.random.Generator) -> Pool:
+    """
+    Sample mean and covariance of a population, and who its people are.
+
+    Parameters
+    ----------
+    draws : list of numpy.ndarray
+        Of each person the draws z, shape (draws, 7), under a prior of their own.
+    base : list of numpy.ndarray
+        Minus the logarithm of that prior's density at the draws.
+    rng : numpy.random.Generator
+        Random numbers.
+    """
+    size = draws[0].shape[1]
+    weights = [np.zeros(len(each)) for each in draws]
+    people = np.array([each.mean(axis=0) for each in draws])
+    covariance = SCALE**2 * np.eye(size)
+    means = np.empty((STEPS, size))
+    covariances = np.empty((STEPS, size, size))
+    for step in range(STEPS):
+        if step == SETTLING:
+            weights = [np.zeros(len(each)) for each in draws]
+        means[step] = _mean(people, covariance, rng)
+        for _ in range(REPEATS):
+            covariance = _covariance(people - means[step], covariance, rng)
+        covariances[step] = covariance
+        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+        for i, each in enumerate(draws):
+            k = choose(each, base[i], means[step], whitening, rng.random(), weights[i])
+            people[i] = each[k]
+    shares = [each / each.sum() for each in weights]
+    return Pool(means[SETTLING:], covariances[SETTLING:], shares)
+
+
+def _mean(people: np.ndarray, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return a draw of the population's mean."""
+    count, size = people.shape
+    precision = np.linalg.inv(covariance)
+    posterior = np.linalg.inv(count * precision + np.eye(size) / OF_MEAN)
+    centre = posterior @ precision @ people.sum(axis=0)
+    return centre + np.linalg.cholesky(posterior) @ rng.standard_normal(size)
+
+
+def _covariance(apart: np.ndarray, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return a draw of the population's covariance, [H] (2), by way of its auxiliary scales."""
+    count, size = apart.shape
+    rates = FREEDOM * np.diag(np.linalg.inv(covariance)) + SCALE**-2
+    auxiliary = rates / rng.gamma(0.5 * (FREEDOM + size), size=size)
+    scatter = apart.T @ apart + 2.0 * FREEDOM * np.diag(1.0 / auxiliary)
+    # The inverse has a Wishart distribution, here by Bartlett's decomposition.
+    freedom = FREEDOM + size - 1.0 + count
+    triangle = np.tril(rng.standard_normal((size, size)), -1)
+    triangle += np.diag(np.sqrt(rng.chisquare(freedom - np.arange(size))))
+    root = np.linalg.cholesky(np.linalg.inv(scatter)) @ triangle
+    return np.linalg.inv(root @ root.T)
+
 
 # Draws of each person that the population is sampled from.
 DRAWS = 2000
@@ -172,7 +289,7 @@ class Population(Result):
             above = places[:-1] + 0.25
             panel.hlines(above, own["ci_low"], own["ci_high"], color="0.6")
             panel.plot(own["mean"], above, ".", color="0.6", label="alone")
-            panel.set_xlabel(LABELS[parameter])
+            panel.set_xlabel(WORDS[parameter])
             panel.set_yticks(places, names)
         panels[7].axis("off")
         panels[7].legend(*panels[0].get_legend_handles_labels(), loc="center")
@@ -253,20 +370,17 @@ def fit_population(
     root = np.random.SeedSequence(whole_seed(seed))
     seeds = [int(value) for value in root.generate_state(2 * len(people))]
     rng = np.random.default_rng(root)
-    sessions = {
-        name: [each] if isinstance(each, Session) else list(each) for name, each in people.items()
-    }
+    sessions = {name: as_list(each) for name, each in people.items()}
     expected = prior
     alone: dict[str, Posterior] = {}
     hidden = None if progress is None else not flag("progress", progress)
-    bar = tqdm(list(sessions.items()) * 2, unit="posterior", disable=hidden)
-    draws = (
-        (name, sample_posterior(each, expected, max(n, DRAWS), seeds[i], log, **settings))
-        for i, (name, each) in enumerate(bar)
-    )
+    steps = iter(tqdm(seeds, unit="posterior", disable=hidden))
     for _ in range(2):
-        # `draws` reads `expected` at each step: the prior first, then what the others show.
-        drawn = dict(islice(draws, len(people)))
+        # Under the prior first, then under what the others show.
+        drawn = {
+            name: sample_posterior(each, expected, max(n, DRAWS), next(steps), log, **settings)
+            for name, each in sessions.items()
+        }
         alone = alone or drawn
         pooled = _pooled(list(drawn.values()), prior, rng)
         thetas = _new_people(pooled, prior, rng)

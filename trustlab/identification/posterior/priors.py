@@ -10,29 +10,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.posterior.likelihood import SHARED
+from trustlab.identification.model import COORDINATES, Coordinate
+from trustlab.identification.posterior.density import SHARED
+from trustlab.identification.problem import HALF_WIDTH
 from trustlab.models.checks import finite_number, of_class, one_of, positive
 from trustlab.models.published import published_models
 
-# How a parameter becomes unbounded, and back.
+# Coordinates in which a parameter is unbounded, by name.
 LOGARITHM = "logarithm"
 LOG_ODDS = "log odds"
 PLAIN = "plain"
-HALF_WIDTH = 1.959963984540054
-
-
-def unbounded(value: np.ndarray | float, scale: str):
-    """Return a parameter in its unbounded coordinate."""
-    if scale == LOGARITHM:
-        return np.log(value)
-    return np.log(value) - np.log1p(-np.asarray(value)) if scale == LOG_ODDS else value
-
-
-def bounded(value: np.ndarray | float, scale: str):
-    """Return a parameter of its unbounded coordinate."""
-    if scale == LOGARITHM:
-        return np.exp(value)
-    return 1.0 / (1.0 + np.exp(-np.asarray(value))) if scale == LOG_ODDS else value
+SCALES = {
+    LOGARITHM: Coordinate(np.log, np.exp),
+    LOG_ODDS: COORDINATES["odds"],
+    PLAIN: COORDINATES["plain"],
+}
 
 
 @dataclass(frozen=True)
@@ -57,12 +49,12 @@ class Normal:
     @property
     def mean(self) -> float:
         """Mean in the coordinate."""
-        return float(unbounded(self.median, self.scale))
+        return float(SCALES[self.scale].to(self.median))
 
     def interval(self) -> tuple[float, float]:
         """Return the 95 % interval in the parameter's own unit."""
         ends = self.mean + np.array([-1.0, 1.0]) * HALF_WIDTH * self.spread
-        low, high = bounded(ends, self.scale)
+        low, high = SCALES[self.scale].back(ends)
         return float(low), float(high)
 
 
@@ -222,7 +214,7 @@ def transformed(models) -> np.ndarray:
         rows.append(
             [
                 np.log(0.1 * human.time_constant),
-                unbounded(human.beta, LOG_ODDS),
+                SCALES[LOG_ODDS].to(human.beta),
                 human.p_min,
                 np.log(human.p_max - human.p_min),
                 np.log(0.1 * robot.time_constant),
@@ -239,7 +231,7 @@ def prior_of(mean: np.ndarray, covariance: np.ndarray, prior: Prior | None = Non
     changes = {}
     for k, name in enumerate(SHARED_NAMES):
         scale = DEFAULTS[name].scale
-        changes[name] = Normal(float(bounded(mean[k], scale)), float(deviation[k]), scale)
+        changes[name] = Normal(float(SCALES[scale].back(mean[k])), float(deviation[k]), scale)
     correlation = covariance / np.outer(deviation, deviation)
     return replace(prior or Prior(), correlation=correlation, **changes)
 

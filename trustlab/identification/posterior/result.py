@@ -7,38 +7,17 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.posterior.coordinates import Target
-from trustlab.identification.posterior.likelihood import (
-    BETA,
-    DELAY,
-    H_MIN,
-    H_SPAN,
-    NOISES,
-    OUTPUTS,
-    P_MIN,
-    P_R0,
-    P_SPAN,
-    PER_RUN,
-    R0,
+from trustlab.identification.posterior.density import (
     SHARED,
-    TAU_P,
-    TAU_R,
+    Target,
     simulate,
 )
 from trustlab.identification.posterior.priors import Prior
+from trustlab.identification.problem import NOT_WHITE
+from trustlab.identification.tsc import TSC, build_tsc
 from trustlab.models.checks import open_unit
 from trustlab.models.display import Result
-from trustlab.models.tsc import HumanModel, RobotModel, TscModel
-
-LABELS = {
-    "human_time_constant": "operator's time constant [s]",
-    "human_beta": "β",
-    "human_p_min": "$P_{h,min}$",
-    "human_p_max": "$P_{h,max}$",
-    "robot_time_constant": "robot's time constant [s]",
-    "robot_p_min": "$P_{r,min}$",
-    "robot_p_max": "$P_{r,max}$",
-}
+from trustlab.models.tsc import TscModel
 
 # Share of the prior's range below which a posterior would be a mere line in it.
 NARROW = 0.15
@@ -48,9 +27,6 @@ MOST_K = 0.7
 
 # Width of an interval, as a share of the prior's, up to which data count as telling the value.
 DETERMINED = 0.5
-
-# p value below which residuals speak against the noise model.
-NOT_WHITE = 1e-3
 
 # Distance from the prior's mean, in its standard deviations, from which on it is in doubt.
 UNEXPECTED = 3.0
@@ -69,44 +45,9 @@ WORDS = {
 MODEL = tuple(WORDS)
 
 
-def physical(thetas: np.ndarray, step: float) -> pd.DataFrame:
-    """Return rows of θ as parameters in their own units; `step` [s] is that of the models."""
-    columns = {
-        "human_time_constant": np.exp(thetas[:, TAU_R]),
-        "human_a": np.exp(-step / np.exp(thetas[:, TAU_R])),
-        "human_beta": 1.0 / (1.0 + np.exp(-thetas[:, BETA])),
-        "human_p_min": thetas[:, H_MIN],
-        "human_p_max": thetas[:, H_MIN] + np.exp(thetas[:, H_SPAN]),
-        "robot_time_constant": np.exp(thetas[:, TAU_P]),
-        "robot_a": np.exp(-step / np.exp(thetas[:, TAU_P])),
-        "robot_p_min": thetas[:, P_MIN],
-        "robot_p_max": thetas[:, P_MIN] + np.exp(thetas[:, P_SPAN]),
-        "mode_delay": thetas[:, DELAY],
-    }
-    runs = (thetas.shape[1] - R0) // PER_RUN
-    for run in range(runs):
-        label = f"[{run}]" if runs > 1 else ""
-        columns[f"r0{label}"] = 1.0 / (1.0 + np.exp(-thetas[:, R0 + PER_RUN * run]))
-        columns[f"p_r0{label}"] = thetas[:, P_MIN] + thetas[:, P_R0 + PER_RUN * run]
-    for output, at in zip(OUTPUTS, NOISES, strict=True):
-        columns[f"{output}_white"] = np.exp(thetas[:, at.white])
-        columns[f"{output}_slow"] = np.exp(thetas[:, at.slow])
-        columns[f"{output}_slow_time"] = np.exp(thetas[:, at.time])
-    return pd.DataFrame(columns)
-
-
 def tsc_models(draws: pd.DataFrame) -> list[TscModel]:
     """Return the model of every draw."""
-    models = []
-    for row in draws.to_dict("records"):
-        human = HumanModel(
-            row["human_a"], row["human_beta"], row["human_p_min"], row["human_p_max"]
-        )
-        robot = RobotModel(
-            row["robot_a"], row["robot_p_min"], row["robot_p_max"], row["human_p_max"]
-        )
-        models.append(TscModel(robot, human))
-    return models
+    return [build_tsc(**row) for row in draws[list(TSC.names)].to_dict("records")]
 
 
 def summary(draws: pd.DataFrame, level: float) -> pd.DataFrame:
@@ -291,7 +232,7 @@ class Posterior(Result):
                 panel.set_xlim(least - (most - least), most + (most - least))
                 panel.locator_params(axis="x", nbins=4)
                 panel.set_title(f"prior: {low:.3g} to {high:.3g}", fontsize="small")
-            panel.set_xlabel(LABELS[name])
+            panel.set_xlabel(WORDS[name])
             panel.set_yticks([])
         panels[0].legend(fontsize="small")
         blocks = self.target.blocks

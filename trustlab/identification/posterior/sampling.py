@@ -2,51 +2,336 @@
 `sample_posterior`: from sessions to draws of every parameter.
 
 A fit's optima are raised to the posterior's maxima; t distributions there propose points, which are
-weighed and whose mixture is adapted; walkers come last.
+weighed, with Pareto-smoothed weights, and whose mixture is adapted; walkers come last.
 
+[C] Cornuet, Marin, Mira and Robert, Adaptive multiple importance sampling, *Scandinavian Journal of
+Statistics* 39 (2012), 798-812.
 [G] Goodman and Weare, Ensemble samplers with affine invariance, *Communications in Applied
 Mathematics and Computational Science* 5 (2010), 65-80.
+[V] Vehtari, Simpson, Gelman, Yao and Gabry, Pareto smoothed importance sampling, *Journal of
+Machine Learning Research* 25 (2024), 72.
+[Z] Zhang and Stephens, A new and efficient estimation method for the generalized Pareto
+distribution, *Technometrics* 51 (2009), 316-325.
 """
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import special
 
-from trustlab.identification.fitting import rough_optima
 from trustlab.identification.log import LogSettings, log_settings, read_runs
 from trustlab.identification.model import IdentificationError
-from trustlab.identification.noise import whiteness_p
-from trustlab.identification.posterior.coordinates import (
+from trustlab.identification.posterior.density import (
+    BETA,
+    DELAY,
+    FAR,
+    H_MIN,
+    H_SPAN,
+    NOISES,
+    OUTPUTS,
+    P_MIN,
+    P_R0,
+    P_SPAN,
+    PER_RUN,
+    R0,
+    SHARED,
+    TAU_P,
+    TAU_R,
+    Blocks,
     Target,
     admissible,
+    blocks_of,
+    curvature,
     densities,
+    density,
+    from_theta,
+    gradient,
+    innovations,
+    physical,
+    simulate,
     to_thetas,
 )
-from trustlab.identification.posterior.importance import (
-    Component,
-    Sample,
-    drawn,
-    fitted_mixture,
-    resampled,
-    weighed,
-)
-from trustlab.identification.posterior.likelihood import (
-    DELAY,
-    OUTPUTS,
-    SHARED,
-    Blocks,
-    blocks_of,
-    innovations,
-    simulate,
-)
-from trustlab.identification.posterior.priors import Normal, Prior, as_prior
-from trustlab.identification.posterior.result import MOST_K, Posterior, physical
-from trustlab.identification.posterior.search import Top, climb, starting_points
-from trustlab.identification.problem import Optimum
+from trustlab.identification.posterior.priors import Prior, as_prior
+from trustlab.identification.posterior.result import MOST_K, Posterior
+from trustlab.identification.problem import whiteness_p
+from trustlab.identification.search import Optimum, rough_optima
 from trustlab.identification.tsc import TSC
 from trustlab.models.checks import whole_number, whole_seed
 from trustlab.sessions.session import Session
+
+# Least curvature that a proposal goes by, nothing being wider than two prior deviations, and that
+# an ascent begins with.
+LEAST_CURVATURE = 0.25
+STEEP = 0.3
+
+# Slope per deviation of the hill at which an ascent ends, and minus the density where it is zero.
+CLOSE = 1e-3
+NOWHERE = 1e10
+
+# Prior deviations from the mean within which an ascent begins: further out the prior would rule.
+BULK = 2.5
+
+# Least performance, range and share from which one begins.
+LEAST = 1e-3
+
+
+# --- ascents --------------------------------------------------------------------------------------
+
+
+class Top(NamedTuple):
+    """A maximum of the density: where, the logarithm there, and the covariance of its hill."""
+
+    x: np.ndarray
+    value: float
+    covariance: np.ndarray
+
+
+def hill(x: np.ndarray, target: Target, least: float) -> np.ndarray:
+    """Return the inverse of the curvature's size, which is at least `least` in any direction."""
+    values, vectors = np.linalg.eigh(curvature(x, target))
+    return (vectors / np.maximum(np.abs(values), least)) @ vectors.T
+
+
+def climb(x: np.ndarray, target: Target) -> Top:
+    """Return the maximum that an ascent from x reaches."""
+    from scipy.optimize import minimize
+
+    # Distances in deviations of the hill, as its curvature at the beginning foretells these.
+    root = np.linalg.cholesky(hill(x, target, STEEP))
+    end = minimize(
+        lambda z: -max(density(x + root @ z, target), -NOWHERE),
+        np.zeros(x.size),
+        jac=lambda z: -gradient(x + root @ z, target) @ root,
+        method="BFGS",
+        options={"gtol": CLOSE, "maxiter": 100},
+    )
+    reached = x + root @ end.x
+    step = hill(reached, target, LEAST_CURVATURE) @ gradient(reached, target)
+    # After Newton's step, and rounded, it is the same point on every processor. Where an ascent
+    # stopped short, the step may lead to where there is no model.
+    points = (np.round(reached + step, 4), np.round(reached, 4), x)
+    top = next(point for point in points if density(point, target) >= density(x, target))
+    return Top(top, float(density(top, target)), hill(top, target, LEAST_CURVATURE))
+
+
+# --- where ascents begin --------------------------------------------------------------------------
+
+
+def starting_points(target: Target, optima: list[Optimum]) -> list[np.ndarray]:
+    """Return coordinates of the optima of a fit, drawn to the prior, and of its mean."""
+    thetas = [*(_theta(optimum.values(), target) for optimum in optima), target.mean]
+    points = [from_theta(_with_noise(theta, target), target) for theta in thetas]
+    # To a thousandth of a prior deviation: from there on all is compiled and the same everywhere.
+    points = [np.round(x, 3) for x in points]
+    points = [x for x in points if density(x, target) > -np.inf]
+    means = np.average(target.blocks.measured, axis=1, weights=target.blocks.known)
+    low, span = [H_MIN, P_MIN], [H_SPAN, P_SPAN]
+    ranges = np.exp(target.mean[span] + BULK * target.deviation[span])
+    far = np.abs(means - target.mean[low]) > FAR * target.deviation[low] + ranges
+    if far.any() or not points:
+        raise IdentificationError(
+            f"the data lie far from what the prior expects: p_h is {means[0]:.3g} and p_r "
+            f"{means[1]:.3g} on average; state the scale of your measure with "
+            "prior=trustlab.Prior(human_p_min=(…, …), human_span=(…, …), robot_p_min=(…, …), "
+            "robot_span=(…, …))"
+        )
+    return sorted(points, key=lambda x: -density(x, target))
+
+
+def _drawn_to_prior(theta: np.ndarray, target: Target) -> np.ndarray:
+    """Return θ within the prior's bulk, and such that it makes a model."""
+    reach = BULK * target.deviation
+    theta = np.clip(theta, target.mean - reach, target.mean + reach)
+    theta[[H_MIN, P_MIN]] = np.maximum(theta[[H_MIN, P_MIN]], LEAST)
+    theta[P_R0::PER_RUN] = np.maximum(theta[P_R0::PER_RUN], LEAST - theta[P_MIN])
+    return theta
+
+
+def _theta(values: dict, target: Target) -> np.ndarray:
+    """Return θ of a fit's estimates by name, noise at the prior's mean."""
+    theta = target.mean.copy()
+    step = target.blocks.step
+    spans = [values[f"{who}_p_max"] - values[f"{who}_p_min"] for who in ("human", "robot")]
+    theta[[TAU_R, TAU_P]] = np.log(-step / np.log([values["human_a"], values["robot_a"]]))
+    theta[[H_MIN, P_MIN]] = values["human_p_min"], values["robot_p_min"]
+    theta[[H_SPAN, P_SPAN]] = np.log(np.maximum(spans, LEAST))
+    theta[BETA] = _log_odds(values["human_beta"])
+    theta[R0::PER_RUN] = _log_odds(values["r0"])
+    theta[P_R0::PER_RUN] = values["p_r0"] - values["robot_p_min"]
+    return _drawn_to_prior(theta, target)
+
+
+def _log_odds(share: np.ndarray | float) -> np.ndarray:
+    share = np.clip(share, LEAST, 1.0 - LEAST)
+    return np.log(share) - np.log1p(-share)
+
+
+def _with_noise(theta: np.ndarray, target: Target) -> np.ndarray:
+    """Return θ with noise by the spread of the residuals and their correlation at lag 1."""
+    blocks, theta = target.blocks, theta.copy()
+    errors = np.where(blocks.known, blocks.measured - simulate(theta, blocks), 0.0)
+    for error, at in zip(errors, NOISES, strict=True):
+        spread = np.sqrt(np.mean(error**2)) + 1e-7
+        rho = float(np.clip(np.mean(error[1:] * error[:-1]) / spread**2, 0.02, 0.99))
+        theta[at.white] = np.log(spread * np.sqrt(blocks.samples * (1.0 - 0.9 * rho)))
+        theta[at.slow] = np.log(spread * rho)
+        theta[at.time] = np.log(-blocks.step * blocks.samples / np.log(max(rho, 0.5)))
+    return _drawn_to_prior(theta, target)
+
+
+# --- importance sampling -------------------------------------------------------------------------
+
+# Degrees of freedom of the proposals: tails that are heavier than a normal posterior's.
+FREEDOM = 7.0
+
+
+# Independent points that a mixture is fitted to at least.
+LEVEL = 80.0
+
+
+class Component(NamedTuple):
+    """One part of a mixture: its weight, centre and scale matrix."""
+
+    weight: float
+    centre: np.ndarray
+    scale: np.ndarray
+
+
+class Sample(NamedTuple):
+    """
+    Weighted points: coordinates (N, d), weights that add up to 1, and diagnostics.
+
+    `k_hat` is the shape of the weights' tail ([V]: above 0.7 they are not to be trusted),
+    `effective` the number of equally weighted points that would serve as well.
+    """
+
+    points: np.ndarray
+    weights: np.ndarray
+    k_hat: float
+    effective: float
+
+
+def smoothed(log_weights: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return logarithms of weights with the tail smoothed, [V] Section 2.1, and k̂."""
+    log_weights = log_weights - log_weights.max()
+    size = log_weights.size
+    tail = int(min(0.2 * size, 3.0 * np.sqrt(size)))
+    order = np.argsort(log_weights, kind="stable")
+    cut = np.exp(log_weights[order[-tail - 1]])
+    excess = np.exp(log_weights[order[-tail:]]) - cut
+    if not excess[-1] > 0.0:
+        return log_weights, np.inf
+    excess = np.maximum(excess, 1e-300)
+    shape, scale = pareto_fit(excess)
+    ranks = (np.arange(1, tail + 1) - 0.5) / tail
+    if abs(shape) > 1e-9:
+        quantiles = scale / shape * np.expm1(-shape * np.log1p(-ranks))
+    else:
+        quantiles = -scale * np.log1p(-ranks)
+    smooth = log_weights.copy()
+    smooth[order[-tail:]] = np.minimum(np.log(cut + quantiles), 0.0)
+    return smooth, shape
+
+
+def pareto_fit(excess: np.ndarray) -> tuple[float, float]:
+    """Return shape and scale of a generalized Pareto distribution of sorted excesses, [Z]."""
+    size = excess.size
+    points = 30 + int(np.sqrt(size))
+    grid = 1.0 - np.sqrt(points / (np.arange(1, points + 1) - 0.5))
+    grid = grid / (3.0 * excess[int(size / 4 + 0.5) - 1]) + 1.0 / excess[-1]
+    shapes = np.mean(np.log1p(-grid[:, None] * excess), axis=1)
+    profile = size * (np.log(-grid / shapes) - shapes - 1.0)
+    weights = np.exp(profile - profile.max())
+    best = np.sum(grid * weights) / weights.sum()
+    shape = float(np.mean(np.log1p(-best * excess)))
+    # The shape is drawn to 0.5 as ten more excesses would ([V] Appendix C).
+    return (size * shape + 10.0 * 0.5) / (size + 10.0), -shape / best
+
+
+def log_parts(points: np.ndarray, parts: list[Component]) -> np.ndarray:
+    """Return the logarithm of each part's weight times density, shape (points, parts)."""
+    from scipy import stats
+
+    densities = [stats.multivariate_t(p.centre, p.scale, FREEDOM).logpdf(points) for p in parts]
+    return np.column_stack(densities) + np.log([part.weight for part in parts])
+
+
+def _drawn(part: Component, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return points of a multivariate t distribution."""
+    # SciPy draws by singular vectors, whose signs may differ between processors.
+    normal = rng.standard_normal((count, part.centre.size)) @ np.linalg.cholesky(part.scale).T
+    return part.centre + normal / np.sqrt(rng.chisquare(FREEDOM, count) / FREEDOM)[:, None]
+
+
+def drawn(parts: list[Component], count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return points of a mixture, in random order."""
+    shares = np.array([part.weight for part in parts])
+    counts = rng.multinomial(count, shares / shares.sum())
+    points = [_drawn(part, number, rng) for part, number in zip(parts, counts, strict=True)]
+    return rng.permutation(np.concatenate(points))
+
+
+def weighed(points: np.ndarray, values: np.ndarray, parts: list[Component]) -> Sample:
+    """
+    Return points weighed by what was drawn there: density over that of all proposals together.
+
+    `values` are logarithms of the posterior's density. A component's weight is the number of points
+    that it proposed, so that rounds add up to one mixture ([C]: no round is chosen for its luck).
+    """
+    proposed = special.logsumexp(log_parts(points, parts), axis=1)
+    log_weights = np.where(np.isfinite(values), values - proposed, -1e300)
+    log_weights, k_hat = smoothed(log_weights)
+    weights = np.exp(log_weights - log_weights.max())
+    weights /= weights.sum()
+    return Sample(points, weights, k_hat, float(1.0 / np.sum(weights**2)))
+
+
+def fitted_mixture(sample: Sample, count: int, rng: np.random.Generator) -> list[Component]:
+    """Return a mixture of so many parts that resembles a weighted sample (EM, shrunk scales)."""
+    weights = np.maximum(sample.weights, 1e-300)
+    while 1.0 / np.sum(weights**2) < LEVEL:  # few points carry all weight: level them
+        weights = weights**0.6
+        weights /= weights.sum()
+    kept = weights > 1e-4 * weights.max()
+    points = sample.points[kept]
+    weights = weights[kept] / weights[kept].sum()
+    size = points.shape[1]
+    mean = weights @ points
+    overall = np.cov(points.T, aweights=weights) + 1e-6 * np.eye(size)
+    if count == 1:
+        return [Component(1.0, mean, 1.1 * overall)]
+    effective = 1.0 / np.sum(weights**2)
+    first = rng.choice(len(points), count, p=weights, replace=False)
+    parts = [Component(1.0 / count, points[k], overall) for k in first]
+    for _ in range(8):
+        shares = special.softmax(log_parts(points, parts), axis=1) * weights[:, None]
+        parts = [_refitted(points, share, overall, effective) for share in shares.T]
+    return [Component(part.weight, part.centre, 1.1 * part.scale) for part in parts]
+
+
+def _refitted(
+    points: np.ndarray, share: np.ndarray, overall: np.ndarray, effective: float
+) -> Component:
+    """Return one part of a mixture from its share of every point's weight."""
+    weight = share.sum() + 1e-3
+    each = share / share.sum()
+    centre = each @ points
+    apart = points - centre
+    size = points.shape[1]
+    shrink = 2.0 * size / (2.0 * size + effective * weight)
+    scale = (1.0 - shrink) * (apart.T * each) @ apart + shrink * overall
+    return Component(float(weight), centre, scale + 1e-6 * np.eye(size))
+
+
+def resampled(sample: Sample, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return so many equally weighted points, in random order."""
+    at = (np.arange(count) + rng.random()) / count
+    rows = np.minimum(np.searchsorted(np.cumsum(sample.weights), at), len(sample.points) - 1)
+    return sample.points[rng.permutation(rows)]
+
+
+# --- sample_posterior ----------------------------------------------------------------------------
 
 # Ascents, and how far below the highest another maximum may lie: odds of e¹² to 1.
 ASCENTS = 3
@@ -141,16 +426,16 @@ def sample_posterior(
     optima = rough_optima(TSC, runs, TSC.limits(), robust=log.robust)
     target = target_of(optima[0], prior, log)
     rng = np.random.default_rng(whole_seed(seed))
-    sampled = sample_target(target, tops_of(target, optima), rng, max(POINTS, 4 * n))
-    thetas = to_thetas(resampled(sampled.sample, n, rng), target)
+    sample, method = sample_target(target, tops_of(target, optima), rng, max(POINTS, 4 * n))
+    thetas = to_thetas(resampled(sample, n, rng), target)
     step = runs[0].step
     return Posterior(
         draws=_columns(thetas, target, step),
         prior_draws=_columns(prior_thetas(target, 4000, rng), target, step),
         prior=prior,
-        k_hat=float(sampled.sample.k_hat),
-        effective=sampled.sample.effective,
-        method=sampled.method,
+        k_hat=float(sample.k_hat),
+        effective=sample.effective,
+        method=method,
         whiteness=_whiteness(thetas.mean(axis=0), target.blocks),
         labels=tuple(run.label for run in runs),
         synthetic=any(run.synthetic for run in runs),
@@ -171,9 +456,8 @@ def target_of(optimum: Optimum, prior: Prior, log: LogSettings) -> Target:
     stamp_error = max(run.stamp_error for run in runs)
     delayed = log.mode_delay or stamp_error > 0.0
     if delayed and not log.mode_delay:
-        error = Normal(0.0, stamp_error, "plain")
-        deviation[DELAY] = error.spread
-        whitening[DELAY, DELAY] = 1.0 / error.spread
+        deviation[DELAY] = stamp_error
+        whitening[DELAY, DELAY] = 1.0 / stamp_error
     free = np.delete(np.arange(mean.size), [] if delayed else [DELAY])
     return Target(blocks_of(optimum.problem), mean, deviation, whitening, free)
 
@@ -209,13 +493,6 @@ def _whiteness(theta: np.ndarray, blocks: Blocks) -> dict[str, float]:
 
 
 # --- the sampler ----------------------------------------------------------------------------------
-
-
-class Sampled(NamedTuple):
-    """A weighted sample, and how it was made."""
-
-    sample: Sample
-    method: str
 
 
 def good(sample: Sample) -> bool:
@@ -258,9 +535,9 @@ def proposals(tops: list[Top]) -> list[Component]:
 
 def sample_target(
     target: Target, tops: list[Top], rng: np.random.Generator, count: int = POINTS
-) -> Sampled:
+) -> tuple[Sample, str]:
     """
-    Sample a posterior from its maxima.
+    Sample a posterior from its maxima: return a weighted sample, and how it was made.
 
     Proposals are adapted where weights are bad, and walkers come last.
     """
@@ -284,7 +561,7 @@ def sample_target(
     if not good(sample):
         method = "ensemble"
         sample = walked(target, sample, rng)
-    return Sampled(sample, method)
+    return sample, method
 
 
 def shared(mixture: list[Component], count: int) -> list[Component]:

@@ -1,20 +1,26 @@
 """
-The likelihood of robot and operator, (2.3), (2.5) and (2.6), in logged block means, compiled.
+The density of the posterior of robot and operator, (2.3), (2.5) and (2.6), compiled.
 
 A log is cut into blocks of at most a second, and these into stretches of constant mode. Over a
 stretch (2.5) and (2.3) have closed forms; (2.6) is taken at the stretch's mean utilization, which
 moves by less than a hundredth within a second. The noise of each output is a first-order process
 plus white noise at the log's own samples; a Kalman filter gives the exact density of its block
 means.
+
+The coordinates: the mean of P_h over the log and the logarithm of its spread replace P_h,min and
+the logarithm of its range: in these the data leave a hill instead of a banana. The map has unit
+Jacobian, because the shape of (2.6) depends on neither. Of slow noise the level at low frequencies,
+its deviation times the root of its time constant, replaces the deviation, for the same reason.
+Coordinates are scaled by the prior's standard deviations.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from trustlab.identification.model import IdentificationError
-from trustlab.identification.noise import filter_columns, process
-from trustlab.identification.problem import Problem
+from trustlab.identification.problem import Problem, filter_columns, process
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import yerkes_dodson
 
@@ -176,15 +182,6 @@ def robot(blocks, shape, a, low, span, p_min, gain, starts, means):
 
 
 @njit
-def initial_performance(theta, runs):
-    """Return P_r at the first sample of every run: θ holds its distance from P_min."""
-    starts = np.empty(runs)
-    for run in range(runs):
-        starts[run] = theta[P_MIN] + theta[P_R0 + PER_RUN * run]
-    return starts
-
-
-@njit
 def simulate(theta, blocks):
     """Return block means of P_h and P_r, shape (2, blocks)."""
     means = np.empty(blocks.measured.shape)
@@ -201,7 +198,8 @@ def drive(theta, blocks, shape, means):
     span = np.exp(theta[H_SPAN])
     a = np.exp(-blocks.step / np.exp(theta[TAU_P]))
     gain = np.exp(theta[P_SPAN]) / (low + span)
-    starts = initial_performance(theta, blocks.first_block.size - 1)
+    # P_r at the first sample of every run: θ holds its distance from P_min.
+    starts = theta[P_MIN] + theta[P_R0::PER_RUN]
     robot(blocks, shape, a, low, span, theta[P_MIN], gain, starts, means[1])
     for k in range(means.shape[1]):
         means[0, k] = low + span * means[0, k]
@@ -282,3 +280,196 @@ def innovations(theta, blocks, means, scaled):
             for k in range(last - first):
                 value -= 0.5 * of_run[k, 0] * of_run[k, 0]
     return value
+
+
+# --- θ as parameters ---------------------------------------------------------------------------
+
+
+def physical(thetas: np.ndarray, step: float) -> pd.DataFrame:
+    """Return rows of θ as parameters in their own units; `step` [s] is that of the models."""
+    columns = {
+        "human_time_constant": np.exp(thetas[:, TAU_R]),
+        "human_a": np.exp(-step / np.exp(thetas[:, TAU_R])),
+        "human_beta": 1.0 / (1.0 + np.exp(-thetas[:, BETA])),
+        "human_p_min": thetas[:, H_MIN],
+        "human_p_max": thetas[:, H_MIN] + np.exp(thetas[:, H_SPAN]),
+        "robot_time_constant": np.exp(thetas[:, TAU_P]),
+        "robot_a": np.exp(-step / np.exp(thetas[:, TAU_P])),
+        "robot_p_min": thetas[:, P_MIN],
+        "robot_p_max": thetas[:, P_MIN] + np.exp(thetas[:, P_SPAN]),
+        "mode_delay": thetas[:, DELAY],
+    }
+    runs = (thetas.shape[1] - R0) // PER_RUN
+    for run in range(runs):
+        label = f"[{run}]" if runs > 1 else ""
+        columns[f"r0{label}"] = 1.0 / (1.0 + np.exp(-thetas[:, R0 + PER_RUN * run]))
+        columns[f"p_r0{label}"] = thetas[:, P_MIN] + thetas[:, P_R0 + PER_RUN * run]
+    for output, at in zip(OUTPUTS, NOISES, strict=True):
+        columns[f"{output}_white"] = np.exp(thetas[:, at.white])
+        columns[f"{output}_slow"] = np.exp(thetas[:, at.slow])
+        columns[f"{output}_slow_time"] = np.exp(thetas[:, at.time])
+    return pd.DataFrame(columns)
+
+
+# --- coordinates ---------------------------------------------------------------------------------
+
+# Prior standard deviations, and log odds, beyond which the density counts as zero.
+FAR = 12.0
+FAR_ODDS = 14.0
+
+
+class Target(NamedTuple):
+    """
+    Data and prior.
+
+    A priori `whitening` (θ − `mean`) is standard normal. Coordinates are distances from `mean` in
+    units of `deviation`, correlated or not. `free` are the places in θ that are sampled; the rest
+    stays at the mean.
+    """
+
+    blocks: Blocks
+    mean: np.ndarray
+    deviation: np.ndarray
+    whitening: np.ndarray
+    free: np.ndarray
+
+
+@njit
+def to_theta(x, target, shape, means):
+    """Return the parameters θ of coordinates x; write the shape of (2.6) and its block means."""
+    theta = target.mean.copy()
+    for k in range(x.size):
+        theta[target.free[k]] += target.deviation[target.free[k]] * x[k]
+    mean, spread = shapes(theta, target.blocks, shape, means)
+    theta[H_SPAN] -= np.log(spread)
+    theta[H_MIN] -= np.exp(theta[H_SPAN]) * mean
+    for at in NOISES:
+        theta[at.slow] -= 0.5 * (theta[at.time] - target.mean[at.time])
+    return theta
+
+
+@njit
+def from_theta(theta, target):
+    """Return the coordinates x of parameters θ."""
+    blocks = target.blocks
+    mean, spread = shapes(
+        theta, blocks, np.empty(blocks.lengths.size), np.empty(blocks.measured.shape[1])
+    )
+    centred = theta.copy()
+    centred[H_MIN] += np.exp(theta[H_SPAN]) * mean
+    centred[H_SPAN] += np.log(spread)
+    for at in NOISES:
+        centred[at.slow] += 0.5 * (theta[at.time] - target.mean[at.time])
+    return ((centred - target.mean) / target.deviation)[target.free]
+
+
+@njit
+def admissible(theta):
+    """Return whether θ makes a model: positive performance, shares that are not 0 or 1."""
+    odds = abs(theta[BETA])
+    for run in range((theta.size - R0) // PER_RUN):
+        odds = max(odds, abs(theta[R0 + PER_RUN * run]))
+        if theta[P_MIN] + theta[P_R0 + PER_RUN * run] < 0.0:
+            return False
+    return odds < FAR_ODDS and theta[H_MIN] > 0.0 and theta[P_MIN] > 0.0
+
+
+@njit
+def log_prior(theta, target):
+    """Return the logarithm of the prior's density, but for a constant."""
+    value = 0.0
+    for i in range(theta.size):
+        z = 0.0
+        for j in range(i + 1):
+            z += target.whitening[i, j] * (theta[j] - target.mean[j])
+        if not abs(z) < FAR:
+            return -np.inf
+        value -= 0.5 * z * z
+    return value
+
+
+@njit
+def density(x, target):
+    """Return the logarithm of the posterior's density at coordinates x, but for a constant."""
+    for k in range(x.size):
+        if not abs(x[k]) < 2.0 * FAR:
+            return -np.inf
+    # The first places are free in every target, so that x has β's log odds at its place in θ.
+    if abs(target.mean[BETA] + target.deviation[BETA] * x[BETA]) > FAR_ODDS:
+        return -np.inf
+    blocks = target.blocks
+    shape = np.empty(blocks.lengths.size)
+    means = np.empty(blocks.measured.shape)
+    theta = to_theta(x, target, shape, means[0])
+    if not admissible(theta):
+        return -np.inf
+    prior = log_prior(theta, target)
+    if prior == -np.inf:
+        return prior
+    drive(theta, blocks, shape, means)
+    value = prior + innovations(theta, blocks, means, np.empty(means.shape))
+    return value if value == value else -np.inf
+
+
+@njit
+def densities(points, target):
+    """Return the logarithm of the posterior's density at rows of coordinates."""
+    out = np.empty(len(points))
+    for i in range(len(points)):
+        out[i] = density(points[i], target)
+    return out
+
+
+@njit
+def to_thetas(points, target):
+    """Return the parameters θ of rows of coordinates."""
+    out = np.empty((len(points), target.mean.size))
+    shape = np.empty(target.blocks.lengths.size)
+    means = np.empty(target.blocks.measured.shape[1])
+    for i in range(len(points)):
+        out[i] = to_theta(points[i], target, shape, means)
+    return out
+
+
+# --- derivatives ----------------------------------------------------------------------------------
+
+# Steps of central differences in units of the prior's standard deviation: of the density and of
+# its gradient.
+STEP = 1e-4
+WIDE_STEP = 2e-3
+
+
+@njit
+def gradient(x, target):
+    """Return the derivatives of the density's logarithm by central differences."""
+    out = np.empty(x.size)
+    at = x.copy()
+    for i in range(x.size):
+        at[i] = x[i] + STEP
+        above = density(at, target)
+        at[i] = x[i] - STEP
+        slope = (above - density(at, target)) / (2.0 * STEP)
+        out[i] = slope if abs(slope) < np.inf else 0.0  # beside what makes no model
+        at[i] = x[i]
+    return out
+
+
+@njit
+def curvature(x, target):
+    """Return minus the second derivatives of the density's logarithm."""
+    size = x.size
+    out = np.empty((size, size))
+    at = x.copy()
+    for i in range(size):
+        at[i] = x[i] + WIDE_STEP
+        above = gradient(at, target)
+        at[i] = x[i] - WIDE_STEP
+        below = gradient(at, target)
+        for j in range(size):
+            out[i, j] = (below[j] - above[j]) / (2.0 * WIDE_STEP)
+        at[i] = x[i]
+    for i in range(size):
+        for j in range(i):
+            out[i, j] = 0.5 * (out[i, j] + out[j, i])
+            out[j, i] = out[i, j]
+    return out
