@@ -26,8 +26,7 @@ from trustlab.identification.model import IdentificationError, Model
 from trustlab.identification.problem import HALF_WIDTH, NOT_WHITE, Problem, hac_lags
 from trustlab.identification.result import FitResult, RunFit
 from trustlab.identification.search import NOISES, Estimate, estimate_runs
-from trustlab.models.checks import of_class, one_of
-from trustlab.models.display import counted
+from trustlab.models.checks import counted, of_class, one_of
 from trustlab.sessions.session import Session
 
 

@@ -11,8 +11,8 @@ from trustlab.identification.problem import (
     ljung_box,
     pooled_correlation,
 )
-from trustlab.models.checks import one_of, open_unit, whole_number
-from trustlab.models.display import Result, counted
+from trustlab.models.checks import counted, one_of, open_unit, whole_number
+from trustlab.models.display import Result
 from trustlab.sessions.plots import shade_manual
 
 LABELS = {

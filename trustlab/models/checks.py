@@ -57,6 +57,11 @@ def rounded_up(value: float, digits: int = 3) -> float:
     return -rounded_down(-value, digits)
 
 
+def counted(count: int, noun: str) -> str:
+    """Return "1 participant" or "2 participants"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 def finite_number(name: str, value: Any) -> float:
     """Return one finite real number as a float; text, booleans and arrays are refused."""
     if type(value) is float and math.isfinite(value):  # as nearly always; what follows takes longer

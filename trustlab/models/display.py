@@ -42,11 +42,6 @@ class Result:
         return as_html(self.message, self.table(), title=self.title)
 
 
-def counted(count: int, noun: str) -> str:
-    """Return "1 participant" or "2 participants"."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
-
-
 def as_html(text: str, *tables: pd.DataFrame, title: str = "") -> str:
     """
     Return a result as a title in bold, a sentence, and tables; nothing in them is read as markup or

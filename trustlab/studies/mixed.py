@@ -17,8 +17,8 @@ from scipy import special, stats
 from scipy.linalg import helmert
 from scipy.optimize import brentq
 
-from trustlab.models.checks import of_class, spawned, whole_number
-from trustlab.models.display import Result, counted
+from trustlab.models.checks import counted, of_class, spawned, whole_number
+from trustlab.models.display import Result
 from trustlab.studies.anova import partial_eta_interval
 from trustlab.studies.pairs import d_z_interval, holm
 from trustlab.studies.table import (

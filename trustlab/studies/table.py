@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, of_class, one_of, shown
-from trustlab.models.display import counted
+from trustlab.models.checks import counted, did_you_mean, of_class, one_of, shown
 
 # Cells or subjects that an error lists before it counts the rest.
 _SHOWN = 5

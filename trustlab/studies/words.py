@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, whole_number
-from trustlab.models.display import counted
+from trustlab.models.checks import counted, of_class, one_of, whole_number
 from trustlab.studies.table import ScoreTable, same_for_all
 
 # Column of p-values and its name in the sentence.

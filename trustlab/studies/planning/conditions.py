@@ -15,6 +15,7 @@ from scipy import special
 from scipy.optimize import brentq
 
 from trustlab.models.checks import (
+    counted,
     finite_array,
     finite_number,
     not_negative,
@@ -23,7 +24,6 @@ from trustlab.models.checks import (
     warn,
     whole_number,
 )
-from trustlab.models.display import counted
 from trustlab.studies.anova import Design, orthonormal_contrasts, sphericity
 from trustlab.studies.repeated_measures import repeated_measures
 from trustlab.studies.table import labels_of

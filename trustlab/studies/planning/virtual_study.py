@@ -17,8 +17,8 @@ import pandas as pd
 from numpy.random import SeedSequence
 
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import one_of, shown, warn, whole_number
-from trustlab.models.display import Result, counted
+from trustlab.models.checks import counted, one_of, shown, warn, whole_number
+from trustlab.models.display import Result
 from trustlab.models.files import PARTIAL
 from trustlab.sessions.writing import write_session
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
