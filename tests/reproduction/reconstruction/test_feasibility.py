@@ -301,6 +301,14 @@ def test_degrees_of_freedom_say_where_they_belong():
     assert "belongs to the printed degrees of freedom" in answer.left_out["anova.p"]
 
 
+def test_a_row_of_which_nothing_is_left_is_an_answer_too():
+    row = tl.PublishedStudy("s", n=10, mean={"A": "9"}, sd={}, conditions=("A", "B"), scale=(1, 7))
+    answer = tl.feasibility(row)
+    assert answer.feasible is False
+    assert list(answer.left_out) == ["mean.A"]
+    assert tl.reconstruct(row)["value"].between(1, 7).all()
+
+
 def test_inequalities_are_read():
     printed = {"anova": {"F": "<1", "p": ">.05"}}
     near = {"mean": {"A": "5.0", "B": "5.1", "F": "5.0"}}

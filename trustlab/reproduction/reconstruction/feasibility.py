@@ -117,7 +117,7 @@ class Feasibility(Result):
         else:
             parts.append(
                 f"No data with {subject} were found from {self.moments.starts} starts; the closest "
-                f"miss {', '.join(self.conflict)}."
+                f"miss {', '.join(self.conflict) or 'the scale'}."
             )
         if self.remedies:
             parts.append(f"Found without any one of {', '.join(self.remedies)}.")
@@ -224,12 +224,12 @@ def moment_problem(
     one_of("p_adjust", p_adjust, ADJUSTMENTS)
     reading = reading_of(study)
     printed = constraints(study, p_adjust, reading)
-    wanted = select(printed, without)
-    reasons = {s.name: REQUESTED for s in printed if s not in wanted}
-    reasons = contradictions(study, p_adjust) | reasons
-    rows = [s for s in wanted if s.name not in reasons and s.kind != "fixed"]
-    if not rows:
+    rows = select(printed, without)
+    requested = {s.name: REQUESTED for s in printed if s not in rows}
+    if requested and not any(s.kind != "fixed" for s in rows):
         raise ValueError(f"without: nothing of {study.name} is left")
+    reasons = contradictions(study, p_adjust) | requested
+    rows = [s for s in rows if s.name not in reasons and s.kind != "fixed"]
     return MomentProblem(rows, study.n, study.k, reading.p, study.scale), reasons
 
 

@@ -199,22 +199,22 @@ def reconstruct_study(
     >>> bool(found.table()["agrees"].all())
     True
     """
+    without = tuple(without) if not isinstance(without, str) else without
     answer = _most_feasible(study, p_adjust, without, seed)
-    left_out = dict(answer.left_out)
-    for _ in range(MOST_LEFT_OUT):
-        if answer.status == "solved":
-            break
+    missed: dict[str, str] = {}
+    while answer.status != "solved" and answer.conflict and len(missed) < MOST_LEFT_OUT:
         name = (answer.remedies or answer.conflict)[0]
         against = ", ".join(x for x in answer.conflict if x != name) or "the rest"
-        left_out[name] = f"no data were found that have it together with {against}"
-        answer = feasibility(study, answer.p_adjust, left_out, seed)
+        missed[name] = f"no data were found that have it together with {against}"
+        answer = feasibility(study, answer.p_adjust, (*without, *missed), seed)
+    left_out = {**answer.left_out, **missed}
     if answer.status != "solved":
         raise ReconstructionError(
             f"{study.name}: no data were found under p_adjust={answer.p_adjust!r}, nor when "
             f"{', '.join(left_out)} are left out; feasibility() says what the closest data miss, "
             "`without` leaves statistics out"
         )
-    values = _draw(answer, left_out, generator(seed).spawn(1)[0])
+    values = _draw(answer, (*without, *missed), generator(seed).spawn(1)[0])
     result = Reconstruction(study, answer.p_adjust, int(seed), values, left_out)
     table = result.table()
     wrong = table.index[~table["agrees"] & (table["left_out"] == "")]
@@ -229,7 +229,6 @@ def _most_feasible(
     study: PublishedStudy, p_adjust: str | None, without: Iterable[str], seed: int
 ) -> Feasibility:
     """Return the answer of the first adjustment under which data are found, else of the first."""
-    without = tuple(without) if not isinstance(without, str) else without
     candidates = ADJUSTMENTS if p_adjust is None else (p_adjust,)
     for candidate in sorted(candidates, key=lambda c: len(moment_problem(study, c, without)[1])):
         answer = feasibility(study, candidate, without, seed, explain=False)
@@ -238,10 +237,10 @@ def _most_feasible(
     return feasibility(study, candidates[0], without, seed)
 
 
-def _draw(answer: Feasibility, left_out: Iterable[str], rng: np.random.Generator) -> np.ndarray:
+def _draw(answer: Feasibility, without: Iterable[str], rng: np.random.Generator) -> np.ndarray:
     """Return values within the scale that have the moments found, or others that hold as well."""
     study = answer.study
-    problem, _ = moment_problem(study, answer.p_adjust, left_out)
+    problem, _ = moment_problem(study, answer.p_adjust, without)
     moments = answer.moments
     for _ in range(MOST_DRAWS):
         mean, factor = moments.mean, moments.factor
