@@ -29,6 +29,8 @@ WIDTHS = (0.1, 0.01, 0.001, 0.0)
 # the statistic.
 OPEN_UNIT = 0.05
 
+FAR = 1e6  # the violation of what is no number
+
 TINY = 1e-300  # below which a p is not told apart
 
 # Statistics that are compared by their logarithms.
@@ -184,7 +186,7 @@ class MomentProblem:
         # Intervals are widened about their middles, then narrowed by the margin.
         inner = (1.0 - margin) * unit - np.where(np.isfinite(high - low), self.unit, unit)
         outside = np.maximum(np.maximum(low - inner - value, value - high - inner), 0.0) / unit
-        return np.nan_to_num(outside, nan=1e6, posinf=1e6)
+        return np.nan_to_num(outside, nan=FAR, posinf=FAR)
 
     def _unpack(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return means and factors of unknowns (B, …) in typical standard deviations."""
@@ -231,6 +233,8 @@ class MomentProblem:
                     args=arguments,
                     max_nfev=60,
                 ).x
+                if not np.isfinite(x).all():  # numbers that are far out lead there
+                    break
             violation = self.outside(x[None], 0.0, 0.0)[0]
             if violation.max() < least:
                 closest, least = x, violation.max()
@@ -245,7 +249,8 @@ class MomentProblem:
         """Return the derivatives of `outside` by forward differences, all in one call."""
         step = 1e-7 * np.maximum(np.abs(x), 1e-3)
         moved = self.outside(np.vstack([x, x + np.diag(step)]), width, margin)
-        return ((moved[1:] - moved[0]) / step[:, None]).T
+        slopes = (moved[1:] - moved[0]) / step[:, None]
+        return np.nan_to_num(slopes, nan=0.0, posinf=FAR, neginf=-FAR).T
 
 
 def _holm(log_p: np.ndarray) -> np.ndarray:
