@@ -47,6 +47,9 @@ def serialize(message):
 def install(monkeypatch):
     """Put the stand-in where `import rclpy` and the message packages look."""
     modules = {"rclpy": types.ModuleType("rclpy")}
+    modules["rclpy.clock"] = SimpleNamespace(
+        Clock=SimpleNamespace, ClockType=SimpleNamespace(STEADY_TIME="steady")
+    )
     modules["rclpy.qos"] = SimpleNamespace(
         QoSProfile=SimpleNamespace,
         ReliabilityPolicy=SimpleNamespace(BEST_EFFORT="best effort", RELIABLE="reliable"),
@@ -65,8 +68,12 @@ def install(monkeypatch):
 
 
 class Node:
+    """A node whose time [ns] the test turns; `ahead` is how far its computer's clock is stepped."""
+
     def __init__(self):
         self.time = 1_700_000_000_000_000_000
+        self.ahead = 0
+        self.senders = 1
         self.sent = defaultdict(list)
         self.heard = {}
         self.profiles = {}
@@ -74,7 +81,11 @@ class Node:
         self.log = []
 
     def get_clock(self):
-        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.time))
+        clock = SimpleNamespace(nanoseconds=self.time + self.ahead)
+        return SimpleNamespace(now=lambda: clock)
+
+    def count_publishers(self, topic):
+        return self.senders
 
     def get_logger(self):
         return SimpleNamespace(warning=self.log.append, error=self.log.append)
@@ -87,7 +98,8 @@ class Node:
         self.heard[topic] = callback
         self.profiles[topic] = profile
 
-    def create_timer(self, period, callback):
+    def create_timer(self, period, callback, clock):
+        assert clock.clock_type == "steady"
         self.timers.append(callback)
         return callback
 

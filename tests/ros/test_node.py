@@ -3,6 +3,7 @@
 import math
 import struct
 import time
+from base64 import b64decode
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 import trustlab as tl
 from tests.ros import fake_ros
+from trustlab.live.log import read_log
 from trustlab.ros import (
     Allocation,
     CoreSettings,
@@ -21,7 +23,8 @@ from trustlab.ros import (
     read_run,
     read_toml,
 )
-from trustlab.ros.journal import Journal, read_journal
+from trustlab.ros.node import Recorder
+from trustlab.ros.run import RUN
 from trustlab.sessions.errors import SessionError
 
 MODEL = tl.published_models()["1"]
@@ -53,7 +56,9 @@ def half(tsc, p_r):
 @pytest.fixture
 def node(monkeypatch):
     fake_ros.install(monkeypatch)
-    return fake_ros.Node()
+    node = fake_ros.Node()
+    monkeypatch.setattr("trustlab.ros.node.monotonic_ns", lambda: node.time)
+    return node
 
 
 def inputs(node, rng, x, skip=(), stamp=None):
@@ -106,7 +111,7 @@ def test_a_run_leaves_a_bag_and_a_session_that_agree(node, tmp_path):
     assert session.metadata.participant == 3
     assert session.metadata.more["interrupted"] is False
     again = session.with_performance(window=2.0)
-    assert np.array_equal(again["p_r"], session["p_r"])
+    assert again["p_r"] == pytest.approx(session["p_r"], abs=1e-12)
     columns = by_rosbags(
         tmp_path / "a.mcap", ["/trustlab/tsc", "/cmd_vel", "/odom", "/allocation/mode"]
     )
@@ -253,37 +258,37 @@ def test_twenty_cuts_leave_what_was_written_before(node, tmp_path):
     run = RunSettings(MODEL, "C3", (-0.2, 0.3), settings=SHORT)
     allocation = driven(node, run, tmp_path / "a.mcap", 50)
     whole = allocation.core.session()
-    allocation.journal.close()
-    content = (tmp_path / "a.journal").read_bytes()
+    allocation.recorder.close()
+    content = (tmp_path / "a.jsonl").read_bytes()
     rng = np.random.default_rng(0)
     for cut in rng.integers(len(content) // 5, len(content), 20):
-        (tmp_path / "cut.journal").write_bytes(content[:cut])
-        result = read_run(tmp_path / "cut.journal")
+        (tmp_path / "cut.jsonl").write_bytes(content[:cut])
+        result = read_run(tmp_path / "cut.jsonl")
         assert result.verified
         assert result.session.metadata.more["interrupted"] is True
         count = len(result.session)
         assert np.array_equal(result.session["tsc"], whole["tsc"][:count])
         assert abs(count - 50 * cut / len(content)) < 5
-        assert not (tmp_path / "cut.journal").exists()
+        assert not (tmp_path / "cut.jsonl").exists()
     for length in (0, 5, 40):
-        (tmp_path / "cut.journal").write_bytes(content[:length])
+        (tmp_path / "cut.jsonl").write_bytes(content[:length])
         with pytest.raises(SessionError, match="no run is recorded"):
-            read_run(tmp_path / "cut.journal")
-    read_run(tmp_path / "a.journal").path.write_bytes(b"?" * 99)
-    with pytest.raises(SessionError, match="not the bag of a run"):
+            read_run(tmp_path / "cut.jsonl")
+    read_run(tmp_path / "a.jsonl").path.write_bytes(b"?" * 99)
+    with pytest.raises(SessionError, match="not the whole bag of a run"):
         read_run(tmp_path / "a.mcap")
 
 
-def test_a_full_disk_ends_the_journal_and_not_the_run(node, tmp_path, monkeypatch):
+def test_a_full_disk_ends_the_log_and_not_the_run(node, tmp_path, monkeypatch):
     run = RunSettings(MODEL, "C1", settings=SHORT)
     allocation = driven(node, run, tmp_path / "a.mcap", 50)
 
     def full(handle, data):
         raise OSError(28, "No space left on device")
 
-    while not allocation.journal.queue.empty():
+    while not allocation.recorder.queue.empty():
         time.sleep(0.01)
-    monkeypatch.setattr("trustlab.ros.journal.os.write", full)
+    monkeypatch.setattr("trustlab.live.log.os.write", full)
     rng = np.random.default_rng(0)
     before = len(node.sent["/cmd_vel"])
     for k in range(20):
@@ -508,14 +513,180 @@ def test_measures_join_those_of_a_virtual_study(node, tmp_path):
     assert tl.repeated_measures(table, "p_r", "condition", "participant").n == 3
 
 
-def test_a_journal_keeps_order_and_content(tmp_path):
-    journal = Journal(tmp_path / "a.journal", print)
+def test_a_log_keeps_order_and_content(tmp_path):
+    recorder = Recorder(tmp_path / "a.jsonl", print)
     items = [(f"/t{k % 3}", k, bytes(range(k % 200))) for k in range(1000)]
     for item in items:
-        journal.write(*item)
+        recorder.write(*item)
     with pytest.raises(SessionError, match="the run goes on"):
-        next(read_journal(tmp_path / "a.journal"))
-    journal.close()
-    assert list(read_journal(tmp_path / "a.journal")) == items
+        read_run(tmp_path / "a.jsonl")
+    recorder.close()
+    entries = read_log(tmp_path / "a.jsonl").entries
+    assert [(topic, now, b64decode(data)) for topic, now, data in entries] == items
     with pytest.raises(FileExistsError):
-        Journal(tmp_path / "a.journal", print)
+        Recorder(tmp_path / "a.jsonl", print)
+
+
+@pytest.mark.parametrize("back", [0.3, 2.0, 3600.0, -3600.0])
+def test_a_step_of_the_clock_stops_the_robot_for_a_period_and_no_longer(node, tmp_path, back):
+    run = RunSettings(MODEL, "C1", settings=SHORT)
+    allocation = driven(node, run, tmp_path / "a.mcap", 60)
+    rng = np.random.default_rng(0)
+    node.ahead = -round(back * 1e9)
+    node.time += STEP
+    node.tick()
+    last = node.sent["/cmd_vel"][-1]
+    assert (last.linear.x, last.angular.z) == (0.0, 0.0)
+    for k in range(40):
+        inputs(node, rng, 1.0 + 0.01 * k, stamp=node.time + node.ahead - 1_000_000)
+        node.time += STEP
+        node.tick()
+    assert allocation.latest.driver == "operator"
+    assert 99 <= len(allocation.core.rows) <= 101
+    sent = np.array([m.linear.x for m in node.sent["/cmd_vel"]])
+    assert np.abs(np.diff(sent)).max() <= max(SHORT.v_rate * SHORT.period, sent[59]) + 1e-12
+    count = len(sent)
+    for _ in range(30):  # and the watchdogs go on counting
+        node.time += STEP
+        node.tick()
+    assert allocation.latest.driver == "nobody"
+    assert node.sent["/cmd_vel"][-1].linear.x == 0.0
+    assert len(node.sent["/cmd_vel"]) > count + 20
+    result = allocation.finish()
+    assert result.verified
+    (note,) = [n for n in result.session.metadata.more["notes"] if "clock steps by" in n]
+    assert f"steps by {-back:.3g} s" in note
+
+
+def test_one_absurd_message_does_not_steer_the_allocation(node, monkeypatch, tmp_path):
+    tsc = []
+    for name, far, fast in (("a", 1e5, 1e5), ("b", 0.0, 0.5)):
+        each = fake_ros.Node()
+        monkeypatch.setattr("trustlab.ros.node.monotonic_ns", lambda each=each: each.time)
+        run = RunSettings(MODEL, "C1", settings=CoreSettings(window=20.0))
+        allocation = driven(each, run, tmp_path / f"{name}.mcap", 60)
+        for k in range(40):
+            each.time += STEP
+            if k == 20:
+                each.send("/operator/cmd_vel", TWIST, linear__x=fast)
+                each.send("/odom", "nav_msgs/msg/Odometry", each.time - STEP // 2)
+            inputs(each, np.random.default_rng(k), 1.0 + 0.01 * k + (far if k == 10 else 0.0))
+        result = allocation.finish()
+        tsc.append(result.session["tsc"])
+    assert np.abs(tsc[0] - tsc[1]).max() < 0.06
+    notes = read_run(tmp_path / "a.mcap").session.metadata.more["notes"]
+    assert sum("odometry: jumps by 1e+05 m" in note for note in notes) == 2  # there and back
+    assert sum("operator: 1e+05 m/s, 0 rad/s count within" in note for note in notes) == 1
+
+
+def test_another_frame_and_another_sender_are_noted(node, tmp_path):
+    allocation = driven(node, RunSettings(MODEL, "C1", settings=SHORT), tmp_path / "a.mcap", 10)
+    kind = "nav_msgs/msg/Odometry"
+    for _ in range(3):
+        node.time += STEP
+        node.send("/odom", kind, node.time, header__frame_id="moon")
+        node.senders = 2
+        node.tick()
+    result = allocation.finish()
+    assert result.verified
+    notes = "; ".join(result.session.metadata.more["notes"])
+    assert notes.count("odometry: in frame 'moon', before in ''") == 1
+    assert notes.count("command: 2 publishers send it") == 1
+
+
+def test_notes_of_one_kind_are_counted(node, tmp_path):
+    allocation = driven(node, RunSettings(MODEL, "C1", settings=SHORT), tmp_path / "a.mcap", 10)
+    for k in range(2000):
+        node.time += STEP // 100
+        node.send("/odom", "nav_msgs/msg/Odometry", 0, pose__pose__position__x=0.1 * k)
+    result = allocation.finish()
+    assert result.verified
+    notes = [n for n in result.session.metadata.more["notes"] if "odometry: out of order" in n]
+    assert len(notes) == 21
+    assert notes[-1].startswith("1980 more: odometry: out of order")
+    assert len(node.log) < 50
+
+
+def test_a_run_that_heard_nothing_leaves_its_messages_in_a_bag(node, tmp_path):
+    allocation = Allocation(node, RunSettings(MODEL, "C1"), tmp_path / "a.mcap")
+    node.send("/autonomy/cmd_vel", TWIST)
+    with pytest.raises(SessionError, match=r"never heard: odometry, .*the messages are in"):
+        allocation.finish()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+    assert len(by_rosbags(tmp_path / "a.mcap", ["/autonomy/cmd_vel"])["/autonomy/cmd_vel"]) == 1
+    with pytest.raises(SessionError, match="a session needs two samples"):
+        read_run(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize(
+    "change",
+    {
+        "a state dropped": lambda rows: rows.pop(_nth(rows, "/allocation/tsc", 30)),
+        "a state doubled": lambda rows: rows.insert(400, rows[_nth(rows, "/allocation/tsc", 30)]),
+        "a message dropped": lambda rows: rows.pop(_nth(rows, "/path_error", 30)),
+        "two swapped": lambda rows: rows.insert(300, rows.pop(304)),
+        "the participant": lambda rows: _edit(rows, '"participant": 3', '"participant": 4'),
+        "synthetic": lambda rows: _edit(rows, '"synthetic": true', '"synthetic": false'),
+        "a bound of the run": lambda rows: _edit(rows, '"v_max": 0.5', '"v_max": 0.6', RUN),
+    }.items(),
+    ids=lambda change: change[0],
+)
+def test_messages_settings_and_metadata_are_verified(node, tmp_path, change):
+    path = tmp_path / "a.mcap"
+    facts = {"participant": 3, "synthetic": True}
+    run = RunSettings(MODEL, "C3", (-0.2, 0.3), settings=SHORT, facts=facts)
+    assert driven(node, run, path, 60).finish().verified
+    _written_again(path, lambda rows: None)
+    assert read_run(path).verified  # written again as it was
+    _written_again(path, change[1])
+    assert not read_run(path).verified
+
+
+def _nth(rows, topic, count):
+    return [k for k, row in enumerate(rows) if row[0] == topic][count]
+
+
+def _edit(rows, before, after, where="/trustlab/metadata"):
+    """Replace a part of the text on a topic."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = "std_msgs/msg/String"
+    for k, (topic, name, stamp, data) in enumerate(rows):
+        if topic == where and before in (text := store.deserialize_cdr(data, kind).data):
+            message = store.types[kind](text.replace(before, after))
+            rows[k] = (topic, name, stamp, bytes(store.serialize_cdr(message, kind)))
+            return
+    raise AssertionError(before)
+
+
+def _written_again(path, change):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with AnyReader([path], default_typestore=store) as reader:
+        rows = [(c.topic, c.msgtype, stamp, data) for c, stamp, data in reader.messages()]
+    change(rows)
+    path.unlink()
+    with rosbag2.Writer(path.with_suffix(""), version=8, storage_plugin=MCAP) as writer:
+        connections = {}
+        start = rows[0][2]
+        for k, (topic, kind, stamp, data) in enumerate(rows):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], stamp if change else start + k, data)
+    next(path.with_suffix("").glob("*.mcap")).rename(path)
+    path.with_suffix("").joinpath("metadata.yaml").unlink()
+    path.with_suffix("").rmdir()
+
+
+def test_bags_of_other_kinds_are_named(node, tmp_path):
+    path = tmp_path / "a.mcap"
+    run = RunSettings(MODEL, "C3", (-0.2, 0.3), settings=SHORT)
+    driven(node, run, path, 30).finish()
+    for change in (
+        lambda rows: rows.__setitem__(40, (*rows[40][:3], rows[40][3][:6])),  # half a message
+        lambda rows: rows.append(("/more", "std_msgs/msg/Bool", rows[-1][2] + 1, b"\0\1\0\0\1")),
+        lambda rows: rows.__setitem__(slice(None), [row for row in rows if row[0] != "/cmd_vel"]),
+    ):
+        content = path.read_bytes()
+        _written_again(path, change)
+        with pytest.raises(SessionError, match="bag"):
+            read_run(path)
+        path.write_bytes(content)

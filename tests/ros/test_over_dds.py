@@ -83,8 +83,8 @@ def killed_at_random(folder, start, draw):
     killed = time.monotonic()
     time.sleep(2.0)
     if victim == "node":
-        (journal,) = (folder / "runs").glob("*.journal")
-        result = read_run(journal)
+        (left,) = (folder / "runs").glob("*.jsonl")
+        result = read_run(left)
         assert result.session.metadata.more["interrupted"]
         done = set(log_of(log)["v"]) - set(result.decisions["v"])
         assert len(done) <= 1  # nothing was done that is not recorded, but one on its way

@@ -1,8 +1,11 @@
-from .decision import (
+from .core import (
     AllocationCore as AllocationCore,
     Decision as Decision,
 )
-from .inputs import Watchdog as Watchdog
+from .inputs import (
+    CoreSettings as CoreSettings,
+    Watchdog as Watchdog,
+)
 from .node import Allocation as Allocation
 from .recorded import (
     RobotRun as RobotRun,
@@ -14,7 +17,6 @@ from .run import (
     Topic as Topic,
     read_toml as read_toml,
 )
-from .settings import CoreSettings as CoreSettings
 
 __all__ = [
     "Allocation",

@@ -8,8 +8,9 @@ from datetime import datetime
 from pathlib import Path
 
 from trustlab.ros.node import Allocation
-from trustlab.ros.recorded import JOURNAL, read_run
+from trustlab.ros.recorded import LOG, read_run
 from trustlab.ros.run import read_toml
+from trustlab.sessions.errors import SessionError
 
 
 def main() -> None:
@@ -45,13 +46,16 @@ def main() -> None:
     except KeyboardInterrupt:
         pass
     finally:
-        print(allocation.finish())
+        try:
+            print(allocation.finish())
+        except SessionError as error:
+            print(f"{path}: {error}")
         rclpy.shutdown()
 
 
 def recover(folder: Path) -> None:
     """Write bags and sessions of runs that were killed."""
-    for path in sorted(folder.glob(f"*{JOURNAL}")):
+    for path in sorted(folder.glob(f"*{LOG}")):
         try:
             print(f"of a run that was killed: {read_run(path, own_rules=True)}")
         except ValueError as error:

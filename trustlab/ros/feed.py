@@ -1,52 +1,82 @@
-"""From messages to the decision core: the same for a robot's node and for the replay of a bag."""
+"""From messages to the decision core: the same for a robot's node and for the replay of a run."""
 
 import math
 from typing import Any
 
-from trustlab.ros.decision import AllocationCore
-from trustlab.ros.inputs import FIELDS
-from trustlab.ros.run import RunSettings
+from trustlab.ros.core import AllocationCore
+from trustlab.ros.inputs import AHEAD, FIELDS
+from trustlab.ros.run import CLOCK, NOTE, RunSettings
+
+# What the node notes last: a run without it was cut off.
+END = "the run ends"
 
 
 class Feed:
-    """Hands messages on topics to a core; times count from `start` [ns]."""
+    """
+    Hands messages on topics to a core.
+
+    The run's own clock starts at `start` [ns] of the computer's and goes on with its processor, so
+    that it never steps; what the computer's clock is ahead of it stands on a topic of the run.
+    """
 
     def __init__(self, run: RunSettings, core: AllocationCore, start: int):
         self.run = run
         self.core = core
         self.start = start
+        self.ahead = 0
+        self.ended = False
         self.down: dict[str, bool] = {}
+        self.frames: dict[str, str] = {}
         self.names: dict[str, list[str]] = {}
         for name, topic in run.topics.items():
             if name != "command":
                 self.names.setdefault(topic.topic, []).append(name)
 
-    def seconds(self, stamp: int) -> float:
-        """Return a time since the start [s]."""
-        return (stamp - self.start) / 1e9
+    def seconds(self, now: int) -> float:
+        """Return a time of the run's clock since the start [s]."""
+        return (now - self.start) / 1e9
 
     def hear(self, topic: str, message: Any, now: int) -> list[str]:
         """Hand a message on and return the names of the inputs that took it over."""
-        accepted = []
-        for name in self.names[topic]:
-            source = self.run.topics[name]
-            try:
-                numbers = source.numbers(message)
-            except ValueError as error:
-                self.core.note(f"{name}: {error}")
-                continue
-            if name not in FIELDS:
-                self._press(name, numbers[0] >= 0.5)
-                continue
-            if len(numbers) > len(FIELDS[name]):  # of a reference: the path error is its distance
-                place = self.core.inputs["odometry"].values
-                if place is None:
-                    continue
-                numbers = (math.dist(place, numbers),)
-            stamp = self.seconds(source.stamped(message, now))
-            if self.core.hear(name, stamp, numbers, self.seconds(now)):
-                accepted.append(name)
-        return accepted
+        if topic == CLOCK:
+            self._set_clock(message.data)
+        elif topic == NOTE:
+            self.ended = message.data == END
+            if not self.ended:
+                self.core.note(message.data)
+        return [name for name in self.names.get(topic, ()) if self._taken(name, message, now)]
+
+    def _set_clock(self, ahead: int) -> None:
+        step = (ahead - self.ahead) / 1e9
+        if abs(step) > AHEAD:
+            self.core.rest(f"the computer's clock steps by {step:.3g} s")
+        self.ahead = ahead
+
+    def _taken(self, name: str, message: Any, now: int) -> bool:
+        source = self.run.topics[name]
+        try:
+            numbers = source.numbers(message)
+        except ValueError as error:
+            self.core.note(f"{name}: {error}")
+            return False
+        if name not in FIELDS:
+            self._press(name, numbers[0] >= 0.5)
+            return False
+        frame = getattr(getattr(message, "header", None), "frame_id", "")
+        if frame != self.frames.setdefault(name, frame):
+            self.core.note(f"{name}: in frame {frame!r}, before in {self.frames[name]!r}")
+            self.frames[name] = frame
+        if len(numbers) > len(FIELDS[name]):  # of a reference: the path error is its distance
+            place = self.core.inputs["odometry"].values
+            if place is None:
+                return False
+            numbers = (math.dist(place, numbers),)
+        return self.core.hear(name, self.stamp(name, message, now), numbers, self.seconds(now))
+
+    def stamp(self, name: str, message: Any, now: int) -> float:
+        """Return when an input's message was measured [s]."""
+        stamp = self.run.topics[name].stamped(message, now + self.ahead)
+        return self.seconds(stamp - self.ahead)
 
     def _press(self, name: str, down: bool) -> None:
         """Act when a button is pressed or, of the one that chooses the mode, moved."""

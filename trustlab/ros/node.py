@@ -1,19 +1,72 @@
-"""The allocation rule in a ROS 2 node: topics in, the command out, a journal of all of it."""
+"""The allocation rule in a ROS 2 node: topics in, the command out, a log of all of it."""
 
 import json
+import queue
+import threading
+from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from time import monotonic_ns
 from typing import Any
 
-from trustlab.ros.decision import Decision
-from trustlab.ros.feed import Feed
-from trustlab.ros.journal import Journal
-from trustlab.ros.recorded import JOURNAL, RobotRun, finish_run
-from trustlab.ros.run import RUN, STATES, RunSettings, Topic
+from trustlab.live.log import Log
+from trustlab.ros.core import Decision
+from trustlab.ros.feed import END, Feed
+from trustlab.ros.inputs import AHEAD
+from trustlab.ros.recorded import LOG, RobotRun, finish_run, log_entry
+from trustlab.ros.run import CLOCK, NOTE, RUN, STATES, RunSettings, Topic
 
-# Samples missing are made up for, step by step, up to this gap [ns]; the notes name a longer one.
-MOST_MADE_UP = 10**9
+# Samples missing are made up for, step by step, up to this gap [s]; a note names a longer one.
+MOST_MADE_UP = 1.0
+# What the computer's clock is ahead is recorded when it changed by so much [ns].
+SLEW = 1_000_000
+
+
+class Recorder:
+    """
+    Writes messages to a log in a thread of its own, so that nobody waits for the disk.
+
+    A fault of the disk ends the log; `report` is called with it, in that thread.
+    """
+
+    def __init__(self, path: Path, report: Callable[[str], None]):
+        if path.exists():
+            raise FileExistsError(f"{path} is there already: of another run")
+        self.log = Log(path)
+        self.report = report
+        self.queue: queue.SimpleQueue[tuple[str, int, bytes] | None] = queue.SimpleQueue()
+        self.thread = threading.Thread(target=self._write, name="log", daemon=True)
+        self.thread.start()
+
+    def write(self, topic: str, now: int, data: bytes) -> None:
+        """Append a message."""
+        if self.thread.is_alive():
+            self.queue.put((topic, now, data))
+
+    def _write(self) -> None:
+        try:
+            while messages := self._waiting():
+                self.log.append(log_entry(*message) for message in messages)
+        except OSError as error:
+            self.report(f"{self.log.path}: recording ends here, {error.strerror or error}")
+        self.log.close()
+
+    def _waiting(self) -> list[tuple[str, int, bytes]]:
+        """Return all messages that came meanwhile, at least one; at the end none."""
+        messages = []
+        while not messages or not self.queue.empty():
+            message = self.queue.get()
+            if message is None:
+                self.queue.put(None)  # met again once these are on the disk
+                break
+            messages.append(message)
+        return messages
+
+    def close(self) -> None:
+        """Wait until everything is on the disk."""
+        self.queue.put(None)
+        self.thread.join()
 
 
 class Allocation:
@@ -22,8 +75,9 @@ class Allocation:
 
     A step follows each odometry message or, where none comes, the node's timer. The command goes
     out first, then mode, TSC, suggestion and thresholds as std_msgs/Float64 on /allocation/mode
-    and so on. A thread writes every message to a journal, from which `finish` makes the bag and the
-    session. Faults of messages are warnings of the node's logger and notes of the session.
+    and so on. A thread writes every message to a log, from which `finish` makes the bag and the
+    session. Time is counted by the processor: a step of the computer's clock stops the robot for
+    one period and is noted. Faults are warnings of the node's logger and notes of the session.
 
     Parameters
     ----------
@@ -32,36 +86,41 @@ class Allocation:
     run : RunSettings
         What to do.
     path : path-like
-        The bag to come; until `finish` its journal stands there, with the suffix .journal.
+        The bag to come; until `finish` its log stands there, with the suffix .jsonl.
 
     Raises
     ------
     ValueError
         If there is no message of a type.
     FileExistsError
-        If there is such a journal already.
+        If there is such a log already.
     """
 
     def __init__(self, node: Any, run: RunSettings, path: str | Path):
+        from rclpy.clock import Clock, ClockType
+
         self.node = node
         self.run = run
         self.core = run.core()
         self.latest: Decision | None = None
-        self.due: int | None = None
-        self.last = 0
+        self.due: float | None = None
         self.noted = 0
-        self.period = round(run.settings.period * 1e9)
+        self.senders = 1
         self.classes = {topic: _class(kind) for topic, kind in run.types().items()}
-        self.journal = Journal(Path(path).with_suffix(JOURNAL), node.get_logger().error)
-        self.feed = Feed(run, self.core, self._now())
-        self._record(RUN, self.classes[RUN](data=json.dumps(run.tables())))
-        sent = [run.topics["command"].topic, *STATES]
+        self.recorder = Recorder(Path(path).with_suffix(LOG), node.get_logger().error)
+        self.began = monotonic_ns()
+        self.last = node.get_clock().now().nanoseconds
+        self.feed = Feed(run, self.core, self.last)
+        self._record(RUN, data=json.dumps(run.tables()))
         self.publishers = {
-            topic: node.create_publisher(self.classes[topic], topic, 1) for topic in sent
+            topic: node.create_publisher(self.classes[topic], topic, 1)
+            for topic in (run.topics["command"].topic, *STATES)
         }
         for names in self.feed.names.values():
             self._subscribe(run.topics[names[0]])
-        self.timer = node.create_timer(run.settings.period, self._tick)
+        # Steady: a timer of the computer's clock would wait out an hour that the clock steps back.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.timer = node.create_timer(run.settings.period, self._tick, clock=steady)
 
     def _subscribe(self, source: Topic) -> None:
         from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -73,49 +132,72 @@ class Allocation:
         self.node.create_subscription(kind, source.topic, heard, profile, raw=True)
 
     def _now(self) -> int:
-        """Return the time [ns], which does not go back."""
-        self.last = max(self.last + 1, self.node.get_clock().now().nanoseconds)
+        """Return the run's clock [ns]; where the computer's stepped, stop the robot."""
+        clock = self.node.get_clock()
+        time = clock.now().nanoseconds
+        if getattr(clock, "ros_time_is_active", False):  # a simulator's, which may stand still
+            now = time - self.feed.ahead
+        else:
+            now = self.feed.start + monotonic_ns() - self.began
+        self.last = max(self.last + 1, now)
+        ahead = time - self.last
+        if abs(ahead - self.feed.ahead) > SLEW:
+            stepped = abs(ahead - self.feed.ahead) > AHEAD * 1e9
+            self._record(CLOCK, data=ahead)
+            if stepped:
+                self._send(0.0, 0.0)
         return self.last
 
-    def _record(self, topic: str, message: Any) -> None:
+    def _record(self, topic: str, message: Any = None, **values: Any) -> None:
+        """Record a message; one about the run itself, made of values, is heard, too."""
         from rclpy.serialization import serialize_message
 
-        self.journal.write(topic, self.last, serialize_message(message))
+        if message is None:
+            message = self.classes[topic](**values)
+            self.feed.hear(topic, message, self.last)
+        self.recorder.write(topic, self.last, serialize_message(message))
 
     def _heard(self, topic: str, data: bytes) -> None:
         from rclpy.serialization import deserialize_message
 
         now = self._now()
-        self.journal.write(topic, now, data)
+        self.recorder.write(topic, now, data)
         message = deserialize_message(data, self.classes[topic])
         stopped = self.core.stopped
         if "odometry" in self.feed.hear(topic, message, now):
-            self._sampled(self.run.topics["odometry"].stamped(message, now), now)
+            self._sampled(self.feed.stamp("odometry", message, now), now)
         elif self.core.stopped and not stopped:
             self._send(0.0, 0.0)  # the next step may be a period away
 
-    def _sampled(self, stamp: int, now: int) -> None:
+    def _sampled(self, stamp: float, now: int) -> None:
         """Step for the sample that an odometry message is, and for those missing before it."""
+        half = 0.5 * self.run.settings.period
         if self.due is None:
             self.due = stamp
         elif stamp > self.due + MOST_MADE_UP:
-            self.core.note(f"gap: no sample for {(stamp - self.due) / 1e9:.3g} s")
+            self._record(NOTE, data=f"gap: no sample for {stamp - self.due:.3g} s")
             self.due = stamp
-        while stamp > self.due + self.period // 2:
+        while stamp > self.due + half:
             self._step(now)
-        if stamp >= self.due - self.period // 2:
+        if stamp >= self.due - half:
             self._step(now)
 
     def _tick(self) -> None:
-        """Step where odometry is missing, so that watchdogs act."""
+        """Step where odometry is missing, so that watchdogs act; look for others who command."""
         now = self._now()
-        if self.due is not None and now > self.due + 2 * self.period:
+        senders = self.node.count_publishers(self.run.topics["command"].topic)
+        if senders > self.senders:
+            self._record(NOTE, data=f"command: {senders} publishers send it, not this one alone")
+        self.senders = max(senders, 1)
+        if (
+            self.due is not None
+            and self.feed.seconds(now) > self.due + 2 * self.run.settings.period
+        ):
             self._step(now)
 
     def _step(self, now: int) -> None:
         decision = self.core.step(self.feed.seconds(now))
-        command = self._send(decision.v, decision.w)
-        self._record(self.run.topics["command"].topic, command)
+        self._record(self.run.topics["command"].topic, self._send(decision.v, decision.w))
         for topic, name in STATES.items():
             state = self.classes[topic](data=float(getattr(decision, name)))
             self.publishers[topic].publish(state)
@@ -124,14 +206,15 @@ class Allocation:
             self.node.get_logger().warning(text)
         self.noted = len(self.core.notes)
         self.latest = decision
-        self.due += self.period
+        self.due += self.run.settings.period
 
     def _send(self, *values: float) -> Any:
         """Publish a command and return its message."""
         topic = self.run.topics["command"]
         command = self.classes[topic.topic]()
         if hasattr(command, "header"):
-            command.header.stamp.sec, command.header.stamp.nanosec = divmod(self.last, 10**9)
+            stamp = command.header.stamp
+            stamp.sec, stamp.nanosec = divmod(self.last + self.feed.ahead, 10**9)
         topic.fill(command, values)
         self.publishers[topic.topic].publish(command)
         return command
@@ -147,12 +230,13 @@ class Allocation:
         Raises
         ------
         SessionError
-            If fewer than two samples were logged.
+            If fewer than two samples were logged; the bag then holds the messages alone.
         """
         self._send(0.0, 0.0)
         self.node.destroy_timer(self.timer)
-        self.journal.close()
-        return finish_run(self.journal.path, self.run, interrupted=False)
+        self._record(NOTE, data=END)
+        self.recorder.close()
+        return finish_run(self.recorder.log.path, self.run)
 
 
 def _class(kind: str) -> Any:

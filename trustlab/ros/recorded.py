@@ -1,19 +1,19 @@
 """What a run left: its bag, its decisions replayed, its measures beside those of a study."""
 
 import json
-import struct
+from base64 import b64decode, b64encode
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from trustlab.live.log import Log, LogError, linked
 from trustlab.models.extras import extra
-from trustlab.ros.decision import Decision
+from trustlab.ros.core import Decision
 from trustlab.ros.feed import Feed
-from trustlab.ros.journal import read_journal
 from trustlab.ros.run import RUN, STATES, RunSettings
 from trustlab.sessions.bags import PREFIX
 from trustlab.sessions.errors import SessionError, damage_named
@@ -23,7 +23,10 @@ from trustlab.sessions.writing import write_recording, write_session
 from trustlab.studies.planning.virtual_study import KEYS
 from trustlab.testbeds.condition_run import condition_measures
 
-JOURNAL = ".journal"
+LOG = ".jsonl"
+
+Message = tuple[str, int, bytes]
+"""Topic, time by the run's clock [ns], and data as CDR."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +45,8 @@ class RobotRun:
     decisions : pandas.DataFrame
         Every step's time [s] and the fields of its `Decision`, from a replay.
     verified : bool
-        Whether the replay has the session, and the commands and states sent, bit for bit.
+        Whether all messages are there in their order, settings of the run included, and the replay
+        has the session, with its metadata, and the commands and states sent, bit for bit.
     """
 
     path: Path
@@ -68,7 +72,7 @@ def read_run(path: str | Path, run: RunSettings | None = None, own_rules: bool =
     Parameters
     ----------
     path : path-like
-        The .mcap file; or the .journal that a killed run left, from which bag and session are
+        The .mcap file; or the .jsonl log that a killed run left, from which bag and session are
         written first.
     run : RunSettings, optional
         What it was set to, where a rule without a name took part; from the bag by default.
@@ -86,85 +90,102 @@ def read_run(path: str | Path, run: RunSettings | None = None, own_rules: bool =
         If the file is damaged, fewer than two samples were logged, or the bag names a rule.
     """
     path = Path(path)
-    if path.suffix == JOURNAL:
-        return finish_run(path, run, interrupted=True, own_rules=own_rules)
-    replay = Replay(recorded_messages(path), run, own_rules)
+    if path.suffix == LOG:
+        return finish_run(path, run, own_rules)
+    with damage_named(f"{path} is not the whole bag of a run", "read its log, if there is one"):
+        replay = Replay(recorded_messages(path), run, own_rules)
+        logged = replay.session()
     session = read_session(path)
-    log = replay.core.session()
-    same = all(session[name].tobytes() == log[name].tobytes() for name in log)
     table = pd.DataFrame(replay.decisions).assign(time=replay.times)
-    return RobotRun(path, replay.run, session, table, same and replay.same)
+    metadata = logged.metadata.changed(source=session.metadata.source)
+    same = replay.same and session == logged and session.metadata == metadata
+    return RobotRun(path, replay.run, session, table, same)
 
 
-def finish_run(
-    journal: Path, run: RunSettings | None, interrupted: bool, own_rules: bool = False
-) -> RobotRun:
-    """Write bag and session of a journal, which goes then, and read the run."""
-    replay = Replay(read_journal(journal), run, own_rules)
-    session = replay.core.session(**replay.run.facts, interrupted=interrupted)
-    path = journal.with_suffix(".mcap")
-    write_recording(session, path, replay.run.types(), read_journal(journal))
-    write_session(session, journal.with_suffix(".csv"))
-    result = read_run(path, replay.run)
-    journal.unlink()
-    return result
+def finish_run(path: Path, run: RunSettings | None, own_rules: bool = False) -> RobotRun:
+    """Write bag and session of a log, which goes then, and read the run."""
+    bag = path.with_suffix(".mcap")
+    try:
+        log = Log(path)
+    except LogError as error:
+        raise SessionError(f"the run goes on, or its log is damaged: {error}") from error
+    messages = [(topic, now, b64decode(data)) for topic, now, data in log.entries]
+    log.close()
+    replay = Replay(messages, run, own_rules)
+    try:
+        session = replay.session()
+    except SessionError as error:
+        write_recording(None, bag, replay.run.types(), messages)
+        path.unlink()
+        raise SessionError(f"{error}; the messages are in {bag}") from None
+    write_recording(session, bag, replay.run.types(), messages)
+    write_session(session, path.with_suffix(".csv"))
+    path.unlink()
+    return read_run(bag, replay.run)
 
 
-def recorded_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    """Yield topic, time [ns] and data of every message that the bag of a run holds, in order."""
+def log_entry(topic: str, now: int, data: bytes) -> list[Any]:
+    """Return a message as an entry of a log."""
+    return [topic, now, b64encode(data).decode()]
+
+
+def recorded_messages(path: Path) -> list[Message]:
+    """Return every message that the bag of a run holds, in order."""
     with extra("ros"):
         from rosbags.highlevel import AnyReader
 
-    with (
-        damage_named(f"{path} is not the bag of a run", "read its journal, if there is one"),
-        AnyReader([path]) as reader,
-    ):
+    with AnyReader([path]) as reader:
         connections = [c for c in reader.connections if not c.topic.startswith(PREFIX)]
-        for connection, now, data in reader.messages(connections):
-            yield connection.topic, now, data
+        return [(c.topic, now, data) for c, now, data in reader.messages(connections)]
 
 
 class Replay:
     """A core that hears what was recorded, in its order, and steps where a command was sent."""
 
     def __init__(
-        self,
-        messages: Iterable[tuple[str, int, bytes]],
-        run: RunSettings | None = None,
-        own_rules: bool = False,
+        self, messages: Iterable[Message], run: RunSettings | None = None, own_rules: bool = False
     ):
         with extra("ros"):
             from rosbags.typesys import Stores, get_typestore
 
         store = get_typestore(Stores.ROS2_HUMBLE)
-        messages = iter(messages)
-        topic, start, data = next(messages, ("", 0, b""))
-        if topic != RUN:
+        messages = list(messages)
+        if not messages or messages[0][0] != RUN:
             raise SessionError("no run is recorded here; remove the file")
+        (_, start, data), *messages = messages
         tables = json.loads(store.deserialize_cdr(data, "std_msgs/msg/String").data)
         named = tables.get("rule") or tables.get("share")
         if run is None and named and not own_rules:
             raise SessionError(f"a rule takes part, {named!r}; if you trust it, say own_rules=True")
         self.run = run or RunSettings.of(tables)
+        self.link, _ = linked("", log_entry(RUN, start, data))
         self.core = self.run.core()
         self.decisions: list[Decision] = []
         self.times: list[float] = []
         self.same = True
-        feed = Feed(self.run, self.core, start)
+        self.feed = Feed(self.run, self.core, start)
         types = self.run.types()
         for topic, now, data in messages:
-            message = store.deserialize_cdr(data, types[topic])
-            if topic == self.run.topics["command"].topic:
-                decision = self.core.step(feed.seconds(now))
-                self.decisions.append(decision)
-                self.times.append(feed.seconds(now))
-                sent = self.run.topics["command"].numbers(message)
-                self.same = self.same and sent == (decision.v, decision.w)
-            elif topic in STATES:
-                state = getattr(self.decisions[-1], STATES[topic])
-                self.same = self.same and data[4:] == struct.pack("<d", state)
-            else:
-                feed.hear(topic, message, now)
+            self.link, _ = linked(self.link, log_entry(topic, now, data))
+            self._take(topic, now, store.deserialize_cdr(data, types[topic]))
+
+    def _take(self, topic: str, now: int, message: Any) -> None:
+        command = self.run.topics["command"]
+        if topic == command.topic:
+            self.times.append(self.feed.seconds(now))
+            self.decisions.append(self.core.step(self.times[-1]))
+            sent = command.numbers(message)
+            self.same = self.same and sent == (self.decisions[-1].v, self.decisions[-1].w)
+        elif topic in STATES:
+            state = getattr(self.decisions[-1], STATES[topic])
+            self.same = self.same and (message.data == state or state != state)
+        else:
+            self.feed.hear(topic, message, now)
+
+    def session(self) -> Session:
+        """Return the session of what was heard, with the link of the last message."""
+        ended = self.feed.ended
+        return self.core.session(**self.run.facts, interrupted=not ended, log=self.link)
 
 
 def measures_table(runs: Iterable[RobotRun]) -> pd.DataFrame:

@@ -13,9 +13,8 @@ from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.models.checks import one_of
 from trustlab.models.published import published_models
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
-from trustlab.ros.decision import AllocationCore
-from trustlab.ros.inputs import FIELDS, Watchdog
-from trustlab.ros.settings import CoreSettings
+from trustlab.ros.core import AllocationCore
+from trustlab.ros.inputs import FIELDS, CoreSettings, Watchdog
 from trustlab.sessions.patterns import FieldPath
 
 _path = cache(FieldPath)
@@ -126,8 +125,12 @@ def _part(message: Any, steps: Iterable[Any]) -> Any:
     return message
 
 
-# The first message of a recording: the run's tables, as JSON.
+# The first message of a recording: the run's tables, as JSON; then notes of the node, and by how
+# much the computer's clock is ahead of the run's [ns].
 RUN = "/allocation/run"
+NOTE = "/allocation/note"
+CLOCK = "/allocation/clock"
+OWN_TYPES = {RUN: "std_msgs/msg/String", NOTE: "std_msgs/msg/String", CLOCK: "std_msgs/msg/Int64"}
 # What is published and recorded beside the command, as Float64: fields of a `Decision`.
 STATES = {f"/allocation/{name}": name for name in ("mode", "tsc", "suggestion", "lower", "upper")}
 _TWIST = ("linear.x", "angular.z")
@@ -252,7 +255,7 @@ class RunSettings:
     def types(self) -> dict[str, str]:
         """Return the types of the messages of every topic recorded."""
         named = {topic.topic: topic.type for topic in self.topics.values()}
-        return {RUN: "std_msgs/msg/String"} | dict.fromkeys(STATES, FLOAT) | named
+        return OWN_TYPES | dict.fromkeys(STATES, FLOAT) | named
 
     def core(self) -> AllocationCore:
         """Return a decision core for one run, with everything compiled that it will call."""

@@ -17,7 +17,7 @@ from trustlab.sessions.columns import Table, stream_of
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named
 from trustlab.sessions.patterns import Selector
 from trustlab.sessions.recipe import ColumnRule, Recipe
-from trustlab.sessions.resampling import MAX_SAMPLES, Log
+from trustlab.sessions.resampling import MAX_SAMPLES, RawLog
 from trustlab.sessions.session import Place, metadata_from_json
 from trustlab.sessions.tables import Chosen, positions
 
@@ -30,7 +30,7 @@ _guard = partial(
 )
 
 
-def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> Log:
+def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> RawLog:
     """Return the log in a bag: a stream for each topic, timed from the last of the first stamps."""
     # A message that lacks the entry a rule selects is no sample of it, so that each selection is a
     # stream of its own.
@@ -60,7 +60,7 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> Log:
             fault = f"none of its {count[topic]} messages has an entry {entry}"
             raise SessionError(f"topic {topic!r}: {fault}")
     start = max(rows[0][1] for rows in samples.values())
-    log = Log(str(path), [], notes={"start_time": start / 1e9})
+    log = RawLog(str(path), [], notes={"start_time": start / 1e9})
     for (topic, entry), rows in samples.items():
         if len(rows) < count[topic]:
             words = f"{len(rows)} of {count[topic]} messages have the entry"

@@ -21,7 +21,7 @@ from trustlab.sessions.recipe import (
     TableTime,
     looked_up,
 )
-from trustlab.sessions.resampling import Log, Stream, require_common_times, resample
+from trustlab.sessions.resampling import RawLog, Stream, require_common_times, resample
 from trustlab.sessions.session import (
     ROW,
     Metadata,
@@ -203,7 +203,7 @@ def _check_times(table: Table, bad: pd.Series, example: str) -> None:
 # --- parts of a log -----------------------------------------------------------------------------
 
 
-def parts_of(log: Log, recipe: Recipe) -> list[Log]:
+def parts_of(log: RawLog, recipe: Recipe) -> list[RawLog]:
     """Return the parts of a log that make a session each: all of it, or what the recipe splits."""
     time, gap = recipe.time, recipe.splitting.gap if recipe.splitting else np.inf
     streams = log.streams
@@ -285,7 +285,7 @@ def _within(stream: Stream, start: float, stop: float) -> Stream:
 
 
 def session_of(
-    log: Log,
+    log: RawLog,
     recipe: Recipe,
     values: Mapping[str, Any],
     selection: Sequence[str],
@@ -316,7 +316,7 @@ def session_of(
     return keep_table(frame[list(selection)].rename_axis(index="t"), metadata, place)
 
 
-def _note_division(log: Log, rule: ColumnRule, values: pd.Series) -> None:
+def _note_division(log: RawLog, rule: ColumnRule, values: pd.Series) -> None:
     """Note how many samples lie above a column's limit; warn where it divides none."""
     count = int(values.sum())
     log.notes[f"{rule.name} above {rule.above:g}"] = f"{count} of {values.size} samples"

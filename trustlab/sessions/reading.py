@@ -40,7 +40,7 @@ from trustlab.sessions.recipe import (
     load_recipe,
     parse,
 )
-from trustlab.sessions.resampling import Log
+from trustlab.sessions.resampling import RawLog
 from trustlab.sessions.session import Session
 from trustlab.sessions.tables import (
     BAGS,
@@ -449,9 +449,9 @@ class Reader:
         if self.plain:
             recipe = plain_recipe([name for name in table.frame if name != "t"])
         stream = stream_of(table, times_of(table, recipe.time), self._measured(recipe))
-        return self._sessions(Log(source, [stream], table.metadata, table.notes), recipe, values)
+        return self._sessions(RawLog(source, [stream], table.metadata, table.notes), recipe, values)
 
-    def _sessions(self, log: Log, recipe: Recipe, values: Mapping[str, Any]) -> list[Session]:
+    def _sessions(self, log: RawLog, recipe: Recipe, values: Mapping[str, Any]) -> list[Session]:
         """Return the sessions that a log makes."""
         values = derived_values(recipe, values)
         selection = self.columns or list(recipe.columns)

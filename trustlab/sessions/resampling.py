@@ -41,7 +41,7 @@ class Stream:
 
 
 @dataclass(frozen=True)
-class Log:
+class RawLog:
     """
     The streams of one file.
 
@@ -55,7 +55,7 @@ class Log:
     notes: dict[str, object] = field(default_factory=dict)
 
 
-def require_common_times(log: Log) -> None:
+def require_common_times(log: RawLog) -> None:
     """Raise where the streams of a log have different times: only resampling joins them."""
     first = log.streams[0]
     for stream in log.streams[1:]:
@@ -68,7 +68,7 @@ def require_common_times(log: Log) -> None:
             raise RecipeError(f"{fault}; name how to bring them together: {how}")
 
 
-def resample(log: Log, resampling: Resampling, rules: Mapping[str, ColumnRule]) -> pd.DataFrame:
+def resample(log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule]) -> pd.DataFrame:
     """Return the columns of a checked log on a uniform time axis; note how."""
     # Where every stream has samples: from the last first sample to the first last one. A stream
     # that is held has a value beyond its last sample, so that it does not end this interval unless

@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -91,24 +91,27 @@ def _parquet(session: Session) -> bytes:
 
 
 def write_recording(
-    session: Session,
+    session: Session | None,
     path: Path,
     types: Mapping[str, str] = MappingProxyType({}),
     messages: Iterable[tuple[str, int, bytes]] = (),
 ) -> None:
     """
-    Write an MCAP bag of a session and of the messages that it was made from: topic, time [ns] and
-    data as CDR, of standard types by topic.
+    Write an MCAP bag of a session, if there is one, and of the messages that it was made from:
+    topic, time [ns] and data as CDR, of standard types by topic.
     """
     with extra("ros"):
         from rosbags import rosbag2
         from rosbags.typesys import Stores, get_typestore
 
     typestore = get_typestore(Stores.ROS2_HUMBLE)
-    text, number = "std_msgs/msg/String", "std_msgs/msg/Float64"
-
-    def encoded(kind: str, value: object) -> bytes:
-        return typestore.serialize_cdr(typestore.types[kind](value), kind)
+    messages = list(messages)
+    start = messages[0][1] if messages else 0
+    kinds = dict(types)
+    for topic, kind, time, value in _session_messages(session, start) if session else ():
+        kinds[topic] = kind
+        data = typestore.serialize_cdr(typestore.types[kind](value), kind)
+        messages.append((topic, time, data))
 
     with tempfile.TemporaryDirectory(prefix=TEMPORARY, dir=path.parent) as folder:
         place = Path(folder) / path.name
@@ -116,21 +119,21 @@ def write_recording(
         if types:  # covariances are mostly zeros
             writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
         with writer:
-
-            def topic(name: str, kind: str):
-                return writer.add_connection(name, kind, typestore=typestore)
-
-            recorded = {name: topic(name, kind) for name, kind in types.items()}
-            start = 0
-            for name, stamp, data in messages:
-                start = start or stamp
-                writer.write(recorded[name], stamp, data)
-            metadata = metadata_to_json(session.metadata, samples=len(session))
-            writer.write(topic(f"{PREFIX}metadata", text), start, encoded(text, metadata))
-            columns = {name: topic(PREFIX + name, number) for name in session}
-            # Rising stamps of receipt; the exact times are on /trustlab/t.
-            step = max(1, min(round(1e9 * session.sample_time), 2**62 // len(session)))
-            for name, connection in columns.items():
-                for k, value in enumerate(session[name].tolist()):
-                    writer.write(connection, start + k * step, encoded(number, value))
+            connections = {
+                topic: writer.add_connection(topic, kind, typestore=typestore)
+                for topic, kind in kinds.items()
+            }
+            for topic, time, data in messages:
+                writer.write(connections[topic], time, data)
         os.replace(next(place.glob("*.mcap")), path)
+
+
+def _session_messages(session: Session, start: int) -> Iterator[tuple[str, str, int, object]]:
+    """Yield topic, type, time [ns] and value of every message of a session."""
+    metadata = metadata_to_json(session.metadata, samples=len(session))
+    yield f"{PREFIX}metadata", "std_msgs/msg/String", start, metadata
+    # Rising stamps of receipt; the exact times are on /trustlab/t.
+    step = max(1, min(round(1e9 * session.sample_time), 2**62 // len(session)))
+    for name in session:
+        for k, value in enumerate(session[name].tolist()):
+            yield PREFIX + name, "std_msgs/msg/Float64", start + k * step, value

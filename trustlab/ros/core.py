@@ -5,6 +5,8 @@ The order within a step: watchdogs, measures, the rule, the source of the comman
 """
 
 import math
+import re
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,9 +18,7 @@ from trustlab.allocation.correction_run import OnlineCorrection
 from trustlab.allocation.rules import PerformanceRule, ThresholdRule, decision, prepared_rule
 from trustlab.models.checks import between, finite_number, of_class, one_of, whole_number
 from trustlab.models.tsc import TscModel, next_utilization
-from trustlab.ros.inputs import FIELDS, Input
-from trustlab.ros.settings import CoreSettings
-from trustlab.ros.window import WindowMean
+from trustlab.ros.inputs import FIELDS, CoreSettings, Input
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.metrics import goal_speed, manoeuvring
 from trustlab.sessions.session import Metadata, Session
@@ -39,6 +39,10 @@ COLUMNS = (
 _DRIVERS = {None: "nobody", 0.0: "autonomy", 1.0: "operator"}
 # A step that comes later than this share of the period is noted.
 LATE_STEP = 1.5
+# A robot moves no faster than so many times v_max: what does is a place found anew, or a fault.
+FASTEST = 5.0
+# So many notes that differ in numbers alone are kept; further ones are counted.
+MOST_NOTES = 20
 
 
 @dataclass(frozen=True)
@@ -78,12 +82,13 @@ class AllocationCore:
     The allocation rule on line: stamped messages in, a bounded velocity command out.
 
     It knows no middleware, reads no clock and writes no file: the caller passes the time, all
-    stamps by the same clock. P_r and P_h are the window means (2.4) and (2.7) of what was heard,
-    with the bits that `Session.with_performance` has for the logged session.
+    stamps by the same clock. P_r and P_h are the window means (2.4) and (2.7) of what was heard.
+    What is heard counts within what a robot can do: velocities within the bounds, and no distance
+    where odometry jumps.
 
     The robot comes to rest until every input was heard once. The operator's `stop` wins over
     everything, at once, until `release`; a rule that fails stops the robot, too. Refused or late
-    messages, silent inputs and late steps are named in `notes`.
+    messages, silent inputs and late steps are named in `notes`, the first twenty of a kind.
 
     Parameters
     ----------
@@ -160,14 +165,16 @@ class AllocationCore:
         self.a_r = model.human.a ** (1.0 / steps)
         self.r = 0.0
         self.notes: list[tuple[float, str]] = []
+        self.kinds: Counter[str] = Counter()
         self.now = -math.inf
         self.last_step: float | None = None
         self.stopped = False
         self.command = (0.0, 0.0)
         self.rows: list[tuple[float, ...]] = []
-        self.place: tuple[float, ...] | None = None
+        self.placed: tuple[float, tuple[float, ...]] | None = None
         samples = round(self.settings.window / self.settings.period)
-        self.means = WindowMean(samples), WindowMean(samples)
+        self.speeds: deque[float] = deque(maxlen=samples)
+        self.skills: deque[float] = deque(maxlen=samples)
         self.inputs = {
             name: Input(name, watchdog, self.note)
             for name, watchdog in self.settings.watchdogs.items()
@@ -182,7 +189,10 @@ class AllocationCore:
         text : str
             The note.
         """
-        self.notes.append((self.now, text))
+        kind = re.sub(r"[\d.]+(e[+-]\d+)?", "#", text)
+        self.kinds[kind] += 1
+        if self.kinds[kind] <= MOST_NOTES:
+            self.notes.append((self.now, text))
 
     def hear(self, name: str, stamp: float, values: tuple[float, ...], now: float) -> bool:
         """
@@ -195,7 +205,8 @@ class AllocationCore:
         stamp : float
             When it was measured [s]; watchdogs count from here.
         values : tuple of float
-            x, y [m]; v, w [m/s, rad/s], twice; or the path error, (e,) [m].
+            x, y [m]; v, w [m/s, rad/s], twice, which count within the bounds; or the path error,
+            (e,) [m].
         now : float
             The clock [s].
 
@@ -214,7 +225,16 @@ class AllocationCore:
         if len(values) != len(FIELDS[name]):
             raise ValueError(f"{name} needs {', '.join(FIELDS[name])}; got {len(values)} values")
         self.now = max(self.now, finite_number("now", now))
-        return self.inputs[name].take(float(stamp), values, now)
+        entry = self.inputs[name]
+        if not entry.take(float(stamp), values, now):
+            return False
+        if name in ("operator", "autonomy"):
+            bounds = self.settings.v_max, self.settings.w_max
+            entry.values = tuple(map(_within, values, bounds))
+            if entry.values != values:
+                v, w = values
+                self.note(f"{name}: {v:.3g} m/s, {w:.3g} rad/s count within the bounds alone")
+        return True
 
     def press(self, mode: int) -> bool:
         """
@@ -247,6 +267,18 @@ class AllocationCore:
         """Stop the robot by the operator's wish, from the next step on until `release`."""
         self.stopped = True
         self.note("operator's stop")
+
+    def rest(self, reason: str) -> None:
+        """
+        Take the robot to be at rest: commands rise from there.
+
+        Parameters
+        ----------
+        reason : str
+            Why it was stopped, which is noted.
+        """
+        self.command = (0.0, 0.0)
+        self.note(reason)
 
     def release(self) -> None:
         """End the operator's stop."""
@@ -303,16 +335,16 @@ class AllocationCore:
     def _measured(self, silent: set[str]) -> tuple[float, int]:
         """Measure performance, ask the rule unless an input is silent, and log the sample."""
         settings = self.settings
-        place = self._values("odometry")
-        distance = math.dist(place, self.place) if self.place else 0.0
-        self.place = place
+        distance = self._distance()
         (error,) = self._values("path_error")
         v, w = self._values("operator")
         off_path = np.array([error])
         speed = goal_speed(np.array([distance]), off_path, settings.period, settings.e_max)
         skill = manoeuvring(np.array([v]), np.array([w]), off_path, settings.e_max)
-        p_r = self.means[0].step(float(speed[0]))
-        p_h = self.means[1].step(float(skill[0]))
+        self.speeds.append(float(speed[0]))
+        self.skills.append(float(skill[0]))
+        p_r = math.fsum(self.speeds) / len(self.speeds)
+        p_h = math.fsum(self.skills) / len(self.skills)
         tsc = float(self.model.value(p_r, p_h))
         suggestion = -1
         waited = len(self.rows) * settings.period >= settings.wait
@@ -326,6 +358,18 @@ class AllocationCore:
         self.rows.append(row)
         self.r = next_utilization.py_func(self.r, self.mode, self.a_r)  # (2.5)
         return tsc, suggestion
+
+    def _distance(self) -> float:
+        """Return how far the robot went since the last sample, 0 where odometry jumps."""
+        stamp, place = self.inputs["odometry"].stamp, self._values("odometry")
+        before, origin = self.placed or (stamp, place)
+        self.placed = stamp, place
+        distance = math.dist(place, origin)
+        elapsed = max(stamp - before, self.settings.period)
+        if distance <= FASTEST * self.settings.v_max * elapsed:
+            return distance
+        self.note(f"odometry: jumps by {distance:.3g} m within {elapsed:.3g} s, not counted")
+        return 0.0
 
     def _asked(self, tsc: float, p_r: float, p_h: float) -> int:
         """Ask rule, share or correction; change the mode where it allocates, else suggest one."""
@@ -384,7 +428,7 @@ class AllocationCore:
         Returns
         -------
         Session
-            With `notes` in its metadata. What the operator commanded is logged as heard.
+            With `notes` in its metadata.
 
         Raises
         ------
@@ -400,6 +444,8 @@ class AllocationCore:
         t = [k * self.settings.period for k in range(len(self.rows))]
         frame = pd.DataFrame(self.rows, columns=list(COLUMNS), index=t)
         notes = [f"{when:.6f} s: {text}" for when, text in self.notes]
+        more = {kind: count - MOST_NOTES for kind, count in self.kinds.items()}
+        notes += [f"{count} more: {kind}" for kind, count in more.items() if count > 0]
         window = self.settings.window
         metadata = Metadata(condition=self.condition, source="trustlab.ros.AllocationCore")
         # Fits look there.
@@ -437,7 +483,10 @@ def _asked_share(share: Callable, where: str, tsc: float, p_r: float) -> float:
         raise ValueError(f"share failed at {where}: {type(error).__name__}: {error}") from error
 
 
+def _within(value: float, bound: float) -> float:
+    return min(max(value, -bound), bound)
+
+
 def _approached(present: float, target: float, bound: float, step: float) -> float:
     """Return the target within its bounds, or as near to it as a step allows."""
-    target = min(max(target, -bound), bound)
-    return min(max(target, present - step), present + step)
+    return min(max(_within(target, bound), present - step), present + step)

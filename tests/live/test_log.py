@@ -1,0 +1,137 @@
+"""
+Files that only grow: whatever moment a writer dies at, what was acknowledged is there and nothing
+else is, and no line can be changed unseen. Oracle: the list of entries written.
+"""
+
+import json
+import os
+
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from trustlab.live.log import Log, LogError, read_log
+
+ENTRIES = st.lists(
+    st.one_of(
+        st.dictionaries(st.text(max_size=3), st.integers(), max_size=2),
+        st.lists(st.floats(allow_nan=False, allow_infinity=False)),
+    ),
+    max_size=6,
+)
+
+
+@given(entries=ENTRIES, cut=st.integers(min_value=0))
+def test_a_file_cut_anywhere_gives_its_whole_lines(entries, cut, tmp_path_factory):
+    path = tmp_path_factory.mktemp("a") / "rows.jsonl"
+    log = Log(path, "a")
+    log.append(entries)
+    log.close()
+    data = path.read_bytes()
+    cut = min(cut, len(data))
+    path.write_bytes(data[:cut])
+    whole = data[:cut].count(b"\n")
+    reading = read_log(path, "a")  # reading changes nothing
+    assert reading.entries == entries[:whole]
+    torn = cut - (data[:cut].rfind(b"\n") + 1)
+    assert bool(reading.fault) == bool(torn)
+    log = Log(path, "a")
+    assert log.torn == torn
+    log.append(["after"])
+    reading = read_log(path, "a")
+    assert (reading.entries, reading.fault) == ([*entries[:whole], "after"], "")
+
+
+@settings(max_examples=200)
+@given(entries=ENTRIES.filter(bool), place=st.integers(min_value=0), bit=st.integers(0, 7))
+def test_every_bit_that_is_changed_is_found(entries, place, bit, tmp_path_factory):
+    path = tmp_path_factory.mktemp("a") / "rows.jsonl"
+    log = Log(path, "a")
+    log.append(entries)
+    log.close()
+    data = bytearray(path.read_bytes())
+    data[place % len(data)] ^= 1 << bit
+    path.write_bytes(data)
+    assert read_log(path, "a").fault.startswith("rows.jsonl")
+
+
+def test_lines_taken_out_put_in_or_exchanged_are_found_by_number(tmp_path):
+    path = tmp_path / "rows.jsonl"
+    Log(path, "a").append([[k, 0.5] for k in range(5)])
+    lines = path.read_text().splitlines(keepends=True)
+    assert read_log(path, "a").fault == ""
+    assert "line 1" in read_log(path, "b").fault, "of another study or participant"
+    for number, changed in (
+        (3, lines[:2] + lines[3:]),
+        (3, [*lines[:2], lines[1], *lines[2:]]),
+        (2, [lines[0], lines[2], lines[1], *lines[3:]]),
+        (1, lines[1:]),
+    ):
+        path.write_text("".join(changed))
+        assert read_log(path, "a").fault.startswith(f"rows.jsonl, line {number}:")
+
+
+def full(*_):
+    raise OSError(28, "No space left on device")
+
+
+def test_a_write_that_fails_leaves_no_half_line(tmp_path, monkeypatch):
+    path = tmp_path / "rows.jsonl"
+    log = Log(path, "a")
+    log.append([[0]])
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space"):
+            log.append([[1]])
+    log.append([[1]])
+    assert read_log(path, "a").entries == [[0], [1]]
+    assert read_log(path, "a").fault == ""
+
+
+def test_a_disk_that_is_full_takes_half_a_line_back(tmp_path):
+    """A limit on a file's size, as a real disk sets it: the write stops in the middle of a line."""
+    resource = pytest.importorskip("resource")
+    import signal
+
+    path = tmp_path / "rows.jsonl"
+    log = Log(path, "a")
+    log.append([[0]])
+    size = path.stat().st_size
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 30, before[1]))
+        with pytest.raises(OSError):
+            log.append([[k, 0.25] for k in range(20)])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert path.stat().st_size == size
+    log.append([[1]])
+    assert read_log(path, "a").entries == [[0], [1]]
+
+
+def test_one_handle_holds_a_log(tmp_path):
+    first = Log(tmp_path / "rows.jsonl")
+    with pytest.raises(LogError, match="is being written; end that first"):
+        Log(tmp_path / "rows.jsonl")
+    first.close()
+    Log(tmp_path / "rows.jsonl").close()
+
+
+def test_a_changed_log_is_not_continued(tmp_path):
+    path = tmp_path / "rows.jsonl"
+    log = Log(path)
+    log.append([[k] for k in range(3)])
+    log.close()
+    path.write_text(path.read_text().replace("[1]", "[7]"))
+    with pytest.raises(LogError, match=r"line 2: it was changed.*restore the file from a copy"):
+        Log(path)
+
+
+def test_the_lines_are_json(tmp_path):
+    path = tmp_path / "rows.jsonl"
+    Log(path, "a").append([{"text": "ä"}, [1, 0.1]])
+    assert [json.loads(line)[1] for line in path.read_text().splitlines()] == [
+        {"text": "ä"},
+        [1, 0.1],
+    ]
