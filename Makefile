@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: environment robot reports session docs test test-long coverage lock bench lab study data calibration simulated kernel digest clean help
+.PHONY: environment robot reports session docs test test-long coverage lock bench lab study data calibration simulated digest clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -102,9 +102,6 @@ calibration: $(VENV)/.stamp  ## simulate the studies behind data/calibration/ ag
 
 simulated: $(VENV)/.stamp  ## make the simulations again that the reports only read, data/simulated/
 	$(BIN)/python data/simulated/make_simulated.py
-
-kernel: $(VENV)/.stamp  ## compile the live drive's physics to WebAssembly again (needs wasm-ld or the package ziglang)
-	$(BIN)/python -m trustlab.live.build
 
 digest: $(VENV)/.stamp  ## compare results of public functions on this machine with the stored ones
 	$(BIN)/python data/digests/make_digests.py

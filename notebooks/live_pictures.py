@@ -68,13 +68,12 @@ def taken():
             page.keyboard.down("ArrowUp")
             time.sleep(1.5)  # on the course, which a straight way soon leaves
             found["drive"] = page.locator("main").screenshot()
-            other = server.participation("P02")
+            other = server.participant("P02")
             for step in other.steps:
                 if step.page.name == "nasa_tlx":
                     break
-                other.participant.add(
-                    "page", page=step.index, name=step.page.name
-                )  # as if P02 had come so far
+                facts = {"page": step.index, "name": step.page.name, "attempt": 0, "link": ""}
+                other.add("page", **facts)  # as if P02 had come so far
             second = browser.new_page(viewport=SIZE)
             second.goto(links["P02"])
             second.wait_for_selector("fieldset")

@@ -199,7 +199,6 @@ NOT_WALKED = {
     "LiveStudy.rehearse": "drives a whole study",
     "LiveStudy.steps": "needs a participant who has begun",
     "LiveStudy.serve": "starts a server",
-    "LiveTracking.hear": "for the page",
     "Model.check_names": "a part of fit",
     "Model.coordinate": "a part of fit",
     "Model.limits": "a part of fit",

@@ -73,17 +73,11 @@ KNOWN = {
     "LiveCondition": {
         "suggestions": "no argument named",
     },
-    "LiveGroundRobot": {
-        "folder": "foreign errors",
-    },
     "LiveStudy": {
         "folder": "foreign errors",
         "conditions": "foreign errors",
         "participants": "foreign errors",
         "pages": "foreign errors",
-    },
-    "LiveTeam": {
-        "folder": "foreign errors",
     },
     "OptimalBlending": {
         "gains": "foreign errors",
@@ -281,9 +275,6 @@ KNOWN = {
     },
     "allocation.ModelTests": {
         "p_r0": "anything is taken",
-    },
-    "live.TeleoperationSettings": {
-        "guidance": "anything is taken",
     },
     "reproduction.matching_digits": {
         "value": "foreign errors, NaN is taken",

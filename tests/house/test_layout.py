@@ -69,10 +69,6 @@ def long_functions(source, most):
     return {name: n for name, n in length.items() if n > most}
 
 
-# Entry points of WebAssembly, whose interface has no records.
-FLAT = {"tick_there", "many_there", "fly_there"}
-
-
 def many_parameters(source, most):
     """Functions and methods that a user may call with more than `most` parameters."""
     counts = {}
@@ -88,7 +84,7 @@ def many_parameters(source, most):
                 counts[node.name] = len(names - {"self", "cls"})
 
     visit([n for n in ast.parse(source).body if isinstance(n, ast.FunctionDef | ast.ClassDef)])
-    return {name: n for name, n in counts.items() if n > most and name not in FLAT}
+    return {name: n for name, n in counts.items() if n > most}
 
 
 def wide_tuples(source):

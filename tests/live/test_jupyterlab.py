@@ -14,13 +14,10 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.live.hand import IdealHand, scripted_drive
-from trustlab.live.runs import drive_config, replay
-from trustlab.live.tasks.task import task_named
+from trustlab.live.tasks.team import LeadingSettings
 
 pytestmark = pytest.mark.long
 pytest.importorskip("jupyterlab", reason="JupyterLab is not installed")
@@ -29,25 +26,18 @@ pytest.importorskip("notebook", reason="Notebook 7 is not installed")
 DRIVE = """import trustlab as tl
 live = tl.LiveGroundRobot("C1", model=tl.published_models()["2"], laps=1)
 live"""
-ASK = """import time
-session = live.session
-fastest = session["v_command"].max()
-pauses = session.metadata.more["pauses"]
-print("asked", len(session), live.verified, fastest, pauses, time.time(), "end")"""
 FLY = """import trustlab as tl
 live = tl.LiveTracking("TMIG", seed=0, task=tl.TrackingTask(view=1.0))
 live"""
-ASK_FLIGHT = """session = live.session
-notes = session.metadata.more["notes"]
-print("asked", len(session), live.verified, session["hand_x"].max(), notes, "end")"""
 LEAD = """import trustlab as tl
 from trustlab.live import LeadingSettings
 live = tl.LiveTeam("by_hand", LeadingSettings(duration=60.0), seed=1)
 live"""
-ASK_LED = """session = live.session
-chosen = int(session["leader_choice"][-1])
-print("asked", len(session), live.verified, chosen, session.metadata.more["pauses"], "end")"""
-LED = "(document.querySelector('.tl-track')?.driving?.now?.t ?? -1)"
+ASK = """session = live.session
+command = live.trial.record.commands[-1]
+pauses = [pause["why"] for pause in session.metadata.more["pauses"]]
+print("asked", len(session), live.verified, command[-1], pauses, "end")"""
+BUSY = "import time; time.sleep(2.0); print('slept end')"
 CELL = """async (i) => {
   const notebook = jupyterapp.shell.currentWidget.content, cell = notebook.widgets[i];
   notebook.activeCellIndex = i;
@@ -55,8 +45,8 @@ CELL = """async (i) => {
   await jupyterapp.commands.execute("notebook:run-cell");
   return cell.model.executionCount !== null;
 }"""
-FLOWN = "(document.querySelector('.tl-track')?.drawn?.now.t ?? -1)"
-MADE = "document.querySelector('.tl-drive')?.driving?.physics.k ?? -1"
+RUNS = "[...document.querySelectorAll('div')].filter((part) => part.run)"
+HAVE = f"({RUNS}.at(-1)?.run.state().have ?? -1)"
 
 
 @pytest.fixture(scope="module")
@@ -65,15 +55,17 @@ def compiled(tmp_path_factory):
     Compile, here and once, what the notebooks' kernels will find on disk: on a fresh machine it
     takes longer than a page waits.
     """
-    live = tl.LiveTracking("TMIG", seed=0, task=tl.TrackingTask(view=1.0))
-    for k in range(3):
-        live.hear({"hand": [0.1, 0.0], "time": k / 30})
-    assert live.verified
-    task = task_named("team")
-    leading = task.config(task.settings(duration=1.0).as_json(), "by_hand", {}, 1)
-    assert len(task.scripted_rows(leading, np.random.default_rng(0))) == 20
-    config = drive_config("C1", tl.published_models()["2"], laps=1)
-    assert replay(config, scripted_drive(config, IdealHand(config))[0][:20]) is True
+    folder = tmp_path_factory.mktemp("logs")
+    lives = (
+        tl.LiveGroundRobot("C1", model=tl.published_models()["2"], laps=1, log=folder / "a.jsonl"),
+        tl.LiveTracking("TMIG", task=tl.TrackingTask(view=1.0), log=folder / "b.jsonl"),
+        tl.LiveTeam("by_hand", LeadingSettings(duration=60.0), log=folder / "c.jsonl"),
+    )
+    for live in lives:
+        live.trial.take({"begin": True})
+        least = [live.trial.settings["limits"][name][0] for name in live.trial.settings["commands"]]
+        assert live.trial.take({"k": 0, "commands": [least] * 3, "seen": 0})["k"] == 3
+        assert live.verified
 
 
 @pytest.fixture(scope="module", params=["lab", "notebook"])
@@ -81,6 +73,7 @@ def lab(request, compiled, tmp_path_factory):
     """The application's name and address, and its folder."""
     home = tmp_path_factory.mktemp(request.param)
     own = {f"JUPYTER_{name}_DIR": str(home / name) for name in ("CONFIG", "DATA", "RUNTIME")}
+    own["XDG_STATE_HOME"] = str(home / "state")
     root = str(Path(__file__).parents[2])
     environment = os.environ | own | {"IPYTHONDIR": str(home / "ipython"), "PYTHONPATH": root}
     options = [
@@ -166,172 +159,56 @@ class Opened:
         return self.page.locator(".jp-Cell").count()
 
 
-def test_a_drive_in_jupyterlab(browser, lab):
-    one = Opened(browser, lab, "drive", [DRIVE, ASK])
-    page = one.page
+def started(browser, lab, name, cells):
+    """A notebook whose widget has begun."""
+    one = Opened(browser, lab, name, cells)
+    one.run(0)
+    one.page.click("text=Start driving", timeout=60_000)
+    one.page.wait_for_function(f"{HAVE} > 3", timeout=60_000)
+    return one
 
-    def start():
-        one.run(0)
-        page.click("text=Start driving", timeout=60_000)
-        page.wait_for_function(f"{MADE} >= 0")
 
-    def row():
-        return page.evaluate(
-            "[0, 9, 10].map((i) => document.querySelector('.tl-drive').driving.row[i])"
-        )
+def restarted(one):
+    """The kernel is restarted, and the cell run again."""
+    one.page.evaluate("jupyterapp.commands.execute('kernelmenu:restart'); 0")
+    one.page.click("dialog button.jp-mod-accept")
+    one.page.wait_for_timeout(3000)
+    one.page.evaluate(f"{RUNS}.forEach((part) => delete part.run)")
+    one.run(0)
+    one.page.click("text=Start driving", timeout=60_000)
 
-    start()
-    seen = []
-    for key, slot, sign in (
-        ("ArrowUp", 1, 1),
-        ("KeyW", 1, 1),
-        ("ArrowLeft", 2, 1),
-        ("KeyA", 2, 1),
-        ("ArrowRight", 2, -1),
-        ("KeyD", 2, -1),
-    ):
-        page.keyboard.down(key)
-        page.wait_for_timeout(700)
-        seen.append(sign * row()[slot] > 0.0)
-        page.keyboard.up(key)
-        page.wait_for_timeout(300)
-    assert all(seen), "keys are the driver's"
-    cells, place = (
-        one.cells(),
-        page.evaluate("document.querySelector('.tl-drive').getBoundingClientRect().top"),
-    )
-    for key in (
-        "Space",
-        "KeyS",
-        "ArrowDown",
-        "x",
-        "c",
-        "v",
-        "z",
-        "b",
-        "d",
-        "d",
-        "q",
-        "e",
-        "f",
-        "m",
-        "Enter",
-        "Delete",
-        "0",
-        "0",
-    ):
-        page.keyboard.press(
-            key
-        )  # in a notebook: scroll, cut the cell, undo, delete it, restart the kernel …
-    page.wait_for_timeout(300)
-    assert one.cells() == cells
-    assert page.locator("dialog").count() == 0
-    assert page.evaluate("document.querySelector('.tl-drive').getBoundingClientRect().top") == place
-    page.keyboard.down("ArrowUp")
-    for _ in range(20):  # as a key repeats that is held
+
+@pytest.mark.parametrize(
+    ("name", "source"), [("drive", DRIVE), ("flight", FLY), ("team", LEAD)], ids="dft"
+)
+def test_a_run_in_jupyterlab(browser, lab, name, source):
+    one = started(browser, lab, name, [source, ASK, BUSY])
+    page, cells = one.page, one.cells()
+    if name == "drive":
         page.keyboard.down("ArrowUp")
-        page.wait_for_timeout(50)
-    made = page.evaluate(MADE)
-    rows, verified, fastest, _ = one.asked(1)  # in mid-run
-    assert int(rows) >= made - 10
-    assert (verified, fastest) == ("True", "0.5")
-    page.wait_for_timeout(500)
-    assert page.evaluate(MADE) > made
-    assert row()[1] == 0.0, "who works in another cell lets go of the keys"
-    assert "focus lost" in one.asked(1)[3]
-    page.locator(".tl-drive canvas").first.click()
-    page.keyboard.up("ArrowUp")
-    page.keyboard.down("ArrowUp")
-    page.evaluate("jupyterapp.commands.execute('kernelmenu:restart'); 0")
-    page.click("dialog button.jp-mod-accept")
-    page.wait_for_timeout(3000)
-    made = page.evaluate(MADE)
-    start()
-    assert page.evaluate(MADE) >= made, "rows of the time without a kernel have come back"
-    rows, verified, *_ = one.asked(1)
-    assert int(rows) >= made
-    assert verified == "True"
-    telemetry = page.evaluate("document.querySelector('.tl-drive').driving.telemetry()")
-    print(f"a drive in JupyterLab: {telemetry}")
-    assert one.faults == []
-    page.close()
-
-
-def test_a_flight_in_jupyterlab(browser, lab):
-    one = Opened(
-        browser,
-        lab,
-        "flight",
-        [FLY, ASK_FLIGHT, "import time; time.sleep(2.0); print('slept end')"],
-    )
-    page = one.page
-    one.run(0)
-    page.click(".tl-track button", timeout=60_000)
-    box = page.locator(".tl-track canvas.pad").bounding_box()
-    for i, share in enumerate((0.5, 0.6, 0.7, 0.75)):
-        page.mouse.move(box["x"] + share * box["width"], box["y"] + 0.4 * box["height"])
-        page.wait_for_function(f"{FLOWN} > {0.5 * i + 0.5}")
-    samples, verified, furthest, _ = one.asked(1)
-    assert int(samples) > 100
-    assert verified == "True"
-    assert float(furthest) > 0.05
-    one.asked(2)  # a kernel that is busy
-    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
-    page.wait_for_timeout(1000)
-    before = int(one.asked(1)[0])
-    assert before > int(samples)
-    cells = one.cells()
-    page.focus(".tl-track button")
-    for key in ("x", "d", "d", "0", "0"):
+    else:
+        box = page.locator("canvas.pad").bounding_box()
+        page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 0.4 * box["height"])
+    before = page.evaluate(HAVE)
+    # in a notebook: scroll, cut the cell, undo, delete it, restart the kernel …
+    keys = ["Space", *"xcvzbddqefm", "Enter", "Delete", "0", "0", "3"]
+    for key in keys:
         page.keyboard.press(key)
-    page.wait_for_timeout(300)
+    page.wait_for_function(f"{HAVE} > {before} + 10")
     assert one.cells() == cells, "keys are no shortcuts of the notebook's"
-    flown = page.evaluate(FLOWN)
-    page.evaluate("jupyterapp.commands.execute('kernelmenu:restart'); 0")
-    page.click("dialog button.jp-mod-accept")
-    page.wait_for_function(
-        "document.querySelector('.tl-track .status').textContent.includes('does not answer')"
-    )
-    one.run(0)
-    page.wait_for_function("document.querySelector('.tl-track button').textContent === 'Start'")
-    page.click(".tl-track button")
-    page.wait_for_function(f"{FLOWN} > {flown} + 0.5")
-    assert int(one.asked(1)[0]) > before, "the flight goes on where it was"
-    page.click(".tl-track >> text=Stop")
-    page.wait_for_function("document.querySelector('.tl-track button').disabled")
-    _, verified, _, notes = one.asked(1)
-    print(f"a flight in JupyterLab: {notes}")
+    assert page.locator("dialog").count() == 0
+    rows, verified, last, _ = one.asked(1)  # in mid-run
+    assert int(rows) > before
     assert verified == "True"
-    assert "taken up again by a new kernel" in notes
-    assert "stopped by the person" in notes
-    assert one.faults == []
-    page.close()
-
-
-def test_a_team_in_jupyterlab(browser, lab):
-    one = Opened(browser, lab, "team", [LEAD, ASK_LED])
-    page = one.page
-    one.run(0)
-    page.click("text=Start driving", timeout=60_000)
-    page.wait_for_function(f"{LED} > 0.5", timeout=60_000)
-    cells = one.cells()
-    box = page.locator(".tl-track canvas.pad").bounding_box()
-    page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 0.4 * box["height"])
-    for key in ("2", "x", "d", "d", "0", "0", "3"):  # in a notebook: a heading, cut, delete …
-        page.keyboard.press(key)
-    page.wait_for_function(f"{LED} > 2.0")
-    assert one.cells() == cells
-    rows, verified, chosen, _ = one.asked(1)
-    assert int(rows) > 30
-    assert (verified, chosen) == ("True", "3")
-    page.evaluate("jupyterapp.commands.execute('kernelmenu:restart'); 0")
-    page.click("dialog button.jp-mod-accept")
-    page.wait_for_timeout(3000)
-    one.run(0)
-    page.click("text=Start driving", timeout=60_000)
-    page.wait_for_function(f"{LED} > {int(rows) * 0.05} + 0.5", timeout=60_000)
-    more, verified, *_ = one.asked(1)
+    assert name != "team" or last == "3"
+    one.asked(2)  # a kernel that is busy
+    page.wait_for_function(f"{HAVE} > {rows} + 10")
+    restarted(one)
+    page.wait_for_function(f"{HAVE} > {rows} + 20", timeout=60_000)
+    more, verified, _, pauses = one.asked(1)
+    print(f"{name} in JupyterLab: {pauses}")
     assert int(more) > int(rows), "the run goes on where it was"
     assert verified == "True"
+    assert "begun again" in pauses
     assert one.faults == []
     page.close()

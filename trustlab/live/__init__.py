@@ -1,7 +1,4 @@
-"""
-The same tasks driven by people in a browser: one physics, bit for bit, for notebooks and for
-studies.
-"""
+"""The same tasks driven by people in a browser, in notebooks and in studies."""
 
 import lazy_loader as lazy
 

@@ -120,7 +120,7 @@ class Log:
     """
 
     def __init__(self, path: Path, origin: str = ""):
-        self.path = path
+        self.path, self.origin = path, origin
         new = not path.exists()
         self.handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         self.close = weakref.finalize(self, os.close, self.handle)

@@ -68,7 +68,7 @@ def condition_measures(
         measures["laps"] = int(lap_times.size)
     measures["duration"] = float(t[-1] - t[0])
     if in_laps:
-        measures["lap_time"] = float(lap_times[-1] / lap_times.size)
+        measures["lap_time"] = float(lap_times[-1] / lap_times.size) if lap_times.size else np.nan
     states = [state for *_, state in suggestion_episodes(t, mode, log["suggested_mode"], DEADLINE)]
     followed = states.count(FOLLOWED)
     decided = followed + states.count(NOT_FOLLOWED)

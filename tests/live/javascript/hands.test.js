@@ -24,9 +24,7 @@ beforeEach(() => {
   globalThis.window = new EventTarget();
   const value = { getGamepads: () => pads };
   Object.defineProperty(globalThis, "navigator", { value, configurable: true });
-  hands = new Hands(root, RAMP, () => {
-    blurred += 1;
-  });
+  hands = new Hands(root, RAMP, () => (blurred += 1), new AbortController().signal);
 });
 
 const near = (made, expected) =>
@@ -104,11 +102,10 @@ test("a scripted hand steers to the path and follows suggestions", () => {
     [10, 10, 20],
   ];
   const state = { arc: 1, x: 1, y: -0.5, yaw: 0 };
-  const physics = { get: (name) => state[name] };
-  const act = script({ wobble: 0, patience: 2 }, { path, task: { scheme: 2 } }, physics);
-  assert.ok(act(0, [1, -1]).left > 0, "the path is to the left");
+  const act = script({ wobble: 0, patience: 2 }, { path, task: { scheme: 2 } });
+  assert.ok(act({ ...state, k: 0, row: [1, -1] }).left > 0, "the path is to the left");
   state.y = 0.5;
-  assert.ok(act(1, [1, -1]).left < 0);
-  const wishes = [2, 3, 4, 5].map((k) => act(k, [1, 0]).wanted);
+  assert.ok(act({ ...state, k: 1, row: [1, -1] }).left < 0);
+  const wishes = [2, 3, 4, 5].map((k) => act({ ...state, k, row: [1, 0] }).wanted);
   assert.deepStrictEqual(wishes, [null, null, 0, 0]);
 });

@@ -2,7 +2,7 @@
 import assert from "node:assert";
 import { test } from "node:test";
 import { filled } from "./page.js";
-import { Camera, Gauges, Panel, reason, refusal } from "./view.js";
+import { Gauges, Panel, reason, refusal } from "./view.js";
 
 class Part {
   constructor() {
@@ -103,14 +103,4 @@ test("the gauge of TSC grows with what it shows, the others do not", () => {
   gauges.add([1, -1, 9, 0.2, 0.5, -2.5]);
   assert.deepStrictEqual([tsc.low, tsc.high], [-2.5, 3.5]);
   assert.strictEqual(p_r.high, 0.625);
-});
-
-test("the camera shows poses between those it remembers, the short way round", () => {
-  const camera = new Camera(new Part(), { view: { field: 1.9, map: false } }, signal);
-  camera.add({ k: 0, x: 0, y: 0, yaw: Math.PI - 0.1 });
-  camera.add({ k: 1, x: 1, y: 2, yaw: -Math.PI + 0.1 });
-  const { x, y, yaw } = camera.pose(0.5);
-  assert.deepStrictEqual([x, y], [0.5, 1]);
-  assert.ok(Math.abs(yaw - Math.PI) < 1e-12);
-  assert.strictEqual(camera.pose(-3).x, 0);
 });

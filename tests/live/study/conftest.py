@@ -55,6 +55,33 @@ def client():
     return ask
 
 
+class DrivingPage:
+    """A page that drives over a WebSocket; `origin` and `host` as a browser would say them."""
+
+    def __init__(self, link, page=1, window="a", **options):
+        websocket = pytest.importorskip("websocket")
+        place = urlsplit(link)
+        url = f"ws://{place.netloc}{place.path}/drive/{page}"
+        options = {"origin": f"http://{place.netloc}", "timeout": 60} | options
+        self.window, self.socket = window, websocket.create_connection(url, **options)
+
+    def say(self, **message):
+        """Send a message, and return its answer."""
+        self.socket.send(json.dumps({"window": self.window} | message))
+        return json.loads(self.socket.recv())
+
+    def begin(self):
+        return self.say(begin=True)
+
+    def drive(self, k, count, command=(0.3, 0.1, 1)):
+        return self.say(k=k, commands=[list(command)] * count, seen=max(k - 2, 0))
+
+
+@pytest.fixture(scope="session")
+def driving_page():
+    return DrivingPage
+
+
 @pytest.fixture
 def make_plan(tmp_path):
     """A function that plans a small study: two conditions, three participants, short drives."""

@@ -1,19 +1,17 @@
 """
-Groups, preview, enrolment, pictures and time limits of a study.
+Groups, enrolment, pictures and time limits of a study.
 
 Oracle: counting; R's design of a mixed analysis as `repeated_measures` is tested for; a browser.
 """
 
 import base64
-import time
 from collections import Counter
-from types import SimpleNamespace
 
 import pytest
 
 import trustlab as tl
 from trustlab.live.study.pages import AnswerError
-from trustlab.live.study.participation import Participation
+from trustlab.live.study.participant import Participant
 from trustlab.live.study.server import StudyServer
 
 PNG = base64.b64decode(
@@ -123,7 +121,7 @@ def test_pages_that_cannot_be_are_refused(make_plan, pages, change, message):
 
 def test_after_its_time_a_form_is_handed_in_as_it_is(make_plan, pages):
     plan = make_plan(participants={"told": 2, "untold": 2}, pages=pages)
-    participation = Participation(plan, "P01")
+    participation = Participant(plan, "P01")
     participation.answers({"page": 0, "answers": {"consent": True}})
     now = participation.state()
     assert now["seconds"] == 1
@@ -141,52 +139,34 @@ def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, client):
     plan = make_plan(participants=2)
     with StudyServer(plan, enrol=True) as server:
         join = client(server.experimenter + "/state").json["join"]
-        places = [client(join) for _ in range(3)]
-        assert [place.status for place in places] == [302, 302, 410]
-        tokens = [place.headers["Location"] for place in places[:2]]
-        assert [server.base + token for token in tokens] == list(server.links().values())
+        for _ in range(5):  # a program that looks at links
+            assert client(join).status == 200
+        places = [client(join, {}) for _ in range(3)]
+        assert [place.status for place in places] == [200, 200, 409]
+        links = [server.base + place.json["link"] for place in places[:2]]
+        assert links == list(server.links().values())
+        cookie = places[0].headers["Set-Cookie"]
+        assert {"HttpOnly", "SameSite=Strict", "Path=/join"} <= set(cookie.split("; "))
+        again = client(join, Cookie=cookie.partition(";")[0])
+        assert (again.status, again.headers["Location"]) == (302, places[0].json["link"])
         assert client(join.replace("/join/", "/p/")).status == 404
-        assert client(server.base + tokens[0] + "/withdraw", {}).status == 200
-        shown = client(server.base + tokens[0] + "/state").json
+        assert client(links[0] + "/withdraw", {}).status == 200
+        shown = client(links[0] + "/state").json
     codes = tl.read_live_study(plan.folder).participants["completion"]
     assert shown["completion"] == codes[0] != codes[1]
-    closed = SimpleNamespace(plan=plan)
-    with StudyServer(closed.plan) as server:
+    with StudyServer(plan) as server:
         assert client(server.experimenter + "/state").json["join"] == ""
         assert client(server.base + "/join/" + join.rpartition("/")[2]).status == 404
 
 
-def test_a_preview_keeps_nothing(make_plan, client):
-    plan = make_plan(participants=2)
-    with StudyServer(plan) as server:
-        link = client(server.experimenter + "/state").json["preview"]
-        assert client(link + "/state").status == 404, "before it is opened"
-        for _ in range(2):  # it begins anew
-            assert client(link).status == 200
-            state = client(link + "/state").json
-            assert (state["page"], state["rehearsal"]) == (0, True)
-            answer = client(link + "/answers", {"page": 0, "answers": {"consent": True}})
-            assert answer.json["page"] == 1
-    assert not list(plan.folder.glob("*/*"))
-
-
-def test_a_preview_in_the_browser(make_plan, browser, pages):
+def test_a_form_with_a_picture_is_handed_in_after_its_time(make_plan, browser, pages):
     from tests.live.study.test_browser import go_on, next_page, opened, until
 
     plan = make_plan(participants={"told": 2, "untold": 2}, pages=pages)
     with StudyServer(plan) as server:
-        page = opened(browser.new_context(), server.experimenter)
-        until(page, "document.getElementById('preview').href.includes('/p/')")
-        preview = opened(page.context, page.evaluate("document.getElementById('preview').href"))
-        number, kind = next_page(preview)
-        go_on(preview, kind)
-        began = time.monotonic()
-        until(preview, "!!document.querySelector('form img')?.naturalWidth")
-        number, kind = next_page(preview, 1)  # by itself, after a second
-        assert time.monotonic() - began < 20
-        if kind == "form":
-            go_on(preview, kind)
-            number, kind = next_page(preview, number)
-        go_on(preview, "drive")
-        next_page(preview, number)  # ten seconds of driving, on an accelerated clock
-        assert preview.faults == page.faults == []
+        page = opened(browser.new_context(), server.links()["P01"])
+        _, kind = next_page(page)
+        go_on(page, kind)
+        until(page, "!!document.querySelector('form img')?.naturalWidth")
+        next_page(page, 1)  # by itself, after a second
+        assert page.faults == []

@@ -28,14 +28,6 @@ def test_a_restarted_drive_comes_back_and_what_follows_stays_done():
     assert progress_of([*events, {"kind": "restart", "page": 1}]).attempt(1) == 2
 
 
-def test_the_last_window_that_began_drives():
-    begun = [
-        {"kind": "begin", "page": 1, "attempt": a, "tab": tab}
-        for a, tab in ((0, "a"), (0, "b"), (1, "c"))
-    ]
-    assert progress_of(begun).tabs == {(1, 0): "b", (1, 1): "c"}
-
-
 def test_the_end_is_the_last_page_wherever_one_is():
     assert progress_of([done(0), {"kind": "end"}]).page(PAGES) == PAGES - 1
     assert (

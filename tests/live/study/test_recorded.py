@@ -12,8 +12,9 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.live.study import participation
 from trustlab.live.study.drives import FROM_FIT, FROM_PART, FROM_STAND_IN, identified, model_of
+from trustlab.live.study.export import write_export
+from trustlab.live.trial import Trial
 from trustlab.testbeds import published_operator
 from trustlab.testbeds.ground_robot.conditions import drive_modes
 
@@ -34,8 +35,8 @@ items = [
 @pytest.fixture(scope="module")
 def rehearsed(tmp_path_factory):
     """
-    A rehearsed study of two conditions; the first participant's second drive has a bit changed on
-    its way.
+    A rehearsed study of two conditions; in the first participant's second drive the computer makes
+    a mistake of a millionth.
     """
     folder = tmp_path_factory.mktemp("studies")
     (folder / "pages.toml").write_text(OWN_PAGE)
@@ -47,18 +48,20 @@ def rehearsed(tmp_path_factory):
     }
     with pytest.warns(UserWarning, match="nobody may switch"):
         plan = tl.LiveStudy(folder / "mystudy", ["C1", "C3"], 4, rehearsal=True, **short)
-    take = participation.Participation.rows
+    do = Trial._do
 
-    def changed(person, body):
-        position = person.steps[body["page"]].position
-        if person.code == "P01" and position == 2 and body["rows"][0][0] == 0:
-            body["rows"][7][-3] = float(
-                np.nextafter(body["rows"][7][-3], 1.0)
-            )  # the last bit of one P_r
-        return take(person, body)
+    def changed(trial, commands):
+        do(trial, commands)
+        if (
+            trial.log.path.parent.name == "P01"
+            and trial.log.path.name == "09-drive.jsonl"
+            and trial.rows
+        ):
+            trial.rows[7][trial.settings["columns"].index("p_r")] += 1e-6
+            patched.undo()
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(participation.Participation, "rows", changed)
+        patched.setattr(Trial, "_do", changed)
         plan.rehearse(seed=1)
     return tl.read_live_study(plan.folder)
 
@@ -67,12 +70,12 @@ def test_measures_are_those_of_the_files(rehearsed):
     measures = rehearsed.measures.set_index(["participant", "condition"])
     assert len(measures) == 8
     for (code, condition), row in measures.iterrows():
-        (path,) = [
-            path
-            for path in (rehearsed.plan.folder / code).glob("*-drive.0.csv")
-            if f'"condition": "{condition}"' in path.read_text().splitlines()[0]
-        ]
-        table = pd.read_csv(path, comment="#")
+        for path in (rehearsed.plan.folder / code).glob("*-drive.jsonl"):
+            header, *entries = [json.loads(line)[1] for line in path.read_text().splitlines()]
+            if header["condition"] == condition:
+                break
+        rows = [row for entry in entries for row in entry.get("rows", [])]
+        table = pd.DataFrame(rows, columns=header["settings"]["columns"])
         assert row["p_r"] == pytest.approx(table["p_r"].mean(), rel=1e-13)
         assert row["duration"] == pytest.approx((len(table) - 1) * 0.1, abs=1e-9)
         assert row["position"] == rehearsed.plan.orders[code].index(condition) + 1
@@ -109,10 +112,10 @@ def test_answers_are_all_there_and_own_questionnaires_scored(rehearsed):
     assert answers.attrs["origin"] == "scripted hands, no person took part"
 
 
-def test_a_changed_bit_is_found_and_its_participant_left_out(rehearsed):
+def test_a_changed_row_is_found_and_its_participant_left_out(rehearsed):
     left_out = rehearsed.exclusions()
     second = rehearsed.plan.orders["P01"][1]
-    name = "09-drive.0.jsonl"
+    name = "09-drive.jsonl"
     reason = f"{name}: row 7 is not what its commands lead to"
     assert left_out.values.tolist() == [["P01", second, reason]]
     assert rehearsed.faults().values.tolist() == [["P01", name, reason]]
@@ -163,12 +166,14 @@ def test_a_study_that_has_hardly_begun_can_be_read(make_plan):
 
 
 def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, tmp_path):
-    """Oracle: the tables themselves, and the keys that the Data Package standard asks for."""
+    """Oracle: the tables themselves."""
     path = rehearsed.export(tmp_path / "data.zip")
     archive = zipfile.ZipFile(path)
     assert {entry.date_time[0] for entry in archive.infolist()} == {1980}  # no time of writing
-    package = json.loads(archive.read("datapackage.json"))
-    assert "scripted hands, no person took part" in package["description"]
+    words = archive.read("README.txt").decode()
+    assert "scripted hands, no person took part" in words
+    assert "  p_r [m/s]: " in words
+    assert not [line for line in words.splitlines() if line.endswith(": ")], "all have a meaning"
     measures = pd.read_parquet(io.BytesIO(archive.read("measures.parquet")))
     pd.testing.assert_frame_equal(measures, rehearsed.measures, check_dtype=False)
     samples = pd.read_csv(io.BytesIO(archive.read("samples.csv")))
@@ -179,16 +184,57 @@ def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, t
         if (s.metadata.participant, s.metadata.condition) == ("P02", "C3")
     )
     np.testing.assert_array_equal(drive["p_r"], session["p_r"])
-    for resource in package["resources"]:
-        table = pd.read_csv(io.BytesIO(archive.read(resource["path"])))
-        fields = resource["schema"]["fields"]
-        assert [field["name"] for field in fields] == list(table)
-        assert all(field["description"] for field in fields), resource["name"]
-    by_name = {field["name"]: field for field in package["resources"][2]["schema"]["fields"]}
-    assert by_name["p_r"]["unit"] == "m/s"
-    assert by_name["verified"]["type"] == "boolean"
     items = pd.read_csv(io.BytesIO(archive.read("items.csv")))
     assert "The robot is deceptive." in set(items["words"])
+
+
+def test_words_are_no_formulas_in_a_spreadsheet(tmp_path):
+    table = pd.DataFrame(
+        {"text": ["=1+1", "@SUM(A1)", "-a", "fine"], "answer": [-1.0, 2.0, 3.0, 4.0]}
+    )
+    write_export(tmp_path / "a.zip", {"answers": table}, "A study.")
+    archive = zipfile.ZipFile(tmp_path / "a.zip")
+    lines = archive.read("answers.csv").decode().splitlines()
+    assert lines[1:] == ["'=1+1,-1.0", "'@SUM(A1),2.0", "'-a,3.0", "fine,4.0"]
+    whole = pd.read_parquet(io.BytesIO(archive.read("answers.parquet")))
+    assert whole["text"].tolist() == table["text"].tolist()
+
+
+SCALES = """
+[trust]
+low = 0
+high = 10
+
+[nasa_tlx]
+low = 1
+high = 5
+step = 1
+
+[satisfaction]
+low = 0
+high = 10
+"""
+ONE_ITEM = """
+[trust]
+items = [{name = "trust", text = "How much do you trust it?", low = 0, high = 10}]
+"""
+
+
+@pytest.mark.parametrize("pages", [SCALES, ONE_ITEM])
+def test_questionnaires_on_other_scales_are_scored(tmp_path, pages):
+    (tmp_path / "pages.toml").write_text(pages)
+    short = {"duration": 2.0, "training": 1.0, "rehearsal": True, "pages": tmp_path / "pages.toml"}
+    plan = tl.LiveStudy(tmp_path / "s", ["by_hand", "most_trusted"], 2, task="team", **short)
+    plan.rehearse(0)
+    study = tl.read_live_study(plan.folder)
+    assert study.measures["trust_mean"].between(0, 10).all()
+    answers = study.answers()
+    rows = answers[(answers["page"] == "trust") & (answers["participant"] == "P01")]
+    one = rows[rows["condition"] == "by_hand"]["answer"]
+    own = study.measures.set_index(["participant", "condition"]).loc[("P01", "by_hand")]
+    if pages == ONE_ITEM:
+        assert own["trust_mean"] == one.item()
+    assert study.export().exists()
 
 
 # what is changed afterwards
@@ -226,7 +272,7 @@ def changes_found(folder, count, seed):
     """Change a bit at so many places of all files; each must be found, with its file's name."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     rng = np.random.default_rng(seed)
-    assert {path.suffix for path in files} == {".json", ".jsonl", ".csv"}
+    assert {path.suffix for path in files} == {".json", ".jsonl"}
     for number in range(count):
         path = files[number % len(files)]
         data = path.read_bytes()
@@ -250,27 +296,24 @@ def test_every_bit_that_is_changed_at_200_places_is_found(finished):
     changes_found(finished, 200, seed=2)
 
 
-def test_rows_answers_tables_and_plans_that_are_rewritten_are_found(finished):
+def test_rows_answers_and_plans_that_are_rewritten_are_found(finished):
     """Whole and readable files, each not as it was written."""
-    drive = next(finished.glob("P01/*-drive.0.csv"))
-    session = tl.read_session(drive)
-    better = session.data.assign(p_r=session.data["p_r"] + 0.05)
-    rows = drive.with_suffix(".jsonl")
-    lines = rows.read_text().splitlines(keepends=True)
+    drive = next(finished.glob("P01/*-drive.jsonl"))
+    lines = drive.read_text().splitlines(keepends=True)
     events = finished / "P01" / "events.jsonl"
     told = events.read_text().splitlines(keepends=True)
     plan = json.loads((finished / "study.json").read_text())
     happier = [line.replace('"comfort": ', '"comfort": 1') for line in told]
     assert happier != told
     cases = [
-        (drive, lambda: tl.write_session(tl.Session(better, session.metadata), drive)),
+        (drive, lambda: drive.write_text("".join(lines[:2] + lines[3:]))),
+        (drive, lambda: drive.write_text("".join(lines[:-1]))),
+        (drive, lambda: drive.write_text(next(finished.glob("P02/*-drive.jsonl")).read_text())),
         (drive, drive.unlink),
-        (rows, lambda: rows.write_text("".join(lines[:50] + lines[51:]))),
-        (rows, lambda: rows.write_text("".join(lines[:-1]))),
-        (rows, lambda: rows.write_text(next(finished.glob("P02/*-drive.0.jsonl")).read_text())),
-        (rows, rows.unlink),
         (events, lambda: events.write_text("".join(happier))),
         (events, lambda: events.write_text("".join(told[:3] + told[4:]))),
+        (events, lambda: events.write_text("".join(told[:-2]))),  # cut at a line's end
+        (events, events.unlink),
         (finished / "study.json", None),
     ]
     for path, change in cases:
@@ -284,6 +327,31 @@ def test_rows_answers_tables_and_plans_that_are_rewritten_are_found(finished):
         assert path.name in names, (path.name, names)
         assert verified < 4
     assert verdict(finished) == (set(), 4)
+
+
+def test_folders_of_two_participants_exchanged_are_named(finished):
+    one, other, away = finished / "P01", finished / "P02", finished / "x"
+    for a, b in ((one, away), (other, one), (away, other)):
+        a.rename(b)
+    study = tl.read_live_study(finished)
+    assert set(study.faults()["participant"]) == {"P01", "P02"}
+    assert study.measures.empty
+    assert set(study.exclusions()["participant"]) == {"P01", "P02"}
+    assert study.export().exists()
+    (finished / "report-data.zip").unlink()
+    for a, b in ((one, away), (other, one), (away, other)):
+        a.rename(b)
+    assert verdict(finished) == (set(), 4)
+
+
+def test_a_damaged_file_of_one_stops_nobodys_table(finished):
+    path = next((finished / "P01").glob("*-drive.jsonl"))
+    before = path.read_bytes()
+    path.write_bytes(before.replace(b"{", b"\xff", 40))
+    study = tl.read_live_study(finished)
+    assert set(study.complete()["participant"]) == {"P02"}
+    assert set(study.exclusions()["participant"]) == {"P01"}
+    path.write_bytes(before)
 
 
 # the identification drive

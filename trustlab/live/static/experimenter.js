@@ -51,7 +51,7 @@ function pace(who) {
   const parts = [];
   if (who.rows !== null) parts.push(`${who.rows} rows`);
   for (const [name, value] of Object.entries(who.telemetry))
-    if (name !== "rows") parts.push(`${name} ${Math.round(value * 1000) / 1000}`);
+    parts.push(`${name} ${Math.round(value * 1000) / 1000}`);
   if (who.pauses) parts.push(`${who.pauses} pauses`);
   return parts.join(", ");
 }
@@ -92,8 +92,7 @@ function update(who) {
   page.textContent = `${number}${who.title}${condition}${end}`;
   seen.textContent = away;
   seen.className = away === "here" ? "" : "away";
-  drive.textContent =
-    pace(who) + (who.unverified.length ? ` Not verified: ${who.unverified.join(", ")}.` : "");
+  drive.textContent = pace(who);
   model.textContent = who.model ? `${who.model}${who.why ? `: ${who.why}` : ""}` : "";
   model.className = who.why ? "away" : "";
   const parts = JSON.stringify([who.drives, who.notes, who.ended]);
@@ -115,7 +114,6 @@ function show(state) {
     `${state.people.length} participants.${gone} ` +
     "This page and the links on it are for the experimenter only.";
   document.getElementById("export").href = `${base}/export`;
-  document.getElementById("preview").href = state.preview;
   const join = document.getElementById("join");
   join.hidden = !state.join;
   join.href = state.join;

@@ -14,17 +14,15 @@ const KEYS = {
 
 // The hands on keyboard, gamepad, mouse or finger; whichever was used last drives.
 export class Hands {
-  constructor(root, ramp, onBlur) {
+  constructor(root, ramp, onBlur, signal) {
     this.down = new Set();
     this.levers = [0, 0];
     this.ramp = ramp;
     this.pointer = null;
     this.source = "keyboard";
     this.toggles = 0;
-    this.stop = new AbortController();
     keepKeys(root);
-    const listen = (target, type, act, more = {}) =>
-      target.addEventListener(type, act, { signal: this.stop.signal, ...more });
+    const listen = (target, type, act) => target.addEventListener(type, act, { signal });
     listen(root, "keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey || event.code === "Tab") return;
       // A notebook has shortcuts of its own: an x beside the keys would cut the cell
@@ -100,13 +98,13 @@ export class Hands {
 
 // A scripted hand for tests and rehearsals: steers to a point ahead on the path, wobbles, follows
 // suggestions, switches now and then.
-export function script(hand, config, physics) {
+export function script(hand, config) {
   const { speed = 0.9, wobble = 0.1, ahead = 1.2, patience = 20, phase = 600 } = hand;
   const path = config.path,
     length = path.at(-1)[2];
   let since = 0;
-  return (k, row) => {
-    let s = physics.get("arc") + ahead,
+  return ({ k, row, ...pose }) => {
+    let s = pose.arc + ahead,
       i = 0;
     s -= Math.floor(s / length) * length;
     while (i < path.length - 2 && path[i + 1][2] <= s) i += 1;
@@ -114,7 +112,7 @@ export function script(hand, config, physics) {
     const [x, y] = [0, 1].map(
       (axis) => path[i][axis] + share * (path[i + 1][axis] - path[i][axis]),
     );
-    const aim = Math.atan2(y - physics.get("y"), x - physics.get("x")) - physics.get("yaw");
+    const aim = Math.atan2(y - pose.y, x - pose.x) - pose.yaw;
     const bearing = Math.atan2(Math.sin(aim), Math.cos(aim)) + wobble * Math.sin(0.09 * k);
     const now = row?.[0] ?? 1,
       suggested = row?.[1] ?? -1;

@@ -1,14 +1,8 @@
 // A participant's pages. What is shown next is the server's to say; words are set as text, never as
 // markup.
-import { drive } from "./drive.js";
-import { Flight } from "./flight.js";
-import { Lead } from "./lead.js";
 import { element, filled } from "./page.js";
-import { Rows } from "./rows.js";
-import { steer } from "./steer.js";
+import { play } from "./play.js";
 
-const COMPUTED = { teleoperation: Flight, team: Lead };
-const EVERY_COMMAND = 60; // ms between two sendings to a server that computes
 const base = location.pathname.replace(/\/$/, "");
 const main = document.querySelector("main"),
   trouble = document.getElementById("trouble");
@@ -18,10 +12,8 @@ let words = {
   fault: "The study's computer has made a mistake (error {status}). This page tries again.",
   disk: "The study's computer cannot save at the moment. This page goes on by itself.",
 };
-// This window: one window drives at a time
-const tab = crypto.getRandomValues(new Uint32Array(3)).join("-");
 // For the experimenter's eyes, and for tests
-const status = (self.study = { page: null, kind: null, rows: 0, pending: 0 });
+const status = (self.study = { page: null, kind: null, rows: 0 });
 
 function complain(text) {
   trouble.textContent = text;
@@ -174,116 +166,24 @@ function showForm(now) {
   });
 }
 
-// Rows of one attempt, on their way to the server; `stale` is called when this window must not go
-// on.
-function delivery(code, page, attempt, window, stale, driven = () => null, every = 500) {
-  const post = (batch, options) => {
-    const body = JSON.stringify({
-      page,
-      attempt,
-      tab: window,
-      rows: batch,
-      telemetry: driven()?.telemetry?.() ?? {},
-    });
-    return fetch(`${base}/rows`, {
-      method: "POST",
-      body,
-      headers: { "Content-Type": "application/json" },
-      ...options,
-    });
-  };
-  const leave = (batch) => post(batch.slice(0, 100), { keepalive: true }).catch(() => {});
-  const rows = new Rows(
-    `${code}/${page}/${attempt}/${window}`,
-    async (batch) => {
-      status.pending = rows.pending();
-      const answer = await post(batch, { signal: AbortSignal.timeout(5000) });
-      if (answer.status >= 500) troubled(answer.status);
-      if ([400, 404, 409, 413].includes(answer.status)) {
-        const { error, window: elsewhere } = await answer.json().catch(() => ({}));
-        await rows.drop(); // sending them again would not help
-        if (answer.status === 409) stale(elsewhere ? words.other_window : "");
-        else stale(filled(words.stopped, { error: error ?? answer.status }));
-      }
-      if (!answer.ok) return undefined;
-      complain("");
-      const { have, current, picture } = await answer.json();
-      if (!current) stale("");
-      status.pending = 0;
-      queueMicrotask(() => driven()?.heard?.({ have, picture })); // its mistakes are its own
-      return have;
-    },
-    { leave, every },
-  );
-  return rows;
-}
-
-// Bring rows to the server that earlier pages of this participant left in this browser.
-async function bringLeft(code) {
-  for (const key of await Rows.left(`${code}/`)) {
-    const [, page, attempt, window] = key.split("/");
-    await delivery(code, Number(page), Number(attempt), window, () => {}).drain();
-  }
-}
-
-// Begin what a drive's settings say: computed by the server, or here.
-async function beginDrive(root, config, memory, on) {
-  if (config.served) return steer(root, config, on);
-  const wasm = await (await fetch("/static/kernel.wasm")).arrayBuffer();
-  const run = memory && (await COMPUTED[config.live_task].load(wasm, config, memory));
-  if (run) return steer(root, config, on, run);
-  return drive(root, config, wasm, on);
-}
-
 async function showDrive(now) {
   const go = element("button", { textContent: words.start });
   main.replaceChildren(element("h2", { textContent: now.title }), ...paragraphs(now.text), go);
   await new Promise((ok) => go.addEventListener("click", ok, { once: true }));
-  const begun = await ask("begin", { page: now.page, tab });
-  if (begun.status !== 200) return;
-  const root = element("div", { id: "drive" });
+  const root = element("div", { id: "drive" }),
+    url = `${location.origin.replace("http", "ws")}${base}/drive/${now.page}`;
   main.replaceChildren(root);
-  const about = { page: now.page, attempt: begun.attempt, tab };
-  let driving = null,
-    count = begun.rows.length;
-  const outcome = await new Promise((ended, failed) => {
-    const rows = delivery(
-      now.code,
-      now.page,
-      begun.attempt,
-      tab,
-      (why) => ended({ why, rows }),
-      () => driving,
-      begun.config.served ? EVERY_COMMAND : undefined,
-    );
-    const on = {
-      row: (k, values) => {
-        rows.add(k, values);
-        count = status.rows = k + 1;
-      },
-      note: (text) => ask("note", { ...about, row: count, text }),
-      end: (summary) => ended({ summary, rows }),
-    };
-    const config = { ...begun.config, rows: begun.rows };
-    beginDrive(root, config, begun.memory, on).then((made) => {
-      driving = status.driving = made;
-    }, failed);
+  const why = await new Promise((end) => {
+    status.run = play(root, () => new WebSocket(url), {
+      heard: ({ k }) => (status.rows = k),
+      say: complain,
+      end,
+    });
   });
-  driving?.stop?.();
-  if (!outcome.summary) {
-    outcome.rows.close();
-    if (outcome.why) {
-      main.replaceChildren(element("p", { textContent: outcome.why }));
-      await new Promise(() => {});
-    }
-    return;
-  }
-  main.replaceChildren(element("p", { textContent: words.saving }));
-  if (begun.config.served) {
-    count = outcome.summary.rows;
-    await outcome.rows.drop(); // commands beyond the end lead nowhere
-  } else await outcome.rows.drain();
-  await ask("done", { ...about, rows: count, telemetry: driving?.telemetry?.() ?? {} });
+  complain("");
+  if (!why) return;
+  main.replaceChildren(element("p", { textContent: why }));
+  await new Promise(() => {});
 }
 
 const code = (now) => filled(words.completion, { completion: now.completion });
@@ -298,7 +198,6 @@ function offerWithdrawal(now) {
     if (!confirm(question)) return;
     button.disabled = true;
     await ask("withdraw", {});
-    status.pending = 0; // rows that are on their way do not keep anybody
     location.reload();
   });
   place.replaceChildren(...(now.kind === "end" ? [] : [button]));
@@ -316,7 +215,6 @@ async function run() {
       );
     words = now.words;
     document.documentElement.lang = now.language;
-    await bringLeft(now.code);
     Object.assign(status, { page: now.page, kind: now.kind, rows: 0 });
     const banner = document.getElementById("rehearsal");
     banner.hidden = !now.rehearsal;
@@ -337,9 +235,6 @@ async function run() {
   }
 }
 
-addEventListener("beforeunload", (event) => {
-  if (status.pending) event.preventDefault();
-});
 run().catch((error) =>
   complain(filled(words.stopped ?? "This page cannot go on ({error}).", { error: error.message })),
 );

@@ -62,12 +62,8 @@ function fitted(canvas, shape, resized, signal) {
 // to hold on to.
 export class Camera {
   constructor(canvas, config, signal) {
-    Object.assign(this, {
-      config,
-      canvas,
-      past: [],
-      course: config.view.map ? new CourseMap(config.path) : null,
-    });
+    const course = config.view.map ? new CourseMap(config.path) : null;
+    Object.assign(this, { config, canvas, course });
     this.g = fitted(
       canvas,
       11 / 24,
@@ -78,35 +74,10 @@ export class Camera {
     );
   }
 
-  // Remember a pose; frames show the one of `delay` ago.
-  add(pose) {
-    this.past.push(pose);
-    if (this.past.length > 60) this.past.shift();
-  }
-
-  // The pose at a time, in samples, between the poses that are remembered.
-  pose(time) {
-    const past = this.past,
-      i = Math.max(
-        past.findLastIndex((pose) => pose.k <= time),
-        0,
-      );
-    const a = past[i],
-      b = past[i + 1] ?? a,
-      share = clamp((time - a.k) / Math.max(b.k - a.k, 1), 0, 1);
-    const turn = Math.atan2(Math.sin(b.yaw - a.yaw), Math.cos(b.yaw - a.yaw));
-    return {
-      x: a.x + share * (b.x - a.x),
-      y: a.y + share * (b.y - a.y),
-      yaw: a.yaw + share * turn,
-    };
-  }
-
-  draw(time) {
-    if (!this.past.length) return;
+  // Draw what is seen from a pose.
+  draw(at) {
     const { g, canvas, config, focal } = this,
-      { range, height, delay } = config.view;
-    const at = this.pose(time - delay / config.sample_time),
+      { range, height } = config.view,
       cos = Math.cos(at.yaw),
       sin = Math.sin(at.yaw);
     const horizon = Math.round(0.36 * canvas.height),
@@ -350,7 +321,7 @@ export function furnish(root, config, toggle, signal) {
   root.tabIndex = 0;
   const camera = element("canvas"),
     gauges = element("canvas"),
-    away = element("div", { className: "away", textContent: words.paused });
+    away = element("div", { className: "away", textContent: words.waiting });
   const panel = new Panel(root, config, toggle),
     front = element("div"),
     below = element("div", { className: "gauges" });

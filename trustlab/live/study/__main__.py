@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from trustlab.live.study.live_study import LiveStudy
-from trustlab.live.study.store import PLAN
+from trustlab.live.study.plan import PLAN
 
 
 def main(words: list[str] | None = None) -> int:
@@ -20,15 +20,9 @@ def main(words: list[str] | None = None) -> int:
         metavar="DIR",
         help="the study's folder; without a study in it, C1 to C5 with 20 participants are planned",
     )
-    add(
-        "--address",
-        default="127.0.0.1",
-        help="where to listen; anything but this machine itself needs --certificate",
-    )
+    add("--address", default="127.0.0.1", help="where to listen; elsewhere needs --url")
     add("--port", type=int, default=8765, help="port (default: 8765)")
-    add("--certificate", metavar="FILE", help="certificate for TLS, PEM")
-    add("--key", metavar="FILE", help="its key, PEM")
-    add("--name", action="append", default=[], help="a name of this machine that links use")
+    add("--url", default="", help="the address of a proxy that ends TLS, https://…")
     add(
         "--delete",
         metavar="CODE",
@@ -62,8 +56,7 @@ def main(words: list[str] | None = None) -> int:
                 "A new study: C1 to C5, 20 participants, seed 0. For another one, plan it with "
                 "trustlab.LiveStudy first."
             )
-        where = {"certificate": options.certificate, "key": options.key, "names": options.name}
-        plan.serve(options.address, options.port, **where)
+        plan.serve(options.address, options.port, url=options.url)
     except (ModuleNotFoundError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -7,22 +7,20 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from trustlab.live.chain import read_chain
 from trustlab.live.study.pages import Item, Step
-from trustlab.live.study.plan import Plan
+from trustlab.live.study.plan import Plan, file_origin
 from trustlab.live.study.settings import model_of
-from trustlab.live.study.store import file_origin
-from trustlab.live.tasks.task import task_named, task_of
+from trustlab.live.task import PERIOD, task_named, task_of
+from trustlab.live.trial import Record, read_record
 from trustlab.models.checks import of_class
-from trustlab.models.digest import digest
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
 
@@ -32,17 +30,10 @@ FROM_STAND_IN = "stand-in"
 """Where a participant's model and thresholds come from."""
 
 
-KERNEL = Path(__file__).parents[1] / "static" / "kernel.wasm"
-
-
-def kernel_digest() -> str:
-    """Return the digest of the physics that browsers run."""
-    return digest(KERNEL.read_bytes()) if KERNEL.exists() else "none"
-
-
-def attempt_name(step: Step, attempt: int) -> str:
-    """Return the name of an attempt's files."""
-    return f"{step.name}.{attempt}"
+def log_path(folder: Path, step: Step, attempt: int) -> Path:
+    """Return the log of an attempt at a drive."""
+    again = f".{attempt + 1}" if attempt else ""
+    return folder / f"{step.name}{again}.jsonl"
 
 
 def drive_seed(plan: Plan, code: str, step: Step, attempt: int) -> int:
@@ -133,6 +124,7 @@ def drive_of(
     Return the settings of a drive of a study with this content, with a known model and thresholds.
     """
     config = task_named(content["task"]).config(content, condition, known, seed)
+    config["late"] = max(config["late"], content["least_delay"])
     if content["rehearsal"]:
         speed, wobble = np.random.default_rng(seed).uniform([0.7, 0.05], [1.0, 0.3]).tolist()
         config |= {"clock": "accelerated", "hand": {"speed": speed, "wobble": wobble}}
@@ -142,9 +134,8 @@ def drive_of(
 def prepare(plan: Plan) -> None:
     """Compile what the server computes of drives, before anybody drives."""
     config = drive_of(plan.content, "training", stand_in(plan, ""), seed=0)
-    if "commands" in config:
-        command = [config["limits"][name][0] for name in config["commands"]]
-        task_of(config).begin(config).step(*command)
+    command = [config["limits"][name][0] for name in config["commands"]]
+    task_of(config).begin(config).step(*command)
 
 
 def drive_settings(
@@ -165,66 +156,35 @@ def drive_settings(
     }
 
 
-def shown_config(plan: Plan, config: Mapping[str, Any]) -> dict[str, Any]:
+def drive_record(plan: Plan, code: str, step: Step, attempt: int) -> tuple[Record | None, str, str]:
+    """Return what the log of an attempt says, its last link, and what is wrong with it."""
+    path = log_path(plan.folder / code, step, attempt)
+    if not path.exists():
+        return None, "", f"{path.name} is missing"
+    record, link, fault = read_record(path, file_origin(plan.digest, code, path.stem))
+    if record is not None and not fault:
+        fault = record.fault(task_of(record.settings))
+        fault = f"{path.name}: {fault}" if fault else ""
+    return record, link, fault
+
+
+def session_of_drive(plan: Plan, code: str, step: Step, attempt: int, fault: str = "") -> Session:
     """
-    Return what a browser needs of a drive: its settings without the condition's name, and words.
+    Return the session of an attempt at a drive: the logged rows; its metadata hold the verdict, the
+    log period, pauses, and the delay with which pictures were seen.
     """
-    settings = {name: value for name, value in config.items() if name != "condition"}
-    return settings | {"words": plan.content["words"]}
-
-
-class Driven(NamedTuple):
-    """An attempt as its file of rows holds it, and what is wrong with the file: "" if nothing."""
-
-    header: dict[str, Any]
-    stamps: np.ndarray
-    values: np.ndarray
-    links: list[str]
-    fault: str
-
-
-def read_attempt(plan: Plan, code: str, name: str) -> Driven:
-    """Return an attempt, its rows compared with a replay of their commands."""
-    path = plan.folder / code / f"{name}.jsonl"
-    reading = read_chain(path, file_origin(plan.digest, code, name))
-    if not reading.entries:
-        return Driven({}, np.empty(0), np.empty((0, 0)), reading.links, reading.fault)
-    header, *rows = reading.entries
-    try:
-        table = np.array(rows, dtype=float).reshape(len(rows), 2 + len(header["config"]["columns"]))
-    except (TypeError, ValueError, KeyError):
-        damage = reading.fault or f"{path.name}: it does not hold a drive"
-        return Driven({}, np.empty(0), np.empty((0, 0)), reading.links, damage)
-    fault = reading.fault
-    if rows and not fault:  # a changed file is not worth a replay
-        same = task_of(header["config"]).replay(header["config"], table[:, 2:])
-        if same is not True:
-            fault = f"{path.name}: row {same} is not what its commands lead to"
-    return Driven(header, table[:, 1], table[:, 2:], reading.links, fault)
-
-
-def session_of_attempt(
-    plan: Plan, code: str, step: Step, attempt: int, notes: Iterable[Mapping[str, Any]]
-) -> Session:
-    """
-    Return an attempt's session, replayed from its commands; its metadata hold the verdict, the log
-    period and the pauses.
-    """
-    driven = read_attempt(plan, code, attempt_name(step, attempt))
-    period = np.diff(driven.stamps) / 1000.0
+    record, _, found = drive_record(plan, code, step, attempt)
+    if record is None:
+        raise ValueError(found)
     facts = {
         "position": step.position,
         "page": step.index,
         "attempt": attempt,
-        "verified": driven.fault == "",
-        "kernel": plan.content["kernel"],
-        "thresholds_from": driven.header["source"],
-        "period_median": float(np.median(period)),
-        "period_max": float(period.max()),
-        "pauses": [f"row {note['row']}: {note['text']}" for note in notes],
+        "thresholds_from": record.header["source"],
         "participant": code,
-        "condition": driven.header["condition"],
+        "condition": record.header["condition"],
         "synthetic": plan.rehearsal,
     }
-    config = driven.header["config"]
-    return task_of(config).session(config, driven.values, **facts)
+    late = record.settings["late"] + max(record.settings["sample_time"], PERIOD)
+    session = record.session(task_of(record.settings), fault or found, **facts)
+    return session.with_metadata(seen_late=session.metadata.more["delay"] > late)

@@ -1,20 +1,12 @@
-"""
-Everything that a live study has recorded as one zip: tables in CSV and Parquet, and a data
-dictionary.
-
-The dictionary, `datapackage.json`, is a Data Package of the Frictionless standard
-(https://datapackage.org): each table's fields with their types, units and meanings.
-"""
+"""Everything that a live study has recorded as one zip: tables in CSV and Parquet, and a README."""
 
 from __future__ import annotations
 
 import csv
 import io
-import json
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -26,21 +18,24 @@ from trustlab.sessions.vocabulary import VOCABULARY
 MEANINGS = Path(__file__).with_name("export.csv")
 """Names, units and meanings of the columns that are no signals."""
 
-KINDS = {"b": "boolean", "i": "integer", "u": "integer", "f": "number"}
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""What a spreadsheet takes for the beginning of a formula."""
 
 
-def write_export(path: Path, tables: Mapping[str, pd.DataFrame], about: Mapping[str, Any]) -> None:
+def write_export(path: Path, tables: Mapping[str, pd.DataFrame], about: str) -> None:
     """
-    Write tables by name, and what the dictionary says of them as a whole, as a zip.
+    Write tables by name, and a README with what is said about them as a whole, as a zip.
 
-    Entries carry no time of writing, so that the same study gives the same bytes.
+    Entries carry no time of writing, so that the same study gives the same bytes. In a CSV file an
+    apostrophe stands before words that a spreadsheet would take for a formula.
     """
-    package = {**about, "resources": [_resource(*entry) for entry in tables.items()]}
     files: dict[str, str | bytes] = {}
     for name, table in tables.items():
-        files[f"{name}.csv"] = table.to_csv(index=False)
+        words = table.select_dtypes(["object", "string"]).columns
+        harmless = table.assign(**{column: table[column].map(_harmless) for column in words})
+        files[f"{name}.csv"] = harmless.to_csv(index=False)
         files[f"{name}.parquet"] = table.to_parquet(index=False)
-    files["datapackage.json"] = json.dumps(package, indent=1, ensure_ascii=False) + "\n"
+    files["README.txt"] = _readme(tables, about)
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         for name, text in files.items():
@@ -50,22 +45,30 @@ def write_export(path: Path, tables: Mapping[str, pd.DataFrame], about: Mapping[
     write_atomically(path, content.getvalue())
 
 
-def _resource(name: str, table: pd.DataFrame) -> dict[str, Any]:
-    fields = [_field(column, table[column]) for column in table]
-    schema = {"fields": fields, "missingValues": [""]}
-    resource = {"name": name, "path": f"{name}.csv", "format": "csv", "encoding": "utf-8"}
-    return {**resource, "profile": "tabular-data-resource", "schema": schema}
+def _harmless(value: object) -> object:
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
 
 
-def _field(name: str, values: pd.Series) -> dict[str, str]:
-    """Return what the dictionary says of a column."""
+def _readme(tables: Mapping[str, pd.DataFrame], about: str) -> str:
+    """Return what the columns mean, with their units."""
+    lines = [about, ""]
+    for name, table in tables.items():
+        lines += [f"{name}.csv, {name}.parquet: {len(table)} rows"]
+        for column in table:
+            unit, meaning = meaning_of(str(column))
+            lines.append(f"  {column}{f' [{unit}]' if unit else ''}: {meaning}")
+    return "\n".join(lines) + "\n"
+
+
+def meaning_of(name: str) -> tuple[str, str]:
+    """Return unit and meaning of a column."""
     signal = VOCABULARY.get(name)
-    unit, meaning = meanings().get(name, (signal.unit, signal.meaning) if signal else ("", ""))
+    usual = (signal.unit, signal.meaning) if signal else ("", "")
+    unit, meaning = meanings().get(name, usual)
     for ending, words in ENDINGS.items():
         if not meaning and name.endswith(ending):
             meaning = f"{words} of the questionnaire {name.removesuffix(ending)}"
-    field = {"name": name, "type": KINDS.get(values.dtype.kind, "string"), "description": meaning}
-    return field | {"unit": unit} if unit else field
+    return unit, meaning
 
 
 ENDINGS = {"_raw": "mean score", "_mean": "mean score", "_subscale": "score of a subscale"}

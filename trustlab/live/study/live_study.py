@@ -2,7 +2,8 @@
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,14 +12,14 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.condition import LiveCondition
-from trustlab.live.runs import warn_if_too_short
-from trustlab.live.study.drives import drive_of, kernel_digest
+from trustlab.live.study.drives import drive_of
 from trustlab.live.study.pages import as_json, read_pages, read_words, task_pages
-from trustlab.live.study.participation import Participation
-from trustlab.live.study.plan import FORMAT, Plan, content_digest
+from trustlab.live.study.participant import Participant
+from trustlab.live.study.plan import FORMAT, Plan, content_digest, delete_participant
 from trustlab.live.study.rehearsal import rehearse
-from trustlab.live.study.store import delete_participant
-from trustlab.live.tasks.task import task_named
+from trustlab.live.task import task_named
+from trustlab.live.tasks.ground_robot import warn_if_too_short
+from trustlab.live.trial import made_by
 from trustlab.models.checks import (
     flag,
     of_class,
@@ -30,14 +31,16 @@ from trustlab.models.checks import (
 from trustlab.models.display import as_html
 from trustlab.studies.designs import latin_square_design
 
+CODE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
+
 
 class LiveStudy(Plan):
     """
     A within-subject study that people take part in with a browser.
 
     The plan is frozen at once: the folder gets `study.json` (conditions, everybody's order, pages,
-    the digest of the physics), a folder per participant, and beside it a file with their links,
-    which others on the machine cannot read. The same call later opens the study again; another plan
+    the package's version), a folder per participant, and beside it a file with their links, which
+    others on the machine cannot read. The same call later opens the study again; another plan
     for the same folder is refused.
 
     Parameters
@@ -61,8 +64,7 @@ class LiveStudy(Plan):
     drives : DriveSettings, TeleoperationSettings or LeadingSettings, optional
         The drives' settings, of the task's class: their length, for example.
     task : {"ground_robot", "teleoperation", "team"}
-        What people do. Browsers compute it; the server does where a model of trust stands in place
-        of (3.2) or (4.1).
+        What people do; the server computes it.
     language : {"en", "de"}
         Language of everything that participants see.
     whole_squares : bool
@@ -128,7 +130,7 @@ class LiveStudy(Plan):
         content: dict[str, Any] = {
             "format": FORMAT,
             "task": task,
-            "kernel": kernel_digest(),
+            "made_by": made_by(),
             "conditions": names,
             "own_conditions": personal,
             "seed": design.seed,
@@ -175,9 +177,7 @@ class LiveStudy(Plan):
         address: str = "127.0.0.1",
         port: int = 8765,
         *,
-        certificate: str | os.PathLike | None = None,
-        key: str | os.PathLike | None = None,
-        names: Iterable[str] = (),
+        url: str = "",
         enrol: bool = False,
     ) -> None:
         """
@@ -188,15 +188,12 @@ class LiveStudy(Plan):
         Parameters
         ----------
         address : str
-            Where to listen. On 127.0.0.1, browsers of this machine alone reach it; anything else
-            needs a certificate.
+            Where to listen; anything but this machine itself needs `url`.
         port : int
             Port; 0 for any that is free.
-        certificate, key : path-like, optional
-            Files in PEM format for TLS.
-        names : iterable of str
-            Names of this machine that links may use, besides `address`: a request for any other
-            host is refused.
+        url : str, optional
+            The address of the study for people, "https://study.example.org": that of a proxy which
+            ends TLS and hands requests, WebSockets too, on to `address` and `port`.
         enrol : bool
             Whether anybody with the link for joining, on the experimenter's page, takes the next
             free place. The last page of who came so shows a completion code, which the table of
@@ -205,14 +202,12 @@ class LiveStudy(Plan):
         Raises
         ------
         ValueError
-            If the address needs a certificate, the study is being served already, or the physics is
-            not the one it was frozen with.
+            If the address needs a proxy, the study is being served already, or the package is not
+            the one it was frozen with.
         """
         from trustlab.live.study.server import StudyServer
 
-        with StudyServer(
-            self, address, port, certificate=certificate, key=key, names=names, enrol=enrol
-        ) as server:
+        with StudyServer(self, address, port, url=url, enrol=enrol) as server:
             print(f"The experimenter's page: {server.experimenter}\nEnd with Ctrl-C.", flush=True)
             server.wait()
 
@@ -221,7 +216,7 @@ class LiveStudy(Plan):
         Let scripted hands go through the whole study, without browsers: so that files and report
         are seen before people come.
 
-        The hands have a person's limits (`trustlab.live.hand`); answers are drawn at random and
+        The hands have a person's limits (`trustlab.live.hands`); answers are drawn at random and
         mean nothing. Everything is labelled synthetic.
 
         Parameters
@@ -238,8 +233,8 @@ class LiveStudy(Plan):
             raise ValueError(
                 "this study is for people; plan another one with rehearsal=True for scripted hands"
             )
-        present = [code for code in self.orders if code not in self.deleted()]
-        rehearse([Participation(self, code) for code in present], spawned(seed, len(present)))
+        people = [Participant(self, code) for code in self.present()]
+        rehearse(people, spawned(seed, len(people)))
 
     def table(self) -> pd.DataFrame:
         """Return everybody's order: a row per participant, a column per position."""
@@ -290,13 +285,10 @@ def _codes(participants: int | Sequence[str]) -> list[str]:
         return [f"P{number:02d}" for number in range(1, count + 1)]
     codes = list(participants)
     for code in codes:
-        if (
-            not isinstance(code, str)
-            or not code.isascii()
-            or not code.replace("-", "a").replace("_", "a").isalnum()
-        ):
+        if not isinstance(code, str) or not CODE.fullmatch(code):
             raise ValueError(
-                f"a participant's code has letters, digits, - and _ only, got {shown(code)}"
+                "a participant's code has letters, digits, - and _ only, at most 40, and begins "
+                f"with a letter or digit; got {shown(code)}"
             )
     # One folder each, also where names ignore case.
     distinct = {code.lower() for code in codes}

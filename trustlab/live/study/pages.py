@@ -41,6 +41,11 @@ class AnswerError(ValueError):
     """An answer that the page does not allow."""
 
 
+def storable(text: str) -> bool:
+    """Whether files can hold a text: no zero, and no half of a pair of code units."""
+    return "\0" not in text and text.encode(errors="replace").decode() == text
+
+
 @dataclass(frozen=True)
 class Item:
     """
@@ -70,7 +75,7 @@ class Item:
         elif self.kind == "check":
             fits = answer is True
         else:
-            fits = isinstance(answer, str) and len(answer) <= LONGEST_ANSWER and "\0" not in answer
+            fits = isinstance(answer, str) and len(answer) <= LONGEST_ANSWER and storable(answer)
             fits = fits and (self.kind == "text" or answer in self.choices)
             fits = fits and not (self.required and not answer.strip())
         if not fits:

@@ -4,25 +4,35 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+import secrets
+import shutil
+import threading
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from trustlab.live.chain import sync_folder
+from trustlab.live.log import sync_folder
 from trustlab.live.study.pages import Step, StudyPage, steps_of
-from trustlab.live.study.store import (
-    PLAN,
-    Participant,
-    deleted_codes,
-    make_tokens,
-)
 from trustlab.models.checks import one_of
 from trustlab.models.digest import digest
 from trustlab.models.files import write_atomically
 
-FORMAT = 3
+FORMAT = 4
+PLAN = "study.json"
+EVENTS = "events"
+TOMBSTONE = ".deleted"
+TOKENS, LINKS = ".tokens.json", ".links.json"
+EXPERIMENTER = "experimenter"
+JOIN = ".join"
+"""The name of the link for joining; no code has a full stop."""
+
+PRIVATE = 0o600
+
+
+class DeletedError(ValueError):
+    """What is asked for belongs to a participant who was deleted."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,20 +151,18 @@ class Plan:
         order = self.orders[one_of("participant", code, self.orders)]
         return steps_of(self._pages, order, self.groups.get(code, ""))
 
-    def participant(self, code: str) -> Participant:
-        """
-        Return a participant's folder with its events, repaired where a write was cut off.
-
-        Parameters
-        ----------
-        code : str
-            The participant.
-        """
-        return Participant(self.folder / one_of("participant", code, self.orders), self.digest)
-
     def deleted(self) -> list[str]:
         """Return the codes of the participants who were deleted."""
-        return deleted_codes(self.folder)
+        names = self.folder.glob(f"*{TOMBSTONE}")
+        return sorted(path.name.removesuffix(TOMBSTONE) for path in names)
+
+    def present(self) -> list[str]:
+        """Return the codes of all who were not deleted."""
+        gone = self.deleted()
+        return [code for code in self.orders if code not in gone]
+
+
+_links_lock = threading.Lock()
 
 
 def content_digest(content: Mapping[str, Any]) -> str:
@@ -181,3 +189,81 @@ def read_plan(folder: Path) -> dict[str, Any]:
             f"{file} has format {version!r}; this version of trustlab reads format {FORMAT}"
         )
     return content
+
+
+def file_origin(plan: str, code: str, name: str) -> str:
+    """Return what the first line of a participant's file is linked to."""
+    return digest(plan, code, name)
+
+
+def links_path(folder: Path) -> Path:
+    """Return where the last links of events are kept: beside the data, not with them."""
+    return folder.with_name(f"{folder.name}{LINKS}")
+
+
+def note_link(folder: Path, code: str, link: str) -> None:
+    """Write down the last link of a participant's events, beside the study."""
+    with _links_lock:
+        links = read_links(folder) | {code: link}
+        write_atomically(links_path(folder), json.dumps(links, indent=1) + "\n")
+
+
+def read_links(folder: Path) -> dict[str, str]:
+    """Return the last link of each participant's events, as it was written down."""
+    path = links_path(folder)
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+
+
+def tokens_path(folder: Path) -> Path:
+    """Return where the tokens are kept: beside the data, not with them."""
+    return folder.with_name(f"{folder.name}{TOKENS}")
+
+
+def read_tokens(folder: Path) -> dict[str, str]:
+    """Return the token of every participant, by code, and that of the experimenter."""
+    path = tokens_path(folder)
+    if not path.exists():
+        raise ValueError(
+            f"there is no {path}: the links of this study are not on this machine; the plan's "
+            "owner has them"
+        )
+    if path.stat().st_mode & 0o077:
+        raise ValueError(f"{path} can be read by others on this machine; run: chmod 600 {path}")
+    return dict(json.loads(path.read_text(encoding="utf-8")))
+
+
+def make_tokens(folder: Path, codes: Iterable[str]) -> None:
+    """
+    Draw a token of 128 bits for each participant and for the experimenter; those that are there
+    stay.
+    """
+    path = tokens_path(folder)
+    known = read_tokens(folder) if path.exists() else {}
+    names = (EXPERIMENTER, JOIN, *codes)
+    tokens = {name: known.get(name) or secrets.token_urlsafe(16) for name in names}
+    write_atomically(path, json.dumps(tokens, indent=1), mode=PRIVATE)
+    sync_folder(path.parent)
+
+
+def delete_participant(folder: Path, code: str) -> None:
+    """
+    Delete folder and token of a participant, and what was made from them; an empty file says that
+    there was someone.
+    """
+    home = folder / code
+    # The tombstone first: a server that runs meanwhile turns this participant away from now on.
+    home.with_name(f"{code}{TOMBSTONE}").touch()
+    sync_folder(folder)
+    if tokens_path(folder).exists():
+        left = {name: token for name, token in read_tokens(folder).items() if name != code}
+        write_atomically(tokens_path(folder), json.dumps(left, indent=1), mode=PRIVATE)
+    links = {name: link for name, link in read_links(folder).items() if name != code}
+    write_atomically(links_path(folder), json.dumps(links, indent=1) + "\n")
+    if home.exists():
+        # Renamed first, so that no row arrives in a folder that is half gone.
+        home.rename(gone := folder / f".{code}.going")
+        shutil.rmtree(gone)
+    # They show this participant's numbers.
+    for report in (*folder.glob("report*.html"), *folder.glob("report*.zip")):
+        report.unlink()
+    sync_folder(folder)

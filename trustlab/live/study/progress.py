@@ -16,9 +16,6 @@ class Progress:
         The event that finished each page.
     attempts : dict of int to int
         Number of the current attempt of each drive, from 0.
-    tabs : dict of (int, int) to str
-        The window of a browser that drives, by page and attempt: the last one in which the drive
-        was begun.
     model : dict or None
         Model and thresholds from the identification drive, or what stands in for them.
     ended : bool
@@ -28,12 +25,11 @@ class Progress:
     completion : str
         The code that the last page shows who came by the link for joining.
     notes : list of dict
-        What the experimenter, or the page, has noted.
+        What the experimenter has noted, and torn lines.
     """
 
     done: dict[int, dict[str, Any]] = field(default_factory=dict)
     attempts: dict[int, int] = field(default_factory=dict)
-    tabs: dict[tuple[int, int], str] = field(default_factory=dict)
     model: dict[str, Any] | None = None
     ended: bool = False
     withdrawn: bool = False
@@ -44,11 +40,10 @@ class Progress:
         """
         Return the page to show of so many: the first that is not done, and the last one at the end.
         """
-        return (
-            pages - 1
-            if self.ended
-            else next(i for i in range(pages) if i not in self.done or i == pages - 1)
-        )
+        last = pages - 1
+        if self.ended:
+            return last
+        return next((page for page in range(last) if page not in self.done), last)
 
     def attempt(self, page: int) -> int:
         """Return the number of the current attempt of a drive."""
@@ -62,8 +57,6 @@ def progress_of(events: Iterable[Mapping[str, Any]]) -> Progress:
         match event["kind"]:
             case "page":
                 now.done[event["page"]] = dict(event)
-            case "begin":
-                now.tabs[event["page"], event["attempt"]] = event["tab"]
             case "restart":
                 page = event["page"]
                 now.done.pop(page, None)

@@ -4,27 +4,24 @@ analysis.
 """
 
 import os
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from trustlab.live.study.drives import attempt_name
+from trustlab.live.log import linked, read_log
+from trustlab.live.study.drives import drive_record, log_path, session_of_drive
 from trustlab.live.study.export import items_of, samples_of, write_export
 from trustlab.live.study.pages import Step, StudyPage
-from trustlab.live.study.plan import Plan
-from trustlab.live.study.progress import Progress
-from trustlab.live.study.records import Fault, ParticipantRecord, faults_of, read_record
-from trustlab.live.study.store import EVENTS, PLAN
-from trustlab.live.tasks.task import LiveTask, task_named
+from trustlab.live.study.plan import EVENTS, PLAN, Plan, file_origin, read_links
+from trustlab.live.study.progress import Progress, progress_of
+from trustlab.live.task import LEAST_ROWS, LiveTask, task_named
 from trustlab.models.checks import one_of
 from trustlab.models.display import as_html
-from trustlab.sessions.reading import read_session
 from trustlab.sessions.session import Session
 from trustlab.studies.order_effects import OrderEffects, order_effects
 from trustlab.studies.questionnaires import (
@@ -39,6 +36,48 @@ from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measur
 
 KEYS = ["participant", "position", "condition"]
 REHEARSAL = "scripted hands, no person took part"
+
+
+class Fault(NamedTuple):
+    """Whose file is not as it was written, and what is wrong with it."""
+
+    code: str
+    file: str
+    fault: str
+
+
+class ParticipantRecord(NamedTuple):
+    """A participant's events, where they lead to, and what is wrong with their file."""
+
+    code: str
+    events: list[dict[str, Any]]
+    progress: Progress
+    fault: str
+
+
+def read_record(plan: Plan, code: str, link: str | None) -> ParticipantRecord:
+    """
+    Return a participant's record: the events up to the first line that was changed. `link` is what
+    was written down of the events beside the study.
+    """
+    path = plan.folder / code / f"{EVENTS}.jsonl"
+    if not path.exists():
+        fault = f"{path.name} is missing" if link is not None else ""
+        return ParticipantRecord(code, [], Progress(), fault)
+    origin = file_origin(plan.digest, code, EVENTS)
+    reading = read_log(path, origin)
+    fault = reading.fault
+    if not fault and link is not None and link not in links_of(reading.entries, origin):
+        fault = f"{path.name}: its last lines are missing"
+    return ParticipantRecord(code, reading.entries, progress_of(reading.entries), fault)
+
+
+def links_of(entries: list[Any], origin: str) -> list[str]:
+    """Return the links of a log's entries."""
+    links = [origin]
+    for entry in entries:
+        links.append(linked(links[-1], entry)[0])
+    return links
 
 
 def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
@@ -57,8 +96,7 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     Raises
     ------
     ValueError
-        If there is no study in the folder, or a file of it was damaged; the error names file and
-        line.
+        If there is no study in the folder, or its plan was damaged.
 
     Examples
     --------
@@ -74,9 +112,9 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     3         P04  C3 C1           0
     """
     plan = Plan.open(folder)
-    deleted = plan.deleted()
-    records = {code: read_record(plan, code) for code in plan.orders if code not in deleted}
-    return RecordedStudy(plan, records, tuple(deleted))
+    links = read_links(plan.folder)
+    records = {code: read_record(plan, code, links.get(code)) for code in plan.present()}
+    return RecordedStudy(plan, records, tuple(plan.deleted()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,30 +162,48 @@ class RecordedStudy:
     def _sessions(self) -> list[Session]:
         sessions = []
         for code, step, event in self._finished("drive"):
-            name = attempt_name(step, event["attempt"])
-            session = read_session(self.plan.folder / code / f"{name}.csv")
-            sessions.append(session.with_metadata(verified=not self._faults_of(code, name)))
+            name = log_path(Path(), step, event["attempt"]).name
+            fault = "; ".join(fault.fault for fault in self._faults_of(code, name))
+            record, *_ = drive_record(self.plan, code, step, event["attempt"])
+            if record is not None and len(record.rows) >= LEAST_ROWS:
+                attempt = event["attempt"]
+                sessions.append(session_of_drive(self.plan, code, step, attempt, fault))
         return sessions
 
     @cached_property
     def _faults(self) -> list[Fault]:
-        return [
-            fault for code in self.records for fault in faults_of(self.plan, self.records[code])
-        ]
+        faults = []
+        for code, record in self.records.items():
+            faults += [Fault(code, PLAN, self.plan.fault)] if self.plan.fault else []
+            faults += [Fault(code, f"{EVENTS}.jsonl", record.fault)] if record.fault else []
+            steps = self.plan.steps(code)
+            for event in record.events:
+                if event["kind"] in ("begin", "page") and "attempt" in event:
+                    faults += self._drive_faults(code, steps[event["page"]], event)
+        return list(dict.fromkeys(faults))
+
+    def _drive_faults(self, code: str, step: Step, event: dict[str, Any]) -> list[Fault]:
+        """Return what is wrong with the log of a drive that an event tells of."""
+        name = log_path(Path(), step, event["attempt"]).name
+        _, link, fault = drive_record(self.plan, code, step, event["attempt"])
+        if event["kind"] == "page" and not fault and link != event["link"]:
+            fault = f"{name}: it does not end where the drive was finished"
+        return [Fault(code, name, fault)] if fault else []
 
     def _faults_of(self, code: str, name: str) -> list[Fault]:
-        """Return what is wrong with the files that an attempt rests on."""
-        files = (f"{name}.jsonl", f"{name}.csv", f"{EVENTS}.jsonl", PLAN)
+        """Return what is wrong with the files that a drive rests on."""
+        files = (name, f"{EVENTS}.jsonl", PLAN)
         return [fault for fault in self._faults if fault.code == code and fault.file in files]
 
     def faults(self) -> pd.DataFrame:
         """
         Return which files are not as the study wrote them.
 
-        Every line is linked to the lines before it and to the plan, every drive is replayed from
-        its commands, and every table of a session is compared with its digest. A drive is
-        `verified` if nothing is wrong with its rows, its table, its participant's events and the
-        plan.
+        Every line is linked to the lines before it and to the plan, the last link of everybody's
+        events is kept beside the study, and every drive is replayed from its commands. A drive is
+        `verified` if nothing is wrong with its log, its participant's events and the plan. What
+        links cannot prove: that nobody wrote all lines anew who also has the file beside the study,
+        or cut the last lines of a drive that is not finished.
 
         Returns
         -------
@@ -192,9 +248,7 @@ class RecordedStudy:
                     "model": model.get("source", ""),
                     "why": model.get("why", ""),
                     "restarts": sum(now.attempts.values()),
-                    "notes": "; ".join(
-                        note["text"] for note in now.notes if note.get("source") == "experimenter"
-                    ),
+                    "notes": "; ".join(note["text"] for note in now.notes if "text" in note),
                 }
             )
         return self._labelled(pd.DataFrame(rows))
@@ -277,8 +331,10 @@ class RecordedStudy:
         after it.
 
         A row per drive: participant, position, condition, synthetic, attempt, verified (whether a
-        replay of its commands gives the same bits and its files are as they were written),
-        thresholds_from, period_median and period_max [s] of the log, pauses; the measures of the
+        replay of its commands gives its rows and its files are as they were written),
+        thresholds_from, period_median and period_max [s] of the log, pauses, delay (how old the
+        pictures were on which the person acted, 97th percentile [s]), seen_late (whether that is
+        more than a period beyond the camera's); the measures of the
         task, for the ground robot those of `run_condition` (p_r, p_h, r, tsc, path_error, speed,
         manual_share, switches, laps, duration, lap_time, suggestions, followed_percent);
         tlx_raw, trust_mean, satisfaction_mean and whatever other questionnaires score, NaN where
@@ -287,14 +343,17 @@ class RecordedStudy:
         rows = []
         for session in self._sessions:
             meta = session.metadata
-            facts = ("attempt", "verified", "thresholds_from", "period_median", "period_max")
+            facts = ["attempt", "verified", "thresholds_from", "period_median", "period_max"]
+            facts += ["delay", "seen_late"]
             row = {
                 "participant": meta.participant,
                 **self._group(meta.participant),
                 "position": meta.more["position"],
                 "condition": meta.condition,
             }
-            row |= {"synthetic": meta.synthetic} | {name: meta.more[name] for name in facts}
+            row |= {"synthetic": meta.synthetic} | {
+                name: meta.more.get(name, np.nan) for name in facts
+            }
             row["pauses"] = len(meta.more["pauses"])
             rows.append(row | self.task.measures(session))
         if not rows:
@@ -329,7 +388,8 @@ class RecordedStudy:
         rows = []
         there = {
             (code, step.condition): "; ".join(
-                fault.fault for fault in self._faults_of(code, attempt_name(step, event["attempt"]))
+                fault.fault
+                for fault in self._faults_of(code, log_path(Path(), step, event["attempt"]).name)
             )
             for code, step, event in self._finished("drive")
         }
@@ -449,7 +509,7 @@ class RecordedStudy:
     def export(self, path: str | os.PathLike | None = None) -> Path:
         """
         Write everything as one zip: participants, answers, measures, samples of every drive, items,
-        exclusions and faults, each as CSV and Parquet, and a data dictionary.
+        exclusions and faults, each as CSV and Parquet, and a README with what columns mean.
 
         Parameters
         ----------
@@ -460,8 +520,7 @@ class RecordedStudy:
         Returns
         -------
         pathlib.Path
-            The zip. Its `datapackage.json` says of each column what it means, its type and its
-            unit, in the form of a Frictionless Data Package.
+            The zip.
         """
         tables = {
             "participants": self.participants,
@@ -472,14 +531,8 @@ class RecordedStudy:
             "exclusions": self.exclusions(),
             "faults": self.faults(),
         }
-        about = {
-            "name": re.sub(r"[^a-z0-9._-]", "-", self.plan.folder.name.lower()),
-            "title": f"Live study {self.plan.folder.name}",
-            "description": self.summary(),
-            "profile": "tabular-data-package",
-        }
         target = self.plan.folder / "report-data.zip" if path is None else Path(path)
-        write_export(target, tables, about)
+        write_export(target, tables, f"Live study {self.plan.folder.name}. {self.summary()}")
         return target
 
     def table(self) -> pd.DataFrame:
@@ -506,13 +559,12 @@ def _score(page: StudyPage, answers: pd.DataFrame, per_condition: bool) -> Scale
 
 def _questionnaire(page: StudyPage) -> Questionnaire:
     """Return what a page asks, on the scale of its items."""
-    if page.scored == "trust":
-        return TRUST_CHECKLIST
     items = [item for item in page.items if item.kind == "scale"]
     scale = {name: getattr(items[0], name) for name in ("low", "high", "step")}
-    if page.scored == "nasa_tlx":
-        return replace(NASA_TLX, **scale)
     names, turned = [item.name for item in items], [item.name for item in items if item.reversed]
-    if page.scored == "satisfaction":
+    printed = {"trust": TRUST_CHECKLIST, "nasa_tlx": NASA_TLX}.get(page.scored)
+    if printed is not None and set(names) == set(printed.items):
+        return replace(printed, **scale)
+    if page.scored == "satisfaction" and scale["low"] == scale["step"] == 1:
         return satisfaction_scale(scale["high"], names, turned)
     return Questionnaire(page.name, names, reversed=turned, **scale)

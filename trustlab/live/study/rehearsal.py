@@ -7,25 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.live.study.drives import attempt_name
 from trustlab.live.study.pages import Item, Step
-from trustlab.live.study.participation import Participation
-from trustlab.live.tasks.task import task_of
+from trustlab.live.study.participant import Participant
+from trustlab.live.task import scripted_commands, task_of
 
 SENT_AT_ONCE = 600
 
 
-def rehearse(participations: list[Participation], seeds: list[np.random.SeedSequence]) -> None:
+def rehearse(participants: list[Participant], seeds: list[np.random.SeedSequence]) -> None:
     """Let each participant go from where they are to the end."""
-    for participation, seed in zip(participations, seeds, strict=True):
+    for participant, seed in zip(participants, seeds, strict=True):
         rng = np.random.default_rng(seed)
-        while (now := participation.state())["kind"] != "end":
-            step = participation.steps[now["page"]]
+        while (now := participant.state())["kind"] != "end":
+            step = participant.steps[now["page"]]
             if now["kind"] == "form":
                 answers = {item.name: _answer(item, rng) for item in step.page.items}
-                participation.answers({"page": step.index, "answers": answers})
+                participant.answers({"page": step.index, "answers": answers})
             else:
-                _drive(participation, step, rng)
+                _drive(participant, step, rng)
+        participant.close()
 
 
 def _answer(item: Item, rng: np.random.Generator) -> Any:
@@ -37,15 +37,15 @@ def _answer(item: Item, rng: np.random.Generator) -> Any:
     return True if item.kind == "check" else ""
 
 
-def _drive(participation: Participation, step: Step, rng: np.random.Generator) -> None:
+def _drive(participant: Participant, step: Step, rng: np.random.Generator) -> None:
     """Drive as a page would, by a hand that follows suggestions and takes over no other time."""
-    about: dict[str, Any] = {"page": step.index, "tab": "rehearsal"}
-    about["attempt"] = participation.begin(about)["attempt"]
-    header = participation.participant.header(attempt_name(step, about["attempt"]))
-    assert header is not None
-    config = header["config"]
-    made = task_of(config).scripted_rows(config, rng)
-    stamped = [[k, 1000.0 * config["sample_time"] * k, *row] for k, row in enumerate(made.tolist())]
-    for first in range(0, len(stamped), SENT_AT_ONCE):
-        participation.rows(about | {"rows": stamped[first : first + SENT_AT_ONCE]})
-    participation.done(about | {"rows": len(stamped)})
+    about: dict[str, Any] = {"page": step.index, "window": "rehearsal"}
+    participant.drive(about | {"begin": True})
+    assert participant.trial is not None
+    config = participant.trial.settings
+    task = task_of(config)
+    commands, _ = scripted_commands(task, config, task.hand(config, rng))
+    late = config["late"] / config["sample_time"]
+    for k in range(0, len(commands), SENT_AT_ONCE):
+        sent = commands[k : k + SENT_AT_ONCE]
+        participant.drive(about | {"k": k, "commands": sent, "seen": max(k - late, 0.0)})

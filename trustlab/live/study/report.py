@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from trustlab.live.study.store import EVENTS, PLAN
+from trustlab.live.study.plan import PLAN
 from trustlab.models.extras import extra
 from trustlab.models.files import write_atomically
 from trustlab.publishing.provenance import PACKAGE, SHORT, file_digest, provenance
@@ -35,8 +35,8 @@ def write_report(folder: Path, codes: list[str], path: Path) -> Path:
         import nbformat
         from nbconvert import HTMLExporter
 
-    events = [folder / code / f"{EVENTS}.jsonl" for code in codes]
-    inputs = [folder / PLAN, *events, *sorted(folder.glob("*/*.csv"))]
+    logs = [path for code in codes for path in sorted((folder / code).glob("*.jsonl"))]
+    inputs = [folder / PLAN, *logs]
     origin = provenance(PACKAGE.parent, NOTEBOOK, {}, [])
     digests = {file.relative_to(folder).as_posix(): file_digest(file) for file in inputs}
     origin |= {name: f"SHA-256 {digest[:SHORT]}" for name, digest in digests.items()}

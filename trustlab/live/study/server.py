@@ -1,5 +1,5 @@
 """
-The server of a live study, on tornado: a participant's pages, the rows of their drives, and the
+The server of a live study, on tornado: a participant's pages, the drives over a WebSocket, and the
 experimenter's page.
 
 A link is a token of 128 bits; who has it is that participant. Pages change by what is appended to
@@ -11,29 +11,30 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
+import resource
 import secrets
-import ssl
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Self
+from urllib.parse import urlsplit
 
-from trustlab.live.chain import check_writable, hold
-from trustlab.live.study.drives import kernel_digest, prepare
+from trustlab.live.log import Log, LogError
+from trustlab.live.study.drives import prepare
 from trustlab.live.study.pages import AnswerError
-from trustlab.live.study.participation import Participation, RefusedError
-from trustlab.live.study.plan import Plan
-from trustlab.live.study.store import (
+from trustlab.live.study.participant import Participant, RefusedError
+from trustlab.live.study.plan import (
     EXPERIMENTER,
     JOIN,
-    PREVIEW,
     DeletedError,
+    Plan,
     read_tokens,
     tokens_path,
 )
+from trustlab.live.trial import OTHER_WINDOW, made_by
 from trustlab.models.checks import flag, whole_number
 from trustlab.models.extras import extra
 
@@ -42,28 +43,34 @@ with extra("live"):
     import tornado.log
     import tornado.netutil
     import tornado.web
+    import tornado.websocket
 
 STATIC = Path(__file__).parents[1] / "static"
 TYPES = {
     ".js": "text/javascript",
     ".css": "text/css",
-    ".wasm": "application/wasm",
     ".html": "text/html",
     ".svg": "image/svg+xml",
 }
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
-LARGEST_BODY = 400_000
-"""Bytes of a request; 600 rows of a drive, what is sent at once after an outage, have 200,000."""
+LARGEST_BODY = 100_000
+"""Bytes of a request or message."""
 
-RATE, BURST = 20.0, 60.0
-"""
-Requests per second of one link, and how many may come at once; a browser sends two or three a
-second.
-"""
+MOST_CONNECTIONS, MOST_OF_ADDRESS = 1000, 100
+"""Connections in all, and of one address; behind a proxy all have its address."""
+
+WRITERS = 64
+"""Requests that may wait for the disk at once: a slow one holds up its own participant alone."""
+
+SERVED = ".served"
+"""The file that a server locks, with a line for each start."""
+
+HEADER_TIME = 10.0
+"""How long the head of a request may take [s]."""
 
 POLICY = (
-    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src "
-    "'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 HEADERS = {
     "Content-Security-Policy": POLICY,
@@ -76,25 +83,8 @@ HEADERS = {
 }
 
 
-class Bucket:
-    """How many requests a link may still make."""
-
-    def __init__(self):
-        self.left, self.at = BURST, time.monotonic()
-
-    def take(self) -> bool:
-        """Count one request; say whether it may be answered."""
-        now = time.monotonic()
-        self.left, self.at = min(BURST, self.left + RATE * (now - self.at)), now
-        self.left -= self.left >= 1.0
-        return self.left >= 1.0
-
-
 class Base(tornado.web.RequestHandler):
-    """
-    What every request goes through: host, origin, kind and rate are checked before anything is
-    read.
-    """
+    """What every request goes through: host, origin and kind are checked before anything else."""
 
     def set_default_headers(self) -> None:
         """Set the headers that all answers have, errors too."""
@@ -103,60 +93,82 @@ class Base(tornado.web.RequestHandler):
 
     def prepare(self) -> None:
         """Refuse what does not come from the study's own pages."""
-        if (
-            self.request.host not in self.served.hosts
-        ):  # another name for this address: DNS rebinding
+        server, headers = self.server, self.request.headers
+        if self.request.host not in server.hosts:  # another name for this address: DNS rebinding
             raise tornado.web.HTTPError(421)
-        if self.request.method == "POST":
-            if (
-                self.request.headers.get("Origin")
-                != f"{self.request.protocol}://{self.request.host}"
-            ):
-                raise tornado.web.HTTPError(403)
-            if self.request.headers.get("Content-Type", "").partition(";")[0] != "application/json":
-                raise tornado.web.HTTPError(415)
+        socket = headers.get("Upgrade", "").lower() == "websocket"
+        origins = (f"http://{self.request.host}", server.url)
+        if (socket or self.request.method == "POST") and headers.get("Origin") not in origins:
+            raise tornado.web.HTTPError(403)
+        kind = headers.get("Content-Type", "").partition(";")[0]
+        if self.request.method == "POST" and kind != "application/json":
+            raise tornado.web.HTTPError(415)
 
     @property
-    def served(self) -> StudyServer:
+    def server(self) -> StudyServer:
         """The server."""
-        return self.settings["served"]
+        return self.settings["server"]
 
     def holder(self, token: str) -> str:
         """Return whose link this is; an unknown one is as if the page did not exist."""
-        holder = self.served.holder(token)
+        holder = self.server.holder(token)
         if holder is None:
             raise tornado.web.HTTPError(404)
-        if not self.served.buckets.setdefault(holder, Bucket()).take():
-            raise tornado.web.HTTPError(429)
         return holder
+
+    def participant(self, token: str) -> str:
+        """Return which participant's link this is."""
+        holder = self.holder(token)
+        if holder in (EXPERIMENTER, JOIN):
+            raise tornado.web.HTTPError(404)
+        return holder
+
+    def allow(self, token: str, holder: str) -> None:
+        """Turn away who has another link."""
+        if self.holder(token) != holder:
+            raise tornado.web.HTTPError(404)
 
     def body(self) -> dict[str, Any]:
         """Return the request's body, an object in JSON without NaN and infinities."""
         try:
-            body = json.loads(self.request.body, parse_constant=_refuse)
-        except (ValueError, RecursionError):
+            return parsed(self.request.body)
+        except ValueError:
             raise tornado.web.HTTPError(400) from None
-        if not isinstance(body, dict):
-            raise tornado.web.HTTPError(400)
-        return body
 
     def page(self, name: str) -> None:
         """Answer with a file of this package."""
-        content = self.served.files.get(name)
+        content = self.server.files.get(name)
         if content is None:
             raise tornado.web.HTTPError(404)
         self.set_header("Content-Type", f"{TYPES[Path(name).suffix]}; charset=utf-8")
         self.write(content)
+
+    async def reply(self, work: Callable[[], dict[str, Any]]) -> None:
+        """Answer with what work in a thread returns, or with why it cannot be done."""
+        try:
+            self.write(await asyncio.to_thread(work))
+            if self.request.method == "POST":
+                self.server.saved()
+        except OSError as error:
+            self.server.not_saved(error)
+            self.set_status(507)
+            self.finish({"error": f"nothing can be saved: {self.server.disk}"})
+        except AnswerError as error:
+            self.set_status(400)
+            self.finish({"error": str(error)})
+        except RefusedError as error:
+            self.set_status(409)
+            self.finish({"error": str(error), **error.facts})
+        except DeletedError:
+            raise tornado.web.HTTPError(404) from None
 
     def write_error(self, status_code: int, **_: Any) -> None:
         """
         Answer with nothing about the server: the number of the error, or a page for who opened a
         link that leads nowhere.
         """
-        opened = self.request.method == "GET" and "text/html" in self.request.headers.get(
-            "Accept", ""
-        )
-        if status_code == 404 and opened:
+        accepted = self.request.headers.get("Accept", "")
+        if status_code == 404 and self.request.method == "GET" and "text/html" in accepted:
             self.page("missing.html")
             self.finish()
         else:
@@ -165,56 +177,76 @@ class Base(tornado.web.RequestHandler):
     def log_exception(self, kind: Any, value: Any, traceback: Any) -> None:
         """Log a mistake of ours, without the address of the request, which is somebody's link."""
         if not isinstance(value, tornado.web.HTTPError):
-            self.served.mistakes += 1
-            tornado.log.app_log.error(
-                "a request could not be answered", exc_info=(kind, value, traceback)
-            )
+            self.server.mistaken((kind, value, traceback))
 
     def data_received(self, chunk: bytes) -> None:
         """Bodies are read whole."""
 
 
-def _refuse(constant: str) -> None:
-    raise ValueError(constant)
+def parsed(text: str | bytes) -> dict[str, Any]:
+    """Return an object in JSON without NaN and infinities; a ValueError says that it is none."""
+
+    def refuse(constant: str) -> None:
+        raise ValueError(constant)
+
+    try:
+        body = json.loads(text, parse_constant=refuse)
+    except RecursionError:
+        raise ValueError("too deep") from None
+    if not isinstance(body, dict):
+        raise ValueError("no object")
+    return body
 
 
 class Static(Base):
-    """
-    The scripts, the style sheet and the physics: files known by name when the server starts, and no
-    others.
-    """
+    """Scripts and style sheet: files known by name when the server starts, and no others."""
 
     def get(self, name: str) -> None:
         """Answer with the file."""
         self.page(name)
 
 
+class Join(Base):
+    """
+    The link by which anybody takes the next free place: by a button, since programs that look at
+    links take none; a cookie leads back to it.
+    """
+
+    def get(self, token: str) -> None:
+        """Answer with the page that asks, or lead to the place that was taken."""
+        self._allow(token)
+        place = self.get_cookie("place", "")
+        if self.server.holder(place) in self.server.plan.orders:
+            self.redirect(f"/p/{place}")
+        else:
+            self.page("join.html")
+
+    async def post(self, token: str) -> None:
+        """Take the next free place."""
+        self._allow(token)
+        await self.reply(self._place)
+
+    def _allow(self, token: str) -> None:
+        self.allow(token, JOIN)
+        if not self.server.enrol:
+            raise tornado.web.HTTPError(404)
+
+    def _place(self) -> dict[str, Any]:
+        code = self.server.free_place()
+        if code is None:
+            raise RefusedError("All places of this study are taken. Thank you for your interest.")
+        place = self.server.tokens[code]
+        self.set_cookie("place", place, httponly=True, samesite="Strict", path="/join")
+        return {"link": f"/p/{place}"}
+
+
 class ParticipantPage(Base):
     """The page that a link opens."""
 
     def get(self, token: str) -> None:
-        """Answer with the frame that the script fills; a preview begins anew."""
-        holder = self.holder(token)
-        if holder in (EXPERIMENTER, JOIN):
-            raise tornado.web.HTTPError(404)
-        if holder == PREVIEW:
-            self.served.begin_preview()
+        """Answer with the frame that the script fills."""
+        self.participant(token)
         self.page("study.html")
-
-
-class Join(Base):
-    """The link by which anybody takes the next free place."""
-
-    async def get(self, token: str) -> None:
-        """Lead to a participant's page, or say that all places are taken."""
-        if self.holder(token) != JOIN or not self.served.enrol:
-            raise tornado.web.HTTPError(404)
-        code = await asyncio.to_thread(self.served.free_place)
-        if code is None:
-            self.set_status(410)
-            self.finish("All places of this study are taken. Thank you for your interest.")
-        else:
-            self.redirect(f"/p/{self.served.tokens[code]}")
 
 
 class ParticipantRequest(Base):
@@ -224,40 +256,61 @@ class ParticipantRequest(Base):
         """Answer with the page to show."""
         if request != "state":
             raise tornado.web.HTTPError(405)
-        await self.reply(token, lambda participation: participation.state())
+        await self._reply(token, lambda participant: participant.state())
 
     async def post(self, token: str, request: str) -> None:
-        """Take answers, rows, notes and the end of a drive."""
+        """Take answers, or the wish to stop."""
         if request == "state":
             raise tornado.web.HTTPError(405)
         body = self.body()
-        await self.reply(token, lambda participation: getattr(participation, request)(body))
+        await self._reply(token, lambda participant: getattr(participant, request)(body))
 
-    async def reply(self, token: str, work: Callable[[Participation], dict[str, Any]]) -> None:
-        """
-        Do the work in a thread, after what this participant asked before, and answer with what it
-        returns.
-        """
-        code = self.holder(token)
-        if code in (EXPERIMENTER, JOIN):
-            raise tornado.web.HTTPError(404)
-        async with self.served.locks.setdefault(code, asyncio.Lock()):
-            try:
-                self.write(await asyncio.to_thread(lambda: work(self.served.participation(code))))
-                if self.request.method == "POST":
-                    self.served.saved()
-            except OSError as error:
-                self.served.not_saved(error)
-                self.set_status(507)
-                self.finish({"error": "the disk is full"})
-            except AnswerError as error:
-                self.set_status(400)
-                self.finish({"error": str(error)})
-            except RefusedError as error:
-                self.set_status(409)
-                self.finish({"error": str(error), **error.facts})
-            except DeletedError:
-                raise tornado.web.HTTPError(404) from None
+    async def _reply(self, token: str, work: Callable[[Participant], dict[str, Any]]) -> None:
+        code = self.participant(token)
+        async with self.server.queues.setdefault(code, asyncio.Lock()):
+            await self.reply(lambda: work(self.server.participant(code)))
+
+
+class DriveSocket(tornado.websocket.WebSocketHandler, Base):
+    """A drive: commands come, pictures go."""
+
+    def prepare(self) -> None:
+        """Refuse who has no link of a participant."""
+        super().prepare()
+        token, page = self.path_args
+        self.code, self.number = self.participant(token), int(page)
+
+    def check_origin(self, origin: str) -> bool:
+        """Whether a page may connect: `prepare` has looked."""
+        return True
+
+    async def open(self, *_: str) -> None:
+        """Begin to listen."""
+        self.set_nodelay(True)
+
+    async def on_message(self, text: str | bytes) -> None:
+        """Do the commands of a message, after those before it; answer with the picture."""
+        try:
+            message = parsed(text) | {"page": self.number}
+            async with self.server.queues.setdefault(self.code, asyncio.Lock()):
+                answer = await asyncio.to_thread(self._answer, message)
+            self.server.saved()
+        except OSError as error:
+            self.server.not_saved(error)
+            answer = {"trouble": self.server.plan.content["words"]["disk"]}
+        except DeletedError:
+            answer = {"done": True}
+        except (LogError, ValueError) as error:
+            words = self.server.plan.content["words"]["stopped"]
+            answer = {"refused": words.replace("{error}", str(error))}
+        if self.ws_connection is not None:
+            self.write_message(json.dumps(answer))
+
+    def _answer(self, message: Mapping[str, Any]) -> dict[str, Any]:
+        answer = self.server.participant(self.code).drive(message)
+        if answer.get("refused") == OTHER_WINDOW:
+            answer["refused"] = self.server.plan.content["words"]["other_window"]
+        return answer
 
 
 class ExperimenterPage(Base):
@@ -265,8 +318,7 @@ class ExperimenterPage(Base):
 
     def get(self, token: str) -> None:
         """Answer with the frame that the script fills."""
-        if self.holder(token) != EXPERIMENTER:
-            raise tornado.web.HTTPError(404)
+        self.allow(token, EXPERIMENTER)
         self.page("experimenter.html")
 
 
@@ -275,10 +327,13 @@ class ExperimenterRequest(Base):
 
     async def get(self, token: str, request: str) -> None:
         """Answer with where everybody is, or with everything as a zip."""
-        self.allow(token, request in ("state", "export"))
+        self.allow(token, EXPERIMENTER)
         if request == "export":
-            return await self.export()
-        self.write(await asyncio.to_thread(self.served.overview))
+            await self.export()
+        elif request == "state":
+            self.write(await asyncio.to_thread(self.server.overview))
+        else:
+            raise tornado.web.HTTPError(404)
 
     async def export(self) -> None:
         """Answer with everything that was recorded, as a zip."""
@@ -287,40 +342,52 @@ class ExperimenterRequest(Base):
 
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "data.zip"
-            folder_of_study = self.served.plan.folder
-            await asyncio.to_thread(lambda: read_live_study(folder_of_study).export(path))
+            study = self.server.plan.folder
+            await asyncio.to_thread(lambda: read_live_study(study).export(path))
             self.set_header("Content-Type", "application/zip")
-            name = f'attachment; filename="{folder_of_study.name}.zip"'
+            name = f'attachment; filename="{study.name}.zip"'
             self.set_header("Content-Disposition", name.encode("ascii", "replace"))
             self.write(path.read_bytes())
 
     async def post(self, token: str, request: str) -> None:
         """Restart a drive, add a note, or end a participation."""
-        self.allow(token, request == "act")
+        self.allow(token, EXPERIMENTER)
         body = self.body()
         code, action = body.get("participant"), body.get("action")
-        if code not in self.served.present() or action not in ("restart", "note", "end"):
-            raise tornado.web.HTTPError(400)
-        async with self.served.locks.setdefault(code, asyncio.Lock()):
-            try:
-                await asyncio.to_thread(
-                    lambda: getattr(self.served.participation(code), f"experimenter_{action}")(body)
-                )
-            except AnswerError as error:
-                self.set_status(400)
-                self.finish({"error": str(error)})
-                return
-            except OSError as error:
-                self.served.not_saved(error)
-                self.set_status(507)
-                self.finish({"error": f"nothing can be saved: {self.served.disk}"})
-                return
-        self.write(await asyncio.to_thread(self.served.overview))
+        known = code in self.server.plan.present() and action in ("restart", "note", "end")
+        if request != "act" or not known:
+            raise tornado.web.HTTPError(400 if request == "act" else 404)
 
-    def allow(self, token: str, known: bool) -> None:
-        """Turn away who is not the experimenter, and what is not known."""
-        if self.holder(token) != EXPERIMENTER or not known:
-            raise tornado.web.HTTPError(404)
+        def act() -> dict[str, Any]:
+            getattr(self.server.participant(code), f"experimenter_{action}")(body)
+            return self.server.overview()
+
+        async with self.server.queues.setdefault(code, asyncio.Lock()):
+            await self.reply(act)
+
+
+class Missing(Base):
+    """Every other address."""
+
+    def prepare(self) -> None:
+        """Answer that there is no such page."""
+        super().prepare()
+        raise tornado.web.HTTPError(404)
+
+
+class Listener(tornado.httpserver.HTTPServer):
+    """A server that closes connections beyond a number, in all and of an address."""
+
+    most = most_of_address = MOST_CONNECTIONS
+
+    def handle_stream(self, stream: Any, address: tuple) -> None:
+        """Take a connection, or close it."""
+        contexts: list[Any] = [connection.context for connection in self._connections]
+        same = sum(context.address[:1] == address[:1] for context in contexts)
+        if len(self._connections) >= self.most or same >= self.most_of_address:
+            stream.close()
+        else:
+            super().handle_stream(stream, address)
 
 
 class StudyServer:
@@ -330,7 +397,7 @@ class StudyServer:
 
     Parameters
     ----------
-    plan, address, port, certificate, key, names, enrol
+    plan, address, port, url, enrol
         As for `LiveStudy.serve`.
     """
 
@@ -340,24 +407,21 @@ class StudyServer:
         address: str = "127.0.0.1",
         port: int = 0,
         *,
-        certificate: str | os.PathLike | None = None,
-        key: str | os.PathLike | None = None,
-        names: Iterable[str] = (),
+        url: str = "",
         enrol: bool = False,
     ):
-        if certificate is None and address not in LOOPBACK:
+        if address not in LOOPBACK and not url.startswith("https://"):
             raise ValueError(
                 f"address {address!r} can be reached from other machines, and what people type "
-                "there would travel unencrypted: give certificate= and key= (files in PEM "
-                "format), or serve on 127.0.0.1 behind a proxy that has them"
+                "there would travel unencrypted: serve on 127.0.0.1 behind a proxy that ends TLS, "
+                "and give its address: url='https://…'"
             )
-        if key is not None and certificate is None:
-            raise ValueError(f"key {str(key)!r} is of no use without certificate=")
-        if plan.content["kernel"] != kernel_digest():
+        if url and (not urlsplit(url).hostname or urlsplit(url).path.strip("/")):
+            raise ValueError(f"url must be like https://study.example.org, got {url!r}")
+        if plan.content["made_by"] != made_by():
             raise ValueError(
-                f"the study was frozen with physics {plan.content['kernel'][:16]}, this version "
-                f"of trustlab has {kernel_digest()[:16]}: its drives would not compare; go on "
-                "with the version it was begun with"
+                f"the study was frozen with {plan.content['made_by']}, this is {made_by()}: its "
+                "drives would not compare; go on with the version it was begun with"
             )
         if plan.fault:
             raise ValueError(
@@ -366,32 +430,15 @@ class StudyServer:
         self.plan = plan
         self.address = address
         self.port = whole_number("port", port, 0, 65535)
-        self.tls = None
-        if certificate is not None:
-            self.tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-            try:
-                self.tls.load_cert_chain(certificate, key)
-            except OSError as error:  # ssl.SSLError is one
-                files = (
-                    f"certificate {str(certificate)!r} and key {str(key)!r}"
-                    if key
-                    else f"certificate {str(certificate)!r}"
-                )
-                raise ValueError(
-                    f"{files} cannot be used for TLS ({error}); give files in PEM format, the key "
-                    "without a password"
-                ) from error
-        self.names = tuple(names)
+        self.url = url.rstrip("/")
         self.enrol = flag("enrol", enrol)
         self.files = {
             path.name: path.read_bytes() for path in STATIC.iterdir() if path.suffix in TYPES
         }
         self.hosts: set[str] = set()
-        self.buckets: dict[str, Bucket] = {}
-        self.locks: dict[str, asyncio.Lock] = {}
-        self.participations: dict[str, Participation] = {}
-        self.participations_lock = threading.Lock()
-        self.places_lock = threading.Lock()
+        self.queues: dict[str, asyncio.Lock] = {}
+        self.participants: dict[str, Participant] = {}
+        self.lock = threading.RLock()
         self.tokens: dict[str, str] = {}
         self.tokens_at = 0
         self.thread: threading.Thread | None = None
@@ -399,6 +446,7 @@ class StudyServer:
         self.fault: BaseException | None = None
         self.disk = ""
         self.mistakes = 0
+        self.told: set[str] = set()
 
     def holder(self, token: str) -> str | None:
         """
@@ -414,34 +462,28 @@ class StudyServer:
                 holder = name
         return holder
 
-    def participation(self, code: str) -> Participation:
-        """Return a participant's participation, read from the disk the first time."""
-        with self.participations_lock:
-            if code not in self.participations or self.participations[code].participant.deleted:
-                self.participations.pop(code, None)
-                if code not in self.present():
-                    raise DeletedError(f"participant {code} was deleted")
-                self.participations[code] = Participation(self.plan, code)
-            return self.participations[code]
-
-    def begin_preview(self) -> None:
-        """Let a preview begin anew: a rehearsal of the plan in a folder that does not last."""
-        self.preview_home = tempfile.TemporaryDirectory()
-        content = {**self.plan.content, "rehearsal": True}
-        plan = Plan(Path(self.preview_home.name), content)
-        code = next(iter(plan.orders))
-        (plan.folder / code).mkdir()
-        self.participations[PREVIEW] = Participation(plan, code)
+    def participant(self, code: str) -> Participant:
+        """Return a participant, read from the disk the first time."""
+        with self.lock:
+            if code not in self.plan.present():
+                if code in self.participants:
+                    self.participants.pop(code).close()
+                raise DeletedError(f"participant {code} was deleted")
+            if code not in self.participants:
+                self.participants[code] = Participant(self.plan, code)
+            return self.participants[code]
 
     def free_place(self) -> str | None:
         """Return the next participant whom nobody is yet, and take the place."""
-        with self.places_lock:
-            return next((c for c in self.present() if self.participation(c).enrol()), None)
+        with self.lock:
+            return next((c for c in self.plan.present() if self.participant(c).enrol()), None)
 
-    def present(self) -> list[str]:
-        """Return the codes of all who were not deleted."""
-        gone = self.plan.deleted()
-        return [code for code in self.plan.orders if code not in gone]
+    def mistaken(self, error: Any) -> None:
+        """Note a mistake of ours; the log tells each kind once."""
+        self.mistakes += 1
+        if repr(error[1]) not in self.told:
+            self.told.add(repr(error[1]))
+            tornado.log.app_log.error("a request could not be answered", exc_info=error)
 
     def saved(self) -> None:
         """Note that something was written again after a time when nothing could be."""
@@ -474,31 +516,24 @@ class StudyServer:
 
     def overview(self) -> dict[str, Any]:
         """Return what the experimenter's page shows."""
-        rows = [
-            self.participation(code).overview() | {"link": f"{self.base}/p/{self.tokens[code]}"}
-            for code in self.present()
-        ]
+        people = []
+        for code in self.plan.present():
+            row = self.participant(code).overview()
+            people.append(row | {"link": f"{self.base}/p/{self.tokens[code]}"})
         return {
             "study": self.plan.folder.name,
             "rehearsal": self.plan.rehearsal,
             "deleted": len(self.plan.deleted()),
             "trouble": self.trouble,
-            "preview": f"{self.base}/p/{self.tokens[PREVIEW]}",
             "join": f"{self.base}/join/{self.tokens[JOIN]}" if self.enrol else "",
-            "people": rows,
+            "people": people,
         }
 
     @property
     def base(self) -> str:
         """The beginning of every link."""
-        name = (
-            self.names[0]
-            if self.names
-            else f"[{self.address}]"
-            if ":" in self.address
-            else self.address
-        )
-        return f"{'https' if self.tls else 'http'}://{name}:{self.port}"
+        name = f"[{self.address}]" if ":" in self.address else self.address
+        return self.url or f"http://{name}:{self.port}"
 
     @property
     def experimenter(self) -> str:
@@ -515,44 +550,47 @@ class StudyServer:
         tokens.
         """
         token = r"([A-Za-z0-9_-]{22})"
-        asked = "state|answers|begin|rows|note|done|withdraw"
         return tornado.web.Application(
             [
                 (r"/static/([a-z_]+\.[a-z]+)", Static),
                 (rf"/p/{token}", ParticipantPage),
                 (rf"/join/{token}", Join),
-                (rf"/p/{token}/({asked})", ParticipantRequest),
+                (rf"/p/{token}/(state|answers|withdraw)", ParticipantRequest),
+                (rf"/p/{token}/drive/(\d{{1,4}})", DriveSocket),
                 (rf"/experimenter/{token}", ExperimenterPage),
                 (rf"/experimenter/{token}/(state|act|export)", ExperimenterRequest),
             ],
             default_handler_class=Missing,
             log_function=lambda handler: None,
-            served=self,
+            websocket_max_message_size=LARGEST_BODY,
+            server=self,
         )
 
     async def _serve(self) -> None:
-        server = tornado.httpserver.HTTPServer(
+        listener = Listener(
             self.application(),
-            ssl_options=self.tls,
             max_body_size=LARGEST_BODY,
             max_header_size=16_000,
-            idle_connection_timeout=120.0,
+            idle_connection_timeout=HEADER_TIME,
             body_timeout=30.0,
         )
+        files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        listener.most = min(MOST_CONNECTIONS, max(files - 2 * len(self.plan.orders) - 50, 10))
+        listener.most_of_address = listener.most if self.url else MOST_OF_ADDRESS
         sockets = tornado.netutil.bind_sockets(self.port, self.address)
         self.port = sockets[0].getsockname()[1]
-        hosts = (self.address, *self.names, *(LOOPBACK if self.address in LOOPBACK else ()))
-        self.hosts = {
-            f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}" for host in hosts
-        }
-        if self.port == (443 if self.tls else 80):  # browsers leave the usual port out
+        names = LOOPBACK if self.address in LOOPBACK else (self.address,)
+        self.hosts = {f"[{n}]:{self.port}" if ":" in n else f"{n}:{self.port}" for n in names}
+        if self.port == 80:  # browsers leave the usual port out
             self.hosts |= {host.rpartition(":")[0] for host in self.hosts}
-        server.add_sockets(sockets)
+        self.hosts |= {urlsplit(self.url).netloc} if self.url else set()
+        listener.add_sockets(sockets)
         self.loop, self.ending = asyncio.get_running_loop(), asyncio.Event()
+        self.loop.set_default_executor(ThreadPoolExecutor(WRITERS))
         self.started.set()
         await self.ending.wait()
-        server.stop()
-        await server.close_all_connections()
+        listener.stop()
+        await listener.close_all_connections()
 
     def _run(self) -> None:
         try:
@@ -563,23 +601,31 @@ class StudyServer:
 
     def __enter__(self) -> Self:
         """Begin to serve; one server per study."""
-        for code in self.present():
-            check_writable(self.plan.folder / code)
-        self.hold = hold(self.plan.folder)
-        if self.hold is None:
+        try:
+            self.held = Log(self.plan.folder / SERVED)
+            self.held.append([{"at": time.time(), **made_by()}])
+        except LogError:
             raise ValueError(
                 f"{self.plan.folder} is being served already, by another process or notebook"
-            )
-        prepare(self.plan)
-        self.holder("")
-        self.thread = threading.Thread(target=self._run, name="live study", daemon=True)
-        self.thread.start()
-        self.started.wait()
-        if self.fault is not None:
-            os.close(self.hold)
+            ) from None
+        except OSError as error:
             raise ValueError(
-                f"cannot serve on {self.address}, port {self.port}: {self.fault}"
-            ) from self.fault
+                f"nothing can be written in {self.plan.folder} ({error.strerror}): make it "
+                "writable and see that its disk has room before people come"
+            ) from None
+        try:
+            prepare(self.plan)
+            self.holder("")
+            self.thread = threading.Thread(target=self._run, name="live study", daemon=True)
+            self.thread.start()
+            self.started.wait()
+            if self.fault is not None:
+                raise ValueError(
+                    f"cannot serve on {self.address}, port {self.port}: {self.fault}"
+                ) from self.fault
+        except BaseException:
+            self.held.close()
+            raise
         return self
 
     def wait(self) -> None:
@@ -597,13 +643,6 @@ class StudyServer:
         self.loop.call_soon_threadsafe(self.ending.set)
         assert self.thread is not None
         self.thread.join(10.0)
-        os.close(self.hold)
-
-
-class Missing(Base):
-    """Every other address."""
-
-    def prepare(self) -> None:
-        """Answer that there is no such page."""
-        super().prepare()
-        raise tornado.web.HTTPError(404)
+        for participant in self.participants.values():
+            participant.close()
+        self.held.close()

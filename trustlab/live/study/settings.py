@@ -5,7 +5,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from trustlab.allocation.limits import check_thresholds, threshold_limits
-from trustlab.models.checks import finite_number, of_class, positive, shown, whole_number
+from trustlab.live.task import MOST_DELAY
+from trustlab.models.checks import between, finite_number, of_class, positive, shown, whole_number
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
@@ -48,6 +49,9 @@ class DriveSettings:
         The course; that of the ground robot's testbed by default.
     robot : Pioneer, optional
         The robot; by default that of the testbed, not faster than 0.5 m/s.
+    least_delay : float
+        How late pictures are shown at least [s], so that connections make no difference among
+        people; the camera's delay counts where it is longer.
 
     Raises
     ------
@@ -71,6 +75,7 @@ class DriveSettings:
     thresholds: tuple[float, float] | None = None
     course: Course | None = None
     robot: Pioneer | None = None
+    least_delay: float = 0.0
 
     def __post_init__(self):
         if (self.model is None) != (self.thresholds is None):
@@ -86,6 +91,7 @@ class DriveSettings:
         return {
             "laps": whole_number("laps", self.laps, most=1000),
             "training": positive("training", self.training),
+            "least_delay": between("least_delay", self.least_delay, 0.0, MOST_DELAY),
             "identification": _schedule(self.identification),
             "stand_in": self._stand_in(),
             "course": None if self.course is None else _fields(self.course),

@@ -6,13 +6,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from trustlab.live.tasks.browser import offset, plan_of
-from trustlab.live.tasks.led import ADDRESSES, EMPTY, FOLLOWER, LEAD, ROW, about
-from trustlab.live.tasks.task import PERIOD, LiveTask, trust_as_json, trust_of
+from trustlab.live.hands import ScriptedLeader
+from trustlab.live.task import MOST_DELAY, PERIOD, LiveTask, trust_as_json, trust_of
 from trustlab.models.checks import between, positive, whole_number
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.records import filled
-from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.decisions import POLICIES, TeamSituation
 from trustlab.teleoperation.team.settings import (
     TeamOperator,
@@ -20,14 +17,11 @@ from trustlab.teleoperation.team.settings import (
     TeamSettings,
     TeamTrial,
 )
-from trustlab.testbeds.robot_team import DECISION, TeamLoop
+from trustlab.testbeds.robot_team import TeamLoop
 
 BY_HAND, SUGGESTED = "by_hand", "suggested"
 ADVISERS: dict[str, Any] = {name: POLICIES[name] for name in ("most_trusted", "hysteresis")}
 """Policies whose picks are logged, in every condition."""
-
-CHOOSES = ("most_trusted", "hysteresis", SUGGESTED, BY_HAND)
-"""Who chooses the leader, by the numbers of `led`."""
 
 COMMANDS = ("pointer_x", "pointer_y", "leader_choice")
 COLUMNS = (
@@ -85,7 +79,9 @@ class LeadingSettings:
         τ_min, how long a leader leads at the least [s].
     tolerance : float
         How near to a goal all robots must be [m].
-
+    least_delay : float
+        How late pictures are shown at least [s], so that connections make no difference among
+        people; the camera's delay counts where it is longer.
     trust : TrustDynamics or TrustInLoop, optional
         One of `trustlab.trust.MODELS` in place of (4.1).
 
@@ -107,6 +103,7 @@ class LeadingSettings:
     training: float = 60.0
     min_dwell: float = 5.0
     tolerance: float = 0.4
+    least_delay: float = 0.0
     trust: Any = None
 
     def __post_init__(self):
@@ -115,6 +112,7 @@ class LeadingSettings:
         trust_as_json(self.trust)
         between("duration", self.duration, 1.0, 3600.0)
         between("training", self.training, 1.0, 3600.0)
+        between("least_delay", self.least_delay, 0.0, MOST_DELAY)
         between("min_dwell", self.min_dwell, 1.0, 60.0)
         positive("tolerance", self.tolerance)
 
@@ -209,7 +207,8 @@ class LeadingRun:
         self.periods += 1
         self.leader = self.loop.robots.index(self.loop.leader) + 1
         places, goal = self.loop.positions[:, :2], self.goal
-        *middle, error = about(places, np.array(goal))
+        middle = places.mean(axis=0)
+        error = float(np.hypot(*(places - goal).T).max())
         if error <= self.config["tolerance"]:
             self.reached += 1
         vectors = (places[self.leader - 1], middle, goal, state.f_m[:2])
@@ -225,49 +224,10 @@ class LeadingRun:
             *self.loop.trust.tolist(),
         ]
 
-    def memory(self) -> dict[str, Any]:
-        """Return the loop's arrays as a browser needs them, before the first step."""
-        loop, config = self.loop, self.config
-        run, robots = loop.simulation, len(loop.robots)
-        arrays: dict[str, Any] = run.setup._asdict() | run.state._asdict() | {"inputs": run.inputs}
-        del arrays["row"]  # it begins the state
-        samples, columns = len(run.inputs), len(kernel.COLUMNS)
-        arrays["samples"] = run.log.samples
-        arrays["table"], arrays["places"] = np.zeros((1, columns)), np.zeros((1, robots, 3))
-        arrays["numbers"] = run.setup.numbers.copy()
-        arrays["numbers"]["per_row"] = samples
-        settings = {
-            "step": DECISION,
-            "pull": PULL,
-            "tolerance": config["tolerance"],
-            "min_dwell": config["min_dwell"],
-            "margin": ADVISERS["hysteresis"].margin,
-            "samples": samples,
-            "decisions": len(run.setup.drift),
-            "robots": robots,
-            "goals": len(self.goals),
-            "chooses": CHOOSES.index(config["condition"]),
-            "leader": -1,
-        }
-        arrays["leads"] = filled(LEAD, **settings)
-        followers = arrays["followers"] = np.zeros(robots, FOLLOWER)
-        followers["place"] = config["start"]
-        followers["share"], followers["trust"] = loop.human_trust.share, loop.trust
-        arrays["goals"] = np.array([(*goal, 0.0) for goal in self.goals])
-        arrays["row"] = np.zeros(1, ROW)
-        return plan_of(arrays, ADDRESSES, EMPTY) | {
-            "every": round(PERIOD / SAMPLE_TIME),
-            "columns": len(ROW.names),
-            "robot": {name: offset(FOLLOWER, name) for name in ("place", "trust")},
-            "size": FOLLOWER.itemsize,
-            "wait": offset(LEAD, "wait"),
-        }
-
     def picture(self) -> dict[str, Any]:
         """Return what the page draws."""
         state = self.loop.state
         return {
-            "t": self.periods * PERIOD,
             "robots": self.loop.positions[:, :2].tolist() if self.periods else self.starts(),
             "trust": self.loop.trust.tolist(),
             "leader": self.leader,
@@ -283,43 +243,6 @@ class LeadingRun:
         return [place[:2] for place in self.config["start"]]
 
 
-class ScriptedLeader:
-    """
-    A scripted person: pulls towards the goal, and now and then lets a robot lead: the most trusted
-    one, the one nearest to the goal, or any.
-    """
-
-    def __init__(self, config: Mapping[str, Any], rng: np.random.Generator):
-        self.rng = rng
-        self.by_trust, self.by_distance = rng.dirichlet((2.0, 1.0, 0.5))[:2]
-        self.rate = PERIOD / rng.uniform(6.0, 15.0)
-        self.follows = rng.uniform(0.4, 1.0)
-        self.choice = 0
-        self.answered = 0
-        self.condition = config["condition"]
-
-    def __call__(self, picture: Mapping[str, Any]) -> tuple[float, float, int]:
-        """Return the command that follows a picture."""
-        robots, goal = np.array(picture["robots"]), np.array(picture["goal"])
-        away = goal - robots[max(picture["leader"] - 1, 0)]
-        x, y = np.clip(away + 0.05 * self.rng.normal(size=2), -1.0, 1.0)
-        suggested = picture["suggested"]
-        if suggested and suggested != self.answered and self.rng.random() < self.follows:
-            self.choice = suggested
-        elif self.condition != SUGGESTED and self.rng.random() < self.rate:
-            self.choice = self._pick(robots, goal, np.array(picture["trust"]))
-        self.answered = suggested
-        return float(x), float(y), self.choice
-
-    def _pick(self, robots: np.ndarray, goal: np.ndarray, trust: np.ndarray) -> int:
-        draw = self.rng.random()
-        if draw < self.by_trust:
-            return int(np.argmax(trust)) + 1
-        if draw < self.by_trust + self.by_distance:
-            return int(np.argmin(np.hypot(*(robots - goal).T))) + 1
-        return int(self.rng.integers(len(robots))) + 1
-
-
 class TeamTask(LiveTask):
     """Runs of a team to goals; conditions say who chooses the leader."""
 
@@ -327,6 +250,7 @@ class TeamTask(LiveTask):
     conditions: ClassVar[tuple[str, ...]] = (BY_HAND, *ADVISERS, SUGGESTED)
     reported: ClassVar[tuple[str, ...]] = ("duration", "path", "goals_reached", "switches", "force")
     settings: ClassVar[type] = LeadingSettings
+    decisions: ClassVar[tuple[str, ...]] = COLUMNS[-6:]
 
     def config(
         self, content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
@@ -356,7 +280,7 @@ class TeamTask(LiveTask):
             "field": FIELD + START,
             "columns": [*COLUMNS, *(f"trust_{i}" for i in range(1, count + 1))],
             "commands": list(COMMANDS),
-            "served": content.get("trust") is not None,
+            "late": 0.0,
             "limits": {
                 "pointer_x": [-1.0, 1.0],
                 "pointer_y": [-1.0, 1.0],
@@ -369,15 +293,6 @@ class TeamTask(LiveTask):
     def begin(self, config: Mapping[str, Any]) -> LeadingRun:
         """Return a run at its beginning."""
         return LeadingRun(config)
-
-    def memory(self, config: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Return the loop's arrays for a browser; a model of trust in it runs in Python alone."""
-        return None if config["served"] else LeadingRun(config).memory()
-
-    def at_end(self, config: Mapping[str, Any], session: Session) -> bool:
-        """Whether all goals were reached, or time is over."""
-        reached = session["goals_reached"][-1] == len(config["goals"])
-        return bool(reached) or super().at_end(config, session)
 
     def session(self, config: Mapping[str, Any], rows: Any, **metadata: Any) -> Session:
         """Return the session of a run."""

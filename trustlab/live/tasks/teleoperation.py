@@ -6,15 +6,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from trustlab.live.flight import UNBOUNDED, Flight
-from trustlab.live.tasks.browser import offset, plan_of
-from trustlab.live.tasks.flown import ADDRESSES, HAND, SAMPLE
-from trustlab.live.tasks.task import PERIOD, LiveTask, trust_as_json, trust_of
+from trustlab.live.hands import TrackingHand
+from trustlab.live.task import MOST_DELAY, PERIOD, LiveTask, trust_as_json, trust_of
 from trustlab.models.checks import between, one_of
-from trustlab.models.simulation import DivergenceError
+from trustlab.models.simulation import DivergenceError, PartError
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Session
-from trustlab.testbeds.uav_tracking import TASKS
+from trustlab.teleoperation.loop.kernel import GUIDANCE
+from trustlab.testbeds.uav_tracking import TASKS, TeleoperationLoop
 
 SCHEMES = ("M", "MI", "MMI", "TMIG", "OMI")
 COMMANDS = ("pointer_x", "pointer_y", "alpha_choice")
@@ -34,8 +33,14 @@ NUMBERS = (
 )
 COLUMNS = (*COMMANDS, *(f"{name}_{axis}" for name in VECTORS for axis in "xy"), *NUMBERS)
 
-GAIN = 0.5
-"""Deflection of a scripted hand for a distance to the target [1/m]."""
+DEFLECTION = 2.0
+"""
+At the edge of the hand's square the command is so many times the largest one of the study's
+simulated operators.
+"""
+
+UNBOUNDED = 1e6
+"""The `view` of a task whose camera always has its target in the picture [m]."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,9 @@ class TeleoperationSettings:
         Printed settings of device, channel, trust and target.
     guidance : {"at_operator", "through_channel"}
         How the guiding force reaches the device.
-
+    least_delay : float
+        How late pictures are shown at least [s], so that connections make no difference among
+        people; the camera's delay counts where it is longer.
     trust : TrustDynamics or TrustInLoop, optional
         One of `trustlab.trust.MODELS` in place of (3.2).
 
@@ -73,13 +80,16 @@ class TeleoperationSettings:
     training: float = 60.0
     study: str = "main"
     guidance: str = "at_operator"
+    least_delay: float = 0.0
     trust: Any = None
 
     def __post_init__(self):
         one_of("study", self.study, TASKS)
+        one_of("guidance", self.guidance, GUIDANCE)
         trust_as_json(self.trust)
         between("duration", self.duration, 1.0, 3600.0)
         between("training", self.training, 1.0, 3600.0)
+        between("least_delay", self.least_delay, 0.0, MOST_DELAY)
 
     def as_json(self) -> dict[str, Any]:
         """Return the settings as plain values for `study.json`."""
@@ -90,17 +100,18 @@ class TeleoperationSettings:
 class LiveFlight:
     """A flight, stepped by a hand's place in its square and, in MMI, the share it allocates."""
 
-    def __init__(self, config: Mapping[str, Any]):
-        task = TASKS[config["study"]]
-        operator = Teleoperator("live", reach=REACH[config["study"]], noise=0.0)
+    def __init__(self, config: Mapping[str, Any], parts: Mapping[str, Any]):
+        task, reach = TASKS[config["study"]], REACH[config["study"]]
         arguments = {name: config[name] for name in ("scheme", "study", "guidance", "seed")}
         arguments |= {"trust": trust_of(config), "duration": config["samples"] * PERIOD}
-        self.flight = Flight({**arguments, "operator": operator, "task": task})
+        arguments |= {"operator": Teleoperator("live", reach=reach, noise=0.0), "task": task}
+        self.loop = TeleoperationLoop(**{**arguments, **parts})
+        self.settings, self.task = self.loop.settings, self.loop.task
+        self.reach = DEFLECTION * reach / np.broadcast_to(self.settings.weight, 3)[:2]
         self.samples = config["samples"]
+        self.every = round(config["sample_time"] / self.settings.sample_time)
         self.periods = 0
-        self.every = round(config["sample_time"] / self.flight.sample_time)
-        ends = self.flight.settings.scattering
-        self.bounds = ends.alpha_min, ends.alpha_max
+        self.last: Any = None
         self.values = [0.0] * (len(COLUMNS) - len(COMMANDS))
         self.failed = ""
 
@@ -112,75 +123,42 @@ class LiveFlight:
     def step(self, *command: float) -> list[float]:
         """Fly one period; a share below 0 is left to the scheme."""
         x, y, choice = command
-        low, high = self.bounds
-        alpha = None if choice < 0.0 else low + choice * (high - low)  # as flown.fly_there does
+        ends = self.settings.scattering
+        span = ends.alpha_max - ends.alpha_min
+        alpha = None if choice < 0.0 else ends.alpha_min + choice * span
+        hand = np.array([x * self.reach[0], y * self.reach[1], 0.0])
         try:
-            if not self.failed:
-                self._fly(x, y, alpha)
-        except DivergenceError as error:
+            for _ in range(0 if self.failed else self.every):
+                self.loop.step(hand=hand, alpha=alpha)
+        except (DivergenceError, PartError) as error:
             self.failed = str(error)  # the row of before stays
+        else:
+            run = self.loop.simulation
+            self.last = run.log[run.done - 1]
+            vectors = [float(self.last[name][axis]) for name in VECTORS for axis in (0, 1)]
+            self.values = [*vectors, *(float(self.last[name]) for name in NUMBERS)]
         self.periods += 1
         return [x, y, choice, *self.values]
 
-    def _fly(self, x: float, y: float, alpha: float | None) -> None:
-        """Fly the samples of a period, and keep what the row holds."""
-        for _ in range(self.every):
-            row = self.flight.sample(self.flight.held(x, y), alpha)
-        vectors = [float(row[name][axis]) for name in VECTORS for axis in (0, 1)]
-        self.values = [*vectors, *(float(row[name]) for name in NUMBERS)]
-
     def picture(self) -> dict[str, Any]:
-        """Return what the page draws."""
+        """Return what the page draws: what the camera sees now, the device and the forces."""
         if self.failed:  # its numbers may be infinite
-            return {"t": self.periods * PERIOD, "over": self.failed}
-        return self.flight.shown()
-
-    def memory(self) -> dict[str, Any]:
-        """
-        Return the loop's arrays as a browser needs them, and where in them stands what it logs and
-        shows.
-        """
-        flight, loop = self.flight, self.flight.loop
-        run, reach = loop.simulation, flight.reach.tolist()
-        optimal = loop.scheme.shares == "optimal"
-        arrays = {
-            **run.setup._asdict(),
-            **run.state._asdict(),
-            "inputs": run.inputs,
-            "log": run.log,
+            return {"over": self.failed}
+        if self.last is None:
+            nothing = [0.0, 0.0]
+            return dict.fromkeys(("target", "robot", "device", "force", "guide"), nothing)
+        now, scaling = self.last, -self.settings.force_scaling
+        error = now["error"][:2]
+        places = {
+            "target": error,
+            "robot": now["robot"][:2],
+            "device": now["device"][:2] / self.reach,
+            "force": scaling * now["f_m"][:2],
+            "guide": scaling * now["guide"][:2],
         }
-        arrays["hand"] = np.array([(*reach, *self.bounds, run.log.size, optimal)], HAND)
-        vectors = [offset(SAMPLE, name) + 8 * axis for name in VECTORS for axis in (0, 1)]
-        return plan_of(arrays, ADDRESSES, WRITTEN) | {
-            "row": SAMPLE.itemsize,
-            "logged": vectors + [offset(SAMPLE, name) for name in NUMBERS],
-            "shown": [offset(SAMPLE, name) for name in ("device", "f_m", "guide")],
-            "seen": [offset(SAMPLE, name) for name in ("error", "robot")],
-            "every": self.every,
-            "late": flight.late,
-            "view": flight.task.view,
-            "reach": reach,
-            "scaling": flight.settings.force_scaling,
-        }
-
-
-WRITTEN = ("sent", "log")
-"""Arrays that are empty before a run."""
-
-
-class TrackingHand:
-    """A scripted hand that points where the camera shows the target, and the better half of α."""
-
-    def __init__(self, by_hand: bool, rng: np.random.Generator):
-        self.choice = 0.5 if by_hand else -1.0
-        self.rng = rng
-        self.gain = GAIN * rng.uniform(0.6, 1.4)
-
-    def __call__(self, picture: Mapping[str, Any]) -> tuple[float, float, float]:
-        """Return the command that follows a picture."""
-        target = picture.get("target") or (0.0, 0.0)
-        x, y = np.clip(self.gain * np.array(target) + 0.03 * self.rng.normal(size=2), -1.0, 1.0)
-        return float(x), float(y), self.choice
+        shown = {name: np.round(place, 5).tolist() for name, place in places.items()}
+        seen = bool((np.abs(error) <= self.task.view).all())
+        return shown if seen else shown | {"target": None}
 
 
 class TeleoperationTask(LiveTask):
@@ -191,6 +169,10 @@ class TeleoperationTask(LiveTask):
     reported: ClassVar[tuple[str, ...]] = ("path_error", "p_r", "p_h", "alpha", "force")
     settings: ClassVar[type] = TeleoperationSettings
 
+    def __init__(self, **parts: Any):
+        """Parts of one's own take the place of the settings': scheme, study, task, delay, …."""
+        self.parts = parts
+
     def config(
         self, content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
     ) -> dict[str, Any]:
@@ -198,8 +180,7 @@ class TeleoperationTask(LiveTask):
         training = condition == "training"
         duration = content["training" if training else "duration"]
         scheme = "M" if training else condition
-        view = TASKS[content["study"]]
-        commands = list(COMMANDS)
+        view = self.parts.get("task") or TASKS[content["study"]]
         least, most = (0.0, 1.0) if scheme == "MMI" else (-1.0, -1.0)
         limits = {"pointer_x": [-1.0, 1.0], "pointer_y": [-1.0, 1.0], "alpha_choice": [least, most]}
         return {
@@ -216,8 +197,8 @@ class TeleoperationTask(LiveTask):
             "duration": duration,
             "half": view.view if view.view < UNBOUNDED else view.size_x,
             "columns": list(COLUMNS),
-            "commands": commands,
-            "served": content.get("trust") is not None,
+            "commands": list(COMMANDS),
+            "late": view.camera_delay,
             "limits": limits,
             "clock": "real",
             "hand": None,
@@ -225,11 +206,7 @@ class TeleoperationTask(LiveTask):
 
     def begin(self, config: Mapping[str, Any]) -> LiveFlight:
         """Return a flight at its beginning."""
-        return LiveFlight(config)
-
-    def memory(self, config: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Return the loop's arrays for a browser; a model of trust in it runs in Python alone."""
-        return None if config["served"] else LiveFlight(config).memory()
+        return LiveFlight(config, self.parts)
 
     def hand(self, config: Mapping[str, Any], rng: np.random.Generator) -> TrackingHand:
         """Return a scripted hand."""

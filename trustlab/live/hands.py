@@ -1,6 +1,6 @@
 """
-Scripted hands at the keys of a live drive, one with a person's limits: what they reach tells how
-hard the task is.
+Scripted people: hands at the keys of a drive, one with a person's limits; a hand that points; a
+person who leads a team. They rehearse studies, and tell how hard a task is.
 """
 
 from collections import deque
@@ -8,12 +8,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from trustlab.live.runs import Drive, drive_config, session_of
-from trustlab.models.checks import whole_number
-from trustlab.reproduction.published import published_models, published_table
-from trustlab.sessions.session import Session
+from trustlab.live.task import PERIOD
 from trustlab.testbeds.ground_robot.course import path_point
 
 REACTION = 0.2
@@ -27,8 +23,26 @@ Gates nearer than this are passed without looking [m]; smaller bearings are let 
 this one the forward key is released [rad].
 """
 
+POINTING = 0.5
+"""Deflection of a hand that points, for a distance to the target [1/m]."""
+
 MISJUDGED, MISJUDGED_TIME = 0.15, 1.0
 """Standard deviation of a judged bearing [rad] and how long a misjudgement lasts [s]."""
+
+
+class Driver:
+    """A hand that steers, and follows suggestions; it wants no other switch."""
+
+    def __init__(self, config: Mapping[str, Any], hand: Any):
+        self.config, self.hand = config, hand
+
+    def __call__(self, picture: Mapping[str, Any]) -> list[float]:
+        """Return the command that follows a picture."""
+        v, w = self.hand.step(picture)
+        mode, suggested = (picture["row"] or (self.config["task"]["first_mode"], -1))[:2]
+        limits = self.config["limits"]
+        bounded = [float(np.clip(x, *limits[n])) for n, x in (("v_command", v), ("w_command", w))]
+        return [*bounded, mode if suggested < 0 else suggested]
 
 
 class Keys:
@@ -60,7 +74,7 @@ class HumanHand:
         self.view = config["view"]
         self.keys = Keys(config)
         self.robot = config["robot"]
-        late = round((self.view["delay"] + REACTION) / config["sample_time"])
+        late = round(REACTION / config["sample_time"])
         self.seen: deque = deque(maxlen=late + 1)
         self.gates = np.array(config["posts"]).reshape(-1, 2, 2)
         self.rng = np.random.default_rng(seed)
@@ -89,9 +103,9 @@ class HumanHand:
         i = int(np.argmin(distance))
         return float(np.arctan2(middle_y[i], middle_x[i])) if np.isfinite(distance[i]) else None
 
-    def step(self, state: Any) -> tuple[float, float]:
-        """Return the command v, w that follows a state of the robot."""
-        self.seen.append((float(state["x"]), float(state["y"]), float(state["yaw"])))
+    def step(self, picture: Mapping[str, Any]) -> tuple[float, float]:
+        """Return the command v, w that follows a picture."""
+        self.seen.append((picture["x"], picture["y"], picture["yaw"]))
         self.misjudged = (
             self.keep * self.misjudged + np.sqrt(1.0 - self.keep**2) * self.rng.standard_normal()
         )
@@ -117,78 +131,61 @@ class IdealHand:
     def __init__(self, config: Mapping[str, Any]):
         self.path, self.robot = np.array(config["path"]), config["robot"]
 
-    def step(self, state: Any) -> tuple[float, float]:
-        """Return the command v, w that follows a state of the robot."""
-        x, y, _, _ = path_point(float(state["arc"]) + 0.6, self.path)
-        bearing = np.arctan2(y - state["y"], x - state["x"]) - state["yaw"]
+    def step(self, picture: Mapping[str, Any]) -> tuple[float, float]:
+        """Return the command v, w that follows a picture."""
+        x, y, _, _ = path_point(picture["arc"] + 0.6, self.path)
+        bearing = np.arctan2(y - picture["y"], x - picture["x"]) - picture["yaw"]
         bearing = np.arctan2(np.sin(bearing), np.cos(bearing))
         return self.robot["max_speed"], 2.5 * bearing
 
 
-def live_difficulty(seeds: int = 3, laps: int = 2) -> pd.DataFrame:
+class TrackingHand:
+    """A scripted hand that points where the camera shows the target, and the better half of α."""
+
+    def __init__(self, by_hand: bool, rng: np.random.Generator):
+        self.choice = 0.5 if by_hand else -1.0
+        self.rng = rng
+        self.gain = POINTING * rng.uniform(0.6, 1.4)
+
+    def __call__(self, picture: Mapping[str, Any]) -> tuple[float, float, float]:
+        """Return the command that follows a picture."""
+        target = picture.get("target") or (0.0, 0.0)
+        x, y = np.clip(self.gain * np.array(target) + 0.03 * self.rng.normal(size=2), -1.0, 1.0)
+        return float(x), float(y), self.choice
+
+
+class ScriptedLeader:
     """
-    Return how hard the live task is: P_r and P_h of scripted hands, driving alone, beside the
-    printed people's.
-
-    Parameters
-    ----------
-    seeds : int
-        How many drives of each hand.
-    laps : int
-        How many laps each; means are over what follows the first 100 s, in which the window of
-        (2.4) and (2.7) fills.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns who, source ("simulated" or "printed"), p_r, p_h [m/s] and path_error [m]. The
-        printed rows are the means of Table 2.5, C1 to C5, in which the robot drives a part of the
-        time, and the participants' P_r,max and P_h,max of Table 2.1.
-
-    Raises
-    ------
-    ValueError
-        If a number is not whole and positive.
+    A scripted person: pulls towards the goal, and now and then lets a robot lead: the most trusted
+    one, the one nearest to the goal, or any.
     """
-    seeds, laps = whole_number("seeds", seeds), whole_number("laps", laps, least=2)
-    rows = []
-    for kind in (IdealHand, HumanHand):
-        for seed in range(seeds):
-            config = drive_config("training", laps=laps, seed=seed)
-            hand = kind(config, seed) if kind is HumanHand else kind(config)
-            data = scripted_drive(config, hand)[1].data
-            rows.append(
-                (kind.__name__, "simulated", *data.loc[100.0:, ["p_r", "p_h", "path_error"]].mean())
-            )
-    columns = ["who", "source", "p_r", "p_h", "path_error"]
-    hands = (
-        pd.DataFrame(rows, columns=columns)
-        .groupby(["who", "source"], sort=False, as_index=False)
-        .mean()
-    )
-    table, models = published_table("2.5"), published_models()
-    means = table[["P_r_mean", "P_h_mean"]].astype(float)
-    printed = [(f"people, {c}", "printed", p_r, p_h, np.nan) for c, p_r, p_h in means.itertuples()]
-    best = [
-        (f"participant {n}", "printed", models[n].robot.p_max, models[n].human.p_max, np.nan)
-        for n in "12345"
-    ]
-    return pd.concat([hands, pd.DataFrame(printed + best, columns=columns)], ignore_index=True)
 
+    def __init__(self, config: Mapping[str, Any], rng: np.random.Generator):
+        self.rng = rng
+        self.by_trust, self.by_distance = rng.dirichlet((2.0, 1.0, 0.5))[:2]
+        self.rate = PERIOD / rng.uniform(6.0, 15.0)
+        self.follows = rng.uniform(0.4, 1.0)
+        self.choice = 0
+        self.answered = 0
+        self.advised = config["condition"] == "suggested"
 
-def scripted_drive(config: Mapping[str, Any], hand: Any) -> tuple[np.ndarray, Session]:
-    """
-    Return rows and session of a whole drive by a hand that follows suggestions, or the drive's
-    schedule of modes.
-    """
-    drive, phases = Drive(config), config["schedule"] or [[config["task"]["first_mode"], np.inf]]
-    ends = np.cumsum([length for _, length in phases]) / config["sample_time"]
-    suggested = -1.0
-    while not drive.done:
-        v, w = hand.step(drive.state)
-        scheduled = phases[min(int(np.searchsorted(ends, drive.k, side="right")), len(phases) - 1)][
-            0
-        ]
-        suggested = drive.step(v, w, scheduled if suggested < 0.0 else suggested)["suggested_mode"]
-    rows = drive.rows[: drive.k].copy()
-    return rows, session_of(config, rows, participant=type(hand).__name__, synthetic=True)
+    def __call__(self, picture: Mapping[str, Any]) -> tuple[float, float, int]:
+        """Return the command that follows a picture."""
+        robots, goal = np.array(picture["robots"]), np.array(picture["goal"])
+        away = goal - robots[max(picture["leader"] - 1, 0)]
+        x, y = np.clip(away + 0.05 * self.rng.normal(size=2), -1.0, 1.0)
+        suggested = picture["suggested"]
+        if suggested and suggested != self.answered and self.rng.random() < self.follows:
+            self.choice = suggested
+        elif not self.advised and self.rng.random() < self.rate:
+            self.choice = self._pick(robots, goal, np.array(picture["trust"]))
+        self.answered = suggested
+        return float(x), float(y), self.choice
+
+    def _pick(self, robots: np.ndarray, goal: np.ndarray, trust: np.ndarray) -> int:
+        draw = self.rng.random()
+        if draw < self.by_trust:
+            return int(np.argmax(trust)) + 1
+        if draw < self.by_trust + self.by_distance:
+            return int(np.argmin(np.hypot(*(robots - goal).T))) + 1
+        return int(self.rng.integers(len(robots))) + 1

@@ -1,0 +1,70 @@
+"""
+Settings, drives and hands of the ground robot live. Oracles: Table 2.5 and Table 2.1 as printed.
+"""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.live.hands import Driver, HumanHand
+from trustlab.live.task import scripted_commands
+from trustlab.live.tasks.difficulty import live_difficulty
+from trustlab.live.tasks.ground_robot import TASK, drive_config
+
+MODEL = tl.published_models()["2"]
+
+
+def driven(config, seed=1):
+    hand = Driver(config, HumanHand(config, seed))
+    return TASK.session(config, scripted_commands(TASK, config, hand)[1], synthetic=True)
+
+
+def test_the_live_task_is_as_hard_as_people_found_it():
+    table = live_difficulty(seeds=2, laps=2).set_index("who")
+    human, ideal = table.loc["HumanHand"], table.loc["IdealHand"]
+    best = table.loc[[f"participant {n}" for n in "12345"]]
+    assert table.loc["people, C3", "p_r"] == 0.329
+    assert best["p_r"].min() - 0.02 < human["p_r"] < best["p_r"].max() + 0.02
+    assert best["p_h"].min() < human["p_h"] < best["p_h"].max() + 0.02
+    assert ideal["p_r"] > human["p_r"] + 0.08, "a hand that sees everything finds it easier"
+
+
+def test_a_live_session_is_one_like_any_other(tmp_path):
+    session = driven(drive_config("C3", MODEL, (0.0, 0.35), laps=2, seed=3))
+    assert session.sample_time == 0.1
+    assert len(session.metadata.more["lap_times"]) == 2
+    assert session.metadata.more["lap_times"][-1] == pytest.approx(session.t[-1])
+    again = tl.read_session(tl.write_session(session, tmp_path / "live.csv"))
+    np.testing.assert_array_equal(again["p_r"], session["p_r"])
+
+
+def test_an_identification_drive_is_fitted():
+    phases = [(1, 250.0), (0, 250.0), (1, 200.0)]
+    session = driven(drive_config("identification", MODEL, seed=3, schedule=phases))
+    assert session["mode"][[0, 2499, 2500, 4999, 5000]].tolist() == [1.0, 1.0, 0.0, 0.0, 1.0]
+    assert 0.25 < tl.fit_robot(session).model.p_max < 0.5
+
+
+def test_laps_that_are_over_before_anybody_may_switch(tmp_path):
+    with pytest.warns(UserWarning, match="take laps=2 or more"):
+        tl.LiveGroundRobot("C1", model=MODEL, laps=1, log=tmp_path / "a.jsonl")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tl.LiveGroundRobot("C1", model=MODEL, laps=2, log=tmp_path / "b.jsonl")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({}, "give one of laps="),
+        ({"laps": 2, "seconds": 10.0}, "give one of laps="),
+        ({"seconds": 10.0, "delay_": 1.0}, "a setting of the view must be one of"),
+        ({"seconds": 1e5}, "split it"),
+        ({"schedule": [(1, 10.0)]}, "goes with the condition 'identification'"),
+    ],
+)
+def test_bad_settings_are_named(change, says):
+    with pytest.raises(ValueError, match=says):
+        drive_config("training", MODEL, **change)

@@ -1,0 +1,265 @@
+"""
+A trial is a fold over its log. Oracles: the commands that were sent, the answers that came back,
+and a run of the task stepped here.
+"""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings as budget, strategies as st
+
+import trustlab as tl
+from trustlab.live import trial as trials
+from trustlab.live.log import LogError, read_log
+from trustlab.live.task import task_named
+from trustlab.live.tasks.ground_robot import drive_config
+from trustlab.live.trial import Trial, made_by, read_record
+
+MODEL = tl.published_models()["2"]
+SHORT = {"team": {"duration": 4.0}, "teleoperation": {"duration": 4.0}}
+CONDITIONS = {"team": "suggested", "teleoperation": "MMI"}
+
+
+def configured(name):
+    if name == "ground_robot":
+        return json.loads(json.dumps(drive_config("training", MODEL, seconds=8.0, seed=3)))
+    task = task_named(name)
+    content = task.settings(**SHORT[name]).as_json()
+    return json.loads(json.dumps(task.config(content, CONDITIONS[name], {}, 3)))
+
+
+def commands_for(config, seed=0):
+    rng = np.random.default_rng(seed)
+    bounds = [config["limits"][name] for name in config["commands"]]
+    drawn = [[rng.uniform(low, high) for low, high in bounds] for _ in range(config["samples"])]
+    whole = {"mode", "leader_choice"} & set(config["commands"])
+    for command in drawn if whole else ():
+        command[-1] = round(command[-1])
+    return drawn
+
+
+def begun(path, name="team", window="a"):
+    config = configured(name)
+    trial = Trial(path, task_named(name), config, participant="me")
+    trial.take({"begin": True, "window": window})
+    return trial, commands_for(config)
+
+
+def sent(trial, k, commands, window="a", seen=0):
+    return trial.take({"k": k, "commands": commands, "seen": seen, "window": window})
+
+
+@pytest.mark.parametrize("name", ["ground_robot", "teleoperation", "team"])
+def test_rows_are_those_of_the_task_and_a_restart_is_a_replay(tmp_path, name):
+    trial, commands = begun(tmp_path / "a.jsonl", name)
+    run, task = task_named(name).begin(trial.settings), task_named(name)
+    for k in range(0, 30, 3):
+        assert sent(trial, k, commands[k : k + 3])["k"] == k + 3
+    expected = [run.step(*command) for command in commands[:30]]
+    assert trial.rows == expected
+    trial.log.close()
+    again = Trial(tmp_path / "a.jsonl", task, {})
+    assert again.rows == expected
+    assert again.settings == trial.settings
+    again.take({"begin": True, "window": "b"})
+    answer = sent(again, 30, commands[30:], "b")
+    assert answer["done"]
+    assert again.fault == ""
+    record, _, fault = read_record(tmp_path / "a.jsonl")
+    assert fault == record.fault(task) == ""
+    assert record.rows == again.rows
+    assert again.session(participant="me").data.equals(record.session(task, "").data)
+    assert [pause["why"] for pause in record.pauses] == ["begun again"]
+
+
+def test_a_command_is_on_the_disk_before_it_is_done_and_its_row_with_the_next(
+    tmp_path, monkeypatch
+):
+    trial, commands = begun(tmp_path / "a.jsonl")
+    done, step = [], trial.run.step
+
+    def noted(*command):
+        *_, last = read_log(tmp_path / "a.jsonl").entries
+        assert list(command) in last["commands"]
+        done.append(step(*command))
+        return done[-1]
+
+    monkeypatch.setattr(trial.run, "step", noted)
+    for k in range(5):
+        sent(trial, k, commands[k : k + 1])
+        record, _, _ = read_record(tmp_path / "a.jsonl")
+        assert record.rows == done[:k]
+        assert record.commands == commands[: k + 1]
+
+
+@budget(max_examples=25, deadline=None)
+@given(st.data())
+def test_a_kill_at_any_byte_loses_nothing_that_was_acknowledged(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("t") / "a.jsonl"
+    trial, commands = begun(path)
+    sizes = [(path.stat().st_size, 0)]
+    k = 0
+    while k < 12:
+        count = data.draw(st.integers(1, 4))
+        k = sent(trial, k, commands[k : k + count])["k"]
+        sizes.append((path.stat().st_size, k))
+    trial.log.close()
+    first, last = sizes[0][0], path.stat().st_size
+    cut = first + round(data.draw(st.floats(0.0, 1.0)) * (last - first))
+    os.truncate(path, cut)
+    again = Trial(path, task_named("team"), {})
+    assert len(again.rows) == max(acknowledged for size, acknowledged in sizes if size <= cut)
+    again.take({"begin": True, "window": "b"})
+    sent(again, len(again.rows), commands[len(again.rows) :], "b")
+    whole = task_named("team").begin(again.settings)
+    assert again.rows == [whole.step(*command) for command in commands if not whole.done]
+    assert again.fault == ""
+
+
+def test_commands_that_come_twice_are_done_once_and_a_gap_waits(tmp_path):
+    trial, commands = begun(tmp_path / "a.jsonl")
+    assert sent(trial, 0, commands[:10])["k"] == 10
+    assert sent(trial, 4, commands[4:15])["k"] == 15
+    assert sent(trial, 20, commands[20:25])["k"] == 15
+    assert sent(trial, -1, commands[:2])["k"] == 15
+    assert trial.record.commands == commands[:15]
+    assert sent(trial, 15, commands[15:] + commands)["done"], "what lies beyond the end is left out"
+    assert len(trial.rows) == trial.settings["samples"]
+    assert sent(trial, 80, commands[:3])["k"] == 80
+
+
+def test_the_window_that_began_last_drives(tmp_path):
+    trial, commands = begun(tmp_path / "a.jsonl", window="first")
+    sent(trial, 0, commands[:5], "first")
+    assert trial.take({"begin": True, "window": "second"})["k"] == 5
+    for message in ({"k": 5, "commands": commands[5:6], "seen": 0}, {"note": "x"}):
+        assert "another window" in trial.take(message | {"window": "first"})["refused"]
+    assert sent(trial, 5, commands[5:9], "second")["k"] == 9
+    assert len(trial.record.pauses) == 1
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        [0.5, 0.5, 7],
+        [0.5, 0.5, 1.5],
+        [1.01, 0, 1],
+        [0.5, 0.5],
+        [0.5, 0.5, None],
+        [0.5, float("nan"), 1],
+        [0.5, "1", 1],
+        [True, 0.0, 1],
+        [10**400, 0, 1],
+        "abc",
+        None,
+    ],
+)
+def test_commands_that_nobody_can_give_are_refused(tmp_path, command):
+    trial, commands = begun(tmp_path / "a.jsonl")
+    with pytest.raises(ValueError, match=r"cannot be|a command is"):
+        sent(trial, 0, [commands[0], command])
+    for message in ({"k": 0.0, "commands": []}, {"k": 0, "commands": {}}, {"k": 0, "commands": []}):
+        with pytest.raises(ValueError, match="a message has"):
+            trial.take(message | {"window": "a", "seen": None})
+    assert trial.rows == []
+    assert sent(trial, 0, commands[:1])["k"] == 1
+
+
+def test_a_full_disk_does_nothing_and_loses_nothing(tmp_path, monkeypatch):
+    trial, commands = begun(tmp_path / "a.jsonl")
+    sent(trial, 0, commands[:5])
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space"):
+            sent(trial, 5, commands[5:9])
+    assert len(trial.rows) == 5
+    assert sent(trial, 5, commands[5:9])["k"] == 9
+    assert trial.fault == ""
+
+
+def test_pauses_and_what_was_seen_come_from_the_log(tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(trials.time, "monotonic", lambda: now[0])
+    trial, commands = begun(tmp_path / "a.jsonl")
+    for k in range(10):
+        now[0] += 0.05
+        sent(trial, k, commands[k : k + 1], seen=max(k - 3, 0))
+    now[0] += 2.0
+    sent(trial, 10, commands[10:12], seen=7)
+    trial.take({"note": "the page is hidden", "window": "a"})
+    now[0] += 0.3
+    sent(trial, 12, commands[12:13], seen=9)
+    more = trial.session().metadata.more
+    pauses = [(p["row"], p["seconds"], p["why"]) for p in more["pauses"]]
+    assert pauses == [(10, 2.0, "nothing was heard"), (12, 0.3, "the page is hidden")]
+    assert more["period_median"] == pytest.approx(0.05, abs=2e-3)
+    assert more["delay"] == pytest.approx(0.15)
+
+
+def test_a_kernel_that_is_changed_leaves_the_rows_and_verifies_nothing(tmp_path, monkeypatch):
+    trial, commands = begun(tmp_path / "a.jsonl")
+    sent(trial, 0, commands)
+    assert trial.done
+    record, *_ = read_record(tmp_path / "a.jsonl")
+    task = task_named("team")
+    before = record.session(task, record.fault(task))
+    assert before.metadata.more["verified"]
+    monkeypatch.setattr("trustlab.live.tasks.team.PULL", 0.13)
+    fault = record.fault(task)
+    assert fault == "row 0 is not what its commands lead to"
+    after = record.session(task, fault)
+    assert after.data.equals(before.data)
+    assert not after.metadata.more["verified"]
+    assert after.metadata.more["not_verified"] == fault
+
+
+def test_another_version_neither_verifies_nor_continues(tmp_path, monkeypatch):
+    trial, commands = begun(tmp_path / "a.jsonl")
+    sent(trial, 0, commands[:5])
+    trial.log.close()
+    other = made_by() | {"sources": "0" * 16}
+    monkeypatch.setattr(trials, "made_by", lambda: other)
+    record, *_ = read_record(tmp_path / "a.jsonl")
+    assert record.fault(task_named("team")).startswith(f"made by trustlab {other['version']} (sour")
+    with pytest.raises(LogError, match="continued by the version that began it alone"):
+        Trial(tmp_path / "a.jsonl", task_named("team"), {})
+
+
+def test_every_changed_byte_is_found_and_a_row_that_was_not_computed_too(tmp_path):
+    path = tmp_path / "a.jsonl"
+    trial, commands = begun(path)
+    for k in range(0, 40, 8):
+        sent(trial, k, commands[k : k + 8])
+    trial.log.close()
+    whole, task = path.read_bytes(), task_named("team")
+    rng = np.random.default_rng(0)
+    for at in rng.integers(len(whole), size=60):
+        spoiled = bytearray(whole)
+        spoiled[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(spoiled)
+        assert read_record(path)[2], at
+    path.write_bytes(whole)
+    record, *_ = read_record(path)
+    for column, by in ((0, 1e-15), (10, 1e-6), (record.settings["columns"].index("leader"), 1.0)):
+        record.rows[7][column] += by
+        assert record.fault(task) == "row 7 is not what its commands lead to", column
+        record.rows[7][column] -= by
+    record.rows[7][10] += 1e-12  # another processor's last digits
+    assert record.fault(task) == ""
+    record.rows += [record.rows[-1]] * 10
+    assert record.fault(task) == "row 40 has no command"
+
+
+def test_a_file_that_is_no_run_is_named(tmp_path):
+    path = Path(tmp_path / "a.jsonl")
+    path.write_text("")
+    assert "does not hold a drive" in read_record(path)[2]
+    path.write_text("x\n")
+    assert "line 1" in read_record(path)[2]

@@ -1,0 +1,225 @@
+// What a person does and sees in each task.
+//
+// TASKS[name](root, config, signal, note) returns: moving, what is interpolated between pictures;
+// command(newest), the person's command; heard(newest); draw(picture, near, newest), with the
+// picture as late as the camera, and as late as the connection alone; wait(on), it stands still.
+import { Hands, script } from "./hands.js";
+import { MIDDLE, PAD_STYLE, SIZE, Stick, dot, drawPad, drawPicture } from "./pad.js";
+import { clamp, dress, element, filled, keepKeys, say } from "./page.js";
+import { furnish, refusal } from "./view.js";
+
+const COLOURS = ["#0072b2", "#a04800", "#00784f", "#8a3b8f", "#8c6d00", "#47525e"];
+
+function groundRobot(root, config, signal, note) {
+  const hands = new Hands(root, config.ramp, () => note("focus lost: keys released"), signal),
+    hand = config.hand && script(config.hand, config),
+    toggle = () => (hands.toggles += 1),
+    { camera, gauges, panel, away } = furnish(root, config, toggle, signal),
+    { max_speed, max_turn_rate } = config.robot;
+  let wanted = config.task.first_mode,
+    shown = null;
+  away.textContent = config.words.waiting;
+
+  return {
+    moving: ["x", "y", "yaw"],
+    command(newest) {
+      const { k, row } = newest,
+        scripted = hand?.(newest),
+        steered = scripted ? [scripted.forward, scripted.left] : hands.read(config.sample_time),
+        [forward, left] = steered;
+      if (hands.toggles % 2) {
+        const words = refusal(config, k, row);
+        if (words) panel.explain(words);
+        else wanted = 1 - (row?.[0] ?? wanted);
+      }
+      hands.toggles = 0;
+      wanted = scripted?.wanted ?? wanted;
+      return [Math.max(forward, 0) * max_speed, left * max_turn_rate, wanted];
+    },
+    heard({ k, row }) {
+      if (!row) return;
+      gauges.add(row);
+      // A wish is not kept where it cannot be met now: before the window is full, or without the
+      // suggestion that must be followed.
+      if (config.task.forced || k * config.sample_time <= config.task.settling) wanted = row[0];
+    },
+    draw(picture, near, newest) {
+      camera.draw(picture);
+      gauges.draw();
+      if (newest.row && newest !== shown) panel.show(newest.row, newest.laps);
+      shown = newest;
+    },
+    wait: (on) => (away.hidden = !on),
+  };
+}
+
+// Two squares: what is steered, and the hand; and lines below.
+class Squares {
+  constructor(root, config, signal, hint) {
+    const { words } = config,
+      square = (kind, label) => {
+        const canvas = element("canvas", { className: kind, width: SIZE, height: SIZE });
+        canvas.setAttribute("aria-label", label);
+        return canvas;
+      },
+      left = square("picture", words.picture),
+      right = square("pad", words.square);
+    this.status = element("div", { className: "status", role: "status" });
+    this.below = element("div", { className: "below" }, this.status);
+    dress(root, PAD_STYLE);
+    root.className = "tl-track";
+    root.tabIndex = 0;
+    keepKeys(root);
+    const explained = element("div", { className: "hint", textContent: hint });
+    root.replaceChildren(left, right, this.below, explained);
+    root.focus({ preventScroll: true });
+    Object.assign(this, { config, still: false, largest: 0.1 }); // the arrow's scale [N] grows
+    this.stick = new Stick(right, signal);
+    this.view = left.getContext("2d");
+    this.pad = right.getContext("2d");
+  }
+
+  // The hand's deflection; of a script in rehearsals, towards where it should go.
+  read([dx, dy]) {
+    const { hand } = this.config;
+    return hand ? [dx, dy].map((x) => clamp(hand.speed * x, -1, 1)) : this.stick.read();
+  }
+
+  draw(device, force, k) {
+    const { config, stick } = this,
+      size = Math.hypot(...force);
+    this.largest = Math.max(this.largest, size);
+    drawPad(this.pad, stick.read(), { device, guide: force }, this.largest);
+    // A vibration cue: it has no direction.
+    stick.rumble(size / this.largest);
+    const seconds = Math.max(config.duration - k * config.sample_time, 0).toFixed(0);
+    const left = filled(config.words.time_left, { seconds });
+    say(this.status, this.still ? config.words.waiting : left);
+  }
+}
+
+function teleoperation(root, config, signal) {
+  const squares = new Squares(root, config, signal, config.words.fly_hint),
+    line = element("div");
+  let share = config.allocates ? 1 : -1;
+  squares.below.append(line);
+  const turn = (event) => {
+    event.preventDefault();
+    share = clamp(share - 0.05 * Math.sign(event.deltaY), 0, 1);
+  };
+  if (config.allocates) root.addEventListener("wheel", turn, { signal, passive: false });
+
+  return {
+    moving: ["target", "robot", "device", "guide"],
+    command({ target }) {
+      const trigger = squares.stick.pad?.buttons[7]?.value ?? 0;
+      if (config.allocates && trigger > 0.02) share = 1 - trigger;
+      return [...squares.read(target ?? [0, 0]), share];
+    },
+    heard() {},
+    draw(picture, near, newest) {
+      drawPicture(squares.view, config, picture);
+      squares.draw(near.device, near.guide, newest.k);
+      const percent = Math.round(100 * share);
+      say(line, share < 0 ? "" : filled(config.words.share, { percent }));
+    },
+    wait: (on) => (squares.still = on),
+  };
+}
+
+// The field from above: the goal, and the robots with their numbers; a ring is around the leader.
+function drawField(g, config, { goal, robots, leader }) {
+  const scale = MIDDLE / config.field,
+    place = ([x, y]) => [MIDDLE + scale * x, MIDDLE - scale * y],
+    [x, y] = place(goal);
+  g.clearRect(0, 0, SIZE, SIZE);
+  g.strokeStyle = "#1b2430";
+  g.lineWidth = 3;
+  g.beginPath();
+  g.moveTo(x, y);
+  g.lineTo(x, y - 26);
+  g.lineTo(x + 16, y - 20);
+  g.lineTo(x, y - 14);
+  g.stroke();
+  g.setLineDash([4, 4]);
+  g.beginPath();
+  g.arc(x, y, scale * config.tolerance, 0, 2 * Math.PI);
+  g.stroke();
+  g.setLineDash([]);
+  g.font = "bold 16px system-ui, sans-serif";
+  g.textAlign = "center";
+  robots.forEach((robot, i) => {
+    const at = place(robot);
+    dot(g, at, 11, COLOURS[i]);
+    g.fillStyle = "#fff";
+    g.fillText(i + 1, at[0], at[1] + 6);
+    if (leader !== i + 1) return;
+    g.strokeStyle = COLOURS[i];
+    g.beginPath();
+    g.arc(...at, 17, 0, 2 * Math.PI);
+    g.stroke();
+  });
+}
+
+function team(root, config, signal) {
+  const { words } = config,
+    squares = new Squares(root, config, signal, words.lead_hint),
+    line = element("div"),
+    says = element("div", { className: "suggestion", role: "status" }),
+    robots = config.start.length;
+  let choice = 0,
+    suggested = 0;
+  const choose = (number) => {
+    if (config.chooses && number) choice = number;
+  };
+  const buttons = config.start.map((_, i) => {
+    const button = element("button", { type: "button", disabled: !config.chooses });
+    button.style.borderLeft = `.8em solid ${COLOURS[i]}`;
+    button.addEventListener("click", () => {
+      choose(i + 1);
+      root.focus({ preventScroll: true });
+    });
+    keepKeys(button);
+    return button;
+  });
+  squares.below.append(...buttons, line, says);
+  const press = (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    event.stopPropagation();
+    const number = Number(event.key);
+    if (event.code === "Space") choose(suggested);
+    else if (number >= 1 && number <= robots) choose(number);
+    else return;
+    event.preventDefault();
+  };
+  root.addEventListener("keydown", press, { signal });
+
+  return {
+    moving: ["robots", "force"],
+    command(newest) {
+      const from = newest.robots[Math.max(newest.leader - 1, 0)];
+      return [...squares.read(newest.goal.map((x, i) => x - from[i])), choice];
+    },
+    heard(newest) {
+      suggested = newest.suggested;
+      const goals = config.goals.length,
+        values = { robot: newest.leader, goal: Math.min(newest.reached + 1, goals), goals },
+        seconds = newest.wait.toFixed(0),
+        left = newest.wait > 0.05 ? filled(words.switch_in, { seconds }) : "";
+      buttons.forEach((button, i) => {
+        say(button, `${i + 1}: ${Math.round(100 * newest.trust[i])} %`);
+        button.style.outline = newest.leader === i + 1 ? `3px solid ${COLOURS[i]}` : "";
+      });
+      say(line, `${filled(words.goal_of, values)} · ${filled(words.leads, values)} ${left}`);
+      const rule = config.chooses ? filled(words.may_choose, { robots }) : words.rule_chooses;
+      say(says, suggested ? filled(words.suggested_leader, { robot: suggested }) : rule);
+    },
+    draw(picture, near, newest) {
+      drawField(squares.view, config, picture);
+      squares.draw(squares.stick.read(), near.force, newest.k);
+    },
+    wait: (on) => (squares.still = on),
+  };
+}
+
+export const TASKS = { ground_robot: groundRobot, teleoperation, team };
