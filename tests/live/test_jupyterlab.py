@@ -204,7 +204,9 @@ def test_a_run_in_jupyterlab(browser, lab, name, source):
     one.asked(2)  # a kernel that is busy
     page.wait_for_function(f"{HAVE} > {rows} + 10")
     restarted(one)
-    page.wait_for_function(f"{HAVE} > {rows} + 20", timeout=60_000)
+    page.wait_for_function(f"{HAVE} > {rows}", timeout=60_000)
+    there = page.evaluate(HAVE)
+    page.wait_for_function(f"{HAVE} > {there} + 5")
     more, verified, _, pauses = one.asked(1)
     print(f"{name} in JupyterLab: {pauses}")
     assert int(more) > int(rows), "the run goes on where it was"
