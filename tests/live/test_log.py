@@ -124,7 +124,7 @@ def test_a_changed_log_is_not_continued(tmp_path):
     log.append([[k] for k in range(3)])
     log.close()
     path.write_text(path.read_text().replace("[1]", "[7]"))
-    with pytest.raises(LogError, match=r"line 2: it was changed.*restore the file from a copy"):
+    with pytest.raises(LogError, match=r"line 2: it was changed.*restore it from a copy"):
         Log(path)
 
 

@@ -32,12 +32,12 @@ class LogError(ValueError):
 
 class LogReading(NamedTuple):
     """
-    A log's entries, its last link, the bytes of its whole lines, those of a torn line behind them,
-    and its first fault or "".
+    A log's entries, its links (the origin, then one of each entry), the bytes of its whole lines,
+    those of a torn line behind them, and its first fault or "".
     """
 
     entries: list[Any]
-    link: str
+    links: list[str]
     size: int
     torn: int = 0
     fault: str = ""
@@ -67,21 +67,23 @@ def read_log(path: Path, origin: str = "") -> LogReading:
         Up to the first line that is no entry with its link, which the fault names.
     """
     entries: list[Any] = []
-    link, size = origin, 0
+    links, size = [origin], 0
     for number, line in enumerate(path.read_bytes().splitlines(keepends=True), 1):
         if not line.endswith(b"\n"):
-            return LogReading(entries, link, size, len(line), f"{path.name}: its last line is torn")
+            fault = f"{path.name}: its last line is torn"
+            return LogReading(entries, links, size, len(line), fault)
         try:
             _, entry = json.loads(line)
         except (ValueError, TypeError):
             entry = None
-        before, (link, expected) = link, linked(link, entry)
+        link, expected = linked(links[-1], entry)
         if line != expected.encode():
             fault = f"{path.name}, line {number}: it was changed, or lines before it were"
-            return LogReading(entries, before, size, fault=fault)
+            return LogReading(entries, links, size, fault=fault)
         entries.append(entry)
+        links.append(link)
         size += len(line)
-    return LogReading(entries, link, size)
+    return LogReading(entries, links, size)
 
 
 def sync_folder(folder: Path) -> None:
@@ -129,11 +131,13 @@ class Log:
         except BlockingIOError:
             self.close()
             raise LogError(f"{path} is being written; end that first") from None
-        self.entries, self.link, size, self.torn, fault = read_log(path, origin)
-        if fault and not self.torn:
+        reading = read_log(path, origin)
+        self.entries, self.torn = reading.entries, reading.torn
+        self.link = reading.links[-1]
+        if reading.fault and not self.torn:
             self.close()
-            raise LogError(f"{path}: {fault}; restore the file from a copy, or move it away")
-        os.ftruncate(self.handle, size)
+            raise LogError(f"{path}: {reading.fault}; restore it from a copy, or move it away")
+        os.ftruncate(self.handle, reading.size)
         if new:
             sync_folder(path.parent)
 

@@ -140,13 +140,15 @@ def difference(
 
 def read_record(path: Path, origin: str = "") -> tuple[Record | None, str, str]:
     """Return what a log says, its last link, and what is wrong with the file ("" if nothing)."""
+    if not path.exists():
+        return None, origin, f"{path.name} is missing"
     reading = read_log(path, origin)
     try:
         header, *entries = reading.entries
-        return Record(header, entries), reading.link, reading.fault
+        return Record(header, entries), reading.links[-1], reading.fault
     except (ValueError, KeyError, TypeError) as error:
         fault = reading.fault or f"{path.name}: it does not hold a drive ({error})"
-        return None, reading.link, fault
+        return None, reading.links[-1], fault
 
 
 class Trial:

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -156,26 +156,34 @@ def drive_settings(
     }
 
 
-def drive_record(plan: Plan, code: str, step: Step, attempt: int) -> tuple[Record | None, str, str]:
-    """Return what the log of an attempt says, its last link, and what is wrong with it."""
+class DriveReading(NamedTuple):
+    """What the log of a drive says, if anything; its last link; what is wrong with it, or ""."""
+
+    record: Record | None
+    link: str
+    fault: str
+
+
+def read_drive(plan: Plan, code: str, step: Step, attempt: int) -> DriveReading:
+    """Return an attempt at a drive, its rows compared with a replay of their commands."""
     path = log_path(plan.folder / code, step, attempt)
-    if not path.exists():
-        return None, "", f"{path.name} is missing"
     record, link, fault = read_record(path, file_origin(plan.digest, code, path.stem))
     if record is not None and not fault:
         fault = record.fault(task_of(record.settings))
         fault = f"{path.name}: {fault}" if fault else ""
-    return record, link, fault
+    return DriveReading(record, link, fault)
 
 
-def session_of_drive(plan: Plan, code: str, step: Step, attempt: int, fault: str = "") -> Session:
+def session_of_drive(
+    plan: Plan, code: str, step: Step, attempt: int, drive: DriveReading, fault: str = ""
+) -> Session:
     """
     Return the session of an attempt at a drive: the logged rows; its metadata hold the verdict, the
     log period, pauses, and the delay with which pictures were seen.
     """
-    record, _, found = drive_record(plan, code, step, attempt)
+    record = drive.record
     if record is None:
-        raise ValueError(found)
+        raise ValueError(drive.fault)
     facts = {
         "position": step.position,
         "page": step.index,
@@ -186,5 +194,5 @@ def session_of_drive(plan: Plan, code: str, step: Step, attempt: int, fault: str
         "synthetic": plan.rehearsal,
     }
     late = record.settings["late"] + max(record.settings["sample_time"], PERIOD)
-    session = record.session(task_of(record.settings), fault or found, **facts)
+    session = record.session(task_of(record.settings), fault or drive.fault, **facts)
     return session.with_metadata(seen_late=session.metadata.more["delay"] > late)

@@ -20,6 +20,7 @@ from trustlab.live.study.drives import (
     item_order,
     log_path,
     planned_minutes,
+    read_drive,
     session_of_drive,
     stand_in,
 )
@@ -207,7 +208,8 @@ class Participant:
                 attempt = progress.attempt(step.index)
                 if (progress.model or {}).get("attempt") != attempt:
                     try:
-                        session = session_of_drive(self.plan, self.code, step, attempt)
+                        drive = read_drive(self.plan, self.code, step, attempt)
+                        session = session_of_drive(self.plan, self.code, step, attempt, drive)
                         model = identified(self.plan, session)
                     except ValueError as error:  # everybody must go on
                         model = stand_in(self.plan, "the drive cannot be read", str(error))

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.live.log import linked, read_log
-from trustlab.live.study.drives import drive_record, log_path, session_of_drive
+from trustlab.live.log import read_log
+from trustlab.live.study.drives import DriveReading, log_path, read_drive, session_of_drive
 from trustlab.live.study.export import items_of, samples_of, write_export
 from trustlab.live.study.pages import Step, StudyPage
 from trustlab.live.study.plan import EVENTS, PLAN, Plan, file_origin, read_links
@@ -38,6 +38,11 @@ KEYS = ["participant", "position", "condition"]
 REHEARSAL = "scripted hands, no person took part"
 
 
+def file_of(step: Step, attempt: int) -> str:
+    """Return the name of the log of an attempt at a drive."""
+    return log_path(Path(), step, attempt).name
+
+
 class Fault(NamedTuple):
     """Whose file is not as it was written, and what is wrong with it."""
 
@@ -55,7 +60,7 @@ class ParticipantRecord(NamedTuple):
     fault: str
 
 
-def read_record(plan: Plan, code: str, link: str | None) -> ParticipantRecord:
+def participant_record(plan: Plan, code: str, link: str | None) -> ParticipantRecord:
     """
     Return a participant's record: the events up to the first line that was changed. `link` is what
     was written down of the events beside the study.
@@ -64,20 +69,11 @@ def read_record(plan: Plan, code: str, link: str | None) -> ParticipantRecord:
     if not path.exists():
         fault = f"{path.name} is missing" if link is not None else ""
         return ParticipantRecord(code, [], Progress(), fault)
-    origin = file_origin(plan.digest, code, EVENTS)
-    reading = read_log(path, origin)
+    reading = read_log(path, file_origin(plan.digest, code, EVENTS))
     fault = reading.fault
-    if not fault and link is not None and link not in links_of(reading.entries, origin):
+    if not fault and link is not None and link not in reading.links:
         fault = f"{path.name}: its last lines are missing"
     return ParticipantRecord(code, reading.entries, progress_of(reading.entries), fault)
-
-
-def links_of(entries: list[Any], origin: str) -> list[str]:
-    """Return the links of a log's entries."""
-    links = [origin]
-    for entry in entries:
-        links.append(linked(links[-1], entry)[0])
-    return links
 
 
 def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
@@ -113,7 +109,7 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     """
     plan = Plan.open(folder)
     links = read_links(plan.folder)
-    records = {code: read_record(plan, code, links.get(code)) for code in plan.present()}
+    records = {code: participant_record(plan, code, links.get(code)) for code in plan.present()}
     return RecordedStudy(plan, records, tuple(plan.deleted()))
 
 
@@ -159,41 +155,50 @@ class RecordedStudy:
                     yield code, step, now.done[step.index]
 
     @cached_property
+    def _drives(self) -> dict[tuple[str, str], DriveReading]:
+        """Every attempt at a drive that events tell of, by participant and file."""
+        drives = {}
+        for code, record in self.records.items():
+            steps = self.plan.steps(code)
+            for event in record.events:
+                if event["kind"] == "begin":
+                    step, attempt = steps[event["page"]], event["attempt"]
+                    drives[code, file_of(step, attempt)] = read_drive(
+                        self.plan, code, step, attempt
+                    )
+        return drives
+
+    @cached_property
     def _sessions(self) -> list[Session]:
         sessions = []
         for code, step, event in self._finished("drive"):
-            name = log_path(Path(), step, event["attempt"]).name
-            fault = "; ".join(fault.fault for fault in self._faults_of(code, name))
-            record, *_ = drive_record(self.plan, code, step, event["attempt"])
-            if record is not None and len(record.rows) >= LEAST_ROWS:
-                attempt = event["attempt"]
-                sessions.append(session_of_drive(self.plan, code, step, attempt, fault))
+            attempt = event["attempt"]
+            name = file_of(step, attempt)
+            drive = self._drives.get((code, name))
+            if drive and drive.record and len(drive.record.rows) >= LEAST_ROWS:
+                fault = self._fault_of(code, name)
+                sessions.append(session_of_drive(self.plan, code, step, attempt, drive, fault))
         return sessions
 
     @cached_property
     def _faults(self) -> list[Fault]:
-        faults = []
+        faults = [Fault(code, PLAN, self.plan.fault) for code in self.records if self.plan.fault]
         for code, record in self.records.items():
-            faults += [Fault(code, PLAN, self.plan.fault)] if self.plan.fault else []
             faults += [Fault(code, f"{EVENTS}.jsonl", record.fault)] if record.fault else []
-            steps = self.plan.steps(code)
-            for event in record.events:
-                if event["kind"] in ("begin", "page") and "attempt" in event:
-                    faults += self._drive_faults(code, steps[event["page"]], event)
-        return list(dict.fromkeys(faults))
+        faults += [Fault(*key, drive.fault) for key, drive in self._drives.items() if drive.fault]
+        for code, step, event in self._finished(*{page.name for page in self.plan.pages}):
+            name = file_of(step, event.get("attempt", 0))
+            drive = self._drives.get((code, name))
+            if drive and not drive.fault and drive.link != event["link"]:
+                fault = f"{name}: it does not end where the drive was finished"
+                faults.append(Fault(code, name, fault))
+        return faults
 
-    def _drive_faults(self, code: str, step: Step, event: dict[str, Any]) -> list[Fault]:
-        """Return what is wrong with the log of a drive that an event tells of."""
-        name = log_path(Path(), step, event["attempt"]).name
-        _, link, fault = drive_record(self.plan, code, step, event["attempt"])
-        if event["kind"] == "page" and not fault and link != event["link"]:
-            fault = f"{name}: it does not end where the drive was finished"
-        return [Fault(code, name, fault)] if fault else []
-
-    def _faults_of(self, code: str, name: str) -> list[Fault]:
-        """Return what is wrong with the files that a drive rests on."""
+    def _fault_of(self, code: str, name: str) -> str:
+        """Return what is wrong with the files that a drive rests on, "" for nothing."""
         files = (name, f"{EVENTS}.jsonl", PLAN)
-        return [fault for fault in self._faults if fault.code == code and fault.file in files]
+        own = [fault.fault for fault in self._faults if fault.code == code and fault.file in files]
+        return "; ".join(own)
 
     def faults(self) -> pd.DataFrame:
         """
@@ -387,10 +392,7 @@ class RecordedStudy:
         """
         rows = []
         there = {
-            (code, step.condition): "; ".join(
-                fault.fault
-                for fault in self._faults_of(code, log_path(Path(), step, event["attempt"]).name)
-            )
+            (code, step.condition): self._fault_of(code, file_of(step, event["attempt"]))
             for code, step, event in self._finished("drive")
         }
         for code in self.records:
