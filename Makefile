@@ -59,6 +59,7 @@ test: $(VENV)/.stamp  ## formatting, linting, types and every test but the long 
 	$(BIN)/mypy
 	$(BIN)/python notebooks/compile_kernels.py
 	@$(MAKE) --no-print-directory tests/ros/.venv/.stamp || echo "ROS 2 could not be installed; its tests are skipped"
+	@npm ci --silent --prefix tests/live/javascript || echo "no npm: the browser's modules are not linted"
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m "not long"
 
 test-long: $(VENV)/.stamp  ## the tests that take too long for every time

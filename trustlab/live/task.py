@@ -109,7 +109,7 @@ class LiveTask:
 
         `content` is what a study's plan holds, `known` what is known of the participant. Every task
         has live_task, condition, seed, sample_time [s], samples, columns, commands, limits (of each
-        command), late (the camera's delay [s]), clock and hand.
+        command), late (the camera's delay [s]) and clock.
         """
         raise NotImplementedError
 

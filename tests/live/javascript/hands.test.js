@@ -1,7 +1,7 @@
 // Hands at keys, gamepad and pointer, without a browser. Oracle: ramps worked out by hand.
 import assert from "node:assert";
 import { beforeEach, test } from "node:test";
-import { Hands, script } from "./hands.js";
+import { Hands } from "./hands.js";
 
 const RAMP = { rise: 2.5, fall: 6 };
 let pads, root, blurred, hands;
@@ -93,19 +93,4 @@ test("a dragging pointer is a stick of 80 pixels", () => {
   near(hands.read(0.1), [1, -0.5]);
   send(globalThis.window, "pointerup", { pointerId: 1 });
   near(hands.read(0.1), [0, 0]);
-});
-
-test("a scripted hand steers to the path and follows suggestions", () => {
-  const path = [
-    [0, 0, 0],
-    [10, 0, 10],
-    [10, 10, 20],
-  ];
-  const state = { arc: 1, x: 1, y: -0.5, yaw: 0 };
-  const act = script({ wobble: 0, patience: 2 }, { path, task: { scheme: 2 } });
-  assert.ok(act({ ...state, k: 0, row: [1, -1] }).left > 0, "the path is to the left");
-  state.y = 0.5;
-  assert.ok(act({ ...state, k: 1, row: [1, -1] }).left < 0);
-  const wishes = [2, 3, 4, 5].map((k) => act({ ...state, k, row: [1, 0] }).wanted);
-  assert.deepStrictEqual(wishes, [null, null, 0, 0]);
 });

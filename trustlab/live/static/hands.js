@@ -1,4 +1,4 @@
-// Who drives: hands on keyboard, gamepad, mouse or finger, or a script.
+// Who drives: hands on keyboard, gamepad, mouse or finger.
 import { clamp, keepKeys } from "./page.js";
 
 const KEYS = {
@@ -94,35 +94,4 @@ export class Hands {
     });
     return this.levers;
   }
-}
-
-// A scripted hand for tests and rehearsals: steers to a point ahead on the path, wobbles, follows
-// suggestions, switches now and then.
-export function script(hand, config) {
-  const { speed = 0.9, wobble = 0.1, ahead = 1.2, patience = 20, phase = 600 } = hand;
-  const path = config.path,
-    length = path.at(-1)[2];
-  let since = 0;
-  return ({ k, row, ...pose }) => {
-    let s = pose.arc + ahead,
-      i = 0;
-    s -= Math.floor(s / length) * length;
-    while (i < path.length - 2 && path[i + 1][2] <= s) i += 1;
-    const share = (s - path[i][2]) / (path[i + 1][2] - path[i][2]);
-    const [x, y] = [0, 1].map(
-      (axis) => path[i][axis] + share * (path[i + 1][axis] - path[i][axis]),
-    );
-    const aim = Math.atan2(y - pose.y, x - pose.x) - pose.yaw;
-    const bearing = Math.atan2(Math.sin(aim), Math.cos(aim)) + wobble * Math.sin(0.09 * k);
-    const now = row?.[0] ?? 1,
-      suggested = row?.[1] ?? -1;
-    since = suggested >= 0 && suggested !== now ? since + 1 : 0;
-    const free = config.task.scheme === 1 && k % phase === phase - 1;
-    const wanted = since > patience ? suggested : free ? 1 - now : null;
-    return {
-      forward: clamp(speed - 0.3 * Math.abs(bearing), 0, 1),
-      left: clamp(1.6 * bearing, -1, 1),
-      wanted,
-    };
-  };
 }

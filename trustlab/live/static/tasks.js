@@ -3,7 +3,7 @@
 // TASKS[name](root, config, signal, note) returns: moving, what is interpolated between pictures;
 // command(newest), the person's command; heard(newest); draw(picture, near, newest), with the
 // picture as late as the camera, and as late as the connection alone; wait(on), it stands still.
-import { Hands, script } from "./hands.js";
+import { Hands } from "./hands.js";
 import { MIDDLE, PAD_STYLE, SIZE, Stick, dot, drawPad, drawPicture } from "./pad.js";
 import { clamp, dress, element, filled, keepKeys, say } from "./page.js";
 import { furnish, refusal } from "./view.js";
@@ -12,7 +12,6 @@ const COLOURS = ["#0072b2", "#a04800", "#00784f", "#8a3b8f", "#8c6d00", "#47525e
 
 function groundRobot(root, config, signal, note) {
   const hands = new Hands(root, config.ramp, () => note("focus lost: keys released"), signal),
-    hand = config.hand && script(config.hand, config),
     toggle = () => (hands.toggles += 1),
     { camera, gauges, panel, away } = furnish(root, config, toggle, signal),
     { max_speed, max_turn_rate } = config.robot;
@@ -24,16 +23,13 @@ function groundRobot(root, config, signal, note) {
     moving: ["x", "y", "yaw"],
     command(newest) {
       const { k, row } = newest,
-        scripted = hand?.(newest),
-        steered = scripted ? [scripted.forward, scripted.left] : hands.read(config.sample_time),
-        [forward, left] = steered;
+        [forward, left] = hands.read(config.sample_time);
       if (hands.toggles % 2) {
         const words = refusal(config, k, row);
         if (words) panel.explain(words);
         else wanted = 1 - (row?.[0] ?? wanted);
       }
       hands.toggles = 0;
-      wanted = scripted?.wanted ?? wanted;
       return [Math.max(forward, 0) * max_speed, left * max_turn_rate, wanted];
     },
     heard({ k, row }) {
@@ -79,12 +75,6 @@ class Squares {
     this.pad = right.getContext("2d");
   }
 
-  // The hand's deflection; of a script in rehearsals, towards where it should go.
-  read([dx, dy]) {
-    const { hand } = this.config;
-    return hand ? [dx, dy].map((x) => clamp(hand.speed * x, -1, 1)) : this.stick.read();
-  }
-
   draw(device, force, k) {
     const { config, stick } = this,
       size = Math.hypot(...force);
@@ -111,10 +101,10 @@ function teleoperation(root, config, signal) {
 
   return {
     moving: ["target", "robot", "device", "guide"],
-    command({ target }) {
+    command() {
       const trigger = squares.stick.pad?.buttons[7]?.value ?? 0;
       if (config.allocates && trigger > 0.02) share = 1 - trigger;
-      return [...squares.read(target ?? [0, 0]), share];
+      return [...squares.stick.read(), share];
     },
     heard() {},
     draw(picture, near, newest) {
@@ -196,10 +186,7 @@ function team(root, config, signal) {
 
   return {
     moving: ["robots", "force"],
-    command(newest) {
-      const from = newest.robots[Math.max(newest.leader - 1, 0)];
-      return [...squares.read(newest.goal.map((x, i) => x - from[i])), choice];
-    },
+    command: () => [...squares.stick.read(), choice],
     heard(newest) {
       suggested = newest.suggested;
       const goals = config.goals.length,

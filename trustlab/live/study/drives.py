@@ -126,8 +126,7 @@ def drive_of(
     config = task_named(content["task"]).config(content, condition, known, seed)
     config["late"] = max(config["late"], content["least_delay"])
     if content["rehearsal"]:
-        speed, wobble = np.random.default_rng(seed).uniform([0.7, 0.05], [1.0, 0.3]).tolist()
-        config |= {"clock": "accelerated", "hand": {"speed": speed, "wobble": wobble}}
+        config["clock"] = "accelerated"
     return config
 
 

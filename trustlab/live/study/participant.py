@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from trustlab.live.log import Log
 from trustlab.live.study.drives import (
     drive_settings,
@@ -64,10 +66,11 @@ class Participant:
     A participant in a study that is being served or rehearsed.
 
     The folder has the events, which are all there is to know, and a log per drive. Everything that
-    changes them waits for `lock`.
+    changes them waits for `lock`. If they are `scripted`, a scripted person's commands take the
+    place of those that their page sends.
     """
 
-    def __init__(self, plan: Plan, code: str):
+    def __init__(self, plan: Plan, code: str, scripted: bool = False):
         self.plan, self.code = plan, code
         self.folder = plan.folder / code
         self.steps = plan.steps(code)
@@ -77,6 +80,8 @@ class Participant:
         self.events: list[dict[str, Any]] = self.log.entries
         self.lock = threading.RLock()
         self.trial: Trial | None = None
+        self.scripted = scripted
+        self.hand: Any = None
         self.last_request: float | None = None
         self.telemetry: dict[str, float] = {}
         if self.log.torn:
@@ -165,6 +170,9 @@ class Participant:
             if "begin" not in message and self.trial is None:
                 return {"done": True}  # what this window drove is over, or was begun again
             trial = self._trial(step)
+            if self.scripted and message.get("commands"):
+                command = [float(value) for value in self.hand(trial.run.picture())]
+                message = {**message, "commands": [command]}
             answer = trial.take(message)
             if isinstance(message.get("telemetry"), dict):
                 numbers = list(message["telemetry"].items())[:10]
@@ -190,6 +198,8 @@ class Participant:
             if trial.log.torn:
                 self.add("torn", file=path.name, bytes=trial.log.torn)
             self.trial = trial
+            rng = np.random.default_rng(trial.settings["seed"])
+            self.hand = trial.task.hand(trial.settings, rng)
         return self.trial
 
     def _finish(self, step: Step, trial: Trial) -> None:

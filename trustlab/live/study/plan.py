@@ -14,12 +14,16 @@ from pathlib import Path
 from typing import Any, Self
 
 from trustlab.live.log import sync_folder
-from trustlab.live.study.pages import Step, StudyPage, steps_of
+from trustlab.live.study.pages import KINDS, SECTIONS, Step, StudyPage, steps_of
+from trustlab.live.task import TASKS
 from trustlab.models.checks import one_of
 from trustlab.models.digest import digest
 from trustlab.models.files import write_atomically
 
 FORMAT = 4
+NEEDED = ("task", "rehearsal", "conditions", "groups", "seed", "language", "words", "made_by")
+"""What a plan holds, besides orders and pages."""
+
 PLAN = "study.json"
 EVENTS = "events"
 TOMBSTONE = ".deleted"
@@ -69,9 +73,15 @@ class Plan:
         plan = cls.__new__(cls)
         Plan.__init__(plan, Path(folder).absolute(), read_plan(Path(folder)))
         try:
+            for name in NEEDED:
+                plan.content[name]
+            one_of("task", plan.content["task"], TASKS)
+            for page in plan.pages:
+                one_of("kind", page.kind, KINDS)
+                one_of("section", page.section, SECTIONS)
             for code in plan.orders:
                 plan.steps(code)
-        except (KeyError, TypeError, AttributeError) as error:
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise ValueError(
                 f"{plan.folder / PLAN} was changed after it was frozen, and does not hold a plan "
                 f"any more ({error!r}); restore it from a copy"

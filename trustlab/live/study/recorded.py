@@ -314,8 +314,10 @@ class RecordedStudy:
     def scores(self) -> dict[str, ScaleScores]:
         """
         Return the scores of every questionnaire that is scored and answered, by the name of its
-        page; answers in a file that was changed are not scored.
+        page; answers in a file that was changed, or to a plan that was, are not scored.
         """
+        if self.plan.fault:
+            return {}
         answers = self.answers()
         changed = [code for code, record in self.records.items() if record.fault]
         answers = answers[~answers["participant"].isin(changed)]
@@ -362,7 +364,7 @@ class RecordedStudy:
             row["pauses"] = len(meta.more["pauses"])
             rows.append(row | self.task.measures(session))
         if not rows:
-            return pd.DataFrame(columns=KEYS)
+            return pd.DataFrame(columns=[*KEYS, "verified"])
         table = pd.DataFrame(rows)
         for name, scored in self.scores().items():
             if self._page(name).section == "each":

@@ -470,7 +470,7 @@ class StudyServer:
                     self.participants.pop(code).close()
                 raise DeletedError(f"participant {code} was deleted")
             if code not in self.participants:
-                self.participants[code] = Participant(self.plan, code)
+                self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
             return self.participants[code]
 
     def free_place(self) -> str | None:

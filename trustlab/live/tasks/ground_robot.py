@@ -166,7 +166,6 @@ def drive_config(
         "view": VIEW | view,
         "late": (VIEW | view)["delay"],
         "clock": "real",
-        "hand": None,
     }
 
 

@@ -287,7 +287,6 @@ class TeamTask(LiveTask):
                 "leader_choice": [0, count],
             },
             "clock": "real",
-            "hand": None,
         }
 
     def begin(self, config: Mapping[str, Any]) -> LeadingRun:

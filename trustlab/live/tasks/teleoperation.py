@@ -201,7 +201,6 @@ class TeleoperationTask(LiveTask):
             "late": view.camera_delay,
             "limits": limits,
             "clock": "real",
-            "hand": None,
         }
 
     def begin(self, config: Mapping[str, Any]) -> LiveFlight:
