@@ -622,3 +622,38 @@ def test_nothing_about_a_person_is_kept_but_what_the_documentation_lists(
     words = "".join(path.read_text() for path in served.plan.folder.rglob("*") if path.is_file())
     assert not re.search(r"Mozilla|secret|10\.1\.2\.3|127\.0\.0\.1", words)
     assert np.isfinite([event["at"] for event in events(served.plan)]).all()
+
+
+def nonsense(rng, depth=0):
+    """A random value that JSON can hold, of names and numbers that the server knows or not."""
+    kind = rng.integers(9 if depth < 3 else 6)
+    if kind == 6:
+        return [nonsense(rng, depth + 1) for _ in range(rng.integers(4))]
+    if kind >= 7:
+        names = ["page", "answers", "late", "consent", "participant", "action", "text", "window"]
+        names += ["begin", "k", "commands", "seen", "note", "telemetry", "", "\ud800", "__class__"]
+        keys = rng.choice(names, rng.integers(6))
+        return {str(key): nonsense(rng, depth + 1) for key in keys}
+    words = ["P01", "restart", "note", "end", "a" * 50, "\0", "<b>", "\udfff", "NaN", "1"]
+    known = (None, True, 0, 1, -1, 1.5, 10**30, 1e308, -0.0)
+    return str(rng.choice(words)) if kind < 2 else known[rng.integers(len(known))]
+
+
+def test_random_bodies_and_messages_make_no_mistake(served, client, driving_page):
+    """What is refused is refused by a number below 500, and lets nothing in."""
+    rng = np.random.default_rng(0)
+    experimenter = served.server.experimenter
+    links = [f"{served.links['P02']}/answers", f"{experimenter}/act", f"{served.links['P02']}/x"]
+    links += [f"{served.base}/join/{'x' * 22}", f"{served.base}/p/{'y' * 22}/answers"]
+    found = [client(links[k % 5], nonsense(rng)).status for k in range(400)]
+    assert not [status for status in found if status >= 500]
+    page = begun(client, driving_page, served.links["P01"])
+    for _ in range(400):
+        page.socket.send(json.dumps(nonsense(rng)))
+        answer = json.loads(page.socket.recv())
+        assert {"refused", "k", "done"} & set(answer), answer
+    assert served.server.mistakes == 0
+    assert page.begin()["done"] is False
+    study = tl.read_live_study(served.plan.folder)
+    assert study.faults().empty
+    assert study.export().exists()

@@ -563,6 +563,7 @@ class StudyServer:
             default_handler_class=Missing,
             log_function=lambda handler: None,
             websocket_max_message_size=LARGEST_BODY,
+            websocket_ping_interval=20.0,  # who is gone without a word is let go
             server=self,
         )
 
