@@ -163,6 +163,11 @@ def task_of(config: Mapping[str, Any]) -> LiveTask:
     return task_named(config["live_task"])
 
 
+def prepare(task: LiveTask, config: Mapping[str, Any]) -> None:
+    """Compile what a run calls, and refuse what only a step can refuse, before anybody drives."""
+    task.begin(config).step(*(config["limits"][name][0] for name in config["commands"]))
+
+
 def scripted_commands(
     task: LiveTask, config: Mapping[str, Any], hand: Any
 ) -> tuple[list[list[float]], list[list[float]]]:

@@ -13,7 +13,7 @@ import pandas as pd
 from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
 from trustlab.live.log import LogError
 from trustlab.live.study.pages import read_words
-from trustlab.live.task import LiveTask
+from trustlab.live.task import LiveTask, prepare
 from trustlab.live.tasks import ground_robot, team
 from trustlab.live.tasks.ground_robot import drive_config, warn_if_too_short
 from trustlab.live.tasks.team import LeadingSettings
@@ -113,6 +113,7 @@ class LiveWidget(anywidget.AnyWidget):
             raise ValueError(f"{path} holds another run, or one that is over; name another log")
         # A cell that is run again shows the run that goes on.
         if path not in self.trials:
+            prepare(task, settings)
             try:
                 trial = Trial(path, task, settings, participant=str(participant))
             except LogError as error:

@@ -52,6 +52,7 @@ export function play(root, open, on) {
   function heard(answer) {
     if (over) return;
     if (answer.refused) return stop(answer.refused);
+    if (answer.k === undefined) return stop(""); // over, or begun again elsewhere
     if (!task) begin(answer);
     on.heard(answer);
     waiting.splice(0, answer.k - have);

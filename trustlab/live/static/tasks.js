@@ -138,17 +138,19 @@ function drawField(g, config, { goal, robots, leader }) {
   g.setLineDash([]);
   g.font = "bold 16px system-ui, sans-serif";
   g.textAlign = "center";
-  robots.forEach((robot, i) => {
-    const at = place(robot);
+  const draw = (i) => {
+    const at = place(robots[i]);
     dot(g, at, 11, COLOURS[i]);
     g.fillStyle = "#fff";
     g.fillText(i + 1, at[0], at[1] + 6);
-    if (leader !== i + 1) return;
-    g.strokeStyle = COLOURS[i];
-    g.beginPath();
-    g.arc(...at, 17, 0, 2 * Math.PI);
-    g.stroke();
-  });
+    return at;
+  };
+  robots.forEach((_, i) => draw(i));
+  if (!leader) return;
+  g.strokeStyle = COLOURS[leader - 1];
+  g.beginPath();
+  g.arc(...draw(leader - 1), 17, 0, 2 * Math.PI); // over the others
+  g.stroke();
 }
 
 function team(root, config, signal) {

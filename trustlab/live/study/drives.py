@@ -130,13 +130,6 @@ def drive_of(
     return config
 
 
-def prepare(plan: Plan) -> None:
-    """Compile what the server computes of drives, before anybody drives."""
-    config = drive_of(plan.content, "training", stand_in(plan, ""), seed=0)
-    command = [config["limits"][name][0] for name in config["commands"]]
-    task_of(config).begin(config).step(*command)
-
-
 def drive_settings(
     plan: Plan, code: str, step: Step, attempt: int, model: Mapping[str, Any] | None
 ) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from typing import Any, Self
 from urllib.parse import urlsplit
 
 from trustlab.live.log import Log, LogError
-from trustlab.live.study.drives import prepare
+from trustlab.live.study.drives import drive_of, stand_in
 from trustlab.live.study.pages import AnswerError
 from trustlab.live.study.participant import Participant, RefusedError
 from trustlab.live.study.plan import (
@@ -34,6 +34,7 @@ from trustlab.live.study.plan import (
     read_tokens,
     tokens_path,
 )
+from trustlab.live.task import prepare, task_of
 from trustlab.live.trial import OTHER_WINDOW, made_by
 from trustlab.models.checks import flag, whole_number
 from trustlab.models.extras import extra
@@ -615,7 +616,8 @@ class StudyServer:
                 "writable and see that its disk has room before people come"
             ) from None
         try:
-            prepare(self.plan)
+            training = drive_of(self.plan.content, "training", stand_in(self.plan, ""), seed=0)
+            prepare(task_of(training), training)
             self.holder("")
             self.thread = threading.Thread(target=self._run, name="live study", daemon=True)
             self.thread.start()
