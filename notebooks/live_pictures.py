@@ -10,6 +10,7 @@ import warnings
 from pathlib import Path
 
 import trustlab as tl
+from trustlab.live.study.drives import stand_in
 from trustlab.live.study.server import StudyServer
 
 COMMITTED = Path(__file__).parents[1] / "data" / "live_demo"
@@ -74,6 +75,9 @@ def taken():
                     break
                 facts = {"page": step.index, "name": step.page.name, "attempt": 0, "link": ""}
                 other.add("page", **facts)  # as if P02 had come so far
+                if step.page.name == "identification":
+                    known = stand_in(plan, "")
+                    other.add("model", page=step.index, attempt=0, **known)
             second = browser.new_page(viewport=SIZE)
             second.goto(links["P02"])
             second.wait_for_selector("fieldset")

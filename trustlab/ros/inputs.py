@@ -95,8 +95,10 @@ class Input:
 
     def watch(self, now: float) -> bool:
         """Return whether the input has fallen silent, and note when that begins and ends."""
+        if self.values is None:  # not heard yet: nothing begins or ends
+            return True
         silent = now - self.stamp > self.watchdog.after
-        if silent != self.silent and self.values is not None:
+        if silent != self.silent:
             self.note(
                 f"{self.name}: silent, {self.watchdog.action}"
                 if silent
