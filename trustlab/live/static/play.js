@@ -132,7 +132,7 @@ export function play(root, open, on) {
     heard,
     down: (why) => on.say(why || (config?.words.no_connection ?? "")),
   });
-  const timer = setInterval(() => task && advance(), 20),
+  const timer = setInterval(() => task && advance(), 10),
     signal = leaving.signal,
     hide = () => note(document.hidden ? "the page is hidden" : "the page is seen again");
   document.addEventListener("visibilitychange", hide, { signal });
