@@ -137,14 +137,6 @@ def test_mixed_model_against_nlme(name):
     assert found.missing_cells == np.isnan(np.array(study["data"], dtype=float)).sum()
 
 
-def test_what_the_studies_cover():
-    sizes = {np.shape(study["data"])[1] for study in STUDIES.values()}
-    assert {2, 3, 4, 10} <= sizes
-    assert any((study["epsilon_hf_untruncated"] or 0.0) > 1.0 for study in STUDIES.values())
-    assert any((study["mauchly_p"] or 1.0) < 1e-3 for study in STUDIES.values())
-    assert any(study["complete"] < len(study["data"]) for study in STUDIES.values())
-
-
 def test_a_wrong_value_is_seen():
     study = STUDIES["four_conditions_sphericity_violated"]
     with pytest.raises(AssertionError, match="epsilon"):

@@ -93,26 +93,6 @@ def test_higgins_table_5_as_artool_prints_it():
     assert across["t"] == pytest.approx(-3.036288461, rel=1e-9)
 
 
-@printed_by_artool
-def test_three_factors_as_artool_prints_them():
-    """tests/testthat: HigginsABC (the original ARTool) and ElkinABC (ARTool.exe and JMP)."""
-    frame = pd.read_csv(ARTOOL / "HigginsABC.csv")
-    result = tl.repeated_measures(frame, "Y", ["C"], "Subject", between=["A", "B"])
-    table = result.aligned_ranks("pooled").set_index("effect")["F"].round(4)
-    printed = [120.4706, 120.4706, 14.3217, 81.92, 0.1259, 0.2319, 0.9715]
-    assert table[["A", "B", "C", "A × B", "A × C", "B × C", "A × B × C"]].tolist() == printed
-    result = tl.repeated_measures(pd.read_csv(ARTOOL / "ElkinABC.csv"), "Y", ["A", "B", "C"], "S")
-    assert result.pairs("A", method="aligned_ranks", error="pooled")["t"].item() == pytest.approx(
-        -16.98, abs=0.005
-    )
-    assert result.pairs("B", "A", method="aligned_ranks", error="pooled")["t"][0] == pytest.approx(
-        -0.072115146, rel=1e-7
-    )
-    assert result.pairs("A", "B", method="aligned_ranks", error="pooled")["t"][0] == pytest.approx(
-        -14.74754746, rel=1e-8
-    )
-
-
 def test_other_effects_are_gone():
     """
     In a balanced design the aligned scores have no other effect: before they are ranked, other F
@@ -124,43 +104,3 @@ def test_other_effects_are_gone():
         results = [tl.repeated_measures(f, "v", ["x", "y"], "who") for f in (own, more)]
         ranks = [aligned(x.scores.values, x.design, ("x", "y")) for x in results]
         np.testing.assert_array_equal(*ranks)
-
-
-def test_own_error_is_pooled_error_where_all_contrasts_are_one():
-    """Two levels within: one contrast, so that both error terms are the same."""
-    frame = two_way()[lambda f: f["y"] == "a"]
-    result = tl.repeated_measures(frame, "v", ["x"], "who", between="group")
-    own, pooled = result.aligned_ranks(), result.aligned_ranks("pooled")
-    np.testing.assert_allclose(own["F"], pooled["F"], rtol=1e-12)
-    for method in ("t", "aligned_ranks"):
-        pd.testing.assert_frame_equal(
-            result.pairs("x", method=method),
-            result.pairs("x", method=method, error="pooled"),
-            rtol=1e-10,
-            check_dtype=False,  # pooled degrees of freedom need not be whole
-        )
-
-
-def test_ranks_of_one_factor_need_no_alignment():
-    """Oracle: the ANOVA of the ranks of all scores (Conover and Iman, 1981)."""
-    frame = two_way()[lambda f: f["y"] == "a"]
-    ranked = frame.assign(v=frame["v"].rank())
-    tests = tl.repeated_measures(frame, "v", "x", "who").aligned_ranks()
-    np.testing.assert_allclose(tests["F"], tl.repeated_measures(ranked, "v", "x", "who").F)
-
-
-def test_faults_are_named():
-    plain = tl.repeated_measures(two_way(), "v", ["x", "y"], "who")
-    with pytest.raises(ValueError, match="error must be one of 'own', 'pooled'"):
-        plain.aligned_ranks("residual")
-    with pytest.raises(ValueError, match="method must be one of 't', 'aligned_ranks'"):
-        plain.pairs("x", method="wilcoxon")
-    with pytest.raises(ValueError, match="'z' is not a factor"):
-        plain.pairs("z", method="aligned_ranks")
-
-
-def test_ratings_are_noted():
-    frame = two_way()
-    rated = frame.assign(v=np.clip(np.round(frame["v"]), 1, 5))
-    assert "aligned_ranks()" in tl.repeated_measures(rated, "v", ["x", "y"], "who").notes[0]
-    assert tl.repeated_measures(frame, "v", ["x", "y"], "who").notes == ()

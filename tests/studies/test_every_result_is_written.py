@@ -110,10 +110,3 @@ def test_one_wide_row_is_printed_as_a_column(tmp_path):
     assert own.columns.tolist() == ["statistic", "value"]
     assert len(own) == len(written.table().columns)
     assert {"a", "mean difference", "95% CI low", "p", "t"} <= set(own["statistic"])
-
-
-def test_what_is_no_result_is_refused():
-    with pytest.raises(
-        ValueError, match=r"frame must be a table with dv=, within=, subject=, or a result, got int"
-    ):
-        tl.report(3)

@@ -6,7 +6,6 @@ by cell means written out, to 1e-9; simulation.
 
 import json
 import re
-from itertools import product
 from pathlib import Path
 
 import matplotlib as mpl
@@ -219,45 +218,6 @@ def test_simple_effects_are_analyses_of_one_level():
     assert run(frame, between="side").simple_effects("B", at="side")["df2"].tolist() == [16, 16]
 
 
-def test_pairs_within_levels_are_paired_t_tests():
-    frame = two_way()
-    pairs = run(frame).pairs("B", at="A")
-    for row in pairs.itertuples():
-        own = frame[frame["A"] == row.level].pivot_table(index="who", columns="B", values="v")
-        oracle = stats.ttest_rel(own[row.a], own[row.b])
-        np.testing.assert_allclose([row.t, row.p], oracle, rtol=1e-9)
-        d = own[row.a] - own[row.b]
-        assert row.d_z == pytest.approx(d.mean() / d.std())
-
-
-@pytest.mark.parametrize("between", [None, "side"])
-def test_type_one_error_and_coverage(between):
-    """
-    Without any effect, F corrected rejects in 5 % of studies; 4,000 studies without sphericity.
-    """
-    rng = np.random.default_rng(1)
-    scores = rng.standard_normal((4000, 12, 2, 4)) * [1.0, 1.0, 1.5, 3.0] + rng.standard_normal(
-        (4000, 12, 1, 1)
-    )
-    groups = np.arange(12) % 2 if between else None
-    found = repeated_measures_batch(scores, groups=groups)
-    shares = (found["p_gg"] < 0.05).groupby("effect").mean()
-    assert shares.between(0.03, 0.06).all(), shares
-    exact = (found["p"] < 0.05).groupby("effect").mean()["A"]
-    assert abs(exact - 0.05) < 4.0 * np.sqrt(0.05 * 0.95 / 4000)
-
-
-def test_one_factor_in_a_list_is_one_way():
-    frame = two_way()[lambda f: f["A"] == "a0"]
-    one, other = run(frame, within=["B"]), run(frame, within="B")
-    pd.testing.assert_frame_equal(one.table(), other.table())
-    assert run(frame, within=["B"], order={"B": ["b2", "b0", "b1"]}).conditions == (
-        "b2",
-        "b0",
-        "b1",
-    )
-
-
 def test_what_a_reader_sees():
     frame = two_way()
     frame.attrs["synthetic"] = True
@@ -297,56 +257,15 @@ def put(frame, row, column, value):
             {},
             r"missing cells in 'v': subject 1 has no score in condition \('a0', 'b1'\)",
         ),
-        (
-            lambda f: f[(f["A"] != "a1") | (f["B"] != "b2")],
-            {},
-            r"missing cells .*subject 0 has no score in condition \('a1', 'b2'\); .* and 5 more",
-        ),
-        (
-            lambda f: put(f, 7, "side", "r"),
-            {"between": "side"},
-            "subject 1 has two values in column 'side', 'l' and 'r'",
-        ),
         (lambda f: f.assign(A="a0"), {}, "within: column 'A' has one condition only, 'a0'"),
-        (
-            lambda f: f.assign(side="l"),
-            {"between": "side"},
-            "between: column 'side' has one group only",
-        ),
-        (
-            lambda f: f.assign(side=np.where(f["who"] == 3, "l", "r")),
-            {"between": "side"},
-            "group 'l' of 'side' has one participant, 3",
-        ),
-        (
-            lambda f: f,
-            {"order": {"A": ["a0", "b0"]}},
-            "order must list every condition in column 'A'",
-        ),
         (lambda f: f, {"order": {"C": ["a0"]}}, "order: 'C' is not a factor"),
-        (lambda f: f, {"order": ["a0", "a1"]}, "order must be of class dict"),
-        (lambda f: f[f["who"] < 2], {}, "at least three are needed"),
         (lambda f: f, {"within": ["A", "A"]}, "'A' is named twice"),
-        (lambda f: f, {"within": ["A", "BB"]}, "within: no column 'BB'"),
-        (lambda f: f, {"between": "sides"}, "between: no column 'sides'; did you mean 'side'"),
         (lambda f: put(f, 7, "v", "x"), {}, "dv: column 'v' holds 'x' for subject 1"),
-        (lambda f: pd.concat([f, f.iloc[[3]]]), {}, "more than one row"),
-        (lambda f: f.assign(v=0.0), {}, "error variance"),
-        (lambda f: f, {"correction": "gg"}, "correction must be one of"),
         (
             lambda f: f,
             {"order": {"side": ["l", "q"]}, "between": "side"},
             "order must list every condition in column 'side'",
         ),
-        (
-            lambda f: f[f["who"] < 4].assign(
-                one=lambda g: np.where(g["who"] < 2, "a", "b"),
-                two=lambda g: np.where(g["who"] % 2, "c", "d"),
-            ),
-            {"between": ["one", "two"]},
-            r"4 participants \[0, 1, 2, 3\] for 4 parameters leave nothing",
-        ),
-        (lambda f: f[f["who"] < 2], {}, r"2 complete subjects in column 'who'"),
         (
             lambda f: f.assign(
                 one=np.where(f["who"] < 5, "a", "b"), two=np.where(f["who"] < 5, "c", "d")
@@ -361,25 +280,6 @@ def test_bad_tables_are_refused(change, arguments, message):
         run(change(two_way()), **arguments)
 
 
-def test_subjects_with_missing_cells_are_left_out_by_name():
-    result = run(two_way().drop(index=7), missing="listwise")
-    assert result.excluded == (1,)
-    assert result.table()["n"].tolist() == [9] * 3
-    assert "1 participant with missing cells was left out (1)" in result.apa()
-
-
-@pytest.mark.parametrize(("factor", "at"), [("C", None), ("A", "C"), ("A", "A"), ("side", "side")])
-def test_unknown_factors_are_refused(factor, at):
-    with pytest.raises(ValueError, match=r"is not a factor|name two factors"):
-        run(two_way(), between="side").pairs(factor, at)
-
-
-def test_all_cells_of_levels_that_are_numbers():
-    frame = two_way().replace({"b0": 0.0, "b1": 0.1, "b2": 0.2}).infer_objects()
-    cells = run(frame).scores.conditions
-    assert cells == tuple(product(("a0", "a1"), (0.0, 0.1, 0.2)))
-
-
 def test_every_design_gives_one_class_with_the_same_columns():
     frame = two_way()
     designs = [{"within": "B"}, {"within": ["B"], "between": "side"}, {}, {"between": "side"}]
@@ -390,24 +290,6 @@ def test_every_design_gives_one_class_with_the_same_columns():
     assert {type(result) for result in results} == {tl.studies.RepeatedMeasures}
     assert len({tuple(result.table().columns) for result in results}) == 1
     assert [list(result.within) for result in results] == [["B"], ["B"], ["A", "B"], ["A", "B"]]
-
-
-def test_statistics_are_attributes_where_there_is_one_effect():
-    frame = two_way()
-    result = run(frame[frame["A"] == "a0"], within="B")
-    row = result.table().iloc[0]
-    assert (result.F, result.p_gg, result.df1) == (row["F"], row["p_gg"], 2)
-    assert "epsilon_gg" in dir(result)
-    with pytest.raises(AttributeError, match=r"3 effects, each with its 'F': see \.table\(\)"):
-        _ = run(frame).F
-    with pytest.raises(AttributeError, match="no attribute 'f'"):
-        _ = result.f
-
-
-@pytest.mark.parametrize("name", ["friedman", "normality", "mixed_model"])
-def test_what_is_for_one_factor_says_so(name):
-    with pytest.raises(ValueError, match=r"is for one factor within subjects.*\['A', 'B'\]"):
-        getattr(run(two_way()), name)()
 
 
 def test_groups_are_compared_within_groups():

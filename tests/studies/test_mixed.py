@@ -5,14 +5,12 @@ test_against_r.py.
 """
 
 import json
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import optimize
-from statsmodels.regression.mixed_linear_model import MixedLM
 
 import trustlab as tl
 from trustlab.studies import mixed_model
@@ -69,21 +67,6 @@ def test_a_variance_of_zero_is_said():
     np.testing.assert_allclose(found.F, batch.ss_effect / 3 / pooled, rtol=1e-10)
 
 
-def test_statsmodels_own_search_finds_the_same():
-    values = draw(15, 4)
-    values[np.random.default_rng(1).random((15, 4)) < 0.2] = np.nan
-    found = fit_mixed_model(laid_out(values))
-    i, j = np.nonzero(~np.isnan(values))
-    design = (j[:, None] == np.arange(4)).astype(float)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        fit = MixedLM(values[i, j], design, groups=i).fit(reml=True, method=["powell", "bfgs"])
-    np.testing.assert_allclose(found.means["mean"], fit.fe_params, rtol=1e-5)
-    np.testing.assert_allclose(
-        [found.subject_variance, found.residual_variance], [fit.cov_re[0, 0], fit.scale], rtol=1e-4
-    )
-
-
 def test_missing_cells_by_brute_force():
     """
     Oracle: the restricted likelihood with dense matrices, minimized over both variances;
@@ -124,38 +107,6 @@ def test_missing_cells_by_brute_force():
     assert (found.n, found.cells, found.missing_cells, found.df2) == (10, 26, 4, 14)
 
 
-def test_unit_and_offset_do_not_matter():
-    values = draw(12, 4)
-    values[3, 2] = np.nan
-    one, two = fit_mixed_model(laid_out(values)), fit_mixed_model(laid_out(1e4 + 1e-3 * values))
-    np.testing.assert_allclose([two.F, two.p, two.icc], [one.F, one.p, one.icc], rtol=1e-5)
-    np.testing.assert_allclose(two.means["mean"], 1e4 + 1e-3 * one.means["mean"], rtol=1e-12)
-
-
-def test_a_subject_without_any_score_does_not_count():
-    values = draw(8, 3)
-    more = np.vstack([values, np.full((1, 3), np.nan)])
-    one, two = fit_mixed_model(laid_out(values)), fit_mixed_model(laid_out(more))
-    assert (two.n, two.missing_cells, two.df2) == (8, 0, one.df2)
-    np.testing.assert_allclose(two.F, one.F, rtol=1e-9)
-
-
-def test_from_a_long_table():
-    values = draw(6, 3)
-    frame = (
-        pd.DataFrame(values)
-        .rename_axis("subject")
-        .reset_index()
-        .melt("subject", var_name="condition")
-    )
-    frame = frame.drop(index=[4])
-    found = mixed_model(frame, dv="value", within="condition", subject="subject")
-    assert found.missing_cells == 1
-    assert found.means.index.tolist() == [0, 1, 2]
-    assert found.table()["F"].item() == found.F
-    assert "Mixed model" in found._repr_html_()
-
-
 def test_bad_tables():
     values = draw(6, 3)
     with pytest.raises(ValueError, match=r"subject: column 's' has 2 groups with scores"):
@@ -188,21 +139,6 @@ def grouped(sizes=(6, 8), seed=3, within=("condition",)):
 
 
 GROUPED = {"dv": "score", "within": "condition", "subject": "person", "between": "group"}
-
-
-@pytest.mark.parametrize("within", [("condition",), ("condition", "task")])
-def test_groups_without_missing_cells_give_the_anova(within):
-    """
-    One factor within: every F and df is the ANOVA's. Several: numerators and denominators differ,
-    but the effect of the group, whose error is between people, does not.
-    """
-    call = GROUPED | {"within": list(within)}
-    model = tl.mixed_model(grouped(within=within), **call).table().set_index("effect")
-    anova = tl.repeated_measures(grouped(within=within), **call).table().set_index("effect")
-    effects = list(anova.index) if len(within) == 1 else ["group"]
-    np.testing.assert_allclose(model.loc[effects, "F"], anova.loc[effects, "F"], rtol=1e-7)
-    assert model.loc[effects, "df2"].tolist() == anova.loc[effects, "df2"].tolist()
-    assert set(model.index) == set(anova.index)
 
 
 def test_groups_with_missing_cells_by_brute_force():
@@ -294,31 +230,6 @@ def test_effects_of_factors_whose_names_look_like_interactions():
     assert turned.pairs("C")[["a", "b"]].to_numpy().tolist() == [["c", "b"], ["c", "a"], ["b", "a"]]
 
 
-@pytest.mark.parametrize(
-    ("change", "more", "message"),
-    [
-        (lambda f: f.assign(group=f["condition"]), {}, "between: subject 0 has two labels"),
-        (lambda f: f.assign(group="one"), {}, "between: column 'group' has one level"),
-        (lambda f: f, {"between": "grup"}, "between: no column 'grup'; did you mean 'group'"),
-        (lambda f: f, {"order": {"task": ["a"]}}, r"order is of \['task'\], but the factors are"),
-        (
-            lambda f: f[f["person"] < 3].assign(group=lambda f: f["person"]),
-            {},
-            "no error variance",
-        ),
-        (lambda f: f, {"order": ["a", "b"]}, "order must list every condition"),
-        (
-            lambda f: f[(f["group"] == "expert") | (f["condition"] != "a")],
-            {},
-            "within: no subject has a score in cell 'novice × a'",
-        ),
-    ],
-)
-def test_bad_groups_are_refused(change, more, message):
-    with pytest.raises(ValueError, match=message):
-        tl.mixed_model(change(grouped()), **GROUPED | more)
-
-
 # Models by formula.
 
 SETS = json.loads((Path(__file__).parents[0] / "reference" / "formula_model.json").read_text())[
@@ -365,17 +276,6 @@ def test_formula_model_agrees_with_lme4(name):
     np.testing.assert_allclose(fit.random_effects()["variance"], reference["variances"], rtol=1e-5)
 
 
-def test_the_unit_of_the_score_does_not_matter():
-    one, other = (
-        tl.formula_model("error ~ mode", f, groups="who")
-        for f in (trials(), trials().assign(error=lambda f: 1e6 * f["error"]))
-    )
-    np.testing.assert_allclose(other.table()["chi2"], one.table()["chi2"], rtol=1e-6)
-    np.testing.assert_allclose(
-        other.coefficients["estimate"], 1e6 * one.coefficients["estimate"], rtol=1e-6
-    )
-
-
 def test_bootstrap():
     """Same seed, same p; an effect is found; the p is a share of draws."""
     first, again = (
@@ -389,37 +289,12 @@ def test_bootstrap():
     assert "19 simulated data sets" in first._repr_html_()
 
 
-@pytest.mark.parametrize("kind", ["synthetic", "reconstructed"])
-def test_origin_is_said(kind):
-    frame = trials()
-    frame.attrs[kind] = True
-    found = tl.formula_model("error ~ trial", data=frame, groups="who")
-    assert (
-        found.origin
-        == found.table().attrs["origin"]
-        == found.coefficients.attrs["origin"]
-        == f"{kind} data"
-    )
-
-
 @pytest.mark.parametrize(
     ("change", "arguments", "message"),
     [
         (lambda f: f, {"formula": "error ~ modes"}, "formula 'error ~ modes'.*modes"),
-        (lambda f: f, {"formula": "error"}, "formula must be"),
         (lambda f: f, {"groups": "whom"}, "groups: no column 'whom'; did you mean 'who'"),
-        (
-            lambda f: f.assign(trial=np.nan),
-            {"formula": "error ~ trial"},
-            "48 rows have a missing or infinite value",
-        ),
-        (
-            lambda f: f.assign(twice=f["trial"]),
-            {"formula": "error ~ trial + twice"},
-            "linearly dependent",
-        ),
         (lambda f: f.assign(error=1.0), {}, "no error variance"),
-        (lambda f: f[f["who"] < 2], {}, "has 2 groups"),
         (lambda f: None, {}, "data must be of class DataFrame"),
     ],
 )
@@ -427,11 +302,6 @@ def test_bad_models_are_refused(change, arguments, message):
     options = {"formula": "error ~ mode", "groups": "who"} | arguments
     with pytest.raises(ValueError, match=message):
         tl.formula_model(options.pop("formula"), change(trials()), **options)
-
-
-def test_an_unknown_reference_level_is_refused_with_the_formula():
-    with pytest.raises(ValueError, match=r"formula .*'Z'.*is not among the provided levels"):
-        tl.formula_model("error ~ C(mode, contr.treatment('Z'))", trials(), groups="who")
 
 
 def test_drawn_scores_have_the_fitted_variances():

@@ -99,21 +99,6 @@ def test_two_categories_agree_with_lme4(name):
     assert model.log_likelihood + constant == pytest.approx(likelihood, abs=2e-8)
 
 
-def test_agrees_with_the_printed_example_of_lme4():
-    """
-    summary(gm1) of help("glmer"): its inner search stops at 1e-7, which leaves 6e-4 in the
-    estimates and 3e-4 in the likelihood.
-    """
-    frame, call, constant = outcomes("Lesnoff and others (2004): lme4::cbpp, Laplace")
-    model = tl.ordinal_model(frame, **call)
-    rows = model.coefficients_table()
-    np.testing.assert_allclose(rows["estimate"], [-0.9919, -1.1282, -1.5797], atol=6.5e-4)
-    np.testing.assert_allclose(rows["se"], [0.3032, 0.3228, 0.4220], rtol=0.015)
-    assert rows["z"].round(1).tolist() == [-3.2, -3.5, -3.7]
-    assert model.random_effects()["sd"].item() == pytest.approx(0.6421, abs=3e-4)
-    assert round(model.log_likelihood + constant, 1) == -92.0
-
-
 def test_without_random_effects_it_is_logistic_regression():
     import statsmodels.api as sm
 
@@ -176,18 +161,6 @@ def test_likelihood_is_the_integral_and_its_slopes_are_exact():
             assert by_bound[side, row] == pytest.approx(slope(move), abs=1e-7)
 
 
-def test_the_mode_of_a_person_with_extreme_answers():
-    """Newton's steps from 0 go round in circles there: −6.476, 0, −6.476 …"""
-    ends = np.array([-np.inf, -1.77, -0.55, 0.53, 1.85, np.inf])
-    category = np.array([0, 0, 0, 1, 0, 2])
-    bounds = np.array([ends[category], ends[category + 1]]) - [0.0, 1.8, 2.4, 0.1, 1.6, 2.5]
-    model = Cumulative(np.zeros(6, dtype=int), 5, 9)
-    for sd in (0.0, 1.0, 4.0, 15.0):
-        mode, _ = model._modes(bounds, sd)
-        level = special.expit(bounds - sd * mode)
-        assert sd * (level.sum() - 6.0) == pytest.approx(mode.item(), abs=1e-9)
-
-
 def test_probabilities_are_shares_of_many_people(wine):
     """Drawn from the fitted model, people rate as often as it says."""
     cells = wine.probabilities()
@@ -245,18 +218,6 @@ def test_groups_sentences_and_speed():
     assert "A logistic mixed model" in tl.ordinal_model(binary, "trust", "mode").apa()
     between = tl.ordinal_model(ratings(), "trust", [], between="group")
     assert between.table()["term"].tolist() == ["group"]
-
-
-def test_a_constant_unit_or_offset_of_a_covariate_does_not_matter():
-    frame = ratings().assign(trial=lambda f: np.arange(len(f)) % 12 * 1.0)
-    frame["year"] = 2020.0 + 1e-3 * frame["trial"]
-    plain, far = (
-        tl.ordinal_model(frame, "trust", "mode", covariates=[name]) for name in ("trial", "year")
-    )
-    assert far.log_likelihood == pytest.approx(plain.log_likelihood, abs=1e-8)
-    np.testing.assert_allclose(far.pairs()["se"], plain.pairs()["se"], rtol=1e-6)
-    rows = (model.coefficients_table().iloc[-1] for model in (plain, far))
-    assert next(rows)["estimate"] == pytest.approx(1e-3 * next(rows)["estimate"], rel=1e-5)
 
 
 def test_bootstrap_and_draws():

@@ -5,7 +5,6 @@ Scores against sums written out by hand, closed forms, pingouin and R; every bad
 import itertools
 import json
 from dataclasses import replace
-from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -81,22 +80,6 @@ def test_tlx_by_hand(tlx):
     assert "tlx_weighted" not in score(tlx, NASA_TLX, **WHO).table()
 
 
-def test_performance_is_not_reversed_unless_asked(tlx):
-    poor, good = (score(tlx.assign(performance=x), NASA_TLX, **WHO).scores for x in (100, 0))
-    assert (poor["tlx_raw"] - good["tlx_raw"]).to_numpy() == pytest.approx(100 / 6)
-    turned = score(tlx.assign(performance=100), replace(NASA_TLX, reversed=["performance"]), **WHO)
-    pd.testing.assert_frame_equal(turned.scores, good)
-
-
-def test_weights_per_subject(tlx):
-    second = [0, 5, 1, 2, 3, 4]
-    scores = score(tlx, NASA_TLX, **WHO, weights=weights_of(s2=second, s1=WEIGHTS)).scores
-    w = np.array([WEIGHTS] * 2 + [second] * 2)
-    assert scores["tlx_weighted"].to_numpy() == pytest.approx(
-        (w * tlx[list(NASA_TLX.items)].to_numpy()).sum(axis=1) / 15, rel=1e-15
-    )
-
-
 def choices_of(order, subject="s1"):
     """Choices of someone who ranks the scales: the one earlier in `order` is always chosen."""
     return pd.DataFrame(
@@ -106,13 +89,6 @@ def choices_of(order, subject="s1"):
         ],
         columns=["subject", "first", "second", "chosen"],
     )
-
-
-@given(st.permutations(NASA_TLX.items))
-@settings(max_examples=20)
-def test_a_ranking_gives_weights_five_to_zero(order):
-    weights = tlx_weights(choices_of(order)).loc[0, list(NASA_TLX.items)]
-    assert [weights[name] for name in order] == [5, 4, 3, 2, 1, 0]
 
 
 @given(st.lists(st.booleans(), min_size=15, max_size=15), answered(6, 0, 100, 5))
@@ -180,45 +156,19 @@ def test_other_forms_are_stretched(tlx, low, high, step, answer, expected):
             {},
             "subject 's1', condition 'M', item 'mental': 1000",
         ),
-        (lambda f: put(f, 0, "mental", Decimal("sNaN")), {}, "item 'mental': Decimal"),
-        (
-            lambda f: put(f, 1, "temporal", 23),
-            {},
-            "subject 's1', condition 'TMIG', item 'temporal': 23 is not on the scale from 0 to 100 "
-            "in steps of 5; .*low=…",
-        ),
-        (lambda f: put(f, 2, "effort", 105), {}, "'s2', condition 'M', item 'effort': 105 is not"),
         (lambda f: put(f, 2, "effort", -5), {}, "-5 is not on the scale"),
-        (lambda f: put(f, 0, "mental", "80"), {}, "'mental': '80' is not a number"),
-        (lambda f: put(f, 0, "mental", True), {}, "True is not a number"),
-        (lambda f: put(f, 0, "mental", np.inf), {}, "inf is not on the scale"),
         (
             lambda f: put(f, 3, "physical", None),
             {},
             "subject 's2', condition 'TMIG': missing answers of 'tlx_raw': physical",
         ),
-        (lambda f: f.drop(columns="effort"), {}, "answers: no column 'effort'"),
-        (lambda f: f.rename(columns={"effort": "efort"}), {}, "did you mean 'efort'"),
-        (lambda f: pd.concat([f, f.iloc[:1]]), {}, "repeated: subject 's1', condition 'M'"),
         (
             lambda f: put(f, 1, "scheme", None),
             {},
             "condition: column 'scheme' has no label in row 1",
         ),
-        (lambda f: f.iloc[:0], {}, "answers must have one row .*; it has 0 rows"),
-        (lambda f: f.to_numpy(), {}, "answers must be of class DataFrame, got ndarray"),
         (lambda f: pd.concat([f, f[["mental"]]], axis=1), {}, "column 'mental' occurs 2 times"),
-        (lambda f: f, {"subject": "pidd"}, "subject: no column 'pidd'; did you mean 'pid'"),
-        (lambda f: f, {"condition": "pid"}, "repeated: subject 's1', condition 's1'"),
-        (lambda f: f, {"missing": "mean"}, "missing must be one of 'refuse'"),
         (lambda f: f, {"missing": ["refuse"]}, "missing must be one of"),
-        (lambda f: f, {"subject": ["pid"]}, "subject must be the name of one column"),
-        (lambda f: f, {"condition": None}, "or per subject and condition= if there are several"),
-        (
-            lambda f: f,
-            {"questionnaire": replace(NASA_TLX, high=20, step=1)},
-            "80 is not on the scale from 0 to 20",
-        ),
         (lambda f: f, {"questionnaire": "tlx"}, "questionnaire must be of class Questionnaire"),
     ],
 )
@@ -231,14 +181,7 @@ def test_bad_tlx_is_refused(tlx, change, arguments, words):
     ("weights", "words"),
     [
         (weights_of(s1=[4, 0, 4, 3, 2, 1]), "weights of subject 's1': no choices .* give"),
-        (weights_of(s1=[4.5, 0, 4.5, 3, 2, 1]), "no choices between two items"),
-        (weights_of(s1=[5, -1, 4, 3, 2, 2]), "no choices between two items"),
-        (weights_of(s1=[5, np.nan, 4, 3, 2, 1]), "no choices between two items"),
         (weights_of(s1=[5, "0", 4, 3, 2, 1]), "item 'physical': '0' is not a number"),
-        (weights_of(s1=[5, 5, 5, 0, 0, 0]), "no choices between two items"),
-        (WEIGHTS, "weights must be of class DataFrame, got list"),
-        (weights_of(s1=WEIGHTS).drop(columns="pid"), "subject: no column 'pid'"),
-        (weights_of(s1=WEIGHTS), "weights: there are none for subject 's2'"),
         (pd.concat([weights_of(s1=WEIGHTS)] * 2), "weights must have one row per subject"),
     ],
 )
@@ -247,21 +190,11 @@ def test_bad_weights_are_refused(tlx, weights, words):
         score(tlx, NASA_TLX, **WHO, weights=weights)
 
 
-def test_weights_of_unweighted_items_are_refused(trust):
-    with pytest.raises(ValueError, match="weights: the items of 'trust' are not weighted"):
-        score(trust, TRUST_CHECKLIST, **WHO, weights=weights_of(s1=WEIGHTS))
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         (lambda f: f.iloc[1:], r"subject 's1': of mental and physical, chosen is \[\]"),
-        (lambda f: pd.concat([f, f.iloc[:1]]), "of mental and physical, chosen is .*one row per"),
-        (lambda f: f.assign(second=f["first"]), "of mental and physical, chosen is"),
-        (lambda f: put(f, 0, "chosen", "effort"), r"physical, chosen is \['effort'\]"),
         (lambda f: put(f, 0, "first", "metal"), r"of mental and physical, chosen is \[\]"),
-        (lambda f: f.drop(columns="chosen"), "chosen: no column 'chosen'"),
-        (lambda f: put(f, 3, "subject", None), "subject: column 'subject' has no label in row 3"),
         (lambda f: None, "choices must be of class DataFrame"),
     ],
 )
@@ -286,13 +219,6 @@ def test_missing_scales_by_the_half_rule(tlx):
         score(frame, NASA_TLX, **WHO, missing="half_rule")
 
 
-def test_one_condition_needs_no_column(tlx):
-    scored = score(tlx[tlx["scheme"] == "M"], NASA_TLX, subject="pid")
-    assert list(scored.scores.columns) == ["pid", "tlx_raw"]
-    assert scored.scores["pid"].tolist() == ["s1", "s2"]
-    assert "NASA-TLX" in scored._repr_html_()
-
-
 def test_synthetic_answers_give_synthetic_scores(tlx, trust):
     for frame, asked in ((tlx, NASA_TLX), (trust, TRUST_CHECKLIST)):
         frame.attrs["synthetic"] = True
@@ -315,22 +241,6 @@ def test_trust_checklist_by_hand():
     assert row["distrust_subscale"] == pytest.approx(15 / 5)
 
 
-@given(answered(12, 1, 7))
-@settings(max_examples=50)
-def test_trust_scores_hold_together(answers):
-    frame = pd.DataFrame(answers, columns=TRUST_CHECKLIST.items).assign(subject=range(len(answers)))
-    scores = score(frame, TRUST_CHECKLIST).scores
-    assert scores["trust_mean"].to_numpy() == pytest.approx(
-        (7 * scores["trust_subscale"] + 5 * (8 - scores["distrust_subscale"])).to_numpy() / 12,
-        abs=1e-12,
-    )
-    mirror = frame.assign(**{name: 8 - frame[name] for name in TRUST_CHECKLIST.items})
-    turned = score(mirror, TRUST_CHECKLIST).scores
-    assert turned["trust_sum"].to_numpy() == pytest.approx(
-        96 - scores["trust_sum"].to_numpy(), abs=1e-9
-    )
-
-
 def test_the_answers_must_not_be_reversed_beforehand(trust):
     """Negative control: reversing items 1-5 before scoring changes the score."""
     first = list(TRUST_CHECKLIST.items[:5])
@@ -340,14 +250,6 @@ def test_the_answers_must_not_be_reversed_beforehand(trust):
     naive = trust[list(TRUST_CHECKLIST.items)].mean(axis=1)
     assert twice["trust_mean"].to_numpy() == pytest.approx(naive.to_numpy())
     assert not np.allclose(score(trust, TRUST_CHECKLIST, **WHO).scores["trust_mean"], naive)
-
-
-def test_fewer_than_half_of_a_subscale_is_refused(trust):
-    frame = trust
-    for name in TRUST_CHECKLIST.items[:3]:
-        frame = put(frame, 0, name, np.nan)
-    with pytest.raises(ValueError, match="missing answers of 'distrust_subscale': deceptive, unde"):
-        score(frame, TRUST_CHECKLIST, **WHO, missing="half_rule")
 
 
 # satisfaction and questionnaires in general
@@ -391,17 +293,9 @@ def test_subscales_count_as_answered_and_scales_may_be_continuous():
     ("arguments", "words"),
     [
         (("x", [], 1, 7), "items must have at least 1 labels"),
-        (("x", ["a", "a"], 1, 7), "'a' occurs twice"),
-        (("x", ["a", "b"], 1, 7, ["a", "a"]), "reversed must differ"),
         (("x", ["a"], 1, 7, (), {"s": ["b"]}), "s must be one of 'a', got 'b'"),
-        (("x", ["a"], 1, 7, (), {"s": []}), "s must have at least 1"),
-        (("x", ["a"], 1, 7, (), ["a"]), "subscales must be of class dict"),
         (("x", "ab", 1, 7), "items must be a list"),
-        (("x", ["a"], 7, 1), "low must be below high"),
-        (("x", ["a"], 1, np.inf), "high must be finite"),
         (("x", ["a"], 1, 7, ["b"]), "reversed must be one of 'a', got 'b'"),
-        (("x", ["a"], 1, 7, (), {}, 4), "step must divide"),
-        (("x", ["a"], 1, 7, (), {}, -1), "step must be positive"),
         ((3, ["a"], 1, 7), "name must be of class str"),
     ],
 )
@@ -448,54 +342,14 @@ def test_alpha_agrees_with_r(name):
         assert result.without.isna().all()
 
 
-def test_reliability_is_per_condition_and_score(trust):
-    result = score(trust, TRUST_CHECKLIST, **WHO).reliability()
-    assert result.groupby("score", sort=False)["condition"].apply(list).to_dict() == {
-        name: ["M", "TMIG"] for name in ("trust_mean", "trust_subscale", "distrust_subscale")
-    }
-    coded = trust[trust["scheme"] == "TMIG"][list(TRUST_CHECKLIST.items)].copy()
-    coded[list(TRUST_CHECKLIST.reversed)] = 8 - coded[list(TRUST_CHECKLIST.reversed)]
-    assert result.loc[1, "alpha"] == pytest.approx(cronbach_alpha(coded).alpha, rel=1e-13)
-    alike = trust.assign(**dict.fromkeys(TRUST_CHECKLIST.items, 4))
-    same = score(alike, TRUST_CHECKLIST, **WHO).reliability()
-    assert same["alpha"].isna().all()
-    assert same["n"].tolist() == [6] * 6
-
-
 @pytest.mark.parametrize(
     ("frame", "words"),
     [
         (pd.DataFrame({"a": [1, 2, 3]}), r"alpha needs at least two items .* shape \(3, 1\)"),
-        (
-            pd.DataFrame({"a": [1, 2], "b": [1, 2]}),
-            r"alpha needs at least two items .* shape \(2, 2\)",
-        ),
         (pd.DataFrame({"a": [1, 2, 3], "b": [3, 2, 1]}), "with sums that differ"),
-        (
-            pd.DataFrame({"a": [1, 2, np.nan], "b": [3, 2, 1]}),
-            "item 'a' must hold only finite numbers",
-        ),
-        (
-            pd.DataFrame({"a": [1, 2, 3], "b": ["x", "y", "z"]}),
-            "item 'b' must hold only finite numbers",
-        ),
         (np.ones((3, 3)), "items must be of class DataFrame, got ndarray"),
     ],
 )
 def test_bad_items_are_refused(frame, words):
     with pytest.raises(ValueError, match=words):
         cronbach_alpha(frame)
-
-
-@pytest.mark.parametrize("confidence", [0.0, 1.0, 95, "0.95", np.nan])
-def test_confidence_lies_between_0_and_1(confidence):
-    with pytest.raises(ValueError, match="confidence"):
-        cronbach_alpha(pd.DataFrame({"a": [1, 2, 3], "b": [2, 3, 5]}), confidence)
-
-
-@pytest.mark.parametrize("unit", [1e-20, 1e-160, 1e-250, 1e300])
-def test_alpha_of_any_unit(unit):
-    answers = pd.DataFrame([[1, 2, 3], [2, 2, 4], [3, 1, 5], [2, 4, 4]], columns=["a", "b", "c"])
-    assert cronbach_alpha(answers * unit).alpha == pytest.approx(
-        cronbach_alpha(answers).alpha, rel=1e-12
-    )

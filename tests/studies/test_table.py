@@ -7,7 +7,6 @@ from decimal import Decimal
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pytest
 from hypothesis import given, settings, strategies as st
 
@@ -35,10 +34,6 @@ def changed(row, column, value):
     frame[column] = frame[column].astype(object)
     frame.loc[row, column] = value
     return frame
-
-
-def test_the_table_itself_is_fine():
-    assert analysed(table()).n == 5
 
 
 TABLES = {
@@ -147,12 +142,8 @@ def test_tables_that_are_refused(name):
             {"dv": "scores"},
             r"dv: no column 'scores'; did you mean 'score'\? \(there are pid, condition, score\)",
         ),
-        ({"within": "conditon"}, "within: no column 'conditon'; did you mean 'condition'"),
         ({"subject": "PID"}, "subject: no column 'PID'; did you mean 'pid'"),
-        ({"dv": None}, "dv: no column None"),
-        ({"within": {"condition": 1}}, "within must be the name of one column"),
         ({"within": np.array(["condition"])}, "within must be the name of one column"),
-        ({"dv": "pid"}, "'pid' is named twice"),
         ({"subject": "condition"}, "'condition' is named twice"),
     ],
 )
@@ -178,53 +169,11 @@ def test_a_wide_table_is_told_how_to_become_long():
         np.testing.assert_allclose(found.F, right, rtol=1e-12)
 
 
-def test_column_in_the_index_and_column_there_twice():
-    with pytest.raises(ValueError, match=r"'pid' is in the index.*reset_index"):
-        analysed(table().set_index("pid"))
-    twice = pd.concat([table(), table()[["score"]]], axis=1)
-    with pytest.raises(ValueError, match="'score' occurs 2 times"):
-        analysed(twice)
-
-
-def test_a_group_of_columns_is_no_column():
-    frame = table().set_axis(
-        pd.MultiIndex.from_tuples([("who", "pid"), ("who", "condition"), ("run", "score")]), axis=1
-    )
-    names = {"dv": ("run", "score"), "within": ("who", "condition"), "subject": ("who", "pid")}
-    assert analysed(frame, **names).F == analysed(table()).F
-    with pytest.raises(
-        ValueError,
-        match=r"dv: column 'run' occurs 1 times.*give a name of several levels in full",
-    ):
-        analysed(frame, **(names | {"dv": "run"}))
-
-
-@pytest.mark.parametrize(
-    "frame", [None, [1, 2], {"pid": [1]}, np.zeros((3, 3)), "scores.csv", table()["score"]]
-)
-def test_what_is_no_table(frame):
-    with pytest.raises(
-        ValueError,
-        match=r"frame must be of class DataFrame, got .*; with a row per subject and condition",
-    ):
-        analysed(frame)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"missing": "drop"}, "missing must be one of 'raise', 'listwise', got 'drop'"),
-        ({"missing": None}, "missing must be"),
-        ({"correction": "gg"}, "correction must be one of 'auto'.*got 'gg'"),
-        ({"alpha": 0.0}, "alpha must lie strictly between 0 and 1"),
         ({"alpha": "5 %"}, "alpha must be a number"),
-        (
-            {"order": ["C1", "C2"]},
-            r"order must list every condition in column 'condition' once, \['C1', 'C2', 'C3'\]",
-        ),
-        ({"order": ["C1", "C2", "C2", "C3"]}, "order must list"),
-        ({"order": "C1"}, "order must list"),
-        ({"order": 3}, "order must list"),
         ({"order": [["C1"], "C2", "C3"]}, "order must list"),
     ],
 )
@@ -248,20 +197,6 @@ def test_many_faults_are_counted_not_listed():
             )
         )
     assert len(str(error.value)) < 900
-
-
-def test_listwise_refuses_too_few_that_are_left():
-    frame = table().drop(index=[0, 4, 8])
-    with pytest.raises(
-        ValueError,
-        match=r"2 complete subjects.*left out: subject 'P1' has no score in condition 'C1'",
-    ):
-        analysed(frame, missing="listwise")
-
-
-def test_two_conditions_one_missing():
-    with pytest.raises(ValueError, match="subject 'P1' has no score in condition 'C2'"):
-        analysed(table(k=2).drop(index=1))
 
 
 def test_layout_of_scores():
@@ -315,10 +250,3 @@ def test_numbers_that_are_no_floats_are_refused_by_name(value):
     frame.loc[frame.index[4], "score"] = value
     with pytest.raises(ValueError, match=r"dv: column 'score' holds .* for subject .*row"):
         analysed(frame)
-
-
-@pytest.mark.parametrize("column", ["pid", "condition"])
-def test_labels_of_arrow_lists_are_refused_by_name(column):
-    lists = pd.array([[1]] * len(table()), dtype=pd.ArrowDtype(pa.list_(pa.int64())))
-    with pytest.raises(ValueError, match=f"column '{column}' holds .* in row 0, which is no label"):
-        analysed(table().assign(**{column: lists}))

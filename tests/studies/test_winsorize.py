@@ -40,56 +40,6 @@ def frame():
     )
 
 
-@pytest.mark.parametrize(
-    "relabel",
-    [
-        lambda f: [("control", scheme) for scheme in f["scheme"]],
-        lambda f: pd.to_datetime(f["scheme"].map({"M": "2020-01-01", "TMIG": "2020-01-02"})),
-        lambda f: pd.Categorical(f["scheme"], categories=["TMIG", "unused", "M"]),
-        lambda f: f["scheme"].astype("string"),
-    ],
-    ids=["tuples", "dates", "categories", "strings"],
-)
-def test_labels_of_any_kind_give_the_same_changes(frame, relabel):
-    rule = {
-        "dv": "error",
-        "within": "scheme",
-        "subject": "pid",
-        "outside": "iqr",
-        "k": 1.5,
-        "to": "next",
-    }
-    plain, other = winsorize(frame, **rule), winsorize(frame.assign(scheme=relabel(frame)), **rule)
-    order = ["subject", "old"]
-    pd.testing.assert_frame_equal(
-        plain.changes.drop(columns="condition").sort_values(order, ignore_index=True),
-        other.changes.drop(columns="condition").sort_values(order, ignore_index=True),
-    )
-    np.testing.assert_array_equal(plain.data["error"], other.data["error"])
-
-
-def test_two_outliers_of_one_condition(frame):
-    found = winsorize(
-        frame, "error", "scheme", "pid", outside="iqr", k=1.5, to="next", conditions=["TMIG"]
-    )
-    own = frame.loc[frame["scheme"] == "TMIG", "error"]
-    next_most = own[own < 0.8].max()
-    assert found.changes["subject"].tolist() == [5, 21]
-    assert found.changes["condition"].tolist() == ["TMIG", "TMIG"]
-    assert found.changes["old"].tolist() == [0.95, 0.88]
-    assert found.changes["new"].tolist() == [next_most, next_most]
-    same = ~((frame["pid"].isin([5, 21])) & (frame["scheme"] == "TMIG"))
-    pd.testing.assert_frame_equal(found.data[same], frame[same])
-    assert list(found.data.columns) == list(frame.columns)
-    assert found.limits["condition"].tolist() == ["TMIG"]
-    assert "2 of 30 values were winsorized (TMIG, subject 5, 21)" in found.apa()
-    assert "set to the next most extreme value" in found._repr_html_()
-    assert frame["error"].max() == 1.2
-    every = winsorize(frame, "error", "scheme", "pid", outside="iqr", k=1.5, to="next")
-    assert every.changes["subject"].tolist() == [4, 5, 21]
-    assert found.table() is found.changes
-
-
 def test_rules_by_hand():
     q1, q3 = 3.25, 7.75  # linear interpolation, R's type 7
     fence = of_values(PLAIN, outside="iqr", k=1.5, to="limit")
@@ -147,12 +97,6 @@ def test_order_is_kept_inner_values_are_not_touched(values, outside, to):
     assert scores_of(mirrored) == pytest.approx(-new, rel=1e-9, abs=1e-6)
 
 
-def test_a_constant_is_left_alone():
-    found = of_values([0.1] * 12, outside="sd", k=2, to="limit")
-    assert found.changes.empty
-    assert scores_of(found).tolist() == [0.1] * 12
-
-
 def test_missing_cells_stay_missing(frame):
     frame.loc[7, "error"] = np.nan
     found = winsorize(frame, "error", "scheme", "pid", outside="iqr", k=1.5, to="limit")
@@ -164,23 +108,8 @@ def test_missing_cells_stay_missing(frame):
     ("arguments", "words"),
     [
         ({"outside": "sigma"}, f"outside must be one of {', '.join(map(repr, OUTLIER_RULES))}"),
-        ({"to": "mean"}, "to must be"),
-        ({"k": 0}, "k must be positive"),
-        ({"k": -1.5}, "k must be positive"),
-        ({"k": np.nan}, "k must be finite"),
-        ({"k": "1.5"}, "k must be a number"),
         ({"k": True}, "k must be a number"),
-        ({"outside": "quantile", "k": 0.5}, "below 0.5"),
-        ({"outside": "extremes", "k": 1.5, "to": "next"}, "k = 1.5, .* a whole k"),
-        ({"outside": "extremes", "k": 1, "to": "limit"}, 'and to="next"'),
-        ({"outside": "extremes", "k": 15, "to": "next"}, "30 values are too few"),
-        ({"conditions": ["TMIGG"]}, r"conditions: 'TMIGG' is none of \['M', 'TMIG'\]"),
         ({"conditions": "TMIG"}, "conditions must be a list"),
-        ({"conditions": ["M", "M"]}, "occurs twice"),
-        ({"outside": ["sd"]}, "outside must be one of"),
-        ({"to": ["limit"]}, "to must be"),
-        ({"conditions": []}, "conditions must have at least 1"),
-        ({"dv": "eror"}, "did you mean 'error'"),
         ({"within": None}, "within"),
     ],
 )
@@ -195,38 +124,3 @@ def test_bad_rules_are_refused(frame, arguments, words):
     }
     with pytest.raises(ValueError, match=words):
         winsorize(frame, **(given_ | arguments))
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ([1, 2, np.nan], "2 values are too few"),
-        ([1, 2, np.inf, 3], "finite"),
-        ([1, 1, 1, 1, 9], "so many values are equal that their spread is 0"),
-        ([1e308, -1e308, 1e308, -1e308, 0], "no value lies inside|the unit does not fit"),
-    ],
-)
-def test_bad_values_are_refused(values, words):
-    with pytest.raises(ValueError, match=words):
-        of_values(values, outside="iqr", k=1.5, to="limit")
-
-
-@pytest.mark.parametrize(
-    ("values", "outside", "k"),
-    [
-        ([1, 1, 1, 1, 9], "mad", 3),
-        ([0.0, 1e-200, 2e-200, 5e-200], "sd", 1.0),
-        ([0, 0, 0, 10, 10, 10], "sd", 0.5),
-    ],
-)
-def test_a_rule_without_a_value_inside_its_limits_is_refused(values, outside, k):
-    with pytest.raises(ValueError, match="dv, condition 'A': by this rule no value lies inside"):
-        of_values(values, outside=outside, k=k, to="limit")
-
-
-def test_text_and_twofold_cells_are_refused(frame):
-    rule = {"outside": "iqr", "k": 1.5, "to": "limit"}
-    with pytest.raises(ValueError, match="scores must be numbers"):
-        winsorize(frame.assign(error="high"), "error", "scheme", "pid", **rule)
-    with pytest.raises(ValueError, match="more than one row"):
-        winsorize(pd.concat([frame, frame.iloc[:1]]), "error", "scheme", "pid", **rule)

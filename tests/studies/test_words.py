@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.studies.words import apa_number, apa_p, decimals_of
+from trustlab.studies.words import apa_number, apa_p
 
 
 @pytest.mark.parametrize(
@@ -31,12 +31,6 @@ def test_rounding(value, digits, text):
     assert apa_number(value, digits) == text
 
 
-def test_no_leading_zero_below_one():
-    assert apa_number(0.046, below_one=True) == ".05"
-    assert apa_number(0.999, below_one=True) == "1.00"
-    assert apa_number(-0.25, below_one=True) == "−.25"
-
-
 @pytest.mark.parametrize(
     ("p", "text"),
     [
@@ -51,13 +45,6 @@ def test_no_leading_zero_below_one():
 )
 def test_p_values(p, text):
     assert apa_p(p) == text
-
-
-@pytest.mark.parametrize(
-    ("sd", "digits"), [(31.0, 1), (1.7, 2), (0.09, 4), (2e-5, 7), (450.0, 0), (0.0, 2)]
-)
-def test_decimals_follow_the_standard_deviation(sd, digits):
-    assert decimals_of(np.array([sd, sd]), 3) == digits
 
 
 @pytest.mark.parametrize("seed", range(20))
