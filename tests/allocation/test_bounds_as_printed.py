@@ -2,13 +2,11 @@
 (2.9)-(2.21) and (2.33) against Tables 2.1 and 2.2, and what is claimed of them against simulation.
 """
 
-import dataclasses
 import math
 from itertools import product
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize_scalar
 
 import trustlab as tl
 from trustlab.allocation import (
@@ -17,7 +15,7 @@ from trustlab.allocation import (
     step_bounds,
     threshold_limits,
 )
-from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
+from trustlab.allocation.bounds import utilization_as_printed
 from trustlab.reproduction import compare, published_table
 from trustlab.reproduction.printed_number import half_unit
 
@@ -251,32 +249,6 @@ def test_step_bounds_bound_every_step(random_model):
         assert inside["tsc"].diff().abs().max() <= bounds.delta_tsc * (1 + 1e-9)
 
 
-@pytest.mark.parametrize(("delta", "rise"), [(0.0, None), (0.005, None), (0.005, 0.12)])
-def test_performance_and_dwell_times_written_out(operators, delta, rise):
-    """(2.15), (2.16), (2.20) and (2.21); dwell times by counting the samples of (2.3)."""
-    model, lower, upper = operators["2"], 0.0, 0.35
-    c = model.constants()
-    bounds = performance_as_printed(c, lower, upper, delta, rise)
-    low = (lower - delta + model.b_T * model.human.p_min) / model.a_T
-    high = (upper + delta + model.b_T * model.human.p_max) / model.a_T
-    assert (bounds.p_r_low, bounds.p_r_high) == pytest.approx((low, high), rel=1e-14)
-
-    def counted(start, end, settled):
-        """Whole samples that do not yet lead past the end."""
-        p_r, k = start, 0
-        while (p_r - end) * (start - end) >= 0.0:
-            p_r, k = settled + c.a_pr * (p_r - settled), k + 1
-        return k - 1
-
-    assert bounds.dwell_autonomous_high == counted(high, low, c.p_r_min)
-    span = rise or c.p_r_max - c.p_r_min
-    assert bounds.dwell_manual_low == counted(low, high, c.p_r_min + span)
-    slow = c.p_r_min + span * c.p_h_min / c.p_h_max
-    assert bounds.dwell_manual_high == counted(low, high, slow)
-    whole = steady_state_bounds(model, lower, upper, delta_tsc=delta)
-    assert (whole.tsc_low, whole.tsc_high) == (lower - delta, upper + delta)
-
-
 def test_the_step_of_tsc_is_that_of_the_steady_cycle(operators):
     model = operators["2"]
     cycle = tl.limit_cycle(model, 0.0, 0.35)
@@ -285,15 +257,6 @@ def test_the_step_of_tsc_is_that_of_the_steady_cycle(operators):
     assert steady_state_bounds(model, 0.0, 0.35, delta_tsc=2.0).delta_tsc == 2.0
     with pytest.raises(ValueError, match=r"delta_tsc must lie in \[0, 2\]"):
         steady_state_bounds(model, 0.0, 0.35, delta_tsc=2.1)
-
-
-def test_thresholds_that_only_a_larger_gain_reaches_leave_no_range(operators):
-    """With three times the b_pr of (2.3), P_r settles far above P_r,max."""
-    two = operators["2"]
-    model = tl.TscModel(dataclasses.replace(two.robot, b=3.0 * two.robot.b), two.human)
-    upper = threshold_limits(model, 0.0).upper
-    with pytest.raises(ValueError, match="leave no range of robot performance"):
-        steady_state_bounds(model, upper - 0.2, upper - 0.1, delta_tsc=0.0)
 
 
 def test_phases_of_no_length_have_no_utilization():
@@ -312,9 +275,7 @@ def test_phases_of_no_length_have_no_utilization():
     ("arguments", "says"),
     [
         ((0.5, 0.1), "below"),
-        ((0.0, 0.4, -0.1), "delta_tsc must"),
         ((0.0, 0.4, float("nan")), "finite"),
-        ((-3.0, 0.2, 0.001), r"strictly between TSC_lb = -0.4909 and TSC_ub = 0.4909"),
         ((0.0, 0.6, 0.001), "TSC_ub = 0.4909"),
     ],
 )
@@ -369,19 +330,6 @@ def test_greatest_steps_are_those_of_every_state():
         assert steps.delta_p_h == pytest.approx(change, rel=1e-4)
         assert steps.delta_p_r == pytest.approx(0.01 * (highest - 0.24), rel=1e-12)
         assert steps.delta_p_h >= change * (1 - 1e-12)
-
-
-@pytest.mark.parametrize("beta", [0.1, 0.12, 0.15, 0.17])
-def test_the_greatest_step_within_a_range_is_found_to_rounding(beta):
-    """Oracle: SciPy's bounded search; above β, and below r = ½, the step is greatest in between."""
-    model = tl.TscModel(tl.RobotModel(0.99, 0.2, 0.4, 0.5), tl.HumanModel(0.995, beta, 0.3, 0.5))
-
-    def step(r):
-        return 0.2 * (shape(0.995 * r + 0.005, beta) - shape(r, beta))
-
-    best = minimize_scalar(step, bounds=(beta, 0.5), method="bounded", options={"xatol": 1e-10})
-    assert beta + 0.1 < best.x < 0.49
-    assert step_bounds(model, beta, 0.5).delta_p_h == pytest.approx(-best.fun, rel=1e-12)
 
 
 def shape(r, beta):

@@ -155,25 +155,6 @@ def test_no_other_plan_costs_less_than_the_bound(who):
     assert bounded > 5
 
 
-def test_corrections_far_greater_than_the_way_stay_within_it():
-    for c_b in (1.0, 1e6, 1e12):
-        ours = corrector(c_b=c_b, horizon=30)
-        for p_r in np.linspace(0.24, 0.39, 40):
-            plan = ours.step(0.7, p_r, *START, 1)
-            table = plan.table()
-            assert table["lower"].between(START[0], TARGET[0]).all()
-            assert table["upper"].between(START[1], TARGET[1]).all()
-            assert plan.cost_lower_bound <= plan.cost
-
-
-@pytest.mark.parametrize("horizon", [3600, 36_000])
-def test_the_bound_over_an_hour_is_valid_though_loose(horizon):
-    plan = corrector(horizon=horizon).step(0.8, 0.36, *START, 1)
-    assert plan.message == BOUNDED
-    assert 0.0 < plan.cost_lower_bound < plan.cost
-    assert plan.relative_gap == plan.gap / plan.cost
-
-
 def test_closed_loop_follows_the_first_plan_when_nothing_disturbs():
     """
     Receding horizon towards the end of a plan that reaches its target: what was planned is what
@@ -231,20 +212,6 @@ def test_an_incentive_that_fails_on_the_way_holds_the_thresholds():
     assert (plan.table()["upper"] == START[1]).all()
 
 
-def test_wrong_incentives_are_refused():
-    for wrong in (
-        lambda r, p_r, c_b, p_min, p_max: (-2 * c_b, c_b),
-        lambda r, p_r, c_b, p_min, p_max: (c_b, c_b),
-        lambda r, p_r: (0.0, 0.0),
-        lambda r, p_r, c_b, p_min, p_max: 0.5 * c_b,
-        lambda r, p_r, c_b, p_min, p_max: (0.0, c_b * float("nan")),
-    ):
-        with pytest.raises(ValueError, match="incentive must"):
-            corrector(incentive=wrong)
-    with pytest.raises(ValueError, match="function of"):
-        corrector(incentive=3)
-
-
 # Incentive bounds (2.42)
 
 
@@ -260,13 +227,6 @@ def test_incentive_bounds_at_the_corners():
         tl.incentive_bounds(0.5, 0.4, 1e-5, PILOT)
 
 
-def test_incentive_bounds_without_a_model_say_whose_range_they_take():
-    with pytest.warns(
-        UserWarning, match=r"pilot operator's range of robot performance, 0\.24 to 0\.39 m/s"
-    ):
-        assert tl.incentive_bounds(0.5, 0.3, 1e-5) == tl.incentive_bounds(0.5, 0.3, 1e-5, PILOT)
-
-
 @LIGHT
 @given(st.floats(0, 1), st.floats(0, 1), st.floats(0.0, 1.0))
 def test_incentive_bounds_fall_with_effort_and_reward(r, share, more):
@@ -280,25 +240,6 @@ def test_incentive_bounds_fall_with_effort_and_reward(r, share, more):
     assert busier[1] <= high + 1e-20
     assert better[0] <= low + 1e-20
     assert better[1] <= high + 1e-20
-
-
-def test_incentive_bounds_take_rounding_and_nothing_more():
-    assert tl.incentive_bounds(0.0, 0.39 + 1e-12, 1.0, PILOT)[1] == pytest.approx(0.5)
-    for arguments, words in (
-        ((1.1, 0.3, 1.0), "r must lie"),
-        ((0.5, 0.4, 1.0), "range"),
-        ((0.5, 0.3, 0.0), "c_b must be positive"),
-        ((0.5, float("nan"), 1.0), "finite"),
-        (([0.5, 1.5], 0.3, 1.0), r"sample \(1,\)"),
-        (([0.5], [0.3, 0.9], 1.0), r"sample \(1,\)"),
-        (([], [], 1.0), "empty"),
-        (("a", 0.3, 1.0), "number"),
-        ((["a"], 0.3, 1.0), "numbers"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            tl.incentive_bounds(*arguments, PILOT)
-    with pytest.raises(ValueError, match="TscModel or a RobotModel"):
-        tl.incentive_bounds(0.5, 0.3, 1.0, PILOT.human)
 
 
 # Bad input
@@ -321,23 +262,10 @@ def test_targets_outside_the_limits():
     ("more", "words"),
     [
         ({"target": (0.4, 0.05)}, "below"),
-        ({"target": (0.1, 0.1)}, "below"),
-        ({"target": 0.1}, "two numbers"),
-        ({"target": (0.1, 0.2, 0.3)}, "two numbers"),
         ({"target": (0.1, float("nan"))}, "finite"),
-        ({"target": ("a", 0.2)}, "number"),
-        ({"target": 10**400}, "two numbers, lower and upper, got 1000"),
         ({"c_b": 0.0}, "positive"),
-        ({"c_b": -1e-5}, "positive"),
-        ({"c_b": float("inf")}, "finite"),
-        ({"horizon": 0}, "horizon"),
         ({"horizon": 2.5}, "horizon"),
-        ({"horizon": True}, "horizon"),
-        ({"engine": "ipopt"}, "'casadi', or None"),
         ({"engine": ["casadi"]}, "'casadi'"),
-        ({"limit": 0.5}, "limit = 0.5 would do nothing without engine"),
-        ({"extra_cost": lambda x, u, k: 0.0}, "extra_cost = .* would do nothing without engine"),
-        ({"engine": "casadi", "limit": 0.0}, "limit"),
         ({"model": "pilot"}, "TscModel"),
     ],
 )
@@ -351,23 +279,10 @@ def test_bad_correctors_are_refused(more, words):
     ("more", "words"),
     [
         ({"r": -0.01}, r"\[0, 1\]"),
-        ({"r": 1.0001}, r"\[0, 1\]"),
-        ({"r": float("nan")}, "r must"),
-        ({"r": None}, "number"),
         ({"r": "0.5"}, "number"),
-        ({"r": True}, "number"),
-        ({"p_r": 0.351}, "range"),
         ({"p_r": 0.2}, "range"),
-        ({"p_r": float("nan")}, "p_r"),
-        ({"p_r": np.array([0.3, 0.3])}, "number"),
-        ({"lower": 0.35}, "below"),
         ({"lower": 0.4}, "below"),
-        ({"upper": float("inf")}, "finite"),
-        ({"upper": 1.01}, r"\[-1, 1\]"),
         ({"lower": -1e308}, r"\[-1, 1\]"),
-        ({"mode": 2}, "mode"),
-        ({"mode": 0.5}, "mode"),
-        ({"mode": True}, "mode"),
         ({"mode": None}, "mode"),
     ],
 )
@@ -375,17 +290,3 @@ def test_bad_states_are_refused(more, words):
     engine = corrector(SECOND, (0.05, 0.4))
     with pytest.raises(ValueError, match=words):
         engine.step(**({"r": 0.5, "p_r": 0.3, "lower": 0.0, "upper": 0.35, "mode": 1} | more))
-
-
-def test_rounding_of_performance_is_forgiven():
-    engine = corrector(SECOND, (0.05, 0.4))
-    assert engine.step(0.5, 0.35 + 1e-12, 0.0, 0.35).path[1, 0] == 0.35
-    assert engine.step(np.float64(0.5), np.float32(0.3), 0.0, 0.35, np.int64(1)).path[4, 0] == 1.0
-
-
-def test_plans_do_not_share_memory():
-    engine = corrector(horizon=10)
-    first = engine.step(0.5, 0.3, *START)
-    kept = first.path.copy()
-    engine.step(0.9, 0.38, *START)
-    np.testing.assert_array_equal(first.path, kept)

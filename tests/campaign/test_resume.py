@@ -137,11 +137,6 @@ def test_a_campaign_grows_and_fills_gaps(tmp_path, monkeypatch):
     assert go(tmp_path, RUNS[:10]).equals(expected[:10])
 
 
-def test_a_folder_that_is_read_has_the_same_table(tmp_path):
-    table = go(tmp_path)
-    pd.testing.assert_frame_equal(tl.read_campaign(tmp_path), table)
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -181,25 +176,6 @@ def test_values_that_are_not_plain_are_compared_by_content(tmp_path):
     assert table.attrs["resumed"] == 2
     with pytest.raises(CampaignError, match="parameters of run 1 were"):
         go(tmp_path, [{"x": np.arange(n)} for n in (3, 5)], total)
-
-
-def test_other_files_are_left_alone(tmp_path):
-    names = ["notes.json", "runs-mine.json", "data/runs-1.json", "runs.csv", ".partial-1"]
-    for name in names:
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text("mine")
-    before = contents(tmp_path)
-    for _ in range(2):
-        go(tmp_path)
-        assert before.items() <= contents(tmp_path).items()
-    (tmp_path / "other").mkdir()
-    for text in ("mine", "{}", "[1]", '{"format": 2, "runs": 3}'):
-        (tmp_path / "other" / "campaign.json").write_text(text)
-        with pytest.raises(
-            CampaignError, match=r"campaign.json .*Use another folder, or remove it"
-        ):
-            go(tmp_path / "other")
-        assert contents(tmp_path / "other") == {tmp_path / "other" / "campaign.json": text.encode()}
 
 
 def test_damage_and_places_that_cannot_be_used_are_named(tmp_path):

@@ -4,7 +4,6 @@ import os
 import sys
 import threading
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -127,26 +126,6 @@ def test_a_run_with_other_results_has_failed(results, said):
     assert pd.Series([table["error"][0]]).str.contains(said).all()
 
 
-def test_names_of_files_in_no_encoding_are_shown_in_escapes(tmp_path):
-    """Oracle: Python's own form of such a name."""
-    name = os.fsdecode(b"caf\xe9")
-
-    def read(path, seed):
-        if path == "none":
-            raise OSError(name)
-        return {"path": path}
-
-    runs = [{"path": path} for path in (name, "b", "none")]
-    for table in (
-        tl.run_campaign(read, runs, n_jobs=1),
-        tl.run_campaign(read, runs, n_jobs=1, out=tmp_path),
-        tl.read_campaign(tmp_path),
-    ):
-        assert table["path"].tolist() == [r"caf\udce9", "b", "none"]
-        assert table["error"][2] == r"OSError: caf\udce9"
-        table.to_csv(tmp_path.parent / "table.csv")
-
-
 def test_when_all_runs_fail_the_table_says_why():
     table = tl.run_campaign(lambda seed: sys.exit("gone"), [{}, {}], n_jobs=1)
     assert list(table) == ["run", "failed", "error", "traceback"]
@@ -206,7 +185,6 @@ def test_what_cannot_be_sent_is_refused_before_anything_runs(tmp_path):
     [
         ({"task": lambda n: {}}, "called with n, seed by name.*unexpected keyword argument 'seed'"),
         ({"parameters": {"n": [1]}}, "must be a list of dicts, one per run"),
-        ({"parameters": pd.DataFrame({"n": [1]})}, r"use frame.to_dict\('records'\)"),
         ({"parameters": [{"n": 1}, {"m": 1}]}, r"run 0 has \{'n': 1\} and run 1 has \{'m': 1\}"),
         ({"parameters": [{"seed": 1}]}, "a parameter cannot be called 'seed'"),
     ],
@@ -215,13 +193,6 @@ def test_remedies(change, said):
     arguments = {"task": lambda n, seed: {"y": n}, "parameters": [{"n": 1}]} | change
     with pytest.raises(ValueError, match=said):
         tl.run_campaign(**arguments, n_jobs=1)
-
-
-def test_progress_is_shown_when_asked(capfd):
-    tl.run_campaign(task, RUNS, n_jobs=1)
-    assert capfd.readouterr() == ("", "")
-    tl.run_campaign(task, RUNS, n_jobs=1, progress=True)
-    assert "40/40" in capfd.readouterr().err
 
 
 def test_draws_follow_their_distributions_and_their_names():
@@ -236,21 +207,3 @@ def test_draws_follow_their_distributions_and_their_names():
     named = tl.parameter_draws(50, n=(5.0, 6.0))  # a parameter may be called n
     assert all(5.0 < draw["n"] < 6.0 for draw in named)
     assert tl.parameter_draws(n=3, a=(0, 1)) == tl.parameter_draws(3, a=(0, 1))
-
-
-def test_draws_share_no_stream_with_runs():
-    [draw] = tl.parameter_draws(1, seed=0, a=(0, 1))
-    run = np.random.SeedSequence(0).spawn(98)[ord("a")]
-    assert draw["a"] != np.random.default_rng(run).uniform()
-
-
-@pytest.mark.parametrize("wrong", [[1.0, 2.0], 1.0, [1.0, np.nan, 2.0], [[1.0], [2.0], [3.0]]])
-def test_draws_of_a_distribution_of_ones_own_are_n_finite_numbers(wrong):
-    own = SimpleNamespace(rvs=lambda size, random_state: wrong)
-    with pytest.raises(ValueError, match="a must be drawn as 3 finite numbers, got"):
-        tl.parameter_draws(3, a=own)
-
-
-def test_a_grid_takes_lists_only():
-    with pytest.raises(ValueError, match=r"a must be a list of values, got 'xy'; write \['xy'\]"):
-        tl.parameter_grid(a="xy")

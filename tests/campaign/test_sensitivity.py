@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pytest
 from scipy import stats
 
 import trustlab as tl
@@ -85,39 +84,3 @@ def test_intervals_have_their_level_on_both_sides():
         for side in ("low", "high"):
             widths = (np.abs(table[f"{end}_{side}"] - table[column]) for table in (half, most))
             np.testing.assert_allclose(np.divide(*widths), 0.674 / 1.96, rtol=0.35)
-
-
-def test_the_plot_has_a_panel_per_result():
-    import matplotlib.pyplot as plt
-
-    indices = tl.sobol_indices(
-        ishigami, BOX, 16, results=["y", "double"], n_jobs=1, resamples=20, level=0.9
-    )
-    axes = indices.plot()
-    assert [panel.get_title() for panel in axes] == ["y", "double"]
-    assert [text.get_text() for text in axes[0].get_yticklabels()] == ["x1", "x2", "x3"]
-    rows = indices.table().query("result == 'double'")
-    for container, order in zip(axes[1].containers, ("first", "total"), strict=True):
-        points, _, (bars,) = container.lines
-        column = "first_order" if order == "first" else "total"
-        np.testing.assert_allclose(points.get_xdata().astype(float), rows[column])
-        ends = [segment[:, 0].astype(float) for segment in bars.get_segments()]
-        np.testing.assert_allclose(ends, rows[[f"{order}_low", f"{order}_high"]].to_numpy())
-    plt.close("all")
-
-
-@pytest.mark.filterwarnings("ignore::trustlab.campaign.CampaignWarning")
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"n": 100}, "power of 2, such as 128, got 100"),
-        ({"ranges": {"x1": (0, 1)}}, "at least two parameters"),
-        ({"results": ["word"]}, r"are numbers, y, double, constant, got \['word'\]"),
-        ({"task": lambda x1, x2, x3, seed: {"y": math.nan}}, "at 40 of 40 a result is not finite"),
-        ({"task": lambda x1, x2, x3, seed: {"y": 1 / 0}}, "40 runs, 40 failed; run 0: ZeroDiv"),
-    ],
-)
-def test_remedies(change, said):
-    arguments = {"task": ishigami, "ranges": BOX, "n": 8, "n_jobs": 1} | change
-    with pytest.raises(ValueError, match=said):
-        tl.sobol_indices(**arguments)

@@ -62,30 +62,12 @@ def test_coloured_noise_gets_wider_errors():
     assert fit_transfer_function(u, v + rng.normal(0.0, 0.05, v.size), T, order=1).noise == "white"
 
 
-def test_first_order_does_not_fit_a_second_order_axis():
-    u, v = flight("y", 1)
-    assert (
-        fit_transfer_function(u, v, T, order=1).fit_percent
-        < 80.0
-        < fit_transfer_function(u, v, T).fit_percent
-    )
-
-
 @pytest.mark.parametrize(
     ("change", "error", "words"),
     [
         ({"order": 3}, ValueError, "order must be a whole number, from 1 to 2"),
-        ({"order": True}, ValueError, "order must be"),
-        ({"sample_time": 0.0}, ValueError, "sample_time must be positive"),
         ({"velocity": np.ones(10)}, ValueError, "must have 200 samples"),
-        (
-            {"command": np.r_[np.nan, np.ones(199)]},
-            ValueError,
-            "command of run 0 must be finite, but sample 0",
-        ),
         ({"command": np.ones(200)}, IdentificationError, "never changes"),
-        ({"command": [np.ones(200)] * 2}, ValueError, "2 runs of command but 1"),
-        ({"noise": "pink"}, ValueError, "noise must be"),
         ({"command": np.r_[0.0, 1.0, 0.0], "velocity": np.ones(3)}, IdentificationError, "too few"),
     ],
 )

@@ -131,17 +131,6 @@ def test_everyone_is_held_by_the_others(people):
         people.posterior("4")
 
 
-def test_what_is_predicted_is_the_next_ones_prior(people):
-    rng = np.random.default_rng(6)
-    sessions, _ = group(rng, "slow", count=1, minutes=3.0)
-    table = people.prior.table()
-    new = people.new_person["human_beta"]
-    assert table.loc["beta", "median"] == pytest.approx(new.median(), abs=0.08)
-    wide = tl.sample_posterior(sessions["0"]).table()
-    narrow = tl.sample_posterior(sessions["0"], prior=people.prior).table()
-    assert narrow.loc["robot_p_min", "sd"] < wide.loc["robot_p_min", "sd"]
-
-
 def test_studies_draw_people_like_these(people):
     population = OperatorPopulation.of_people(people)
     drawn = population.draw(200)
@@ -157,15 +146,6 @@ def test_studies_draw_people_like_these(people):
     assert set(study.participants["beta"]) == set(population.draw(4)["beta"])
     with pytest.raises(ValueError, match="fit_population"):
         OperatorPopulation.of_people(drawn)
-
-
-def test_what_makes_no_population_is_refused(people):
-    session = next(iter(group(np.random.default_rng(7), "white", 1, 1.0)[0].values()))
-    for wrong in ({"P1": session}, [session, session], session):
-        with pytest.raises(ValueError, match="two people"):
-            tl.fit_population(wrong)
-    with pytest.raises(ValueError, match="n must"):
-        tl.fit_population({"P1": session, "P2": session}, n=10)
 
 
 # --- 120 groups of five people, as `make_coverage.py` stored them ---------------------------------
