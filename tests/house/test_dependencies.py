@@ -100,16 +100,3 @@ def test_what_tests_import_is_declared(folder):
         distributions(folder)[1] - CORE - OPTIONAL - DEV - ROS - beside - {"no-such-package"}
         == set()
     )
-
-
-def test_the_check_sees_what_it_should():
-    source = (
-        "import os, numpy.linalg\nfrom . import a\nwith extra('ros'):\n    import rosbags\n"
-        "def f():\n    import joblib\ntry:\n    import IPython\nexcept ImportError:\n    pass\n"
-    )
-    assert dict(imports(source)) == {
-        "numpy": True,
-        "rosbags": False,
-        "joblib": True,
-        "IPython": False,
-    }

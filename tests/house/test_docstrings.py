@@ -92,38 +92,3 @@ def test_every_public_argument_is_documented():
         for path in files
     }
     assert {name: missing for name, missing in found.items() if missing} == {}
-
-
-def test_the_check_sees_what_it_should():
-    source = '''
-def good(a, *, b=1):
-    """
-    Do it.
-
-    Parameters
-    ----------
-    a, b : int
-        Numbers.
-
-    Returns
-    -------
-    int
-    """
-
-def bad(a, b):
-    """
-    Do it.
-
-    Parameters
-    ----------
-    a : int
-        A number.
-    """
-
-def silent():
-    pass
-
-def internal(a):
-    pass
-'''
-    assert undocumented(source, {"good", "bad", "silent"}) == ["bad(b)", "silent"]

@@ -65,13 +65,6 @@ def test_names_of_a_missing_extra_are_absent_and_asking_for_one_says_what_to_ins
     assert 'pip install "trustlab[live]"' in last
 
 
-def test_extras_are_declared_and_all_has_them():
-    extras = PROJECT["optional-dependencies"]
-    assert {extra for extra, _, _ in USES.values()} <= set(extras)
-    named = extras["all"][0].partition("[")[2].rstrip("]").split(",")
-    assert set(named) == set(extras) - {"all"}
-
-
 def test_the_lock_has_every_dependency_and_names_no_registry():
     lock = (ROOT / "environment.lock").read_text()
     locked = {line.partition("==")[0] for line in lock.splitlines() if line[:1].isalpha()}

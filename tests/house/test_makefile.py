@@ -186,25 +186,3 @@ def test_continuous_integration_runs_reports_then_tests_and_stops_at_a_failure(h
     ran = [name for line in asked for name in modules if f"python -m {name}" in line]
     assert ran == (modules[:1] if broken == modules[0] else modules)
     assert (done.returncode == 0) is (not broken)
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "find . -printf '%f'",
-        "find -name a",
-        "sed -i s/a/b/ x",
-        r"sed 's/a\+/b/' x",
-        "expand --tabs=4 x",
-        "xargs -r echo",
-        "cp --parents a b",
-        "touch --date=now a",
-        "awk '{ print gensub(/a/, 1, 1) }' x",
-    ],
-)
-def test_the_stand_ins_refuse_what_is_gnus_alone(house, line):
-    _, tree, run = house
-    (tree / "Makefile").write_text(f"all:\n\t{line.replace('$', '$$')}\n")
-    done, _ = run("make")
-    assert done.returncode != 0
-    assert "illegal option" in done.stderr or "usage: find" in done.stderr

@@ -3,13 +3,10 @@
 import re
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import trustlab as tl
 from trustlab.allocation.limits import check_thresholds, threshold_limits
-from trustlab.models.checks import rounded_down, rounded_up
-from trustlab.studies.planning.conditions import conditions_from
 from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
 from trustlab.testbeds.ground_robot.course import Course
 
@@ -24,15 +21,6 @@ def advised(call, *patterns):
     matches = [re.search(pattern.replace("#", NUMBER), message) for pattern in patterns]
     assert all(matches), message
     return [float(match[1]) for match in matches]
-
-
-@pytest.mark.parametrize("value", [1.0, 0.0123456, 99.96, 123456.0, 3e-7, 0.3, 1e300])
-@pytest.mark.parametrize("digits", [1, 3, 4])
-def test_rounding_to_the_safe_side(value, digits):
-    low, high = rounded_down(value, digits), rounded_up(value, digits)
-    assert low <= value * (1 + 1e-15)
-    assert high >= value * (1 - 1e-15)
-    assert high - low <= 1.01 * 10.0 ** (np.floor(np.log10(value)) + 1 - digits)
 
 
 @pytest.mark.parametrize("widest", [4.0, 1.08])
@@ -51,18 +39,6 @@ def test_limits_part_below_the_advised_step(widest):
         )
         assert threshold_limits(model, 0.999 * most).feasible
         assert not threshold_limits(model, 1.01 * most).feasible
-
-
-def test_limits_that_no_step_parts_need_other_ranges():
-    human = tl.HumanModel(0.99, 0.5, 0.2, 0.4)
-    model = tl.TscModel(tl.RobotModel(0.99, 0.3, 0.32, 0.4), human)
-    assert not threshold_limits(model, 0.0).feasible
-    with pytest.raises(ValueError, match="Even with δ_Ph = 0 they do not part: widen the range"):
-        check_thresholds(model, 0.0, 0.1, threshold_limits(model, 0.01))
-    wider = tl.TscModel(tl.RobotModel(0.99, 0.1, 0.4, 0.4), human)
-    narrower = tl.TscModel(model.robot, tl.HumanModel(0.99, 0.5, 0.395, 0.4))
-    assert threshold_limits(wider, 0.0).feasible
-    assert threshold_limits(narrower, 0.0).feasible
 
 
 def test_the_advised_resolution_of_a_course_is_accepted():
@@ -90,24 +66,3 @@ def test_the_advised_mass_and_damping_of_a_device_are_passive(seed):
     for weaker in ((1.01 * scale * mass, 0.5), (mass, 0.99 * least)):
         with pytest.raises(PassivityError):
             device(*weaker)
-
-
-def test_the_advised_number_of_participants_is_accepted():
-    names = ["A", "B", "C", "D"]
-    above, below = advised(lambda: tl.latin_square_design(names, 30, 0), "; # would", "or #")
-    for n in (above, below):
-        assert tl.latin_square_design(names, int(n), 0).participants[-1] == n
-
-
-def test_the_advised_number_of_subjects_gives_a_covariance():
-    rng = np.random.default_rng(0)
-    columns = tl.studies.StudyColumns("value", "condition", "subject")
-
-    def frame(n):
-        cells = pd.MultiIndex.from_product([range(n), list("ABCD")], names=["subject", "condition"])
-        return pd.DataFrame({"value": rng.normal(size=len(cells))}, cells).reset_index()
-
-    (least,) = advised(lambda: conditions_from(None, None, frame(4), columns), "needs at least #")
-    assert conditions_from(None, None, frame(int(least)), columns).covariance.shape == (4, 4)
-    with pytest.raises(ValueError, match="needs at least"):
-        conditions_from(None, None, frame(int(least) - 1), columns)

@@ -205,21 +205,6 @@ def test_a_kernel_that_dies_and_a_cell_without_end_fail_in_their_cells(tmp_path)
     assert "TimeoutError" in late.failure
 
 
-@pytest.mark.parametrize("package", ["papermill", "nbconvert"])
-def test_missing_extra_is_named_before_anything_runs(tmp_path, package):
-    make(tmp_path, n01_a=["# A"])
-    code = (
-        f"import sys; sys.modules[{package!r}] = None\n"
-        "from trustlab.publishing.__main__ import main\nsys.exit(main([]))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path
-    )
-    assert done.returncode == 2
-    assert 'pip install "trustlab[reports]"' in done.stderr
-    assert not (tmp_path / "reports").exists()
-
-
 def test_an_interrupt_leaves_neither_report_nor_kernel(tmp_path):
     cell = (
         "import os, pathlib, time\npathlib.Path('pid').write_text(str(os.getpid()))\n"

@@ -9,19 +9,14 @@ import matplotlib as mpl
 import nbformat
 import numpy as np
 import pandas as pd
-import papermill
 import pytest
 from docutils import nodes
 from docutils.utils import new_document
 from IPython.core.interactiveshell import InteractiveShell
-from matplotlib import pyplot
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from papermill.exceptions import PapermillExecutionError
 
 import trustlab as tl
-from tests.publishing.world import ROOT, make, tagged
+from tests.publishing.world import ROOT, make
 from trustlab.publishing import figures, only_parameters
-from trustlab.publishing.book import publish
 from trustlab.publishing.chapter import empty_chapter
 from trustlab.publishing.figures import describe
 from trustlab.publishing.provenance import provenance, read_files, shared_digest
@@ -61,13 +56,6 @@ def test_a_verdict_has_its_reason_and_a_section_that_is_there(claim):
     assert about["verdict"] in VERDICTS
     assert about["why"] or about["verdict"] == "diagram"
     assert not about["report"] or about["section"] in heads_of(about["report"])
-
-
-def test_verdicts_of_theorems_are_not_those_of_numbers():
-    words = {*VERDICTS[:3]}
-    for claim, verdict in CLAIMS["verdict"].items():
-        if claim.startswith(("Theorem", "Lemma", "Proposition", "Algorithm")):
-            assert verdict in words, claim
 
 
 def test_verdicts_are_those_of_the_audit_and_of_the_reconstructions():
@@ -195,30 +183,6 @@ def test_lab_gets_a_png_with_its_caption_and_the_book_an_svg_without(book, monke
     assert "partial η²" in table["text/html"]
 
 
-@pytest.mark.parametrize(("styled", "before"), [(True, 0), (False, 1)])
-def test_pyplot_does_not_draw_what_a_notebook_draws_for_itself(styled, before, monkeypatch):
-    drawn, own = [], FigureCanvasAgg.draw
-    monkeypatch.setattr(FigureCanvasAgg, "draw", lambda canvas: (drawn.append(canvas), own(canvas)))
-    monkeypatch.setattr(
-        pyplot, "_REPL_DISPLAYHOOK", pyplot._ReplDisplayHook.NONE
-    )  # not that of another test's shell
-    shell, backend = InteractiveShell.instance(), mpl.get_backend()
-    pyplot.close("all")  # nor its figures
-    try:
-        with mpl.rc_context():
-            pyplot.switch_backend("module://matplotlib_inline.backend_inline")
-            pyplot.ion()
-            if styled:
-                figures.use_house_style()
-            shell.run_cell("from matplotlib import pyplot\npyplot.subplots()").raise_error()
-    finally:
-        pyplot.close("all")
-        pyplot.ioff()
-        pyplot.switch_backend(backend)
-        InteractiveShell.clear_instance()
-    assert len(drawn) == before
-
-
 def test_panels_are_described_by_names_ranges_and_colours():
     figure = mpl.figure.Figure()
     left, right = figure.subplots(1, 2)
@@ -295,23 +259,6 @@ def test_an_estimate_has_the_decimals_of_its_standard_error():
     assert texts == ["0.995998", "0.000042", "0.310", "0.012"]
 
 
-@pytest.mark.parametrize("name", ["difference", "simulated"])
-def test_an_effect_has_the_decimals_of_its_interval(name):
-    frame = pd.DataFrame({name: [0.003441, -0.1102], "ci_low": [-0.0036, -0.24]})
-    texts = re.findall("<data[^>]*>([^<]*)", table_html(frame.assign(ci_high=[0.0105, 0.02])))
-    assert texts == ["0.0034", "−0.0036", "0.0105", "−0.11", "−0.24", "0.02"]
-
-
-def test_a_column_that_never_changes_is_said_in_the_caption():
-    frame = pd.DataFrame({"n": [24] * 3, "x": [1, 2, 3]})
-    text = table_html(figures.caption(frame, "Means."))
-    assert "<caption>Means. In every row: n: 24.</caption>" in text
-    assert re.findall("<th>(.*)</th>", text) == ["x"]
-    assert "caption" not in frame.attrs
-    assert "In every row" not in table_html(frame[["n"]])
-    assert "In every row" not in table_html(frame.iloc[:2])
-
-
 def test_provenance_lists_what_a_notebook_reads_and_names_no_path(tmp_path):
     notebook = NOTEBOOKS / "01_identification.ipynb"
     files = [path.relative_to(ROOT).as_posix() for path in read_files(ROOT, notebook)]
@@ -346,12 +293,6 @@ def test_digest_follows_data_modules_lock_and_external_files(tmp_path, monkeypat
     assert shared_digest(root) == digests[-1]
 
 
-def test_folder_without_such_notebooks_is_refused(tmp_path):
-    make(tmp_path)
-    with pytest.raises(ValueError, match=r"no notebook is called '01'.*none named NN_name"):
-        publish(["01"], root=tmp_path)
-
-
 NAMES = 'session_file = "run.csv"\nwindow = 0.0  # seconds'
 
 
@@ -361,20 +302,6 @@ def test_a_parameter_that_a_notebook_lacks_is_refused():
     only_parameters({})  # not a notebook
     with pytest.raises(ValueError, match="no parameter 'sesion_file'; did you mean 'session_file'"):
         only_parameters({"In": ["", NAMES, '# Parameters\nsesion_file = "mine.csv"\n']})
-
-
-def test_papermill_alone_refuses_it_too(tmp_path):
-    cells = [
-        tagged(NAMES, "parameters"),
-        "Words.",
-        tagged(f"import trustlab as tl\n\n{CHECK}"),
-        tagged("print(window)"),
-    ]
-    path = make(tmp_path, _00_mine=cells) / "notebooks" / "00_mine.ipynb"
-    run = papermill.execute_notebook(path, None, {"window": 7}, progress_bar=False)
-    assert run.cells[-1].outputs[0].text == "7\n"
-    with pytest.raises(PapermillExecutionError, match="this notebook has no parameter 'session'"):
-        papermill.execute_notebook(path, None, {"session": "mine.csv"}, progress_bar=False)
 
 
 @pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda path: path.stem)

@@ -72,19 +72,6 @@ def test_a_part_of_the_stored_studies_is_simulated_again(stored):
     simulate_again(stored, 3)
 
 
-@pytest.fixture(scope="module", params=["table_3.1", "teleop"])
-def teleoperated(request):
-    return read_calibration(request.param, DATA)
-
-
-def test_teleoperators_of_chapter_3(teleoperated):
-    """Fewer simulations than of Chapter 2: coverage is pooled over assumptions."""
-    coverage = teleoperated.given("error").coverage().mean(numeric_only=True)
-    assert 0.92 <= coverage["covered_95"] <= 0.98
-    assert 0.45 <= coverage["covered_50"] <= 0.55
-    simulate_again(teleoperated, 1)
-
-
 def test_reports_of_the_stored_calibration(stored):
     table, given = stored.table(), stored.given("p_r", "r")
     assert ((table["low"] >= table["prior_low"]) & (table["high"] <= table["prior_high"])).all()
@@ -97,9 +84,3 @@ def test_reports_of_the_stored_calibration(stored):
     assert "simulated operators" in stored._repr_html_()
     assert "simulated" in stored.plot()[0].figure.get_suptitle()
     plt.close("all")
-
-
-def test_what_the_stored_studies_say(stored):
-    given = stored.given("p_r", "r")
-    assert given.extrapolated == ()  # these effects are within reach of simulated operators
-    assert given.assumptions["attention_cost"] > 0.02

@@ -4,14 +4,12 @@ Oracles: numbers read off the printed tables by hand; the exact limit cycle; dif
 virtual study's measures.
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
 
 import trustlab as tl
-from trustlab.reproduction import plot_effects
 from trustlab.reproduction.effects import COLUMNS, SILENT
 from trustlab.testbeds import TeleoperatorPopulation
 
@@ -167,21 +165,6 @@ def test_the_t_test_of_followed_suggestions_has_a_simulated_counterpart():
     assert row["p_simulated"] == pytest.approx(test.p)
 
 
-def test_effects_are_plotted_with_every_simulation_named(simulated):
-    axes = plot_effects("uav", {"attention 5 %": simulated.reset_index()})
-    assert len(axes) == 7
-    texts = [text.get_text() for text in axes[0].figure.legends[0].get_texts()]
-    assert texts == ["printed", "model", "simulated: attention 5 %"]
-    drawn = axes[0].containers[0].lines[0].get_ydata()
-    own = simulated[
-        simulated["measure"].eq("p_r")
-        & simulated["printed"].notna()
-        & simulated.index.str.startswith("uav")
-    ]
-    np.testing.assert_array_equal(drawn, own["simulated"])
-    plt.close("all")
-
-
 @pytest.mark.filterwarnings("ignore:5 participants fill half")
 def test_with_workload_people_answer_and_scales_are_those_printed():
     assumed = {"load_utilization": 0.5, "load_switching": 0.05}
@@ -193,50 +176,6 @@ def test_with_workload_people_answer_and_scales_are_those_printed():
     assert frame.loc["table_2.4/satisfaction/C3-C1", "simulated"] == pytest.approx(
         seven * 4.0 / 6.0
     )
-
-
-def test_the_study_on_the_ground_robot_has_the_rows_of_its_three_tables():
-    frame = tl.simulated_effects(n=5, seed=0, only="ground_robot")
-    tables = frame["id"].str.partition("/")[0]
-    assert list(dict.fromkeys(tables)) == ["table_2.4", "table_2.5", "table_2.6"]
-    for name in ("table_2.5", "table_2.6"):
-        alone = tl.simulated_effects(n=5, seed=0, only=name)
-        pd.testing.assert_frame_equal(
-            frame[tables == name].reset_index(drop=True), alone, check_exact=True
-        )
-
-
-def test_same_seed_same_table_serial_or_parallel():
-    frames = [
-        tl.simulated_effects({"r0": 0.6}, n=10, seed=4, only="uav", n_jobs=jobs) for jobs in (1, 2)
-    ]
-    pd.testing.assert_frame_equal(*frames, check_exact=True)
-
-
-def test_attention_raises_c3_over_c1():
-    plain, costly = (
-        tl.simulated_effects({"attention_cost": cost}, n=20, seed=3, only="uav").set_index("id")[
-            "simulated"
-        ]
-        for cost in (0.0, 0.2)
-    )
-    for id in ("uav/p_r/C3-C1", "uav/p_h/C3-C1"):
-        assert costly[id] > plain[id] + 0.01
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ({"assumptions": {"trust": 0.1}}, "an assumption must be one of 'attention_cost'"),
-        ({"assumptions": {"trust_bias": 3.0}}, r"trust_bias must lie in \[-2, 2\]"),
-        ({"n": 2}, "n must be a whole number, 3 or more"),
-        ({"seed": -1}, "seed must be a whole number"),
-        ({"only": "table_2.2"}, "only must be one of"),
-    ],
-)
-def test_bad_input(arguments, says):
-    with pytest.raises(ValueError, match=says):
-        tl.simulated_effects(**arguments)
 
 
 def test_models_of_trust_change_what_follows_trust_and_nothing_else():

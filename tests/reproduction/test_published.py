@@ -6,18 +6,6 @@ import trustlab as tl
 from trustlab.reproduction import compare, matching_digits, published_models, published_table
 
 
-def test_strings_keep_their_zeros():
-    table = published_table("2.1")
-    assert table.loc["P_h_min", "3"] == "0.39"
-    assert published_table("2.5").loc["C5", "P_r_sd"] == "0.020"
-    assert published_table("2.3").loc[("TSC_l", "mean"), "1"] == "-0.24"
-
-
-def test_unknown_table_lists_the_known():
-    with pytest.raises(ValueError, match=r"number must be one of '2.1', '2.2'.*got '9.9'"):
-        published_table("9.9")
-
-
 def test_models_have_the_printed_parameters():
     models = published_models()
     assert list(models) == ["pilot", "1", "2", "3", "4", "5"]
@@ -64,14 +52,3 @@ def test_verdicts():
         with pytest.raises(ValueError, match=r"as printed, in quotes.*trailing zeros"):
             matching_digits(0.394, number)
     assert tl.compare is compare
-
-
-def test_models_and_studies_are_dictionaries_that_say_what_they_hold():
-    models, studies = published_models(), tl.published_studies()
-    assert isinstance(models, dict)
-    assert models.get("6") is None
-    for key in ("6", 2):
-        with pytest.raises(KeyError, match=f"nothing is called {key!r} .*'pilot', '1', '2'"):
-            models[key]
-    with pytest.raises(KeyError, match=r"'uav\.tlxx'; did you mean 'uav\.tlx'"):
-        studies["uav.tlxx"]

@@ -1,8 +1,5 @@
 """Printed studies come back as printed; what is no number is refused and the field named."""
 
-import dataclasses
-import pickle
-
 import pytest
 
 import trustlab as tl
@@ -36,16 +33,6 @@ def test_the_eleven_studies_are_there_as_printed():
     assert not studies["teleop.tlx"].corrected
 
 
-def test_a_study_is_frozen_and_travels():
-    study = tl.published_studies()["uav.tlx"]
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        study.n = 3
-    with pytest.raises(TypeError):
-        study.mean["C1"] = "1"
-    assert pickle.loads(pickle.dumps(study)) == study
-    assert hash(study) == hash(pickle.loads(pickle.dumps(study)))
-
-
 def test_intervals_follow_the_printed_decimals():
     assert printed_interval("0.50") == pytest.approx((0.495, 0.505))
     assert printed_interval("0.5") == pytest.approx((0.45, 0.55))
@@ -68,36 +55,12 @@ def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
     ("values", "message"),
     [
         (changed(anova={"F": "nan"}), r"anova\.F must be a number"),
-        (changed(anova={"F": "8,1"}), r"anova\.F .*got '8,1'; write a decimal point"),
-        (
-            changed(anova={"epsilon": ".55"}),
-            r"anova\.epsilon is unknown.*; give epsilon=\.\.\. beside",
-        ),
-        (changed(anova={"F": 8.1}), r"anova\.F must be a number as printed, in quotes"),
-        (changed(anova={"G": "8"}), r"anova\.G is unknown"),
         (changed(mean={"A": None, "B": "4", "C": "3"}), r"mean\.A"),
-        (changed(mean=[1, 2]), r"mean must be a table"),
-        (changed(pairs={"A-D": "0.01"}), r"pairs: 'A-D'"),
-        (changed(pairs={"A-C": "0.01", "C-A": "0.02"}), r"C-A was given already"),
-        (changed(pairs={"A-C": True}), r"pairs\.A-C"),
         (changed(significant_without_p="A-B"), r"significant_without_p must be a list"),
-        (changed(n=2), r"n must be a whole number, 3 or more"),
-        (changed(n="20"), r"n must be a whole number"),
-        (changed(n=True), r"n must be a whole number"),
-        (changed(scale=(7, 1)), r"scale"),
-        (changed(scale="1-7"), r"scale"),
         (changed(listed_only="no"), r"listed_only"),
-        (changed(conditions=("A", "B")), r"mean\.C is not among the conditions"),
-        (changed(colour="red"), r"unknown field 'colour'"),
-        ({k: v for k, v in GOOD.items() if k != "n"}, r"n is missing"),
-        ({k: v for k, v in GOOD.items() if k != "sd"}, r"sd is missing"),
         ([1], r"must be a table of fields"),
     ],
 )
 def test_what_is_no_number_is_refused_by_field(values, message):
     with pytest.raises(PublishedStudyError, match=message):
         tl.PublishedStudy.from_dict(values, "mine")
-
-
-def test_the_example_itself_is_good():
-    assert tl.PublishedStudy.from_dict(GOOD).k == 3

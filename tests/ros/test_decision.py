@@ -111,26 +111,6 @@ def test_shares_blend_both_commands_and_watchdogs_take_one_out(silent, share, dr
     assert set(core.session()["mode"]) == {0.25, 1.0}  # the operator drives until the window fills
 
 
-@pytest.mark.parametrize("answer", [1.5, math.nan, "half", None])
-def test_a_share_that_is_none_stops_the_robot(answer):
-    core = AllocationCore(MODEL, share=lambda tsc, p_r: answer, settings=SHORT)
-    for k in range(60):
-        heard(core, k * PERIOD)
-        d = core.step(k * PERIOD)
-    assert (d.v, d.w, d.driver) == (0.0, 0.0, "nobody")
-    assert any("share failed at t = 2 s" in text for text in texts(core))
-
-
-def test_steps_that_are_made_up_for_do_not_jump():
-    core = AllocationCore(MODEL, "C1", settings=SHORT)
-    for k in range(3):
-        heard(core, k * PERIOD)
-        before = core.step(k * PERIOD)
-    heard(core, 0.5)
-    burst = [core.step(0.5) for _ in range(8)]
-    assert burst[-1].v == pytest.approx(before.v + SHORT.v_rate * PERIOD)
-
-
 def test_c3_follows_the_thresholds_and_c2_only_suggests():
     by_button = AllocationCore(MODEL, "C1", settings=SHORT)
     drive(by_button)
@@ -304,13 +284,3 @@ def test_bad_settings_and_missing_logs_say_what_to_do():
         core.session()
     with pytest.raises(ValueError, match="operator needs v, w"):
         core.hear("operator", 0.0, (0.0,), 0.0)
-
-
-def test_notes_travel_with_the_session(tmp_path):
-    core = AllocationCore(MODEL, "C1", settings=SHORT)
-    drive(core, 20)
-    core.hear("operator", 0.0, (0.0, 0.0), 1.0)
-    tl.write_session(core.session(synthetic=True), tmp_path / "run.csv")
-    session = tl.read_session(tmp_path / "run.csv")
-    assert any("out of order" in note for note in session.metadata.more["notes"])
-    assert np.array_equal(session["p_r"], core.session()["p_r"])

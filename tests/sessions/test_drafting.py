@@ -70,18 +70,6 @@ def test_every_text_that_a_recipe_reads_is_drafted(drafted, name, text):
     np.testing.assert_allclose(session["path_error"], [0.1, 0.095, 0.11], atol=1e-15)
 
 
-def test_per_cent_are_drafted_by_the_values(drafted, recwarn):
-    """So that no file of such a study warns."""
-    rows = "".join(f"{100 * k},{k % 2},{40 + k},61.5,{k},{k / 10}\n" for k in range(11))
-    draft, session = drafted("t_ms,mode,p_r,operator_performance [%],r,alpha\n" + rows)
-    assert not recwarn.list
-    np.testing.assert_allclose(session["p_r"], 0.4 + 0.01 * np.arange(11))
-    np.testing.assert_allclose(session["p_h"], 0.615)
-    np.testing.assert_allclose(session["r"], 0.01 * np.arange(11))
-    np.testing.assert_allclose(session["alpha"], 0.1 * np.arange(11))
-    assert draft.count('unit = "%"') == 3
-
-
 def test_what_a_draft_cannot_know_is_asked_for(tmp_path):
     log, recipe = tmp_path / "run.csv", tmp_path / "lab.toml"
     log.write_text("stamp,ctrl,heading\n10,A,0.1\n20,B,0.2\n30,A,0.3\n")
@@ -95,14 +83,6 @@ def test_what_a_draft_cannot_know_is_asked_for(tmp_path):
             tl.read_session(log, recipe)
         recipe.write_text(recipe.read_text().replace(old, new))
     assert tl.read_session(log, recipe)["mode"].tolist() == [1.0, 0.0, 1.0]
-
-
-@pytest.mark.parametrize("suffix", ["parquet", "csv"])
-def test_a_draft_of_our_own_file_changes_nothing(tmp_path, suffix):
-    pilot = tl.read_session("data/sessions/pilot.csv")
-    path = tl.write_session(pilot, tmp_path / f"pilot.{suffix}")
-    read = tl.read_session(path, tl.draft_recipe(path, tmp_path / "lab.toml"))
-    assert read.data.equals(pilot.data)
 
 
 def test_who_drives_is_guessed_from_two_words_in_any_encoding(drafted):
@@ -120,37 +100,12 @@ def test_who_drives_is_guessed_from_two_words_in_any_encoding(drafted):
     np.testing.assert_allclose(sessions[1].t, [0.0, 0.1, 0.2], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("times", "unit"),
-    [
-        ("2026-03-01T12:00:00 2026-03-01T12:00:01 2026-03-01T12:00:02", "iso"),
-        ("12:00:00 12:00:01 12:00:02", "clock"),
-        ("0 1 2", "s"),
-        ("0 20 40", "ms"),
-        ("0 20000 40000", "us"),
-        ("0 20000000 40000000", "ns"),
-    ],
-)
-def test_the_unit_of_time_is_guessed_by_its_values(drafted, times, unit):
-    rows = "".join(f"{time},1,0.3\n" for time in times.split())
-    draft, session = drafted("when,mode,p_r\n" + rows)
-    assert f'unit = "{unit}"' in draft
-    assert session.sample_time == pytest.approx(0.02 if unit in ("ms", "us", "ns") else 1.0)
-
-
 def test_stamps_that_jitter_are_drafted_with_an_even_grid(drafted):
     draft, session = drafted("stamp_ms,mode,cte_m\n0,1,.30\n103,1,.31\n199,0,0\n300,0,.33\n")
     assert session.sample_time == 0.101
     assert "[resampling]" in draft
     assert "absolute" not in draft
     assert "[resampling]" not in drafted("stamp_ms,mode\n0,1\n1000,1\n2009,0\n", "even.csv")[0]
-
-
-def test_a_table_without_names_is_drafted_by_number(drafted):
-    line = ('mode = { value = "?" }', "mode = { column = 1 }\np_r = { column = 2 }")
-    draft, session = drafted("0,1,0.5\n1,0,0.25\n", line=line)
-    assert "header = false" in draft
-    assert session.data.to_dict("list") == {"mode": [1.0, 0.0], "p_r": [0.5, 0.25]}
 
 
 @pytest.mark.parametrize(

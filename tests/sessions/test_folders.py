@@ -62,20 +62,7 @@ def test_a_header_above_the_folder_names_other_sessions_too(tmp_path):
     ("header", "words"),
     [
         (HEADER.replace("run,", "rum,"), r"runs\.csv: needs one column 'run'; did you mean 'rum'"),
-        (HEADER.replace("share", "run"), "needs one column 'run'"),
-        (HEADER + "10.0,1,low\n", "line 5: run 10 is empty, or occurs twice"),
-        (HEADER + ",1,low\n", "line 5: run  is empty"),
-        (HEADER.replace("1,10,low", "1,ten,low"), r"run1\.csv: column 'r' .*'ten' is not a number"),
-        (
-            HEADER.replace("1,10,low", "1,10,mid"),
-            r"run1\.csv: column 'beta' .*'mid' is not in .*low",
-        ),
         (HEADER.replace("1,10,low", "1,,low"), r"run1\.csv.*no header\.share, or it is empty"),
-        (HEADER.replace("share", "part"), r"no header\.share.*header\.part"),
-        (HEADER.replace("2,20,low\n", ""), r"run2\.csv: the header .*no row for run 2; add it"),
-        (HEADER + "11,1,low\n", r"runs\.csv: names run 11, which has no file; add it or remove"),
-        ("", r"runs\.csv: this header file cannot be read"),
-        (b"\xff\xfe", r"runs\.csv: this header file cannot be read"),
         (None, r"runs\.csv: this header file cannot be read"),
     ],
 )
@@ -88,13 +75,6 @@ def test_headers_and_files_correspond(tmp_path, header, words):
         read_sessions(tmp_path, table_recipe(INDEXED))
 
 
-def test_the_same_session_twice(tmp_path):
-    for folder in ("copy", "raw"):
-        lay(tmp_path / folder, people=(9,))
-    with pytest.raises(SessionError, match=r"are both who 9, trial 1; read one of the folders"):
-        read_sessions(tmp_path, table_recipe(INDEXED))
-
-
 @pytest.mark.parametrize(
     ("name", "remedy"),
     [("vpA.csv", "; vpA.csv would, if its fields were not numbers"), ("notes.md", r" \(there are")],
@@ -104,13 +84,6 @@ def test_a_pattern_that_nothing_fits_names_what_is_near(tmp_path, name, remedy):
     recipe = table_recipe(f'[files]\npattern = "vp{{participant:int}}.csv"\n{COLUMNS}')
     with pytest.raises(SessionError, match=r"fits the recipe's pattern '[^']*'" + remedy):
         read_sessions(tmp_path, recipe)
-
-
-def test_a_path_that_does_not_fit_matters_where_something_is_taken_from_it(read):
-    pattern = f'[files]\npattern = "{{who}}_{{trial:int}}.csv"\n{COLUMNS}'
-    assert len(read(TABLE, pattern)) == 2
-    with pytest.raises(SessionError, match=r"the path does not fit .*'{who}_{trial:int}\.csv'; re"):
-        read(TABLE, pattern + '[metadata]\nparticipant = { from = "who" }\n')
 
 
 def test_faults_are_raised_or_collected(tmp_path):

@@ -88,13 +88,6 @@ def test_mixed_initiative_measures_are_3_27():
     assert both["p_r"].tolist() == session.with_performance(**scales)["p_r"].tolist()
 
 
-@pytest.mark.parametrize(("samples", "told"), [(50, True), (51, False)])
-def test_a_window_longer_than_the_log_is_told(recwarn, samples, told):
-    drive(samples).with_performance(window=5.0)
-    words = "session lasts 4.9 s, less than the window of 5 s"
-    assert [str(each.message).split(":")[0] for each in recwarn] == [words] * told
-
-
 MODE = np.arange(2000) // 200 % 2
 QUARTER, HALF = np.arange(2000) % 4 == 0, np.arange(2000) % 2 == 0
 NOISE = np.random.default_rng(0).uniform(-5e-3, 5e-3, 2000)
@@ -124,19 +117,6 @@ def test_commands_that_rest_while_the_robot_drives_are_told(recwarn, v, w, mode,
         assert "fit the robot alone, driven by the measured P_h" in words[0]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({}, "no column 'step_distance'.*mixed_initiative"),
-        ({"measure": "uav_tracking", "e_max": 1.0}, r"needs e_max \[m\] and u_max"),
-        ({"measure": "mixed_initiative", "u_max": 1.0}, r"needs e_max \[m\] and u_max"),
-    ],
-)
-def test_what_a_measure_needs_is_named(arguments, words):
-    with pytest.raises(ValueError, match=words):
-        arm().with_performance(**arguments)
-
-
 def trial(number, block, level, error, training=False, participant=1):
     more = {"trial": number, "block": block, "autonomy": level, "training": training}
     data = pd.DataFrame({"path_error": error}, index=pd.Index(np.arange(4) * 0.1, name="t"))
@@ -158,14 +138,3 @@ def test_tracking_error_leaves_out_training_and_the_first_trial():
     every = tl.sessions.tracking_error(trials, drop_first=0)
     np.testing.assert_allclose(every["traj_err"], [168.0, 252.5])
     assert tl.sessions.tracking_error(trials[1], drop_first=0)["traj_err"].tolist() == [500.0]
-
-
-def test_trials_that_cannot_be_averaged_are_named():
-    late, early = trial(6, 1, 0.4, 1.0, participant=2), trial(7, 1, 0.8, 1.0)
-    for trials, words in [
-        ([late, early], r"participant 1, autonomy 0\.8: no trial is left after dropping the fi"),
-        ([late, late], "trial 6 of participant 2 occurs twice"),
-        ([trial(1, 0, 0.0, 9.0, training=True)], "no trial to average: all are training"),
-    ]:
-        with pytest.raises(tl.SessionError, match=words):
-            tl.sessions.tracking_error(trials)

@@ -8,8 +8,6 @@ from tests.sessions.logs import table_recipe
 from trustlab.sessions import (
     RecipeError,
     SessionError,
-    list_recipes,
-    load_recipe,
     read_frame,
     read_session,
 )
@@ -124,17 +122,6 @@ participant = { from = "participant" }"""
     assert read_frame(frame.rename(columns={"a": "p_r"}), participant=3).label == "participant 3"
 
 
-def test_a_signed_deviation_becomes_a_distance(read):
-    text = (
-        '[columns]\npath_error = { column = "cte", unit = "mm", scale = 2.0, offset = 100.0, '
-        "absolute = true }"
-    )
-    rows = "t,cte\n0,-200\n1,-50\n2,50\n"
-    np.testing.assert_allclose(read(rows, text)["path_error"], [0.3, 0.0, 0.2], rtol=1e-15)
-    with pytest.raises(SessionError, match=r"line 2.*-0\.3 lies outside.*absolute = true"):
-        read(rows, text.replace(", absolute = true", ""))
-
-
 def test_an_analogue_channel_is_divided_in_two(read, recwarn):
     text = '[columns]\nmode = { column = "pedal", above = 2.5 }'
     session = read("t,pedal\n0,0.1\n1,2.5\n2,2.6\n", text)
@@ -147,12 +134,6 @@ def test_an_analogue_channel_is_divided_in_two(read, recwarn):
             read("t,pedal\n0,0.1\n1,2.5\n2,2.6\n", text.replace("2.5", str(limit)))
 
 
-def test_codes_and_words_that_mean_the_same(read):
-    text = "[columns]\nmode = { column = 'm', map = { 1 = 1, '2.5' = 0.5, 'off ' = 0, True = 1 } }"
-    session = read("t,m\n0,1\n1,1.0\n2,01\n3,2.50\n4, off\n5,true\n6,True\n", text)
-    assert session["mode"].tolist() == [1, 1, 1, 0.5, 0, 1, 1]
-
-
 @pytest.mark.parametrize("name", ["mode", "suggested_mode", "yaw"])
 def test_states_and_angles_are_not_interpolated_over_blanks(read, name):
     unit = ', unit = "deg"' if name == "yaw" else ""
@@ -161,16 +142,6 @@ def test_states_and_angles_are_not_interpolated_over_blanks(read, name):
         table_recipe(rule)
     held = read("t,a\n0,1\n1,\n2,0\n", rule.replace("linear", "hold"))[name]
     assert held[1] == held[0] > held[2]
-
-
-def test_recipes_by_name_path_and_object(lab):
-    assert set(list_recipes()) == {"autonomy_cl_trust", "ros_ground_robot"}
-    assert all(list_recipes().values())
-    recipe = load_recipe("autonomy_cl_trust")
-    assert load_recipe(recipe) is recipe
-    path = lab.parents[1] / "lab.toml"
-    assert load_recipe(path) == load_recipe(str(path))
-    assert load_recipe(path).name == "lab"
 
 
 def test_patterns():

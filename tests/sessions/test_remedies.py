@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.sessions.logs import bag_of_numbers, bag_recipe, table_recipe
+from tests.sessions.logs import bag_of_numbers, table_recipe
 from tests.sessions.test_bags import COLUMNS, RESAMPLED, TF, lab_bag, turtles  # noqa: F401
 from tests.sessions.test_recipes import LAB
 from trustlab.sessions import (
@@ -195,49 +195,6 @@ def test_the_first_fault_of_a_recipe_names_table_and_key(tmp_path, old, new, wor
         load_recipe(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert words in str(caught.value)
-
-
-BAGS = [
-    ('/odom", field = "yaw', '/odm", field = "yaw', "'/odm' (for yaw) is not in the bag; did you"),
-    (
-        "pose.pose.position.x",
-        "pose.pose.position.xx",
-        "'/odom', message 0 (from 0), field 'pose.pose.position.xx' (robot_x) of nav_msgs/.*"
-        "has no field 'xx' there; did you mean 'x'?",
-    ),
-    ("pose.pose.position.x", "pose.pose.position", "not a number; name one number in it"),
-    ("pose.pose.position.x", "pose.pose.position.x[0]", "[0] needs a list"),
-    ("pose.pose.position.x", "child_frame_id", "holds str, not a number; give it a map"),
-    ("axes[1]", "axes[3]", "'/joy', message 0 (from 0).*the list has 3 entries"),
-    ("axes[1]", "axes[x=1]", "cannot read the field path 'axes[x=1]'; write it like"),
-    ("yaw(pose.pose.orientation)", "yaw(pose.pose.position)", "yaw needs a quaternion"),
-    ("MANUAL = 1", "MANAUL = 1", "'/drive_mode', message 0 .*'MANUAL' is not in the recipe's map"),
-    ("hold = true", "hold = true, resample = 'linear'", "mode: hold keeps the previous value"),
-    ("kind", "kind", 'std_msgs/msg/String has no header stamp; say "receive" for it under [time]'),
-]
-
-
-@pytest.mark.parametrize(("old", "new", "words"), BAGS)
-def test_a_recipe_that_does_not_fit_a_bag(tmp_path, old, new, words):
-    path = lab_bag(tmp_path / "lab.mcap").write()
-    text = COLUMNS.replace(old, new) + RESAMPLED
-    text += '[time]\nstamp = "header"\ntopics = { "/odom" = "receive" }\n' if old == "kind" else ""
-    with pytest.raises(SessionError) as caught:
-        read_session(path, bag_recipe(text))
-    for part in words.split(".*"):
-        assert part in str(caught.value)
-
-
-def test_a_selection_that_names_nothing_or_too_much(turtles):  # noqa: F811
-    for old, new, words in [
-        ("turtle1", "turtle3", 'none of its 20 messages has an entry [child_frame_id="turtle3"]'),
-        ('[child_frame_id="turtle1"]', "[0]", "of frame 'turtle2' here, and of 'turtle1' before; "),
-        ("child_frame_id", "child", "are called 'child'"),
-        ("transforms[", "transform[", "has no field 'transform' there; did you mean 'transforms'?"),
-    ]:
-        with pytest.raises(SessionError) as caught:
-            read_session(turtles, bag_recipe(TF.replace(old, new)))
-        assert words in str(caught.value)
 
 
 def test_what_is_not_there_or_of_no_known_kind(read, tmp_path):

@@ -74,11 +74,6 @@ def test_the_first_value_that_is_missing_or_out_of_range_is_named(value, row):
         tl.Session(frame(mode=mode), tl.Metadata(source="the log.csv"))
 
 
-def test_the_largest_numbers_and_the_limits_are_values_as_any_other():
-    table = frame(3, robot_x=[-1.7e308, 0.0, 1.7e308], r=[0.0, 0.5, 1.0])
-    assert tl.Session(table).data.equals(table.astype(float))
-
-
 def test_metadata_travels_and_can_be_added_and_removed():
     facts = tl.Metadata(participant=3, condition="C1", synthetic=True, more={"trial": 2})
     session = tl.Session(frame(), facts)
@@ -113,41 +108,12 @@ def test_parts_and_added_columns():
     assert session.columns == ["mode"]
 
 
-@pytest.fixture
-def driven():
-    moved = {"path_error": 0.1, "step_distance": 0.02, "v_command": 0.2, "w_command": 0.1}
-    return tl.Session(frame(1001, **moved))
-
-
-def test_performance_is_computed_anew_on_a_part_of_a_session(driven):
-    """The remedy of the error that a fit raises where performance was cut."""
-    measured = driven.with_performance(10)
-    assert "performance_cut" not in measured.between(0, 50).metadata.more
-    part = measured.between(10, 50)
-    assert part.metadata.more["performance_cut"] is True
-    again = part.with_performance(10)
-    assert "performance_cut" not in again.metadata.more
-    assert again == driven.between(10, 50).with_performance(10)
-    assert "performance_cut" not in driven.between(10, 50).metadata.more
-
-
 def test_units_against_their_definitions():
     expected = {"km": 1e3, "cm": 1e-2, "mm": 1e-3, "min": 60, "h": 3600, "km/h": 1000 / 3600}
     for unit, factor in (expected | {"deg": np.pi / 180, "%": 0.01}).items():
         assert to_si(unit, UNITS[unit][0]) == pytest.approx(factor, rel=1e-15)
     assert to_si("km/h", "measure") == to_si("km/h", "m/s")
     assert tl.sessions.vocabulary().loc["path_error", ["unit", "low"]].tolist() == ["m", 0.0]
-
-
-def test_plots_and_pages_say_synthetic():
-    session = tl.Session(frame(p_r=np.linspace(0, 1, 11)), tl.Metadata(synthetic=True))
-    axes = session.plot()
-    assert [axis.get_ylabel() for axis in axes] == ["robot\nperformance"]
-    assert "synthetic" in axes[0].figure.get_suptitle()
-    assert [axis.get_ylabel() for axis in session.plot(["t", "mode"])] == ["t [s]", "mode"]
-    assert "synthetic" in session._repr_html_()
-    assert "11 samples at 0.1 s" in session._repr_html_()
-    plt.close("all")
 
 
 def test_manual_phases_are_shaded_by_the_share_of_the_operator():
@@ -170,10 +136,3 @@ def test_paths_and_means_of_several_sessions():
     mean = tl.sessions.plot_by_participant(table, "error").lines[-1]
     assert mean.get_ydata().tolist() == [4.0, 6.0]
     plt.close("all")
-
-
-def test_external_data_are_where_the_variable_says(tmp_path, monkeypatch):
-    monkeypatch.setenv("TRUSTLAB_DATA", str(tmp_path))
-    assert tl.sessions.external_data("lab") is None
-    (tmp_path / "lab").mkdir()
-    assert tl.sessions.external_data("lab") == tmp_path / "lab"

@@ -1,6 +1,5 @@
 """Tables of text, Parquet and Feather. Oracle: pandas, and plain Python on the lines of a file."""
 
-import gzip
 import io
 import warnings
 
@@ -10,7 +9,7 @@ import pytest
 from hypothesis import assume, example, given, strategies as st
 
 from tests.sessions.logs import START, bag_of_numbers, bag_recipe, table_recipe
-from trustlab.sessions import Metadata, SessionError, read_frame, read_session
+from trustlab.sessions import SessionError, read_frame, read_session
 
 TABLE = pd.DataFrame(
     {"t": np.arange(30) * 0.1, "p_r": np.sin(np.arange(30.0)) ** 2, "mode": np.arange(30) % 2}
@@ -133,58 +132,11 @@ def test_a_cell_that_is_no_number_is_named_by_line_and_column(tmp_path_factory, 
         read_session(path)
 
 
-@pytest.mark.parametrize(
-    ("rows", "words"),
-    [
-        ("0,1,1\n1,7,1\n2,1\n", "line 4: has 2 cells, but the first line has 3"),
-        ("0,1,1\n1,7,1\n2,1,abc\n", "line 4, column 'p_r': 'abc'"),
-        ("0,1,1\n\n1,1,1\n", "line 3, column t: is blank; every row needs a time"),
-        ('0,"1,1\n1,1,1\n', "line 2: has 2 cells.*a quotation mark"),
-        ("0,1,1\n1,1,1,1\n", "line 3: has 4 cells"),
-    ],
-)
-def test_a_row_that_is_cut_comes_before_what_other_rows_hold(read, rows, words):
-    with pytest.raises(SessionError, match=words):
-        read("t,mode,p_r\n" + rows)
-
-
-def test_an_odd_row_that_is_no_text_says_so_and_nothing_else(read, monkeypatch):
-    """A traceback printed beside the error would frighten whoever reads it."""
-    printed = []
-    monkeypatch.setattr("sys.unraisablehook", printed.append)
-    with pytest.raises(SessionError, match="line 3: byte 0xe4 is not UTF-8 text"):
-        read(b"t,p_r\n0,0.3\n\xe4\n1,0.3\n")
-    assert printed == []
-
-
 def test_a_last_line_that_was_cut_is_noted_and_warned_of(read):
     with pytest.warns(UserWarning, match=r"run\.csv: the last line has no end; .* cut short"):
         session = read("t,p_r\n0,0.31\n1,0.32\n2,0.3")
     assert session.metadata.more["last line"].startswith("has no end")
     assert session["p_r"].tolist() == [0.31, 0.32, 0.3]
-
-
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r", "\n\n", "\r\n\r\n\r\n"])
-def test_a_last_line_that_ends_is_not_doubted(read, recwarn, end):
-    session = read(f"t,p_r{end[-1]}0,0.3{end[-1]}1,0.31{end}")
-    assert len(session) == 2
-    assert dict(session.metadata.more) == {}
-    assert not recwarn.list
-
-
-def test_columns_leaves_out_by_name(read):
-    text = "t,mode,remark,remark\n0,1,a,b\n1,0,c,d\n"
-    session = read(text, columns=["mode", "t", "mode"])
-    assert session.data.to_dict("list") == {"mode": [1.0, 0.0]}
-    assert session.metadata == Metadata(source=session.metadata.source)
-    with pytest.raises(SessionError, match="'p_r' is missing"):
-        read(text, columns=["p_r"])
-
-
-def test_a_run_of_spaces_separates_once(read):
-    session = read("  t    p_r\n 0.0   1  \n 0.5  2\n 1.0 3\r\n", name="a.txt", delimiter=" ")
-    assert (session.t.tolist(), session["p_r"].tolist()) == ([0.0, 0.5, 1.0], [1.0, 2.0, 3.0])
-    assert read("t,p_r\n0,1\n1,2\n", name="a.tsv", delimiter=",")["p_r"].tolist() == [1.0, 2.0]
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.parquet", "a.feather", "frame"])
@@ -263,9 +215,3 @@ robot_x = {{ column = "pos", item = 1, unit = "m" }}"""
     else:
         with pytest.raises(SessionError, match=r"line 2, column 'pos' \(robot_x\): .* number 1 \("):
             read("t|pos\n" + lines, recipe)
-
-
-def test_a_compressed_file_that_is_cut(read):
-    packed = gzip.compress(b"t,p_r\n0,1\n1,2\n")
-    with pytest.raises(SessionError, match=r"run\.csv\.gz: not a gzip file, .*truncated"):
-        read(packed[:-6], name="run.csv.gz")

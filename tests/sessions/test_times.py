@@ -40,15 +40,6 @@ def test_times_in_other_units(read, unit, times):
     assert note == ("1 passed; times count on" if "23" in str(times[0])[:2] else None)
 
 
-@pytest.mark.filterwarnings("ignore:.*samples are 43199 s apart")
-def test_a_clock_that_is_set_back_passes_no_midnight(read):
-    """Half a day back is the day after, less is a clock that was set."""
-    text = ZERO.replace("UNIT", "clock")
-    with pytest.raises(SessionError, match="line 3, column t: time runs backwards"):
-        read("t,a\n12:00:01,1\n00:00:02,2\n", text)
-    assert read("t,a\n12:00:01,1\n00:00:00,2\n", text).duration == 43199.0
-
-
 @pytest.mark.parametrize("zone", ["", "Z", "+01:00"])
 def test_dates_keep_their_digits(read, zone):
     """Oracle: fractions of whole numbers, exact to the rounding of one float."""
@@ -166,39 +157,6 @@ def test_blanks_are_filled_as_pandas_fills_them(cells, row):
     assert note.startswith(f"{cut} ")
 
 
-def test_blanks_at_both_ends_and_the_line_of_a_fault_behind_them(read):
-    text = '[columns]\np_r = { column = "a", blank = "linear" }\nr = { column = "b" }'
-    rows = "t,a,b\n0,,.1\n1,5,.1\n2,,.2\n3,7,.3\n4,,.4\n5,,.5\n"
-    session = read(rows, text)
-    assert (session.t.tolist(), session["p_r"].tolist()) == ([1, 2, 3], [5, 6, 7])
-    assert session.metadata.more["rows cut"].startswith("1 at the start and 2 at the end")
-    with pytest.raises(SessionError, match=r"line 5, column 'r', t = 3 s: 7\.0 lies outside"):
-        read(rows.replace(".3\n", "7\n"), text)
-
-
-def test_columns_whose_known_rows_do_not_overlap_are_refused(read):
-    text = '[columns]\np_r = { column = "a", blank = "linear" }\n'
-    text += 'p_h = { column = "b", blank = "linear" }'
-    with pytest.raises(SessionError, match="no row has a value, or blanks to be filled, in every"):
-        read("t,a,b\n0,1,\n1,2,\n2,,3\n3,,4\n", text)
-
-
-@pytest.mark.parametrize("word", ["", "NaN", "NA", "N/A", "null", "None", "-"])
-def test_words_for_blanks(read, word):
-    text = (
-        '[columns]\np_r = { column = "a", blank = "linear" }\n'
-        'mode = { column = "m", blank = "hold", map = { AUTO = 0, NONE = 1 } }\n'
-        'robot_x = { column = "c", unit = "m", blank = "hold", item = 1 }'
-    )
-    rows = f'0,1,AUTO,"(1,2)"\n1,{word},{word},{word}\n2,3,NONE,"(3,4)"\n'
-    session = read("t,a,m,c\n" + rows, text)
-    assert session["p_r"].tolist() == [1, 2, 3]
-    assert session["mode"].tolist() == [0, 0, 1]
-    assert session["robot_x"].tolist() == [2, 2, 4]
-    with pytest.raises(SessionError, match=r"line 3, column 'p_r', t = 1 s: nan is missing.*hold"):
-        read("t,a,m,c\n" + rows, text.replace(', blank = "linear"', ""))
-
-
 # --- resampling ---------------------------------------------------------------------------------
 
 
@@ -250,12 +208,6 @@ def test_samples_stay_their_own_when_times_are_seconds_since_1970(start, step, f
     text = ZERO.replace("UNIT", "s").replace("true", from_zero)
     session = read_frame(frame, table_recipe(RESAMPLED.format("previous", step) + text))
     assert session["p_r"].tolist() == frame["a"].tolist()
-
-
-def test_a_heading_that_counts_its_turns_goes_on_counting():
-    frame = pd.DataFrame({"t": [0.0, 1.0, 2.0], "yaw": [6.0, 7.0, 8.0]})
-    halves = read_frame(frame, resample="linear", sample_time=0.5)["yaw"]
-    np.testing.assert_allclose(halves, [6.0, 6.5, 7.0, 7.5, 8.0], rtol=1e-15)
 
 
 def test_a_recipe_resamples_each_column_by_its_own_rule(read):

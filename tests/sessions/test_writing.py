@@ -90,28 +90,12 @@ def test_others_read_what_is_written(tmp_path, name):
         assert columns == {f"/trustlab/{column}": expected[column].tolist() for column in expected}
 
 
-def test_a_note_of_a_cut_line_is_of_the_file_that_was_read(read, tmp_path, recwarn):
-    with pytest.warns(UserWarning, match="the last line has no end"):
-        cut = read("t,p_r\n0,0.31\n1,0.3")
-    recwarn.clear()
-    read_session(write_session(cut, tmp_path / "whole.csv"))
-    assert not recwarn.list
-
-
 def test_a_bag_that_lost_samples_is_noticed(tmp_path, monkeypatch):
     to_json = tl.sessions.session.metadata_to_json
     doubled = lambda metadata, samples: to_json(metadata, samples=2 * samples)  # noqa: E731
     monkeypatch.setattr("trustlab.sessions.writing.metadata_to_json", doubled)
     with pytest.raises(SessionError, match="has 50 samples where its metadata say 100"):
         read_session(write_session(session(), tmp_path / "half.mcap"))
-
-
-def test_metadata_that_would_not_read_back(tmp_path):
-    for value in ((1, 2), {1: 2}, np.arange(2), object()):
-        with pytest.raises(SessionError, match=r"a\.csv: metadata 'when' would not read back"):
-            write_session(session().with_metadata(when=value), tmp_path / "a.csv")
-    written = write_session(session().with_metadata(when=np.int64(3)), tmp_path / "a.CSV")
-    assert read_session(written).metadata.more["when"] == 3
 
 
 # --- whole or not there -------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from hypothesis import given, settings, strategies as st
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import (
     Delay,
-    delays_in_samples,
     packet_delay,
     random_walk_delay,
 )
@@ -224,15 +223,6 @@ def test_a_ledger_never_gives_more_than_it_got(events):
         assert ledger.balance >= 0.0
 
 
-def test_a_ledger_books_a_packet_once():
-    ledger = EnergyLedger(T)
-    assert ledger.receive(3, [1.0, 0.0])
-    assert not ledger.receive(3, [9.0, 9.0])
-    assert ledger.receive(1, [5.0, 0.0])  # late: its energy counts, its wave is old
-    assert ledger.read().tolist() == [1.0, 0.0]
-    assert ledger.received == pytest.approx(T * 26.0)
-
-
 def test_random_walk_keeps_bounds_rate_and_seed():
     delay = random_walk_delay(0.05, 0.8, 0.6, seed=4)
     values = delay.samples(5000, T)
@@ -242,15 +232,6 @@ def test_random_walk_keeps_bounds_rate_and_seed():
     np.testing.assert_array_equal(
         values, random_walk_delay(0.05, 0.8, 0.6, seed=4).samples(5000, T)
     )
-
-
-def test_numbers_and_functions_as_delays():
-    pair = {"delay_1": lambda t: 0.1 + 0.05 * math.sin(t), "delay_2": 0.3}
-    delays = delays_in_samples(pair, 0.05, "interpolated", 50, T)
-    np.testing.assert_allclose(delays[0], 10.0 + 5.0 * np.sin(T * np.arange(50)))
-    np.testing.assert_array_equal(delays[1], 30.0)
-    none = delays_in_samples({"delay_1": 0.0, "delay_2": 0.0}, 0.0, "ledger", 10, T, zero=True)
-    assert not none.any()
 
 
 def test_a_trace_of_packets_is_read_at_the_newest_that_arrived():
@@ -281,76 +262,21 @@ ONE = np.ones((50, 1))
     ("make", "words"),
     [
         (lambda: Scattering(0.0), "b must be positive"),
-        (lambda: Scattering(-1.0), "must be positive"),
-        (lambda: Scattering(1.0, alpha_min=0.0), "alpha_min must be positive"),
-        (lambda: Scattering(1.0, beta_min=0.0), "beta_min must be positive"),
         (lambda: Scattering(1.0, alpha_min=0.9, alpha_max=0.3), "alpha_min must not exceed"),
-        (lambda: Scattering(1.0, alpha_max=1.2), "alpha_max must not exceed 1"),
-        (lambda: Scattering(1.0, max_delay_rate=1.1), "grows faster than time"),
-        (lambda: random_walk_delay(0.1, 0.5, 1.2), "grows faster than time"),
-        (lambda: random_walk_delay(0.0, 0.5, 0.2), "low must be positive"),
         (
             lambda: channel_run(ONE, ONE, Scattering(1.0), T, -0.1),
             "delay_1: a constant delay must not be negative",
-        ),
-        (lambda: random_walk_delay(0.5, 0.1, 0.2), "low must be below high"),
-        (lambda: random_walk_delay(0.1, 0.5, 0.2, seed=None), "seed must be a whole number"),
-        (
-            lambda: channel_run(ONE, ONE, Scattering(1.0), T, "late"),
-            "delay_1: a constant delay must be a number",
         ),
         (
             lambda: channel_run(ONE, ONE, Scattering(1.0), T, (0.1, 0.2)),
             "delay_1: a constant delay must be a number",
         ),
-        (
-            lambda: channel_run(ONE, ONE, Scattering(1.0), T, 0.1, lambda t: 0.1 + 0.5 * t),
-            r"delay_2 is 0\.1 s at t = 0 s: from there it grows faster than max_rate = 0",
-        ),
-        (
-            lambda: channel_run(ONE, ONE, Scattering(1.0), T, lambda t: 1.0 / t),
-            "delay_1 gives no 50 delays: float division by zero",
-        ),
-        (lambda: channel_run(ONE, ONE, Scattering(1.0), T, 0.6, 0.1), "longer than the run"),
-        (lambda: channel_run(ONE, ONE, Scattering(1.0), T, 0.004, 0.1), "at least one sample"),
         (lambda: channel_run(ONE, ONE, Scattering(1.0), T, 0.0, 0.1), "at least one sample"),
-        (lambda: channel_run(ONE, ONE[:-1], Scattering(1.0), T), "same shape"),
-        (
-            lambda: channel_run(ONE * np.nan, ONE, Scattering(1.0), T),
-            "r_m must be finite, but sample 0 is nan",
-        ),
-        (lambda: channel_run(ONE, ONE, 1.0, T), "must be of class Scattering"),
         (lambda: channel_run(ONE, ONE, Scattering(1.0), T, alpha=1.5), "alpha must lie in"),
-        (
-            lambda: channel_run(ONE, ONE, Scattering(1.0), T, beta=np.ones(3)),
-            "beta must be a number or",
-        ),
-        (
-            lambda: channel_run(ONE, ONE, Scattering(1.0), T, read_out="guess"),
-            "read_out must be one of",
-        ),
-        (
-            lambda: channel_run(
-                ONE,
-                ONE,
-                Scattering(1.0),
-                T,
-                random_walk_delay(0.02, 0.3, 0.5),
-                read_out="interpolated",
-            ),
-            "max_delay_rate = 0",
-        ),
-        (
-            lambda: Delay(lambda t: 0.1 + 0.5 * t, 0.1, "this delay").samples(50, T),
-            r"this delay is 0\.1 s at t = 0 s: from there it grows faster than max_rate = 0\.1",
-        ),
         (
             lambda: Delay(lambda t: 0.1 - t, 0.1, "this delay").samples(50, T),
             r"-0\.01 s at t = 0\.11 s: it must not be negative",
         ),
-        (lambda: Delay(lambda t: t * np.nan, 0.1, "this delay").samples(50, T), "nan s at t = 0 s"),
-        (lambda: EnergyLedger(T).receive(-1, [1.0]), "whole number"),
-        (lambda: EnergyLedger(T).receive(0, [np.inf]), "wave of packet 0 must be finite"),
         (lambda: EnergyLedger(0.0), "sample_time must be positive"),
     ],
 )
@@ -359,24 +285,10 @@ def test_bad_input_is_refused(make, words):
         make()
 
 
-def test_scales_at_their_bounds_and_a_little_beyond():
-    waves = Scattering(1.0, 0.2, 0.8, 0.5, 2.0)
-    waves.check_scales([0.2, 0.8], [0.5, 2.0])
-    for name, k, value in (("alpha", 0, 0.19), ("alpha", 1, 0.81), ("beta", 0, 0.49)):
-        scales = {"alpha": [0.2, 0.8], "beta": [0.5, 2.0]}
-        scales[name][k] = value
-        with pytest.raises(ValueError, match=rf"{name} must lie in .* sample {k} is {value}"):
-            waves.check_scales(**scales)
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ({"max_delay_rate": -0.1}, "max_delay_rate must lie in"),
-        ({"max_delay_rate": 1.1}, "max_delay_rate must lie in"),
-        ({"b": 0.0}, "b must be positive"),
-        ({"alpha_min": 0.0}, "alpha_min must be positive"),
-        ({"beta_min": 1.1}, "beta_min must not exceed beta_max"),
         ({"alpha_max": 1.1}, r"alpha_max must not exceed 1 \(3\.1\)"),
     ],
 )

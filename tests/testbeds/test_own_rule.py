@@ -5,8 +5,6 @@ Oracles: the rule applied to what was logged gives the modes that were driven, a
 driven as given, give the same log.
 """
 
-import warnings
-
 import numpy as np
 import pytest
 
@@ -93,26 +91,6 @@ def test_a_rule_flies_too():
         assert driven == mode
 
 
-def test_the_rules_of_the_package_are_rules_too():
-    for first in (0, 1):
-        thresholds = tl.ThresholdRule(0.0, 0.35, mode=first)
-        run = tl.run_condition(rule=thresholds, participant=2, laps=3, seed=1)
-        assert run.session["mode"][0] == first
-        assert thresholds.mode == first
-    run = tl.run_condition(rule=tl.PerformanceRule(0.24, 0.35), participant=2, laps=3, seed=1)
-    assert run.session["mode"][0] == 1.0
-
-
-@pytest.mark.parametrize("kind", [bool, np.bool_, int])
-def test_a_rule_may_return_a_truth_value(kind):
-    class Alone:
-        def step(self, tsc, p_r):
-            return kind(False)
-
-    run = tl.run_condition(rule=Alone(), participant=2, laps=2, seed=1)
-    assert (run.session["mode"][run.session.t > 100.05] == 0.0).all()
-
-
 def test_rules_that_fail_say_when():
     class Late:
         def step(self, tsc, p_r):
@@ -142,14 +120,3 @@ def test_rules_that_fail_say_when():
     ):
         with pytest.raises(ValueError, match=says):
             tl.run_condition(**{"participant": 2, "laps": 2} | more)
-
-
-def test_runs_in_which_nobody_can_switch_warn():
-    with pytest.warns(UserWarning, match="nobody may switch in the first 100 s.*take more laps"):
-        tl.run_condition("C3", participant=2, laps=1)
-    with pytest.warns(UserWarning, match="nobody"):
-        tl.virtual_study(n=4, conditions=["C1", "C3"], laps=1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        study = tl.virtual_study(n=4, conditions=["C1", "C3"], laps=3)
-    assert study.measures["switches"].sum() > 0

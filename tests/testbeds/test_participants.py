@@ -30,28 +30,6 @@ def test_operators_are_what_the_tables_print(operators, name):
     assert published_thresholds(name) == (pair["TSC_l"], pair["TSC_u"])
 
 
-def test_the_pilot_has_a_model_and_thresholds():
-    assert published_model("pilot") == tl.published_models()["pilot"]
-    assert published_thresholds("pilot") == (0.02, 0.45)
-    who = published_operator("pilot")
-    assert (who.lower, who.upper, who.participant) == (0.02, 0.45, "pilot")
-
-
-@pytest.mark.parametrize("given", [3, "3", " 3 ", 3.0, np.int64(3)])
-def test_ways_to_name_a_participant(given):
-    assert published_operator(given).participant == "3"
-    assert published_operator(given) == published_operator("3")
-
-
-@pytest.mark.parametrize(
-    "wrong", [0, 6, -1, 2.5, True, None, np.nan, np.inf, "six", "", [1], {}, 1j, 10**400]
-)
-def test_unknown_participants_are_told_the_known(wrong):
-    for ask in (published_operator, published_model, published_thresholds):
-        with pytest.raises(ValueError, match="'pilot', '1', '2', '3', '4', '5', or an Operator"):
-            ask(wrong)
-
-
 @pytest.mark.parametrize("condition", ["C1", "C2", "C3", "C4", "C5"])
 def test_run_condition_as_typed(operators, condition):
     run = tl.run_condition(condition, participant=2, laps=2, seed=7)
@@ -68,12 +46,6 @@ def test_run_condition_as_typed(operators, condition):
     assert (run.thresholds is None) == (condition not in ("C2", "C3"))
     assert run.session.metadata.participant == "2"
     assert run.session.metadata.synthetic
-
-
-def test_another_model_than_the_printed_one(operators):
-    run = run_condition("C3", participant=2, model=operators["1"], thresholds=(0.1, 0.5), laps=1)
-    assert run.model is operators["1"]
-    assert run.operator == published_operator(2)
 
 
 @pytest.mark.parametrize("name", ["pilot", *PEOPLE])

@@ -23,12 +23,6 @@ def test_settings_fly_the_task_delays_and_reach_of_their_study(study):
     np.testing.assert_array_equal(data["reference_x"], by_name.data["reference_x"])
 
 
-def test_own_settings_name_the_study_they_belong_to():
-    with pytest.raises(ValueError, match="study must be one of 'preliminary', 'main'"):
-        replace(STUDIES["main"], study="third")
-    assert replace(STUDIES["main"], title="mine").study == "main"
-
-
 SETTINGS = replace(
     STUDIES["main"],
     human_to_robot=TrustModel(0.3, 0.2, t_min=0.0, t_max=2.0, p_min=0.2, p_max=0.9),

@@ -9,14 +9,10 @@ import pytest
 
 from tests.teams import simulate_team
 from trustlab.teleoperation import (
-    Delay,
     GivenSequence,
     GraphError,
     MostTrusted,
-    PartError,
-    TeamOperator,
     TeamSettings,
-    algebraic_connectivity,
     team_graph,
 )
 
@@ -94,27 +90,6 @@ def test_robots_that_come_and_go_arrive(seed, tmp_path):
     assert len(run.links) == 3
 
 
-def test_links_of_no_weight_leave_the_team_to_itself():
-    """
-    Negative control of coupling: a robot whose links are all lost stays where it is, and is the
-    only one that does.
-    """
-    ring = nx.cycle_graph(5)
-    cut = ring.copy()
-    cut.remove_edges_from([(0, 1), (4, 0)])
-    run = simulate_team(
-        {0.0: ring, 10.0: cut},
-        GivenSequence([2], times=[0.0]),
-        duration=300.0,
-        seed=3,
-        require_connected=False,
-    )
-    stays = np.ptp(run.positions[run.t >= 10.0], axis=0).max(axis=1)
-    assert stays[0] == pytest.approx(0.0, abs=1e-9)
-    assert (stays[1:] > 0.1).all()
-    assert run.distances[-1, 1:].max() < 1e-3 < run.distances[-1, 0]
-
-
 class TestDirected:
     CHAIN = nx.DiGraph([(1, 0), (2, 1), (3, 2), (3, 0)])  # robot 0 sees nobody and is seen by all
 
@@ -128,13 +103,6 @@ class TestDirected:
             run.data["v_e"] - run.data["supply_error"] + run.data["lost_error"]
         )  # an identity on any graph
         assert np.ptp(error) <= 1e-11 * run.data["v_e"].max()
-
-    def test_only_who_is_seen_by_all_leads(self):
-        with pytest.raises(
-            ValueError,
-            match=r"at t = 0 s the policy picks robot 2, which not all others see.*who can: \[0\]",
-        ):
-            simulate_team(self.CHAIN, GivenSequence([2], times=[0.0]), duration=20.0)
 
     def test_a_graph_in_both_directions_is_the_undirected_one(self):
         """
@@ -177,10 +145,6 @@ class TestDirected:
             )
         assert printed > 0
 
-    def test_connectivity(self):
-        assert algebraic_connectivity(nx.DiGraph([(1, 0), (2, 1)])) == pytest.approx(1.0)
-        assert algebraic_connectivity(nx.DiGraph([(0, 1), (0, 2)])) == 0.0
-
 
 class Patient:
     """
@@ -213,33 +177,6 @@ class TestLivePolicies:
         simulate_team(graph, **(arguments | {"policy": policy, "duration": 5.0}))
         assert policy.seen[500][1] == 1
 
-    @pytest.mark.parametrize(
-        ("answer", "words"),
-        [
-            (lambda now: 9, r"at t = 0 s names robot 9, which does not exist"),
-            (lambda now: "a", "whole numbers"),
-            (lambda now: None, "whole numbers"),
-            (lambda now: 2, r"at t = 3 s the policy picks robot 2, which is not in the team"),
-        ],
-    )
-    def test_answers_are_checked(self, answer, words):
-        policy = Patient()
-        policy.leader = answer
-        smaller = nx.path_graph(2)
-        with pytest.raises(ValueError, match=words):
-            simulate_team({0.0: nx.path_graph(3), 3.0: smaller}, policy, duration=10.0)
-
-    def test_a_policy_that_raises_is_named(self):
-        policy = Patient()
-        policy.leader = lambda now: {}["leader"] if now.t > 1.95 else 0
-        with pytest.raises(PartError, match=r"'patient' raised KeyError: 'leader', at t = 2 s"):
-            simulate_team(nx.path_graph(3), policy, duration=10.0)
-
-    def test_a_delay_that_raises_is_named(self):
-        delay = Delay(lambda t: 1 / 0, 0.5, "my delay")
-        with pytest.raises(ValueError, match="my delay gives no 10000 delays: division by zero"):
-            simulate_team(nx.path_graph(3), delay=delay, duration=10.0)
-
 
 class TestLargeTeams:
     @pytest.mark.parametrize("graph", [nx.connected_watts_strogatz_graph(100, 4, 0.1, seed=0)])
@@ -268,12 +205,6 @@ class TestLargeTeams:
         assert run.operator_passive
         assert np.diff(run.data["v_t"]).max() <= 1e-11 * run.data["v_t"].max()
 
-    def test_directed_graphs_have_no_known_gains(self):
-        with pytest.raises(GraphError, match="directed"):
-            TeamSettings.scaled(nx.DiGraph([(1, 0), (2, 1)]))
-        with pytest.raises(ValueError, match="within"):
-            TeamSettings.scaled(nx.cycle_graph(4), within=0.0)
-
 
 class TestBadChanges:
     RING = nx.cycle_graph(4)
@@ -282,14 +213,7 @@ class TestBadChanges:
         ("graph", "words"),
         [
             ([(3.0, RING)], "dict from time"),
-            ({}, "must be 0"),
-            ({3.0: RING}, "must be 0 and others after 0"),
             ({0.0: RING, -1.0: RING}, "must be 0 and others after 0"),
-            ({0.0: RING, "soon": RING}, "a time of the graph"),
-            (
-                {0.0: RING, 3.0: nx.Graph([(0, 1), (2, 3)])},
-                r"from t = 3 s on: the graph is not connected.*\{0, 1\}; \{2, 3\}",
-            ),
             ({0.0: RING, 3.0: np.zeros((2, 3))}, "from t = 3 s on: graph must be"),
         ],
     )
@@ -311,14 +235,3 @@ class TestBadChanges:
         assert [since for since, _ in run.changes] == [7.1]
         still = np.abs(np.diff(run.positions[:, 3], axis=0)).max(axis=1) < 1e-12
         np.testing.assert_array_equal(still, run.t[1:] > 7.105)
-
-    def test_who_left_does_not_lead(self):
-        with pytest.raises(
-            ValueError, match="at t = 10 s the policy picks robot 3, which is not in the team then"
-        ):
-            simulate_team(
-                {0.0: self.RING, 10.0: nx.cycle_graph(3)},
-                GivenSequence([3], times=[0.0]),
-                duration=20.0,
-                operator=TeamOperator(),
-            )

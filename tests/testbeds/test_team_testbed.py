@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.teleoperation import GivenSequence, TeamOperator, TeamRobot, TeamSettings, TeamTrial
+from trustlab.teleoperation import TeamOperator, TeamRobot, TeamSettings, TeamTrial
 from trustlab.testbeds import RobotTeam
 
 
@@ -46,23 +46,6 @@ def test_a_session_is_a_run_of_the_team():
     assert bed.next_session(person, session) is person
 
 
-def test_a_team_that_does_not_arrive_takes_the_whole_run():
-    bed = RobotTeam(duration=2.0)
-    person = bed.people(1).to_dict("records")[0]
-    measures = bed.run("random", person, 0).measures
-    assert (measures["time"], measures["arrived"]) == (1.9, 0.0)
-
-
-def test_people_of_a_smaller_study_are_the_first_of_a_larger_one():
-    bed, usual = RobotTeam(), TeamOperator()
-    people = bed.people(40, seed=1)
-    assert people.iloc[:5].equals(bed.people(5, seed=1))
-    for name in ("push", "reach", "drag"):
-        assert people[name].between(0.7 * getattr(usual, name), 1.3 * getattr(usual, name)).all()
-        assert people[name].nunique() == 40
-    assert (bed.people(3, {"drag": 2.0})["drag"] == 2.0).all()
-
-
 def test_a_study_tells_policies_apart():
     """Where one robot is deaf, who trusts robots by what they do lets it lead no more."""
     deaf = RobotTeam(robots=(TeamRobot(loss=1.0), *(TeamRobot(),) * 3), duration=60.0)
@@ -79,45 +62,14 @@ def test_a_study_tells_policies_apart():
     assert study.measures.equals(again.measures)
 
 
-def test_conditions_of_a_team_choose_its_testbed():
-    study = tl.virtual_study(n=4, conditions=["hysteresis", "random"], seed=0)
-    assert study.testbed.name == "robot_team"
-
-
 @pytest.mark.parametrize(
     ("call", "says"),
     [
         (lambda: RobotTeam(robots=(1, 2)), r"robots\[0\] must be of class TeamRobot"),
-        (lambda: RobotTeam(robots=TeamRobot()), "a sequence of TeamRobot"),
-        (lambda: RobotTeam(duration=0.0), "duration must be positive"),
-        (lambda: RobotTeam(rules={"random": Nearest}), "a name of its own"),
-        (lambda: RobotTeam(blocks=3), "blocks must be of class TeamSettings"),
         (lambda: RobotTeam().people(2, {"patience": 1.0}), "an assumption must be one of"),
-        (lambda: RobotTeam().people(2, {"drag": -1.0}), "drag must not be negative"),
-        (
-            lambda: tl.virtual_study(n=4, conditions=["hysteresis", ("mine", dict)]),
-            "condition 'mine': policy must be one of",
-        ),
-        (
-            lambda: tl.virtual_study(n=4, conditions=["M", Nearest()]),
-            "a study runs on one testbed",
-        ),
-        (
-            lambda: tl.virtual_study(
-                n=4, testbed=tl.testbeds.UavTracking(), conditions=[Nearest()]
-            ),
-            "no rule decides",
-        ),
         (lambda: RobotTeam().run("random", {}, 0), "push"),
     ],
 )
 def test_what_a_team_refuses(call, says):
     with pytest.raises((ValueError, KeyError), match=says):
         call()
-
-
-def test_a_sequence_of_ones_own():
-    bed = RobotTeam(rules={"twice": lambda: GivenSequence([0, 1], every=5.0)}, duration=20.0)
-    person = bed.people(1).to_dict("records")[0]
-    leaders = bed.run("twice", person, 0).run.data["number"]
-    assert set(leaders) == {0.0, 1.0}

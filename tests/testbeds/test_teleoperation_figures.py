@@ -76,29 +76,3 @@ def test_figures_show_what_was_logged():
     panels = plot_alpha(RUNS)
     np.testing.assert_array_equal(panels[1].lines[0].get_ydata(), RUNS[1]["alpha"])
     assert "synthetic" in panels[1].get_title()
-
-
-@pytest.mark.parametrize(
-    "call", [plot_trajectory, plot_signals, plot_energies, plot_alpha, tl.teleoperation_measures]
-)
-@pytest.mark.parametrize("bad", [3, [3], None, "run"])
-def test_what_is_no_session_is_refused(call, bad):
-    with pytest.raises((ValueError, TypeError)):
-        call(bad)
-
-
-def test_nothing_to_show_is_refused():
-    for call in (plot_alpha, tl.teleoperation_measures):
-        with pytest.raises(ValueError, match="sessions is empty"):
-            call([])
-    with pytest.raises(ValueError, match="2 runs and 1 axes"):
-        plot_alpha(RUNS, plt.subplots()[1])
-
-
-@pytest.mark.parametrize(
-    "call", [plot_trajectory, plot_signals, plot_energies, tl.teleoperation_measures]
-)
-def test_a_session_without_the_columns_is_refused(call):
-    thin = tl.Session(RUNS[0].data[["path_error"]], RUNS[0].metadata)
-    with pytest.raises(ValueError, match="has no column"):
-        call(thin)

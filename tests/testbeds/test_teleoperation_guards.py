@@ -87,17 +87,3 @@ def test_the_ledger_keeps_the_channel_passive_under_jitter_and_loss(scheme):
             assert read.any()
         exchanged = T * (np.abs(vector(data, "r_m") * vector(data, "f_m")).sum(axis=1)).cumsum()
         assert (data["energy_channel"] >= -1e-9 * exchanged).all()
-
-
-@pytest.mark.parametrize(
-    ("bad", "words"),
-    [
-        (np.zeros((5, 2), bool), r"got \(5, 2\)"),
-        (np.zeros((2, 12000)), r"got \(2, 12000\)"),
-        ("none", r"got \(\)"),
-        (1, r"got \(\)"),
-    ],
-)
-def test_losses_of_the_wrong_kind_are_refused(bad, words):
-    with pytest.raises(ValueError, match=rf"arrives must have shape \(12000, 2\), {words}"):
-        simulate_teleoperation(signals={"arrives": bad})

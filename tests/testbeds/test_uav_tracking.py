@@ -257,32 +257,6 @@ def test_the_printed_direction_of_the_force_is_active_and_without_a_guard_diverg
         )
 
 
-def test_without_the_guard_the_port_gives_energy_away():
-    guarded, bare = (
-        simulate_teleoperation("TMIG", seed=2, guidance=Guidance("through_channel", guard))
-        .data["energy_robot"]
-        .min()
-        for guard in ("cancel", "off")
-    )
-    assert guarded > -0.05
-    assert bare < -1.0
-
-
-def test_repaying_keeps_the_port_at_zero_or_above():
-    data = simulate_teleoperation("TMIG", seed=2, guidance="through_channel").data
-    assert data["energy_robot"].min() >= -1e-9
-
-
-def test_same_seed_same_run_and_the_session_says_that_it_is_simulated():
-    one, other = (
-        simulate_teleoperation(seed=3, duration=5.0),
-        simulate_teleoperation(seed=3, duration=5.0),
-    )
-    assert one == other
-    assert one.metadata.synthetic
-    assert not simulate_teleoperation(seed=4, duration=5.0).data.equals(one.data)
-
-
 def test_scales_follow_trust_as_3_5_and_3_6_say():
     for scheme, kind in (("TMIG", "logistic"), ("TMIS", "step")):
         data = simulate_teleoperation(scheme, seed=1, duration=60.0).data
@@ -299,12 +273,6 @@ def test_scales_follow_trust_as_3_5_and_3_6_say():
     assert not felt.to_numpy().any()
 
 
-def test_trust_is_that_of_the_model_driven_by_the_logged_performance():
-    data, settings = simulate_teleoperation("TMIG", seed=5, duration=60.0).data, STUDIES["main"]
-    expected = settings.human_to_robot.simulate(data["p_r"].to_numpy(), 0.01, 0.5)
-    np.testing.assert_allclose(data["trust_hr"], expected, atol=1e-10)
-
-
 def test_performance_is_the_window_mean_of_3_27():
     data, settings = simulate_teleoperation("TMIG", seed=5, duration=40.0).data, STUDIES["main"]
     e = sum((data[f"reference_{a}"] - data[f"robot_{a}"]).abs() for a in "xyz")
@@ -313,18 +281,6 @@ def test_performance_is_the_window_mean_of_3_27():
         1 - (1 - data["alpha"]) * e / settings.error_range
     ).clip(lower=0)
     np.testing.assert_allclose(data["p_r"], now.rolling(1000, min_periods=1).mean(), atol=1e-9)
-
-
-def test_the_hand_is_passive_for_a_fixed_wish():
-    # held still and moved about, the hand gives back no more than its spring held: its energy is
-    # bounded below by zero
-    data = driven(0.01, 0.0, duration=20.0)
-    hand = sum(
-        (data[f"f_h_{a}"] - p) * data[f"device_velocity_{a}"]
-        for a, p in zip("xyz", push(data.index + 0.005).T, strict=True)
-    )
-    given_out = (0.01 * hand).cumsum()
-    assert given_out.max() < 1e-3 * abs(given_out.iloc[-1]) + 0.02
 
 
 def flown(data, matrices):
@@ -372,35 +328,9 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
     ("arguments", "error", "words"),
     [
         ({"scheme": "TMIX"}, ValueError, "did you mean 'TMI"),
-        ({"scheme": "tmigg"}, ValueError, "did you mean 'TMIG'"),
-        (
-            {"scheme": 3},
-            ValueError,
-            "scheme must be one of 'M', 'MI', .*, or a trustlab.Scheme, got 3",
-        ),
-        ({"study": "third"}, ValueError, "study must be one of"),
-        ({"operator": "me"}, ValueError, "operator must be of class Teleoperator"),
-        ({"task": 1}, ValueError, "task must be of class TrackingTask"),
         ({"duration": -1.0}, ValueError, "duration must be"),
-        ({"duration": np.nan}, ValueError, "duration must be finite"),
-        ({"seed": -1}, ValueError, "seed must be"),
-        ({"delay": (-0.1, None)}, ValueError, "delay to the robot: .*negative"),
-        ({"delay": (None, 200.0)}, ValueError, "delay back: .*longer than the run"),
         ({"delay": (0.0, 0.1)}, ValueError, "must both be zero"),
-        ({"delay": (0.005, None)}, ValueError, "at least one sample"),
-        ({"delay": (0.1, 0.1, 0.1)}, ValueError, "one for both ways, or"),
-        ({"signals": {"alpha": np.full(12000, 0.05)}}, ValueError, "alpha must lie in"),
-        ({"signals": {"alpha": np.ones(5)}}, ValueError, r"alpha must have shape \(12000,\)"),
         ({"signals": {"push": np.full((12000, 3), np.nan)}}, ValueError, "push .* but sample 0 is"),
-        ({"signals": {"push": np.ones(3)}}, ValueError, r"push must have shape \(12000, 3\)"),
-        (
-            {"duration": 1.0, "signals": {"u_a": np.tile([0.0, np.nan, 0.0], (100, 1))}},
-            ValueError,
-            "u_a: sample 0 .* all three numbers, or none",
-        ),
-        ({"signals": {"alfa": np.ones(5)}}, ValueError, "did you mean 'alpha'"),
-        ({"signals": 3}, ValueError, "signals must map names to arrays, got 3"),
-        ({"guidance": "by_hand"}, ValueError, "guidance must be one of"),
         ({"guidance": "tank"}, ValueError, "guidance must be one of"),
     ],
 )
@@ -410,52 +340,15 @@ def test_bad_input_is_refused_before_the_run(arguments, error, words):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"where": "by_hand"}, "where must be one of"),
-        ({"guard": "maybe"}, "guard must be one of"),
-        ({"budget": 0.2}, "budget must be of class GuidanceBudget"),
-        ({"force": 3.0}, "force must be a function of the state, got 3.0"),
-    ],
-)
-def test_bad_guidance_is_refused(arguments, words):
-    with pytest.raises(ValueError, match=words):
-        Guidance(**arguments)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"vehicle": (1, 2)}, "three transfer functions"),
-        ({"autonomy": 1.0}, "autonomy must be a function of the state"),
-    ],
-)
-def test_bad_tasks_are_refused(arguments, words):
-    with pytest.raises(ValueError, match=words):
-        TrackingTask(**arguments)
-
-
-@pytest.mark.parametrize(
     ("change", "error", "words"),
     [
         ({"mass": 1.0, "weight": 60.0}, PassivityError, "not r-passive"),
-        ({"k_ffa": -1.0}, ValueError, "k_ffa must not be negative"),
-        ({"window": 0.0}, ValueError, "window must be positive"),
-        ({"scattering": 1.0}, ValueError, "must be of class Scattering"),
-        ({"steepness": 1.0}, ValueError, "at least 10"),
-        ({"sample_time": 0.0}, ValueError, "sample_time must lie"),
         ({"human_to_robot": 1.0}, ValueError, "must be of class TrustModel"),
     ],
 )
 def test_bad_settings_are_refused(change, error, words):
     with pytest.raises(error, match=words):
         replace(STUDIES["main"], **change)
-
-
-def test_a_heavy_device_with_the_preliminary_gains_dissipates_negative_energy():
-    heavy = replace(STUDIES["preliminary"], mass=1.0, require_passive=False)
-    data = simulate_teleoperation("M", study=heavy, duration=10.0).data
-    assert np.diff(data["energy_dissipated"]).min() < 0.0
 
 
 def test_an_unstable_vehicle_stops_the_run_with_time_and_block():

@@ -14,7 +14,6 @@ import pytest
 
 import trustlab as tl
 from tests.live.study.test_crashes import Server, plant_torn_line
-from trustlab.live.study.participant import Participant
 from trustlab.live.study.plan import file_origin, read_tokens
 from trustlab.live.study.server import StudyServer
 from trustlab.live.task import LiveTask, task_of
@@ -401,19 +400,6 @@ def test_a_full_disk_is_said_on_both_pages_and_loses_nothing(served, browser, mo
     until(experimenter, "trouble.hidden")
     assert wait_for_commands(served.plan, made + 5) >= made + 5
     assert page.faults == []
-
-
-def test_a_mistake_of_the_server_is_said_on_both_pages(served, browser, monkeypatch):
-    experimenter = opened(browser.new_context(), served.server.experimenter)
-    with monkeypatch.context() as patched:
-        patched.setattr(Participant, "state", lambda *_: 1 / 0)
-        page = opened(browser.new_context(), served.links["P01"])
-        until(page, "trouble.textContent.includes('(error 500)')")
-        until(experimenter, "trouble.textContent.includes('could not be answered')")
-    until(page, "trouble.hidden")
-    with monkeypatch.context() as patched:
-        patched.setattr(served.server, "overview", lambda: 1 / 0)
-        until(experimenter, "trouble.textContent.includes('error 500')")
 
 
 def test_a_page_whose_commands_cannot_be_stops(served, browser, monkeypatch):

@@ -14,28 +14,12 @@ def done(page, **facts):
     return {"kind": "page", "page": page, **facts}
 
 
-def test_pages_follow_one_another_to_the_last():
-    for count in range(PAGES + 3):
-        now = progress_of([done(page) for page in range(min(count, PAGES))])
-        assert now.page(PAGES) == min(count, PAGES - 1)
-
-
 def test_a_restarted_drive_comes_back_and_what_follows_stays_done():
     events = [done(0), done(1), done(2), {"kind": "restart", "page": 1}]
     assert progress_of(events).page(PAGES) == 1
     assert progress_of(events).attempt(1) == 1
     assert progress_of([*events, done(1)]).page(PAGES) == 3
     assert progress_of([*events, {"kind": "restart", "page": 1}]).attempt(1) == 2
-
-
-def test_the_end_is_the_last_page_wherever_one_is():
-    assert progress_of([done(0), {"kind": "end"}]).page(PAGES) == PAGES - 1
-    assert (
-        progress_of([{"kind": "model", "source": "a"}, {"kind": "model", "source": "b"}]).model[
-            "source"
-        ]
-        == "b"
-    )
 
 
 @given(st.lists(st.integers(0, PAGES - 2), max_size=12), st.randoms())

@@ -15,7 +15,7 @@ from statsmodels.stats.inter_rater import cohens_kappa
 
 import trustlab as tl
 from trustlab.live.study.plan import Plan
-from trustlab.live.task import TASKS, scripted_commands, task_named, task_of
+from trustlab.live.task import task_named, task_of
 from trustlab.live.tasks.agreement import occasions, policy_agreement
 from trustlab.live.tasks.team import ABILITIES, LeadingSettings
 from trustlab.live.tasks.teleoperation import TeleoperationSettings
@@ -128,12 +128,6 @@ def test_a_flight_is_that_of_the_loop():
         np.testing.assert_array_equal(session[name], rows[name])
 
 
-def test_alpha_by_hand_lies_within_its_bounds():
-    loop = tl.TeleoperationLoop("MMI", seed=0)
-    with pytest.raises(ValueError, match="alpha must lie in"):
-        loop.step(hand=(0.0, 0.0, 0.0), alpha=1.5)
-
-
 def test_policies_lead_where_they_should_and_suggest_where_they_should():
     for condition in ("most_trusted", "hysteresis"):
         config = configured("team", condition)
@@ -151,25 +145,6 @@ def test_policies_lead_where_they_should_and_suggest_where_they_should():
     stands = (session["may_switch"] > 0) & (pick != session["leader"])
     assert (suggested[stands] == pick[stands]).all()
     assert not suggested[~stands].any()
-
-
-def test_a_team_at_its_goals_ends_before_its_time():
-    content = LeadingSettings(duration=60.0, goals=1, tolerance=1.0).as_json()
-    protocol = task_named("team")
-    config = protocol.config(content, "most_trusted", {}, 5)
-    hand = protocol.hand(config, np.random.default_rng(0))
-    commands, rows = scripted_commands(protocol, config, hand)
-    session = protocol.session(config, rows)
-    assert len(rows) == len(commands) < config["samples"]
-    assert session["goals_reached"][-1] == 1
-    assert session["goals_reached"][-2] == 0
-    measures = protocol.measures(session)
-    assert measures["duration"] == pytest.approx(0.05 * len(rows))
-    way = sum(
-        np.hypot(x, y)
-        for x, y in zip(np.diff(session["team_x"]), np.diff(session["team_y"]), strict=True)
-    )
-    assert measures["path"] == pytest.approx(way)
 
 
 # studies
@@ -255,15 +230,6 @@ def test_agreement_is_cohens_kappa():
     assert result["high"] < 0.9
 
 
-def test_one_robot_kept_agrees_by_chance_only():
-    kept = a_run(np.ones(200), np.ones(200), np.ones(200))
-    result = policy_agreement([kept])
-    assert np.isnan(result["kappa"]).all()
-    assert (result["agreement"] == 1.0).all()
-    with pytest.raises(ValueError, match="by_hand"):
-        policy_agreement([a_run(np.ones(3), np.ones(3), np.zeros(3))])
-
-
 # what is refused
 # --------------------------------------------------------------------------------------------------
 
@@ -272,35 +238,14 @@ def test_one_robot_kept_agrees_by_chance_only():
     ("make", "message"),
     [
         (lambda f: tl.LiveStudy(f, ["C1", "C2"], 2, task="flying"), "task must be"),
-        (lambda f: tl.LiveStudy(f, ["C1", "C2"], 2, task="team"), "condition must be"),
-        (lambda f: tl.LiveStudy(f, task="team", drives=tl.DriveSettings()), "drives"),
         (lambda f: LeadingSettings(robots=7), "robots"),
-        (lambda f: LeadingSettings(min_dwell=0.0), "min_dwell"),
-        (lambda f: TeleoperationSettings(study="other"), "study"),
         (lambda f: TeleoperationSettings(guidance="nonsense"), "guidance"),
-        (lambda f: tl.LiveStudy(f, task="teleoperation", guidance="nonsense"), "guidance"),
-        (lambda f: tl.LiveTeam("C1", log=f), "condition"),
         (lambda f: tl.LiveTeam(settings=tl.DriveSettings(), log=f), "settings"),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, make, message):
     with pytest.raises((ValueError, TypeError), match=message):
         make(tmp_path / "s")
-
-
-def test_own_conditions_belong_to_the_ground_robot(tmp_path):
-    own = tl.LiveCondition("mine")
-    with pytest.raises(ValueError, match="ground robot"):
-        tl.LiveStudy(tmp_path / "s", ["by_hand", own], 2, task="team")
-
-
-def test_every_task_has_what_the_protocol_asks_for():
-    for name in TASKS:
-        protocol = task_named(name)
-        assert protocol.name == name
-        assert len(protocol.conditions) > 1
-        assert protocol.reported
-        assert isinstance(protocol.settings().as_json(), dict)
 
 
 # another model of trust

@@ -75,31 +75,6 @@ def test_the_slips_are_these(verdicts):
     assert set(verdicts.index[verdicts["verdict"] == "differs"]) == SLIPS
 
 
-def test_settings_by_hand(verdicts):
-    """
-    The handle of (3.10), the mean of a task load index of five people, Routh's margin, and what
-    rests on a slip.
-    """
-    assert "9.17 g" in verdicts.loc["section_3_8_1/B", "reason"]
-    assert verdicts.loc["section_3_8_1/B", "reason"].startswith("Suspicious")
-    assert not verdicts.loc["section_3_9/B", "reason"].startswith("Suspicious")
-    possible = {
-        round(k * step / 5, 2) for step in (5 / 6, 1 / 3, 1 / 6, 1 / 15) for k in range(5 * 1501)
-    }
-    assert 49.06 not in possible
-    assert "GRIM" in verdicts.loc["table_2.4/C4/tlx_mean", "reason"]
-    assert 41.6 in possible
-    assert "GRIM" not in verdicts.loc["table_2.4/C5/tlx_mean", "reason"]
-    poles = np.roots([1.0, 1.475, 0.2214 + 9.22 * 0.02, 9.22 * 0.5])
-    assert max(poles.real) > 0.0
-    assert verdicts.loc["section_2_4_1_2/limits/5", "reason"].endswith(
-        "Rests on table_2.1/TSC_ub/5, judged “differs”."
-    )
-    assert "uav.tlx/n, judged" in verdicts.loc["uav.tlx/anova.df2", "reason"]
-    assert "judged" not in verdicts.loc["teleop.tlx/anova.df2", "reason"]
-    assert verdicts.loc["section_2_4_2_3/study", "recomputed"] == pytest.approx((15 + 10 + 60) / 60)
-
-
 def test_a_heavier_damping_carries_a_handle():
     """Negative control."""
     found = quick({"section_3_8_1/B": "60"})
@@ -194,54 +169,6 @@ def test_delta_tsc_by_hand(verdicts, p, verdict):
     )
 
 
-@pytest.mark.parametrize(
-    ("p", "verdict"), [("2", "reproduced"), ("4", "reproduced"), ("5", "differs")]
-)
-def test_upper_limit_by_hand(verdicts, p, verdict):
-    a_t, b_t, t = gain_and_bias(p)
-    keep = 1 - Fraction(t["a_pr"])
-
-    def upper(gain):
-        slope = a_t * Fraction(gain) / keep - b_t
-        assert slope < 0
-        start = a_t * Fraction(t["P_r_min"]) - b_t * Fraction(t["delta_P_h"]) / keep
-        return slope * Fraction(t["P_h_max"]) + start
-
-    assert hand(verdicts, f"table_2.1/TSC_ub/{p}", upper(t["b_pr"])) == verdict
-    if verdict == "differs":
-        assert f"{float(upper(tl.published_table('2.1').loc['b_pr', '4'])):.3f}" == t["TSC_ub"]
-        assert "participant 4" in verdicts.loc[f"table_2.1/TSC_ub/{p}", "reason"]
-
-
-def test_percentages_by_hand(verdicts):
-    def of(id, value):
-        return hand(verdicts, f"claim/{id}", value)
-
-    assert (
-        of("section_2_1/c3_raises_uav_robot_performance_over_c1_by", 100 * (0.551 / 0.493 - 1))
-        == "reproduced"
-    )
-    assert (
-        of("section_2_1/c3_lowers_perceived_workload_against_c1_by", 54.296 - 44.213) == "differs"
-    )
-    assert (
-        of("remark_7/c5_robot_performance_over_c3_by_2_39", 100 * 0.019 / 0.16) == "within rounding"
-    )
-    assert (
-        of("section_2_4_2_4/uav_robot_performance_c5_over_c1", 100 * 0.087 / 0.493)
-        == "within rounding"
-    )
-    assert of("section_3_8_3/tmig_lowers_error_against_m_by", 100 * 1.16 / 3.79) == "reproduced"
-    assert of("section_3_8_3/tmig_lowers_workload_against_m_by", 54.12 - 30.21) == "reproduced"
-    assert (
-        of("section_2_4_1_3/c2_suggestions_followed_more_than_c4_by", 78.57 - 63.89) == "reproduced"
-    )
-    assert (
-        "23.0 %"
-        in verdicts.loc["claim/section_2_4_1_3/c2_suggestions_followed_more_than_c4_by", "reason"]
-    )
-
-
 def test_statistics_by_hand(verdicts):
     # P(F(4, m) > f) = x^(m/2) (1 + (m/2)(1 − x)), x = m/(m + 4 f).
     x = 140 / (140 + 4 * 18.714)
@@ -258,26 +185,6 @@ def test_statistics_by_hand(verdicts):
     assert hand(verdicts, "table_2.6/C2/sd", spread) == "reproduced"
     assert abs(spread * np.sqrt(0.8) - 29.45) > 3
     assert verdicts.loc["table_2.6/C4/5", "reason"].endswith("1 of 4.")
-
-
-CORRECTIONS = {
-    "table_2.1/delta_TSC/2": "0.0061",
-    "table_2.1/delta_TSC/4": "0.0059",
-    "table_2.1/delta_TSC/5": "0.0056",
-    "table_2.1/TSC_ub/5": "0.358",
-    "teleop.tracking_error/anova.df1": "2.435",
-    "claim/section_2_1/c3_lowers_perceived_workload_against_c1_by": "10.08",
-    "section_2_4_2_4/anovas": "six",
-    "figure_2_18/TSC_ld": "0.15",
-    "figure_2_18/TSC_ud": "0.56",
-    "section_3_8_3/MI_tlx": "third best",
-    "appendix_a/state/x_damping": "1.475",
-}
-
-
-@pytest.mark.parametrize(("id", "text"), CORRECTIONS.items())
-def test_a_corrected_slip_is_reproduced(id, text):
-    assert quick({id: text})[id].verdict == "reproduced"
 
 
 SPOILED = {
@@ -376,13 +283,6 @@ def test_participant_3_follows_from_other_thresholds(verdicts):
     assert {row.id: row.verdict for row in joint_rows(numbers)}[id] == "within rounding"
 
 
-def test_a_spoiled_column_does_not_fit(verdicts):
-    id = "table_2.2/P_ru/4/column"
-    assert verdicts.loc[id, "verdict"] == "within rounding"
-    numbers = printed_numbers({"table_2.2/r_l/4": "0.687"})
-    assert {row.id: row.verdict for row in joint_rows(numbers)}[id] == "differs"
-
-
 def test_no_certain_slip_within_rounding():
     # Brute force: 20,000 draws of inputs that round as printed never give the printed number, by
     # any convention.
@@ -402,39 +302,10 @@ def test_no_certain_slip_within_rounding():
             assert not ((found >= least) & (found <= most)).any(), (check.number, way.label)
 
 
-def test_duplicates_are_named():
-    id = "teleop.satisfaction/mauchly.chi2/duplicate"
-    row = quick()[id]
-    assert row.reason.startswith(
-        "Suspicious: χ² = 5.14 and p = 0.399 are printed for teleop.tlx as well"
-    )
-    assert id not in quick({"teleop.tlx/mauchly.chi2": "5.41"})
-
-
-def test_suspicion_is_said_first(verdicts):
-    odd = verdicts[verdicts["reason"].str.contains("Suspicious")]
-    assert odd["reason"].str.startswith("Suspicious").all()
-    assert not (odd["verdict"] == "differs").any()
-    assert len(odd) >= 10
-
-
-def test_same_every_time(verdicts):
-    again = audit().set_index("id")
-    assert again.equals(verdicts)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"table_2.1/a_r/9": "1"}, "no printed number has the id"),
-        ({"table_2.1/ar/1": "1"}, "did you mean 'table_2.1/a_r/1'"),
-        ({3: "1"}, "no printed number has the id 3"),
-        ("differs", "changes must map ids"),
-        (["table_2.1/a_r/1"], "changes must map ids"),
-        ({"table_2.1/a_r/1": 0.5}, "must be a text"),
-        ({"table_2.1/a_r/1": " "}, "must be a text"),
-        ({"table_2.1/a_r/1": "about 1"}, "must be a number as printed"),
-        ({"table_2.1/a_r/1": "nan"}, "must be a number as printed"),
         ({"table_2.1/a_r/1": "inf"}, "must be a number as printed"),
     ],
 )

@@ -4,7 +4,6 @@ the bounds used.
 """
 
 import math
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -12,9 +11,9 @@ from hypothesis import given, settings, strategies as st
 from scipy import stats
 
 from trustlab.reproduction.audit.catalogue import printed_numbers
-from trustlab.reproduction.audit.check import Check, Formula, Possible, reach, rows_of, show
+from trustlab.reproduction.audit.check import Check, Formula, reach, rows_of
 from trustlab.reproduction.audit.relations import chi2_of_epsilon
-from trustlab.reproduction.audit.sample_moments import attainable, sample_checks, simplest_ratio
+from trustlab.reproduction.audit.sample_moments import sample_checks
 from trustlab.reproduction.printed_number import PrintedNumber
 from trustlab.studies.anova import mauchly_p_value
 
@@ -35,12 +34,6 @@ def test_printed_text_keeps_its_rounding():
     assert math.isnan(number("met").value)
 
 
-def test_shown_as_printed():
-    assert show(2.43545, number("2.425")) == "2.435"
-    assert show(0.0060521, number("0.0047"), 2) == "0.006052"
-    assert show(6.0, number("seven")) == "6"
-
-
 positive = st.floats(0.1, 10.0)
 
 
@@ -58,12 +51,6 @@ def test_reach_holds_every_point_of_the_box(a, b, c, half):
     found = compute({k: middle[k] + half * draws[i] for i, k in enumerate(middle)})
     assert found.min() >= low - 1e-12
     assert found.max() <= high + 1e-12
-
-
-def test_reach_of_many_inputs_takes_the_corners():
-    middle = {f"x{i}": 1.0 for i in range(9)}
-    value, low, high = reach(lambda v: sum(v.values()), middle, dict.fromkeys(middle, 0.5))
-    assert (value, low, high) == pytest.approx((9.0, 4.5, 13.5))
 
 
 NUMBERS = {
@@ -104,32 +91,6 @@ def test_conventions_are_tried_and_explanations_only_explain():
 def test_one_digit_is_noticed():
     assert "One digit differs." in verdict("6.9").reason
     assert "One digit differs." not in verdict("7.1").reason
-
-
-def test_possible_ranges():
-    least = Formula("a", lambda v: v.a, {"a": "a"})
-    most = Formula("b", lambda v: v.b, {"b": "b"})
-
-    def at(text):
-        numbers = NUMBERS | {"product": PrintedNumber("product", "Table", "product", text)}
-        return Possible("product", least, most).row(numbers).verdict
-
-    assert at("2.5") == "not checkable"
-    assert at("1.9") == "not checkable"  # 1.95 rounds to it
-    assert at("1.80") == "differs"
-    assert at("3.2") == "differs"
-
-
-def test_whole_points():
-    # 1895/360 = 5.26389 for ten items and 36 people; 5.364 is no sum over twelve.
-    assert attainable(number("5.264"), Fraction(360)) == pytest.approx(1895 / 360)
-    assert math.isnan(attainable(number("5.364"), Fraction(432)))
-    every = {f"{k / 432:.3f}" for k in range(432, 3025)}
-    assert "5.364" not in every
-    assert "5.364" in {f"{k / 360:.3f}" for k in range(360, 2521)}
-    assert simplest_ratio(number("42.86")) == Fraction(3, 7)
-    assert simplest_ratio(number("68.75")) == Fraction(11, 16)
-    assert simplest_ratio(number("99.99")) is None
 
 
 def test_items_that_fit():

@@ -301,34 +301,6 @@ def test_degrees_of_freedom_say_where_they_belong():
     assert "belongs to the printed degrees of freedom" in answer.left_out["anova.p"]
 
 
-def test_a_row_of_which_nothing_is_left_is_an_answer_too():
-    row = tl.PublishedStudy("s", n=10, mean={"A": "9"}, sd={}, conditions=("A", "B"), scale=(1, 7))
-    answer = tl.feasibility(row)
-    assert answer.feasible is False
-    assert list(answer.left_out) == ["mean.A"]
-    assert tl.reconstruct(row)["value"].between(1, 7).all()
-
-
-def test_inequalities_are_read():
-    printed = {"anova": {"F": "<1", "p": ">.05"}}
-    near = {"mean": {"A": "5.0", "B": "5.1", "F": "5.0"}}
-    assert tl.feasibility(tl.PublishedStudy("s", **{**THREE, **near, **printed})).feasible
-    # Means so far apart have a larger F.
-    far = {"mean": {"A": "5.0", "B": "4.0", "F": "3.0"}}
-    answer = tl.feasibility(tl.PublishedStudy("s", **{**THREE, **far, **printed}))
-    assert answer.feasible is False
-    assert "needs F" in answer.left_out["anova.F"]
-
-
-def test_bad_input_is_refused():
-    with pytest.raises(ValueError, match="p_adjust must be one of"):
-        tl.feasibility(STUDIES["uav.tlx"], "fdr")
-    with pytest.raises(ValueError, match="study must be of class PublishedStudy"):
-        tl.feasibility({"n": 3})
-    with pytest.raises(ValueError, match="seed"):
-        tl.feasibility(STUDIES["uav.tlx"], seed="0")
-
-
 def printed_at_random(rng):
     """A number as a misprint or a careless table may have it."""
     value = rng.normal() * 10.0 ** rng.uniform(-3.0, 3.0)
