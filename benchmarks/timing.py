@@ -1,164 +1,94 @@
-"""Repetitions of two sides in turns, and the row that comes of them."""
+"""One way to time: two calls in turns, or one call against a limit; each gives a row of the table."""
 
 from __future__ import annotations
 
 import gc
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from statistics import median
 from time import perf_counter
+from typing import NamedTuple
 
+# A repetition lasts at least so many seconds: a quicker call is repeated, and the mean is taken.
 LEAST = 0.005
-"""
-Seconds that one repetition lasts at least: a quicker side is called several times and the mean is
-taken.
-"""
 
 
-@dataclass(frozen=True)
-class Spread:
-    """
-    Median, least and greatest of repeated measurements.
+class Row(NamedTuple):
+    """What was done; milliseconds of ours and of the peer; peer / ours within each turn; the goal."""
 
-    Parameters
-    ----------
-    median, low, high : float
-        In the unit of what was measured.
-    """
-
-    median: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: list[float]) -> Spread:
-        """
-        Return the spread of measurements.
-
-        Parameters
-        ----------
-        values : list of float
-            At least one.
-        """
-        return cls(median(values), min(values), max(values))
-
-    def text(self, digits: int = 3) -> str:
-        """
-        Return "median [low–high]".
-
-        Parameters
-        ----------
-        digits : int
-            Significant digits.
-        """
-        return (
-            f"{_short(self.median, digits)} "
-            f"[{_short(self.low, digits)}–{_short(self.high, digits)}]"
-        )
-
-
-def _short(value: float, digits: int) -> str:
-    if value == 0.0:
-        return "0"
-    places = digits - 1 - math.floor(math.log10(abs(value)))
-    return f"{round(value, places):.{max(places, 0)}f}"
-
-
-@dataclass(frozen=True)
-class Row:
-    """
-    One line of the table.
-
-    Parameters
-    ----------
-    case, ours, peer : str
-        What is compared.
-    ours_ms, peer_ms : Spread or None
-        Milliseconds per call.
-    ratio : Spread or None
-        Peer's time over ours within each turn: how many times faster ours is.
-    goal : str
-        In words; empty for information only.
-    met : bool or None
-        Whether the median meets the goal; None without a goal.
-    note : str
-        What a reader must know.
-    fault : str
-        Why there is no comparison; empty when there is one.
-    """
-
-    case: str
-    ours: str
-    peer: str
-    ours_ms: Spread | None = None
-    peer_ms: Spread | None = None
-    ratio: Spread | None = None
+    work: str
+    ours: list[float]
+    peer: str = ""
+    theirs: list[float] = []
+    ratios: list[float] = []
     goal: str = ""
     met: bool | None = None
     note: str = ""
-    fault: str = ""
 
 
-def seconds_per_call(call: Callable[[], object], calls: int) -> float:
-    """
-    Return the mean time of consecutive calls, garbage collection held off.
+class NotComparedError(Exception):
+    """A peer is not there, or computes something else."""
 
-    Parameters
-    ----------
-    call : callable
-        What is timed.
-    calls : int
-        How often, at least once.
-    """
+
+def seconds(call: Callable[[], object], calls: int) -> float:
+    """Return the mean time of a call; a peer in a process of its own returns its seconds."""
     gc.collect()
     gc.disable()
     try:
         began = perf_counter()
-        for _ in range(calls):
-            call()
-        return (perf_counter() - began) / calls
+        told = [call() for _ in range(calls)]
+        spent = perf_counter() - began
     finally:
         gc.enable()
+    return (sum(told) if isinstance(told[0], float) else spent) / calls
 
 
-def here(call: Callable[[], object]) -> Callable[[int], float]:
+def calls_of(call: Callable[[], object]) -> int:
+    """Return how often a call is repeated, after a first one that does not count."""
+    call()
+    return max(1, min(1000, math.ceil(LEAST / seconds(call, 1))))
+
+
+def beside(
+    work: str,
+    ours: Callable[[], object],
+    peer: str,
+    theirs: Callable[[], object],
+    *,
+    least: float | None = None,
+    turns: int = 9,
+    scale: float = 1.0,
+    note: str = "",
+) -> Row:
     """
-    Return a side that runs in this process: a function from a number of calls to seconds per call.
-
-    Parameters
-    ----------
-    call : callable
-        What is timed.
+    Time ours, the peer, ours, the peer …; the goal is that the peer takes at least `least` times
+    as long. A peer that does only a share of the work has its time scaled.
     """
-    return lambda calls: seconds_per_call(call, calls)
-
-
-def in_turns(
-    ours: Callable[[int], float], peer: Callable[[int], float], turns: int, warm: bool = True
-) -> tuple[Spread, Spread, Spread]:
-    """
-    Measure ours, peer, ours, peer … and return milliseconds of both and the ratio peer / ours
-    within turns.
-
-    Parameters
-    ----------
-    ours, peer : callable
-        Sides: functions from a number of calls to seconds per call.
-    turns : int
-        How many of each.
-    warm : bool
-        Whether a first call of each side (compilation, caches) goes before, uncounted.
-    """
-    calls = []
-    for side in (ours, peer):
-        if warm:
-            side(1)
-            calls.append(max(1, min(1000, math.ceil(LEAST / side(1)))))
-        else:
-            calls.append(1)
-    a, b = [], []
+    counts = calls_of(ours), calls_of(theirs)
+    mine, other = [], []
     for _ in range(turns):
-        a.append(1e3 * ours(calls[0]))
-        b.append(1e3 * peer(calls[1]))
-    return Spread.of(a), Spread.of(b), Spread.of([y / x for x, y in zip(a, b, strict=True)])
+        mine.append(1e3 * seconds(ours, counts[0]))
+        other.append(1e3 * scale * seconds(theirs, counts[1]))
+    ratios = [b / a for a, b in zip(mine, other, strict=True)]
+    goal = "" if least is None else f"ratio ≥ {least:.3g}"
+    met = None if least is None else median(ratios) >= least
+    return Row(work, mine, peer, other, ratios, goal, met, note)
+
+
+def within(
+    work: str, call: Callable[[], object], limit: float, *, turns: int = 9, note: str = ""
+) -> Row:
+    """Time a call whose goal is to take at most `limit` milliseconds."""
+    count = calls_of(call)
+    times = [1e3 * seconds(call, count) for _ in range(turns)]
+    return Row(work, times, goal=f"≤ {limit:g} ms", met=median(times) <= limit, note=note)
+
+
+def same(what: str, ours: object, theirs: object, tolerance: float) -> None:
+    """Refuse to compare with a peer whose numbers differ from ours by more than a share of them."""
+    import numpy as np
+
+    ours, theirs = np.asarray(ours, dtype=float), np.asarray(theirs, dtype=float)
+    apart = float(np.max(np.abs(theirs - ours) / np.maximum(np.abs(ours), 1e-12)))
+    if not apart <= tolerance:
+        raise NotComparedError(f"{what}: its results differ by {apart:.1e}")

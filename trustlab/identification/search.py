@@ -141,6 +141,9 @@ class Optimum:
         return "several values explain them equally well; " + " and ".join(ranges)
 
 
+# Status of a search that its callback stopped.
+STOPPED = -2
+
 # --- the search ----------------------------------------------------------------------------------
 
 
@@ -213,6 +216,16 @@ def descend(
         root = problem.equations(at(x)).root[:, moving]
         return np.vstack([root, np.zeros(places.size)])
 
+    def stop(intermediate_result: Any) -> None:
+        # Where a Gauss–Newton step would gain nothing, only rounding would move the search.
+        x = intermediate_result.x
+        if ((problem.low[places] < x) & (x < problem.high[places])).all():
+            here = problem.equations(at(x))
+            root = here.root[:, moving]
+            gain = here.residual @ root @ np.linalg.lstsq(root, here.residual)[0]
+            if gain < 0.01 * tolerance:
+                raise StopIteration
+
     end = least_squares(
         residuals,
         start[places],
@@ -226,11 +239,13 @@ def descend(
         xtol=1e-13,
         gtol=1e-13,
         max_nfev=most,
+        callback=stop,
     )
     held[moving] = end.active_mask != 0
     # No search can come closer than rounding.
     exact = (problem.equations(at(end.x)).squares <= ROUNDING * problem.floors).all()
-    return at(end.x), held, bool(end.success or exact), int(end.nfev)
+    settled = end.success or end.status == STOPPED or exact
+    return at(end.x), held, bool(settled), int(end.nfev)
 
 
 def robust_search(problem: Problem, x: np.ndarray, robust: bool, **options: Any) -> Optimum:

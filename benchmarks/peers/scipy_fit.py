@@ -18,20 +18,7 @@ from scipy.optimize import least_squares
 
 @numba.njit(cache=True)
 def residuals(x, mode, p_h, p_r, sd_h, sd_r, out):
-    """
-    Fill `out` with the weighted residuals of p_h, then of p_r.
-
-    Parameters
-    ----------
-    x : numpy.ndarray, shape (8,)
-        Parameters.
-    mode, p_h, p_r : numpy.ndarray, shape (N,)
-        Data.
-    sd_h, sd_r : float
-        Noise of the outputs.
-    out : numpy.ndarray, shape (2 N,)
-        Filled.
-    """
+    """Fill `out`, shape (2 N,), with the weighted residuals of p_h, then of p_r."""
     a_h, beta, h_min, h_max, a, p_min, p_max, now = x
     n = mode.size
     r = 0.0
@@ -49,21 +36,7 @@ def residuals(x, mode, p_h, p_r, sd_h, sd_r, out):
 
 @numba.njit(cache=True)
 def jacobian(x, mode, sd_h, sd_r, out):
-    """
-    Fill `out` with the derivatives of the residuals; rows are parameters, so that each is
-    contiguous.
-
-    Parameters
-    ----------
-    x : numpy.ndarray, shape (8,)
-        Parameters.
-    mode : numpy.ndarray, shape (N,)
-        Data.
-    sd_h, sd_r : float
-        Noise of the outputs.
-    out : numpy.ndarray, shape (8, 2 N)
-        Filled, but for the zeros of p_h by the robot's parameters.
-    """
+    """Fill `out`, shape (8, 2 N), with the derivatives of the residuals, a row per parameter."""
     a_h, beta, h_min, h_max, a, p_min, p_max, now = x
     n = mode.size
     span = h_max - h_min
@@ -111,27 +84,7 @@ def jacobian(x, mode, sd_h, sd_r, out):
 
 
 def fit(start, mode, p_h, p_r, sd_h, sd_r, tr_solver="exact"):
-    """
-    Return parameters, cost and covariance.
-
-    Parameters
-    ----------
-    start : array_like, shape (8,)
-        Where the search starts.
-    mode, p_h, p_r : numpy.ndarray, shape (N,)
-        Data.
-    sd_h, sd_r : float
-        Noise of the outputs.
-    tr_solver : {"exact", "lsmr"}
-        How SciPy solves its subproblem: by a decomposition (its default here), or iteratively.
-
-    Returns
-    -------
-    x : numpy.ndarray, shape (8,)
-    cost : float
-        ½ Σ of squared weighted residuals.
-    covariance : numpy.ndarray, shape (8, 8)
-    """
+    """Return the optimum; the covariance is computed, as a user needs it."""
     by_row = np.zeros((8, 2 * mode.size))
 
     def error(x):
@@ -143,6 +96,6 @@ def fit(start, mode, p_h, p_r, sd_h, sd_r, tr_solver="exact"):
         jacobian(x, mode, sd_h, sd_r, by_row)
         return by_row.T
 
-    found = least_squares(error, start, jac=slope, method="trf", x_scale="jac", tr_solver=tr_solver)
-    variance = 2.0 * found.cost / (2 * mode.size - 8)
-    return found.x, found.cost, variance * np.linalg.inv(found.jac.T @ found.jac)
+    end = least_squares(error, start, jac=slope, method="trf", x_scale="jac", tr_solver=tr_solver)
+    np.linalg.inv(end.jac.T @ end.jac)
+    return end.x

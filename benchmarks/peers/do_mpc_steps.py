@@ -5,7 +5,6 @@ do-mpc on the correction: a discrete model, the mode as a time-varying parameter
 import warnings
 
 from correction_problem import Turns, after, constants
-from serve import serve
 
 
 def ways(data):
@@ -73,5 +72,3 @@ def ways(data):
         for name in ("saturated", "near")
     }
 
-
-serve("do-mpc", ways)

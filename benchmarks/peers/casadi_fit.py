@@ -4,7 +4,7 @@ The joint fit the way CasADi's system-identification example goes about it
 
 One sample as a Function expanded to scalars, accumulated over all samples; parameters scaled to
 order one; ½ eᵀe minimised by IPOPT with the Gauss–Newton matrix in place of the Hessian; with
-generated C code if asked for. Same parameters and weights as scipy_trust_region.py.
+generated C code if asked for. Same parameters and weights as scipy_fit.py.
 """
 
 from __future__ import annotations
@@ -13,24 +13,9 @@ import numpy as np
 
 
 class SingleShooting:
-    """
-    The expressions for one data set, and a solver for them.
+    """The expressions for one data set, which are constants of them, and a solver."""
 
-    Parameters
-    ----------
-    mode, p_h, p_r : numpy.ndarray, shape (N,)
-        Data; they are constants of the expressions, as in the example.
-    sd_h, sd_r : float
-        Noise of the outputs.
-    scale : array_like, shape (8,)
-        What the parameters are divided by.
-    compiled : bool
-        Whether C code is generated and compiled (the example's choice where there is a compiler).
-    flags : str
-        For the compiler; CasADi's own when empty, as in the example.
-    """
-
-    def __init__(self, mode, p_h, p_r, sd_h, sd_r, scale, compiled=False, flags=""):
+    def __init__(self, mode, p_h, p_r, sd_h, sd_r, scale, compiled=False):
         import casadi as ca
 
         samples, self.scale = mode.size, np.array(scale, dtype=float)
@@ -58,8 +43,6 @@ class SingleShooting:
         error = ca.vertcat((out[0, :].T - ca.DM(p_h)) / sd_h, (out[1, :].T - ca.DM(p_r)) / sd_r)
         by_x, sigma = ca.jacobian(error, x), ca.MX.sym("sigma")
         code = {"jit": True, "compiler": "shell"} if compiled else {}
-        if flags:
-            code["jit_options"] = {"flags": flags}
         hessian = ca.Function(
             "nlp_hess_l",
             {"x": x, "lam_f": sigma, "hess_gamma_x_x": sigma * ca.triu(by_x.T @ by_x)},
@@ -72,20 +55,8 @@ class SingleShooting:
         self.solver = ca.nlpsol("solver", "ipopt", nlp, {"hess_lag": hessian, **quiet, **code})
 
     def solve(self, start):
-        """
-        Return parameters and cost.
-
-        Parameters
-        ----------
-        start : array_like, shape (8,)
-            Where the search starts.
-
-        Raises
-        ------
-        RuntimeError
-            If IPOPT does not report success.
-        """
-        found = self.solver(x0=np.asarray(start) / self.scale)
+        """Return the optimum."""
+        end = self.solver(x0=np.asarray(start) / self.scale)
         if not self.solver.stats()["success"]:
             raise RuntimeError(self.solver.stats()["return_status"])
-        return np.array(found["x"]).ravel() * self.scale, float(found["f"])
+        return np.array(end["x"]).ravel() * self.scale

@@ -7,8 +7,6 @@ estimate_parameter=True is its way to fit a structure that is known; it must sim
 well, so it gets three samples.
 """
 
-from serve import serve
-
 
 def ways(data):
     import warnings
@@ -49,5 +47,3 @@ def ways(data):
 
     return {"frols": frols, "known structure": known_structure}
 
-
-serve("sysidentpy", ways)

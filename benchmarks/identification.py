@@ -1,0 +1,124 @@
+"""Fits of one session of 20,000 samples, and posteriors of ten minutes."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+import trustlab as tl
+from benchmarks.peers import casadi_fit, scipy_fit
+from benchmarks.peers.worker import Worker
+from benchmarks.timing import Row, beside, same, within
+from trustlab.identification import TSC
+from trustlab.identification.log import read_runs
+
+SAMPLES = 20_000
+FIXED = {"r0": 0.0}
+NAMES = [f"human_{name}" for name in ("a", "beta", "p_min", "p_max")]
+NAMES += [f"robot_{name}" for name in ("a", "p_min", "p_max")]
+
+
+def session(minutes: float | None = None, model: tl.TscModel | None = None) -> tl.Session:
+    """Return eight phases of an operator at 10 Hz with white noise, or the first minutes."""
+    mode = (np.arange(SAMPLES) // (SAMPLES // 8) % 2 == 0).astype(float)
+    model = model or tl.published_models()["pilot"]
+    frame = model.simulate(mode)[["mode", "p_r", "p_h"]]
+    rng = np.random.default_rng(20_190)
+    frame[["p_r", "p_h"]] += 0.003 * rng.standard_normal((SAMPLES, 2))
+    frame.index = pd.Index(0.1 * np.arange(SAMPLES), name="t")
+    whole = tl.Session(frame, tl.Metadata(synthetic=True))
+    return whole if minutes is None else whole.between(0.0, 60.0 * minutes)
+
+
+def rows() -> Iterator[Row]:
+    """Yield ARX, the joint fit, posteriors, and how the fit grows with samples."""
+    yield from regressions()
+    yield from joint_fits()
+    short = session(10.0)
+    posterior = "Posterior of ten minutes, 1,000 draws"
+    yield within(posterior, lambda: tl.sample_posterior(short), 3000.0, turns=3)
+    models = [tl.published_models()[name] for name in "12345"]
+    people = {f"P{k}": session(10.0, model) for k, model in enumerate(models)}
+    population = "Population of five, ten minutes each"
+    yield within(population, lambda: tl.fit_population(people), 20_000.0, turns=1)
+
+
+def regressions() -> Iterator[Row]:
+    """Yield ARX with covariance beside statsmodels and SysIdentPy."""
+    import statsmodels.api as sm
+
+    run = session()
+    y, u = run["p_r"].copy(), run["mode"] * run["p_h"]
+    work = f"ARX with covariance, {SAMPLES:,} samples"
+
+    def ours() -> np.ndarray:
+        return tl.arx(y, u, intercept=True).coefficients
+
+    def statsmodels() -> np.ndarray:
+        fit = sm.OLS(y[1:], np.column_stack([-y[:-1], u[:-1], np.ones(y.size - 1)])).fit()
+        return np.append(fit.params, fit.bse)
+
+    yield within(work, ours, 0.5, turns=25)
+    same("statsmodels", ours(), statsmodels()[:3], 1e-8)
+    yield beside(work, ours, "statsmodels OLS", statsmodels, least=5.0, turns=25)
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(Path(folder) / "arx.npz", y=y, u=u)
+        with Worker("sysidentpy_arx", Path(folder) / "arx.npz") as worker:
+            for way in ("known structure", "frols"):
+                c, a, b = worker.ask(way)["result"]
+                same(f"SysIdentPy, {way}", ours(), [-a, b, c], 1e-8)
+                peer = f"SysIdentPy, {way}, no covariance"
+                yield beside(work, ours, peer, worker.timed(way), least=5.0)
+
+
+def joint_fits() -> Iterator[Row]:
+    """
+    Yield `fit_tsc` beside SciPy and CasADi.
+
+    Peers are given the weights of both outputs, so that all have one optimum. Somebody who takes
+    SciPy needs starting values too: our search of them counts on both sides, or on none.
+    """
+    run = session()
+    work = f"Joint fit, {SAMPLES:,} samples, 8 unknowns"
+
+    def ours():
+        return tl.fit_tsc(run, fixed=FIXED, noise="white")
+
+    fit = ours()
+    values = np.append(fit.parameters.loc[NAMES, "value"], fit.initial_states["p_r0"])
+    errors = np.append(fit.parameters.loc[NAMES, "stderr"], fit.initial_states["p_r0_stderr"])
+    data = [run[name].copy() for name in ("mode", "p_h", "p_r")]
+    data += [fit.sigma[name] for name in ("p_h", "p_r")]
+
+    def start() -> np.ndarray:
+        guess = TSC.starts(read_runs(run, "mode", "p_h", "p_r"), TSC.limits(fixed=FIXED))[0]
+        return np.array([*(guess[name] for name in NAMES), guess["p_r0"][0]])
+
+    def compared(peer: str, call, **options) -> Row:
+        # A hundredth of a standard error is the same optimum.
+        same(peer, np.ones(8), 1.0 + (call() - values) / errors, 1e-2)
+        return beside(work, ours, peer, call, **options)
+
+    peer = "SciPy least_squares (trf) with compiled sensitivities, after our search of its start"
+    yield compared(peer, lambda: scipy_fit.fit(start(), *data), least=1 / 1.2)
+    given = start()
+    yield compared("the same, its start given", lambda: scipy_fit.fit(given, *data))
+    model = tl.published_models()["pilot"]
+    truth = np.array([model.human.a, model.human.beta, model.human.p_min, model.human.p_max])
+    robot = model.robot
+    truth = np.append(truth, [robot.a, robot.p_min, robot.p_max, robot.p_min])
+    plain = casadi_fit.SingleShooting(*data, truth)
+    peer = "CasADi's example (single shooting, IPOPT), its solver call alone"
+    yield compared(peer, lambda: plain.solve(truth), least=15.0, turns=3)
+    if shutil.which("gcc"):
+        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+            compiled = casadi_fit.SingleShooting(*data, truth, compiled=True)
+            peer = "the same with generated code, its compilation not counted"
+            yield compared(peer, lambda: compiled.solve(truth), turns=3)
+            del compiled
