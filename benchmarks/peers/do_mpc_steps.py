@@ -69,6 +69,6 @@ def ways(data):
 
     return {
         name: Turns(data[f"{name}_states"], data[f"{name}_modes"], controller())
-        for name in ("saturated", "near")
+        for name in ("far", "near")
     }
 

@@ -5,6 +5,7 @@ Oracle: each state of the sources runs in a process of its own, which can only g
 """
 
 import functools
+import importlib
 import json
 import os
 import re
@@ -15,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import trustlab as tl
+from trustlab.campaign.identity import sources
 
 ROOT = str(Path(tl.__file__).parents[1])
 
@@ -159,6 +161,18 @@ def test_modules_that_are_imported_later_count_also_of_an_installed_package(tmp_
     first, resumed, refused = drive(tmp_path, states)
     assert [first, resumed] == ["[1, 1] 0", "[1, 1] 2"]
     assert "another campaign: lab/deeper.py changed. Use" in refused
+
+
+def test_an_environment_within_a_package_is_no_part_of_it(tmp_path, monkeypatch):
+    """A package that has its own environment beside its modules hashed thousands of files."""
+    other = tmp_path / "lab" / ".venv" / "lib" / "site-packages" / "other" / "__init__.py"
+    other.parent.mkdir(parents=True)
+    for file in (other, tmp_path / "lab" / "__init__.py", tmp_path / "lab" / "task.py"):
+        file.write_text("def task(x, seed):\n    return {'y': x}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    task = importlib.import_module("lab.task").task
+    found = [name for name in sources(task) if name.startswith("lab/")]
+    assert sorted(found) == ["lab/__init__.py", "lab/task.py"]
 
 
 def test_modules_beside_a_script_count_whoever_imports_them_but_not_the_rest_of_the_script(

@@ -8,6 +8,7 @@ certain which of them a task uses.
 """
 
 import io
+import os
 import sys
 from collections.abc import Callable
 from importlib import metadata
@@ -81,9 +82,18 @@ def sources(task: Callable) -> dict[str, str]:
     return {
         str(file.relative_to(path.parent)): digest(file.read_bytes())
         for path in paths
-        for file in ([path] if path.is_file() else path.rglob("*.py"))
-        if file.is_file() and path.resolve() not in script
+        for file in _files(path)
+        if path.resolve() not in script
     }
+
+
+def _files(path: Path) -> list[Path]:
+    """Return a module's file, or those of a package, but of no environment within its folder."""
+    files = [path] if path.is_file() else []
+    for folder, folders, names in os.walk(path):
+        folders[:] = set(folders) - INSTALLED
+        files += [Path(folder, name) for name in names if name.endswith(".py")]
+    return files
 
 
 def _paths(name: str) -> list[Path]:

@@ -1,0 +1,155 @@
+"""Steps of the correction of thresholds (2.43)-(2.44) on a closed loop, and simulations of (2.8)."""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+import trustlab as tl
+from benchmarks.peers.correction_problem import Turns
+from benchmarks.peers.opti_steps import OptiShooting
+from benchmarks.peers.worker import Worker
+from benchmarks.timing import Row, same, within
+from trustlab.allocation import TargetWarning
+
+TARGET, C_B, HORIZON, STEPS = (0.15, 0.56), 1e-5, 200, 300
+
+# Far from the target all corrections are at their limits; at it the active set moves at each step.
+STARTS = {"far": (0.02, 0.45), "near": (TARGET[0] + 2e-5, TARGET[1] - 3e-5)}
+
+
+def pilot() -> tl.TscModel:
+    """Return the model of the pilot operator."""
+    return tl.published_models()["pilot"]
+
+
+def corrector(engine: str | None = None, horizon: int = HORIZON) -> tl.ThresholdCorrector:
+    """Return a corrector whose target lies outside of the limits, as the printed one does."""
+    options = {} if engine is None else {"switch_width": 0.0}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TargetWarning)
+        return tl.ThresholdCorrector(pilot(), TARGET, C_B, horizon, engine=engine, **options)
+
+
+def closed_loop(name: str) -> list[tuple[tuple, np.ndarray]]:
+    """Return states of a run with noise, (r, P_r, TSC_l, TSC_u, mode), and the plan's modes."""
+    robot, engine = pilot().robot, corrector()
+    noise = np.random.default_rng(20_190).normal(size=(STEPS, 4))
+    (lower, upper), r, p_r, mode, out = STARTS[name], 0.5, 0.315, 1, []
+    for row in noise:
+        state = (r, p_r, lower, upper, mode)
+        plan = engine.step(*state)
+        out.append((state, plan.path[4, :-1]))
+        r = float(np.clip(plan.path[0, 1] + 0.01 * row[0], 0.0, 1.0))
+        p_r = float(np.clip(plan.path[1, 1] + 0.003 * row[1], robot.p_min, robot.p_max))
+        moved = C_B * row[2:] if name == "near" else np.zeros(2)
+        lower, upper = lower + plan.c_l + moved[0], upper + plan.c_u + moved[1]
+        mode = int(plan.path[4, 0])
+    return out
+
+
+def scaled(loop: list) -> np.ndarray:
+    """Return r, the share of P_r, and both thresholds from their target in c_b, at each step."""
+    robot = pilot().robot
+    r, p_r, lower, upper, _ = np.array([state for state, _ in loop]).T
+    share = (p_r - robot.p_min) / (robot.p_max - robot.p_min)
+    return np.column_stack([r, share, (upper - TARGET[1]) / C_B, (lower - TARGET[0]) / C_B])
+
+
+def rows() -> Iterator[Row]:
+    """Yield our engines, the peers at the same states, growth with N, and simulation."""
+    loops = {name: closed_loop(name) for name in STARTS}
+    human, robot = pilot().human, pilot().robot
+    numbers = [human.a, human.beta, human.p_min, human.p_max]
+    data = {"constants": np.array([*numbers, robot.a, robot.b, robot.p_min, robot.p_max])}
+    data["horizon"] = np.array(HORIZON)
+    for name, loop in loops.items():
+        yield from alone(name, loop)
+        data[f"{name}_states"] = scaled(loop)
+        data[f"{name}_modes"] = np.array([modes for _, modes in loop])
+    for name, loop in loops.items():
+        opti = OptiShooting(data, HORIZON)
+        turns = Turns(data[f"{name}_states"], data[f"{name}_modes"], opti.solve)
+        yield compared(name, loop, "CasADi Opti with IPOPT", turns, turns)
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(Path(folder) / "loop.npz", **data)
+        with Worker("do_mpc_steps", Path(folder) / "loop.npz") as worker:
+            for name, loop in loops.items():
+                result = lambda n=name: worker.ask(n)["result"]  # noqa: E731
+                yield compared(name, loop, "do-mpc with IPOPT", result, worker.timed(name))
+    yield growth(loops["far"])
+    steps = 200_000
+    work = f"simulate_allocation under (2.8), {steps:,} samples"
+    run = lambda: tl.simulate_allocation(pilot(), 0.02, 0.45, steps)  # noqa: E731
+    yield within(work, run, steps / 1e7 * 1e3, note="10 million samples a second")
+
+
+def milliseconds(call: Callable[[], object]) -> float:
+    """Return the time of one call; a peer in a process of its own returns its seconds."""
+    began = perf_counter()
+    told = call()
+    return 1e3 * (told if isinstance(told, float) else perf_counter() - began)
+
+
+def alone(name: str, loop: list) -> Iterator[Row]:
+    """Yield both engines over the whole loop."""
+    for engine, limit in ((None, 0.015), ("casadi", 50.0)):
+        plan = corrector(engine)
+        for state, _ in loop[:10]:
+            plan.step(*state)
+        times = [milliseconds(lambda s=state, p=plan: p.step(*s)) for state, _ in loop]
+        p99 = float(np.percentile(times, 99))
+        work = f"Correction, N = {HORIZON}, {name}, engine {engine or 'clipped'}"
+        goal = f"p99 ≤ {limit:g} ms"
+        yield Row(work, times, goal=goal, met=p99 <= limit, note=f"p99 {p99:.3g} ms")
+
+
+def compared(name: str, loop: list, peer: str, result: Callable, side: Callable) -> Row:
+    """Return our CasADi engine beside a peer, whose cost is checked at the first steps."""
+    ours, checked = corrector("casadi"), 3
+    for state, _ in loop[:checked]:
+        inputs = np.reshape(result(), (2, HORIZON))
+        best = corrector().step(*state).cost
+        same(peer, 1.0, 1.0 + (cost_of(inputs, state) - best) / max(best, C_B**2), 1e-4)
+        ours.step(*state)
+    pairs = [
+        (milliseconds(lambda s=state: ours.step(*s)), milliseconds(side))
+        for state, _ in loop[checked : checked + 60]
+    ]
+    ratios = [theirs / mine for mine, theirs in pairs]
+    met = float(np.median(ratios)) >= 3.0
+    work = f"Correction, N = {HORIZON}, {name}, engine casadi"
+    mine, theirs = map(list, zip(*pairs, strict=True))
+    return Row(work, mine, peer, theirs, ratios, "ratio ≥ 3", met)
+
+
+def cost_of(inputs: np.ndarray, state: tuple) -> float:
+    """Return the cost of a peer's inputs in [0, 1], c_u first, under the hard switch."""
+    robot, (*start, mode), judge = pilot().robot, state, corrector()
+    actions = np.zeros(inputs.shape)
+    # C = c_b (w − s) needs s, which needs the modes, which need c: the same after as many rounds as
+    # switches.
+    for _ in range(8):
+        cost, _, _, path = judge.followed(np.array(start), mode, actions)
+        share = 0.5 * (path[0] + (path[1] - robot.p_min) / (robot.p_max - robot.p_min))[:-1]
+        actions = (C_B * (inputs - share))[::-1]
+    return cost
+
+
+def growth(loop: list) -> Row:
+    """Return the power of N to which the time of a clipped plan grows."""
+    sizes, times = np.array([100, 400, 3_600, 36_000]), []
+    for n in sizes.tolist():
+        plan = corrector(horizon=n)
+        plan.step(*loop[0][0])
+        each = [milliseconds(lambda s=s, p=plan: p.step(*s)) for s, _ in loop[:20]]
+        times.append(float(np.median(each)))
+    power = float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
+    curve = ", ".join(f"{n:,}: {ms:.3g} ms" for n, ms in zip(sizes, times, strict=True))
+    note = f"N to the power of {power:.2f}; {curve}"
+    return Row("Correction against N, clipped", [], goal="linear", met=power <= 1.2, note=note)
