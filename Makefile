@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: environment robot reports session docs test test-long coverage lock bench lab study data calibration simulated digest clean help
+.PHONY: environment robot reports session test test-long coverage lock bench lab study data calibration simulated digest clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -12,6 +12,7 @@ DIR ?=
 FILE ?=
 RECIPE ?=
 JOBS ?= auto
+CORES = $(shell getconf _NPROCESSORS_ONLN)
 
 # Containers set it to stay small; then every process that starts would compile the package's sources anew.
 unexport PYTHONDONTWRITEBYTECODE
@@ -37,9 +38,26 @@ else
 endif
 	@touch $(VENV)/.stamp
 
-reports: $(VENV)/.stamp  ## run every notebook and write the book, reports/index.html (PARAMS="-p name value" passes parameters on)
+# A chapter is run where its notebook, the package, data or the lock is younger, or parameters are others.
+NOTEBOOKS := $(wildcard notebooks/[0-9][0-9]_*.ipynb)
+CHAPTERS := $(NOTEBOOKS:notebooks/%=docs/%)
+SOURCES := $(shell find trustlab data -type f ! -path '*/__pycache__/*' ! -path 'data/external/*')
+SOURCES += $(wildcard notebooks/*.py) environment.lock
+
+docs/.parameters: FORCE
+	@echo '$(PARAMS)' | cmp -s - $@ || echo '$(PARAMS)' > $@
+
+docs/%.ipynb: notebooks/%.ipynb $(SOURCES) docs/.parameters
+	@$(BIN)/python -m trustlab.publishing $< $@ $(PARAMS)
+
+FORCE:
+
+reports: $(VENV)/.stamp  ## run what changed of the notebooks and write the book, reports/index.html (PARAMS="-p name value" passes parameters on)
 	$(BIN)/python notebooks/compile_kernels.py
-	$(BIN)/python -m trustlab.publishing --jobs $(JOBS) $(PARAMS)
+	@rm -f $(filter-out $(CHAPTERS),$(wildcard docs/[0-9][0-9]_*.ipynb))
+	@$(MAKE) --no-print-directory -k -j $(if $(filter auto,$(JOBS)),$(CORES),$(JOBS)) $(CHAPTERS); done=$$?; \
+	  $(BIN)/python -m sphinx -q -W --keep-going -j auto -d reports/.build docs reports && exit $$done
+	@echo "the book: reports/index.html"
 
 session: $(VENV)/.stamp  ## a page on a log of your own: make session FILE=run.csv RECIPE=my.toml (PARAMS="-p window 100")
 	@[ -n "$(FILE)" ] || { echo "which log? make session FILE=run.csv RECIPE=my.toml"; exit 1; }
@@ -49,9 +67,6 @@ session: $(VENV)/.stamp  ## a page on a log of your own: make session FILE=run.c
 	$(BIN)/jupyter nbconvert --to html --template classic --no-input --embed-images --output my_session.html \
 	  --HTMLExporter.jquery_url= --HTMLExporter.require_js_url= --HTMLExporter.mathjax_url= reports/my_session.ipynb
 	@echo "the page: reports/my_session.html"
-
-docs: $(VENV)/.stamp  ## write the same book without running any notebook
-	$(BIN)/python -m trustlab.publishing --no-run
 
 test: $(VENV)/.stamp  ## formatting, linting, types and every test but the long ones
 	$(BIN)/ruff format --check .
@@ -69,7 +84,7 @@ coverage: $(VENV)/.stamp  ## the same tests, and which lines of the package they
 	$(BIN)/python notebooks/compile_kernels.py
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m "not long" --cov --cov-report=term-missing:skip-covered
 
-bench: $(VENV)/.stamp  ## benchmarks beside the peers, written under reports/ (ONLY=arx runs one)
+bench: $(VENV)/.stamp  ## benchmarks beside the peers, and their page docs/benchmarks.md (ONLY=campaign runs one)
 	@$(MAKE) --no-print-directory benchmarks/.venv/.stamp || echo "peers could not be installed; see above"
 	$(BIN)/python -m benchmarks $(ONLY)
 
@@ -114,7 +129,7 @@ lock:  ## resolve environment.lock again (needs uv)
 clean:  ## remove the environment, the caches and what was generated
 	rm -rf $(VENV) benchmarks/.venv tests/ros/.venv .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find reports -mindepth 1 -maxdepth 1 ! -name README.md ! -name figures -exec rm -rf {} +
-	rm -rf docs/api docs/[0-9][0-9]_*.ipynb
+	rm -rf docs/api docs/.parameters docs/[0-9][0-9]_*.ipynb
 	find trustlab tests benchmarks data notebooks docs -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## this list

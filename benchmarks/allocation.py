@@ -1,4 +1,4 @@
-"""Steps of the correction of thresholds (2.43)-(2.44) on a closed loop, and simulations of (2.8)."""
+"""Steps of the correction (2.43)-(2.44) on a closed loop, and simulations under (2.8)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The import, and the first call of each main function with nothing compiled and in the next process."""
+"""The import, and first calls of main functions: nothing compiled yet, and in the next process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from statistics import median
 
 from benchmarks.timing import Row
 
-IMPORT = "import numpy; from time import perf_counter as t; a = t(); import trustlab; print(t() - a)"
+IMPORT = (
+    "import numpy; from time import perf_counter as t; a = t(); import trustlab; print(t() - a)"
+)
 CALL = (
     "import time, networkx as nx, trustlab as tl; tsc = tl.published_models()['2']; "
     "session = tl.read_session('data/sessions/pilot.csv'); a = time.perf_counter(); {}; "

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.timing import Row, Spread
+from benchmarks.timing import NotComparedError, Row
 
 TITLE = "Live study"
 PEOPLE, SECONDS = 100, 20.0
@@ -28,51 +28,29 @@ PEOPLE, SECONDS = 100, 20.0
 CLIENTS, DRIVE = 9, 30.0
 """Scripted people at full rate beside one page in Chromium, and the length of its drive [s]."""
 
-LATEST_MS = 50.0
-SLOWEST_S = 0.2
-LEAST_FPS = 58.0
-MOST_MB = 400.0
-
 
 def rows() -> Iterator[Row]:
-    """
-    Yield the time until commands are on the disk and acknowledged, then log period and frames of a
-    page.
-    """
+    """Yield how long commands take to be done and kept, and what a page beside others shows."""
     with tempfile.TemporaryDirectory() as folder:
         found = load(Path(folder) / "study")
-    waits = np.array(found["waits_ms"])
-    spread = Spread(float(np.median(waits)), float(waits.min()), float(np.percentile(waits, 99)))
-    yield Row(
-        f"Commands of {PEOPLE} people without a browser, five every 0.5 s each",
-        "on disk, done and acknowledged (the greatest is the 99th percentile)",
-        "",
-        spread,
-        goal=f"p99 ≤ {LATEST_MS:g} ms",
-        met=spread.high <= LATEST_MS and found["lost"] == 0,
-        note=f"{found['commands']} commands, {found['lost']} lost; server "
-        f"{found['memory_mb']:.0f} MB",
-    )
-    name = f"One page in Chromium beside {CLIENTS} scripted people, {DRIVE:g} s"
-    ours = "log period, median and extremes"
+    p99 = float(np.percentile(found["waits_ms"], 99))
+    note = f"p99 {p99:.1f} ms; {found['commands']} commands, {found['lost']} lost"
+    work = f"Commands of {PEOPLE} people, five every .5 s each, until on the disk, done and told"
+    met = p99 <= 50.0 and not found["lost"]
+    yield Row(work, found["waits_ms"], goal="p99 ≤ 50 ms", met=met, note=note)
     if chromium() is None:
-        yield Row(name, ours, "", fault="no Chromium on this machine")
-        return
+        raise NotComparedError("there is no Chromium on this machine")
     with tempfile.TemporaryDirectory() as folder:
         found = browsers(Path(folder) / "study")
-    period = 1e3 * np.array(found["periods"])
-    met = abs(np.median(period) - 100.0) < 1.0 and period.max() <= 1e3 * SLOWEST_S
-    yield Row(
-        name,
-        ours,
-        "",
-        Spread(float(np.median(period)), float(period.min()), float(period.max())),
-        goal=f"100 ms, at most {1e3 * SLOWEST_S:g}; ≥ {LEAST_FPS:g} frames/s; server ≤ "
-        f"{MOST_MB:g} MB",
-        met=bool(met and found["fps"] >= LEAST_FPS and found["memory_mb"] <= MOST_MB),
-        note=f"{found['fps']:.0f} frames/s; pictures shown {found['delay_ms']:.0f} ms late; server "
-        f"{found['memory_mb']:.0f} MB",
+    periods = 1e3 * found["periods"]
+    p99 = float(np.percentile(periods, 99))
+    note = (
+        f"p99 {p99:.0f} ms; {found['fps']:.0f} frames/s; pictures {found['delay_ms']:.0f} ms late"
     )
+    work = f"Period of a page's log beside {CLIENTS} scripted people"
+    met = p99 <= 60.0 and found["fps"] >= 58.0
+    goal = "p99 ≤ 60 ms, ≥ 58 frames/s"
+    yield Row(work, periods.tolist(), goal=goal, met=met, note=note)
 
 
 def chromium() -> str | None:
@@ -85,15 +63,6 @@ def chromium() -> str | None:
 class Served:
     """
     A study served in a process of its own, as a lab serves it.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Where the study is kept.
-    participants : int
-        How many.
-    training : float
-        Length of the training drive [s].
     """
 
     def __init__(self, folder: Path, participants: int, training: float):
@@ -166,13 +135,6 @@ OPTIONS = {"executable_path": chromium(), "args": ["--no-sandbox", "--disable-gp
 def driving(context: Any, url: str) -> Any:
     """
     Return a page that has begun the training drive.
-
-    Parameters
-    ----------
-    context : playwright BrowserContext
-        The browser's.
-    url : str
-        The participant's link.
     """
     page = context.new_page()
     page.goto(url)
@@ -191,11 +153,6 @@ def losses(folder: Path) -> Iterator[dict[str, Any]]:
     """
     Do to a study what machines and people do to it; yield what was done, the commands acknowledged
     until then, and those that are not on the disk.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Where the study is kept.
     """
     from playwright.sync_api import sync_playwright
 
@@ -238,15 +195,6 @@ async def person(link: str, after: float, seconds: float, count: int) -> tuple[l
     """
     Send so many commands at once as often as their time has passed, as a page does; return the
     waits for answers [ms], and how many were acknowledged.
-
-    Parameters
-    ----------
-    link : str
-        The participant's.
-    after, seconds : float
-        When to begin to send, and for how long [s].
-    count : int
-        Commands in a message.
     """
     from tornado.httpclient import AsyncHTTPClient, HTTPRequest
     from tornado.websocket import websocket_connect
@@ -280,15 +228,6 @@ def load(folder: Path, people: int = PEOPLE, seconds: float = SECONDS) -> dict[s
     """
     Let scripted people send commands as browsers do; return the waits for acknowledgements, the
     commands sent and lost, memory.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Where the study is kept.
-    people : int
-        How many at once.
-    seconds : float
-        For how long [s].
     """
 
     async def everybody(links: list[str]) -> tuple[list[float], int]:
@@ -308,15 +247,6 @@ def browsers(folder: Path, clients: int = CLIENTS, seconds: float = DRIVE) -> di
     """
     Let somebody drive in Chromium beside scripted people; return log periods [s], frames per
     second, how late pictures are shown, memory.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Where the study is kept.
-    clients : int
-        How many scripted people.
-    seconds : float
-        Length of the drive [s].
     """
     import threading
 

@@ -54,9 +54,7 @@ def teleoperation() -> Iterator[Row]:
     np.testing.assert_allclose(run(mine).data, run().data, rtol=0.0, atol=1e-6)
     for name, scheme in (("a user's scheme, asked every sample", mine), ("scheme OMI", "OMI")):
         yield within(f"{work}, {name}", lambda s=scheme: run(s), 250.0)
-    loops = [
-        tl.TeleoperationLoop(scheme, seed=1, duration=3600.0) for scheme in ("TMIG", mine)
-    ]
+    loops = [tl.TeleoperationLoop(scheme, seed=1, duration=3600.0) for scheme in ("TMIG", mine)]
     yield beside("One step of a loop", loops[0].step, "with a user's scheme", loops[1].step)
     rng, blending = np.random.default_rng(3), tl.OptimalBlending()
     states = iter([0.3 * rng.normal(size=(5, 3)) for _ in range(4000)] * 50)

@@ -68,9 +68,7 @@ def analyses(shape: tuple[int, ...], limit: float, least: float | None) -> Itera
     if len(shape) == 1:
         both = lambda: (batch(), condition_pairs(scores))  # noqa: E731
         peer = "pingouin rm_anova and pairwise_tests, a loop, its time scaled"
-        yield beside(
-            f"{work}, and all pairs", both, peer, pairs, least=least, turns=3, scale=scale
-        )
+        yield beside(f"{work}, and all pairs", both, peer, pairs, least=least, turns=3, scale=scale)
 
 
 def power() -> Row:

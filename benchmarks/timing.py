@@ -1,10 +1,10 @@
-"""One way to time: two calls in turns, or one call against a limit; each gives a row of the table."""
+"""One way to time: two calls in turns, or one against a limit; each gives a row of the table."""
 
 from __future__ import annotations
 
 import gc
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from statistics import median
 from time import perf_counter
 from typing import NamedTuple
@@ -14,13 +14,13 @@ LEAST = 0.005
 
 
 class Row(NamedTuple):
-    """What was done; milliseconds of ours and of the peer; peer / ours within each turn; the goal."""
+    """What was done; milliseconds of ours and of the peer; peer / ours by turn; the goal."""
 
     work: str
-    ours: list[float]
+    ours: Sequence[float]
     peer: str = ""
-    theirs: list[float] = []
-    ratios: list[float] = []
+    theirs: Sequence[float] = ()
+    ratios: Sequence[float] = ()
     goal: str = ""
     met: bool | None = None
     note: str = ""

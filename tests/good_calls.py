@@ -219,7 +219,6 @@ NOT_WALKED = {
     "live.policy_agreement": "needs a team that somebody led",
     "publishing.caption": "for the notebooks of this project",
     "publishing.only_parameters": "reads the names of a notebook",
-    "publishing.publish": "runs notebooks",
     "publishing.required_data": "needs data that are not shipped",
     "publishing.use_house_style": "changes all figures that follow",
     "reproduction.compare_adjustments": "for one chapter",

@@ -71,4 +71,3 @@ def ways(data):
         name: Turns(data[f"{name}_states"], data[f"{name}_modes"], controller())
         for name in ("far", "near")
     }
-

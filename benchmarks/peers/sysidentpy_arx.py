@@ -46,4 +46,3 @@ def ways(data):
         return fit.theta.ravel()
 
     return {"frols": frols, "known structure": known_structure}
-

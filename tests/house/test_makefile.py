@@ -38,7 +38,7 @@ GNU = {
     "grep": r"^--|^-[a-zA-Z]*P",
     "dirname": r"^-",
 }
-AS_THEY_ARE = ["sh", "bash", "make", "env", "cat", "echo", "chmod"]
+AS_THEY_ARE = ["sh", "bash", "make", "env", "cat", "echo", "chmod", "cmp", "getconf"]
 
 STAND_IN = """#!{python} -I
 import os, re, sys
@@ -100,7 +100,7 @@ def house(tmp_path):
         "trustlab/__pycache__/a.pyc",
         "tests/__pycache__/a.pyc",
         "data/a.csv",
-        "notebooks/a.ipynb",
+        "notebooks/01_a.ipynb",
         "docs/api/a.rst",
         "docs/01_a.ipynb",
     ):
@@ -150,8 +150,7 @@ def test_the_environment_is_built_once_and_every_recipe_runs(house, uv):
         "test": "pytest",
         "test-long": "pytest",
         "coverage": "--cov",
-        "reports": "python -m trustlab.publishing",
-        "docs": "python -m trustlab.publishing --no-run",
+        "reports": "python -m sphinx",
         "bench": "python -m benchmarks",
         "lab": "jupyter lab",
         "data": "make_sessions",
@@ -171,7 +170,7 @@ def test_the_environment_is_built_once_and_every_recipe_runs(house, uv):
         "reports/figures/a.png",
     }
     assert not any("__pycache__" in name or name.startswith("docs") for name in left)
-    assert {"data/a.csv", "notebooks/a.ipynb", "environment.lock"} <= left
+    assert {"data/a.csv", "notebooks/01_a.ipynb", "environment.lock"} <= left
 
 
 @pytest.mark.parametrize("broken", ["", "trustlab.publishing", "pytest"])

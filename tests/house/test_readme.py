@@ -32,7 +32,7 @@ def test_links_and_figures_are_there(path):
     ]
     named = re.findall(r"`((?:data|notebooks|reports|tests|trustlab)/[\w./]+)`", path.read_text())
     missing += [place for place in named if not (ROOT / place).exists()]
-    # what users fetch by hand, and what `make docs` and `make session` write
+    # what users fetch by hand, and what `make reports` and `make session` write
     made = ("data/external", "reports/index", "reports/my_session")
     assert [place for place in missing if not place.startswith(made)] == []
 

@@ -1,6 +1,8 @@
 """A small book of its own: what `make reports` reads, in a folder."""
 
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import nbformat
@@ -55,3 +57,22 @@ def make(root, **notebooks):
         notebook = new_notebook(cells=cells, metadata=about)
         nbformat.write(notebook, root / "notebooks" / f"{name[1:]}.ipynb")
     return root
+
+
+def publish(root, *names, parameters=""):
+    """Let Make run the notebooks of these names, or all; return what it did."""
+    names = names or [path.stem for path in sorted((root / "notebooks").glob("*.ipynb"))]
+    lock = root / "environment.lock"
+    if not lock.exists():
+        lock.touch()
+    command = ["make", "-f", ROOT / "Makefile", f"VENV={sys.prefix}", "-k", "-j", "3"]
+    chapters = [f"docs/{name}.ipynb" for name in names]
+    return subprocess.run(
+        [*command, f"PARAMS={parameters}", *chapters], cwd=root, capture_output=True, text=True
+    )
+
+
+def write_book(root):
+    """Let Sphinx write the book; return what it did."""
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "docs", "reports"]
+    return subprocess.run(command, cwd=root, capture_output=True, text=True)

@@ -4,10 +4,9 @@ import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
-    submodules=["book", "figures", "provenance"],
+    submodules=["figures"],
     submod_attrs={
         "figures": ["caption", "use_house_style"],
-        "book": ["Built", "publish"],
         "parameters": ["DataAbsentError", "only_parameters", "required_data"],
     },
 )

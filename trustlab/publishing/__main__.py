@@ -1,74 +1,67 @@
-"""``python -m trustlab.publishing``: notebooks to a book, from the command line."""
+"""
+``python -m trustlab.publishing NOTEBOOK CHAPTER``: run a notebook and write the book's chapter.
+
+Make decides from times of change which notebooks are run; Sphinx and MyST-NB make the book.
+"""
 
 import argparse
 import os
 import signal
 import sys
+import time
+from datetime import UTC, datetime
 from pathlib import Path
 
-from trustlab.publishing.book import publish, write_book
-from trustlab.publishing.provenance import external_data
-
-
-def _arguments(words: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m trustlab.publishing",
-        description="Run notebooks/NN_*.ipynb where their inputs changed, and write the book of "
-        "docs/ and them to reports/index.html.",
-    )
-    add = parser.add_argument
-    add("names", nargs="*", metavar="NAME", help="notebooks (01, 01_identification); default: all")
-    add(
-        "-p",
-        nargs=2,
-        action="append",
-        default=[],
-        metavar=("NAME", "VALUE"),
-        help="a declared parameter",
-    )
-    add("--jobs", default="auto", metavar="N", help="notebooks run at once; auto: CPUs + 1")
-    add("--timeout", metavar="SECONDS", type=float, help="time limit of each cell (default: none)")
-    add("--force", action="store_true", help="run also what is up to date")
-    add("--no-run", action="store_true", help="run nothing: write the book of what was run")
-    return parser.parse_args(words)
+from trustlab.models.files import write_atomically
+from trustlab.publishing.chapter import chapter, empty_chapter
+from trustlab.publishing.parameters import DataAbsentError
+from trustlab.publishing.provenance import external_data, provenance
+from trustlab.publishing.run import CellError, anonymous, chosen_parameters, execute
 
 
 def main(words: list[str] | None = None) -> int:
     """
-    Publish as the command line says; return 0, 1 if a notebook or a page failed, 2 for a wrong
-    command, 130 if interrupted.
+    Return 0, 1 if the notebook failed, 2 for a wrong command, 130 if interrupted.
+
+    A notebook that fails is a chapter that says so, and nothing else of it; Make runs it again.
     """
-    options = _arguments(words)
+    parser = argparse.ArgumentParser(prog="python -m trustlab.publishing", description=__doc__)
+    parser.add_argument("notebook", type=Path)
+    parser.add_argument("chapter", type=Path)
+    given = {"nargs": 2, "action": "append", "default": [], "metavar": ("NAME", "VALUE")}
+    parser.add_argument("-p", **given, help="a parameter, for the notebooks that declare it")
+    options = parser.parse_args(words)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
-    root = Path.cwd()
-    built = []
+    root, path = Path.cwd(), options.notebook.resolve()
+    if external_data(root).is_dir():
+        os.environ["TRUSTLAB_DATA"] = str(external_data(root))
+    began, failure, old = time.monotonic(), "", False
+    started = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
     try:
-        if not external_data(root).is_dir():
-            print("no data in TRUSTLAB_DATA or data/external: what needs them is left out")
-        if not options.no_run:
-            built = publish(
-                options.names,
-                root=root,
-                parameters=dict(options.p),
-                jobs=options.jobs if options.jobs == "auto" else int(options.jobs),
-                force=options.force,
-                timeout=options.timeout,
-                report=lambda line: print(line, flush=True),
-            )
-        whole = write_book(root)
-    except (ModuleNotFoundError, OSError, ValueError) as error:
+        parameters = chosen_parameters(path, options.p)
+        run = execute(path, parameters, path.parent)
+        origin = provenance(root, path, parameters) | {"Started": started}
+        origin["Time taken"] = f"{time.monotonic() - began:.1f} s"
+        page = chapter(run, origin)
+    except DataAbsentError as error:
+        page, old = empty_chapter(path, f"**Skipped: {error}**"), True
+    except CellError as error:
+        failure = anonymous(str(error), root)
+        page = empty_chapter(path, "**This report failed.** Nothing of it is shown.", failure)
+    except (OSError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\ninterrupted: no report is half made", file=sys.stderr, flush=True)
-        os._exit(130)  # kernels end with the process that started them; threads would wait
-    failed = [notebook for notebook in built if notebook.failure]
-    for notebook in failed:
-        print(f"\n── {notebook.name} failed in {notebook.failure}", file=sys.stderr)
-    if not whole:
-        print("\nthe book is not whole: python -m sphinx docs reports says why", file=sys.stderr)
-    print(f"{len(built) - len(failed)} of {len(built)} notebooks: reports/index.html")
-    return 0 if whole and not failed else 1
+        print(f"interrupted: {path.stem} is not half made", file=sys.stderr, flush=True)
+        os._exit(130)  # the kernel ends with the process that started it; threads would wait
+    write_atomically(options.chapter, anonymous(page, root))
+    if failure or old:  # as if from before everything that it depends on
+        os.utime(options.chapter, (0, 0))
+    word = "failed" if failure else "skipped" if old else "run"
+    print(f"{path.stem} … {word} in {time.monotonic() - began:.1f} s", flush=True)
+    if failure:
+        print(f"\n── {path.stem} failed in {failure}", file=sys.stderr)
+    return int(bool(failure))
 
 
 if __name__ == "__main__":

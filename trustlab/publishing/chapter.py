@@ -21,7 +21,7 @@ COMPILING = "trustlab is compiling"
 CAPTION = re.compile("<caption>(.*?)</caption>", re.DOTALL)
 
 
-def chapter(run: NotebookNode, origin: dict[str, str], digest: str = "") -> str:
+def chapter(run: NotebookNode, origin: dict[str, str]) -> str:
     """Lay out an executed notebook for the book: its answer first, and at its end its origin."""
     title, *cells = run.cells
     answers = []
@@ -47,7 +47,7 @@ def chapter(run: NotebookNode, origin: dict[str, str], digest: str = "") -> str:
     rows = "\n".join(f"| {name} | `{value}` |" for name, value in origin.items())
     end = f"## Provenance\n\n| of | this report |\n| --- | --- |\n{rows}"
     cells = [title, *boxes, *body, new_markdown_cell(end)]
-    about = {"digest": digest, "language_info": {"name": "python", "pygments_lexer": "ipython3"}}
+    about = {"language_info": {"name": "python", "pygments_lexer": "ipython3"}}
     return nbformat.writes(new_notebook(cells=cells, metadata=about))
 
 
@@ -95,7 +95,7 @@ def _shown(output: NotebookNode) -> dict[str, dict]:
     if kind:
         about = output.metadata.get(kind, {})
         caption = " ".join(about.get("caption", "").split()) or "Result of this section."
-        return {"image": {"alt": about.get("alt", caption)}, "figure": {"caption": caption}}
+        return {"image": {"alt": caption}, "figure": {"caption": caption}}
     said = CAPTION.search(data.get("text/html", ""))
     if said is None:
         return {}

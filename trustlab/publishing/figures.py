@@ -6,13 +6,10 @@ data.
 from __future__ import annotations
 
 import os
-import re
 import textwrap
-import unicodedata
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from trustlab.publishing.tables import table_html
@@ -50,7 +47,7 @@ def use_house_style() -> None:
     name = "svg" if REPORT in os.environ else "png"
     set_matplotlib_formats(name, dpi=150)
     kind = {"svg": "image/svg+xml", "png": "image/png"}[name]
-    _describe_figures(shell.display_formatter.formatters[kind])
+    _caption_figures(shell.display_formatter.formatters[kind])
     shell.display_formatter.formatters["text/html"].for_type(pd.DataFrame, table_html)
     if mpl.get_backend().endswith("inline"):
         _draw_once(mpl.get_backend())
@@ -65,8 +62,8 @@ def _draw_once(backend: str) -> None:
     pyplot.uninstall_repl_displayhook()
 
 
-def _describe_figures(formatter: Any) -> None:
-    """Let a notebook keep with each figure what one sees in it."""
+def _caption_figures(formatter: Any) -> None:
+    """Let a notebook keep a figure's caption, which the book sets in type, beside it."""
     from matplotlib.figure import Figure
 
     draw = formatter.lookup_by_type(Figure)
@@ -74,11 +71,10 @@ def _describe_figures(formatter: Any) -> None:
     def drawn(figure) -> tuple[str, dict[str, Any]]:
         words = [text for text in figure.texts if text.get_gid() == CAPTION_ID]
         for text in words:
-            text.set_visible(REPORT not in os.environ)  # a report sets it in type
-        picture = draw(figure)  # first: drawing settles ticks and ranges
+            text.set_visible(REPORT not in os.environ)
+        picture = draw(figure)
         picture, about = picture if isinstance(picture, tuple) else (picture, {})
-        caption = " ".join(text.get_text() for text in words)
-        return picture, about | {"alt": describe(figure), "caption": caption}
+        return picture, about | {"caption": " ".join(text.get_text() for text in words)}
 
     formatter.for_type(Figure, drawn)
 
@@ -132,93 +128,3 @@ def _mark(figure, words: str) -> None:
     figure.text(
         0.995, 1.01, words, fontsize=8, color="#8a5a00", ha="right", va="bottom", gid=MARK_ID
     )
-
-
-GREEK = ("alpha", "beta", "gamma", "delta", "zeta", "theta", "mu", "sigma", "tau", "phi", "omega")
-# Lines and ticks of a panel that are described one by one.
-MOST_LINES = 8
-
-
-def spoken(text: str) -> str:
-    """Return a label with its mathematics as plain text."""
-    letters = {name: unicodedata.lookup(f"GREEK SMALL LETTER {name}") for name in GREEK}
-    text = re.sub(r"\\([A-Za-z]+)", lambda match: letters.get(match[1], ""), text)
-    return " ".join(re.sub(r"[${}\\]", "", text).split())
-
-
-def describe(figure) -> str:
-    """
-    Return a figure in words: for each panel its axes with their ranges, and how each named line
-    runs.
-    """
-    panels = [
-        axes for axes in figure.axes if axes.get_visible() and (axes.axison or axes.name == "3d")
-    ]
-    told = [_panel(axes) for axes in panels if axes.get_label() != "<colorbar>"]
-    scales = [
-        spoken(axes.get_ylabel() or axes.get_xlabel())
-        for axes in panels
-        if axes.get_label() == "<colorbar>"
-    ]
-    count = [f"{len(told)} panels."] if len(told) > 1 else []
-    colours = [f"Colours show {', '.join(dict.fromkeys(scales))}."] if any(scales) else []
-    return " ".join([*count, *filter(None, told), *colours])
-
-
-def _panel(axes) -> str:
-    """Return one panel in words."""
-    title = next(
-        (
-            spoken(words)
-            for side in ("left", "center", "right")
-            if (words := axes.get_title(loc=side))
-        ),
-        "",
-    )
-    against = f"{_axis(axes.yaxis)} against {_axis(axes.xaxis)}"
-    if axes.name == "3d":
-        against = ", ".join(spoken(getattr(axes, f"get_{name}label")()) or name for name in "xyz")
-    lines = {
-        name: line for line in axes.lines if (name := _name(line)) and len(line.get_xdata()) > 2
-    }
-    runs = [f"{name} {_run(line)}" for name, line in list(lines.items())[:MOST_LINES]]
-    legend = axes.get_legend()
-    keys = [spoken(text.get_text()) for text in legend.get_texts()] if legend else []
-    if rest := [key for key in keys if key not in lines]:
-        runs.append(f"also shown: {', '.join(rest)}")
-    return "; ".join(filter(None, [title, against, *runs])) + "."
-
-
-def _name(artist) -> str:
-    """Return the name that an author gave to a line, or nothing."""
-    label = str(artist.get_label())
-    return "" if label.startswith("_") else spoken(label)
-
-
-def _axis(axis) -> str:
-    """Return label and range of an axis, or the names along it."""
-    label = spoken(axis.get_label_text()) or (
-        "horizontal axis" if axis.axis_name == "x" else "vertical axis"
-    )
-    names = [spoken(tick.get_text()) for tick in axis.get_ticklabels()]
-    if any(re.search(r"[^\W\d_]{2}|[A-Z]\d", name) for name in names):
-        listed = ", ".join(filter(None, names[:MOST_LINES]))
-        return f"{label} ({listed}{' …' if len(names) > MOST_LINES else ''})"
-    low, high = sorted(axis.get_view_interval())
-    return f"{label} from {low:.3g} to {high:.3g}"
-
-
-def _run(line) -> str:
-    """Return how a line runs: where it begins and ends, and its extremes between."""
-    heights = np.asarray(line.get_ydata(orig=False), dtype=float)
-    heights = heights[np.isfinite(heights)]
-    if not heights.size:
-        return "is empty"
-    first = heights[0]
-    last = heights[-1]
-    low = heights.min()
-    high = heights.max()
-    if low == high:
-        return f"stays at {first:.3g}"
-    run = f"goes from {first:.3g} to {last:.3g}"
-    return run if {low, high} == {first, last} else f"{run}, between {low:.3g} and {high:.3g}"

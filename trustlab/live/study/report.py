@@ -7,9 +7,10 @@ from pathlib import Path
 from trustlab.live.study.plan import PLAN
 from trustlab.models.extras import extra
 from trustlab.models.files import write_atomically
-from trustlab.publishing.provenance import PACKAGE, SHORT, file_digest, provenance
+from trustlab.publishing.provenance import provenance
 from trustlab.testbeds.team_animation import policy
 
+PACKAGE = Path(__file__).parents[2]
 NOTEBOOK = Path(__file__).with_name("report.ipynb")
 HEAD = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8">
@@ -29,17 +30,13 @@ img {{ max-width: 100%; background: #fff; }} h1, h2, h3 {{ line-height: 1.2; }}
 def write_report(folder: Path, codes: list[str], path: Path) -> Path:
     """Run the notebook on what a folder holds of these participants, and write its page."""
     from trustlab.publishing.chapter import chapter
-    from trustlab.publishing.execution import anonymous, execute
+    from trustlab.publishing.run import anonymous, execute
 
     with extra("reports"):
         import nbformat
         from nbconvert import HTMLExporter
 
-    logs = [path for code in codes for path in sorted((folder / code).glob("*.jsonl"))]
-    inputs = [folder / PLAN, *logs]
-    origin = provenance(PACKAGE.parent, NOTEBOOK, {}, [])
-    digests = {file.relative_to(folder).as_posix(): file_digest(file) for file in inputs}
-    origin |= {name: f"SHA-256 {digest[:SHORT]}" for name, digest in digests.items()}
+    origin = provenance(PACKAGE.parent, NOTEBOOK, {}) | {"Data": ", ".join([PLAN, *codes])}
     run = nbformat.reads(chapter(execute(NOTEBOOK, {}, folder), origin), as_version=4)
     exporter = HTMLExporter(template_name="basic", embed_images=True, exclude_input=True)
     body, _ = exporter.from_notebook_node(run)

@@ -7,6 +7,7 @@ import os
 import re
 import sys
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -24,35 +25,24 @@ with extra("reports"):
     from traitlets.config import Config
 
 # Libraries told to sum in one thread: with more, the last digits differ from machine to machine.
-ONE_THREAD = dict.fromkeys(
-    (
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "VECLIB_MAXIMUM_THREADS",
-        "NUMBA_NUM_THREADS",
-    ),
-    "1",
-)
+LIBRARIES = ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM", "NUMBA")
+ONE_THREAD = {f"{name.removesuffix('_MAXIMUM')}_NUM_THREADS": "1" for name in LIBRARIES}
+
+# Seconds that a cell may take.
+LIMIT = 1800.0
 
 
 class CellError(ValueError):
     """A notebook that failed: the message names its cell and shows its source and traceback."""
 
 
-def prepare_environment(root: Path) -> None:
-    """Set what every kernel that this process starts inherits; what the user has set stays."""
+def execute(
+    path: Path, parameters: dict[str, Any], folder: Path, limit: float = LIMIT
+) -> NotebookNode:
+    """Run a notebook in a folder, each cell for some seconds at most; return it with outputs."""
     os.environ |= ONE_THREAD | os.environ
     os.environ |= {"PYTHONHASHSEED": "0", "TRUSTLAB_REPORT": "1"}
     os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
-    if external_data(root).is_dir():
-        os.environ["TRUSTLAB_DATA"] = str(external_data(root))
-
-
-def execute(
-    path: Path, parameters: dict[str, Any], folder: Path, timeout: float | None = None
-) -> NotebookNode:
-    """Run a notebook in a folder, each cell at most `timeout` seconds; return it with outputs."""
     source = nbformat.read(path, as_version=4)
     numbers = {cell.id: f"cell {i}:\n\n{cell.source}" for i, cell in enumerate(source.cells, 1)}
     place = "no cell"
@@ -73,7 +63,7 @@ def execute(
                 kernel_name="python3",
                 language="python",
                 progress_bar=False,
-                execution_timeout=timeout,
+                execution_timeout=limit,
                 resources={"metadata": {"path": str(folder)}},
                 # an idle kernel calls the signal that ends it an error
                 extra_arguments=["--log-level=CRITICAL"],
@@ -89,33 +79,34 @@ def execute(
             raise CellError(f"{place}\n\n{type(error).__name__}: {error}") from error
 
 
-def declared_parameters(path: Path) -> dict[str, Any]:
-    """Return the parameters that a notebook declares in its cell tagged ``parameters``."""
+def chosen_parameters(path: Path, words: Iterable[tuple[str, str]]) -> dict[str, Any]:
+    """
+    Return the parameters of a notebook, those given by name in place of its own; one that no
+    notebook beside it declares is refused.
+    """
+    declared = _declared(path)
+    known = {name for other in path.parent.glob("[0-9]*.ipynb") for name in _declared(other)}
+    for name, _ in words:
+        if name not in known | declared.keys():
+            raise ValueError(
+                f"no notebook declares a parameter {name!r}{did_you_mean(name, known)}; declared "
+                f"are: {', '.join(sorted(known)) or 'none'}"
+            )
+    return declared | {name: _parsed(word) for name, word in words if name in declared}
+
+
+def _declared(path: Path) -> dict[str, Any]:
+    """Return what a notebook declares in its cell with the tag "parameters"."""
     declared = papermill.inspect_notebook(str(path))
-    return {name: _parse(about["default"]) for name, about in declared.items()}
+    return {name: _parsed(about["default"]) for name, about in declared.items()}
 
 
-def _parse(word: Any) -> Any:
+def _parsed(word: str) -> Any:
     """Return what Python reads in a text, or else the text."""
     try:
         return ast.literal_eval(word)
     except (SyntaxError, ValueError):
         return word
-
-
-def choose_parameters(notebooks: list[Path], words: dict[str, Any]) -> dict[Path, dict[str, Any]]:
-    """Return for each notebook those of the parameters that it declares; refuse unknown ones."""
-    declared = {path: declared_parameters(path) for path in notebooks if words}
-    known = {name for parameters in declared.values() for name in parameters}
-    for name in set(words) - known:
-        raise ValueError(
-            f"no notebook declares a parameter {name!r}{did_you_mean(name, known)}; declared are: "
-            f"{', '.join(sorted(known)) or 'none'}"
-        )
-    return {
-        path: {name: _parse(words[name]) for name in declared.get(path, {}) if name in words}
-        for path in notebooks
-    }
 
 
 def anonymous(text: str, root: Path) -> str:
