@@ -16,7 +16,13 @@ from trustlab.models.files import write_atomically
 from trustlab.publishing.chapter import chapter, empty_chapter
 from trustlab.publishing.parameters import DataAbsentError
 from trustlab.publishing.provenance import external_data, provenance
-from trustlab.publishing.run import CellError, anonymous, chosen_parameters, execute
+from trustlab.publishing.run import (
+    CellError,
+    anonymous,
+    chosen_parameters,
+    declared_parameters,
+    execute,
+)
 
 
 def main(words: list[str] | None = None) -> int:
@@ -28,8 +34,14 @@ def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m trustlab.publishing", description=__doc__)
     parser.add_argument("notebook", type=Path)
     parser.add_argument("chapter", type=Path)
-    given = {"nargs": 2, "action": "append", "default": [], "metavar": ("NAME", "VALUE")}
-    parser.add_argument("-p", **given, help="a parameter, for the notebooks that declare it")
+    parser.add_argument(
+        "-p",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("NAME", "VALUE"),
+        help="a parameter, for the notebooks that declare it",
+    )
     options = parser.parse_args(words)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     root, path = Path.cwd(), options.notebook.resolve()
@@ -40,7 +52,8 @@ def main(words: list[str] | None = None) -> int:
     try:
         parameters = chosen_parameters(path, options.p)
         run = execute(path, parameters, path.parent)
-        origin = provenance(root, path, parameters) | {"Started": started}
+        values = declared_parameters(path) | parameters
+        origin = provenance(root, path, values) | {"Started": started}
         origin["Time taken"] = f"{time.monotonic() - began:.1f} s"
         page = chapter(run, origin)
     except DataAbsentError as error:

@@ -7,7 +7,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -79,23 +79,24 @@ def execute(
             raise CellError(f"{place}\n\n{type(error).__name__}: {error}") from error
 
 
-def chosen_parameters(path: Path, words: Iterable[tuple[str, str]]) -> dict[str, Any]:
+def chosen_parameters(path: Path, words: Sequence[tuple[str, str]]) -> dict[str, Any]:
     """
-    Return the parameters of a notebook, those given by name in place of its own; one that no
+    Return those of the given parameters that a notebook declares; one that neither it nor a
     notebook beside it declares is refused.
     """
-    declared = _declared(path)
-    known = {name for other in path.parent.glob("[0-9]*.ipynb") for name in _declared(other)}
+    beside = [declared_parameters(other) for other in path.parent.glob("[0-9]*.ipynb") if words]
+    known = {name for parameters in beside for name in parameters}
     for name, _ in words:
-        if name not in known | declared.keys():
+        if name not in known:
             raise ValueError(
                 f"no notebook declares a parameter {name!r}{did_you_mean(name, known)}; declared "
                 f"are: {', '.join(sorted(known)) or 'none'}"
             )
-    return declared | {name: _parsed(word) for name, word in words if name in declared}
+    declared = declared_parameters(path) if words else {}
+    return {name: _parsed(word) for name, word in words if name in declared}
 
 
-def _declared(path: Path) -> dict[str, Any]:
+def declared_parameters(path: Path) -> dict[str, Any]:
     """Return what a notebook declares in its cell with the tag "parameters"."""
     declared = papermill.inspect_notebook(str(path))
     return {name: _parsed(about["default"]) for name, about in declared.items()}
