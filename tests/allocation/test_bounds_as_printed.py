@@ -259,18 +259,6 @@ def test_the_step_of_tsc_is_that_of_the_steady_cycle(operators):
         steady_state_bounds(model, 0.0, 0.35, delta_tsc=2.1)
 
 
-def test_phases_of_no_length_have_no_utilization():
-    assert np.isnan(utilization_as_printed(0.999, 0.0, 0.0, 0.0)).all()
-    low, high = utilization_as_printed(np.array([0.99, 0.999]), 5.0, 9.0, 20.0)
-    for k, a in enumerate((0.99, 0.999)):
-        r = 0.5
-        for manual, expected in ((5, low[k]), (9, high[k])):
-            for _ in range(20_000):
-                peak = 1.0 - a**manual * (1.0 - r)
-                r = peak * a**20
-            assert expected == pytest.approx(r if manual == 5 else peak, rel=1e-12)
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -284,30 +272,6 @@ def test_refuses(operators, arguments, says):
         steady_state_bounds(operators["pilot"], *arguments)
     with pytest.raises(ValueError, match="delta_p_h must not be negative"):
         threshold_limits(operators["pilot"], -1.0)
-
-
-def test_the_plot_shows_what_dwell_times_are_derived_from(operators):
-    import matplotlib.pyplot as plt
-
-    bounds = steady_state_bounds(operators["2"], 0.0, 0.35, delta_tsc=0.005)
-    alone, manual, utilization = bounds.plot(sample_time=0.1)
-    curve = alone.lines[0]
-    # (2.16): after τ_da samples, rounded down, P_r has fallen from P_ru to P_rl but for the part of
-    # a sample.
-    at = np.interp(
-        [0.1 * bounds.dwell_autonomous_high, 0.1 * bounds.dwell_autonomous_high + 0.1],
-        *curve.get_data(),
-    )
-    assert at[0] >= bounds.p_r_low >= at[1]
-    # (2.33): the bounds are the least and the greatest utilization of the two periodic motions.
-    lines = {line.get_label(): line.get_ydata() for line in utilization.lines}
-    low, high = (
-        next(line for label, line in lines.items() if label.endswith(end))
-        for end in ("$r_l$", "$r_u$")
-    )
-    assert (low.min(), high.max()) == pytest.approx((bounds.r_low, bounds.r_high), abs=1e-9)
-    assert len(manual.lines) == 6 - math.isinf(bounds.dwell_manual_high)
-    plt.close("all")
 
 
 def test_greatest_steps_are_those_of_every_state():

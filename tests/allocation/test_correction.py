@@ -180,17 +180,6 @@ def test_suggestions_are_those_of_algorithm_3():
         assert plan.suggestion == (0 if tsc >= 0.35 else 1 if tsc <= 0.0 else -1)
 
 
-def test_table_plot_and_repr():
-    plan = corrector(horizon=20).step(0.6, 0.35, *START)
-    table = plan.table()
-    assert list(table.columns) == ["r", "p_r", "lower", "upper", "mode", "c_l", "c_u"]
-    assert len(table) == 21
-    assert table.iloc[-1].isna().sum() == 3
-    assert len(plan.plot()) == 2
-    assert "planned" in repr(plan)
-    assert "horizon=20" in repr(corrector(horizon=20))
-
-
 def own_incentive(r, p_r, c_b, p_min, p_max):
     return -0.3 * r * c_b, 0.4 * (1.0 - r) * c_b
 

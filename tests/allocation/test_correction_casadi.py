@@ -68,7 +68,7 @@ def test_a_cost_of_utilization_is_judged_under_the_hard_switch():
         state = (0.7, float(p_r), 0.02, 0.45, 1)
         plan = ours.step(*state)
         table = plan.table()
-        base = ((table[["lower", "upper"]] - TARGET) ** 2).to_numpy()[1:].sum()
+        base = ((table[["lower", "upper"]].to_numpy() - TARGET) ** 2)[1:].sum()
         assert plan.cost == pytest.approx(base + 0.1 * (table["r"][:-1] ** 2).sum(), rel=1e-9)
         for wish in (np.full((2, 60), np.nan), np.zeros((2, 60))):
             other, _, _, path = ours.followed(np.array(state[:4]), 1, wish)

@@ -15,7 +15,6 @@ from trustlab.allocation.steady import (
     coarse,
     encloses_beta,
     endless_phase,
-    points,
     survey,
 )
 from trustlab.reproduction import published_table
@@ -115,19 +114,6 @@ def test_utilization_that_saturates_has_a_cycle_too():
     assert (cycle.r_low, cycle.r_high) == pytest.approx((0.0, 1.0), abs=1e-12)
 
 
-def test_the_plot_shows_rule_run_and_cycle(operators):
-    import matplotlib.pyplot as plt
-
-    axes = limit_cycle(operators["2"], 0.0, 0.35).plot()
-    labels = [line.get_label() for line in axes.lines]
-    assert labels == ["$TSC_l$ = 0", "$TSC_u$ = 0.35", "from near rest", "steady cycle"]
-    lower, upper, _, cycle = axes.lines
-    low, high = (np.interp(cycle.get_xdata(), *line.get_data()) for line in (lower, upper))
-    assert ((cycle.get_ydata() > low - 1e-3) & (cycle.get_ydata() < high + 1e-3)).all()
-    assert len(limit_cycle(operators["1"], 0.15, 0.9).plot().lines) == 3
-    plt.close("all")
-
-
 def test_a_quick_operator_s_utilization_repeats_before_performance_does():
     """Dwell times alternate although r repeats to 1e-9 within a few cycles. Oracle: simulation."""
     p_h_max = 0.3081556230407075
@@ -213,17 +199,6 @@ def test_a_survey_has_the_motions_of_limit_cycle(operators):
                 ends = getattr(cycle, name)
                 assert exact[i, j, row, LOW] == ends[0]
                 assert screened[i, j, row, LOW] == pytest.approx(ends[0], abs=2 * ratios[i])
-
-
-def test_points_are_percentages_of_the_ranges(operators):
-    tsc = operators["2"]
-    run = simulate_allocation(tsc, 0.0, 0.35, 60_000, r0=0.7).iloc[20_000:]
-    motions = survey([tsc], np.array([[0.0, 0.35]]))
-    of_robot = tl.relative_performance(run["p_r"], tsc.robot.p_min, tsc.robot.p_max)
-    of_human = tl.relative_performance(run["p_h"], tsc.human.p_min, tsc.human.p_max)
-    for weight in (0.0, 0.5, 1.0):
-        expected = weight * of_robot + (1.0 - weight) * of_human
-        assert points(motions, [tsc], weight).item() == pytest.approx(expected, abs=0.3)
 
 
 # --- phases that never end ------------------------------------------------------------------------

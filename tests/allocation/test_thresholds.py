@@ -147,21 +147,6 @@ def test_thresholds_are_read_off_the_switches():
     assert estimate.summary["n"].sum() == len(estimate.switches) == 66
 
 
-def test_switches_before_a_time_are_left_out():
-    run = switched(-0.2, 0.5, 0.05, 1)
-    everything = estimate_thresholds(run)
-    first = everything.switches["t"].iloc[0]
-    later = estimate_thresholds(run, after=first + 0.05)
-    pd.testing.assert_frame_equal(
-        later.switches, everything.switches.iloc[1:].reset_index(drop=True)
-    )
-    pd.testing.assert_frame_equal(
-        estimate_thresholds(run, after=first).switches, everything.switches
-    )
-    with pytest.raises(tl.SessionError, match="at 1000 s or later"):
-        estimate_thresholds(run, after=1000.0)
-
-
 def test_choices_say_which_limits_they_keep(operators):
     for name, model in operators.items():
         if name == "1":

@@ -132,7 +132,8 @@ def in_notebook(folder, states):
     executor = preprocessors.ExecutePreprocessor(timeout=120)
     executor.preprocess(notebook, {"metadata": {"path": str(folder)}})
     calls = [cell for cell in cells if cell.source == CALL]
-    return [cell.outputs[0]["text"].strip() for cell in calls]
+    # What is printed at once may come in parts.
+    return ["".join(part["text"] for part in cell.outputs).strip() for cell in calls]
 
 
 @pytest.mark.parametrize("place", [in_package, in_script, in_notebook])

@@ -103,17 +103,6 @@ def test_estimates_are_told_by_their_standard_errors_and_decisions_exactly(diges
     assert ("determined", "0", "nothing", True) in list(digests.differences(fewer, expected))
 
 
-def test_a_long_column_is_told_from_one_with_a_single_other_value(digests):
-    """Also where the changed row itself is not stored."""
-    frame = digests.tabled({"x": [0.5 + 0.001 * k for k in range(1000)], "who": ["C1"] * 1000})
-    other = frame.copy()
-    other.loc[777, ["x", "who"]] = [0.7, "C2"]
-    for column, cell in (("x", "mean"), ("who", "checksum")):
-        stored, changed = ({column: digests.summary(f[column])} for f in (frame, other))
-        assert "777" not in stored[column]
-        assert [place[:2] for place in digests.differences(changed, stored)] == [(column, cell)]
-
-
 def test_a_difference_names_case_place_and_both_values(digests, tmp_path, monkeypatch, capsys):
     stored = json.loads(digests.EXPECTED.read_text())
     right = stored["threshold_limits"]["value"]["1"]

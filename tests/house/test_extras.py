@@ -13,7 +13,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 USES = {
     "read a bag": ("ros", "rosbags.highlevel", "tl.read_session('run.bag')"),
     "write a bag": ("ros", "rosbags", "tl.write_session(session, 'new.mcap')"),
-    "publish": ("reports", "papermill", "tl.publishing.publish()"),
+    "publish": ("reports", "papermill", "import trustlab.publishing.run"),
 }
 
 

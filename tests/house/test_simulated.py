@@ -95,6 +95,7 @@ def test_failures(make):
     assert own.loc["r ≤ r_u (2.33)", "share"] > 0.2
 
 
+@pytest.mark.long
 def test_adjustments():
     own = stored("adjustments").set_index(["study", "p_adjust"])
     study = tl.published_studies()["uav.robot_performance"]

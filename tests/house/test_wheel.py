@@ -56,6 +56,7 @@ def test_the_sdist_can_be_tested(built):
     } <= names
 
 
+@pytest.mark.long
 def test_pages_run(installed, tmp_path):
     """
     Each page in a namespace of its own and a folder with nothing but the files that it shows, all

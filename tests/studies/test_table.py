@@ -182,23 +182,6 @@ def test_options_that_are_refused(options, message):
         analysed(table(), **options)
 
 
-def test_many_faults_are_counted_not_listed():
-    frame = pd.concat([table(20), table(20)])
-    with pytest.raises(ValueError, match=r"60 cells? with more than one row") as error:
-        analysed(frame)
-    assert len(str(error.value)) < 700
-    with pytest.raises(ValueError, match="and 15 more") as error:
-        analysed(
-            table(20)
-            .query("condition != 'C2' or pid == 'P1'")
-            .assign(score=lambda f: f["score"].where(f.index > 2))
-            .pipe(
-                lambda f: pd.concat([f, table(20).iloc[[1]]]).drop_duplicates(["pid", "condition"])
-            )
-        )
-    assert len(str(error.value)) < 900
-
-
 def test_layout_of_scores():
     frame = table().sample(frac=1.0, random_state=1)
     read = read_scores(frame, "score", "condition", "pid")

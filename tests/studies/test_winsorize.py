@@ -97,13 +97,6 @@ def test_order_is_kept_inner_values_are_not_touched(values, outside, to):
     assert scores_of(mirrored) == pytest.approx(-new, rel=1e-9, abs=1e-6)
 
 
-def test_missing_cells_stay_missing(frame):
-    frame.loc[7, "error"] = np.nan
-    found = winsorize(frame, "error", "scheme", "pid", outside="iqr", k=1.5, to="limit")
-    assert np.isnan(found.data.loc[7, "error"])
-    assert found.limits["n"].tolist() == [30, 29]
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

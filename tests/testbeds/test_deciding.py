@@ -64,12 +64,6 @@ def skill_of(session, before):
     return session["p_h"][alone].mean() / before["p_h"][alone].mean()
 
 
-def test_attention_costs_performance_where_one_must_decide():
-    free, forced = (run(c, attention_cost=0.2).session for c in ("C1", "C3"))
-    assert forced == run("C3").session
-    assert skill_of(free, run("C1").session) == pytest.approx(0.8, abs=0.03)
-
-
 def test_attention_costs_while_a_suggestion_stands_that_may_be_declined():
     declined = {"follow_tsc": 0.0, "ignoring_time": 3000.0}
     costly, before = (run("C2", attention_cost=cost, **declined).session for cost in (0.2, 0.0))

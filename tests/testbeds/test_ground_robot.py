@@ -283,54 +283,7 @@ def test_followed_suggestions_by_hand():
     assert len(followed_suggestions(tl.Session(always))) == 50
 
 
-@pytest.mark.parametrize(("shown", "state"), [(15, "not followed"), (14, "withdrawn")])
-def test_a_suggestion_that_stands_for_its_deadline_is_not_followed(shown, state):
-    t = np.arange(60.0)
-    suggested = np.where((t >= 10.0) & (t <= 10.0 + shown), 0.0, -1.0)
-    frame = pd.DataFrame({"mode": np.ones(t.size), "suggested_mode": suggested}, index=t)
-    assert followed_suggestions(tl.Session(frame))["state"].tolist() == [state]
-
-
 # Reproducible, readable, quick, and clear about what is wrong
-
-
-def test_same_seed_same_run(one, model):
-    first, again = (run_condition("C2", one, model, THRESHOLDS, seed=5).session for _ in range(2))
-    pd.testing.assert_frame_equal(first.data, again.data, check_exact=True)
-    other = run_condition("C2", one, model, THRESHOLDS, seed=6).session
-    assert not np.array_equal(first["robot_x"][:500], other["robot_x"][:500])
-    child = np.random.SeedSequence(9).spawn(2)[1]
-    child.spawn(3)
-    runs = [run_condition("C2", one, model, THRESHOLDS, seed=s).session for s in (child, child)]
-    assert runs[0] == runs[1]
-    assert runs[0].metadata.more["spawn_key"] == "1"
-    sibling = run_condition(
-        "C2", one, model, THRESHOLDS, seed=np.random.SeedSequence(9).spawn(1)[0]
-    ).session
-    assert not np.array_equal(sibling["robot_x"][:500], runs[0]["robot_x"][:500])
-
-
-def test_figures_say_that_they_are_synthetic(runs, sessions):
-    import matplotlib.pyplot as plt
-
-    run = runs["C3"]
-    panels = run.plot(bounds={"r": (0.3, 0.8)})
-    assert len(panels) == 4
-    assert "synthetic" in panels[0].figure.get_suptitle()
-    assert len(panels[1].lines) == 3
-    assert len(panels[3].lines) == 3  # TSC and its thresholds
-    for panel, name in zip(panels, ("p_r", "r", "p_h", "tsc"), strict=True):
-        low, high = panel.get_ylim()
-        assert low < run.session[name].min()
-        assert run.session[name].max() < high
-    axes = run.plot_path(100.0, 500.0)
-    assert "synthetic" in axes.get_title()
-    labels = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert labels == ["guide posts", "manual", "autonomous", "desired"]
-    with pytest.raises(ValueError, match="one of 'p_r', 'r', 'p_h', 'tsc', got 'speed'"):
-        run.plot(bounds={"speed": (0, 1)})
-    assert "synthetic" in run._repr_html_()
-    plt.close("all")
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,6 @@ Chapter 4 in one loop: against a dense solver, Lemmas 6 and 7, V_T, Theorem 6, R
 removed.
 """
 
-import itertools
-
 import matplotlib
 import networkx as nx
 import numpy as np
@@ -250,30 +248,6 @@ def test_kernel_against_a_dense_solver(kind, graph, scales):
     )
 
 
-def test_converges_with_the_order_of_the_midpoint_rule():
-    """
-    Order 2: halving the step divides the difference by four; delays are multiples of every step.
-    """
-    ends = []
-    for T in (0.02, 0.01, 0.005, 0.0025):
-        run = simulate_team(
-            nx.path_graph(4),
-            GivenSequence([0]),
-            seed=3,
-            duration=6.0,
-            sample_time=T,
-            delay=0.2,
-            vision_delay=0.2,
-            settings=NO_SCALING,
-            filters="corrected",
-            record_every=0.1,
-            operator=TeamOperator(guarded=False),
-        )
-        ends.append(run.positions[-1])
-    errors = [np.abs(one - other).max() for one, other in itertools.pairwise(ends)]
-    assert all(one > 3.0 * other for one, other in itertools.pairwise(errors))
-
-
 def energies(seed, **change):
     graph, arguments = random_team(seed)
     arguments |= {"duration": 60.0, "sample_time": 0.01, "record_every": 0.01} | change
@@ -454,19 +428,6 @@ def test_same_seed_same_run_and_trust_drives_the_leader():
     assert len(one.switches) > 2
 
 
-def test_goal_time_and_views():
-    run = simulate_team(nx.complete_graph(3), sample_time=0.01, duration=200.0)
-    assert run.converged
-    after = run.t >= run.time_to_goal
-    assert run.distances[after].max() < 1e-3 <= run.distances[~after][-1].max()
-    assert np.isnan(simulate_team(nx.complete_graph(3), duration=2.0).time_to_goal)
-    assert list(run.plot()[3].get_legend_handles_labels()[1])[-1].startswith("$V_T")
-    assert max(len(repr(run)), len(str(run))) < 200
-    assert run.summary().shape == (1, 13)
-    with pytest.raises(ValueError, match="four Matplotlib axes"):
-        run.plot(run.plot()[:3])
-
-
 def test_a_run_is_a_session(tmp_path):
     run = simulate_team(nx.path_graph(3), duration=5.0)
     session = run.session()
@@ -506,28 +467,6 @@ class TestBadInput:
     def test_arguments(self, change, words):
         with pytest.raises(ValueError, match=words):
             simulate_team(nx.path_graph(3), **({"duration": 10.0} | change))
-
-    def test_own_policies_are_checked(self):
-        class Own:
-            title = "own"
-
-            def __init__(self, make):
-                self.make = make
-
-            def leader(self, now):
-                return self.make()
-
-        for make, words in (
-            (lambda: [1, 2], "whole numbers"),
-            (lambda: 1.0, "whole numbers"),
-            (lambda: True, "whole numbers"),
-            (lambda: 9, "does not exist"),
-        ):
-            with pytest.raises(ValueError, match=words):
-                simulate_team(nx.path_graph(3), Own(make), duration=10.0)
-        run = simulate_team(nx.path_graph(3), Own(lambda: np.int64(1)), duration=5.0)
-        assert run.facts["policy"] == "own"
-        assert (run.data["number"] == 1.0).all()
 
 
 def test_a_run_is_repeated_from_its_inputs_without_python():

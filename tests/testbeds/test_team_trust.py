@@ -11,7 +11,6 @@ import trustlab as tl
 from tests.teams import simulate_team
 from trustlab.teleoperation import (
     GivenSequence,
-    PartError,
     TeamChannel,
     TeamOperator,
     TeamRobot,
@@ -164,25 +163,6 @@ class TestMeasures:
         expected = 0.5 + (np.array(rated) - 0.5) * after
         np.testing.assert_allclose(run.trust[-1], expected, atol=1e-3)
 
-    def test_own_measures_and_their_faults(self):
-        def ones(motion):
-            assert motion.positions.shape == motion.velocities.shape == motion.asked.shape
-            return np.ones(len(motion.present))
-
-        run = simulate_team(CHAIN, duration=5.0, performance=ones)
-        assert run.facts["performance"] == "ones"
-        assert (np.diff(run.trust, axis=0) >= 0.0).all()
-        simulate_team(CHAIN, duration=5.0, performance="cohesion")
-        for answer, words in (
-            (lambda motion: np.ones(3), r"must return 4 numbers, got shape \(3,\)"),
-            (lambda motion: np.full(4, 1.5), "from 0 to 1.*1.5 for robot 0"),
-            (lambda motion: {}[0], "raised KeyError"),
-        ):
-            with pytest.raises(PartError, match=words):
-                simulate_team(CHAIN, duration=5.0, performance=answer)
-        with pytest.raises(ValueError, match="performance must be one of"):
-            simulate_team(CHAIN, performance="luck")
-
 
 @pytest.mark.parametrize("seeds", [3, pytest.param(200, marks=pytest.mark.long)])
 def test_the_most_trusted_robot_is_sooner_at_the_goal(seeds):
@@ -252,16 +232,3 @@ class TestLoop:
             state = loop.step(hand=(0.02, 0.0, 0.0))
         assert 0.005 < state.device[0] < 0.02
         np.testing.assert_allclose(state.device[1:], 0.0, atol=3e-3)
-
-    @pytest.mark.parametrize("place", [1e6, 1e300])
-    def test_a_far_hand_saturates(self, place):
-        loop = tl.TeamLoop(CHAIN, duration=30.0, trial=TeamTrial(0.01))
-        for _ in range(3000):
-            state = loop.step(hand=(place, -place, 0.0))
-        pull = state.f_h + TeamOperator().drag * state.r_m
-        assert np.linalg.norm(pull) <= TeamOperator().reach * (1.0 + 1e-12)
-        single = tl.TeleoperationLoop("TMIG", seed=0)
-        for _ in range(300):
-            single.step(hand=(place, -place, 0.0))
-        with pytest.raises(ValueError, match="hand must be finite"):
-            tl.TeamLoop(CHAIN).step(hand=(np.nan, 0.0, 0.0))

@@ -7,7 +7,7 @@ import pytest
 
 import trustlab as tl
 from trustlab.teleoperation import Guidance
-from trustlab.testbeds import plot_alpha, plot_energies, plot_signals, plot_trajectory
+from trustlab.testbeds import plot_energies
 
 matplotlib.use("Agg")
 RUNS = [tl.simulate_teleoperation(scheme, seed=2, duration=12.0) for scheme in ("TMIG", "OMI")]
@@ -50,29 +50,3 @@ def test_every_energy_is_drawn_where_all_are_apart():
     names = ",".join(str(line.get_label()) for line in panel.lines)
     assert sum(names.count(word) for word in ("taken", "given")) == 5
     assert len(panel.lines) == 6  # and the axis
-
-
-def test_figures_show_what_was_logged():
-    axes = plot_trajectory(RUNS[0])
-    x, y, z = axes.lines[1].get_data_3d()
-    np.testing.assert_array_equal(
-        np.column_stack([x, y, z]), RUNS[0].data[[f"robot_{a}" for a in "xyz"]]
-    )
-    panels = plot_signals(RUNS[0])
-    np.testing.assert_array_equal(panels[2].lines[0].get_ydata(), RUNS[0]["alpha"])
-    panels = plot_energies(RUNS[0])
-    (robot,) = [line for line in panels[1].lines if "robot" in str(line.get_label())]
-    span = np.ptp([RUNS[0][name] for name in ("energy_channel", "energy_port", "energy_target")])
-    assert np.abs(robot.get_ydata() - RUNS[0]["energy_robot"]).max() <= 0.01 * span
-    assert f"port, least {RUNS[0]['energy_robot'].min():z.3f} J" in str(robot.get_label())
-    # every energy is a line or named by one, and no line is hidden by another
-    names = ",".join(str(line.get_label()) for panel in panels for line in panel.lines)
-    assert sum(names.count(word) for word in ("supplied", "stored", "dissipated")) == 3
-    assert sum(names.count(word) for word in ("taken", "given")) == 5
-    curves = [line.get_ydata() for line in panels[1].lines[:-1]]
-    for k, curve in enumerate(curves):
-        for other in curves[:k]:
-            assert np.abs(np.subtract(curve, other)).max() > 0.01 * span
-    panels = plot_alpha(RUNS)
-    np.testing.assert_array_equal(panels[1].lines[0].get_ydata(), RUNS[1]["alpha"])
-    assert "synthetic" in panels[1].get_title()

@@ -212,15 +212,6 @@ def test_a_device_axis_by_axis():
         assert run["energy_port"].min() > -1e-9
 
 
-def test_a_hand_that_is_given_moves_the_device_there():
-    loop = tl.TeleoperationLoop("M", tl.Teleoperator(noise=0.0, stiffness=500.0), seed=1)
-    for _ in range(300):
-        state = loop.step(hand=(0.03, -0.02, 0.0))
-    np.testing.assert_allclose(state.device, (0.03, -0.02, 0.0), atol=4e-3)
-    with pytest.raises(ValueError, match="hand must have 3 samples"):
-        loop.step(hand=(1.0, 2.0))
-
-
 @pytest.mark.parametrize("guidance", GUIDANCE)
 @pytest.mark.parametrize("mass", [0.0, 2.0])
 def test_the_arm_that_holds_the_device_may_have_a_mass(mass, guidance):

@@ -12,7 +12,7 @@ import pytest
 import trustlab as tl
 from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.tsc import threshold_mode
-from trustlab.testbeds import OperatorPopulation, UavFollowing, following_operator
+from trustlab.testbeds import OperatorPopulation, following_operator
 from trustlab.testbeds.deciding import CONDITIONS, SETTLING
 from trustlab.testbeds.uav_following.run import DURATION, E_MAX, U_MAX
 
@@ -119,33 +119,6 @@ def test_left_alone_the_autopilot_drifts_away():
     course = [near[k : k + 300].mean() for k in (950, 1300, 1700)]
     assert course == sorted(course, reverse=True)
     assert near[2600:].mean() == pytest.approx(who.robot_floor, abs=0.08)
-
-
-def test_twenty_people_by_number():
-    people = [following_operator(i) for i in range(1, 21)]
-    assert [who.participant for who, _, _ in people] == list(range(1, 21))
-    assert len({who.human.beta for who, _, _ in people}) == 20
-    assert following_operator("7")[0] == following_operator(7)[0]
-    assert (
-        OperatorPopulation.uav_following()
-        .draw(3, seed=5)
-        .equals(OperatorPopulation.uav_following().draw(9, seed=5).head(3))
-    )
-    table = OperatorPopulation.uav_following().table().set_index("quantity")
-    drawn = OperatorPopulation.uav_following().draw(400, seed=2)
-    assert drawn["p_r_max"].mean() == pytest.approx(table.loc["p_r_max", "mean"], abs=0.02)
-
-
-def test_same_seed_same_run_and_measures_without_a_session(runs):
-    who, model, thresholds = following_operator(2)
-    again = tl.run_condition("C2", who, model, thresholds, testbed="uav_following", seed=0)
-    assert again.session == runs["C2"].session
-    child = np.random.SeedSequence(3).spawn(1)[0]
-    whole = tl.run_condition("C4", who, model, testbed="uav_following", seed=child)
-    row = OperatorPopulation.uav_following().draw(2, seed=0).to_dict("records")[1]
-    bare = UavFollowing().run("C4", row, child)
-    assert bare.measures == whole.measures
-    assert bare.log["r"][-1] == whole.session["r"][-1]
 
 
 @pytest.mark.parametrize(

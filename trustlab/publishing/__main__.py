@@ -47,7 +47,8 @@ def main(words: list[str] | None = None) -> int:
     root, path = Path.cwd(), options.notebook.resolve()
     if external_data(root).is_dir():
         os.environ["TRUSTLAB_DATA"] = str(external_data(root))
-    began, failure, old = time.monotonic(), "", False
+    began, skipped = time.monotonic(), False
+    failure = ""
     started = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
     try:
         parameters = chosen_parameters(path, options.p)
@@ -57,7 +58,8 @@ def main(words: list[str] | None = None) -> int:
         origin["Time taken"] = f"{time.monotonic() - began:.1f} s"
         page = chapter(run, origin)
     except DataAbsentError as error:
-        page, old = empty_chapter(path, f"**Skipped: {error}**"), True
+        page = empty_chapter(path, f"**Skipped: {error}**")
+        skipped = True
     except CellError as error:
         failure = anonymous(str(error), root)
         page = empty_chapter(path, "**This report failed.** Nothing of it is shown.", failure)
@@ -68,9 +70,9 @@ def main(words: list[str] | None = None) -> int:
         print(f"interrupted: {path.stem} is not half made", file=sys.stderr, flush=True)
         os._exit(130)  # the kernel ends with the process that started it; threads would wait
     write_atomically(options.chapter, anonymous(page, root))
-    if failure or old:  # as if from before everything that it depends on
+    if failure or skipped:  # as if from before everything that it depends on
         os.utime(options.chapter, (0, 0))
-    word = "failed" if failure else "skipped" if old else "run"
+    word = "failed" if failure else "skipped" if skipped else "run"
     print(f"{path.stem} … {word} in {time.monotonic() - began:.1f} s", flush=True)
     if failure:
         print(f"\n── {path.stem} failed in {failure}", file=sys.stderr)

@@ -127,15 +127,6 @@ def test_a_pilot_study_is_the_population():
     assert "synthetic data" in found.plot().get_title()
 
 
-def test_same_seed_same_table_wherever_it_runs():
-    options = TWO_WAY | {"replicates": 300}
-    one = settled(tl.power_analysis, MEANS, n=[8, 12], seed=3, **options).table()
-    two = settled(tl.power_analysis, MEANS, n=[8, 12], seed=3, n_jobs=2, **options).table()
-    pd.testing.assert_frame_equal(one, two)
-    alone = settled(tl.power_analysis, MEANS, n=12, seed=3, **options).table()
-    pd.testing.assert_frame_equal(one[one["n"] == 12].reset_index(drop=True), alone)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -128,17 +128,6 @@ def test_pairs_agree_with_the_noncentral_t(grid):
     assert ((bonferroni <= holm) & (holm <= raw)).all()
 
 
-def test_a_cell_does_not_depend_on_its_place_in_the_grid():
-    arguments = {"mean": MEANS, "covariance": graded_covariance(5), "replicates": 200, "seed": 4}
-    alone = settled(tl.power_analysis, **arguments, n=12, effect_size=0.1).table()
-    grid = settled(tl.power_analysis, **arguments, n=[8, 12], effect_size=[0.05, 0.1]).table()
-    same = grid[(grid["n"] == 12) & np.isclose(grid["effect_size"], 0.1)].reset_index(drop=True)
-    pd.testing.assert_frame_equal(same, alone)
-    assert (
-        grid.groupby(["n", "effect_size"])["power"].first().nunique() == 4
-    )  # no two cells share their draws
-
-
 @pytest.mark.parametrize(("n", "k"), [(12, 4), (3, 5)])
 def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
     replicates = 100
@@ -337,23 +326,6 @@ def test_a_plan_says_what_it_assumes():
         )
         assert plan.n_by_spread[name] == n
         assert str(n) in text
-
-
-def test_a_plan_out_of_reach_names_what_drives_it():
-    covariance = graded_covariance(2)  # the difference has a variance of 1
-    with pytest.raises(ValueError, match=r"at most 0\.05 standard deviations") as caught:
-        tl.smallest_n(
-            0.8,
-            [0.0, 0.05],
-            covariance,
-            most=1000,
-            simulation=tl.studies.Simulation(replicates=200),
-        )
-    n = int(str(caught.value).split("n is ")[1].split(".")[0])
-    plan = tl.smallest_n(
-        0.8, [0.0, 0.1], covariance, most=n + 100, simulation=tl.studies.Simulation(replicates=2000)
-    )
-    assert abs(plan.n - n) < 0.1 * n
 
 
 @pytest.mark.parametrize(

@@ -17,10 +17,9 @@ from trustlab.campaign import CampaignError, CampaignWarning
 from trustlab.operators.ground_robot import person_of
 from trustlab.studies.planning import virtual_study as one_participant
 from trustlab.testbeds import GroundRobot, OperatorPopulation, UavTracking
-from trustlab.testbeds.populations import COORDINATES, person_at, printed_people
+from trustlab.testbeds.populations import COORDINATES, person_at
 
 PUBLISHED = OperatorPopulation.ground_robot()
-FOLLOWING = {"participant": 1, "follow_tsc": 0.5, "follow_performance": 0.5}
 
 
 @pytest.fixture(scope="module")
@@ -75,20 +74,6 @@ def test_thresholds_of_the_second_participant_are_at_their_place():
     values = person_at(z, "ground_robot", 0.24)
     assert values["p_h_max"] == pytest.approx(printed["P_h_max"])
     assert [values["tsc_l"], values["tsc_u"]] == pytest.approx([0.0, 0.35], abs=1e-12)
-
-
-@pytest.mark.parametrize("testbed", COORDINATES)
-def test_coordinates_lead_back_to_the_person(testbed):
-    population = getattr(OperatorPopulation, testbed)()
-    for z in np.random.default_rng(5).multivariate_normal(
-        population.mean, 0.01 * population.covariance, 20
-    ):
-        person = person_at(z, testbed, population.p_r_min)
-        limits = threshold_limits(person_of(person | FOLLOWING)[1], 0.0)
-        person |= {"tsc_lb": limits.lower, "tsc_ub": limits.upper}
-        again = [coordinate.of(person) for coordinate in COORDINATES[testbed]]
-        np.testing.assert_allclose(again, z, rtol=1e-9)
-    assert list(printed_people().index) == ["pilot", "1", "2", "3", "4", "5"]
 
 
 def test_draws_have_the_distribution_and_all_are_models():
@@ -158,13 +143,6 @@ def test_sessions_are_read_again_and_have_the_measures(kept):
     assert {"participants.csv", "orders.csv"} <= {item.name for item in kept.folder.iterdir()}
 
 
-def test_the_order_is_the_designs_and_balanced(kept):
-    plan = kept.design.orders().astype({"condition": str})
-    rows = kept.measures[["participant", "position", "condition"]].astype({"condition": str})
-    pd.testing.assert_frame_equal(rows, plan, check_dtype=False)
-    assert kept.design.balance().balanced
-
-
 def test_a_participant_is_a_function_of_their_row_and_seed_that_any_process_can_run(kept):
     task = pickle.loads(pickle.dumps(one_participant.run_participant))
     order = json.dumps(kept.design.table().loc[7].tolist())
@@ -190,27 +168,6 @@ def test_analyses_are_those_of_repeated_measures(kept):
     assert "C1" not in table.loc["followed_percent", "conditions"]
     assert set(table.index) == set(kept.names)
     assert kept.table().attrs["origin"] == "simulated operators"
-
-
-def test_orders_have_no_effect_unless_rest_is_given(tmp_path):
-    names = ["C1", "C3"]
-    first = tl.studies.latin_square_design(names, 4, seed=0)
-    second = next(
-        d
-        for s in range(1, 20)
-        if (d := tl.studies.latin_square_design(names, 4, seed=s)).rows != first.rows
-    )
-    key = ["participant", "condition"]
-    plain = [tl.virtual_study(d, seed=1, laps=1).measures.sort_values(key) for d in (first, second)]
-    carried = [
-        tl.virtual_study(d, seed=1, testbed=GroundRobot(laps=1, rest=60.0)).measures.sort_values(
-            key
-        )
-        for d in (first, second)
-    ]
-    np.testing.assert_array_equal(plain[0]["p_r"], plain[1]["p_r"])
-    assert (plain[0]["position"].to_numpy() != plain[1]["position"].to_numpy()).any()
-    assert (carried[0]["r"].to_numpy() != carried[1]["r"].to_numpy()).any()
 
 
 def test_rest_carries_utilization_over_by_2_5(tmp_path):
@@ -248,12 +205,6 @@ def test_the_uav_testbed_measures_what_teleoperation_measures_does():
     assert study.analysis("tracking_error").k == 4
     default = tl.studies.virtual_study
     assert default is tl.virtual_study
-
-
-def test_the_number_of_processes_has_no_effect():
-    arguments = {"n": 4, "conditions": ["C1", "C5"], "seed": 1, "laps": 1}
-    here, there = (tl.virtual_study(**arguments, n_jobs=n_jobs) for n_jobs in (1, 2))
-    pd.testing.assert_frame_equal(here.measures, there.measures, check_exact=True)
 
 
 # --- failures and folders -------------------------------------------------------------------------
