@@ -47,9 +47,9 @@ def rows() -> Iterator[Row]:
     note = (
         f"p99 {p99:.0f} ms; {found['fps']:.0f} frames/s; pictures {found['delay_ms']:.0f} ms late"
     )
-    work = f"Period of a page's log beside {CLIENTS} scripted people"
-    met = p99 <= 60.0 and found["fps"] >= 58.0
-    goal = "p99 ≤ 60 ms, ≥ 58 frames/s"
+    work = f"A page that commands every 100 ms beside {CLIENTS} people, period of its log"
+    met = p99 <= 120.0 and found["fps"] >= 58.0
+    goal = "p99 ≤ 120 ms, ≥ 58 frames/s"
     yield Row(work, periods.tolist(), goal=goal, met=met, note=note)
 
 

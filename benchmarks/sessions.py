@@ -35,6 +35,7 @@ def rows() -> Iterator[Row]:
         path = str(Path(folder) / "run.csv")
         csv.write_csv(pa.table(columns), path)
         readers = ("tl.read_session", "pd.read_csv")
+        measured(readers[0], path)  # now the file is in the system's memory
         turns = np.array([[measured(read, path) for read in readers] for _ in range(3)])
     ours, theirs = (1e3 * turns[:, :, 0]).T.tolist()
     ratios = (turns[:, 1, 0] / turns[:, 0, 0]).tolist()
