@@ -16,7 +16,7 @@ def test_one_case_runs_alone_and_leaves_the_page(monkeypatch, capsys, tmp_path):
     assert bench.main(["loops"]) == 0
     said = capsys.readouterr().out
     assert "1 of 1 goals met" in said
-    assert "2 [2–2]; ratio ≥ 1.5: met" in said
+    assert "work; 1 ms (1–1); peer: 2 ms (2–2); 2; ratio ≥ 1.5: met" in said
     assert not bench.PAGE.exists()
     with pytest.raises(SystemExit, match="no benchmark is called lops; there are: first_use"):
         bench.main(["lops"])
