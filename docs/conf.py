@@ -1,4 +1,4 @@
-"""How Sphinx builds the book: `make reports` and `make docs` write it to reports/."""
+"""How Sphinx builds the book, which `make reports` writes to reports/."""
 
 import sys
 from pathlib import Path
@@ -51,7 +51,9 @@ html_copy_source = False
 # The excerpts below the results of a search are fetched, which a browser refuses for pages opened
 # from a disk.
 html_show_search_summary = False
-html_sidebars = {"index": [], "start": [], "install": []}
+# Pages that stand alone have nothing beside them to list.
+ALONE = ("index", "start", "install", "finder", "benchmarks", "search", "genindex")
+html_sidebars = {page: [] for page in ALONE}
 exclude_patterns = ["**/.ipynb_checkpoints"]
 html_context = {"default_mode": "auto"}
 html_theme_options = {
