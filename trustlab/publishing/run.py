@@ -115,4 +115,5 @@ def anonymous(text: str, root: Path) -> str:
     places = {external_data(root): "TRUSTLAB_DATA", root: ".", Path(sys.prefix): ".venv"}
     for place, name in [*places.items(), (Path.home(), "~")]:
         text = text.replace(str(place), name)
-    return re.sub(r"[\w./~-]*ipykernel_\d+/\d+\.py", "this notebook", text)
+    # A name begins where no part of it stands before: else long words would take their square.
+    return re.sub(r"(?<![\w./~-])[\w./~-]*ipykernel_\d+/\d+\.py", "this notebook", text)
