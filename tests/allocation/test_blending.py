@@ -62,6 +62,13 @@ def test_share_is_the_global_minimum(seed, low):
     assert step.cost == pytest.approx(blending.cost(step.alpha, *now), rel=1e-12)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_the_cost_is_that_of_the_equations_solved(seed):
+    now = situation(seed)
+    step = OptimalBlending().step(*now)
+    assert step.cost == pytest.approx(printed_cost(lambda t: step.alpha, *now), rel=1e-5)
+
+
 def test_with_a_deviation_alone_the_operator_drives():
     now = (np.array([0.2, -0.1, 0.3]), ZERO, ZERO, ZERO, ZERO)
     step = OptimalBlending(error_weight=0.0).step(*now)

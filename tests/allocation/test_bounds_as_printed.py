@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
 import trustlab as tl
 from trustlab.allocation import (
@@ -15,7 +16,7 @@ from trustlab.allocation import (
     step_bounds,
     threshold_limits,
 )
-from trustlab.allocation.bounds import utilization_as_printed
+from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
 from trustlab.reproduction import compare, published_table
 from trustlab.reproduction.printed_number import half_unit
 
@@ -249,6 +250,32 @@ def test_step_bounds_bound_every_step(random_model):
         assert inside["tsc"].diff().abs().max() <= bounds.delta_tsc * (1 + 1e-9)
 
 
+@pytest.mark.parametrize(("delta", "rise"), [(0.0, None), (0.005, None), (0.005, 0.12)])
+def test_performance_and_dwell_times_written_out(operators, delta, rise):
+    """(2.15), (2.16), (2.20) and (2.21); dwell times by counting the samples of (2.3)."""
+    model, lower, upper = operators["2"], 0.0, 0.35
+    c = model.constants()
+    bounds = performance_as_printed(c, lower, upper, delta, rise)
+    low = (lower - delta + model.b_T * model.human.p_min) / model.a_T
+    high = (upper + delta + model.b_T * model.human.p_max) / model.a_T
+    assert (bounds.p_r_low, bounds.p_r_high) == pytest.approx((low, high), rel=1e-14)
+
+    def counted(start, end, settled):
+        """Whole samples that do not yet lead past the end."""
+        p_r, k = start, 0
+        while (p_r - end) * (start - end) >= 0.0:
+            p_r, k = settled + c.a_pr * (p_r - settled), k + 1
+        return k - 1
+
+    assert bounds.dwell_autonomous_high == counted(high, low, c.p_r_min)
+    span = rise or c.p_r_max - c.p_r_min
+    assert bounds.dwell_manual_low == counted(low, high, c.p_r_min + span)
+    slow = c.p_r_min + span * c.p_h_min / c.p_h_max
+    assert bounds.dwell_manual_high == counted(low, high, slow)
+    whole = steady_state_bounds(model, lower, upper, delta_tsc=delta)
+    assert (whole.tsc_low, whole.tsc_high) == (lower - delta, upper + delta)
+
+
 def test_the_step_of_tsc_is_that_of_the_steady_cycle(operators):
     model = operators["2"]
     cycle = tl.limit_cycle(model, 0.0, 0.35)
@@ -257,6 +284,18 @@ def test_the_step_of_tsc_is_that_of_the_steady_cycle(operators):
     assert steady_state_bounds(model, 0.0, 0.35, delta_tsc=2.0).delta_tsc == 2.0
     with pytest.raises(ValueError, match=r"delta_tsc must lie in \[0, 2\]"):
         steady_state_bounds(model, 0.0, 0.35, delta_tsc=2.1)
+
+
+def test_phases_of_no_length_have_no_utilization():
+    assert np.isnan(utilization_as_printed(0.999, 0.0, 0.0, 0.0)).all()
+    low, high = utilization_as_printed(np.array([0.99, 0.999]), 5.0, 9.0, 20.0)
+    for k, a in enumerate((0.99, 0.999)):
+        r = 0.5
+        for manual, expected in ((5, low[k]), (9, high[k])):
+            for _ in range(20_000):
+                peak = 1.0 - a**manual * (1.0 - r)
+                r = peak * a**20
+            assert expected == pytest.approx(r if manual == 5 else peak, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -272,6 +311,30 @@ def test_refuses(operators, arguments, says):
         steady_state_bounds(operators["pilot"], *arguments)
     with pytest.raises(ValueError, match="delta_p_h must not be negative"):
         threshold_limits(operators["pilot"], -1.0)
+
+
+def test_the_plot_shows_what_dwell_times_are_derived_from(operators):
+    import matplotlib.pyplot as plt
+
+    bounds = steady_state_bounds(operators["2"], 0.0, 0.35, delta_tsc=0.005)
+    alone, manual, utilization = bounds.plot(sample_time=0.1)
+    curve = alone.lines[0]
+    # (2.16): after τ_da samples, rounded down, P_r has fallen from P_ru to P_rl but for the part of
+    # a sample.
+    at = np.interp(
+        [0.1 * bounds.dwell_autonomous_high, 0.1 * bounds.dwell_autonomous_high + 0.1],
+        *curve.get_data(),
+    )
+    assert at[0] >= bounds.p_r_low >= at[1]
+    # (2.33): the bounds are the least and the greatest utilization of the two periodic motions.
+    lines = {line.get_label(): line.get_ydata() for line in utilization.lines}
+    low, high = (
+        next(line for label, line in lines.items() if label.endswith(end))
+        for end in ("$r_l$", "$r_u$")
+    )
+    assert (low.min(), high.max()) == pytest.approx((bounds.r_low, bounds.r_high), abs=1e-9)
+    assert len(manual.lines) == 6 - math.isinf(bounds.dwell_manual_high)
+    plt.close("all")
 
 
 def test_greatest_steps_are_those_of_every_state():
@@ -294,6 +357,19 @@ def test_greatest_steps_are_those_of_every_state():
         assert steps.delta_p_h == pytest.approx(change, rel=1e-4)
         assert steps.delta_p_r == pytest.approx(0.01 * (highest - 0.24), rel=1e-12)
         assert steps.delta_p_h >= change * (1 - 1e-12)
+
+
+@pytest.mark.parametrize("beta", [0.1, 0.12, 0.15, 0.17])
+def test_the_greatest_step_within_a_range_is_found_to_rounding(beta):
+    """Oracle: SciPy's bounded search; above β, and below r = ½, the step is greatest in between."""
+    model = tl.TscModel(tl.RobotModel(0.99, 0.2, 0.4, 0.5), tl.HumanModel(0.995, beta, 0.3, 0.5))
+
+    def step(r):
+        return 0.2 * (shape(0.995 * r + 0.005, beta) - shape(r, beta))
+
+    best = minimize_scalar(step, bounds=(beta, 0.5), method="bounded", options={"xatol": 1e-10})
+    assert beta + 0.1 < best.x < 0.49
+    assert step_bounds(model, beta, 0.5).delta_p_h == pytest.approx(-best.fun, rel=1e-12)
 
 
 def shape(r, beta):

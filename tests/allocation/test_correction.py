@@ -155,6 +155,25 @@ def test_no_other_plan_costs_less_than_the_bound(who):
     assert bounded > 5
 
 
+def test_corrections_far_greater_than_the_way_stay_within_it():
+    for c_b in (1.0, 1e6, 1e12):
+        ours = corrector(c_b=c_b, horizon=30)
+        for p_r in np.linspace(0.24, 0.39, 40):
+            plan = ours.step(0.7, p_r, *START, 1)
+            table = plan.table()
+            assert table["lower"].between(START[0], TARGET[0]).all()
+            assert table["upper"].between(START[1], TARGET[1]).all()
+            assert plan.cost_lower_bound <= plan.cost
+
+
+@pytest.mark.parametrize("horizon", [3600, 36_000])
+def test_the_bound_over_an_hour_is_valid_though_loose(horizon):
+    plan = corrector(horizon=horizon).step(0.8, 0.36, *START, 1)
+    assert plan.message == BOUNDED
+    assert 0.0 < plan.cost_lower_bound < plan.cost
+    assert plan.relative_gap == plan.gap / plan.cost
+
+
 def test_closed_loop_follows_the_first_plan_when_nothing_disturbs():
     """
     Receding horizon towards the end of a plan that reaches its target: what was planned is what
@@ -178,6 +197,17 @@ def test_suggestions_are_those_of_algorithm_3():
         tsc = SECOND.value(p_r, SECOND.human.performance(0.7))
         assert plan.tsc == pytest.approx(tsc)
         assert plan.suggestion == (0 if tsc >= 0.35 else 1 if tsc <= 0.0 else -1)
+
+
+def test_table_plot_and_repr():
+    plan = corrector(horizon=20).step(0.6, 0.35, *START)
+    table = plan.table()
+    assert list(table.columns) == ["r", "p_r", "lower", "upper", "mode", "c_l", "c_u"]
+    assert len(table) == 21
+    assert table.iloc[-1].isna().sum() == 3
+    assert len(plan.plot()) == 2
+    assert "planned" in repr(plan)
+    assert "horizon=20" in repr(corrector(horizon=20))
 
 
 def own_incentive(r, p_r, c_b, p_min, p_max):
@@ -216,6 +246,13 @@ def test_incentive_bounds_at_the_corners():
         tl.incentive_bounds(0.5, 0.4, 1e-5, PILOT)
 
 
+def test_incentive_bounds_without_a_model_say_whose_range_they_take():
+    with pytest.warns(
+        UserWarning, match=r"pilot operator's range of robot performance, 0\.24 to 0\.39 m/s"
+    ):
+        assert tl.incentive_bounds(0.5, 0.3, 1e-5) == tl.incentive_bounds(0.5, 0.3, 1e-5, PILOT)
+
+
 @LIGHT
 @given(st.floats(0, 1), st.floats(0, 1), st.floats(0.0, 1.0))
 def test_incentive_bounds_fall_with_effort_and_reward(r, share, more):
@@ -229,6 +266,25 @@ def test_incentive_bounds_fall_with_effort_and_reward(r, share, more):
     assert busier[1] <= high + 1e-20
     assert better[0] <= low + 1e-20
     assert better[1] <= high + 1e-20
+
+
+def test_incentive_bounds_take_rounding_and_nothing_more():
+    assert tl.incentive_bounds(0.0, 0.39 + 1e-12, 1.0, PILOT)[1] == pytest.approx(0.5)
+    for arguments, words in (
+        ((1.1, 0.3, 1.0), "r must lie"),
+        ((0.5, 0.4, 1.0), "range"),
+        ((0.5, 0.3, 0.0), "c_b must be positive"),
+        ((0.5, float("nan"), 1.0), "finite"),
+        (([0.5, 1.5], 0.3, 1.0), r"sample \(1,\)"),
+        (([0.5], [0.3, 0.9], 1.0), r"sample \(1,\)"),
+        (([], [], 1.0), "empty"),
+        (("a", 0.3, 1.0), "number"),
+        ((["a"], 0.3, 1.0), "numbers"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            tl.incentive_bounds(*arguments, PILOT)
+    with pytest.raises(ValueError, match="TscModel or a RobotModel"):
+        tl.incentive_bounds(0.5, 0.3, 1.0, PILOT.human)
 
 
 # Bad input
@@ -279,3 +335,17 @@ def test_bad_states_are_refused(more, words):
     engine = corrector(SECOND, (0.05, 0.4))
     with pytest.raises(ValueError, match=words):
         engine.step(**({"r": 0.5, "p_r": 0.3, "lower": 0.0, "upper": 0.35, "mode": 1} | more))
+
+
+def test_rounding_of_performance_is_forgiven():
+    engine = corrector(SECOND, (0.05, 0.4))
+    assert engine.step(0.5, 0.35 + 1e-12, 0.0, 0.35).path[1, 0] == 0.35
+    assert engine.step(np.float64(0.5), np.float32(0.3), 0.0, 0.35, np.int64(1)).path[4, 0] == 1.0
+
+
+def test_plans_do_not_share_memory():
+    engine = corrector(horizon=10)
+    first = engine.step(0.5, 0.3, *START)
+    kept = first.path.copy()
+    engine.step(0.9, 0.38, *START)
+    np.testing.assert_array_equal(first.path, kept)

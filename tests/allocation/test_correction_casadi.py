@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.allocation import TargetWarning
+from trustlab.allocation import TargetWarning, incentive_box
 from trustlab.models.published import published_models
 
 PILOT = published_models()["pilot"]
@@ -49,6 +49,18 @@ def test_without_a_cost_of_ones_own_it_comes_to_the_clipped_plan(width):
             ours.program.reset()
 
 
+def test_the_solver_itself_comes_to_the_clipped_plan():
+    """
+    Not only as one of the plans it is compared with; least exactly in its last steps, on which the
+    cost hardly depends.
+    """
+    for state in (FAR, NEAR):
+        ours, path = engine(), clipped().step(*state).path
+        corrections, reason = ours.program._solved(np.array(state[:4]), state[4], path)
+        assert reason == ""
+        np.testing.assert_allclose(corrections, path[5:, :-1], atol=0.03 * C_B)
+
+
 def test_a_rate_penalty_for_one_step_is_the_minimum_of_a_parabola():
     """N = 1: (z + c)² + λc² is least at −z/(1 + λ)."""
     weight, off = 3.0, 4e-6
@@ -58,6 +70,25 @@ def test_a_rate_penalty_for_one_step_is_the_minimum_of_a_parabola():
     assert (plan.c_l, plan.c_u) == pytest.approx((expected, expected), rel=1e-4)
     base = sum((off + c) ** 2 for c in (plan.c_l, plan.c_u))
     assert plan.cost == pytest.approx(base + weight * (plan.c_l**2 + plan.c_u**2), rel=1e-6)
+
+
+def test_a_rate_penalty_trades_cost_for_smaller_corrections():
+    plain = clipped().step(*NEAR).table().iloc[:-1]
+    slow = engine(extra_cost=lambda x, u, k: 30.0 * casadi.sumsqr(u)).step(*NEAR)
+    table = slow.table().iloc[:-1]
+    assert (table[["c_l", "c_u"]] ** 2).sum().sum() < (plain[["c_l", "c_u"]] ** 2).sum().sum()
+    assert slow.message.startswith("A local optimum")
+
+
+def test_a_cost_may_use_the_step_and_functions_of_matrices():
+    late = engine(12, extra_cost=lambda x, u, k: casadi.if_else(k < 6, 1e5, 0.0) * casadi.sumsqr(u))
+    actions = late.step(*NEAR).table()["c_l"].abs()
+    assert actions[:6].max() < 0.1 * actions[6:12].max()
+    table = casadi.interpolant(
+        "table", "linear", [np.linspace(0.0, 1.0, 9)], np.linspace(0.0, 1.0, 9) ** 2
+    )
+    matrix = engine(12, extra_cost=lambda x, u, k: 1e-14 * table(x[0])).step(*NEAR)
+    assert matrix.cost == pytest.approx(clipped(12).step(*NEAR).cost, rel=1e-3)
 
 
 def test_a_cost_of_utilization_is_judged_under_the_hard_switch():
@@ -134,6 +165,13 @@ def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
     assert "costs more under the hard switch than the clipped plan" in plan.message
 
 
+def test_at_rest_and_at_full_load_the_plan_is_finite():
+    for r in (0.0, 1.0):
+        plan = engine().step(r, PILOT.robot.p_min, 0.02, 0.45, 1)
+        assert plan.status == "planned", plan.message
+        assert np.isfinite(plan.path[:4]).all()
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -147,3 +185,7 @@ def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
 def test_options_that_cannot_be_used_are_refused(options, words):
     with pytest.raises(ValueError, match=words):
         engine(4, **options)
+
+
+def test_the_printed_incentive_may_be_named():
+    assert engine(8, incentive=incentive_box).step(*FAR).status == "planned"

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
-from trustlab.allocation import ModelTests, incentive_box
+from trustlab.allocation import ModelTests, TargetWarning, incentive_box
 from trustlab.allocation.correction import OPTIMAL
 from trustlab.allocation.correction_run import MISSING, NEAREST, OUTSIDE, Responder
 from trustlab.models.published import published_models
@@ -188,6 +188,15 @@ def test_a_suggestion_that_is_withdrawn_is_not_followed():
     assert operator.decide(0.2, None) == 0
 
 
+def test_noise_is_seeded():
+    one, two, other = (
+        corrected(seed=seed, horizon=20, duration=60, noise=1e-3).data["p_r"] for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(one, two)
+    assert (one != other).any()
+    assert one.between(0.24, 0.35).all()
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [
@@ -200,3 +209,24 @@ def test_a_suggestion_that_is_withdrawn_is_not_followed():
 def test_bad_runs_are_refused(more, words):
     with pytest.raises(ValueError, match=words):
         corrected(**({"duration": 10.0} | more))
+
+
+def test_latency_histogram(corrector):
+    loop = online(corrector)
+    for _ in range(20):
+        loop.update(0.3, 0.38, 1)
+    assert "µs" in loop.plot().get_xlabel()
+
+
+def test_the_pilot_warns_but_runs():
+    with pytest.warns(TargetWarning):
+        run = corrected((0.02, 0.45), (0.15, 0.56), published_models()["pilot"], duration=5)
+    assert len(run.data) == 50
+
+
+def test_a_run_does_not_depend_on_an_earlier_one():
+    """The CasADi engine starts each search from its last plan, which a run forgets first."""
+    corrector = tl.ThresholdCorrector(SECOND, TARGET, c_b=1e-3, horizon=10, engine="casadi")
+    setting = ModelTests(duration=2.0)
+    runs = [tl.run_correction(corrector, START, tests=2, setting=setting).data for _ in range(2)]
+    np.testing.assert_array_equal(runs[0]["c_l"], runs[1]["c_l"])

@@ -190,3 +190,18 @@ def test_utilization_that_underflows(operators):
         bounds = invariant_bounds(model, rest + 0.05, rest + 0.3)
         assert bounds.guaranteed
         assert bounds.r_low <= run["r"].iloc[30_000:].min()
+
+
+def test_slow_models_take_seconds_and_say_what_was_left_out():
+    robot = tl.RobotModel(0.996, 0.24, 0.39, 0.4602)
+    slow = tl.TscModel(robot, tl.HumanModel(1 - 1e-6, 0.74, 0.391, 0.4602))
+    assert limit_cycle(slow, 0.02, 0.45).exists
+    slower = tl.TscModel(robot, tl.HumanModel(1 - 1e-8, 0.74, 0.391, 0.4602))
+    with pytest.raises(ValueError, match=r"time constant of 1e\+08 samples is too long"):
+        limit_cycle(slower, 0.02, 0.45)
+    both = tl.TscModel(tl.RobotModel(1 - 1e-6, 0.24, 0.39, 0.4602), slow.human)
+    bounds = invariant_bounds(both, 0.02, 0.45)
+    assert not bounds.guaranteed
+    assert "not shown to do so within 1562600 samples; cells= below 32 allow" in bounds.reason
+    # The remedy that the reason names.
+    assert invariant_bounds(both, 0.02, 0.45, cells=8, cycles=1).guaranteed

@@ -13,6 +13,7 @@ from trustlab.allocation import (
     steady_state_bounds,
     threshold_limits,
 )
+from trustlab.allocation.invariant import overshoot
 
 
 def runs_of(mode):
@@ -102,6 +103,17 @@ def test_they_enclose_the_cycle_and_tighten_with_more_cells(random_model):
                 <= bounds.dwell_manual_high
             )
         assert fine.r_high - fine.r_low <= (coarse.r_high - coarse.r_low) * 1.001
+
+
+def test_bounds_of_tsc_are_near_the_cycles(operators):
+    """For the printed people and thresholds, within 0.01 of what the steady cycle reaches."""
+    table = tl.published_table("2.2")
+    for who in "12345":
+        thresholds = table.loc[["TSC_l", "TSC_u"], who].astype(float)
+        bounds = tl.invariant_bounds(operators[who], *thresholds)
+        cycle = tl.limit_cycle(operators[who], *thresholds)
+        assert cycle.tsc_low - 0.01 < bounds.tsc_low <= cycle.tsc_low
+        assert cycle.tsc_high <= bounds.tsc_high < cycle.tsc_high + 0.01
 
 
 def test_the_check_catches_bounds_that_are_too_narrow(random_model):
@@ -194,6 +206,33 @@ def test_no_trajectory_leaves_them_at_the_ends_of_what_is_allowed():
             assert not found, (found, model, lower, upper, bounds)
             checked += found is not None
     assert checked > 370
+
+
+def test_overshoot_grows_with_the_range_it_is_taken_over():
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        model, lower, _ = extreme(rng)
+        c = model.constants()
+        inner = np.sort(rng.random(2))
+        outer = (
+            inner[0] * rng.random(),
+            inner[1] + (1.0 - inner[1]) * rng.choice([rng.random(), 1.0]),
+        )
+        for manual in (True, False):
+            small = overshoot(manual, inner[0], inner[1], lower, c)
+            assert overshoot(manual, outer[0], outer[1], lower, c) >= small - 1e-5 * abs(small)
+
+
+def test_bounds_that_exclude_nothing_say_so():
+    # An operator as quick as a sample: utilization goes from rest to full load in one phase.
+    robot = tl.RobotModel(a=0.99, p_min=0.2, p_max=0.5, p_h_max=0.4)
+    tsc = tl.TscModel(robot, tl.HumanModel(a=0.05, beta=0.6, p_min=0.39, p_max=0.4))
+    bounds = tl.invariant_bounds(tsc, -0.3, 0.3)
+    assert bounds.guaranteed
+    assert bounds.r_high - bounds.r_low > 0.98
+    assert "exclude next to nothing" in bounds.reason
+    slow = tl.published_models()["2"]
+    assert "exclude" not in tl.invariant_bounds(slow, 0.0, 0.35).reason
 
 
 def test_bounds_that_have_not_settled_say_so_and_more_cycles_tighten_them(operators):

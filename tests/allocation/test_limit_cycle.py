@@ -15,6 +15,8 @@ from trustlab.allocation.steady import (
     coarse,
     encloses_beta,
     endless_phase,
+    longest_phase,
+    points,
     survey,
 )
 from trustlab.reproduction import published_table
@@ -49,6 +51,10 @@ def test_printed_participants(operators, name):
     for key, mode in (("dwell_manual", 1), ("dwell_autonomous", 0)):
         lengths = dwell_times(run, mode)
         assert getattr(cycle, key) == (lengths.min(), lengths.max())
+
+
+def test_dwell_times_alternate_for_participant_3(operators):
+    assert limit_cycle(operators["3"], 0.0, 0.27).dwell_manual == (208, 209)
 
 
 @pytest.mark.slow
@@ -114,6 +120,19 @@ def test_utilization_that_saturates_has_a_cycle_too():
     assert (cycle.r_low, cycle.r_high) == pytest.approx((0.0, 1.0), abs=1e-12)
 
 
+def test_the_plot_shows_rule_run_and_cycle(operators):
+    import matplotlib.pyplot as plt
+
+    axes = limit_cycle(operators["2"], 0.0, 0.35).plot()
+    labels = [line.get_label() for line in axes.lines]
+    assert labels == ["$TSC_l$ = 0", "$TSC_u$ = 0.35", "from near rest", "steady cycle"]
+    lower, upper, _, cycle = axes.lines
+    low, high = (np.interp(cycle.get_xdata(), *line.get_data()) for line in (lower, upper))
+    assert ((cycle.get_ydata() > low - 1e-3) & (cycle.get_ydata() < high + 1e-3)).all()
+    assert len(limit_cycle(operators["1"], 0.15, 0.9).plot().lines) == 3
+    plt.close("all")
+
+
 def test_a_quick_operator_s_utilization_repeats_before_performance_does():
     """Dwell times alternate although r repeats to 1e-9 within a few cycles. Oracle: simulation."""
     p_h_max = 0.3081556230407075
@@ -174,6 +193,19 @@ def test_a_mode_that_stays_from_a_state_that_no_start_met_is_said(operators, mon
     assert cycle.reason == f"{usual.reason}; but from full load it stays"
 
 
+def of_times(human, robot):
+    """A model of these time constants [samples]."""
+    operator = tl.HumanModel(1.0 - 1.0 / human, 0.6, 0.3, 0.5)
+    return tl.TscModel(tl.RobotModel(1.0 - 1.0 / robot, 0.2, 0.4, 0.5), operator)
+
+
+def test_time_constants_that_cannot_be_simulated_are_refused():
+    assert longest_phase(of_times(10.0, 40.0)) in (2074, 2075)
+    assert longest_phase(of_times(1.9e6, 10.0)) > 90_000_000
+    with pytest.raises(ValueError, match=r"time constant of 2\.1e\+06 samples is too long"):
+        longest_phase(of_times(2.1e6, 10.0))
+
+
 # --- many pairs -----------------------------------------------------------------------------------
 
 
@@ -201,6 +233,29 @@ def test_a_survey_has_the_motions_of_limit_cycle(operators):
                 assert screened[i, j, row, LOW] == pytest.approx(ends[0], abs=2 * ratios[i])
 
 
+def test_a_coarse_model_takes_several_steps_at_once():
+    """The same decay, and the same limits."""
+    model = of_times(20_100.0, 4000.0)
+    slow, ratio = coarse(model, 20.0)
+    assert ratio == 20
+    r, _ = model.human.simulate(np.ones(4 * ratio + 1), 0.2)
+    np.testing.assert_allclose(slow.human.simulate(np.ones(5), 0.2)[0], r[::ratio], atol=1e-12)
+    steady = np.full(4 * ratio + 1, 0.45)
+    p_r = model.robot.simulate(np.ones(steady.size), steady, 0.25)[::ratio]
+    np.testing.assert_allclose(slow.robot.simulate(np.ones(5), steady[:5], 0.25), p_r, atol=1e-12)
+
+
+def test_points_are_percentages_of_the_ranges(operators):
+    tsc = operators["2"]
+    run = simulate_allocation(tsc, 0.0, 0.35, 60_000, r0=0.7).iloc[20_000:]
+    motions = survey([tsc], np.array([[0.0, 0.35]]))
+    of_robot = tl.relative_performance(run["p_r"], tsc.robot.p_min, tsc.robot.p_max)
+    of_human = tl.relative_performance(run["p_h"], tsc.human.p_min, tsc.human.p_max)
+    for weight in (0.0, 0.5, 1.0):
+        expected = weight * of_robot + (1.0 - weight) * of_human
+        assert points(motions, [tsc], weight).item() == pytest.approx(expected, abs=0.3)
+
+
 # --- phases that never end ------------------------------------------------------------------------
 
 
@@ -223,3 +278,14 @@ def test_from_where_a_mode_stays_for_ever(operators):
     assert f"TSC settles at {rest:.6g} without falling to TSC_l = {rest - 0.1:.6g}" in text
     text = endless_phase(model, middle, load + 0.1)
     assert f"TSC settles at {load:.6g} without rising to TSC_u = {load + 0.1:.6g}" in text
+
+
+def test_rounding_widens_the_limits_of_a_slow_robot():
+    """P_r stalls 1e-12/(1 − a) before its limit, 1e-9 for a = .999."""
+    slow = of_times(500.0, 1000.0)
+    rest, load = settles(slow, 0.0, 0.0), settles(slow, 1.0, 1.0)
+    assert "from rest" in endless_phase(slow, rest + 0.8e-9, 0.1)
+    assert "from rest" not in endless_phase(slow, rest + 1.2e-9, 0.1)
+    middle = 0.5 * (rest + load)
+    assert "from full load" in endless_phase(slow, middle, load - 0.8e-9)
+    assert "from full load" not in endless_phase(slow, middle, load - 1.2e-9)

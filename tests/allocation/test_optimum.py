@@ -176,6 +176,13 @@ def test_under_a_limit_of_mean_r_no_pattern_is_better(operators, weight, limit):
     assert best.value <= best.upper_bound
 
 
+def test_a_low_limit_has_a_long_rest(operators):
+    best = tl.optimal_allocation(operators["2"], max_mean_r=0.015)
+    assert best.pattern[0] >= 150
+    assert best.mean_r <= 0.015
+    assert best.value >= 3.1
+
+
 def test_the_example_that_had_lost_two_points(operators):
     """30 samples manual and 31 autonomous earn 48.19 at mean r = .4918."""
     best = tl.optimal_allocation(operators["2"], weight=1.0, min_dwell=0.0, max_mean_r=0.492)

@@ -80,6 +80,14 @@ def test_a_clear_log_gets_thresholds_that_do_what_is_said(clear, operators):
     plt.close("all")
 
 
+@pytest.mark.parametrize("objective", ["peak", "mean", 0.0])
+def test_a_pair_at_the_end_of_the_range_is_said_to_be_there(clear, objective):
+    choice = tl.choose_thresholds(clear, objective=objective, enclose_beta=False)
+    pairs = choice.candidates[["lower", "upper"]].to_numpy()
+    at_end = choice.lower == pairs.min() or choice.upper == pairs.max()
+    assert ("At the end of the range searched" in choice.message) == at_end
+
+
 def test_an_unclear_log_abstains_and_says_what_to_record(unclear):
     with pytest.warns(
         UserWarning, match="no pair .* keeps switching around β with probability 0.99"

@@ -35,6 +35,16 @@ class Copied:
         return self.mode
 
 
+class Algorithm2:
+    """Algorithm 2 written out; None where nothing is suggested."""
+
+    def __init__(self, p_min, p_max, tolerance):
+        self.most, self.some = p_max - tolerance * (p_max - p_min), p_min + 0.9 * (p_max - p_min)
+
+    def step(self, tsc, p_r):
+        return 0 if p_r >= self.most else 1 if p_r <= self.some else None
+
+
 class Says:
     def __init__(self, *answers):
         self.answers = list(answers)
@@ -121,6 +131,33 @@ def test_refuses(operators):
         PerformanceRule(0.2, 0.4, tolerance=0.2)
 
 
+@pytest.mark.parametrize("mode", [None, 0, 1])
+def test_a_copy_of_a_rule_gives_the_same_bits(random_model, mode):
+    """A rule in Python is called sample by sample; the built-in rules run compiled."""
+    for seed in range(12):
+        model, lower, upper = random_model(np.random.default_rng(seed))
+        own = {"mode": mode, "steps": 3001 + seed, "r0": 0.3}
+        for first in (0, 1):
+            built_in = ThresholdRule(lower, upper, mode=first)
+            run = simulate_allocation(model, rule=built_in, **own)
+            copied = Copied(lower, upper, first)
+            assert run.equals(simulate_allocation(model, rule=copied, **own))
+            assert copied.calls.count == len(run)
+            assert copied.mode == first, "a run works on a copy of the rule"
+            assert built_in == ThresholdRule(lower, upper, mode=first), (
+                "a built-in rule is left as it is"
+            )
+        assert run.equals(
+            simulate_allocation(
+                model, lower, upper, **own | {"mode": first if mode is None else mode}
+            )
+        )
+        numbers = model.robot.p_min, 0.5 * (model.robot.p_min + model.robot.p_max), 0.05
+        run = simulate_allocation(model, rule=PerformanceRule(*numbers), **own)
+        assert run.equals(simulate_allocation(model, rule=Algorithm2(*numbers), **own))
+        assert run["mode"].nunique() == 2
+
+
 def test_a_rule_that_switches_at_every_sample(operators):
     modes = np.arange(1000) % 2
     run = simulate_allocation(operators["2"], rule=Says(*modes.tolist()), steps=1000, mode=1)
@@ -143,3 +180,25 @@ def test_a_rule_that_switches_at_every_sample(operators):
 def test_rules_that_cannot_be_used_are_named(operators, rule, says):
     with pytest.raises(ValueError, match=says):
         simulate_allocation(operators["2"], rule=rule, steps=100)
+
+
+def test_arguments_come_in_the_same_order_for_every_rule():
+    assert (
+        PerformanceRule(0.24, 0.39).step(0.1, 0.39) == ThresholdRule(-0.1, 0.1).step(0.1, 0.39) == 0
+    )
+
+
+def test_ends_of_arguments_of_rules(operators):
+    """Modes are 0 or 1, a tolerance stays below 0.1, and a run begins in the manual mode."""
+    for mode in (-1, 2):
+        with pytest.raises(ValueError, match="mode must"):
+            ThresholdRule(0.0, 0.3, mode=mode)
+        with pytest.raises(ValueError, match="mode must"):
+            simulate_allocation(operators["2"], rule=Says(1), steps=1, mode=mode)
+    with pytest.raises(ValueError, match=r"below 0\.1"):
+        PerformanceRule(0.24, 0.39, tolerance=0.1)
+    assert ThresholdRule(0.0, 0.3).mode == 1
+    keeps = simulate_allocation(operators["2"], rule=Says(None), steps=1)
+    assert keeps["mode"].tolist() == [1]
+    # Between 0.9 and 1 − tolerance of the range, Algorithm 2 says nothing: the mode is kept.
+    assert PerformanceRule(0.0, 1.0, tolerance=0.01).step(tsc=0.0, p_r=0.95) is None

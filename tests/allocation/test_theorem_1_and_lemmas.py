@@ -96,6 +96,25 @@ def test_lemmas_3_and_4_longest_dwell_times(sets, data):
     assert lengths[who == 1].max() <= bounds.dwell_manual_high
 
 
+def test_control_dwell_times_of_a_narrower_band_are_too_short(random_model):
+    """
+    The lengths that Lemmas 3 and 4 bound do come near: bounds for a band of half the width are
+    exceeded.
+    """
+    longer = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        model, lower, upper = random_model(rng)
+        tail = simulate_allocation(model, lower, upper, 20_000, rng.random()).iloc[10_000:]
+        edges = np.flatnonzero(np.diff(tail["mode"])) + 1
+        quarter = 0.25 * (upper - lower)
+        bounds = steady_state_bounds(model, lower + quarter, upper - quarter, delta_tsc=0.0)
+        lengths, who = np.diff(edges), tail["mode"].to_numpy()[edges[:-1]]
+        longer += lengths[who == 0].max(initial=0) > bounds.dwell_autonomous_high
+        longer += lengths[who == 1].max(initial=0) > bounds.dwell_manual_high
+    assert longer > 5
+
+
 @settings(EXAMPLES, max_examples=400)
 @given(data=st.data(), delta=st.floats(0.0, 0.05))
 def test_proposition_1_order_of_the_dwell_times(sets, data, delta):

@@ -6,6 +6,7 @@ Choosing thresholds (Algorithm 1), and reading them off an operator's own switch
 import warnings
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -74,12 +75,25 @@ def test_a_failed_fit_is_named_first(operators, make_session, switching):
     assert "Theorem 1 leaves no room" in choice.reason
 
 
+def test_margin_is_kept(operators, choice):
+    span = choice.limits.upper - choice.limits.lower
+    assert choice.lower >= choice.limits.lower + 0.1 * span - 1e-12
+    assert choice.upper <= choice.limits.upper - 0.1 * span + 1e-12
+
+
 def test_front_is_what_nothing_beats(choice):
     front, rest = choice.front(), choice.candidates
     assert (np.diff(front["mean_p_r"]) > 0).all()
     for _, row in front.iterrows():
         better = (rest["mean_r"] <= row["mean_r"]) & (rest["mean_p_r"] > row["mean_p_r"])
         assert not better.any()
+
+
+def test_plot_and_table(choice):
+    axes = choice.plot()
+    assert len(axes) == 3
+    plt.close("all")
+    pd.testing.assert_frame_equal(choice.table(), choice.cycle.table())
 
 
 def test_no_pair_that_encloses_beta_is_said(operators):
@@ -147,6 +161,21 @@ def test_thresholds_are_read_off_the_switches():
     assert estimate.summary["n"].sum() == len(estimate.switches) == 66
 
 
+def test_switches_before_a_time_are_left_out():
+    run = switched(-0.2, 0.5, 0.05, 1)
+    everything = estimate_thresholds(run)
+    first = everything.switches["t"].iloc[0]
+    later = estimate_thresholds(run, after=first + 0.05)
+    pd.testing.assert_frame_equal(
+        later.switches, everything.switches.iloc[1:].reset_index(drop=True)
+    )
+    pd.testing.assert_frame_equal(
+        estimate_thresholds(run, after=first).switches, everything.switches
+    )
+    with pytest.raises(tl.SessionError, match="at 1000 s or later"):
+        estimate_thresholds(run, after=1000.0)
+
+
 def test_choices_say_which_limits_they_keep(operators):
     for name, model in operators.items():
         if name == "1":
@@ -161,6 +190,25 @@ def test_choices_say_which_limits_they_keep(operators):
         within = choose_thresholds(model, delta_p_h=own.delta_p_h, points=6, enclose_beta=False)
         assert own.contains(within.lower, within.upper)
         assert "does not cover" not in within.message
+
+
+def test_results_read_short_in_a_terminal_and_as_tables_in_a_notebook(operators):
+    model = operators["2"]
+    choice = choose_thresholds(model, points=4)
+    bounds = tl.steady_state_bounds(model, choice.lower, choice.upper)
+    for result in (choice, choice.cycle, choice.bounds, bounds, choice.limits):
+        assert len(repr(result)) < 200
+        assert "<table" in result._repr_html_()
+    assert repr(tl.limit_cycle(model, -0.9, 0.9)).startswith("LimitCycle(exists=False")
+    assert "feasible=False" in repr(tl.allocation.ThresholdLimits(0.3, 0.1, 1e-3))
+    assert str(tl.allocation.ThresholdLimits(0.3, 0.1, 1e-3)).startswith("none at δ_Ph = 0.001")
+
+
+def test_thresholds_that_cannot_be_told_apart():
+    estimate = estimate_thresholds([switched(0.2, 0.25, 0.3, seed) for seed in range(3)])
+    assert not estimate.distinguishable
+    assert estimate.p_means > 0.05
+    assert estimate.p_overlap > 0.5
 
 
 def test_table_2_3_sets_participant_3_apart():
@@ -209,6 +257,27 @@ def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n):
             0.51, 0.29, n, 0.096, 0.13, n, equal_var=False, alternative="greater"
         )
         assert third.pvalue < 0.01
+
+
+@pytest.mark.parametrize("sizes", [(3, 3), (4, 12), (20, 20)])
+def test_the_test_keeps_its_level_with_few_switches(sizes):
+    """
+    Normal switches whose mean ± SD just touch: rejected in at most 5 % of samples, enclosed by 95 %
+    of intervals.
+    """
+    rng = np.random.default_rng(1)
+    found = np.array(
+        [
+            _apart(
+                {"lower": rng.normal(0.0, 0.1, sizes[0]), "upper": rng.normal(0.3, 0.2, sizes[1])},
+                400,
+                rng,
+            )
+            for _ in range(1500)
+        ]
+    )
+    assert (found[:, 3] < 0.05).mean() < 0.065
+    assert ((found[:, 1] <= 1.0) & (found[:, 2] >= 1.0)).mean() > 0.93
 
 
 def test_tsc_is_worked_out_from_performance(operators):

@@ -9,6 +9,7 @@ from statsmodels.tsa.stattools import acf
 
 import trustlab as tl
 from trustlab.identification.problem import (
+    autocorrelation,
     hac_matrix,
     pooled_correlation,
 )
@@ -17,6 +18,26 @@ from trustlab.identification.problem import (
 @pytest.fixture(scope="module")
 def session(operators, make_session, switching):
     return make_session(operators["pilot"], switching, noise=0.003, seed=11)
+
+
+def test_table_has_fixed_columns_and_named_rows(session):
+    robot, human = tl.fit_robot(session).table(), tl.fit_human(session).table()
+    for table in (
+        robot,
+        human,
+        tl.fit_tsc(session).table(),
+    ):
+        assert list(table.columns) == ["value", "stderr", "ci_low", "ci_high", "unit", "status"]
+        assert table.index.name == "parameter"
+        assert table[["value", "stderr", "ci_low", "ci_high"]].dtypes.eq(float).all()
+    assert list(robot.index) == ["a", "p_min", "p_max", "p_h_max", "b", "time_constant"]
+    assert list(human.index) == ["a", "beta", "p_min", "p_max", "b", "time_constant"]
+    wide = tl.fit_human(session).table(level=0.99)
+    assert (
+        (wide["ci_high"] - wide["ci_low"]) / (human["ci_high"] - human["ci_low"])
+    ).to_numpy() == pytest.approx(1.3142, abs=1e-3)
+    with pytest.raises(ValueError, match="level"):
+        tl.fit_human(session).table(level=95)
 
 
 def test_fit_percent_is_the_printed_formula(session):
@@ -67,6 +88,11 @@ def test_cross_correlation_has_its_lag_the_right_way_round():
     assert np.argmax(np.abs(rho)) == 3
     assert rho[3] == pytest.approx(1.0, abs=0.01)
     assert np.abs(pooled_correlation([u], [e], 5)).max() < 0.1
+
+
+def test_no_product_crosses_from_run_to_run():
+    alternating, opposite = np.r_[1.0, -1.0, 1.0, -1.0], np.r_[-1.0, 1.0, -1.0, 1.0]
+    assert autocorrelation([alternating, opposite], 1)[1] == pytest.approx(-6.0 / 8.0)
 
 
 def test_hac_matrix_is_newey_west():

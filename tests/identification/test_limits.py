@@ -45,12 +45,56 @@ def test_a_rested_operator_who_never_works_tells_nothing(operators, make_session
         tl.fit_human(exact)
 
 
+def test_performance_that_never_moves_is_refused(operators, make_session):
+    session = make_session(operators["pilot"], np.repeat([1.0, 0.0], 500))
+    flat = session.with_columns(p_h=np.full(1000, 0.4))
+    with pytest.raises(IdentificationError, match="p_h never moves") as caught:
+        tl.fit_human(flat)
+    assert "beta" in caught.value.parameters
+    with pytest.raises(IdentificationError, match="p_h_max") as caught:
+        tl.fit_robot(flat)
+    assert "p_h_max" in caught.value.parameters
+
+
 def test_utilization_that_hardly_moves_names_beta(operators, make_session):
     # Quick alternation holds r near one half: the curve of (2.6) cannot be seen.
     session = make_session(operators["pilot"], np.tile([1.0, 0.0], 5000), noise=0.003, r0=0.5)
     fit = tl.fit_human(session)
     assert not fit.success
     assert fit.table().loc[["beta", "p_min"], "status"].eq("weak").all()
+
+
+def test_no_decay_to_see_makes_a_wide_interval(operators):
+    # A steady operator and one autonomous phase of two samples: nothing is seen of the decay.
+    truth, rng = operators["pilot"].robot, np.random.default_rng(0)
+    mode, p_h = np.ones(6000), np.full(6000, 0.44)
+    mode[3000:3002] = 0.0
+    p_r = truth.simulate(mode, p_h, truth.steady_state(1.0, 0.44)) + 0.003 * rng.standard_normal(
+        6000
+    )
+    frame = pd.DataFrame({"mode": mode, "p_h": p_h, "p_r": p_r}, index=np.arange(6000) * 0.1)
+    session = tl.Session(frame)
+    with pytest.raises(
+        IdentificationError, match=r"driven by the measured p_h: .*identification\.ROBOT"
+    ):
+        tl.fit_robot(session, p_h_max=0.4602)
+    fit = tl.fit(tl.identification.ROBOT, session, fixed={"p_h_max": 0.4602})
+    row = fit.table().loc["p_min"]
+    assert not fit.success
+    assert row["status"] == "weak"
+    assert "p_min" in fit.message
+    assert row["ci_high"] - row["ci_low"] > 0.1
+    assert row["ci_low"] <= truth.p_min <= row["ci_high"]
+
+
+def test_p_max_is_doubted_with_the_operator_it_refers_to(operators, make_session):
+    # Half a minute each way: utilization hardly moves, and the greatest performance is anyone's
+    # guess.
+    session = make_session(operators["pilot"], np.repeat([1.0, 0.0], 300), noise=0.006)
+    fit = tl.fit_robot(session)
+    assert not fit.success
+    assert "nor on p_max, which refers to it: give p_h_max" in fit.message
+    assert fit.table().loc[["p_max", "p_h_max"], "status"].eq("weak").all()
 
 
 def test_a_robot_that_is_better_alone_contradicts_the_model(operators, make_session, switching):

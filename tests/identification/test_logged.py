@@ -215,6 +215,24 @@ def test_recipes_and_sessions_say_the_window(tmp_path, operators):
         tl.fit_human(session.between(100.0, 900.0))
 
 
+def test_a_model_of_ones_own_has_a_window_for_free():
+    def decay(run, rate, start):
+        return 0.2 + start * np.exp(-rate * run.t)
+
+    model = tl.Model(["rate", "start"], [], "p_r", [0.0, 0.0], [0.2, 1.0], simulate=decay)
+    t = 0.1 * np.arange(3000)
+    values = (
+        0.2 + 0.1 * np.exp(-0.02 * t) + 0.003 * np.random.default_rng(0).standard_normal(t.size)
+    )
+    frame = pd.DataFrame(
+        {"mode": 1.0, "p_r": window_mean(values, 0.1, 20.0)}, index=pd.Index(t, name="t")
+    )
+    fit = tl.fit(model, tl.Session(frame), window=20.0)
+    assert abs(fit.model["rate"] - 0.02) < 3.0 * fit.parameters.loc["rate", "stderr"] < 0.002
+    wrong = tl.fit(model, tl.Session(frame), window=0.0, noise="white")
+    assert abs(wrong.model["start"] - 0.1) > 5.0 * wrong.parameters.loc["start", "stderr"]
+
+
 # --- noise ----------------------------------------------------------------------------------------
 
 
@@ -318,6 +336,43 @@ def test_stamps_that_are_not_exact_widen_the_intervals(operators, make_session, 
         pd.testing.assert_series_equal(tl.fit_human(logged).table()["stderr"], same)
         stated = logged.with_metadata(stamp_error=0.5)
         pd.testing.assert_series_equal(tl.fit_human(stated).table()["stderr"], rough)
+
+
+def test_errors_of_many_stamps_are_worked_out_for_some_of_them(
+    operators, make_session, monkeypatch
+):
+    session = make_session(operators["pilot"], np.repeat([1.0, 0.0] * 60, 100), noise=0.003)
+    monkeypatch.setattr("trustlab.identification.search.SWITCHES", 10_000)
+    every = tl.fit_human(session, stamp_error=0.3).table()["stderr"]
+    monkeypatch.setattr("trustlab.identification.search.SWITCHES", 35)
+    some = tl.fit_human(session, stamp_error=0.3).table()["stderr"]
+    assert not some.equals(every)
+    np.testing.assert_allclose(some, every, rtol=0.05)
+
+
+def test_a_delay_within_the_error_of_the_stamps_is_in_the_intervals_and_no_doubt(settings):
+    session = tl.Session(
+        settings.white(np.random.default_rng(3), settings.clean(late=0.2)),
+        tl.Metadata(synthetic=True),
+    )
+    exact, rough = (tl.fit_tsc(session, stamp_error=error) for error in (0.0, 0.2))
+    assert "stamped" in exact.message
+    assert not exact.success
+    assert rough.success
+    names = list(settings.TRUTH)
+    apart = (rough.table().loc[names, "value"] - settings.truth()) / rough.table().loc[
+        names, "stderr"
+    ]
+    assert apart.abs().max() < 3.0
+
+
+def test_ranges_that_give_no_weights_are_an_identification_error(
+    operators, make_session, switching
+):
+    session = make_session(operators["pilot"], switching, noise=0.003)
+    with pytest.raises(tl.IdentificationError, match="give no a_T and b_T") as caught:
+        tl.fit_tsc(session.with_columns(p_r=session["p_r"] - 0.5))
+    assert "robot_p_min" in caught.value.parameters
 
 
 def test_an_error_that_all_stamps_share_widens_the_intervals_where_stamps_are_not_exact(settings):

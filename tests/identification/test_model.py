@@ -21,6 +21,7 @@ import trustlab as tl
 from trustlab.identification import HUMAN, ROBOT, TSC
 from trustlab.identification.log import read_runs
 from trustlab.identification.problem import Problem, hac_lags
+from trustlab.identification.search import robust_search
 
 T = 0.1
 
@@ -72,6 +73,28 @@ def test_its_intervals_cover_the_truth():
     assert (pd.DataFrame(inside).sum() >= 51).all()
 
 
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_samples_left_out_count_alike_in_any_unit(unit):
+    """Deviances with and without outliers are truncated squares, from their definition."""
+    rng = np.random.default_rng(5)
+    values = unit * (0.3 + 0.003 * rng.standard_normal(1000))
+    clean = np.ones(values.size, dtype=bool)
+    clean[400:430] = False
+    values[~clean] += 0.1 * unit
+    frame = pd.DataFrame({"mode": 1.0, "p_r": values}, index=T * np.arange(values.size))
+    session = tl.Session(frame.rename_axis("t"), tl.Metadata(synthetic=True))
+    level = tl.Model("height", (), "p_r", simulate=lambda run, height: np.full(run.size, height))
+    expected = {
+        True: values.size * np.log(np.var(values[clean])) + 30 * 6.0**2,
+        False: values.size * np.log(np.var(values)),
+    }
+    for robust, deviance in expected.items():
+        runs = read_runs(session, "mode", "p_r")
+        problem = Problem(level, runs, level.limits())
+        optimum = robust_search(problem, np.array([0.3 * unit]), robust)
+        assert optimum.deviance == pytest.approx(deviance, abs=1e-6)
+
+
 def test_many_lanes_in_one_call_give_the_same_fit():
     def lanes(run, gain, offset):
         return run["mode"][:, None] * gain + offset
@@ -85,6 +108,50 @@ def test_many_lanes_in_one_call_give_the_same_fit():
         tl.fit(model, session_of(0.003), noise="white", guess=guess) for model in (alone, together)
     )
     pd.testing.assert_frame_equal(one.parameters, other.parameters, check_exact=True)
+
+
+def test_several_outputs_are_weighted_by_their_own_noise():
+    """
+    Two measurements of one level, one of them ten times as noisy: the variances add as those of a
+    weighted mean.
+    """
+    rng = np.random.default_rng(5)
+    quiet, loud = 0.3 + 0.001 * rng.standard_normal(4000), 0.3 + 0.01 * rng.standard_normal(4000)
+    frame = pd.DataFrame({"mode": 1.0, "p_r": quiet, "p_h": loud}, index=T * np.arange(4000))
+    level = tl.Model(
+        "level",
+        (),
+        ("p_r", "p_h"),
+        low=[0.0],
+        high=[1.0],
+        simulate=lambda run, level: (np.full(run.size, level), np.full(run.size, level)),
+    )
+    fit = tl.fit(level, tl.Session(frame), noise="white")
+    weights = np.array([1.0 / quiet.var(), 1.0 / loud.var()])
+    assert fit.model["level"] == pytest.approx(
+        np.average([quiet.mean(), loud.mean()], weights=weights), rel=1e-6
+    )
+    assert fit.parameters.loc["level", "stderr"] == pytest.approx(
+        (4000 * weights.sum()) ** -0.5, rel=1e-3
+    )
+
+
+def test_rates_are_searched_as_time_constants():
+    """
+    A slow state: in the unknown itself a step of differences would be as long as 1 − a.
+    """
+    memory = tl.Model(
+        "a",
+        (),
+        "p_r",
+        simulate=lambda run, a: 0.2 + 0.1 * a ** np.arange(run.size),
+        starts=lambda runs, limits: [{"a": 0.9}],
+        coordinates={"a": "rate"},
+    )
+    frame = pd.DataFrame(
+        {"mode": 1.0, "p_r": 0.2 + 0.1 * 0.9999 ** np.arange(9000)}, index=T * np.arange(9000)
+    )
+    assert 1.0 - tl.fit(memory, tl.Session(frame)).model["a"] == pytest.approx(1e-4, rel=1e-6)
 
 
 def test_its_derived_rows_carry_their_error():
@@ -274,6 +341,19 @@ def test_an_unknown_without_effect_is_named():
     with pytest.raises(tl.IdentificationError, match="do not determine idle") as caught:
         tl.fit(model, session_of(0.003))
     assert caught.value.parameters == ("idle",)
+
+
+def test_a_delay_is_estimated_without_starts_and_beside_derived_rows(operators, make_session):
+    mode = np.repeat([1.0, 0.0] * 3, 1000)
+    session = make_session(operators["pilot"], mode, noise=0.003)
+    robot, p_h_max = tl.identification.ROBOT, operators["pilot"].human.p_max
+    driven = tl.fit(robot, session, fixed={"p_h_max": p_h_max}, mode_delay=True)
+    assert abs(driven.table().loc["mode_delay", "value"]) < 0.5
+    assert "its noise counts as performance" in driven.message
+    mine = tl.fit(MINE, session.between(0.0, 300.0), mode_delay=True)
+    assert "mode_delay" in mine.table().index
+    with pytest.raises(tl.IdentificationError, match="P_r alone does not determine p_h_max"):
+        tl.fit(robot, session)
 
 
 def test_a_model_that_takes_no_notice_of_mode_has_no_delay():

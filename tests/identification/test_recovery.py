@@ -117,6 +117,16 @@ def test_runs_share_parameters_and_keep_their_own_beginning(operators, make_sess
     )
 
 
+def test_a_shared_mode_is_as_good_as_switching(operators, make_session):
+    # Mode may be a manual share; nothing in (2.3), (2.5) needs it to be 0 or 1.
+    rng = np.random.default_rng(3)
+    mode = np.repeat(rng.random(20), 600)
+    model = operators["pilot"]
+    session = make_session(model, mode)
+    assert tl.fit_robot(session).model.p_min == pytest.approx(model.robot.p_min, rel=1e-6)
+    assert tl.fit_human(session).model.beta == pytest.approx(model.human.beta, rel=1e-6)
+
+
 def noisy(make_session, model, switching, sessions):
     """Sessions of 20,000 samples with seven switches and white noise of sd 0.003."""
     for child in np.random.SeedSequence(47).spawn(sessions):
@@ -176,6 +186,20 @@ def test_slow_noise_under_white_noise_is_seen(operators, make_session, switching
             scores.append((row["value"] - model.human.beta) / row["stderr"])
     assert np.std(z["hac"]) < 1.7
     assert np.std(z["white"]) > 2.5
+
+
+@pytest.mark.parametrize("seeds", [30, pytest.param(60, marks=pytest.mark.long)])
+def test_fixing_p_max_hands_the_error_of_p_h_max_on(operators, make_session, switching, seeds):
+    model, z = operators["pilot"], []
+    for seed in range(seeds):
+        session = make_session(model, switching, noise=0.003, seed=seed)
+        rng = np.random.default_rng(500 + seed)
+        noisy = session.with_columns(p_h=session["p_h"] + 0.03 * rng.standard_normal(len(session)))
+        table = tl.fit_robot(noisy, fixed={"p_max": model.robot.p_max}, noise="white").table()
+        expected = pd.Series({"a": model.robot.a, "p_min": model.robot.p_min, "b": model.robot.b})
+        z.append((table["value"] - expected) / table["stderr"])
+    spread = pd.DataFrame(z)[["a", "p_min", "b"]].std()
+    assert spread.between(0.75, 1.3).all(), spread
 
 
 def test_autocorrelated_noise_widens_the_intervals(operators, make_session, switching):

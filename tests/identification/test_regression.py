@@ -94,6 +94,14 @@ def test_random_systems_agree_with_ols(seed, na, orders, intercept, lengths):
     assert_same(fit, ols(runs, na, nb, nk, intercept))
 
 
+def test_two_inputs_name_input_and_lag():
+    rng = np.random.default_rng(5)
+    y, u = random_system(rng, 1, (2, 1), (1, 0), 300)
+    fit = arx(y, u, 1, (2, 1), (1, 0), intercept=True)
+    assert fit.names == ("a1", "b1_1", "b1_2", "b2_1", "c")
+    assert_same(fit, ols([(y, u)], 1, (2, 1), (1, 0), True))
+
+
 def test_no_equation_crosses_from_one_run_to_the_next():
     """Negative control: gluing the runs together gives other numbers."""
     rng = np.random.default_rng(6)
@@ -104,6 +112,31 @@ def test_no_equation_crosses_from_one_run_to_the_next():
     assert fit.residuals.size == 2 * (60 - 2)
     glued = arx(np.concatenate(ys), np.concatenate(us)[:, 0], 2, 1, 1, intercept=True)
     assert np.abs(glued.coefficients / fit.coefficients - 1.0).max() > 1e-3
+
+
+@pytest.mark.parametrize("level", [0.9, 0.95, 0.99])
+def test_intervals_are_those_of_ols(level):
+    rng = np.random.default_rng(7)
+    y, u = random_system(rng, 2, (2,), (1,), 80)
+    table = arx(y, u, 2, 2, 1, intercept=True).table(level)
+    oracle = ols([(y, u)], 2, (2,), (1,), True).conf_int(1.0 - level)
+    np.testing.assert_allclose(table[["ci_low", "ci_high"]], oracle, rtol=1e-9, atol=1e-10)
+
+
+def test_runs_of_the_models_own_shape_agree_with_ols():
+    """
+    The regression of (2.3): a slow pole, a drive that switches, a constant; lags that resemble each
+    other.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(8))
+    mode = (np.arange(20000) // 2500) % 2 == 0
+    drive = mode * (0.42 + 0.003 * rng.normal(size=mode.size))
+    y = np.empty(mode.size)
+    y[0] = 0.24
+    for k in range(mode.size - 1):
+        y[k + 1] = 0.996 * y[k] + 0.004 * 0.24 + 0.0013 * drive[k]
+    y += rng.normal(0.0, 0.003, y.size)
+    assert_same(arx(y, drive, 1, 1, 1, intercept=True), ols([(y, drive)], 1, (1,), (1,), True))
 
 
 # --- regressors that nearly follow from one another: the branch of singular values ----------------
@@ -157,6 +190,16 @@ def system(samples=200):
     return random_system(np.random.default_rng(3), 2, (1,), (1,), samples)
 
 
+def test_an_input_that_is_zero_throughout_names_its_coefficient():
+    y, u = system()
+    with pytest.raises(
+        IdentificationError,
+        match="coefficient b1 is not identifiable: its regressor is identically zero",
+    ) as caught:
+        arx(y, 0.0 * u, 2, 1, 1)
+    assert caught.value.parameters == ("b1",)
+
+
 def test_a_constant_input_beside_an_intercept_names_one_of_them():
     y, u = system()
     with pytest.raises(
@@ -180,6 +223,18 @@ def test_two_inputs_that_move_together_name_one_of_them(factor):
     ) as caught:
         arx(y, np.column_stack([u, factor * u]), 1, 1, 1)
     assert caught.value.parameters in {("b1_1",), ("b2_1",)}
+
+
+def test_the_same_input_with_a_change_is_told():
+    """
+    Negative control: one sample that differs is enough to tell the two inputs apart, and no refusal
+    follows.
+    """
+    y, u = system()
+    other = u.copy()
+    other[100] += 1.0
+    fit = arx(y, np.column_stack([u, other]), 1, 1, 1)
+    assert_same(fit, ols([(y, np.column_stack([u, other]))], 1, (1, 1), (1, 1), False), rtol=1e-9)
 
 
 def test_a_run_shorter_than_its_lags_is_refused():

@@ -62,6 +62,15 @@ def test_coloured_noise_gets_wider_errors():
     assert fit_transfer_function(u, v + rng.normal(0.0, 0.05, v.size), T, order=1).noise == "white"
 
 
+def test_first_order_does_not_fit_a_second_order_axis():
+    u, v = flight("y", 1)
+    assert (
+        fit_transfer_function(u, v, T, order=1).fit_percent
+        < 80.0
+        < fit_transfer_function(u, v, T).fit_percent
+    )
+
+
 @pytest.mark.parametrize(
     ("change", "error", "words"),
     [

@@ -12,11 +12,16 @@ import pytest
 
 import trustlab as tl
 from trustlab.models.checks import (
+    between,
     did_you_mean,
     finite_array,
     finite_number,
+    in_order,
+    not_negative,
     of_class,
     one_of,
+    open_unit,
+    positive,
     spawned,
     whole_number,
 )
@@ -44,6 +49,20 @@ def test_what_python_would_convert_is_no_number(value):
         finite_number("width", value)
     with pytest.raises(ValueError, match=r"^count must be a whole number, 1 or more, got "):
         whole_number("count", value)
+
+
+def test_ends_of_ranges():
+    assert between("x", 0, 0.0, 1.0) == 0.0
+    assert between("x", 1, 0.0, 1.0) == 1.0
+    assert not_negative("x", 0) == 0.0
+    assert whole_number("seed", 10**400, 0) == 10**400
+    with pytest.raises(ValueError, match=r"0 or more, got 1e\+300"):
+        whole_number("seed", 1e300, 0)
+    for check, value in ((positive, 0.0), (open_unit, 0.0), (open_unit, 1.0)):
+        with pytest.raises(ValueError, match=r"^x must "):
+            check("x", value)
+    with pytest.raises(ValueError, match=r"low must be below high, got low = 1.0 and high = 1.0"):
+        in_order("low", 1, "high", 1)
 
 
 def test_arrays_are_floats_in_one_piece():

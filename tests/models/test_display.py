@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pandas as pd
 import pytest
 
-from trustlab.models.display import Result, axes_or_new
+from trustlab.models.display import Result, as_html, axes_or_new
 
 
 @dataclass(frozen=True, repr=False)
@@ -31,6 +31,23 @@ def test_a_result_is_one_line_and_in_a_notebook_its_table_too():
     assert "<td>1.23457</td>" in shown
     assert "<td>–</td>" in shown
     assert "&lt;i&gt;" in shown
+
+
+def test_a_plain_index_is_not_shown_nor_more_than_sixty_rows():
+    shown = as_html("", pd.DataFrame({"x": range(1000)}), pd.DataFrame({"y": [1]}))
+    assert shown.count("<tr>") < 70
+    assert shown.count("<table") == 2
+    assert "<th>0</th>" not in shown
+
+
+def test_a_single_row_that_is_wider_than_a_page_stands_upright():
+    row = pd.DataFrame([{f"column {i}": i / 3 for i in range(13)} | {"words": "of it"}])
+    shown = as_html("", row)
+    assert shown.count("<tr") >= 14
+    assert "<th>column 12</th>" in shown
+    assert "<td>0.333333</td>" in shown
+    assert "<td>of it</td>" in shown
+    assert as_html("", row.iloc[:, :12]).count("<tr") == 2
 
 
 def test_axes_are_those_handed_over_or_of_a_new_figure():

@@ -13,3 +13,9 @@ def test_missing_package_names_the_extra():
     with pytest.raises(ModuleNotFoundError, match=words) as caught, extra("ros"):
         import no_such_package  # noqa: F401
     assert caught.value.name == "no_such_package"
+
+
+def test_nothing_happens_where_everything_is_there():
+    with extra("ros"):
+        import json
+    assert json.dumps(1) == "1"

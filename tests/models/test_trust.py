@@ -54,6 +54,13 @@ def test_with_b_above_a_trust_leaves_its_bounds():
     assert trust.simulate(np.ones(500), 0.1).max() > 1.0
 
 
+def test_the_ends_of_sensitivities():
+    assert TrustModel(1.0, 1.0).steady_state(1.0) == 1.0
+    for a in (0.0, 1.001):
+        with pytest.raises(ValueError, match=r"a must lie in \(0, 1\]"):
+            TrustModel(a, 0.0001)
+
+
 def test_logistic_scaling_is_the_printed_function_and_nearly_meets_its_bounds():
     scaling = LogisticScaling(low=0.05, high=1.0, steepness=12.0, t_min=0.2, t_max=0.8)
     trust = np.linspace(-0.5, 1.5, 41)
@@ -71,6 +78,14 @@ def test_scalings_fall_with_trust_and_keep_their_bounds(low, high, steepness, tr
         assert (np.diff(values) <= 0.0).all()
         assert values.min() >= low * (1 - 1e-15)
         assert values.max() <= high * (1 + 1e-15)
+
+
+def test_a_steep_logistic_scaling_is_the_step():
+    step, steep = StepScaling(0.2, 1.0, 0.4), LogisticScaling(0.2, 1.0, 1e6, 0.4)
+    trust = [0.0, 0.3999, 0.4001, 1.0]
+    np.testing.assert_allclose(step.value(trust), steep.value(trust), atol=1e-12)
+    assert step.value(0.4) == 0.2
+    assert StepScaling(0.2, 1.0, t_min=-3.0).midpoint == -1.0
 
 
 def test_scalings_say_what_would_break_teleoperation():

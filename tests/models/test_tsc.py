@@ -123,6 +123,19 @@ def test_gains_are_those_printed(operators, name):
     assert replace(operators[name].robot, b=0.0013).b == 0.0013
 
 
+def test_the_step_bound_of_the_pilot_is_the_printed_one(operators):
+    """Remark 3: δ_Pr = 0.00069 and δ_Ph = 0.00021 give 0.0084."""
+    assert round(operators["pilot"].delta(0.00069, 0.00021), 4) == 0.0084
+
+
+def test_time_constants_share_one_definition(operators):
+    human = operators["pilot"].human
+    decay = human.simulate(np.zeros(2000), 1.0)[0]
+    after = np.interp(human.time_constant, np.arange(2000), decay)
+    assert after == pytest.approx(np.exp(-1.0), rel=1e-6)
+    assert tl.RobotModel(human.a, 0.24, 0.39, 0.4602).time_constant == human.time_constant
+
+
 @given(models)
 def test_tsc_is_plus_and_minus_one_at_the_extremes_and_between_them_elsewhere(model):
     robot, human = model.robot, model.human
@@ -159,6 +172,12 @@ def test_simulation_and_compiled_equations_are_the_printed_recursion(model, r0, 
         p_h = human_at(r, c)
         assert (r, p_r, p_h, tsc_at(p_r, p_h, c)) == (row.r, row.p_r, row.p_h, row.tsc)
         r, p_r = advance(r, p_r, p_h, row.mode, c)
+
+
+def test_a_simulation_begins_rested_with_the_robot_at_its_least(operators):
+    model = operators["pilot"]
+    first = model.simulate([1, 0, 0]).iloc[0]
+    assert (first["r"], first["p_r"], first["p_h"]) == (0.0, model.robot.p_min, model.human.p_min)
 
 
 @given(models, shares, shares)

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from trustlab.models.uav import PRINTED_UAV
+from trustlab.models.uav import PRINTED_UAV, three_axes
 
 PRINTED = pd.read_csv(
     Path(__file__).parents[2] / "data" / "published" / "statements.csv", index_col="id"
@@ -39,6 +39,14 @@ def test_discrete_form_is_that_of_python_control(axis):
         velocity.append(state[0])
         state = phi @ state + gamma * u
     np.testing.assert_allclose(velocity, expected, atol=1e-10)
+
+
+def test_a_vehicle_has_three_axes():
+    axes = [PRINTED_UAV[name] for name in "xyz"]
+    assert three_axes(axes) == tuple(axes)
+    for wrong in (axes[:2], [1.0, *axes[:2]]):
+        with pytest.raises(ValueError, match="three transfer functions, for x, y and z, got list"):
+            three_axes(wrong)
 
 
 @pytest.mark.parametrize("axis", "xyz")

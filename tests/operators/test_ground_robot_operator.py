@@ -49,6 +49,17 @@ def test_numbers_are_the_operators_own(operators):
     )
 
 
+def test_every_published_participant_makes_an_operator(operators):
+    for name, model in operators.items():
+        assert operator(name, model).human == model.human
+    default = tl.Operator("pilot", operators["pilot"].human)
+    pilot = operator("pilot", operators["pilot"])
+    assert (default.robot_floor, default.robot_gain) == (
+        pilot.robot_floor,
+        pytest.approx(pilot.robot_gain, abs=1e-4),
+    )
+
+
 @pytest.mark.parametrize("level", [0.37, 0.39, 0.41, 0.43, 0.46])
 def test_measured_performance_is_the_models(level):
     # Oracle: (2.7) on the log; utilization has no say, the model being flat.
@@ -57,6 +68,20 @@ def test_measured_performance_is_the_models(level):
     )
     means = [drive_modes(np.ones(4000, int), who, seed)["p_h"][1000:].mean() for seed in range(4)]
     assert np.mean(means) == pytest.approx(level, abs=0.006)
+
+
+def test_skill_follows_utilization(operators):
+    # Yerkes–Dodson: best at r = β, worse when idle and when overworked; the same noise, 300 s of
+    # manual driving.
+    who = replace(
+        operator("pilot", operators["pilot"]), human=replace(operators["pilot"].human, a=0.999999)
+    )
+    means = {
+        r0: np.mean([drive_modes(np.ones(3000, int), who, s, r0=r0)["p_h"][-1] for s in range(6)])
+        for r0 in (0.02, 0.74, 0.9999)
+    }
+    assert means[0.74] > means[0.02] + 0.02
+    assert means[0.74] > means[0.9999] + 0.02
 
 
 def test_better_performance_is_faster_steadier_and_busier():

@@ -10,14 +10,28 @@ import pytest
 
 import trustlab as tl
 from trustlab.operators.answers import experience, simulated_answers
-from trustlab.operators.teleoperator import Teleoperator
+from trustlab.operators.teleoperator import RANGES, Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation import Guidance
 from trustlab.testbeds import TeleoperatorPopulation
 from trustlab.testbeds.uav_tracking import TrackingTask
 
+RUN = tl.simulate_teleoperation("TMIG", seed=1, duration=20.0)
 # No force on the hand, and nothing that guards it.
 FREE = Guidance(guard="off", force=lambda state: (0.0, 0.0, 0.0))
+
+
+def test_defaults_are_the_middle_of_the_ranges():
+    average = Teleoperator()
+    for name, ends in RANGES.items():
+        assert getattr(average, name) == pytest.approx(np.mean(ends)), name
+
+
+def test_numbers_are_the_operators_own():
+    numbers = Teleoperator(reaction=0.3, lag=0.2, patience=2.0).numbers(0.01, 0.1)
+    assert numbers["delay"] == 40
+    assert numbers["decay"] == pytest.approx(np.exp(-0.05))
+    assert numbers["patience"] == 200
 
 
 @pytest.mark.parametrize(
@@ -241,3 +255,19 @@ def test_answers_follow_what_was_gone_through():
     for name in ("satisfaction", "comfort", "control", "trust"):
         assert high[name] < low[name] - 1
     assert 1 <= high["trust"] <= low["trust"] <= 7
+
+
+def test_answers_are_a_persons_own_and_repeatable():
+    assert simulated_answers(RUN, participant=3, seed=1) == simulated_answers(
+        RUN, participant=3, seed=1
+    )
+    assert simulated_answers(RUN, participant=3, seed=1) != simulated_answers(
+        RUN, participant=4, seed=1
+    )
+    assert (
+        max(
+            simulated_answers(RUN, points=5)[name]
+            for name in ("satisfaction", "comfort", "control")
+        )
+        <= 5
+    )

@@ -11,11 +11,15 @@ import pingouin
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import stats
+from statsmodels.stats.anova import AnovaRM
 
 import trustlab as tl
+from trustlab.studies import anova as engine
 from trustlab.studies.anova import (
     Design,
     effects,
+    mauchly_p_value,
+    orthonormal_contrasts,
     sphericity,
 )
 from trustlab.studies.repeated_measures import _decision
@@ -63,6 +67,15 @@ def test_equals_a_pingouin_loop(n, k):
         assert batch.loc[s, "mauchly_df"] == mauchly.dof
 
 
+def test_equals_statsmodels():
+    scores = draw(1, 14, 4)[0]
+    batch = analysed(scores[None])
+    table = AnovaRM(long_table(scores), "y", "s", within=["c"]).fit().anova_table
+    assert batch.F[0] == pytest.approx(table["F Value"].iloc[0], rel=1e-11)
+    assert batch.p[0] == pytest.approx(table["Pr > F"].iloc[0], rel=1e-10)
+    assert batch[["df1", "df2"]].loc[0].tolist() == [3, 39]
+
+
 def test_sums_of_squares_by_brute_force():
     scores = draw(1, 7, 3, seed=4)[0]
     n, k = scores.shape
@@ -85,6 +98,19 @@ def test_sums_of_squares_by_brute_force():
     )
 
 
+def test_two_conditions_are_a_paired_t_test():
+    array = draw(50, 9, 2)
+    batch = analysed(array)
+    t = stats.ttest_rel(array[:, :, 0], array[:, :, 1], axis=1)
+    np.testing.assert_allclose(batch.F, t.statistic**2, rtol=1e-11)
+    np.testing.assert_allclose(batch.p, t.pvalue, rtol=1e-10)
+    for name in ("epsilon_gg", "epsilon_hf", "epsilon_hf_untruncated"):
+        assert (batch[name] == 1.0).all()
+    assert batch[["mauchly_w", "mauchly_chi2", "mauchly_p"]].isna().all(axis=None)
+    assert (batch["mauchly_df"] == 0).all()
+    np.testing.assert_array_equal(batch.p_gg, batch.p)
+
+
 @pytest.mark.parametrize(
     ("n", "k", "defined"),
     [(3, 3, True), (3, 4, False), (5, 5, True), (5, 6, False), (4, 10, False)],
@@ -105,6 +131,12 @@ def test_mauchly_is_refused_where_a_condition_is_the_mean_of_two_others():
     assert np.isfinite(batch.p_gg).all()
 
 
+def test_nearly_singular_is_not_singular():
+    array = draw(1, 12, 4)
+    array[0, :, 3] = 0.5 * (array[0, :, 0] + array[0, :, 1]) + 1e-5 * array[0, :, 2]
+    assert 0.0 < analysed(array).mauchly_w[0] < 1e-9
+
+
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.integers(3, 12), st.integers(2, 6), st.integers(0, 2**32 - 1))
 def test_bounds(n, k, seed):
@@ -118,6 +150,13 @@ def test_bounds(n, k, seed):
     assert (batch.eta2_generalized <= batch.eta2_partial * (1.0 + 1e-12)).all()
 
 
+def test_a_large_offset_costs_only_the_scores_own_digits():
+    array = np.round(draw(5, 20, 4), 3)
+    near, far = analysed(array), analysed(array + 1e9)
+    np.testing.assert_allclose(far.F, near.F, rtol=1e-5)
+    np.testing.assert_allclose(far.mauchly_p, near.mauchly_p, rtol=1e-4)
+
+
 def test_false_positives_at_the_level():
     """Theorem: under sphericity and no effect, p is uniform; so is Mauchly's, nearly."""
     rng = np.random.default_rng(7)
@@ -126,6 +165,16 @@ def test_false_positives_at_the_level():
     )
     for name in ("p", "mauchly_p"):
         assert stats.kstest(batch[name], "uniform").pvalue > 0.01, name
+
+
+def test_chunks_do_not_matter(monkeypatch):
+    array = draw(11, 8, 3)
+    whole = analysed(array)
+    monkeypatch.setattr(engine, "_CHUNK", 50)
+    pd.testing.assert_frame_equal(analysed(array), whole, rtol=1e-12)
+    array[7] = 3.0
+    with pytest.raises(ValueError, match="study 7: the error variance is zero for condition"):
+        analysed(array)
 
 
 BAD = {
@@ -180,6 +229,31 @@ def test_mauchly_second_order_term_by_hand():
 
 
 @pytest.mark.parametrize(
+    ("chi2", "n", "k", "printed"),
+    [
+        (10.695, 36, 5, 0.298),  # 0.297 without the second-order term
+        (15.030, 36, 5, 0.090),
+        (12.085, 36, 5, 0.209),
+        (28.304, 36, 5, 0.001),
+        (22.655, 36, 5, 0.007),
+        (5.14, 30, 4, 0.399),
+        (7.785, 30, 4, 0.169),
+    ],
+)
+def test_printed_p_of_mauchly(chi2, n, k, printed):
+    """
+    Oracle: the dissertation's Sections 2.4.2.4 and 3.9.4, χ² and p as its statistics program
+    printed them.
+    """
+    assert mauchly_p_value(chi2, n, k) == pytest.approx(printed, abs=6e-4)
+
+
+def test_the_second_order_term_shows_in_the_printed_p():
+    assert round(float(mauchly_p_value(10.695, 36, 5)), 3) == 0.298
+    assert round(stats.chi2.sf(10.695, 9), 3) == 0.297
+
+
+@pytest.mark.parametrize(
     ("least", "floor", "defined"),
     [
         (1e-15, 0.0, False),  # rounding
@@ -194,6 +268,16 @@ def test_which_eigenvalues_count_as_zero(least, floor, defined):
     assert np.isfinite(w).tolist() == [defined]
     if defined:
         assert w == pytest.approx(least / ((2.0 + least) / 3.0) ** 3, rel=1e-9)
+
+
+def test_a_p_value_is_at_most_1():
+    """The expansion exceeds 1 where subjects are as few as conditions, ten of either here."""
+    n, k, chi2 = 10, 10, 26.8
+    factor = 9.0 - (2.0 * 81.0 + 9.0 + 2.0) / 54.0
+    w2 = 11.0 * 8.0 * 7.0 * (1458.0 + 486.0 + 30.0 + 2.0) / (288.0 * (9.0 * factor) ** 2)
+    first, second = stats.chi2.sf(chi2, [44, 48])
+    assert first + w2 * (second - first) > 1.0
+    assert mauchly_p_value(chi2, n, k) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -222,6 +306,13 @@ def test_which_correction_applies(correction, conditions, p, epsilon, applied, w
     assert chosen["p_corrected"] == p_of[applied]
 
 
+def test_an_epsilon_without_a_finite_value_or_above_1_is_cut():
+    assert sphericity(np.eye(3), 3)["epsilon_hf_untruncated"] == np.inf
+    sphere = sphericity(np.eye(3), 10)
+    assert sphere["epsilon_hf"] == 1.0
+    assert sphere["epsilon_hf_untruncated"] == pytest.approx(31.0 / 21.0)
+
+
 def test_epsilon_by_hand():
     covariance = np.array([[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 0.5]])
     result = sphericity(covariance, 10)
@@ -230,3 +321,15 @@ def test_epsilon_by_hand():
     hf = (11.0 * 3.0 * gg - 2.0) / (3.0 * (10.0 - 3.0 * gg))
     assert result["epsilon_hf"] == pytest.approx(hf, rel=1e-12)
     assert hf < 1.0
+
+
+@pytest.mark.parametrize("k", [2, 3, 7])
+def test_contrasts_are_orthonormal(k):
+    contrasts = orthonormal_contrasts(k)
+    np.testing.assert_allclose(contrasts.T @ contrasts, np.eye(k - 1), atol=1e-15)
+    np.testing.assert_allclose(contrasts.sum(axis=0), 0.0, atol=1e-15)
+
+
+def test_epsilon_is_one_for_a_sphere_and_least_for_a_line():
+    assert sphericity(np.eye(4), 9)["epsilon_gg"] == 1.0
+    assert sphericity(np.diag([1.0, 0.0, 0.0, 0.0]), 9)["epsilon_gg"] == 0.25

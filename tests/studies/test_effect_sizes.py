@@ -38,6 +38,11 @@ def test_limits_invert_the_noncentral_f(f, df):
     )
 
 
+def test_a_wider_level_gives_a_wider_interval():
+    narrow, wide = partial_eta_interval(6.0, 3, 60, 0.90), partial_eta_interval(6.0, 3, 60, 0.99)
+    assert wide.low < narrow.low < narrow.high < wide.high
+
+
 def test_coverage():
     """Theorem: the interval of λ has its level; λ = 12, 2000 draws."""
     draws = stats.ncf.rvs(3, 40, 12.0, size=2000, random_state=np.random.default_rng(3))
@@ -46,6 +51,11 @@ def test_coverage():
         for p in (partial_eta_interval(f, 3, 40) for f in draws[:600])
     ]
     assert abs(np.mean(inside) - 0.90) < 4.0 * np.sqrt(0.09 / 600)
+
+
+def test_no_effect_at_all():
+    found = partial_eta_interval(0.0, 3, 40)
+    assert (found.low, found.high) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("eta2", [0.1, 0.5])
@@ -78,3 +88,15 @@ def test_the_interval_is_that_of_the_test_with_its_correction():
         assert (result.eta2_partial_low > 0.0) == (result.p_corrected < 0.05)
         excluded += result.eta2_partial_low > 0.0
     assert excluded / 300 < 0.08
+
+
+@pytest.mark.parametrize("df", [(3, 60), (1, 4), (4.2, 77.7)])
+def test_large_f(df):
+    """
+    1 − η² is inversely proportional to a large F; oracle, the noncentral F of SciPy where it is
+    still good.
+    """
+    low = [1.0 - partial_eta_interval(f, *df).low for f in (1e7, 1e9, 1e12)]
+    np.testing.assert_allclose([low[0] / 1e2, low[1]], [low[1], low[1]], rtol=1e-5)
+    assert low[2] == pytest.approx(low[1] / 1e3, rel=1e-2)  # the digits that 1 − η² has left
+    assert partial_eta_interval(1e200, *df).high == 1.0

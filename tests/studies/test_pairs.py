@@ -38,6 +38,13 @@ def test_adjusted_p_values_against_statsmodels(size):
     np.testing.assert_array_equal(bonferroni(p), np.minimum(size * p, 1.0))
 
 
+def test_adjusted_p_values_leave_nan_out_of_the_family():
+    """Oracle: R, p.adjust(c(0.01, NA, 0.04), "holm") is 0.02 NA 0.04; "bonferroni" 0.02 NA 0.08."""
+    p = np.array([0.01, np.nan, 0.04])
+    np.testing.assert_allclose(holm(p), [0.02, np.nan, 0.04])
+    np.testing.assert_allclose(bonferroni(p), [0.02, np.nan, 0.08])
+
+
 def test_a_pair_with_one_difference_has_no_t_test():
     array = draw(2, 8, 3)
     array[1, :, 1] = array[1, :, 0] + 0.1
@@ -56,6 +63,20 @@ def test_the_interval_of_d_z_inverts_the_noncentral_t(t, n):
     assert stats.nct.sf(t, n - 1, low * np.sqrt(n)) == pytest.approx([0.025], abs=1e-4)
     assert stats.nct.cdf(t, n - 1, high * np.sqrt(n)) == pytest.approx([0.025], abs=1e-4)
     assert low < t / np.sqrt(n) < high
+
+
+def test_the_interval_of_d_z_covers_it():
+    rng = np.random.default_rng(0)
+    d, n = 0.6, 10
+    t = stats.nct.rvs(n - 1, d * np.sqrt(n), size=2000, random_state=rng)
+    low, high = d_z_interval(t, n - 1, n**-0.5)
+    covered = ((low <= d) & (d <= high)).mean()
+    assert abs(covered - 0.95) < 4.0 * np.sqrt(0.05 * 0.95 / 2000)
+
+
+def test_the_interval_of_d_z_goes_on_where_t_is_huge():
+    near, far = (np.array(d_z_interval(np.array([t]), 9, 0.1)) / t for t in (999.0, 1001.0))
+    np.testing.assert_allclose(near, far, rtol=1e-3)
 
 
 def test_pooled_errors_of_one_factor_are_those_of_the_anova():

@@ -12,6 +12,7 @@ from hypothesis import given, settings, strategies as st
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import (
     Delay,
+    delays_in_samples,
     packet_delay,
     random_walk_delay,
 )
@@ -223,6 +224,15 @@ def test_a_ledger_never_gives_more_than_it_got(events):
         assert ledger.balance >= 0.0
 
 
+def test_a_ledger_books_a_packet_once():
+    ledger = EnergyLedger(T)
+    assert ledger.receive(3, [1.0, 0.0])
+    assert not ledger.receive(3, [9.0, 9.0])
+    assert ledger.receive(1, [5.0, 0.0])  # late: its energy counts, its wave is old
+    assert ledger.read().tolist() == [1.0, 0.0]
+    assert ledger.received == pytest.approx(T * 26.0)
+
+
 def test_random_walk_keeps_bounds_rate_and_seed():
     delay = random_walk_delay(0.05, 0.8, 0.6, seed=4)
     values = delay.samples(5000, T)
@@ -232,6 +242,15 @@ def test_random_walk_keeps_bounds_rate_and_seed():
     np.testing.assert_array_equal(
         values, random_walk_delay(0.05, 0.8, 0.6, seed=4).samples(5000, T)
     )
+
+
+def test_numbers_and_functions_as_delays():
+    pair = {"delay_1": lambda t: 0.1 + 0.05 * math.sin(t), "delay_2": 0.3}
+    delays = delays_in_samples(pair, 0.05, "interpolated", 50, T)
+    np.testing.assert_allclose(delays[0], 10.0 + 5.0 * np.sin(T * np.arange(50)))
+    np.testing.assert_array_equal(delays[1], 30.0)
+    none = delays_in_samples({"delay_1": 0.0, "delay_2": 0.0}, 0.0, "ledger", 10, T, zero=True)
+    assert not none.any()
 
 
 def test_a_trace_of_packets_is_read_at_the_newest_that_arrived():

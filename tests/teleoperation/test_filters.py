@@ -40,6 +40,14 @@ def signals(seed, n=3, count=2000):
     return out
 
 
+@given(st.floats(1e-3, 1e4))
+@settings(max_examples=40)
+def test_one_pole_needs_a_quarter(cutoff):
+    margin = passivity_margin([cutoff], [1.0, cutoff])
+    assert margin.least_product == pytest.approx(0.25, rel=1e-12)
+    assert margin.frequency == pytest.approx(cutoff, rel=1e-6)
+
+
 @given(st.integers(0, 10_000))
 @settings(max_examples=60)
 def test_margin_against_a_grid_of_frequencies(seed):
@@ -94,6 +102,15 @@ def test_corrected_filter_never_generates(seed, product, impedance, cutoff):
     assert (run.generated - before).max() <= 1e-12 * scale  # at every sample, not only in the end
 
 
+@pytest.mark.parametrize("product", [0.2, 0.1, 0.0])
+def test_less_than_a_quarter_generates(product):
+    """Negative control: at ω_c with the phase that the eigenvector asks for."""
+    root = np.sqrt(product)
+    two_port = TwoPortFilter(5.0, root, root, require_passive=False)
+    assert sinusoid_energy(two_port, 60.0).generated[-1] > 1.0
+    assert sinusoid_energy(corrected_filter(5.0, 1.0), 60.0).generated.max() <= 0.0
+
+
 @numba.njit
 def step_of_the_loop(low_pass, wave, level):
     """What only compiled functions may call, for a test."""
@@ -118,6 +135,12 @@ def test_filtered_waves_carry_no_more_than_came(seed, cutoff):
     out, held = filtered(wave, 10**cutoff)
     energy = 0.5 * T * np.cumsum((wave**2).sum(axis=1) - (out**2).sum(axis=1)) - held
     assert np.diff(energy, prepend=0.0).min() >= -1e-13 * max(np.abs(energy).max(), 1e-300)
+
+
+def test_the_filter_of_waves_is_a_low_pass():
+    out, _ = filtered(np.ones((20_000, 3)), 2.0)
+    assert out[-1, 0] == pytest.approx(1.0, abs=1e-12)
+    assert out[499, 0] == pytest.approx(1.0 - np.exp(-1.0), abs=1e-3)
 
 
 def test_signals_and_storage_of_one_sample():

@@ -83,6 +83,15 @@ def test_steps_storage_and_dissipation_are_those_of_the_equations(n):
     assert device.dissipation(x, v) == pytest.approx(lost / scaling, rel=1e-12)
 
 
+def test_an_active_device_shows_negative_dissipation():
+    rng = np.random.default_rng(5)
+    device = random_device(rng, passive=False)
+    lost = [
+        device.dissipation((x + x1) / 2, (v + v1) / 2) for x, v, x1, v1, *_ in follow(device, rng)
+    ]
+    assert min(lost) < 0.0
+
+
 @pytest.mark.parametrize("gains", [PRELIMINARY, MAIN], ids=["preliminary", "main"])
 def test_stable_at_the_printed_sample_time(gains):
     most = HapticDevice(mass=1e-3, **gains).largest_mass()
@@ -94,6 +103,16 @@ def test_stable_at_the_printed_sample_time(gains):
         levels.append(device.storage(x, v))
     assert (np.diff(levels) <= 1e-12 * levels[0]).all()
     assert levels[-1] < 1e-6 * levels[0]
+
+
+def test_heaviest_device_of_the_preliminary_study():
+    assert HapticDevice(mass=0.001, **PRELIMINARY).largest_mass() == pytest.approx(
+        0.55 / 60, rel=1e-12
+    )
+    counted = HapticDevice(mass=0.001, port_damping=0.2, **PRELIMINARY)
+    assert counted.largest_mass() == pytest.approx(0.0125, rel=1e-12)
+    with pytest.raises(PassivityError, match=r"up to 0.009166 kg only, and it has 1 kg"):
+        HapticDevice(mass=1.0, **PRELIMINARY)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.98, 1.02, 3.0])

@@ -11,6 +11,7 @@ from trustlab.teleoperation.team.decisions import (
     POLICIES,
     GivenSequence,
     MostTrusted,
+    RandomLeaders,
     TeamSituation,
     policy_named,
 )
@@ -57,6 +58,11 @@ def test_most_trusted_by_hand():
     )  # equal trust is no reason to switch
 
 
+def test_most_trusted_is_the_argmax_whenever_it_may_switch():
+    trust = np.random.default_rng(1).uniform(size=(500, 4))
+    assert (lead(MostTrusted(), trust, 0.1) == trust.argmax(axis=1)).all()
+
+
 def test_given_sequence():
     trust = np.zeros((10, 3))
     assert (
@@ -79,6 +85,12 @@ def test_given_sequence():
     ]
     assert lead(GivenSequence(), trust, 0.1).tolist() == [0, 0, 1, 1, 2, 2, 0, 0, 1, 1]
     assert lead(GivenSequence([1]), trust, 0.1).tolist() == [1] * 10
+
+
+def test_random_leaders_reach_everyone():
+    chosen = lead(RandomLeaders(0.0), np.zeros((2000, 5)), 0.1)
+    assert set(chosen) == set(range(5))
+    assert (np.diff(chosen) != 0).all()  # another robot each time
 
 
 def test_refusals():

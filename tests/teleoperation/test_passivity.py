@@ -123,3 +123,17 @@ def test_when_a_controller_acts_and_what_it_demands(method, energy, power, deman
 )
 def test_ports_that_cannot_take_what_is_demanded_are_stopped(power, square, demand, expected):
     assert activation(power, square, 1.0, demand) == expected
+
+
+def test_a_port_that_stands_still_is_not_damped():
+    for method in ("cancel", "repay"):
+        controller = PassivityController(T, method)
+        controller.step([1.0], [-1.0])
+        done = controller.step([0.0], [-3.0])
+        assert (done.force.tolist(), done.z) == ([-3.0], 0.0)
+
+
+def test_energy_in_hand_is_no_deficit():
+    controller = PassivityController(T)
+    done = controller.step([2.0], [3.0])
+    assert (done.energy, done.deficit, controller.energy) == (6.0 * T, 0.0, 6.0 * T)

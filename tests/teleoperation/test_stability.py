@@ -62,6 +62,19 @@ def test_what_grows_is_not_bounded():
     assert tl.passivity(session(np.column_stack([steady] * 4))).bounded
 
 
+def test_nothing_moves():
+    answer = tl.passivity(session(np.zeros((30, 4))))
+    assert answer.passive
+    assert answer.bounded
+
+
+def test_a_plot_shows_the_energies():
+    run = tl.simulate_teleoperation("M", seed=1, duration=10.0)
+    answer = tl.passivity(run)
+    axes = answer.plot()
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), answer.energies["operator"])
+
+
 def test_a_session_without_the_signals_is_refused():
     run = tl.simulate_teleoperation("M", seed=1, duration=5.0)
     thin = tl.Session(run.data.drop(columns=["f_s_y"]), run.metadata)

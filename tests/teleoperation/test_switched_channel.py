@@ -114,6 +114,23 @@ def test_bounds_not_switched_with_the_leader_give_energy():
     assert given < -0.5 * exchanged(wrong)[-1]
 
 
+def test_impedance_not_switched_with_the_leader_gives_none():
+    """
+    What an end not switched does harm by is its bounds, not its b: waves carry their energy
+    whatever made them.
+    """
+    for seed in range(50):
+        ends, signals, leaders, _, delays = random_case(seed)
+        same = [
+            Scattering(end.b, beta_min=0.5, beta_max=1.5, max_delay_rate=end.max_delay_rate)
+            for end in ends
+        ]
+        beta = np.random.default_rng(seed).uniform(0.5, 1.5, K)
+        rows = np.array([np.zeros(K, int), leaders])
+        run = channel_run(*signals, same, T, *delays, beta=beta, leaders=rows)
+        assert run.energy.min() >= -1e-12 * exchanged(run).max()
+
+
 def test_waves_obey_4_7():
     """Oracle: the definitions of u and v in terms of f and r."""
     ends, signals, leaders, beta, delays = random_case(1)
@@ -130,6 +147,16 @@ def test_waves_obey_4_7():
         (run.v_r, np.sqrt(0.5 / b) * (run.f_s + b * run.r_s)),
     ):
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+
+
+def test_one_leader_is_the_channel_of_one_robot():
+    """Oracle: the run without leaders; defaults are the upper bounds of the robot that leads."""
+    signals = np.random.default_rng(77).normal(size=(2, 300, 2))
+    ends = [Scattering(1.0), Scattering(2.0, 0.3, 0.8, 0.2, 1.7)]
+    alone = channel_run(*signals, ends[1], T)
+    led = channel_run(*signals, ends, T, leaders=np.ones(300, int))
+    for name in ("f_m", "r_s", "u_l", "v_l", "u_r", "v_r", "energy"):
+        np.testing.assert_array_equal(getattr(led, name), getattr(alone, name))
 
 
 def test_refusals():

@@ -122,6 +122,13 @@ def test_rendered_impedance_is_passive(channel, load, delay, rate):
         assert felt.real.min() >= -1e-9 * np.abs(felt).max()
 
 
+def test_rendered_impedance_without_scaling_and_delay_is_the_environment():
+    omega = np.geomspace(0.1, 10.0, 20)
+    np.testing.assert_allclose(
+        rendered_impedance(Scattering(1.7), omega, 3.0 + 2.0j), 3.0 + 2.0j, rtol=1e-12
+    )
+
+
 def test_rendered_impedance_is_that_of_the_channel_at_a_frequency():
     channel = Scattering(1.5, 0.3, 0.9, 0.2, 0.8)
     omega = 2.0

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 import trustlab as tl
+from trustlab.trust.comparison import recover_trust_models
 from trustlab.trust.dynamics import MODELS
 from trustlab.trust.likelihood import predict, simulate_ratings
 
@@ -51,6 +52,12 @@ def test_coverage_of_the_true_model_is_nominal():
     table = tl.compare_trust_models(drawn, ["performance", "constant"], folds=2).table()
     row = table.query("split == 'people' and model == 'performance'")
     assert row["coverage"].item() == pytest.approx(0.9, abs=0.04)
+
+
+def test_models_that_differ_are_told_apart_and_models_that_nest_less():
+    panel = tl.read_people("hybrid_vr")
+    shares = recover_trust_models(panel, ["performance", "beta", "persistence"], n=1)
+    assert np.diag(shares).tolist() == [1.0, 1.0, 1.0]
 
 
 def test_a_model_of_ones_own_is_compared():

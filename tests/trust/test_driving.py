@@ -31,6 +31,12 @@ def test_trust_in_the_loop_is_the_models_on_the_loops_performance(name):
     assert np.ptp(trust) > 0.01
 
 
+def test_two_loops_do_not_share_their_memory():
+    driver = tl.trust.TrustInLoop(MODELS["asymmetric"](), every=0.1)
+    runs = [tl.simulate_teleoperation("TMIG", trust=driver, seed=0, duration=1.0) for _ in range(2)]
+    assert runs[0] == runs[1]
+
+
 def test_a_bare_model_is_one_trial_a_second():
     model = MODELS["asymmetric"]()
     bare = tl.simulate_teleoperation("TMIG", trust=model, seed=0, duration=2.5)
@@ -78,6 +84,14 @@ def test_a_team_stepped_is_the_team_run():
     run = loop.run()
     assert run.data.equals(tl.simulate_team(**options).data)
     assert np.ptp(run.trust, axis=0).max() > 0.01
+
+
+def test_a_trial_without_anything_to_judge_by_is_none():
+    driver = tl.trust.TrustInLoop(MODELS["beta"](anchor=0.0), every=0.3, start=0.4)
+    course = TrustCourse(driver, 0.1)
+    shares = [course.step(p) for p in (np.nan, np.nan, np.nan, 1.0, np.nan, 0.5)]
+    assert shares[:5] == [0.4] * 5
+    assert shares[5] == pytest.approx((0.4 * 10.0 + 0.75) / 11.0, abs=1e-14)
 
 
 @dataclass(frozen=True)

@@ -78,6 +78,18 @@ def test_series_by_hand():
     np.testing.assert_allclose(mean_course(model, SUCCESS, fault=fault), expected, atol=1e-14)
 
 
+def test_memory_and_bias_by_hand():
+    model = MODELS["memory_bias"](change=0.5, experience=0.4, memory=0.25, forgetting=0.3, bias=0.8)
+    e, c, b = 0.2, 0.075, 0.225
+    trust = total = 0.6
+    expected = []
+    for p in SUCCESS:
+        trust = trust + e * (p - trust) + c * (total - trust) + b * (0.8 - trust)
+        total = 0.7 * total + 0.3 * trust
+        expected.append(trust)
+    np.testing.assert_allclose(mean_course(model, SUCCESS), expected, atol=1e-14)
+
+
 def test_decision_field_by_hand():
     mode = np.array([0, 0, 1, 1, 0, 1, 0, 0, 1, 0.0])
     p_h = RNG.random(10)
@@ -309,6 +321,13 @@ def test_baselines_are_what_they_say():
     habit = tl.trust.Panel((1, 2), events._replace(followed=followed), people.ratings[:2, :5], 0.01)
     odds = tl.trust.predict(BASELINES["habit"](), habit).preference[0]
     np.testing.assert_allclose(np.exp(odds), [1.0, 2.0, 3.0, 3.0])
+
+
+def test_coordinates_return_the_model():
+    for model in (MODELS | BASELINES).values():
+        again = with_parameters(model, coordinates_of(model()))
+        for name, (default, *_) in model.parameters().items():
+            assert float(getattr(again, name)) == pytest.approx(default, abs=2e-6)
 
 
 TRUTH = {

@@ -26,6 +26,22 @@ def test_hybrid_panels_are_the_files():
     np.testing.assert_array_equal(panel.events.p_h[17], earned)
 
 
+def test_the_caution_on_reliance_is_true():
+    for name in ("hybrid_real", "hybrid_vr"):
+        panel = tl.read_people(name)
+        above = panel.ratings[:, :-1].ravel() > 0.5
+        correlation = np.corrcoef(above, panel.events.followed.ravel())[0, 1]
+        assert correlation > 0.9
+        assert "no conclusion on reliance" in panel.cautions[0]
+
+
+def test_the_comma_is_missing_and_is_put_back():
+    path = data_folder("people") / sets.FILES["hybrid_vr"]
+    with pytest.raises(json.JSONDecodeError, match="line 3326"):
+        json.loads(path.read_text())
+    assert len(tl.read_people("hybrid_vr")) == 100
+
+
 def test_a_changed_file_is_refused(tmp_path, monkeypatch):
     folder = tmp_path / "hybrid_trust_du2026"
     folder.mkdir()
@@ -90,6 +106,23 @@ def test_missing_events_change_nothing():
     for name in ("asymmetric", "optimo", "beta"):
         fits = [tl.fit_trust(each, name).log_likelihood for each in (short, longer)]
         assert fits[0] == pytest.approx(fits[1], abs=1e-3)
+
+
+def test_a_recipe_may_be_a_file_scale_performance_and_lack_a_first_rating(tmp_path):
+    frame = pd.DataFrame({"who": ["A", "A", "B"], "k": [2, 1, 1], "cm": [3.0, 0.0, 1.5]})
+    frame["trust"] = [1, 7, 4]
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        "low = 1\nhigh = 7\nbefore = false\nperformance = [3.0, 0.0]\n"
+        'cautions = ["Mine."]\n[columns]\nperson = "who"\ntrial = "k"\np_r = "cm"\n'
+        'rating = "trust"\n'
+    )
+    panel = tl.read_people(frame, path)
+    np.testing.assert_array_equal(panel.events.p_r, [[1.0, 0.0], [0.5, np.nan]])
+    np.testing.assert_array_equal(panel.ratings, [[np.nan, 1.0, 0.0], [np.nan, 0.5, np.nan]])
+    assert panel.cautions == ("Mine.",)
+    with pytest.raises(ValueError, match=r"recipe's key.*'colums'.*did you mean 'columns'"):
+        tl.read_people(frame, {"colums": {}})
 
 
 @pytest.mark.skipif(

@@ -131,6 +131,17 @@ def test_everyone_is_held_by_the_others(people):
         people.posterior("4")
 
 
+def test_what_is_predicted_is_the_next_ones_prior(people):
+    rng = np.random.default_rng(6)
+    sessions, _ = group(rng, "slow", count=1, minutes=3.0)
+    table = people.prior.table()
+    new = people.new_person["human_beta"]
+    assert table.loc["beta", "median"] == pytest.approx(new.median(), abs=0.08)
+    wide = tl.sample_posterior(sessions["0"]).table()
+    narrow = tl.sample_posterior(sessions["0"], prior=people.prior).table()
+    assert narrow.loc["robot_p_min", "sd"] < wide.loc["robot_p_min", "sd"]
+
+
 def test_studies_draw_people_like_these(people):
     population = OperatorPopulation.of_people(people)
     drawn = population.draw(200)

@@ -89,6 +89,10 @@ def stored(people, noise):
     return rows.drop(columns=["people", "noise", "number"]).dropna(axis=1, how="all")
 
 
+def test_no_log_is_refused():
+    assert "refused" not in RANKS
+
+
 @pytest.mark.parametrize("noise", NOISES)
 def test_three_hundred_sets_of_the_prior(noise):
     """Ranks are uniform for every parameter, noise too: χ² in ten bins, p > .01 over all."""
@@ -191,6 +195,12 @@ def test_walkers_have_the_moments_of_a_normal_density(monkeypatch):
     np.testing.assert_allclose(sample.points.std(axis=0), deviations, rtol=0.08)
 
 
+def test_walkers_go_the_same_way_for_the_same_seed(monkeypatch):
+    first, again, changed = (normal_walkers(monkeypatch, s, 200)[0].points for s in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.isin(changed, first).any()
+
+
 def test_walkers_that_stop_too_soon_are_not_to_be_trusted(monkeypatch):
     sample, _ = normal_walkers(monkeypatch, 36, most=1)
     assert sample.k_hat == np.inf
@@ -291,6 +301,19 @@ def test_numbers_have_the_digits_that_their_intervals_allow():
     ):
         row = pd.Series(values, ["mean", "ci_low", "ci_high"])
         assert interval_words(row) == words
+
+
+def test_dropouts_are_left_out():
+    session, _ = simulated_logs.printed_case(np.random.default_rng(30), "white", minutes=5.0)
+    p_h = session["p_h"].copy()
+    p_h[1000:1030] = 0.0
+    clean, damaged = (
+        tl.sample_posterior(each).draws["human_p_max"]
+        for each in (session, session.with_columns(p_h=p_h))
+    )
+    assert damaged.mean() == pytest.approx(clean.mean(), abs=clean.std())
+    spoiled = tl.sample_posterior(session.with_columns(p_h=p_h), robust=False)
+    assert spoiled.draws["p_h_slow"].mean() > 0.02
 
 
 def test_a_delay_is_drawn():
