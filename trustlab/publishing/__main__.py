@@ -17,6 +17,7 @@ from trustlab.publishing.chapter import chapter, empty_chapter
 from trustlab.publishing.parameters import DataAbsentError
 from trustlab.publishing.provenance import external_data, provenance
 from trustlab.publishing.run import (
+    SETTINGS,
     CellError,
     anonymous,
     chosen_parameters,
@@ -45,6 +46,7 @@ def main(words: list[str] | None = None) -> int:
     options = parser.parse_args(words)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     root, path = Path.cwd(), options.notebook.resolve()
+    os.environ |= SETTINGS
     if external_data(root).is_dir():
         os.environ["TRUSTLAB_DATA"] = str(external_data(root))
     began, skipped = time.monotonic(), False

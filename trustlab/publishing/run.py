@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import os
 import re
 import sys
 import tempfile
@@ -28,6 +27,13 @@ with extra("reports"):
 LIBRARIES = ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM", "NUMBA")
 ONE_THREAD = {f"{name.removesuffix('_MAXIMUM')}_NUM_THREADS": "1" for name in LIBRARIES}
 
+# What a kernel of the book is told, as the process that starts it is.
+SETTINGS = ONE_THREAD | {
+    "PYTHONHASHSEED": "0",
+    "TRUSTLAB_REPORT": "1",
+    "MPLBACKEND": "module://matplotlib_inline.backend_inline",
+}
+
 # Seconds that a cell may take.
 LIMIT = 1800.0
 
@@ -40,9 +46,6 @@ def execute(
     path: Path, parameters: dict[str, Any], folder: Path, limit: float = LIMIT
 ) -> NotebookNode:
     """Run a notebook in a folder, each cell for some seconds at most; return it with outputs."""
-    os.environ |= ONE_THREAD | os.environ
-    os.environ |= {"PYTHONHASHSEED": "0", "TRUSTLAB_REPORT": "1"}
-    os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
     source = nbformat.read(path, as_version=4)
     numbers = {cell.id: f"cell {i}:\n\n{cell.source}" for i, cell in enumerate(source.cells, 1)}
     place = "no cell"
