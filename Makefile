@@ -39,7 +39,7 @@ endif
 	@touch $(VENV)/.stamp
 
 # A chapter is run where its notebook, the package, data or the lock is younger, or parameters are others.
-NOTEBOOKS := $(wildcard notebooks/[0-9][0-9]_*.ipynb)
+NOTEBOOKS := $(wildcard notebooks/[0-9p][0-9]*_*.ipynb)
 CHAPTERS := $(NOTEBOOKS:notebooks/%=docs/%)
 SOURCES := $(shell find trustlab data -type f ! -path '*/__pycache__/*' ! -path 'data/external/*')
 SOURCES += $(wildcard notebooks/*.py) environment.lock
@@ -54,7 +54,7 @@ FORCE:
 
 reports: $(VENV)/.stamp  ## run what changed of the notebooks and write the book, reports/index.html (PARAMS="-p name value" passes parameters on)
 	$(BIN)/python notebooks/compile_kernels.py
-	@rm -f $(filter-out $(CHAPTERS),$(wildcard docs/[0-9][0-9]_*.ipynb))
+	@rm -f $(filter-out $(CHAPTERS),$(wildcard docs/*.ipynb))
 	@$(MAKE) --no-print-directory -k -j $(if $(filter auto,$(JOBS)),$(CORES),$(JOBS)) $(CHAPTERS); done=$$?; \
 	  $(BIN)/python -m sphinx -q -W --keep-going -j auto -d reports/.build docs reports && exit $$done
 	@echo "the book: reports/index.html"
@@ -129,7 +129,7 @@ lock:  ## resolve environment.lock again (needs uv)
 clean:  ## remove the environment, the caches and what was generated
 	rm -rf $(VENV) benchmarks/.venv tests/ros/.venv .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find reports -mindepth 1 -maxdepth 1 ! -name README.md ! -name figures -exec rm -rf {} +
-	rm -rf docs/api docs/.parameters docs/[0-9][0-9]_*.ipynb
+	rm -rf docs/api docs/.parameters docs/*.ipynb
 	find trustlab tests benchmarks data notebooks docs -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## this list

@@ -29,14 +29,15 @@ from trustlab.models.digest import ROOMS
 
 ROOT = Path(__file__).parents[1]
 EQUATIONS_PAGE = "concepts/equations"
+GLOSSARY_PAGE = "concepts/glossary"
 PRINTED = ROOT / "data" / "published" / "equations.toml"
 EQUATIONS = tomllib.loads(PRINTED.read_text(encoding="utf-8"))
 BETWEEN_EQUATIONS = re.compile(r"(?<=,)\s*\\quad\s")
 # (2.3), report “allocation”, or Table 03-1.
-CITED = re.compile(r"(\((?:\d|A)\.\d+\)|\b[Rr]eport “[a-z ]+”|\b(?:Figure|Table) \d\d-\d+\b)")
-LABEL = re.compile(r"(?:Figure|Table) (\d\d)-\d+")
+CITED = re.compile(r"(\((?:\d|A)\.\d+\)|\b[Rr]eport “[a-z ]+”|\b(?:Figure|Table) \d\d[a-z]?-\d+\b)")
+LABEL = re.compile(r"(?:Figure|Table) (\d\d[a-z]?)-\d+")
 STUDIES = {"uav": "UAV study", "teleop": "teleoperation study"}
-REPORT = re.compile(r"\d\d_")
+REPORT = re.compile(r"(\d\d[a-z]?|p\d)_")  # a chapter, or the primer of one
 VERDICTS = ROOT / "data" / "published" / "verdicts.toml"
 CLAIMS = tomllib.loads(VERDICTS.read_text(encoding="utf-8"))
 # What does not simply hold.
@@ -236,12 +237,15 @@ def link_names(app: Sphinx, doctree: nodes.document, docname: str) -> None:
     page = app.builder.get_relative_uri(docname, EQUATIONS_PAGE)
     places = {f"({number})": f"{page}#{equation_id(number)}" for number in EQUATIONS}
     numbered = set()
-    for report in filter(REPORT.match, app.env.found_docs):
-        uri = app.builder.get_relative_uri(docname, report)
+    chapters = [path.stem for path in Path(app.srcdir).glob("*.ipynb")]
+    for report in filter(REPORT.match, chapters):
+        # What lacked its data is no page of its own.
+        shown = report if report in app.env.found_docs else "real_sessions"
+        uri = app.builder.get_relative_uri(docname, shown)
         if report != docname:
-            places[f"report “{report[3:].replace('_', ' ')}”"] = uri
+            places[f"report “{report.partition('_')[2].replace('_', ' ')}”"] = uri
         for kind, numbers in app.env.toc_fignumbers.get(report, {}).items():
-            numbered.add(report[:2])
+            numbered.add(REPORT.match(report)[1])
             for anchor, (number,) in numbers.items():
                 places[f"{kind.capitalize()} {number}"] = f"{uri}#{anchor}"
     for text in list(doctree.findall(nodes.Text)):
@@ -252,7 +256,7 @@ def link_names(app: Sphinx, doctree: nodes.document, docname: str) -> None:
         for part in filter(None, parts):
             place = places.get(part.replace("Report", "report"))
             cited = LABEL.fullmatch(part)
-            if "eport “" in part and not place:
+            if "eport “" in part and place is None:
                 logging.getLogger(__name__).warning("there is no %s", part, location=docname)
             if cited and not place and cited[1] in numbered:
                 logging.getLogger(__name__).warning(
@@ -289,8 +293,8 @@ def _is_literal(node: nodes.Node) -> bool:
 
 class FinderEntries(SphinxTransform):
     """
-    Index what the finder leads to, "Table 2.1", at its section: a search for just this lists the
-    section first.
+    Index what the finder leads to, "Table 2.1", at its section, "own robot" at the section about
+    it, and the terms of the glossary: a search for just this lists the section, or the term, first.
     """
 
     default_priority = 400  # before Sphinx collects the index
@@ -302,8 +306,27 @@ class FinderEntries(SphinxTransform):
         for section in self.document.findall(nodes.section):
             title = section.next_node(nodes.title).astext()
             names = [claim for claim, about in shown.items() if about["section"] == title]
-            entries = [("single", name, section["ids"][0], "main", None) for name in names]
-            section.insert(1, addnodes.index(entries=entries))
+            if title.startswith("Your own "):
+                names.append(title.removeprefix("Your "))
+            section.insert(1, _indexed(names, section["ids"][0]))
+        if self.env.docname == GLOSSARY_PAGE:
+            for term in self.document.findall(nodes.term):
+                names = term.astext().split(", ")
+                term["ids"].append(slug(term.astext()))
+                term.append(_indexed(names, term["ids"][0]))
+
+
+def keep_entries(app: Sphinx) -> list:
+    """Give the search the entries of all pages: Sphinx knows those of pages written now."""
+    entries = app.env.domains["index"].entries if hasattr(app.builder, "indexer") else {}
+    for name, found in entries.items():
+        kept = [(value, place, main) for _, value, place, main, _ in found]
+        app.builder.indexer._index_entries.setdefault(name, kept)
+    return []
+
+
+def _indexed(names: list[str], place: str) -> nodes.Node:
+    return addnodes.index(entries=[("single", name, place, "main", None) for name in names])
 
 
 class Finder(SphinxDirective):
@@ -350,7 +373,9 @@ def place(directive: SphinxDirective, about: dict[str, str]) -> str:
     """Return a link to where a claim is shown."""
     if "report" not in about:
         return ""
-    chapter = next(Path(directive.env.srcdir).glob(f"[0-9]*_{about['report']}.ipynb"), None)
+    chapters = Path(directive.env.srcdir).glob("*.ipynb")
+    named = (path for path in chapters if path.stem.partition("_")[2] == about["report"])
+    chapter = next(named, None)
     link = f"[{about['section']}]({f'/{chapter.name}' if chapter else ''}"
     if chapter:
         directive.env.note_dependency(str(chapter))
@@ -441,12 +466,16 @@ def number_by_report(app: Sphinx, env) -> list[str]:
     for name, kinds in env.toc_fignumbers.items():
         if not REPORT.match(name):
             continue
+        label = REPORT.match(name)[1]
         for kind, places in kinds.items():
-            kinds[kind] = {place: (f"{name[:2]}-{n}",) for n, place in enumerate(places, 1)}
+            kinds[kind] = {
+                place: (f"{label.upper() if label[0] == 'p' else label}-{n}",)
+                for n, place in enumerate(places, 1)
+            }
         entry = next(env.tocs[name].findall(nodes.reference))
         for title in (env.titles[name], entry):
-            if not title.astext().startswith(name[:2]):
-                title.insert(0, nodes.Text(f"{name[:2]} "))
+            if label[0] != "p" and not title.astext().startswith(label):
+                title.insert(0, nodes.Text(f"{label} "))
     return []
 
 
@@ -477,6 +506,7 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.connect("doctree-read", number_tables)
     app.connect("env-get-updated", number_by_report, priority=900)  # after Sphinx has numbered
     app.connect("doctree-resolved", link_names)
+    app.connect("html-collect-pages", keep_entries)
     app.connect("html-page-context", set_policy)
     app.connect("html-page-context", name_folds, priority=600)  # after the theme has its own
     visitors = (HTML5Translator.visit_figure, HTML5Translator.depart_figure)
@@ -488,4 +518,4 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.add_directive("headlines", Headlines)
     app.add_role("known_name", known_name)
     app.add_html_math_renderer("mathml", (visit_formula, None), (visit_equation, None))
-    return {"env_version": 6, "parallel_read_safe": True, "parallel_write_safe": True}
+    return {"env_version": 8, "parallel_read_safe": True, "parallel_write_safe": True}

@@ -258,7 +258,7 @@ def decided(
 def recording() -> pd.DataFrame:
     """
     What logs of several lengths tell of the printed people, and whether thresholds chosen from
-    them are safe (docs/how_to/record.md).
+    them are safe (docs/how_to/logs.md).
     """
     cells = tl.parameter_grid(
         minutes=[5, 10, 20, 40],
@@ -272,7 +272,7 @@ def recording() -> pd.DataFrame:
 
 
 def recording_summary() -> pd.DataFrame:
-    """The table of docs/how_to/record.md, from recording.csv."""
+    """The table of docs/how_to/logs.md, from recording.csv."""
     rows = pd.read_csv(HERE / "recording.csv")
     rows["safe_offered"] = rows["safe"] & rows["offered"]
     rows["noise"] = pd.Categorical(rows["noise"], list(RECORDED_NOISE))

@@ -1,10 +1,11 @@
-"""Make the figures that README.md shows: python -m reports.figures.make_figures."""
+"""Make the figures of README.md and of the book: python -m reports.figures.make_figures."""
 
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 
 import trustlab as tl
+from notebooks.diagrams import Diagram
 from trustlab.publishing.figures import use_house_style
 from trustlab.sessions.plots import shade_manual
 
@@ -36,33 +37,27 @@ def identification() -> None:
     plt.close(figure)
 
 
-CHAIN = (
-    ("logs", "CSV, Parquet,\nROS bags", "sessions"),
-    ("models", "trust models with\ntheir uncertainty", "identification"),
-    ("thresholds", "chosen, bounded,\ncorrected on line", "allocation"),
-    ("control", "passive under delay,\none robot or many", "teleoperation"),
-    ("virtual study", "simulated operators,\npower, sweeps", "testbeds, campaign"),
-    ("statistics", "figures, tables,\nsentences, audit", "studies, reproduction"),
+STEPS = (
+    ("log", "A log", "CSV, Parquet, ROS bags"),
+    ("model", "Models of trust", "with their uncertainty"),
+    ("pair", "Thresholds", "chosen, bounded,\ncorrected"),
+    ("run", "Control", "passive under delay,\none robot or many"),
+    ("study", "A study", "simulated, in a browser,\non a robot"),
+    ("paper", "Statistics", "tables, figures, sentences"),
 )
 
 
 def chain() -> None:
-    """Draw the whole chain, from logs to a paper's statistics."""
-    figure, axis = plt.subplots(figsize=(11, 1.9), layout="constrained")
-    for i, (title, what, rooms) in enumerate(CHAIN):
-        box = {"boxstyle": "round,pad=0.5", "facecolor": "white", "edgecolor": "C0"}
-        axis.text(i, 0.62, title, ha="center", va="center", weight="bold", bbox=box)
-        axis.text(i, 0.30, what, ha="center", va="center", fontsize="small")
-        axis.text(
-            i, 0.04, rooms, ha="center", va="center", fontsize="small", style="italic", color="0.4"
-        )
-        if i:
-            arrow = {"arrowstyle": "->", "color": "0.4"}
-            axis.annotate("", (i - 0.36, 0.62), (i - 0.64, 0.62), arrowprops=arrow)
-    axis.set(xlim=(-0.5, len(CHAIN) - 0.5), ylim=(-0.05, 0.85))
-    axis.set_axis_off()
-    figure.savefig(HERE / "chain.png", dpi=110)
-    plt.close(figure)
+    """Draw the whole chain, from a log to a paper's statistics."""
+    d = Diagram(1.72)
+    for i, (name, words, details) in enumerate(STEPS):
+        d.block(name, words, 1.1 + 2.15 * (i % 3), 1.36 - 0.94 * (i // 3), 1.8, 0.68, details)
+    d.arrow("log.e", "model.w")
+    d.arrow("model.e", "pair.w")
+    d.arrow("pair.s", (5.4, 0.89), (1.1, 0.89), "run.n")
+    d.arrow("run.e", "study.w")
+    d.arrow("study.e", "paper.w")
+    d.figure.savefig(HERE / "chain.png", dpi=200)
 
 
 if __name__ == "__main__":

@@ -91,7 +91,7 @@ def test_front_is_what_nothing_beats(choice):
 
 def test_plot_and_table(choice):
     axes = choice.plot()
-    assert len(axes) == 3
+    assert len(axes) == 2
     plt.close("all")
     pd.testing.assert_frame_equal(choice.table(), choice.cycle.table())
 

@@ -4,6 +4,7 @@ network.
 """
 
 import shutil
+from urllib.parse import quote
 
 import pytest
 
@@ -14,6 +15,20 @@ from tests.publishing.world import publish, write_book
 from trustlab.publishing.chapter import empty_chapter
 
 MOST_BYTES = 2.5e6
+# What users type, and the page that they want among the first three.
+QUESTIONS = {
+    "stable": "how_to/teleoperate",
+    "cite": "concepts/cite",
+    "wrong in the dissertation": "concepts/does_not_hold",
+    "r": "concepts/glossary",
+    "own robot": "how_to/robot",
+    "which trust model fits people best": "how_to/trust",
+    "participant 3": "concepts/glossary",
+    "how long to record": "how_to/logs",
+    "TSC": "concepts/glossary",
+    "Table 2.3": "03_allocation",
+}
+HITS = "#search-results ul.search > li > a"
 
 
 def build(folder, *options):
@@ -28,7 +43,7 @@ def build(folder, *options):
         (root / name).symlink_to(ROOT / name)
     shutil.copytree(ROOT / "reports" / "figures", root / "reports" / "figures")
     shutil.copy(ROOT / "environment.lock", root)
-    for path in (ROOT / "notebooks").glob("[0-9]*.ipynb"):
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
         (root / "docs" / path.name).write_text(empty_chapter(path, "Not run yet."))
     if options:
         (root / "docs" / "conf.py").open("a").write("\n".join(options))
@@ -53,7 +68,7 @@ def test_book_without_most_of_its_api(tmp_path):
 def site(tmp_path_factory):
     """The whole book, with every notebook run."""
     root = build(tmp_path_factory.mktemp("site"))
-    for path in (root / "docs").glob("[0-9]*.ipynb"):
+    for path in (root / "docs").glob("*.ipynb"):
         path.unlink()
     done = publish(root)
     assert done.returncode == 0, done.stderr[-3000:]
@@ -74,11 +89,23 @@ def test_pages_in_a_browser(site):
     for browser in chromium():
         assert walked(browser, pages(site)) == []
         tab = browser.new_page()
-        named = ("index", "start", "finder", "api/fit_robot", "api/room_models", "how_to/recipe")
-        paths = [site / f"{name}.html" for name in named] + sorted(site.glob("[0-9]*.html"))
+        named = ("index", "start", "finder", "api/fit_robot", "api/room_models", "how_to/logs")
+        paths = [site / f"{name}.html" for name in named] + sorted(site.glob("[0-9p]*.html"))
         assert [fault for path in paths for fault in serious(tab, path)] == []
-        tab.goto(f"{(site / 'search.html').as_uri()}?q=threshold")
-        tab.wait_for_selector("#search-results ul.search li")
+
+
+@pytest.mark.long
+def test_search_knows_the_words_of_users(site):
+    for browser in chromium():
+        tab, missed = browser.new_page(), {}
+        for question, wanted in QUESTIONS.items():
+            tab.goto(f"{(site / 'search.html').as_uri()}?q={quote(question)}")
+            tab.wait_for_selector(HITS)
+            tab.wait_for_function("document.querySelector('.search-summary')?.innerText.length")
+            hits = tab.eval_on_selector_all(HITS, "links => links.map(link => link.pathname)")
+            if not any(hit.endswith(f"{wanted}.html") for hit in hits[:3]):
+                missed[question] = hits[:3]
+        assert missed == {}
 
 
 def test_the_check_sees_what_it_should(tmp_path):

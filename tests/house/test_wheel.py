@@ -18,9 +18,9 @@ from tests.house.documents import ROOT, python, write_files
 PAGES = [
     "README.md",
     "docs/start.md",
-    "docs/how_to/recipe.md",
+    "docs/how_to/logs.md",
     "docs/how_to/own_parts.md",
-    "docs/how_to/analyse.md",
+    "docs/how_to/studies.md",
 ]
 # One worker runs them all, so that the package is built once, and what it compiles is compiled
 # once.

@@ -11,7 +11,6 @@ from trustlab.allocation.ranges import SteadyRanges
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.allocation.steady import limit_cycle, longest_phase
 from trustlab.models.checks import between
-from trustlab.models.display import axes_or_new
 from trustlab.models.tsc import TscConstants, TscModel
 
 
@@ -54,11 +53,13 @@ class SteadyStateBounds(SteadyRanges):
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (3,)
         """
-        axes = axes_or_new(columns=3, figsize=(10, 3.4))
+        import matplotlib.pyplot as plt
+
+        figure = plt.figure(figsize=(7.4, 5.6), layout="constrained")
+        axes = np.array([*figure.subplot_mosaic([[0, 1], [2, 2]]).values()])
         self._plot_performance(axes[:2], sample_time)
         self._plot_utilization(axes[2], sample_time)
-        for axis in axes:
-            axis.legend(fontsize="small")
+        axes[2].legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4)
         return axes
 
     def _plot_performance(self, axes, sample_time: float) -> None:
@@ -72,14 +73,17 @@ class SteadyStateBounds(SteadyRanges):
         finite = [dwell for dwell in (tau_da, tau_dml, tau_dmu) if math.isfinite(dwell)]
         steps = np.arange(2 * max(finite, default=500.0))
         for axis, start, goal, dwell, color, label in (
-            (axes[0], self.p_r_high, robot.p_min, tau_da, "C0", r"$\tau_{da}$ dashed"),
-            (axes[1], self.p_r_low, best, tau_dml, "C0", r"greatest $P_h$, $\tau_{dml}$"),
-            (axes[1], self.p_r_low, worst, tau_dmu, "C1", r"least $P_h$, $\tau_{dmu}$"),
+            (axes[0], self.p_r_high, robot.p_min, tau_da, "C0", r"$\tau_{da}$"),
+            (axes[1], self.p_r_low, best, tau_dml, "C0", r"$\tau_{dml}$, greatest $P_h$"),
+            (axes[1], self.p_r_low, worst, tau_dmu, "C1", r"$\tau_{dmu}$, least $P_h$"),
         ):
             p_r = goal + (start - goal) * robot.a**steps
-            axis.plot(steps * sample_time, p_r, color=color, label=label)
+            axis.plot(steps * sample_time, p_r, color=color)
             if math.isfinite(dwell):
-                axis.axvline(dwell * sample_time, color=color, ls="--")
+                end = goal + (start - goal) * robot.a**dwell
+                axis.plot(dwell * sample_time, end, "o", color=color)
+                words = f"  {label}: {dwell * sample_time:.1f} s"
+                axis.text(dwell * sample_time, end, words, color=color, va="top")
         titles = ("autonomous, from $P_{ru}$", "manual, from $P_{rl}$")
         for axis, title in zip(axes, titles, strict=True):
             for bound in (self.p_r_low, self.p_r_high):
@@ -104,7 +108,7 @@ class SteadyStateBounds(SteadyRanges):
                 mode = np.resize(np.repeat([1.0, 0.0], [int(manual), int(rest)]), time.size)
                 r, _ = human.simulate(mode, start)
                 end = "r_l" if color == "C1" else "r_u"
-                label = rf"period ${label} + \tau_{{da}}$, to ${end}$"
+                label = rf"${label} + \tau_{{da}}$, to ${end}$"
                 axis.plot(time, r, color=color, lw=1, label=label)
         axis.axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
         axis.set(xlabel="time [s]", ylabel="utilization r", title="utilization in steady state")

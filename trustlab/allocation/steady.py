@@ -250,24 +250,29 @@ class LimitCycle(SteadyRanges):
 
         model, robot = self.model, self.model.robot
         axes = axes_or_new(axes, figsize=(7, 4.2))
-        margin = 0.2 * (robot.p_max - robot.p_min)
         r = np.linspace(0, 1, 300)
-        p_r = np.linspace(robot.p_min - margin, robot.p_max + margin, 200)
+        p_r = np.linspace(robot.p_min, robot.p_max, 200)
         p_h = model.human.performance(r)
         value = model.value(p_r[:, None], p_h[None, :])
-        levels = axes.contourf(r, p_r, value, 12, cmap="Greys", alpha=0.5)
+        levels = axes.contourf(r, p_r, value, np.linspace(-1, 1, 9), cmap="Greys", alpha=0.5)
         axes.figure.colorbar(levels, ax=axes, label="TSC")
-        for threshold, label in ((self.lower, "$TSC_l$"), (self.upper, "$TSC_u$")):
+        for threshold, label, above in (
+            (self.lower, r"$TSC_l$ = {:g}, below it manual ($M$ = 1)", -1),
+            (self.upper, r"$TSC_u$ = {:g}, above it autonomous ($M$ = 0)", 1),
+        ):
             line = (threshold + model.b_T * p_h) / model.a_T
-            axes.plot(r, line, "--", lw=1.5, label=f"{label} = {threshold:g}")
+            (drawn,) = axes.plot(r, line, "--", lw=1.5)
+            place = {"xytext": (0, 14 * above), "textcoords": "offset points"}
+            words = label.format(threshold)
+            axes.annotate(words, (0.35, line[105]), color=drawn.get_color(), ha="center", **place)
         settled = longest_phase(model)
         run = simulate_allocation(model, self.lower, self.upper, 2 * settled, r0=0.1)
         first, last = run.iloc[: settled // 2], run.iloc[settled:]
         axes.plot(first["r"], first["p_r"], lw=0.6, color="C2", label="from near rest")
         if self.exists:
-            axes.plot(last["r"], last["p_r"], lw=2, color="C3", label="steady cycle")
+            axes.plot(last["r"], last["p_r"], lw=2.5, color="k", label="steady cycle")
         axes.set(xlabel="utilization r", ylabel="robot performance $P_r$", ylim=(p_r[0], p_r[-1]))
-        axes.legend(fontsize="small")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
         return axes
 
 

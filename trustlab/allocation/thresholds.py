@@ -123,42 +123,29 @@ class ThresholdChoice(Result):
 
     def plot(self):
         """
-        Plot probability and mean performance of every pair, the choice, and the trade-off.
+        Plot probability and mean performance of every pair, and the choice.
 
         Returns
         -------
-        numpy.ndarray of matplotlib.axes.Axes, shape (3,)
+        numpy.ndarray of matplotlib.axes.Axes, shape (2,)
         """
-        axes = axes_or_new(columns=3, figsize=(11, 3.4))
-        star = {"ms": 12, "label": "choice" if self.offered else "nearest"}
+        axes = axes_or_new(columns=2, sharey=True, figsize=(7.8, 3.8))
         panels = {
             "p_encloses": "probability of switching around β",
             "mean_p_r": "mean robot performance",
         }
-        style = {"s": 14, "marker": "s", "label": "pair"}
-        for axis, (name, title) in zip(axes, panels.items(), strict=False):
+        for axis, (name, title) in zip(axes, panels.items(), strict=True):
             ends = (0.0, 1.0) if name == "p_encloses" else (None, None)
-            shown = axis.scatter(
-                "lower", "upper", c=name, data=self.candidates, vmin=ends[0], vmax=ends[1], **style
-            )
+            style = {"s": 14, "marker": "s", "vmin": ends[0], "vmax": ends[1]}
+            shown = axis.scatter("lower", "upper", c=name, data=self.candidates, **style)
             axis.figure.colorbar(shown, ax=axis)
-            axis.plot(self.lower, self.upper, "k*", **star)
-            axis.set(xlabel="lower threshold $TSC_l$", ylabel="upper threshold $TSC_u$")
-            axis.set_title(title, fontsize="medium")
-            axis.legend(loc="lower right", fontsize="small")
-        means = ("mean_r", "mean_p_r")
-        grey = {"s": 24, "color": "0.65", "lw": 0, "label": "pairs"}
-        axes[2].scatter(*means, data=self.candidates, **grey)
-        axes[2].plot(*means, "-", data=self.front(), color="C1", lw=1.5, label="Pareto front")
-        chosen = self.candidates[
-            (self.candidates["lower"] == self.lower) & (self.candidates["upper"] == self.upper)
-        ]
-        axes[2].plot(*means, "k*", data=chosen, **star)
-        if isinstance(self.tsc, TscModel):
-            axes[2].axvline(self.tsc.human.beta, color="k", lw=0.8, ls=":", label="β")
-        axes[2].set(xlabel="mean utilization", ylabel="mean robot performance")
-        axes[2].set_title("trade-off", fontsize="medium")
-        axes[2].legend(fontsize="small")
+            axis.plot(self.lower, self.upper, "*", ms=14, color="C1", mec="k")
+            words = "choice" if self.offered else "nearest"
+            place = {"xytext": (0, 9), "textcoords": "offset points", "ha": "center"}
+            axis.annotate(words, (self.lower, self.upper), **place)
+            axis.set(xlabel="lower threshold $TSC_l$", title=title)
+            axis.margins(0.08)
+        axes[0].set_ylabel("upper threshold $TSC_u$")
         return axes
 
 

@@ -90,7 +90,7 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
         if suffix_of(source) not in (*TEXTS, ".parquet"):
             raise SessionError(
                 f"draft_recipe reads {', '.join(TEXTS)} and .parquet tables; for a bag, name "
-                "topics and fields as in docs/start.md"
+                "topics and fields as in docs/how_to/logs.md"
             )
         with damage_named("cannot be read as a table", "check the file"):
             if suffix_of(source) in TEXTS:

@@ -221,7 +221,7 @@ def plot_transparency():
     -------
     numpy.ndarray of matplotlib.axes.Axes, shape (3,)
     """
-    axes, ratios = axes_or_new(None, 1, 3, figsize=(11.0, 3.4)), np.geomspace(0.02, 1.0, 60)
+    axes, ratios = axes_or_new(None, 1, 3, figsize=(8.2, 3.0)), np.geomspace(0.02, 1.0, 60)
     for ax, (name, title) in zip(axes, MAPS.items(), strict=True):
         values = [[gains(Scattering(1.0, y, 1.0, x))[name] for x in ratios] for y in ratios]
         ax.figure.colorbar(ax.contourf(ratios, ratios, values, 12), ax=ax)

@@ -455,7 +455,7 @@ class OperatorPopulation:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (3,)
         """
-        axes = axes_or_new(columns=len(PANELS), figsize=(10, 3.4))
+        axes = axes_or_new(columns=len(PANELS), figsize=(8.2, 3.2))
         layers = [(self.draw(n, seed), ".", "drawn")]
         if self.testbed == "ground_robot":
             layers += [(printed_people().loc[PRINTED], "kx", "the five printed")]

@@ -173,7 +173,7 @@ def test_groups_of_five(origin, noise):
     assert len(rows) == GROUPS * 5 * len(MODEL)
     covered = rows["truth"].between(rows["ci_low"], rows["ci_high"])
     assert 0.92 <= covered.mean() <= 0.98
-    page = (ROOT / "docs" / "concepts" / "priors.md").read_text()
+    page = (ROOT / "docs" / "how_to" / "identify.md").read_text()
     line = page.partition("| where the five come from")[2].splitlines()[2 + ORIGINS.index(origin)]
     cells = [cell.split(",")[noise == "means"] for cell in line.split("|")[2:5]]
     for cell, (name, coordinate) in zip(cells, COORDINATES.items(), strict=True):

@@ -114,7 +114,7 @@ def test_a_hundred_logs_of_printed_people(case):
 
 
 def test_the_page_has_the_stored_coverage():
-    page = (ROOT / "docs" / "concepts" / "priors.md").read_text()
+    page = (ROOT / "docs" / "how_to" / "identify.md").read_text()
     lines = page.partition("95 % intervals cover")[2].splitlines()[2:7]
     kinds = ["Table 2.1, open", "Table 2.1, thresholds", "prior, open", "prior, thresholds"]
     for line, people in zip(lines, [*kinds, "prior, measuring rule"], strict=True):
@@ -364,10 +364,10 @@ def test_what_is_not_understood_is_refused():
 
 
 def test_the_table_of_the_page_is_that_of_the_code():
-    """docs/concepts/priors.md states the weak prior's numbers."""
+    """docs/how_to/identify.md states the weak prior's numbers."""
     from pathlib import Path
 
-    page = (Path(__file__).parents[3] / "docs" / "concepts" / "priors.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "how_to" / "identify.md").read_text()
     table = tl.Prior().table()
     rows = [line.split("|")[1:-1] for line in page.splitlines() if line.startswith("| ")]
     stated = [[cell.strip().replace("−", "-") for cell in row] for row in rows[2:15]]

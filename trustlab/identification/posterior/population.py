@@ -279,7 +279,7 @@ class Population(Result):
         alone = {name: summary(each.draws, 0.95) for name, each in self.alone.items()}
         names = table.index.get_level_values("person").unique()
         places = np.arange(len(names))
-        figure, axes = plt.subplots(2, 4, figsize=(11, 5), sharey=True, layout="constrained")
+        figure, axes = plt.subplots(2, 4, figsize=(8.2, 4.8), sharey=True, layout="constrained")
         panels = axes.ravel()
         for panel, parameter in zip(panels, MODEL, strict=False):
             pooled = table.xs(parameter, level="parameter").loc[names]

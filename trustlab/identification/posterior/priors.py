@@ -2,7 +2,7 @@
 Priors: what is taken for granted about a person, a robot and the noise before the log is read.
 
 Each is normal in the coordinate in which a parameter is unbounded: the logarithm of a time or a
-range, the log odds of a share. `docs/concepts/priors.md` has them in seconds and metres per second.
+range, the log odds of a share. `docs/how_to/identify.md` has them in seconds and metres per second.
 """
 
 from dataclasses import dataclass, replace

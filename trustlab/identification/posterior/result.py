@@ -220,7 +220,7 @@ class Posterior(Result):
         """
         import matplotlib.pyplot as plt
 
-        figure, axes = plt.subplots(3, 3, figsize=(10, 7.5), layout="constrained")
+        figure, axes = plt.subplots(3, 3, figsize=(8.2, 7), layout="constrained")
         panels = axes.ravel()
         for panel, name in zip(panels, MODEL, strict=False):
             low, high = self.prior_draws[name].quantile([0.01, 0.99])
