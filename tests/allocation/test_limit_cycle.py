@@ -81,11 +81,11 @@ def test_random_sets(random_model, seeds):
             assert bounds.r_low <= run["r"].min(), seed
             assert run["r"].max() <= bounds.r_high, seed
         else:
-            lengths = [dwell_times(run, mode) for mode in (1, 0)]
-            assert [(each.min(), each.max()) for each in lengths] == [
-                cycle.dwell_manual,
-                cycle.dwell_autonomous,
-            ], seed
+            # A length that recurs once in hundreds of cycles may be missing from the shorter run.
+            for mode, (low, high) in ((1, cycle.dwell_manual), (0, cycle.dwell_autonomous)):
+                lengths = dwell_times(run, mode)
+                assert low <= lengths.min() <= low + 1, seed
+                assert high - 1 <= lengths.max() <= high, seed
         alike += apart <= 1e-3
         near += apart <= 3.0
     assert alike > 0.8 * len(seeds)
@@ -126,7 +126,7 @@ def test_the_plot_shows_rule_run_and_cycle(operators):
     axes = limit_cycle(operators["2"], 0.0, 0.35).plot()
     labels = [line.get_label() for line in axes.lines[2:]]
     assert labels == ["from near rest", "steady cycle"]
-    assert ["= 0," in words.get_text() for words in axes.texts] == [True, False]
+    assert ["= 0:" in words.get_text() for words in axes.texts] == [True, False]
     lower, upper, _, cycle = axes.lines
     low, high = (np.interp(cycle.get_xdata(), *line.get_data()) for line in (lower, upper))
     assert ((cycle.get_ydata() > low - 1e-3) & (cycle.get_ydata() < high + 1e-3)).all()

@@ -57,11 +57,8 @@ def imports(source):
             modules = [node.module]
         for module in modules:
             top = module.partition(".")[0]
-            if top not in sys.stdlib_module_names and top not in (
-                "trustlab",
-                "tests",
-                "benchmarks",
-            ):
+            own = ("trustlab", "tests", "benchmarks", "notebooks")
+            if top not in sys.stdlib_module_names and top not in own:
                 yield top, node not in guarded
 
 

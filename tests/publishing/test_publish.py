@@ -149,12 +149,13 @@ def test_a_notebook_that_fails_is_named_and_shows_nothing_else(world):
     assert "half a page" not in text
 
 
-def test_a_report_whose_data_are_absent_is_one_line(world):
+def test_a_report_whose_data_are_absent_is_not_in_the_book(world):
     root, *_ = world
-    text = html(root, "04_of_data")
-    assert "<strong>Skipped: the data set nowhere is not here." in text
+    text = (root / "docs" / "04_of_data.ipynb").read_text()
+    assert "**Skipped: the data set nowhere is not here." in text
     assert "Put it in data/external/nowhere" in text
     assert "half a page" not in text
+    assert not (root / "reports" / "04_of_data.html").exists()
 
 
 def test_run_again_only_where_an_input_changed(world):

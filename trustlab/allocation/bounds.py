@@ -72,18 +72,20 @@ class SteadyStateBounds(SteadyRanges):
         tau_dml, tau_dmu = self.dwell_manual
         finite = [dwell for dwell in (tau_da, tau_dml, tau_dmu) if math.isfinite(dwell)]
         steps = np.arange(2 * max(finite, default=500.0))
-        for axis, start, goal, dwell, color, label in (
-            (axes[0], self.p_r_high, robot.p_min, tau_da, "C0", r"$\tau_{da}$"),
-            (axes[1], self.p_r_low, best, tau_dml, "C0", r"$\tau_{dml}$, greatest $P_h$"),
-            (axes[1], self.p_r_low, worst, tau_dmu, "C1", r"$\tau_{dmu}$, least $P_h$"),
+        for axis, start, goal, dwell, height, label in (
+            (axes[0], self.p_r_high, robot.p_min, tau_da, 0.9, r"$\tau_{da}$"),
+            (axes[1], self.p_r_low, best, tau_dml, 0.22, r"greatest $P_h$: $\tau_{dml}$"),
+            (axes[1], self.p_r_low, worst, tau_dmu, 0.1, r"least $P_h$: $\tau_{dmu}$"),
         ):
+            color = "C1" if goal == worst else "C0"
             p_r = goal + (start - goal) * robot.a**steps
             axis.plot(steps * sample_time, p_r, color=color)
             if math.isfinite(dwell):
                 end = goal + (start - goal) * robot.a**dwell
                 axis.plot(dwell * sample_time, end, "o", color=color)
-                words = f"  {label}: {dwell * sample_time:.1f} s"
-                axis.text(dwell * sample_time, end, words, color=color, va="top")
+                words = f"{label} = {dwell * sample_time:.1f} s"
+                place = {"ha": "right", "transform": axis.transAxes}
+                axis.text(0.97, height, words, color=color, **place)
         titles = ("autonomous, from $P_{ru}$", "manual, from $P_{rl}$")
         for axis, title in zip(axes, titles, strict=True):
             for bound in (self.p_r_low, self.p_r_high):

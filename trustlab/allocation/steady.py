@@ -254,17 +254,16 @@ class LimitCycle(SteadyRanges):
         p_r = np.linspace(robot.p_min, robot.p_max, 200)
         p_h = model.human.performance(r)
         value = model.value(p_r[:, None], p_h[None, :])
-        levels = axes.contourf(r, p_r, value, np.linspace(-1, 1, 9), cmap="Greys", alpha=0.5)
+        levels = axes.contourf(r, p_r, value, np.linspace(-1, 1, 9), cmap="Greys", alpha=0.3)
         axes.figure.colorbar(levels, ax=axes, label="TSC")
-        for threshold, label, above in (
-            (self.lower, r"$TSC_l$ = {:g}, below it manual ($M$ = 1)", -1),
-            (self.upper, r"$TSC_u$ = {:g}, above it autonomous ($M$ = 0)", 1),
+        for threshold, label, height in (
+            (self.lower, r"below $TSC_l$ = {:g}: manual, $M$ = 1", 0.04),
+            (self.upper, r"above $TSC_u$ = {:g}: autonomous, $M$ = 0", 0.93),
         ):
             line = (threshold + model.b_T * p_h) / model.a_T
             (drawn,) = axes.plot(r, line, "--", lw=1.5)
-            place = {"xytext": (0, 14 * above), "textcoords": "offset points"}
-            words = label.format(threshold)
-            axes.annotate(words, (0.35, line[105]), color=drawn.get_color(), ha="center", **place)
+            look = {"color": drawn.get_color(), "weight": "bold", "transform": axes.transAxes}
+            axes.text(0.3, height, label.format(threshold), **look)
         settled = longest_phase(model)
         run = simulate_allocation(model, self.lower, self.upper, 2 * settled, r0=0.1)
         first, last = run.iloc[: settled // 2], run.iloc[settled:]
