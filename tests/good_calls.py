@@ -222,7 +222,6 @@ NOT_WALKED = {
     "publishing.required_data": "needs data that are not shipped",
     "publishing.use_house_style": "changes all figures that follow",
     "reproduction.compare_adjustments": "for one chapter",
-    "reproduction.plot_effects": "for one chapter",
     "reproduction.plot_ranges": "for one chapter",
     "reproduction.plot_slips": "for one chapter",
     "reproduction.plot_verdicts": "for one chapter",

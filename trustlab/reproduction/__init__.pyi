@@ -19,7 +19,6 @@ from .comparison import (
 )
 from .effects import (
     model_effects as model_effects,
-    plot_effects as plot_effects,
     printed_effects as printed_effects,
     simulated_effects as simulated_effects,
 )

@@ -281,7 +281,7 @@ class Calibration(Result):
             any of them goes as far as the printed effect. Where none does, it is out of reach
             whatever people are like, within these priors and this model of operators. low, high:
             the central 95 % under the posterior; predicted: whether what is printed lies within.
-            Effects that no simulated study has are left out.
+            Effects that no study simulated under the posterior has are left out.
         """
         seed = whole_number("seed", seed, least=0)
         studies = whole_number("studies", studies, most=len(self.posterior))
@@ -290,6 +290,8 @@ class Calibration(Result):
         done = run_campaign(simulated_study, runs, seed=seed, progress=False, n_jobs=n_jobs)
         rows = []
         for effect in self.observed:
+            if done[effect.id].isna().all():
+                continue
             prior = self.simulations[effect.id].min(), self.simulations[effect.id].max()
             low, high = done[effect.id].astype(float).quantile([0.025, 0.975])
             reached = prior[0] <= effect.high and effect.low <= prior[1]

@@ -25,7 +25,6 @@ from trustlab.reproduction.printed_number import printed_decimal, printed_interv
 from trustlab.reproduction.published import published_facts, published_models, published_table
 from trustlab.reproduction.published_study import published_studies
 from trustlab.studies.planning.virtual_study import virtual_study
-from trustlab.studies.plots import panels
 from trustlab.studies.questionnaires import NASA_TLX
 from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.populations import TeleoperatorPopulation
@@ -417,43 +416,3 @@ def _compared(
     p = float(2.0 * special.stdtr(count - 1, -abs(mean) / se)) if se > 0.0 else math.nan
     agrees = effect.low <= mean + 2.0 * se and mean - 2.0 * se <= effect.high
     return mean, se, count, p, agrees, ""
-
-
-def plot_effects(study: str, simulated: Mapping[str, pd.DataFrame]) -> np.ndarray:
-    """
-    Plot a study's effects, a panel per measure: printed, predicted and simulated.
-
-    Parameters
-    ----------
-    study : {"ground_robot", "uav", "table_2.4", "table_2.5", "table_2.6", "table_3.1", "teleop"}
-        The study.
-    simulated : mapping of str to pandas.DataFrame
-        Results of `simulated_effects` by what is assumed; bars are ± 2 standard errors.
-
-    Returns
-    -------
-    numpy.ndarray of matplotlib.axes.Axes
-    """
-    sized = [effect for effect in effects_of(study) if np.isfinite(effect.printed)]
-    measures = list(dict.fromkeys(effect.measure for effect in sized))
-    predicted = model_effects().set_index("id")
-    axes = panels(len(measures), 2.8)
-    for axis, measure in zip(axes, measures, strict=True):
-        shown = [effect for effect in sized if effect.measure == measure]
-        ids, x = [effect.id for effect in shown], np.arange(len(shown), dtype=float)
-        axis.axhline(0.0, color="black", lw=0.6)
-        sizes = [effect.printed for effect in shown]
-        axis.plot(x, sizes, "_", color="black", ms=16, mew=2, label="printed")
-        axis.plot(x, predicted.loc[ids, "model"], "x", color="#444444", label="model")
-        for i, (label, frame) in enumerate(simulated.items()):
-            effects_at = frame.set_index("id").loc[ids]
-            places, label = x + 0.15 * (i + 1), f"simulated: {label}"
-            bars = 2.0 * effects_at["se"]
-            axis.errorbar(places, effects_at["simulated"], bars, fmt="o", ms=3, label=label)
-        axis.set_xlim(-0.4, x[-1] + 0.2 + 0.15 * len(simulated))
-        axis.set_xticks(x, [effect.contrast for effect in shown], rotation=45)
-        axis.set_title(UNITS.get(measure, measure), fontsize="medium")
-    axes[0].figure.legend(
-        *axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2 + len(simulated)
-    )
-    return axes

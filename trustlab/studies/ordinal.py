@@ -283,8 +283,8 @@ class OrdinalModel(Result):
         -------
         pandas.DataFrame
             Columns of the factors, category, probability, ci_low and ci_high (95 %, delta method on
-            logits), at_least (probability of this rating or a higher one). Covariates are at their
-            means.
+            logits, taking the variance between people as estimated), at_least (probability of this
+            rating or a higher one). Covariates are at their means.
         """
         return self.cells.copy()
 

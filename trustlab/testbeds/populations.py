@@ -289,7 +289,7 @@ QUANTITIES = {
     "beta": "β",
     "p_h_max": "best human performance",
     "a_r": "time constant of utilization [s]",
-    "a_pr": "of robot performance [s]",
+    "a_pr": "time constant of robot performance [s]",
     "lower": "own lower threshold of TSC",
     "upper": "own upper threshold",
 }

@@ -216,7 +216,7 @@ class LiveStudy(Plan):
         Let scripted hands go through the whole study, without browsers: so that files and report
         are seen before people come.
 
-        The hands have a person's limits (`trustlab.live.hands`); answers are drawn at random and
+        The hands have a person's limits (trustlab/live/hands.py); answers are drawn at random and
         mean nothing. Everything is labelled synthetic.
 
         Parameters
