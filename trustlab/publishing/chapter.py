@@ -46,7 +46,7 @@ def chapter(run: NotebookNode, origin: dict[str, str]) -> str:
     boxes = [new_markdown_cell(BOX.format(answer)) for answer in answers]
     rows = "\n".join(f"| {name} | `{value}` |" for name, value in origin.items())
     end = f"## Provenance\n\n| of | this report |\n| --- | --- |\n{rows}"
-    cells = [title, *boxes, *body, new_markdown_cell(end)]
+    cells = [title, *boxes, *_joined(body), new_markdown_cell(end)]
     about = {"language_info": {"name": "python", "pygments_lexer": "ipython3"}}
     return nbformat.writes(new_notebook(cells=cells, metadata=about))
 
@@ -81,6 +81,19 @@ def _split(cell: NotebookNode, outputs: list[NotebookNode]) -> Iterator[Notebook
         cell = _silent([])
     if cell.outputs or "remove-input" not in cell.metadata["tags"]:
         yield cell
+
+
+def _joined(cells: list[NotebookNode]) -> list[NotebookNode]:
+    """Return cells where code without outputs is folded with the code after it."""
+    joined: list[NotebookNode] = []
+    for cell in cells:
+        before = joined[-1] if joined else cell
+        folded = all("hide-input" in each.metadata.get("tags", []) for each in (before, cell))
+        if before is not cell and folded and not before.outputs:
+            joined.pop()
+            cell.source = f"{before.source}\n\n{cell.source}"
+        joined.append(cell)
+    return joined
 
 
 def _silent(outputs: list[NotebookNode], **metadata: dict) -> NotebookNode:
