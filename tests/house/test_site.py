@@ -100,8 +100,7 @@ def test_search_knows_the_words_of_users(site):
         tab, missed = browser.new_page(), {}
         for question, wanted in QUESTIONS.items():
             tab.goto(f"{(site / 'search.html').as_uri()}?q={quote(question)}")
-            tab.wait_for_selector(HITS)
-            tab.wait_for_function("document.querySelector('.search-summary')?.innerText.length")
+            tab.get_by_text("Search finished").wait_for()
             hits = tab.eval_on_selector_all(HITS, "links => links.map(link => link.pathname)")
             if not any(hit.endswith(f"{wanted}.html") for hit in hits[:3]):
                 missed[question] = hits[:3]
