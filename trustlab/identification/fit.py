@@ -5,6 +5,7 @@ Remarks tell what a reader should know; doubtful are a mode stamped early or lat
 slow noise, and other values that explain the data as well.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from typing import Any
@@ -90,19 +91,24 @@ def fit(
     """
     of_class("model", model, Model)
     log = log_settings(log, settings)
-    one_of("noise", noise, NOISES)
     runs = read_runs(sessions, *dict.fromkeys((*model.inputs, *model.outputs)), log=log)
     # What is logged as a mean over a window drives the model as it was.
     driving = {"p_h", "p_r"} & set(model.inputs)
     runs = [run.changed({n: undo_window(run[n], run.window) for n in driving}) for run in runs]
     model = logged_model(model, runs[0].sample_time, log)
-    limits = model.limits(fixed, bounds)
-    check_data(model, runs, limits)
-    return result_of(estimate_runs(model, runs, limits, noise, guess, log.robust))
+    return fit_runs(model, runs, noise, model.limits(fixed, bounds), guess, log.robust)
 
 
-def check_data(model: Model, runs: list[Run], limits: Mapping) -> None:
-    """Refuse data that cannot identify the model, before any search."""
+def fit_runs(
+    model: Model,
+    runs: list[Run],
+    noise: str,
+    limits: Mapping,
+    guess: Mapping[str, float] | None = None,
+    robust: bool = True,
+) -> FitResult:
+    """Identify a model from arrays; refuse data that cannot identify it, before any search."""
+    one_of("noise", noise, NOISES)
     if model.check is not None:
         model.check(runs, limits)
     for output in model.outputs:
@@ -113,6 +119,7 @@ def check_data(model: Model, runs: list[Run], limits: Mapping) -> None:
                 "identified; record a session in which it is measured",
                 model.names,
             )
+    return result_of(estimate_runs(model, runs, limits, noise, guess, robust))
 
 
 # --- from an estimate to the tables ---------------------------------------------------------------
@@ -131,12 +138,10 @@ def result_of(estimate: Estimate) -> FitResult:
         sentences.append(
             "What mode, p_h and p_r do tell of (2.3)-(2.6), trustlab.sample_posterior says."
         )
-    # NaN for what was fixed; rows of what a bound holds are NaN already.
-    stderr = np.sqrt(np.where(estimate.fixed, np.nan, np.diag(estimate.covariance)))
     states = {}
     for j, name in enumerate(model.states):
         column = slice(shared + j, None, len(model.states))
-        states[name], states[f"{name}_stderr"] = estimate.values[column], stderr[column]
+        states[name], states[f"{name}_stderr"] = estimate.values[column], estimate.stderr[column]
     labels = pd.Index([run.label for run in problem.runs], name="run")
     return FitResult(
         model=_model(estimate, weak, reasons),
@@ -155,14 +160,12 @@ def result_of(estimate: Estimate) -> FitResult:
 
 def estimate_table(estimate: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the table of the names, derived rows included, and the covariance of the estimated."""
-    model, optimum = estimate.problem.model, estimate.optimum
-    names = model.names
-    values, covariance = estimate.values[: len(names)], estimate.covariance
-    covariance = covariance[: len(names), : len(names)]
-    status = np.where(optimum.at_bound, "at bound", "estimated")
+    model, names = estimate.problem.model, estimate.problem.model.names
+    values, stderr = estimate.values[: len(names)], estimate.stderr[: len(names)]
+    covariance = estimate.covariance[: len(names), : len(names)]
+    status = np.where(estimate.optimum.at_bound, "at bound", "estimated")
     status = np.where(estimate.fixed, "fixed", status)[: len(names)]
     free = status == "estimated"
-    stderr = np.where(free, np.sqrt(np.diag(covariance)), np.nan)
     rows = list(zip(values.tolist(), stderr.tolist(), status.tolist(), strict=True))
     known = np.nan_to_num(covariance)
     step = estimate.problem.runs[0].step
@@ -207,14 +210,11 @@ def _gradient(function: Callable, names: tuple, values: np.ndarray) -> tuple[flo
 
 def weak_names(estimate: Estimate, table: pd.DataFrame) -> list[str]:
     """Return the names at a bound, or with a 95 % interval too wide to be of use."""
-    names = estimate.problem.model.names
-    useful = estimate.problem.model.useful(table["value"].to_dict())
-    widths = {name: HALF_WIDTH * table["stderr"][name] for name in names}
-    return [
-        name
-        for name in names
-        if table["status"][name] == "at bound" or widths[name] > useful.get(name, np.inf)
-    ]
+    model = estimate.problem.model
+    useful = model.useful(table["value"].to_dict())
+    rows = table.iloc[: len(model.names)]
+    wide = HALF_WIDTH * rows["stderr"] > [useful[name] for name in rows.index]
+    return list(rows.index[wide | (rows["status"] == "at bound")])
 
 
 def _mark(weak: list[str], table: pd.DataFrame, hints: Mapping[str, str]) -> Iterator[str]:
@@ -259,11 +259,11 @@ def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
     """Put every run beside its fitted outputs and prediction errors."""
     problem = estimate.problem
     outputs, model = problem.model.outputs, problem.model
-    for i, run in enumerate(problem.runs):
+    for i, (run, of_run) in enumerate(zip(problem.runs, problem.by_run(), strict=True)):
         simulated = problem.simulated(run, i, estimate.optimum.x)
         if run.window > 1:
             simulated = [window_means(values, run.window) for values in simulated]
-        errors = [series.white[:, 0].copy() for series in problem.series if series.run == i]
+        errors = [series.white[:, 0].copy() for series in of_run]
         yield RunFit(
             run.label,
             run.synthetic,
@@ -291,7 +291,7 @@ def search_remark(estimate: Estimate) -> str:
     """Say how the search ended."""
     steps = estimate.optimum.steps
     if estimate.optimum.converged:
-        return f"Converged in {steps} {'evaluation' if steps == 1 else 'evaluations'}."
+        return f"Converged in {counted(steps, 'evaluation')}."
     return f"Stopped after {steps} evaluations without reaching a minimum; do not use the numbers."
 
 
@@ -327,16 +327,13 @@ def remarks(estimate: Estimate) -> Iterator[str]:
 def _initial_states(estimate: Estimate) -> Iterator[str]:
     """Say which initial loads lie at rest or at full load."""
     problem, optimum = estimate.problem, estimate.optimum
-    names = np.array(problem.unknowns)
-    for name in problem.model.states:
-        if problem.model.coordinates.get(name) != "load":
-            continue
-        held = optimum.at_bound & (names == name)
-        for end, meaning in ((0.0, "a rested operator"), (1.0, "an operator at full load")):
-            number = int((held & (estimate.values == end)).sum())
-            if number:
-                runs = counted(len(problem.runs), "run")
-                yield f"{name} = {end:g}, {meaning}, in {number} of {runs}."
+    held = problem.loads[optimum.at_bound[problem.loads]]
+    meanings = {0.0: "a rested operator", 1.0: "an operator at full load"}
+    ends = Counter((problem.unknowns[j], estimate.values[j]) for j in held)
+    for (name, end), number in sorted(ends.items()):
+        if end in meanings:
+            runs = counted(len(problem.runs), "run")
+            yield f"{name} = {end:g}, {meanings[end]}, in {number} of {runs}."
 
 
 def _dropouts(problem: Problem) -> Iterator[str]:
@@ -390,19 +387,20 @@ def doubts(estimate: Estimate) -> Iterator[str]:
 
 def _rivals(estimate: Estimate) -> Iterator[str]:
     """Find other values that explain the data as well, beyond what standard errors allow."""
-    names = estimate.problem.model.names
-    shared = len(names)
-    stderr = np.sqrt(np.diag(estimate.covariance)[:shared])
-    lowest = min((rival.deviance for rival in estimate.rivals), default=0.0)
-    values = estimate.values
     for rival in estimate.rivals:
         others = rival.problem.values(rival.x)
         # Where the likelihood is Gaussian, values z standard errors away cost a deviance of z² at
         # least.
-        most = stderr * np.sqrt(4.0 + 2.0 * (rival.deviance - lowest))
-        far = np.flatnonzero(np.abs(others - values)[:shared] > most)
-        if far.size:
-            listed = [f"{names[j]} = {others[j]:.4g} for {values[j]:.4g}" for j in far]
+        z = np.sqrt(4.0 + 2.0 * (rival.deviance - estimate.rivals[0].deviance))
+        far = np.abs(others - estimate.values) > z * estimate.stderr
+        listed = [
+            f"{name} = {other:.4g} for {value:.4g}"
+            for name, other, value, apart in zip(
+                rival.problem.model.names, others, estimate.values, far, strict=False
+            )
+            if apart
+        ]
+        if listed:
             yield (
                 f"Other values explain these data nearly as well: {' and '.join(listed)}; record "
                 "phases that move the model more."

@@ -199,33 +199,39 @@ def _stamp_error(session: Session, stated: float | None) -> float:
 
 def _windows(sessions: list[Session], stated: float | None, columns: tuple[str, ...]) -> list[int]:
     """Return each session's window in samples, 1 for none; warn where none is stated."""
-    windows = [
-        session.metadata.more.get("performance_window") if stated is None else stated
-        for session in sessions
-    ]
-    pairs = list(zip(sessions, windows, strict=True))
-    unstated = [s for s, window in pairs if window is None and not s.metadata.synthetic]
-    if unstated and {"p_r", "p_h"} & set(columns):
-        warn(
-            f"{unstated[0].label}: nothing says whether p_r and p_h are means over a moving "
-            "window, as (2.4) and (2.7) are, and a fit that takes means for the values themselves "
-            "is wrong: state window=… [s], or window=0 if they are no means (in a recipe: "
-            "performance_window = …; Session.with_performance notes its own)"
-        )
-    for session, window in pairs:
-        if window and session.metadata.more.get("performance_cut"):
+    windows = []
+    unstated = []
+    for session in sessions:
+        more = session.metadata.more
+        window = more.get("performance_window") if stated is None else stated
+        if window and more.get("performance_cut"):
             raise IdentificationError(
                 f"{session.label} was cut after its performance was averaged, so that its first "
                 "means hold what is no longer there; cut the log first, then call "
                 "with_performance"
             )
-    seconds = [not_negative("window", window or 0.0) for window in windows]
-    return [max(1, round(w / s.sample_time)) for w, s in zip(seconds, sessions, strict=True)]
+        if window is None and not session.metadata.synthetic:
+            unstated.append(session.label)
+        seconds = not_negative("window", window or 0.0)
+        windows.append(max(1, round(seconds / session.sample_time)))
+    if unstated and {"p_r", "p_h"} & set(columns):
+        warn(
+            f"{unstated[0]}: nothing says whether p_r and p_h are means over a moving "
+            "window, as (2.4) and (2.7) are, and a fit that takes means for the values themselves "
+            "is wrong: state window=… [s], or window=0 if they are no means (in a recipe: "
+            "performance_window = …; Session.with_performance notes its own)"
+        )
+    return windows
 
 
 def joined(runs: list[Run], name: str) -> np.ndarray:
     """Return one column of all runs, one after the other."""
     return np.concatenate([run[name] for run in runs])
+
+
+def in_rows(values: np.ndarray, length: int) -> np.ndarray:
+    """Return values in rows of so many; what does not fill a row is left out."""
+    return values[: values.size // length * length].reshape(-1, length)
 
 
 def block_means(runs: list[Run], budget: int = 500) -> tuple[list[Run], int]:
@@ -234,17 +240,16 @@ def block_means(runs: list[Run], budget: int = 500) -> tuple[list[Run], int]:
 
     There are about `budget` blocks in all, and at least eight per run.
     """
-    total = sum(run.size for run in runs)
-    shortest = min(run.size for run in runs)
-    length = max(1, min(total // budget, shortest // 8))
-    means = []
-    for run in runs:
-        size = run.size // length * length
-        columns = {
-            name: values[:size].reshape(-1, length).mean(axis=1)
-            for name, values in run.columns.items()
-        }
-        means.append(Run(run.label, run.t[:size:length], columns))
+    sizes = [run.size for run in runs]
+    length = max(1, min(sum(sizes) // budget, min(sizes) // 8))
+    means = [
+        Run(
+            run.label,
+            in_rows(run.t, length)[:, 0],
+            {name: in_rows(values, length).mean(axis=1) for name, values in run.columns.items()},
+        )
+        for run in runs
+    ]
     return means, length
 
 
@@ -260,23 +265,15 @@ def window_means(values: np.ndarray, window: int) -> np.ndarray:
     """Return the means over the last `window` samples, down the columns."""
     sums = np.cumsum(values, axis=0)
     sums[window:] -= sums[:-window].copy()
-    return sums / _down(counts(len(values), window), values)
+    return (sums.T / counts(len(values), window)).T
 
 
 def undo_window(means: np.ndarray, window: int) -> np.ndarray:
     """Return the values that `window_means` was made of."""
-    sums = means * _down(counts(len(means), window), means)
+    sums = means * counts(means.size, window)
     # Each sample the window gains the new value and loses the oldest: z(k) = Δs(k) + z(k − W).
-    gained = np.diff(sums, axis=0, prepend=0.0 * sums[:1])
-    columns = means.shape[1:]
-    padded = np.concatenate([gained, np.zeros((-len(means) % window, *columns))])
-    values = padded.reshape(-1, window, *columns).cumsum(axis=0).reshape(padded.shape)
-    return values[: len(means)]
-
-
-def _down(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return weights of the rows in the shape that multiplies the columns of `values`."""
-    return weights.reshape(-1, *[1] * (values.ndim - 1))
+    gained = np.pad(np.diff(sums, prepend=0.0), (0, -means.size % window))
+    return gained.reshape(-1, window).cumsum(axis=0).ravel()[: means.size]
 
 
 # --- finer steps, and a mode that acts late -------------------------------------------------------
@@ -307,16 +304,16 @@ def _delayed(model: Model) -> Model:
     def simulate(run: Run, mode_delay, **values):
         first = mode_delay[0]
         outputs = model.outputs_of(late(run, first), values)
-        # Simulations bend where a delay takes in another sample: the slope over a whole sample
-        # takes the place of that at a point.
-        step = 0.5 * run.sample_time
-        for lane in np.flatnonzero(mode_delay != first):
-            one = {name: column[lane : lane + 1] for name, column in values.items()}
-            after = [out.copy() for out in model.outputs_of(late(run, first + step), one)]
-            before = model.outputs_of(late(run, first - step), one)
-            for out, high, low in zip(outputs, after, before, strict=True):
-                slope = (high[:, 0] - low[:, 0]) / (2.0 * step)
-                out[:, lane] += slope * (mode_delay[lane] - first)
+        moved = np.flatnonzero(mode_delay != first)
+        if moved.size:
+            # Simulations bend where a delay takes in another sample: the slope over a whole sample
+            # takes the place of that at a point.
+            of_moved = {name: column[moved] for name, column in values.items()}
+            ends = [late(run, first + half * run.sample_time) for half in (0.5, -0.5)]
+            pairs = zip(*(model.outputs_of(end, of_moved) for end in ends), strict=True)
+            for out, (high, low) in zip(outputs, pairs, strict=True):
+                slope = (high - low) / run.sample_time
+                out[:, moved] += slope * (mode_delay[moved] - first)
         return tuple(outputs)
 
     def starts(runs: list[Run], limits: Mapping):

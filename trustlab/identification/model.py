@@ -47,8 +47,9 @@ class Coordinate(NamedTuple):
     back: Callable
     low: float = -np.inf
     high: float = np.inf
-    # Greatest half-width of a 95 % interval that still tells something of a value.
-    useful: Callable = lambda value: np.inf
+    # Greatest half-width of a 95 % interval that still tells something of a value, whose bounds
+    # are so far apart.
+    useful: Callable = lambda value, span: np.inf
 
 
 # (2.6) goes as r^β at r = 0 and as (1 − r)^(1 − β) at r = 1, with infinite slopes there: a power of
@@ -56,21 +57,21 @@ class Coordinate(NamedTuple):
 POWER = 0.7
 
 COORDINATES = {
-    "plain": Coordinate(lambda v: v, lambda x: x),
+    "plain": Coordinate(lambda v: v, lambda x: x, useful=lambda v, span: 0.25 * span),
     # −ln(1 − a) is the logarithm of the time constant: equal steps are equal ratios.
     "rate": Coordinate(
         lambda v: -np.log1p(-v),
         lambda x: -np.expm1(-x),
         UNIT_MARGIN,
         1.0 - UNIT_MARGIN,
-        lambda v: 0.5 * (1.0 - v),
+        lambda v, _: 0.5 * (1.0 - v),
     ),
     "odds": Coordinate(
         lambda v: np.log(v) - np.log1p(-v),
         lambda x: 1.0 / (1.0 + np.exp(-x)),
         UNIT_MARGIN,
         1.0 - UNIT_MARGIN,
-        lambda v: min(0.25, v, 1.0 - v),
+        lambda v, _: min(0.25, v, 1.0 - v),
     ),
     "load": Coordinate(
         lambda v: v**POWER / (v**POWER + (1.0 - v) ** POWER),
@@ -163,11 +164,8 @@ class Model:
     def __post_init__(self):
         for name in ("names", "states", "outputs", "inputs"):
             value = getattr(self, name)
-            texts = (value,) if isinstance(value, str) else value
-            _items(name, texts, str, "texts")
-            object.__setattr__(self, name, tuple(texts))
-        for name in ("low", "high", *(() if callable(self.size) else ("size",))):
-            _items(name, getattr(self, name), Real, "numbers")
+            texts = _items(name, (value,) if isinstance(value, str) else value, str, "texts")
+            object.__setattr__(self, name, texts)
         for name in ("starts", "build", "check"):
             function = getattr(self, name)
             if function is not None and not callable(function):
@@ -178,18 +176,20 @@ class Model:
         flag("lanes", self.lanes)
         if not (self.names and self.outputs and self.inputs and callable(self.simulate)):
             raise ValueError("a model needs names, outputs, inputs and a function simulate")
-        if not callable(self.size) and len(self.size) not in (0, len(self.names)):
+        size = () if callable(self.size) else _items("size", self.size, Real, "numbers")
+        if size and len(size) != len(self.names):
             raise ValueError(
-                f"size must have {len(self.names)} numbers, one for each name, got {len(self.size)}"
+                f"size must have {len(self.names)} numbers, one for each name, got {len(size)}"
             )
-        repeated = {name for name in self.unknowns if self.unknowns.count(name) > 1}
+        repeated = [name for name in self.unknowns if self.unknowns.count(name) > 1]
         if repeated:
             raise ValueError(f"a model has two unknowns called {min(repeated)!r}")
+        self.check_names(self.coordinates, "coordinates")
         for name, kind in self.coordinates.items():
-            self.check_names([name], "coordinates")
             one_of(f"coordinate of {name}", kind, COORDINATES)
         for name, default in (("low", -np.inf), ("high", np.inf)):
-            ends = tuple(getattr(self, name)) or (default,) * len(self.unknowns)
+            ends = _items(name, getattr(self, name), Real, "numbers")
+            ends = ends or (default,) * len(self.unknowns)
             if len(ends) != len(self.unknowns):
                 raise ValueError(
                     f"{name} must have {len(self.unknowns)} numbers, for "
@@ -240,9 +240,9 @@ class Model:
         for name in set(fixed) & set(bounds):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")
         limits = {}
-        for name, low, high in zip(self.unknowns, self.low, self.high, strict=True):
+        for name, *ends in zip(self.unknowns, self.low, self.high, strict=True):
             coordinate = self.coordinate(name)
-            low, high = max(float(low), coordinate.low), min(float(high), coordinate.high)
+            low, high = np.clip(ends, coordinate.low, coordinate.high).tolist()
             if name in bounds:
                 low, high = _narrowed(name, bounds[name], low, high)
             if name in fixed:
@@ -290,23 +290,24 @@ class Model:
         values : mapping
             Names and states, shape (L,) each.
         """
-        if self.lanes:
+
+        def simulated(**values):
             outputs = self.simulate(run, **values)
-            return list(outputs) if isinstance(outputs, tuple) else [outputs]
-        lanes = len(next(iter(values.values())))
-        results = [np.empty((run.size, lanes)) for _ in self.outputs]
-        for lane in range(lanes):
-            outputs = self.simulate(run, **{name: float(v[lane]) for name, v in values.items()})
-            outputs = outputs if isinstance(outputs, tuple) else (outputs,)
+            return outputs if isinstance(outputs, tuple) else (outputs,)
+
+        if self.lanes:
+            return list(simulated(**values))
+        lanes = []
+        for row in zip(*values.values(), strict=True):
+            outputs = simulated(**dict(zip(values, map(float, row), strict=True)))
             shapes = [np.shape(output) for output in outputs]
             if shapes != [(run.size,)] * len(self.outputs):
                 raise ValueError(
                     f"simulate must return {' and '.join(self.outputs)}, shape ({run.size},) each, "
                     f"got {' and '.join(map(str, shapes))}"
                 )
-            for result, output in zip(results, outputs, strict=True):
-                result[:, lane] = output
-        return results
+            lanes.append(outputs)
+        return [np.column_stack(output).astype(float) for output in zip(*lanes, strict=True)]
 
     def useful(self, values: Mapping[str, float]) -> dict[str, float]:
         """
@@ -317,21 +318,20 @@ class Model:
         values : mapping
             Estimates by name.
         """
-        widths = {}
-        for name, low, high in zip(self.names, self.low, self.high, strict=False):
-            plain = self.coordinates.get(name, "plain") == "plain"
-            own = self.coordinate(name).useful
-            widths[name] = 0.25 * (high - low) if plain else own(values[name])
-        if callable(self.size):
-            return widths | self.size(values)
-        return widths | dict(zip(self.names, self.size, strict=False))
+        widths = {
+            name: self.coordinate(name).useful(values[name], high - low)
+            for name, low, high in zip(self.names, self.low, self.high, strict=False)
+        }
+        own = self.size(values) if callable(self.size) else zip(self.names, self.size, strict=False)
+        return widths | dict(own)
 
 
-def _items(name: str, values: Any, kind: type, words: str) -> None:
-    """Refuse what is no sequence of one kind of items."""
+def _items(name: str, values: Any, kind: type, words: str) -> tuple:
+    """Return a sequence of one kind of items as a tuple; refuse anything else."""
     sequence = isinstance(values, (list, tuple, np.ndarray))
     if not sequence or not all(isinstance(value, kind) for value in values):
         raise ValueError(f"{name} must be a list of {words}, got {values!r}")
+    return tuple(values)
 
 
 def _narrowed(name: str, pair: tuple, low: float, high: float) -> tuple[float, float]:

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from trustlab.identification.log import Run, joined, undo_window, window_means
-from trustlab.identification.model import Model
+from trustlab.identification.log import Run, in_rows, joined, undo_window, window_means
+from trustlab.identification.model import COORDINATES, Model
 from trustlab.models.compiled import njit
 
 # Lags of the Ljung–Box test that chooses between white and robust standard errors.
@@ -57,19 +57,20 @@ def autocorrelation(errors: list[np.ndarray], lags: int) -> np.ndarray:
     return pooled_correlation(errors, errors, lags)
 
 
-def ljung_box(correlation: np.ndarray, samples: int) -> tuple[float, int, float]:
+def ljung_box(residuals: list[np.ndarray], lags: int) -> tuple[float, int, float]:
     """
-    Return Q = n(n + 2) Σ ρ²(l)/(n − l) of ρ(0) … ρ(lags), its degrees of freedom and its p value.
+    Return Q = n(n + 2) Σ ρ²(l)/(n − l) over lags l, its degrees of freedom and its p value.
     """
-    lags = min(correlation.size - 1, samples - 1)
-    terms = correlation[1 : lags + 1] ** 2 / (samples - np.arange(1, lags + 1))
+    samples = sum(map(len, residuals))
+    lags = min(lags, samples - 1)
+    terms = autocorrelation(residuals, lags)[1:] ** 2 / (samples - np.arange(1, lags + 1))
     q = samples * (samples + 2.0) * np.sum(terms)
     return float(q), lags, float(special.chdtrc(lags, q))
 
 
 def whiteness_p(residuals: list[np.ndarray]) -> float:
     """Return the p value of the Ljung–Box test."""
-    return ljung_box(autocorrelation(residuals, LAGS), sum(run.size for run in residuals))[2]
+    return ljung_box(residuals, LAGS)[2]
 
 
 def hac_lags(residuals: list[np.ndarray]) -> int:
@@ -82,14 +83,12 @@ def hac_lags(residuals: list[np.ndarray]) -> int:
     # White noise on top hides slow noise from the first autocorrelation, but averages out in
     # blocks: the rule is applied to the means over 1, 2, 4, 8 … samples too, and the widest result
     # taken.
-    shortest = min(run.size for run in residuals)
+    shortest = min(map(len, residuals))
     widest = 0.0
     length = 1
     while length == 1 or shortest // length >= 50:
-        means = [
-            run[: run.size // length * length].reshape(-1, length).mean(axis=1) for run in residuals
-        ]
-        total = sum(run.size for run in means)
+        means = [in_rows(run, length).mean(axis=1) for run in residuals]
+        total = sum(map(len, means))
         rho = min(abs(float(autocorrelation(means, 1)[1])), 0.9999)
         if length == 1 or rho > 3.0 / np.sqrt(total):
             alpha = 4.0 * rho**2 / (1.0 - rho**2) ** 2
@@ -253,6 +252,13 @@ def fit_noise(
     return _noise(optimize.minimize(deviance, best, method="Nelder-Mead", options=options).x)
 
 
+def scaled_roots(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return scales of the unknowns, and eigenvalues and -vectors with these at unit diagonal."""
+    # Units of the unknowns do not decide what is singular.
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return scale, *np.linalg.eigh(matrix / np.outer(scale, scale))
+
+
 def _restricted_deviance(parts: list[tuple], samples: float, noise: Noise) -> float:
     """Return minus twice the restricted log-likelihood, but for a constant."""
     size = 1 + max(int(places.max()) for *_, places in parts)
@@ -262,8 +268,7 @@ def _restricted_deviance(parts: list[tuple], samples: float, noise: Noise) -> fl
         errors, part = whiten(values, known, noise)
         gram[np.ix_(places, places)] += errors.T @ errors
         log_determinant += part
-    scale = np.sqrt(np.maximum(np.diag(gram)[1:], 1e-300))
-    roots, vectors = np.linalg.eigh(gram[1:, 1:] / np.outer(scale, scale))
+    scale, roots, vectors = scaled_roots(gram[1:, 1:])
     regular = roots > 1e-10
     along = (gram[0, 1:] / scale) @ vectors[:, regular]
     squares = max(gram[0, 0] - along @ (along / roots[regular]), 1e-300)
@@ -273,13 +278,13 @@ def _restricted_deviance(parts: list[tuple], samples: float, noise: Noise) -> fl
 
 def _coordinates(noise: Noise) -> tuple[float, float]:
     """Return unbounded coordinates: −ln(1 − memory), log odds of the share."""
-    return -np.log1p(-noise.memory), np.log(noise.share) - np.log1p(-noise.share)
+    return COORDINATES["rate"].to(noise.memory), COORDINATES["odds"].to(noise.share)
 
 
 def _noise(at) -> Noise:
     """Return the noise model at unbounded coordinates."""
-    share = 1.0 / (1.0 + np.exp(-np.clip(at[1], -12.0, 12.0)))
-    return Noise(float(share), float(np.clip(-np.expm1(-at[0]), 0.0, 1.0 - 1e-6)))
+    share = COORDINATES["odds"].back(np.clip(at[1], -12.0, 12.0))
+    return Noise(float(share), float(np.clip(COORDINATES["rate"].back(at[0]), 0.0, 1.0 - 1e-6)))
 
 
 def outliers(error: np.ndarray, scale: float) -> np.ndarray:
@@ -378,12 +383,12 @@ class Problem:
         shared, states = len(model.names), len(model.states)
         self.unknowns = [*model.names, *model.states * len(runs)]
         self.coordinates = [model.coordinate(name) for name in self.unknowns]
-        lows = {name: low for name, (low, _) in limits.items()}
-        highs = {name: high for name, (_, high) in limits.items()}
-        self.low, self.high = self.full_vector(lows), self.full_vector(highs)
+        self.low, self.high = (
+            self.full_vector({name: ends[side] for name, ends in limits.items()}) for side in (0, 1)
+        )
         self.free = np.flatnonzero(self.low < self.high)
         loads = [model.coordinates.get(name) == "load" for name in self.unknowns]
-        self.loads = np.flatnonzero(loads)
+        self.loads = self.free[np.array(loads)[self.free]]
         firsts = [shared + i * states for i in range(len(runs))]
         self.of_run = [np.r_[:shared, first : first + states] for first in firsts]
         self.series = [
@@ -421,10 +426,10 @@ class Problem:
     @property
     def labels(self) -> list[str]:
         """Names in the full vector; states carry the number of their run."""
-        names, runs = self.model.names, range(len(self.runs))
         if len(self.runs) == 1:
-            return [*names, *self.model.states]
-        return [*names, *(f"{state}[{i}]" for i in runs for state in self.model.states)]
+            return self.unknowns
+        states = [f"{name}[{i}]" for i in range(len(self.runs)) for name in self.model.states]
+        return [*self.model.names, *states]
 
     @property
     def counts(self) -> np.ndarray:
@@ -436,12 +441,16 @@ class Problem:
         outputs = len(self.model.outputs)
         return [self.series[j::outputs] for j in range(outputs)]
 
+    def by_run(self) -> list[list[Series]]:
+        """Return the series of each run."""
+        return list(map(list, zip(*self.by_output(), strict=True)))
+
     # --- the likelihood at a point ----------------------------------------------------------------
 
     def simulated(self, run: Run, i: int, x: np.ndarray) -> list[np.ndarray]:
         """Return the outputs, shape (N,), of a run in place of run i at a full vector."""
-        row = self.values(x)[self.of_run[i]]
-        values = {n: np.array([v]) for n, v in zip(self.model.unknowns, row, strict=True)}
+        columns = self.values(x)[self.of_run[i], None]
+        values = dict(zip(self.model.unknowns, columns, strict=True))
         return [output[:, 0].copy() for output in self.model.outputs_of(run, values)]
 
     def observed(self, series: Series, values: np.ndarray) -> np.ndarray:
@@ -459,11 +468,9 @@ class Problem:
         lanes[np.arange(1, 1 + self.free.size), self.free] += steps
         rows = self.values(lanes)
         steps = np.r_[1.0, steps]
-        outputs = len(self.model.outputs)
-        for i, run in enumerate(self.runs):
-            of_run = self.series[i * outputs : (i + 1) * outputs]
+        for run, mine, of_run in zip(self.runs, self.of_run, self.by_run(), strict=True):
             places = of_run[0].places
-            table = rows[np.ix_(places, self.of_run[i])]
+            table = rows[np.ix_(places, mine)]
             columns = dict(zip(self.model.unknowns, table.T.copy(), strict=True))
             for series, lanes_of in zip(of_run, self.model.outputs_of(run, columns), strict=True):
                 series.plain = self.observed(series, lanes_of)
@@ -513,10 +520,9 @@ class Problem:
 
 def _least_squares(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return f and J with JᵀJ and Jᵀf of [e J]ᵀ[e J]."""
-    scale = np.sqrt(np.maximum(np.diag(gram)[1:], 1e-300))
     if not np.isfinite(gram).all():
-        return np.full(scale.size, np.inf), np.full((scale.size, scale.size), np.inf)
-    roots, vectors = np.linalg.eigh(gram[1:, 1:] / np.outer(scale, scale))
+        return np.full(len(gram) - 1, np.inf), np.full_like(gram[1:, 1:], np.inf)
+    scale, roots, vectors = scaled_roots(gram[1:, 1:])
     roots = np.maximum(roots, 1e-14)
     root = np.sqrt(roots)[:, None] * vectors.T
     return -(root @ (gram[0, 1:] / scale)) / roots, root * scale

@@ -127,8 +127,7 @@ def regression(
     for _ in range(3):
         coefficients = coefficients + inverse @ (design @ (target - coefficients @ design))
     residuals = target - coefficients @ design
-    variance = residuals @ residuals / (n - p)
-    return coefficients, inverse * variance, residuals
+    return coefficients, inverse * (residuals @ residuals / (n - p)), residuals
 
 
 def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
@@ -203,8 +202,10 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
         delays = _per_input("nk", nk, inputs, least=0)
         parts.append(equations(y_run, u_run, na, lags, delays, intercept))
     names = _names(na, lags, intercept)
-    values, covariance, residuals = regression(*_stacked(parts), names)
-    return ArxResult(names, values, covariance, residuals, na, lags, delays, bool(intercept))
+    if len(parts) > 1:  # one run is not copied
+        parts = [(np.hstack([x for x, _ in parts]), np.hstack([y for _, y in parts]))]
+    values, covariance, residuals = regression(*parts[0], names)
+    return ArxResult(names, values, covariance, residuals, na, lags, delays, intercept)
 
 
 def equations(
@@ -219,15 +220,11 @@ def equations(
     size = y.size - first
     if size < 1:
         raise IdentificationError(f"a run of {y.size} samples is too short for lags up to {first}")
-    design = np.empty((na + sum(nb) + bool(intercept), size))
-    for lag in range(1, na + 1):
-        np.negative(y[first - lag : y.size - lag], out=design[lag - 1])
-    delayed = [(i, lag) for i in range(len(nb)) for lag in range(nk[i], nk[i] + nb[i])]
-    for row, (i, lag) in enumerate(delayed, start=na):
-        design[row] = u[first - lag : y.size - lag, i]
-    if intercept:
-        design[-1] = 1.0
-    return design, y[first:]
+    rows = [-y[first - lag : y.size - lag] for lag in range(1, na + 1)]
+    for column, delay, lags in zip(u.T, nk, nb, strict=True):
+        rows += [column[first - lag : y.size - lag] for lag in range(delay, delay + lags)]
+    rows += [np.ones(size)] * intercept
+    return np.stack(rows), y[first:]
 
 
 def _names(na: int, nb: tuple[int, ...], intercept: bool) -> tuple[str, ...]:
@@ -238,7 +235,7 @@ def _names(na: int, nb: tuple[int, ...], intercept: bool) -> tuple[str, ...]:
     for i, lags in enumerate(nb, start=1):
         prefix = "b" if len(nb) == 1 else f"b{i}_"
         names += [f"{prefix}{lag}" for lag in range(1, lags + 1)]
-    return (*names, "c") if intercept else tuple(names)
+    return (*names, *["c"] * intercept)
 
 
 def _per_input(name: str, value, inputs: int, least: int) -> tuple[int, ...]:
@@ -247,11 +244,3 @@ def _per_input(name: str, value, inputs: int, least: int) -> tuple[int, ...]:
     if len(values) != inputs:
         raise ValueError(f"{name} names {len(values)} inputs, u has {inputs}")
     return tuple(whole_number(name, order, least=least) for order in values)
-
-
-def _stacked(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """Join the equations of all runs."""
-    if len(parts) == 1:
-        return parts[0]
-    designs, targets = zip(*parts, strict=True)
-    return np.concatenate(designs, axis=1), np.concatenate(targets)

@@ -182,7 +182,7 @@ class FitResult(Result):
     def _errors_for(self, lags: int, output: str | None) -> list[np.ndarray]:
         """Return the prediction errors of an output whose runs are all longer than `lags`."""
         errors = [run.prediction_errors[self._output(output)] for run in self.runs]
-        shortest = min(error.size for error in errors)
+        shortest = min(map(len, errors))
         whole_number("lags (below the length of the shortest run)", lags, 1, shortest - 1)
         return errors
 
@@ -208,12 +208,10 @@ class FitResult(Result):
         auto = autocorrelation(residuals, lags)
         inputs = [next(iter(run.inputs.values())) for run in self.runs]
         before = pooled_correlation(inputs, residuals, lags)[:0:-1]
-        cross = np.r_[before, pooled_correlation(residuals, inputs, lags)]
-        band = special.ndtri(0.995) / np.sqrt(sum(run.size for run in residuals))
         columns = {
             "autocorrelation": np.r_[auto[:0:-1], 1.0, auto[1:]],
-            "cross_correlation": cross,
-            "band": band,
+            "cross_correlation": np.r_[before, pooled_correlation(residuals, inputs, lags)],
+            "band": special.ndtri(0.995) / np.sqrt(sum(run.size for run in residuals)),
         }
         return pd.DataFrame(columns, index=pd.RangeIndex(-lags, lags + 1, name="lag"))
 
@@ -231,13 +229,9 @@ class FitResult(Result):
         pandas.DataFrame
             Index `output`; columns statistic, df, p.
         """
-        rows = {}
-        for name in self.outputs:
-            residuals = self._errors_for(lags, name)
-            samples = sum(run.size for run in residuals)
-            rows[name] = ljung_box(autocorrelation(residuals, lags), samples)
-        table = pd.DataFrame.from_dict(rows, orient="index", columns=["statistic", "df", "p"])
-        return table.rename_axis("output")
+        rows = [ljung_box(self._errors_for(lags, name), lags) for name in self.outputs]
+        index = pd.Index(self.outputs, name="output")
+        return pd.DataFrame(rows, index, columns=["statistic", "df", "p"])
 
     def plot(self, most: int = 6):
         """
@@ -265,17 +259,16 @@ class FitResult(Result):
             sharex="col",
             layout="constrained",
         )
-        for row, name in zip(axes, self.outputs, strict=True):
-            for panel, run in zip(row, runs, strict=True):
+        for column, run in zip(axes.T, runs, strict=True):
+            for panel, name in zip(column, self.outputs, strict=True):
                 panel.plot(run.t, run.measured[name], lw=0.8, color="0.55", label="measured")
                 panel.plot(run.t, run.fitted[name], lw=1.6, ls="--", color="C1", label="fitted")
                 if "mode" in run.inputs:
                     shade_manual(panel, run.t, run.mode)
-        for panel, name in zip(axes[:, 0], self.outputs, strict=True):
-            panel.set_ylabel(LABELS.get(name, name))
-        for panel, run in zip(axes[0], runs, strict=True):
-            panel.set_title(run.label, fontsize="small")
-        plt.setp(axes[-1], xlabel="time [s]")
+                if run is runs[0]:
+                    panel.set_ylabel(LABELS.get(name, name))
+            column[0].set_title(run.label, fontsize="small")
+            column[-1].set_xlabel("time [s]")
         shaded = "manual phases shaded" if "mode" in runs[0].inputs else None
         axes[0, 0].legend(fontsize="small", loc="best", title=shaded, title_fontsize="small")
         if len(runs) < len(self.runs):
@@ -304,12 +297,11 @@ class FitResult(Result):
         for row, name in zip(axes, self.outputs, strict=True):
             frame = self.residual_correlations(lags, name)
             band = frame["band"].iloc[0]
-            pairs = [("autocorrelation", frame[frame.index > 0]), ("cross_correlation", frame)]
-            for panel, (column, part) in zip(row, pairs, strict=True):
+            parts = (frame.loc[1:, "autocorrelation"], frame["cross_correlation"])
+            for panel, part in zip(row, parts, strict=True):
                 panel.axhspan(-band, band, color="C0", alpha=0.15, lw=0, label="99 % band")
-                panel.vlines(part.index, 0.0, part[column], lw=1.2)
-                panel.plot(part.index, part[column], "o", ms=3)
-                panel.axhline(0.0, color="0.4", lw=0.6)
+                stems = panel.stem(part.index, part, basefmt="0.4")
+                plt.setp(stems.markerline, markersize=3)
                 panel.set_xlabel("lag [samples]")
             auto, cross = row
             auto.set_ylabel(f"residual of\n{LABELS.get(name, name)}")
@@ -323,9 +315,7 @@ class FitResult(Result):
     @property
     def title(self) -> str:
         """What was fitted, and how well."""
-        fit = self.fit_percent
-        percent = [fit] if isinstance(fit, float) else fit.tolist()
-        numbers = " and ".join(f"{value:.2f} %" for value in percent)
+        numbers = " and ".join(f"{value:.2f} %" for value in np.atleast_1d(self.fit_percent))
         origin = ", synthetic data" if self.synthetic else ""
         samples = sum(run.t.size for run in self.runs)
         return (

@@ -40,6 +40,7 @@ from trustlab.identification.problem import (
     outliers,
     robust_deviation,
     sandwich,
+    scaled_roots,
     whiten,
     whiteness_p,
 )
@@ -47,16 +48,18 @@ from trustlab.identification.problem import (
 # --- an optimum -----------------------------------------------------------------------------------
 
 
+@dataclass(eq=False)
 class Optimum:
     """Where a search settled: a full vector, the likelihood there, and what a bound holds."""
 
-    def __init__(
-        self, problem: Problem, x: np.ndarray, at_bound: np.ndarray, converged: bool, steps: int
-    ):
-        self.problem, self.x = problem, x
-        self.at_bound = at_bound
-        self.converged, self.steps = converged, steps
-        self.equations = problem.equations(x)
+    problem: Problem
+    x: np.ndarray
+    at_bound: np.ndarray
+    converged: bool
+    steps: int
+
+    def __post_init__(self):
+        self.equations = self.problem.equations(self.x)
         self.deviance = self._comparable()
 
     @property
@@ -71,12 +74,10 @@ class Optimum:
 
     def values(self) -> dict[str, Any]:
         """Return estimates by name; of states an array, shape (runs,)."""
-        model = self.problem.model
-        row = self.problem.values(self.x)
-        shared = len(model.names)
-        states = row[shared:].reshape(len(self.problem.runs), len(model.states))
-        values: dict[str, Any] = dict(zip(model.names, row[:shared].tolist(), strict=True))
-        return values | dict(zip(model.states, states.T, strict=True))
+        model, row = self.problem.model, self.problem.values(self.x)
+        values: dict[str, Any] = dict(zip(model.names, row.tolist(), strict=False))
+        states = row[len(model.names) :].reshape(len(self.problem.runs), -1).T
+        return values | dict(zip(model.states, states, strict=False))
 
     def same_as(self, other: "Optimum") -> bool:
         """Return whether two rough optima are one: within five standard errors."""
@@ -110,14 +111,12 @@ class Optimum:
         matrix = self.equations.matrix[np.ix_(loose, loose)]
         if loose.size == 0:
             return matrix
-        diagonal = np.diag(matrix).copy()
+        diagonal = np.diag(matrix)
         unknown = diagonal <= 1e-30 * diagonal.max(initial=1e-300)
         if not unknown.any():
-            # Scaled to unit diagonal: units of the unknowns do not decide what is singular.
-            scale = np.sqrt(diagonal)
-            values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
-            if values[0] > SINGULAR:
-                return (vectors / values) @ vectors.T / np.outer(scale, scale)
+            scale, roots, vectors = scaled_roots(matrix)
+            if roots[0] > SINGULAR:
+                return (vectors / roots) @ vectors.T / np.outer(scale, scale)
             # Unknowns with a share in the direction that the data say nothing about.
             unknown = np.abs(vectors[:, 0]) > 0.25
         lost = tuple(label for label, flag in zip(labels, unknown, strict=True) if flag)
@@ -260,13 +259,12 @@ def robust_search(problem: Problem, x: np.ndarray, robust: bool, **options: Any)
 
 def _leave_out(problem: Problem) -> bool:
     """Leave out outliers among the residuals; return whether there are new ones."""
-    samples = sum(run.size for run in problem.runs)
     marks: list[tuple[Series, np.ndarray]] = []
     for of_output in problem.by_output():
         scale = robust_deviation([s.plain[s.known, 0] for s in of_output])
-        far = [outliers(error, scale) for error in _all_errors(problem, of_output)]
+        far = [outliers(_errors(problem, series), scale) for series in of_output]
         # More than a quarter are no outliers: the model does not describe these data.
-        if sum(mark.sum() for mark in far) >= 0.25 * samples:
+        if np.concatenate(far).mean() >= 0.25:
             return False
         marks += zip(of_output, far, strict=True)
     if all(np.array_equal(~mark, series.known) for series, mark in marks):
@@ -277,13 +275,10 @@ def _leave_out(problem: Problem) -> bool:
     return True
 
 
-def _all_errors(problem: Problem, of_output: list[Series]) -> list[np.ndarray]:
+def _errors(problem: Problem, series: Series) -> np.ndarray:
     """Return measured minus simulated of all samples, also of those left out."""
-    errors = []
-    for series in of_output:
-        simulated = problem.simulated(problem.runs[series.run], series.run, problem.evaluated[0])
-        errors.append(series.measured - problem.observed(series, simulated[series.output]))
-    return errors
+    outputs = problem.simulated(problem.runs[series.run], series.run, problem.evaluated[0])
+    return series.measured - problem.observed(series, outputs[series.output])
 
 
 # --- the covariance ------------------------------------------------------------------------------
@@ -342,6 +337,11 @@ class Estimate:
     def values(self) -> np.ndarray:
         """The values of the full vector."""
         return self.problem.values(self.optimum.x)
+
+    @property
+    def stderr(self) -> np.ndarray:
+        """Standard errors of the full vector; NaN for what is fixed or held by a bound."""
+        return np.sqrt(np.where(self.fixed, np.nan, np.diag(self.covariance)))
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -425,19 +425,19 @@ def _meat(optimum: Optimum) -> np.ndarray:
     problem, weights = optimum.problem, optimum.equations.weights
     lags = max(hac_lags([s.white[:, 0] for s in of]) for of in problem.by_output())
     meat = np.zeros((problem.free.size, problem.free.size))
-    for i in range(len(problem.runs)):
-        of_run = [series for series in problem.series if series.run == i]
+    for of_run in problem.by_run():
         scores = sum(weights[s.output] * s.white[:, 1:] * s.white[:, :1] for s in of_run)
         places = of_run[0].places[1:] - 1
         meat[np.ix_(places, places)] += hac_matrix(scores, lags)
     return meat[np.ix_(optimum.loose, optimum.loose)]
 
 
-def _whitened(series: Series, values: np.ndarray, noise: Noise) -> np.ndarray:
+def _whitened(problem: Problem, series: Series, change: np.ndarray) -> np.ndarray:
     """Return a change of an output as its prediction errors see it."""
+    noise = problem.noise[series.output]
     if noise == Noise():
-        return values * series.known
-    return whiten(values[:, None], series.known, noise)[0][:, 0]
+        return change * series.known
+    return whiten(change[:, None], series.known, noise)[0][:, 0]
 
 
 def _answer(
@@ -455,12 +455,11 @@ def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
     """Return the covariance due to independent errors of the mode's stamps."""
     problem = optimum.problem
     added = np.zeros(inverse.shape)
-    for i, run in enumerate(problem.runs):
+    for i, (run, of_run) in enumerate(zip(problem.runs, problem.by_run(), strict=True)):
         if run.stamp_error == 0.0 or "mode" not in run.columns:
             continue
         mode = run["mode"]
         simulated = problem.simulated(run, i, optimum.x)
-        of_run = [series for series in problem.series if series.run == i]
         switches = np.flatnonzero(np.diff(mode > 0.5)) + 1
         # Neighbours add about the same: of thousands of switches some stand for all.
         chosen = switches[:: 1 + switches.size // SWITCHES]
@@ -469,11 +468,10 @@ def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
             moved = mode.copy()
             moved[k] = mode[k - 1]
             outputs = problem.simulated(run.changed({"mode": moved}), i, optimum.x)
-            changes = []
-            for series in of_run:
-                change = outputs[series.output] - simulated[series.output]
-                change = problem.observed(series, change) / run.sample_time
-                changes.append(_whitened(series, change, problem.noise[series.output]))
+            changes = [
+                _whitened(problem, series, problem.observed(series, later - y) / run.sample_time)
+                for series, later, y in zip(of_run, outputs, simulated, strict=True)
+            ]
             shift = _answer(optimum, run.stamp_error * inverse, of_run, changes)
             added += np.outer(shift, shift) * switches.size / chosen.size
     return added
@@ -487,17 +485,17 @@ def mode_delay(optimum: Optimum, inverse: np.ndarray, sandwiched: bool) -> ModeD
     inputs = set(problem.model.inputs)
     if not {"mode"} <= inputs <= {"mode", "p_h"} or "mode_delay" in problem.model.names:
         return none
-    slopes = []
     runs = list(enumerate(problem.runs))
     simulated = [problem.simulated(run, i, optimum.x) for i, run in runs]
     moved = [problem.simulated(late(run, run.sample_time), i, optimum.x) for i, run in runs]
     if all(np.array_equal(one, other) for one, other in zip(simulated, moved, strict=True)):
         return none  # a model that takes no notice of mode
+    slopes = []
     for series in problem.series:
         # Mode acting later shifts the whole simulation, but for states, which are estimated.
         values = problem.observed(series, simulated[series.run][series.output])
         slope = -np.gradient(values, problem.runs[series.run].sample_time)
-        slopes.append(_whitened(series, slope, problem.noise[series.output]))
+        slopes.append(_whitened(problem, series, slope))
     answer = np.zeros(problem.free.size)
     answer[loose] = _answer(optimum, inverse, problem.series, slopes)
     total = information = score = spread = 0.0
@@ -635,7 +633,7 @@ def _with_loads(optimum: Optimum, loads: np.ndarray, places: np.ndarray) -> np.n
 def _elsewhere(optimum: Optimum) -> Iterator[Optimum]:
     """Hold loads at other places, search there, and go on from there with them free."""
     problem = optimum.problem
-    loads = np.intersect1d(problem.loads, problem.free)
+    loads = problem.loads
     for share in (0.1, 0.3, 0.5, 0.8) if loads.size else ():
         places = problem.low[loads] + share * (problem.high - problem.low)[loads]
         x = _with_loads(optimum, loads, places)
@@ -646,19 +644,15 @@ def _elsewhere(optimum: Optimum) -> Iterator[Optimum]:
 def _beside_ends(optimum: Optimum) -> Optimum:
     """Search again from loads held where the best are near their end: (2.6) bends there."""
     problem, x = optimum.problem, optimum.x
-    loads = np.intersect1d(problem.loads, problem.free)
+    loads = problem.loads
     low, high = problem.low[loads], problem.high[loads]
     ends = np.where(x[loads] - low < high - x[loads], low, high)
     near = np.abs(x[loads] - ends) < NEAR[-1]
     if not near.any():
         return optimum
-    inwards = (low + high - 2.0 * ends)[near]
-    loads, ends = loads[near], ends[near]
-    tried = []
-    for share in NEAR:
-        start = _with_loads(optimum, loads, ends + share * inwards)
-        tried.append((problem.equations(start).deviance, share, start))
-    other = search(problem, min(tried)[2])
+    inwards = low + high - 2.0 * ends
+    tried = [_with_loads(optimum, loads[near], (ends + s * inwards)[near]) for s in NEAR]
+    other = search(problem, min(tried, key=lambda x: problem.equations(x).deviance))
     return min(optimum, other, key=lambda each: each.deviance)
 
 

@@ -5,12 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import linalg, signal
 
-from trustlab.identification.fit import check_data, result_of
+from trustlab.identification.fit import fit_runs
 from trustlab.identification.log import Run, joined
 from trustlab.identification.model import IdentificationError, Model
 from trustlab.identification.result import FitResult
-from trustlab.identification.search import NOISES, estimate_runs
-from trustlab.models.checks import finite_array, one_of, positive, whole_number
+from trustlab.models.checks import finite_array, positive, whole_number
 from trustlab.models.uav import TransferFunction
 
 # Denominators of the grid from which a search starts.
@@ -61,7 +60,6 @@ def fit_transfer_function(
     (0.985, 0.495)
     """
     sample_time = positive("sample_time", sample_time)
-    one_of("noise", noise, NOISES)
     order = whole_number("order", order, 1, 2)
     runs = _runs(command, velocity, sample_time)
     model = transfer_model(order, sample_time)
@@ -71,9 +69,7 @@ def fit_transfer_function(
         raise IdentificationError(
             f"{samples} samples are too few for {unknowns} unknowns; record longer runs"
         )
-    limits = model.limits()
-    check_data(model, runs, limits)
-    return result_of(estimate_runs(model, runs, limits, noise))
+    return fit_runs(model, runs, noise, model.limits())
 
 
 def transfer_model(order: int, sample_time: float) -> Model:
@@ -116,15 +112,14 @@ def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np
     """Return velocity per unit gain and per unit of each initial state, shape (N, 1 + n)."""
     n = len(denominator)
     phi, gamma = TransferFunction(1.0, tuple(denominator)).discrete(sample_time)
-    inputs, none = np.column_stack([gamma, np.eye(n)]), np.zeros((1, n + 1))
-    tops, poles = zip(
-        *(signal.ss2tf(phi, inputs, np.eye(1, n), none, input=k) for k in range(n + 1)), strict=True
-    )
-    pulse = np.zeros(u.size)
-    pulse[0] = 1.0
-    # A command is seen a sample later, an initial state at once.
-    of_states = [signal.lfilter(np.r_[top[0, 1:], 0.0], poles[0], pulse) for top in tops[1:]]
-    return np.column_stack([signal.lfilter(tops[0][0], poles[0], u), *of_states])
+    pulse = np.eye(1, u.size)[0]
+    responses = []
+    for k, inputs in enumerate(np.column_stack([gamma, np.eye(n)]).T):
+        top, poles = signal.ss2tf(phi, inputs[:, None], np.eye(1, n), [[0.0]])
+        # A command is seen a sample later, an initial state at once.
+        top, driving = (top[0], u) if k == 0 else (np.r_[top[0, 1:], 0.0], pulse)
+        responses.append(signal.lfilter(top, poles, driving))
+    return np.column_stack(responses)
 
 
 def _projected(
@@ -156,9 +151,7 @@ def _grid(order: int, runs: list[Run], sample_time: float) -> list[np.ndarray]:
 def _runs(command, velocity, sample_time: float) -> list[Run]:
     """Check both signals and pair them by run."""
     commands, velocities = (
-        list(value)
-        if isinstance(value, list | tuple) and np.ndim(value[0] if value else 0)
-        else [value]
+        value if isinstance(value, list | tuple) and value and np.ndim(value[0]) else [value]
         for value in (command, velocity)
     )
     if len(commands) != len(velocities):

@@ -7,6 +7,7 @@ driven by the measured P_h; `fit_robot` is TSC under the robot's own names, `ROB
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -151,18 +152,18 @@ def _with(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
     return {f"{prefix}{name}": value for name, value in values.items()}
 
 
-def check_order(limits: Mapping, low: str = "p_min", high: str = "p_max") -> None:
-    """Refuse limits by which the least performance cannot be below the greatest."""
+def check_order(limits: Mapping, prefix: str = "") -> tuple[str, str]:
+    """Refuse limits by which the least performance cannot be below the greatest; name both."""
+    low, high = f"{prefix}p_min", f"{prefix}p_max"
     least, most = limits[low][0], limits[high][1]
     if least >= most:
         raise ValueError(f"{low} is at least {least:g}, not below {high}, at most {most:g}")
+    return low, high
 
 
-def check_excitation(
-    runs: list[Run], limits: Mapping, low: str = "p_min", high: str = "p_max"
-) -> None:
+def check_excitation(runs: list[Run], limits: Mapping, prefix: str = "") -> None:
     """Refuse data in which nothing separates the least from the greatest robot performance."""
-    check_order(limits, low, high)
+    low, high = check_order(limits, prefix)
     modes = joined(runs, "mode")
     fixed = {name for name in (low, high) if limits[name][0] == limits[name][1]}
     # A mode that never changes leaves one steady state: under manual control either limit fixes the
@@ -180,8 +181,8 @@ def check_excitation(
 
 def _check_tsc(runs: list[Run], limits: Mapping) -> None:
     """Refuse limits in the wrong order, and data that say nothing of the robot."""
-    check_order(limits, "human_p_min", "human_p_max")
-    check_excitation(runs, limits, "robot_p_min", "robot_p_max")
+    check_order(limits, "human_")
+    check_excitation(runs, limits, "robot_")
 
 
 def _check_driven(runs: list[Run], limits: Mapping) -> None:
@@ -268,21 +269,22 @@ def _refined(
     """Search from points on block means, and return the optima that are nearly as good."""
     rates = [name for name in model.names if model.coordinates.get(name) == "rate"]
     edges = COORDINATES["rate"]
-    coarse = dict(limits)
-    for name in rates:
-        coarse[name] = tuple(np.clip(np.array(limits[name]) ** length, edges.low, edges.high))
+
+    def over(values: dict, samples: float) -> dict:
+        """Return values with rates over so many samples in place of one."""
+        powers = {name: values[name] ** samples for name in rates}
+        return values | {n: np.clip(power, edges.low, edges.high) for n, power in powers.items()}
+
+    coarse = over({name: np.array(ends) for name, ends in limits.items()}, length)
     problem = Problem(model, means, coarse)
     optima = [search(problem, problem.full_vector(p), tolerance=1e-2, most=15) for p in points]
     optima.sort(key=lambda optimum: optimum.deviance)
-    starts = []
-    for k, optimum in enumerate(optima):
-        near = any(optimum.same_as(other) for other in optima[:k])
-        if optimum.deviance < optima[0].deviance + SHALLOW and not near:
-            values = optimum.values()
-            for name in rates:
-                values[name] = float(np.clip(values[name] ** (1.0 / length), edges.low, edges.high))
-            starts.append(values)
-    return starts
+    return [
+        over(optimum.values(), 1.0 / length)
+        for k, optimum in enumerate(optima)
+        if optimum.deviance < optima[0].deviance + SHALLOW
+        and not any(optimum.same_as(other) for other in optima[:k])
+    ]
 
 
 def human_starts(runs: list[Run], limits: Mapping) -> list[dict]:
@@ -352,7 +354,7 @@ HUMAN = Model(
     build=build_human,
     derived={"b": lambda a, **_: 1.0 - a},
     hints=HINTS,
-    check=lambda runs, limits: check_order(limits),
+    check=lambda _, limits: check_order(limits),
 )
 
 ROBOT = Model(
@@ -565,11 +567,10 @@ def fit_robot(
     >>> round(fit.model.a, 3), fit.success
     (0.996, True)
     """
-    for values in (fixed, bounds):
-        if isinstance(values, Mapping) and "p_h_max" in values:
-            raise ValueError(
-                "p_h_max is an argument of its own; give it as fit_robot(..., p_h_max=...)"
-            )
+    if any(isinstance(values, Mapping) and "p_h_max" in values for values in (fixed, bounds)):
+        raise ValueError(
+            "p_h_max is an argument of its own; give it as fit_robot(..., p_h_max=...)"
+        )
     if p_h_max is not None:
         fixed = {**(fixed or {}), "p_h_max": positive("p_h_max", p_h_max)}
     try:
@@ -611,14 +612,15 @@ def _robot_of(joint: FitResult, given: bool) -> FitResult:
     if joint.noise != "white" and whiteness_p(residuals) < NOT_WHITE:
         sentences.append(f"The residuals of p_h are not white: {DRIVEN}.")
     free = parameters.index.intersection(joint.covariance.index)
+    runs = [run.only("p_r") for run in joint.runs]
     return replace(
         joint,
         parameters=parameters,
         covariance=joint.covariance.loc[free, free],
         initial_states=joint.initial_states[["p_r0", "p_r0_stderr"]],
-        runs=[run.only("p_r") for run in joint.runs],
+        runs=runs,
         sigma={"p_r": joint.sigma["p_r"]},
-        cost=0.5 * float(sum(np.sum(run.prediction_errors["p_r"] ** 2) for run in joint.runs)),
+        cost=0.5 * float(sum(np.sum(run.prediction_errors["p_r"] ** 2) for run in runs)),
         message=" ".join(sentences),
     )
 
@@ -658,15 +660,13 @@ def _renamed(model: Model, names: Mapping[str, str], **changes: Any) -> Model:
     """Return a model some of whose unknowns have other names."""
     back = {new: old for old, new in names.items()}
 
-    def new(values: Mapping) -> dict:
+    def new(values: Mapping, names: Mapping[str, str] = names) -> dict:
         return {names.get(name, name): value for name, value in values.items()}
 
-    def old(values: Mapping) -> dict:
-        return {back.get(name, name): value for name, value in values.items()}
-
+    old = partial(new, names=back)
     return replace(
         model,
-        names=tuple(names.get(name, name) for name in model.names),
+        names=tuple(new(dict.fromkeys(model.names))),
         size=lambda values: new(model.size(old(values))),
         simulate=lambda run, **values: model.simulate(run, **old(values)),
         starts=lambda runs, limits: [new(start) for start in model.starts(runs, old(limits))],

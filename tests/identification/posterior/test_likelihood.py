@@ -141,12 +141,19 @@ def test_coordinates_have_unit_jacobian():
 def test_a_delay_shifts_what_is_simulated():
     target, _, theta = target_and_runs(np.random.default_rng(9), minutes=(1.0,), mode_delay=True)
     assert kernel.DELAY in target.free
-    values = kernel.simulate(theta, target.blocks)[1]
-    out = np.empty(values.size)
-    kernel.shifted(values, 0, values.size, 1.0, out)
-    np.testing.assert_array_equal(out[1:], values[:-1])
-    kernel.shifted(values, 0, values.size, 0.25, out)
-    np.testing.assert_allclose(out[1:], 0.75 * values[1:] + 0.25 * values[:-1], rtol=1e-12)
+    means = kernel.simulate(theta, target.blocks)
+    for late in (1.0, 0.25):  # in blocks of a second
+        theta[kernel.DELAY] = late
+        earlier = np.column_stack([means[:, :1], means[:, :-1]])
+        measured = (1.0 - late) * means + late * earlier
+        blocks = target.blocks._replace(measured=measured, known=np.ones(means.shape, bool))
+        errors = np.empty(means.shape)
+        kernel.innovations(theta, blocks, means, errors)
+        np.testing.assert_allclose(errors, 0.0, atol=1e-9)
+        # Negative control: the mode acts when it is stamped.
+        theta[kernel.DELAY] = 0.0
+        kernel.innovations(theta, blocks, means, errors)
+        assert np.abs(errors).max() > 1e-3
 
 
 def test_windows_are_undone_before_means_are_taken():

@@ -14,12 +14,14 @@ its deviation times the root of its time constant, replaces the deviation, for t
 Coordinates are scaled by the prior's standard deviations.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.model import IdentificationError
+from trustlab.identification.log import in_rows
+from trustlab.identification.model import COORDINATES, IdentificationError
 from trustlab.identification.problem import Problem, filter_columns, process
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import yerkes_dodson
@@ -91,42 +93,34 @@ def blocks_of(problem: Problem) -> Blocks:
     runs = problem.runs
     step = runs[0].sample_time
     samples = max(1, int(BLOCK / step + 1e-6))
-    parts = [_stretches(run["mode"], samples) for run in runs]
-    counts = [run.size // samples for run in runs]
-    for run, count in zip(runs, counts, strict=True):
-        if count < FEWEST:
+    for run in runs:
+        if run.size // samples < FEWEST:
             raise IdentificationError(
                 f"{run.label} lasts {run.size * step:g} s, too short to tell anything of time "
                 f"constants of tens of seconds; record at least {FEWEST * samples * step:g} s"
             )
-    first_block = np.cumsum([0, *counts])
 
-    def cut(values: np.ndarray) -> np.ndarray:
-        return values[: values.size // samples * samples].reshape(-1, samples)
+    def in_blocks(columns: Iterable[np.ndarray]) -> np.ndarray:
+        return np.concatenate([in_rows(values, samples) for values in columns])
 
     by_output = problem.by_output()
-    measured = [np.concatenate([cut(s.measured).mean(axis=1) for s in of]) for of in by_output]
-    known = [np.concatenate([cut(s.known).all(axis=1) for s in of]) for of in by_output]
+    mode = in_blocks(run["mode"] for run in runs)
+    first_block = np.cumsum([0, *(run.size // samples for run in runs)])
+    # A stretch begins with every block and change of mode within one.
+    begins = np.diff(mode, axis=1, prepend=np.nan) != 0.0
+    starts = np.flatnonzero(begins)
     return Blocks(
-        measured=np.array(measured),
-        known=np.array(known),
-        lengths=np.concatenate([part[0] for part in parts]),
-        modes=np.concatenate([part[1] for part in parts]),
-        block=np.concatenate([part[2] + at for part, at in zip(parts, first_block, strict=False)]),
-        first_stretch=np.cumsum([0, *(part[0].size for part in parts)]),
+        measured=np.array([in_blocks(s.measured for s in of).mean(axis=1) for of in by_output]),
+        known=np.array([in_blocks(s.known for s in of).all(axis=1) for of in by_output]),
+        lengths=np.diff(starts, append=mode.size),
+        modes=mode[begins],
+        block=starts // samples,
+        first_stretch=np.searchsorted(starts, samples * first_block),
         first_block=first_block,
         windows=np.array([1 if problem.unwindow else run.window for run in runs]),
         step=step,
         samples=samples,
     )
-
-
-def _stretches(mode: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return length, mode and block of every stretch of constant mode within a block."""
-    size = mode.size // samples * samples
-    starts = np.unique(np.r_[np.arange(0, size, samples), np.flatnonzero(np.diff(mode[:size])) + 1])
-    lengths = np.diff(np.r_[starts, size])
-    return lengths, np.ascontiguousarray(mode[starts], dtype=float), starts // samples
 
 
 @njit
@@ -152,13 +146,8 @@ def shapes(theta, blocks, shape, means):
             shape[s] = yerkes_dodson(mode + (r - mode) * share, beta)
             means[blocks.block[s]] += shape[s] * length / blocks.samples
             r = mode + (r - mode) * power
-    total = 0.0
-    squares = 0.0
-    for value in means:
-        total += value
-        squares += value * value
-    mean = total / means.size
-    return mean, np.sqrt(max(squares / means.size - mean * mean, 1e-10))
+    mean = means.mean()
+    return mean, np.sqrt(max((means * means).mean() - mean * mean, 1e-10))
 
 
 @njit
@@ -201,19 +190,19 @@ def drive(theta, blocks, shape, means):
     # P_r at the first sample of every run: θ holds its distance from P_min.
     starts = theta[P_MIN] + theta[P_R0::PER_RUN]
     robot(blocks, shape, a, low, span, theta[P_MIN], gain, starts, means[1])
-    for k in range(means.shape[1]):
-        means[0, k] = low + span * means[0, k]
+    means[0] = low + span * means[0]
 
 
 @njit
-def shifted(values, first, last, blocks_late, out):
-    """Write values[first:last], later by a number of blocks, linear between them."""
-    for k in range(last - first):
-        at = min(max(k - blocks_late, 0.0), last - first - 1.0)
-        before = min(int(at), max(last - first - 2, 0))
-        after = min(before + 1, last - first - 1)
-        near = values[first + before]
-        out[k] = near + (at - before) * (values[first + after] - near)
+def shifted(values, late):
+    """Return values that come later by a number of blocks, linear between them."""
+    last = values.size - 1
+    out = np.empty(values.size)
+    for k in range(values.size):
+        at = min(max(k - late, 0.0), last)
+        before = min(int(at), last - 1)
+        out[k] = values[before] + (at - before) * (values[before + 1] - values[before])
+    return out
 
 
 @njit
@@ -265,20 +254,16 @@ def innovations(theta, blocks, means, scaled):
             last = blocks.first_block[run + 1]
             errors = means[j, first:last].copy()
             if late != 0.0:
-                shifted(means[j], first, last, late, errors)
+                errors = shifted(errors, late)
             if blocks.windows[run] > 1:
                 errors = averaged(errors, blocks.windows[run], blocks.samples)
             known = blocks.known[j, first:last]
-            count = 0
-            for k in range(last - first):
-                errors[k] = blocks.measured[j, first + k] - errors[k]
-                count += known[k]
+            column = (blocks.measured[j, first:last] - errors).reshape((last - first, 1))
             of_run = scaled[j, first:last].reshape((last - first, 1))
-            column = errors.reshape((last - first, 1))
             value -= 0.5 * filter_columns(column, known, noise, of_run)
-            value -= 0.5 * count * np.log(2.0 * np.pi)
-            for k in range(last - first):
-                value -= 0.5 * of_run[k, 0] * of_run[k, 0]
+            value -= 0.5 * known.sum() * np.log(2.0 * np.pi)
+            for error in of_run[:, 0]:
+                value -= 0.5 * error * error
     return value
 
 
@@ -287,27 +272,25 @@ def innovations(theta, blocks, means, scaled):
 
 def physical(thetas: np.ndarray, step: float) -> pd.DataFrame:
     """Return rows of θ as parameters in their own units; `step` [s] is that of the models."""
-    columns = {
-        "human_time_constant": np.exp(thetas[:, TAU_R]),
-        "human_a": np.exp(-step / np.exp(thetas[:, TAU_R])),
-        "human_beta": 1.0 / (1.0 + np.exp(-thetas[:, BETA])),
-        "human_p_min": thetas[:, H_MIN],
-        "human_p_max": thetas[:, H_MIN] + np.exp(thetas[:, H_SPAN]),
-        "robot_time_constant": np.exp(thetas[:, TAU_P]),
-        "robot_a": np.exp(-step / np.exp(thetas[:, TAU_P])),
-        "robot_p_min": thetas[:, P_MIN],
-        "robot_p_max": thetas[:, P_MIN] + np.exp(thetas[:, P_SPAN]),
-        "mode_delay": thetas[:, DELAY],
-    }
-    runs = (thetas.shape[1] - R0) // PER_RUN
+    columns, theta = {}, thetas.T
+    share = COORDINATES["odds"].back
+    for who, time, low, span in (("human", TAU_R, H_MIN, H_SPAN), ("robot", TAU_P, P_MIN, P_SPAN)):
+        columns[f"{who}_time_constant"] = np.exp(theta[time])
+        columns[f"{who}_a"] = np.exp(-step / np.exp(theta[time]))
+        if who == "human":
+            columns["human_beta"] = share(theta[BETA])
+        columns[f"{who}_p_min"] = theta[low]
+        columns[f"{who}_p_max"] = theta[low] + np.exp(theta[span])
+    columns["mode_delay"] = theta[DELAY]
+    runs = (len(theta) - R0) // PER_RUN
     for run in range(runs):
         label = f"[{run}]" if runs > 1 else ""
-        columns[f"r0{label}"] = 1.0 / (1.0 + np.exp(-thetas[:, R0 + PER_RUN * run]))
-        columns[f"p_r0{label}"] = thetas[:, P_MIN] + thetas[:, P_R0 + PER_RUN * run]
+        columns[f"r0{label}"] = share(theta[R0 + PER_RUN * run])
+        columns[f"p_r0{label}"] = theta[P_MIN] + theta[P_R0 + PER_RUN * run]
     for output, at in zip(OUTPUTS, NOISES, strict=True):
-        columns[f"{output}_white"] = np.exp(thetas[:, at.white])
-        columns[f"{output}_slow"] = np.exp(thetas[:, at.slow])
-        columns[f"{output}_slow_time"] = np.exp(thetas[:, at.time])
+        for part, place in at._asdict().items():
+            name = "slow_time" if part == "time" else part
+            columns[f"{output}_{name}"] = np.exp(theta[place])
     return pd.DataFrame(columns)
 
 
@@ -338,8 +321,7 @@ class Target(NamedTuple):
 def to_theta(x, target, shape, means):
     """Return the parameters θ of coordinates x; write the shape of (2.6) and its block means."""
     theta = target.mean.copy()
-    for k in range(x.size):
-        theta[target.free[k]] += target.deviation[target.free[k]] * x[k]
+    theta[target.free] += target.deviation[target.free] * x
     mean, spread = shapes(theta, target.blocks, shape, means)
     theta[H_SPAN] -= np.log(spread)
     theta[H_MIN] -= np.exp(theta[H_SPAN]) * mean
@@ -351,10 +333,8 @@ def to_theta(x, target, shape, means):
 @njit
 def from_theta(theta, target):
     """Return the coordinates x of parameters θ."""
-    blocks = target.blocks
-    mean, spread = shapes(
-        theta, blocks, np.empty(blocks.lengths.size), np.empty(blocks.measured.shape[1])
-    )
+    shape, means = np.empty(target.blocks.lengths.size), np.empty(target.blocks.measured.shape[1])
+    mean, spread = shapes(theta, target.blocks, shape, means)
     centred = theta.copy()
     centred[H_MIN] += np.exp(theta[H_SPAN]) * mean
     centred[H_SPAN] += np.log(spread)
@@ -366,12 +346,9 @@ def from_theta(theta, target):
 @njit
 def admissible(theta):
     """Return whether θ makes a model: positive performance, shares that are not 0 or 1."""
-    odds = abs(theta[BETA])
-    for run in range((theta.size - R0) // PER_RUN):
-        odds = max(odds, abs(theta[R0 + PER_RUN * run]))
-        if theta[P_MIN] + theta[P_R0 + PER_RUN * run] < 0.0:
-            return False
-    return odds < FAR_ODDS and theta[H_MIN] > 0.0 and theta[P_MIN] > 0.0
+    odds = max(abs(theta[BETA]), np.abs(theta[R0::PER_RUN]).max())
+    lowest = theta[P_MIN] + min(theta[P_R0::PER_RUN].min(), 0.0)
+    return odds < FAR_ODDS and theta[H_MIN] > 0.0 and theta[P_MIN] > 0.0 and lowest >= 0.0
 
 
 @njit
@@ -391,9 +368,8 @@ def log_prior(theta, target):
 @njit
 def density(x, target):
     """Return the logarithm of the posterior's density at coordinates x, but for a constant."""
-    for k in range(x.size):
-        if not abs(x[k]) < 2.0 * FAR:
-            return -np.inf
+    if not (np.abs(x) < 2.0 * FAR).all():
+        return -np.inf
     # The first places are free in every target, so that x has β's log odds at its place in θ.
     if abs(target.mean[BETA] + target.deviation[BETA] * x[BETA]) > FAR_ODDS:
         return -np.inf
@@ -464,12 +440,6 @@ def curvature(x, target):
         at[i] = x[i] + WIDE_STEP
         above = gradient(at, target)
         at[i] = x[i] - WIDE_STEP
-        below = gradient(at, target)
-        for j in range(size):
-            out[i, j] = (below[j] - above[j]) / (2.0 * WIDE_STEP)
+        out[i] = (gradient(at, target) - above) / (2.0 * WIDE_STEP)
         at[i] = x[i]
-    for i in range(size):
-        for j in range(i):
-            out[i, j] = 0.5 * (out[i, j] + out[j, i])
-            out[j, i] = out[i, j]
-    return out
+    return 0.5 * (out + out.T)

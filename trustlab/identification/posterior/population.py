@@ -24,7 +24,7 @@ import pandas as pd
 from tqdm import tqdm
 
 from trustlab.identification.log import LogSettings, as_list
-from trustlab.identification.posterior.density import H_MIN, P_MIN, R0, SHARED, Target, physical
+from trustlab.identification.posterior.density import H_MIN, P_MIN, R0, SHARED, physical
 from trustlab.identification.posterior.priors import Prior, as_prior, prior_of
 from trustlab.identification.posterior.result import (
     MODEL,
@@ -35,7 +35,6 @@ from trustlab.identification.posterior.result import (
 )
 from trustlab.identification.posterior.sampling import Sample, resampled, sample_posterior, smoothed
 from trustlab.models.checks import flag, one_of, open_unit, whole_number, whole_seed
-from trustlab.models.compiled import njit
 from trustlab.models.display import Result
 from trustlab.sessions.session import Session
 
@@ -66,30 +65,6 @@ class Pool(NamedTuple):
     weights: list[np.ndarray]
 
 
-@njit
-def choose(draws, base, mean, whitening, uniform, weights):
-    """Return a draw with probability ∝ exp(base) · normal density; add these to `weights`."""
-    logarithms = base.copy()
-    for k in range(len(draws)):
-        for i in range(mean.size):
-            z = 0.0
-            for j in range(i + 1):
-                z += whitening[i, j] * (draws[k, j] - mean[j])
-            logarithms[k] -= 0.5 * z * z
-    probability = np.exp(logarithms - logarithms.max())
-    total = 0.0
-    for value in probability:
-        total += value
-    weights += probability / total
-    limit = uniform * total
-    passed = 0.0
-    for k in range(len(draws)):
-        passed += probability[k]
-        if passed > limit:
-            return k
-    return len(draws) - 1
-
-
 def pool(draws: list[np.ndarray], base: list[np.ndarray], rng: np.random.Generator) -> Pool:
     """
     Sample mean and covariance of a population, and who its people are.
@@ -118,8 +93,13 @@ def pool(draws: list[np.ndarray], base: list[np.ndarray], rng: np.random.Generat
         covariances[step] = covariance
         whitening = np.linalg.inv(np.linalg.cholesky(covariance))
         for i, each in enumerate(draws):
-            k = choose(each, base[i], means[step], whitening, rng.random(), weights[i])
-            people[i] = each[k]
+            # A draw with probability ∝ exp(base) · normal density.
+            normal = each @ whitening.T - whitening @ means[step]
+            logarithms = base[i] - 0.5 * np.einsum("ki,ki->k", normal, normal)
+            probability = np.exp(logarithms - logarithms.max())
+            passed = probability.cumsum()
+            weights[i] += probability / passed[-1]
+            people[i] = each[np.searchsorted(passed, rng.random() * passed[-1], side="right")]
     shares = [each / each.sum() for each in weights]
     return Pool(means[SETTLING:], covariances[SETTLING:], shares)
 
@@ -277,18 +257,19 @@ class Population(Result):
 
         table = self.table()
         alone = {name: summary(each.draws, 0.95) for name, each in self.alone.items()}
-        names = table.index.get_level_values("person").unique()
+        names = [*alone, NEW]
         places = np.arange(len(names))
         figure, axes = plt.subplots(2, 4, figsize=(8.2, 4.8), sharey=True, layout="constrained")
         panels = axes.ravel()
         for panel, parameter in zip(panels, MODEL, strict=False):
-            pooled = table.xs(parameter, level="parameter").loc[names]
-            panel.hlines(places, pooled["ci_low"], pooled["ci_high"], color="C0", lw=2)
-            panel.plot(pooled["mean"], places, "o", color="C0", label="pooled")
+            pooled = table.xs(parameter, level="parameter")
             own = pd.DataFrame({name: each.loc[parameter] for name, each in alone.items()}).T
-            above = places[:-1] + 0.25
-            panel.hlines(above, own["ci_low"], own["ci_high"], color="0.6")
-            panel.plot(own["mean"], above, ".", color="0.6", label="alone")
+            for rows, up, style in (
+                (pooled, 0.0, {"fmt": "o", "color": "C0", "lw": 2, "label": "pooled"}),
+                (own, 0.25, {"fmt": ".", "color": "0.6", "label": "alone"}),
+            ):
+                ends = [rows["mean"] - rows["ci_low"], rows["ci_high"] - rows["mean"]]
+                panel.errorbar(rows["mean"], places[: len(rows)] + up, xerr=ends, **style)
             panel.set_xlabel(WORDS[parameter])
             panel.set_yticks(places, names)
         panels[7].axis("off")
@@ -402,7 +383,7 @@ def _pooled(posteriors: list[Posterior], prior: Prior, rng: np.random.Generator)
     draws = []
     base = []
     for posterior in posteriors:
-        target: Target = posterior.target
+        target = posterior.target
         thetas = posterior.thetas[:, :SHARED]
         whitened = (thetas - target.mean[:SHARED]) @ target.whitening[:SHARED, :SHARED].T
         draws.append((thetas - centre[:SHARED]) / deviation[:SHARED])
@@ -431,14 +412,14 @@ def _reweighted(
     posterior: Posterior, weights: np.ndarray, n: int, rng: np.random.Generator
 ) -> Posterior:
     """Return a person's posterior with draws chosen by weight."""
-    k_hat = smoothed(np.log(np.maximum(weights, 1e-300)))[1]
-    effective = float(1.0 / np.sum(weights**2))
-    rows = resampled(Sample(np.arange(weights.size), weights, k_hat, effective), n, rng)
+    k_hat = float(smoothed(np.log(np.maximum(weights, 1e-300)))[1])
+    sample = Sample(np.arange(weights.size), weights, k_hat, float(1.0 / np.sum(weights**2)))
+    rows = resampled(sample, n, rng)
     return replace(
         posterior,
         draws=posterior.draws.iloc[rows].reset_index(drop=True),
         thetas=posterior.thetas[rows],
-        k_hat=float(k_hat),
-        effective=effective,
+        k_hat=k_hat,
+        effective=sample.effective,
         method="population",
     )

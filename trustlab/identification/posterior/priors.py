@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.model import COORDINATES, Coordinate
-from trustlab.identification.posterior.density import SHARED
+from trustlab.identification.posterior.density import BETA, SHARED
 from trustlab.identification.problem import HALF_WIDTH
 from trustlab.models.checks import finite_number, of_class, one_of, positive
 from trustlab.models.published import published_models
@@ -147,12 +147,10 @@ class Prior:
         pandas.DataFrame
             Index `parameter`; columns median, low and high, the ends of the 95 % interval.
         """
-        rows = {}
-        for name in DEFAULTS:
-            normal = getattr(self, name)
-            rows[name] = (normal.median, *normal.interval())
-        table = pd.DataFrame.from_dict(rows, orient="index", columns=["median", "low", "high"])
-        return table.rename_axis("parameter")
+        normals = [getattr(self, name) for name in DEFAULTS]
+        rows = [(normal.median, *normal.interval()) for normal in normals]
+        index = pd.Index(DEFAULTS, name="parameter")
+        return pd.DataFrame(rows, index, columns=["median", "low", "high"])
 
     def vectors(self, runs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
@@ -166,8 +164,7 @@ class Prior:
         noise = [self.white, self.slow, self.slow_time]
         normals = [*self.shared(), *noise, *noise, self.mode_delay]
         normals += [self.r0, self.p_r0] * runs
-        mean = np.array([normal.mean for normal in normals])
-        deviation = np.array([normal.spread for normal in normals])
+        mean, deviation = np.array([(normal.mean, normal.spread) for normal in normals]).T.copy()
         whitening = np.diag(1.0 / deviation)
         if self.correlation is not None:
             factor = np.linalg.cholesky(np.asarray(self.correlation, dtype=float))
@@ -210,18 +207,11 @@ def transformed(models) -> np.ndarray:
     """Return the first seven parameters of models in their coordinates, at steps of 0.1 s."""
     rows = []
     for tsc in models:
-        human, robot = tsc.human, tsc.robot
-        rows.append(
-            [
-                np.log(0.1 * human.time_constant),
-                SCALES[LOG_ODDS].to(human.beta),
-                human.p_min,
-                np.log(human.p_max - human.p_min),
-                np.log(0.1 * robot.time_constant),
-                robot.p_min,
-                np.log(robot.p_max - robot.p_min),
-            ]
-        )
+        own = [
+            [np.log(0.1 * model.time_constant), model.p_min, np.log(model.p_max - model.p_min)]
+            for model in (tsc.human, tsc.robot)
+        ]
+        rows.append(np.insert(np.ravel(own), BETA, SCALES[LOG_ODDS].to(tsc.human.beta)))
     return np.array(rows)
 
 
@@ -229,9 +219,9 @@ def prior_of(mean: np.ndarray, covariance: np.ndarray, prior: Prior | None = Non
     """Return a prior with another mean and covariance of the first seven, in their coordinates."""
     deviation = np.sqrt(np.diag(covariance))
     changes = {}
-    for k, name in enumerate(SHARED_NAMES):
+    for name, centre, spread in zip(SHARED_NAMES, mean, deviation, strict=True):
         scale = DEFAULTS[name].scale
-        changes[name] = Normal(float(SCALES[scale].back(mean[k])), float(deviation[k]), scale)
+        changes[name] = Normal(float(SCALES[scale].back(centre)), float(spread), scale)
     correlation = covariance / np.outer(deviation, deviation)
     return replace(prior or Prior(), correlation=correlation, **changes)
 
@@ -243,8 +233,8 @@ LEAST_SPREAD = 0.25
 def _published() -> Prior:
     """Return the spread of the six printed people as a prior, a half wider."""
     values = transformed(published_models().values())
-    weak = np.array([normal.spread for normal in Prior().shared()])
-    spread = np.maximum(1.5 * values.std(axis=0, ddof=1), LEAST_SPREAD * weak)
+    weak = [normal.spread for normal in Prior().shared()]
+    spread = np.maximum(1.5 * values.std(axis=0, ddof=1), LEAST_SPREAD * np.array(weak))
     return prior_of(values.mean(axis=0), np.diag(spread**2))
 
 

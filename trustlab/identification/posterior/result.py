@@ -160,27 +160,23 @@ class Posterior(Result):
     def message(self) -> str:
         """What these data determine, what they leave to the prior, and what to doubt."""
         table = self.table().loc[list(MODEL)]
-        told = table[table["narrower"] >= 1.0 - DETERMINED]
-        open_ = [name for name in MODEL if name not in told.index]
-        sentences = []
-        if len(told):
-            values = [f"{WORDS[name]} {interval_words(row)}" for name, row in told.iterrows()]
-            sentences.append(f"These data determine: {'; '.join(values)}.")
-        if open_:
-            unknown = ", ".join(WORDS[name] for name in open_)
-            sentences.append(f"They leave mostly to the prior: {unknown}.")
-        sentences += self.doubts()
-        return " ".join(sentences)
+        told = table["narrower"] >= 1.0 - DETERMINED
+        values = [f"{WORDS[name]} {interval_words(row)}" for name, row in table[told].iterrows()]
+        unknown = [WORDS[name] for name in table.index[~told]]
+        sentences = [f"These data determine: {'; '.join(values)}."] if values else []
+        if unknown:
+            sentences.append(f"They leave mostly to the prior: {', '.join(unknown)}.")
+        return " ".join(sentences + self.doubts())
 
     def doubts(self) -> list[str]:
         """Return reasons not to trust the draws."""
         doubts = []
-        if not self.k_hat <= MOST_K and self.method == "population":
-            doubts.append("Few draws agree with what the others show; raise n.")
-        elif not self.k_hat <= MOST_K:
+        if not self.k_hat <= MOST_K:
             doubts.append(
-                "The draws are not to be trusted: no proposal fits the posterior; record more, or "
-                "state a narrower prior."
+                "Few draws agree with what the others show; raise n."
+                if self.method == "population"
+                else "The draws are not to be trusted: no proposal fits the posterior; record "
+                "more, or state a narrower prior."
             )
         for output, p in self.whiteness.items():
             if p < NOT_WHITE:
@@ -188,10 +184,8 @@ class Posterior(Result):
                     f"No noise of a white and a first-order part explains {output} (Ljung–Box p = "
                     f"{p:.2g}): intervals may be too narrow."
                 )
-        apart = (self.thetas[:, :SHARED].mean(axis=0) - self.target.mean[:SHARED]) / (
-            self.target.deviation[:SHARED]
-        )
-        if np.abs(apart).max() > UNEXPECTED:
+        apart = (self.thetas.mean(axis=0) - self.target.mean) / self.target.deviation
+        if np.abs(apart[:SHARED]).max() > UNEXPECTED:
             doubts.append(
                 "The data lie far from what the prior expects; if your measure has another unit or "
                 "scale, state prior=trustlab.Prior(…)."
@@ -232,21 +226,21 @@ class Posterior(Result):
                 panel.set_xlim(least - (most - least), most + (most - least))
                 panel.locator_params(axis="x", nbins=4)
                 panel.set_title(f"prior: {low:.3g} to {high:.3g}", fontsize="small")
-            panel.set_xlabel(WORDS[name])
-            panel.set_yticks([])
+            panel.set(xlabel=WORDS[name], yticks=[])
         panels[0].legend(fontsize="small")
         blocks = self.target.blocks
         size = blocks.first_block[1]
         t = (np.arange(size) + 0.5) * blocks.step * blocks.samples
-        low, middle, high = np.quantile(self.simulated()[:, :, :size], [0.025, 0.5, 0.975], axis=0)
-        for j, (panel, label) in enumerate(zip(panels[7:], ("$P_h$", "$P_r$"), strict=True)):
-            measured = blocks.measured[j, :size]
-            panel.plot(t, measured, lw=0.5, color="0.6", label="measured, 1-s means")
-            band = {"color": "C1", "alpha": 0.5, "label": "95 % of fitted curves"}
-            panel.fill_between(t, low[j], high[j], **band)
-            panel.plot(t, middle[j], color="C1", lw=1.2)
-            panel.set(xlabel="time [s]", ylabel=label, title=self.labels[0])
-            panel.title.set_fontsize("small")
+        curves = np.quantile(self.simulated()[:, :, :size], [0.025, 0.5, 0.975], axis=0)
+        for j, label in enumerate(("$P_h$", "$P_r$")):
+            panel, (low, middle, high) = panels[7 + j], curves[:, j]
+            panel.plot(
+                t, blocks.measured[j, :size], lw=0.5, color="0.6", label="measured, 1-s means"
+            )
+            panel.fill_between(t, low, high, color="C1", alpha=0.5, label="95 % of fitted curves")
+            panel.plot(t, middle, color="C1", lw=1.2)
+            panel.set(xlabel="time [s]", ylabel=label)
+            panel.set_title(self.labels[0], fontsize="small")
         panels[7].legend(fontsize="x-small")
         if self.synthetic:
             figure.suptitle("Posterior, synthetic data", fontsize="small")

@@ -14,6 +14,7 @@ Machine Learning Research* 25 (2024), 72.
 distribution, *Technometrics* 51 (2009), 316-325.
 """
 
+import itertools
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -21,7 +22,7 @@ import numpy as np
 from scipy import special
 
 from trustlab.identification.log import LogSettings, log_settings, read_runs
-from trustlab.identification.model import IdentificationError
+from trustlab.identification.model import COORDINATES, IdentificationError
 from trustlab.identification.posterior.density import (
     BETA,
     DELAY,
@@ -121,9 +122,8 @@ def climb(x: np.ndarray, target: Target) -> Top:
 def starting_points(target: Target, optima: list[Optimum]) -> list[np.ndarray]:
     """Return coordinates of the optima of a fit, drawn to the prior, and of its mean."""
     thetas = [*(_theta(optimum.values(), target) for optimum in optima), target.mean]
-    points = [from_theta(_with_noise(theta, target), target) for theta in thetas]
     # To a thousandth of a prior deviation: from there on all is compiled and the same everywhere.
-    points = [np.round(x, 3) for x in points]
+    points = [np.round(from_theta(_with_noise(theta, target), target), 3) for theta in thetas]
     points = [x for x in points if density(x, target) > -np.inf]
     means = np.average(target.blocks.measured, axis=1, weights=target.blocks.known)
     low, span = [H_MIN, P_MIN], [H_SPAN, P_SPAN]
@@ -151,20 +151,14 @@ def _drawn_to_prior(theta: np.ndarray, target: Target) -> np.ndarray:
 def _theta(values: dict, target: Target) -> np.ndarray:
     """Return θ of a fit's estimates by name, noise at the prior's mean."""
     theta = target.mean.copy()
-    step = target.blocks.step
-    spans = [values[f"{who}_p_max"] - values[f"{who}_p_min"] for who in ("human", "robot")]
-    theta[[TAU_R, TAU_P]] = np.log(-step / np.log([values["human_a"], values["robot_a"]]))
-    theta[[H_MIN, P_MIN]] = values["human_p_min"], values["robot_p_min"]
-    theta[[H_SPAN, P_SPAN]] = np.log(np.maximum(spans, LEAST))
-    theta[BETA] = _log_odds(values["human_beta"])
-    theta[R0::PER_RUN] = _log_odds(values["r0"])
-    theta[P_R0::PER_RUN] = values["p_r0"] - values["robot_p_min"]
+    for who, time, low, span in (("human", TAU_R, H_MIN, H_SPAN), ("robot", TAU_P, P_MIN, P_SPAN)):
+        theta[time] = np.log(-target.blocks.step / np.log(values[f"{who}_a"]))
+        theta[low] = values[f"{who}_p_min"]
+        theta[span] = np.log(max(values[f"{who}_p_max"] - theta[low], LEAST))
+    for place, share in ((BETA, values["human_beta"]), (slice(R0, None, PER_RUN), values["r0"])):
+        theta[place] = COORDINATES["odds"].to(np.clip(share, LEAST, 1.0 - LEAST))
+    theta[P_R0::PER_RUN] = values["p_r0"] - theta[P_MIN]
     return _drawn_to_prior(theta, target)
-
-
-def _log_odds(share: np.ndarray | float) -> np.ndarray:
-    share = np.clip(share, LEAST, 1.0 - LEAST)
-    return np.log(share) - np.log1p(-share)
 
 
 def _with_noise(theta: np.ndarray, target: Target) -> np.ndarray:
@@ -225,10 +219,7 @@ def smoothed(log_weights: np.ndarray) -> tuple[np.ndarray, float]:
     excess = np.maximum(excess, 1e-300)
     shape, scale = pareto_fit(excess)
     ranks = (np.arange(1, tail + 1) - 0.5) / tail
-    if abs(shape) > 1e-9:
-        quantiles = scale / shape * np.expm1(-shape * np.log1p(-ranks))
-    else:
-        quantiles = -scale * np.log1p(-ranks)
+    quantiles = -scale * special.boxcox1p(-ranks, -shape)
     smooth = log_weights.copy()
     smooth[order[-tail:]] = np.minimum(np.log(cut + quantiles), 0.0)
     return smooth, shape
@@ -257,18 +248,15 @@ def log_parts(points: np.ndarray, parts: list[Component]) -> np.ndarray:
     return np.column_stack(densities) + np.log([part.weight for part in parts])
 
 
-def _drawn(part: Component, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Return points of a multivariate t distribution."""
-    # SciPy draws by singular vectors, whose signs may differ between processors.
-    normal = rng.standard_normal((count, part.centre.size)) @ np.linalg.cholesky(part.scale).T
-    return part.centre + normal / np.sqrt(rng.chisquare(FREEDOM, count) / FREEDOM)[:, None]
-
-
 def drawn(parts: list[Component], count: int, rng: np.random.Generator) -> np.ndarray:
     """Return points of a mixture, in random order."""
     shares = np.array([part.weight for part in parts])
-    counts = rng.multinomial(count, shares / shares.sum())
-    points = [_drawn(part, number, rng) for part, number in zip(parts, counts, strict=True)]
+    points = []
+    for part, number in zip(parts, rng.multinomial(count, shares / shares.sum()), strict=True):
+        # SciPy draws by singular vectors, whose signs may differ between processors.
+        normal = rng.standard_normal((number, part.centre.size)) @ np.linalg.cholesky(part.scale).T
+        deviation = np.sqrt(rng.chisquare(FREEDOM, (number, 1)) / FREEDOM)
+        points.append(part.centre + normal / deviation)
     return rng.permutation(np.concatenate(points))
 
 
@@ -280,8 +268,7 @@ def weighed(points: np.ndarray, values: np.ndarray, parts: list[Component]) -> S
     that it proposed, so that rounds add up to one mixture ([C]: no round is chosen for its luck).
     """
     proposed = special.logsumexp(log_parts(points, parts), axis=1)
-    log_weights = np.where(np.isfinite(values), values - proposed, -1e300)
-    log_weights, k_hat = smoothed(log_weights)
+    log_weights, k_hat = smoothed(np.where(np.isfinite(values), values - proposed, -1e300))
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
     return Sample(points, weights, k_hat, float(1.0 / np.sum(weights**2)))
@@ -465,14 +452,12 @@ def target_of(optimum: Optimum, prior: Prior, log: LogSettings) -> Target:
 def prior_thetas(target: Target, count: int, rng: np.random.Generator) -> np.ndarray:
     """Return draws of the prior that make a model."""
     factor = np.linalg.inv(target.whitening)
-    drawn: list[np.ndarray] = []
-    while len(drawn) < count:
+    thetas: list[np.ndarray] = []
+    while len(thetas) < count:
         z = np.zeros((count, target.mean.size))
         z[:, target.free] = rng.standard_normal((count, target.free.size))
-        for theta in target.mean + z @ factor.T:
-            if admissible(theta):
-                drawn.append(theta)
-    return np.array(drawn[:count])
+        thetas += filter(admissible, target.mean + z @ factor.T)
+    return np.array(thetas[:count])
 
 
 def _columns(thetas: np.ndarray, target: Target, step: float):
@@ -485,11 +470,11 @@ def _whiteness(theta: np.ndarray, blocks: Blocks) -> dict[str, float]:
     """Return the p value of the Ljung–Box test of each output's prediction errors."""
     scaled = np.empty(blocks.measured.shape)
     innovations(theta, blocks, simulate(theta, blocks), scaled)
-    p_values = {}
-    for name, errors, known in zip(OUTPUTS, scaled, blocks.known, strict=True):
-        parts = (np.split(each, blocks.first_block[1:-1]) for each in (errors, known))
-        p_values[name] = whiteness_p([error[there] for error, there in zip(*parts, strict=True)])
-    return p_values
+    runs = [slice(*ends) for ends in itertools.pairwise(blocks.first_block)]
+    return {
+        name: whiteness_p([errors[run][known[run]] for run in runs])
+        for name, errors, known in zip(OUTPUTS, scaled, blocks.known, strict=True)
+    }
 
 
 # --- the sampler ----------------------------------------------------------------------------------
@@ -504,17 +489,14 @@ def tops_of(target: Target, optima: list[Optimum]) -> list[Top]:
     """Return the maxima that ascents from a fit's optima reach, the highest first."""
     climbed = [climb(x, target) for x in starting_points(target, optima)[:ASCENTS]]
     climbed.sort(key=lambda top: -top.value)
-    apart: list[Top] = []
+    tops: list[Top] = []
     for top in climbed:
-        if top.value > climbed[0].value - LOWER and all(_apart(top, t) for t in apart):
-            apart.append(top)
-    return apart
-
-
-def _apart(top: Top, higher: Top) -> bool:
-    """Return whether a maximum lies outside of a higher one's hill."""
-    distance = top.x - higher.x
-    return bool(distance @ np.linalg.solve(higher.covariance, distance) > 4.0)
+        # Outside of the hills of higher ones.
+        steps = [(top.x - other.x, other.covariance) for other in tops]
+        apart = all(step @ np.linalg.solve(hill, step) > 4.0 for step, hill in steps)
+        if top.value > climbed[0].value - LOWER and apart:
+            tops.append(top)
+    return tops
 
 
 def proposals(tops: list[Top]) -> list[Component]:
@@ -522,7 +504,7 @@ def proposals(tops: list[Top]) -> list[Component]:
     highest = tops[0]
     parts = []
     for top in tops:
-        _, log_volume = np.linalg.slogdet(top.covariance)
+        log_volume = np.linalg.slogdet(top.covariance).logabsdet
         weight = np.exp(top.value - highest.value + 0.5 * log_volume)
         parts.append(Component(weight, top.x, 1.15 * top.covariance))
     # A hill falls off more slowly than its top's curvature says where data tell least: three
@@ -542,32 +524,21 @@ def sample_target(
     Proposals are adapted where weights are bad, and walkers come last.
     """
     mixture = proposals(tops)
-    wide = Component(0.1, mixture[-1].centre, mixture[-1].scale)
-    points = drawn(mixture, count, rng)
-    values = densities(points, target)
-    proposed = shared(mixture, count)
-    sample = weighed(points, values, proposed)
-    method = "importance"
-    for parts in ROUNDS:
-        if good(sample):
-            break
-        method = "adapted mixture"
-        mixture = [*fitted_mixture(sample, parts, rng), wide]
-        more = drawn(mixture, MORE_POINTS, rng)
+    wide = mixture[-1]._replace(weight=0.1)
+    points, values = np.empty((0, wide.centre.size)), np.empty(0)
+    proposed: list[Component] = []
+    for parts in (*ROUNDS, None):
+        more = drawn(mixture, count, rng)
         points = np.concatenate([points, more])
         values = np.concatenate([values, densities(more, target)])
-        proposed += shared(mixture, MORE_POINTS)
+        total = sum(part.weight for part in mixture)
+        proposed += [part._replace(weight=count * part.weight / total) for part in mixture]
         sample = weighed(points, values, proposed)
-    if not good(sample):
-        method = "ensemble"
-        sample = walked(target, sample, rng)
-    return sample, method
-
-
-def shared(mixture: list[Component], count: int) -> list[Component]:
-    """Return a mixture whose weights are the points that each part proposes of so many."""
-    total = sum(part.weight for part in mixture)
-    return [part._replace(weight=count * part.weight / total) for part in mixture]
+        if good(sample):
+            return sample, "importance" if len(points) == count else "adapted mixture"
+        if parts:
+            mixture, count = [*fitted_mixture(sample, parts, rng), wide], MORE_POINTS
+    return walked(target, sample, rng), "ensemble"
 
 
 def walked(target: Target, sample: Sample, rng: np.random.Generator) -> Sample:
