@@ -32,7 +32,6 @@ from trustlab.models.digest import room_digest
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.files import write_atomically
 from trustlab.reproduction.effects import (
-    ALLOCATION,
     TELEOPERATION,
     UNITS,
     Effect,
@@ -107,10 +106,16 @@ class Calibration(Result):
         """The printed effects that simulated studies have."""
         return [effect for effect in observed_effects(self.study) if effect.id in self.simulations]
 
+    def _beside(self, measures: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the simulated effects, a row each study, and the printed ones of some measures."""
+        chosen = [effect for effect in self.observed if effect.measure in measures]
+        simulated = self.simulations[[effect.id for effect in chosen]].to_numpy(float)
+        return simulated, np.array([effect.printed for effect in chosen])
+
     @property
     def assumptions(self) -> dict[str, float]:
         """Medians of the posterior, for `simulated_effects`."""
-        return {str(name): float(value) for name, value in self.posterior.median().items()}
+        return self.posterior.median().to_dict()
 
     @property
     def title(self) -> str:
@@ -158,23 +163,20 @@ class Calibration(Result):
         ----------
         T. Gneiting and A. E. Raftery, J. Am. Stat. Assoc. 102 (2007) 359-378.
         """
-        chosen = [effect.id for effect in self.observed if effect.measure in self.measures]
+        simulated, _ = self._beside(self.measures)
         drawn = self.simulations[list(self.priors)]
-        simulated = self.simulations[chosen].to_numpy(float)
         truths = drawn.to_numpy(float)
         ends = np.empty((len(drawn), 4, len(self.priors)))
         for i in range(len(drawn)):
             rest = np.arange(len(drawn)) != i
             sample, _ = posterior_sample(drawn[rest], simulated[rest], simulated[i], self.priors)
             ends[i] = np.quantile(sample.to_numpy(), [0.025, 0.25, 0.75, 0.975], axis=0)
-        wide = (ends[:, 0] <= truths) & (truths <= ends[:, 3])
-        narrow = (ends[:, 1] <= truths) & (truths <= ends[:, 2])
         outside = np.maximum(ends[:, 0] - truths, 0.0) + np.maximum(truths - ends[:, 3], 0.0)
-        span = np.array([high - low for low, high in self.priors.values()])
-        score = (ends[:, 3] - ends[:, 0] + 2.0 / 0.05 * outside) / span
+        low, high = np.transpose(list(self.priors.values()))
+        score = (ends[:, 3] - ends[:, 0] + 2.0 / 0.05 * outside) / (high - low)
         table = pd.DataFrame({"assumption": list(self.priors)})
-        for name, covered in (("95", wide), ("50", narrow)):
-            share = covered.mean(axis=0)
+        for name, first, last in (("95", 0, 3), ("50", 1, 2)):
+            share = ((ends[:, first] <= truths) & (truths <= ends[:, last])).mean(axis=0)
             table[f"covered_{name}"] = share
             table[f"error_{name}"] = np.sqrt(share * (1.0 - share) / len(drawn))
         table["score"] = score.mean(axis=0)
@@ -214,21 +216,13 @@ class Calibration(Result):
         """
         rows = []
         for measures in dict.fromkeys([*((name,) for name in self.measures), self.measures]):
-            chosen = [effect for effect in self.observed if effect.measure in measures]
-            values = self.simulations[[effect.id for effect in chosen]].to_numpy(float)
+            values, printed = self._beside(measures)
             scale = np.maximum(values.std(axis=0), 1e-12)
             tree = KDTree(values / scale)
-            nearest = tree.query(np.array([effect.printed for effect in chosen]) / scale)[0]
-            between_studies = tree.query(values / scale, 2)[0][:, 1]
-            rows.append(
-                (
-                    " ".join(measures),
-                    len(chosen),
-                    nearest,
-                    np.median(between_studies),
-                    (between_studies >= nearest).mean(),
-                )
-            )
+            nearest, _ = tree.query(printed / scale)
+            apart = tree.query(values / scale, 2)[0][:, 1]
+            typical, share = np.median(apart), (apart >= nearest).mean()
+            rows.append((" ".join(measures), len(printed), nearest, typical, share))
         return pd.DataFrame(rows, columns=["measures", "effects", "nearest", "typical", "share"])
 
     def within_reach(self, share: float = 0.05) -> "Calibration":
@@ -382,14 +376,11 @@ def calibrate(
     >>> calibration.table().columns[:6].tolist()
     ['assumption', 'prior_low', 'prior_high', 'median', 'low', 'high']
     """
-    one_of("study", study, [*dict.fromkeys([*ALLOCATION.values(), *ALLOCATION, *TELEOPERATION])])
+    effects = observed_effects(study)
     usual = TELEOPERATOR_PRIORS if study in TELEOPERATION else PRIORS
     ranges = checked_priors(usual if priors is None else priors)
-    simulations, seed = (
-        whole_number("simulations", simulations),
-        whole_number("seed", seed, least=0),
-    )
-    effects = observed_effects(study)
+    simulations = whole_number("simulations", simulations)
+    seed = whole_number("seed", seed, least=0)
     answered = study in TELEOPERATION or any(name.startswith("load") for name in ranges)
     sure = [effect for effect in effects if answered or effect.measure not in ANSWERS]
     _check_enough(simulations, len(sure))
@@ -428,11 +419,11 @@ def calibrated(
     """
     observed = [effect for effect in observed_effects(study) if effect.id in simulations]
     known = tuple(dict.fromkeys(effect.measure for effect in observed))
-    measures = (
-        known if measures is None else tuple(one_of("a measure", name, known) for name in measures)
-    )
+    measures = known if measures is None else measures
     if not measures:
         raise ValueError(f"name at least one measure, any of {', '.join(known)}")
+    for name in measures:
+        one_of("a measure", name, known)
     chosen = [effect for effect in observed if effect.measure in measures]
     sample, beyond = posterior_sample(
         simulations[list(ranges)],
@@ -526,11 +517,8 @@ def prior_draws(
     shorter one.
     """
     low, high = np.transpose(list(ranges.values()))
-    rng = np.random.default_rng([seed, 0x7072696F])
-    return [
-        dict(zip(ranges, row, strict=True))
-        for row in rng.uniform(low, high, (count, len(ranges))).tolist()
-    ]
+    draws = np.random.default_rng([seed, 0x7072696F]).uniform(low, high, (count, len(ranges)))
+    return pd.DataFrame(draws, columns=list(ranges)).to_dict("records")
 
 
 def simulated_study(
@@ -583,4 +571,4 @@ def posterior_sample(
 
 def observed_effects(study: str) -> list[Effect]:
     """Return the effects of a study whose size is printed."""
-    return [effect for effect in effects_of(study) if not np.isnan(effect.printed)]
+    return [effect for effect in effects_of(study, "study") if not np.isnan(effect.printed)]

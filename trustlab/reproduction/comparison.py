@@ -97,15 +97,10 @@ def compare(
         verdict = "differs"
         if np.isfinite(value) and rounds_to(value, target):
             verdict = "reproduced"
-        elif (
-            np.isfinite(error)
-            and abs(float(value) - float(target)) <= half_unit(text) + 2.0 * error
-        ):
+        elif abs(float(value) - float(target)) <= half_unit(text) + 2.0 * error < np.inf:
             verdict = "within 2 s.e."
-        digits = len(target.as_tuple().digits)
-        rows.append(
-            (name, float(value), error, text, matching_digits(value, text), digits, verdict)
-        )
+        counts = matching_digits(value, text), len(target.as_tuple().digits)
+        rows.append((name, float(value), error, text, *counts, verdict))
     columns = [
         "quantity",
         "ours",
@@ -116,35 +111,6 @@ def compare(
         "verdict",
     ]
     return pd.DataFrame(rows, columns=columns).set_index("quantity")
-
-
-def _printed_values(name: str, values: Mapping[str, str]) -> dict[str, str]:
-    """Return a mapping of names to printed numbers as a dictionary, every text checked."""
-    if not isinstance(values, Mapping) and not hasattr(values, "items"):
-        raise ValueError(
-            f"{name} must map names to numbers as printed, got {type(values).__name__}"
-        )
-    texts = dict(values.items())
-    if not texts:
-        raise ValueError(f"{name} must hold at least one number as printed, got none")
-    for text in texts.values():
-        printed_decimal(text)
-    return texts
-
-
-def _outputs(compute: Compute, inputs: Mapping[str, float], names: list) -> Mapping[str, float]:
-    """Return what `compute` gives, or say which of the outputs named it does not give."""
-    if not callable(compute):
-        raise ValueError(
-            f"compute must be a function of a dictionary of inputs, got {type(compute).__name__}"
-        )
-    outputs = compute(dict(inputs))
-    for name in names:
-        if name not in outputs:
-            raise ValueError(
-                f"compute returns {', '.join(map(str, outputs))}, but no {shown(name)}"
-            )
-    return outputs
 
 
 def smallest_change(
@@ -178,22 +144,32 @@ def smallest_change(
     ValueError
         If the output is not computed, or an argument is not understood.
     """
-    inputs, reach = _printed_values("inputs", inputs), half_unit(printed)
-    units = whole_number("units", units, most=10**5)
+    if not hasattr(inputs, "items"):
+        kind = type(inputs).__name__
+        raise ValueError(f"inputs must map names to numbers as printed, got {kind}")
+    units_of = {name: 2.0 * half_unit(text) for name, text in inputs.items()}
+    if not units_of:
+        raise ValueError("inputs must hold at least one number as printed, got none")
+    reach, units = half_unit(printed), whole_number("units", units, most=10**5)
     middle = {name: float(text) for name, text in inputs.items()}
     if not isinstance(output, str):
         raise ValueError(f"output must be the name of an output of compute, got {shown(output)}")
-    _outputs(compute, middle, [output])
+    if not callable(compute):
+        kind = type(compute).__name__
+        raise ValueError(f"compute must be a function of a dictionary of inputs, got {kind}")
+    outputs = compute(dict(middle))
+    if output not in outputs:
+        names = ", ".join(map(str, outputs))
+        raise ValueError(f"compute returns {names}, but no {shown(output)}")
     target, rows = float(printed), []
-    for name, text in inputs.items():
-        unit = 2.0 * half_unit(text)
+    for name, unit in units_of.items():
         for k in sorted(range(-units, units + 1), key=abs):
             try:
                 value = compute(middle | {name: middle[name] + k * unit})[output]
             except ValueError:
                 continue
             if abs(value - target) <= reach:
-                rows.append((name, text, middle[name] + k * unit, k))
+                rows.append((name, inputs[name], middle[name] + k * unit, k))
                 break
     table = pd.DataFrame(rows, columns=["input", "printed", "needed", "units"])
     return table.sort_values("units", key=np.abs, ignore_index=True)

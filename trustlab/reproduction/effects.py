@@ -6,7 +6,6 @@ predict, and in simulated people under named assumptions about them.
 import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from decimal import Decimal
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -32,8 +31,6 @@ from trustlab.testbeds.uav_tracking import simulate_teleoperation
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
-COLUMNS = ["id", "where", "measure", "contrast", "printed", "low", "high", "p"]
-
 
 class Effect(NamedTuple):
     """One effect: a difference of two conditions' means, in the unit of the measure."""
@@ -55,59 +52,54 @@ class Effect(NamedTuple):
         return after, before
 
 
+# What every table of effects begins with.
+COLUMNS = list(Effect._fields[:-1])
+
+
 @cache
 def effects() -> tuple[Effect, ...]:
     """Return all effects that data/published/effects.toml lists."""
     listed = published_facts("effects")
     return (
-        *_of_tables(listed["tables"]),
-        *_of_studies(listed["studies"]),
-        *_of_claims(listed["claims"]),
+        *(effect for table in listed["tables"] for effect in _of_table(**table)),
+        *(effect for study in listed["studies"] for effect in _of_study(**study)),
+        *(_claimed(**claim) for claim in listed["claims"]),
     )
 
 
-def _difference(after: str, before: str) -> tuple[float, float, float]:
-    """Return the difference of two printed numbers, and its ends within their rounding."""
+def _sized(
+    where: str, measure: str, contrast: str, means: Mapping[str, str], p: float, study: str
+) -> Effect:
+    """Return the effect of two printed means, and its ends within their rounding."""
+    after, before = (means[condition] for condition in contrast.split("-"))
     (low, high), (lowest, highest) = printed_interval(after), printed_interval(before)
-    exact: Decimal = printed_decimal(after) - printed_decimal(before)
-    return float(exact), low - highest, high - lowest
+    exact = float(printed_decimal(after) - printed_decimal(before))
+    ends = low - highest, high - lowest
+    return Effect(f"{study}/{measure}/{contrast}", where, measure, contrast, exact, *ends, p, study)
 
 
-def _of_tables(tables: list[dict]) -> Iterator[Effect]:
-    for table in tables:
-        means = published_table(table["table"])
-        where = f"Table {table['table']}"
-        study = table["study"]
-        for measure, column in table["measures"].items():
-            for contrast in table["contrasts"]:
-                after, before = contrast.split("-")
-                size = _difference(means.loc[after, column], means.loc[before, column])
-                id = f"{study}/{measure}/{contrast}"
-                yield Effect(id, where, measure, contrast, *size, math.nan, study)
+def _of_table(
+    table: str, study: str, measures: dict[str, str], contrasts: list[str]
+) -> Iterator[Effect]:
+    for measure, column in measures.items():
+        means = published_table(table)[column]
+        for contrast in contrasts:
+            yield _sized(f"Table {table}", measure, contrast, means, math.nan, study)
 
 
-def _of_studies(studies: list[dict]) -> Iterator[Effect]:
-    for named in studies:
-        study = named["name"].partition(".")[0]
-        printed = published_studies()[named["name"]]
-        measure = named["measure"]
-        for contrast in named["contrasts"]:
-            after, before = contrast.split("-")
-            text = printed.pairs.get(f"{before}-{after}") or printed.pairs.get(f"{after}-{before}")
-            text = text or printed.t_test.get("p", "nan")
-            size = _difference(printed.mean[after], printed.mean[before])
-            id, p = f"{study}/{measure}/{contrast}", float(text.removeprefix("<"))
-            yield Effect(id, printed.where, measure, contrast, *size, p, study)
+def _of_study(name: str, measure: str, contrasts: list[str]) -> Iterator[Effect]:
+    study = published_studies()[name]
+    for contrast in contrasts:
+        after, before = contrast.split("-")
+        text = study.pairs.get(f"{before}-{after}") or study.pairs.get(contrast)
+        p = float((text or study.t_test.get("p", "nan")).removeprefix("<"))
+        yield _sized(study.where, measure, contrast, study.mean, p, name.partition(".")[0])
 
 
-def _of_claims(claims: list[dict]) -> Iterator[Effect]:
-    for claim in claims:
-        low, high = (0.0, math.inf) if claim["sign"] > 0 else (-math.inf, 0.0)
-        where = claim["where"]
-        measure = claim["measure"]
-        contrast = claim["contrast"]
-        id = f"{claim['id']}/{measure}/{contrast}"
-        yield Effect(id, where, measure, contrast, math.nan, low, high, math.nan, claim["study"])
+def _claimed(id: str, where: str, measure: str, contrast: str, sign: int, study: str) -> Effect:
+    ends = (0.0, math.inf) if sign > 0 else (-math.inf, 0.0)
+    about = f"{id}/{measure}/{contrast}", where, measure, contrast
+    return Effect(*about, math.nan, *ends, math.nan, study)
 
 
 def printed_effects() -> pd.DataFrame:
@@ -165,18 +157,16 @@ def model_effects() -> pd.DataFrame:
     """
     rows = []
     for effect in effects():
-        predicted, reason = (math.nan, math.nan, math.nan), ""
+        reason, difference = "", np.array([math.nan])
         if effect.study != "table_2.5":
             reason = NOT_MODELLED if effect.study in ("table_2.4", "table_2.6") else NO_MODEL
         elif set(effect.conditions) & {"C2", "C4"}:
             reason = FREE
         else:
-            after, before = (
-                model_means(condition)[effect.measure] for condition in effect.conditions
-            )
-            difference = after - before
-            predicted = float(difference.mean()), float(difference.min()), float(difference.max())
-        rows.append((*effect[: len(COLUMNS)], *predicted, reason))
+            after, before = (model_means(name)[effect.measure] for name in effect.conditions)
+            difference = (after - before).to_numpy()
+        ends = difference.min(), difference.max()
+        rows.append((*effect[: len(COLUMNS)], difference.mean(), *ends, reason))
     return pd.DataFrame(rows, columns=[*COLUMNS, "model", "model_low", "model_high", "reason"])
 
 
@@ -226,8 +216,9 @@ UNITS = {
     "p_h": "human performance",
     "r": "utilization",
     "tlx": "task load",
+    "error": "tracking error [m]",
+    "followed_percent": "suggestions followed [%]",
 }
-UNITS |= {"error": "tracking error [m]", "followed_percent": "suggestions followed [%]"}
 
 
 def simulated_effects(
@@ -318,11 +309,11 @@ def _among(names: Iterable[str], assumptions: Mapping[str, float]) -> dict[str, 
     return {name: assumptions[name] for name in names if name in assumptions}
 
 
-def effects_of(study: str | None) -> list[Effect]:
+def effects_of(study: str | None, name: str = "only") -> list[Effect]:
     """Return the effects of a study, of all studies on the ground robot, or all."""
     if study is None:
         return list(effects())
-    one_of("only", study, [*dict.fromkeys([*ALLOCATION.values(), *ALLOCATION, *TELEOPERATION])])
+    one_of(name, study, [*dict.fromkeys([*ALLOCATION.values(), *ALLOCATION, *TELEOPERATION])])
     return [effect for effect in effects() if study in (effect.study, ALLOCATION.get(effect.study))]
 
 
@@ -402,16 +393,16 @@ def _compared(
     effect: Effect, measures: pd.DataFrame
 ) -> tuple[float, float, int, float, object, str]:
     """Return mean difference, standard error, count, p, agreement, and why there is none."""
-    if effect.measure not in measures:
-        return math.nan, math.nan, 0, math.nan, pd.NA, SILENT
-    names = {"index": "participant", "columns": "condition", "values": effect.measure}
-    wide = measures.pivot(**names)  # noqa: PD010 (a repeat is an error)
-    after, before = wide.reindex(columns=effect.conditions).T.to_numpy(float)
-    difference = pd.Series(after - before).dropna()
-    count = len(difference)
-    if count < 3:
-        few = f"only {count} operators have the measure in both conditions"
-        return math.nan, math.nan, count, math.nan, pd.NA, few
+    count, reason = 0, SILENT
+    if effect.measure in measures:
+        names = {"index": "participant", "columns": "condition", "values": effect.measure}
+        wide = measures.pivot(**names)  # noqa: PD010 (a repeat is an error)
+        after, before = wide.reindex(columns=effect.conditions).T.to_numpy(float)
+        difference = pd.Series(after - before).dropna()
+        count = len(difference)
+        reason = f"only {count} operators have the measure in both conditions" if count < 3 else ""
+    if reason:
+        return math.nan, math.nan, count, math.nan, pd.NA, reason
     mean, se = float(difference.mean()), float(difference.sem())
     p = float(2.0 * special.stdtr(count - 1, -abs(mean) / se)) if se > 0.0 else math.nan
     agrees = effect.low <= mean + 2.0 * se and mean - 2.0 * se <= effect.high

@@ -22,6 +22,9 @@ STATISTICS = {
     "t_test": ("t", "df", "p"),
 }
 
+# The fields that hold printed numbers by name.
+PRINTED = ("mean", "sd", *STATISTICS, "pairs")
+
 
 class PublishedStudyError(ValueError):
     """A printed study with a field that is missing or no number; the message names it."""
@@ -114,7 +117,7 @@ class PublishedStudy:
 
     def _freeze(self) -> None:
         """Replace mappings by read-only copies and lists by tuples."""
-        for key in ("mean", "sd", *STATISTICS, "pairs"):
+        for key in PRINTED:
             value = getattr(self, key)
             if not isinstance(value, Mapping):
                 raise ValueError(
@@ -130,23 +133,12 @@ class PublishedStudy:
             object.__setattr__(self, "conditions", tuple(dict.fromkeys([*self.mean, *self.sd])))
 
     def __hash__(self) -> int:
-        return hash(
-            (
-                self.name,
-                self.n,
-                self.conditions,
-                tuple(self.mean.items()),
-                tuple(self.anova.items()),
-            )
-        )
+        return hash((self.name, self.n, self.conditions, *self.mean.items(), *self.anova.items()))
 
     def __reduce__(self) -> tuple:
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        plain = {
-            key: dict(value) if isinstance(value, Mapping) else value
-            for key, value in values.items()
-        }
-        return type(self).from_dict, (plain,)
+        plain = {key: dict(values[key]) for key in PRINTED}
+        return type(self).from_dict, (values | plain,)
 
     @property
     def k(self) -> int:
@@ -191,13 +183,13 @@ class PublishedStudy:
         """
         rows = [
             (f"{key}.{name}", text, *printed_interval(text))
-            for key in ("mean", "sd", "mauchly", "anova", "t_test", "pairs")
+            for key in PRINTED
             for name, text in getattr(self, key).items()
         ]
-        rows += [("epsilon", self.epsilon, *printed_interval(self.epsilon))] if self.epsilon else []
-        return pd.DataFrame(rows, columns=["statistic", "printed", "low", "high"]).set_index(
-            "statistic"
-        )
+        if self.epsilon:
+            rows.append(("epsilon", self.epsilon, *printed_interval(self.epsilon)))
+        columns = ["statistic", "printed", "low", "high"]
+        return pd.DataFrame(rows, columns=columns).set_index("statistic")
 
     @classmethod
     def from_dict(cls, values: Mapping, name: str = "study") -> "PublishedStudy":
@@ -226,9 +218,9 @@ class PublishedStudy:
             raise PublishedStudyError(
                 f"{name}: unknown field {unknown[0]!r}; there are {', '.join(known)}"
             )
-        for key in ("n", "mean", "sd"):
-            if key not in values:
-                raise PublishedStudyError(f"{name}: {key} is missing")
+        missing = [key for key in ("n", "mean", "sd") if key not in values]
+        if missing:
+            raise PublishedStudyError(f"{name}: {missing[0]} is missing")
         return cls(**{"name": name, **values})
 
     @classmethod
@@ -264,9 +256,8 @@ def _require(holds: object, message: str) -> None:
 
 def _check_design(study: PublishedStudy) -> None:
     """Check the name, the number of subjects and the conditions."""
-    _require(
-        isinstance(study.name, str) and study.name, f"name must be a text, got {shown(study.name)}"
-    )
+    named = isinstance(study.name, str) and study.name
+    _require(named, f"name must be a text, got {shown(study.name)}")
     object.__setattr__(study, "n", whole_number("n", study.n, least=3))
     for name in ("listed_only", "not_spherical"):
         of_class(name, getattr(study, name), bool, "it must be true or false")
@@ -276,8 +267,8 @@ def _check_design(study: PublishedStudy) -> None:
     _require(study.mean, "mean has no condition")
     for key in ("mean", "sd"):
         for condition in getattr(study, key):
-            known = condition in study.conditions
-            _require(known, f"{key}.{condition} is not among the conditions {names}")
+            where = f"{key}.{condition} is not among the conditions {names}"
+            _require(condition in study.conditions, where)
 
 
 def _check_scale(study: PublishedStudy) -> None:
@@ -294,7 +285,7 @@ def _check_scale(study: PublishedStudy) -> None:
 
 def _check_numbers(study: PublishedStudy) -> None:
     """Check that every statistic has a known name and is a number; whether it can be is not."""
-    for key in ("mean", "sd", *STATISTICS, "pairs"):
+    for key in PRINTED:
         allowed = STATISTICS.get(key)
         for name, text in getattr(study, key).items():
             hint = "; give epsilon=... beside it" if name == "epsilon" else ""

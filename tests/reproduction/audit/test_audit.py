@@ -17,8 +17,8 @@ import pytest
 import trustlab as tl
 from trustlab.reproduction.audit.audit import MAKERS, audit
 from trustlab.reproduction.audit.catalogue import printed_numbers
-from trustlab.reproduction.audit.check import VERDICTS, Check, rows_of
-from trustlab.reproduction.audit.joint_consistency import joint_rows
+from trustlab.reproduction.audit.check import VERDICTS, Follows, rows_of
+from trustlab.reproduction.audit.consistency import joint_rows
 
 PUBLISHED = Path(__file__).parents[3] / "data" / "published"
 QUICK = [maker for maker in MAKERS if maker is not joint_rows]
@@ -287,19 +287,19 @@ def test_no_certain_slip_within_rounding():
     # Brute force: 20,000 draws of inputs that round as printed never give the printed number, by
     # any convention.
     numbers = printed_numbers()
-    checks = [check for maker in QUICK for check in maker(numbers) if isinstance(check, Check)]
+    checks = [check for maker in QUICK for check in maker(numbers) if isinstance(check, Follows)]
     checks = [check for check in checks if check.row(numbers).verdict == "differs"]
     assert len(checks) == 19
     rng = np.random.default_rng(1)
     for check in checks:
-        least, most = numbers[check.number].compatible
-        for way in (check.formula, *check.conventions):
+        least, most = numbers[check.of].compatible
+        for way in (check, *check.conventions):
             values = {}
             for symbol, id in way.inputs(numbers).items():
                 half = 0.0 if symbol in way.as_printed else numbers[id].half
                 values[symbol] = numbers[id].value + half * rng.uniform(-1, 1, 20000)
             found = np.broadcast_to(way.at(values), (20000,))
-            assert not ((found >= least) & (found <= most)).any(), (check.number, way.label)
+            assert not ((found >= least) & (found <= most)).any(), (check.of, way.label)
 
 
 @pytest.mark.parametrize(

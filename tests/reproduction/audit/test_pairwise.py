@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from trustlab.reproduction.audit.catalogue import conditions_of, printed_numbers
+from trustlab.reproduction.audit.catalogue import PrintedNumber, conditions_of, printed_numbers
 from trustlab.reproduction.audit.check import rows_of
-from trustlab.reproduction.audit.statistics import pair_checks
-from trustlab.reproduction.printed_number import PrintedNumber
+from trustlab.reproduction.audit.consistency import study_checks
+from trustlab.reproduction.audit.relations import of_pairs
 
 NAMES = conditions_of("uav.made")
 
@@ -47,8 +47,8 @@ def printed_study(seed, times, n=36):
 
 
 def fits(numbers):
-    rows = {row.id: row for row in rows_of(pair_checks("uav.made", numbers), numbers)}
-    row = rows["uav.made/pairs/adjustment"]
+    (row,) = study_checks(numbers)
+    assert row.id == "uav.made/pairs/adjustment"
     if "leave it open" in row.reason:
         return {"unadjusted", "Bonferroni"}
     if "Neither" in row.reason:
@@ -69,18 +69,13 @@ def test_data_fit_under_their_own_adjustment(way, times):
 
 def test_each_printed_pair_is_possible():
     numbers = printed_study(4, 10.0)
-    rows = rows_of(pair_checks("uav.made", numbers), numbers)
+    rows = rows_of([*of_pairs("uav.made", numbers), *study_checks(numbers)], numbers)
     assert len(rows) > 2
     assert {row.verdict for row in rows} == {"not checkable"}
 
 
 def test_the_printed_studies_are_bonferronis():
-    numbers = printed_numbers()
-    reasons = {
-        name: pair_checks(name, numbers)[-1].reason
-        for name in ("uav.tlx", "teleop.trust", "teleop.satisfaction")
-    }
-    assert "leave it open" in reasons["uav.tlx"]
-    assert all(
-        "only Bonferroni is possible" in reasons[f"teleop.{x}"] for x in ("trust", "satisfaction")
-    )
+    reasons = {row.id: row.reason for row in study_checks(printed_numbers())}
+    assert "leave it open" in reasons["uav.tlx/pairs/adjustment"]
+    for name in ("teleop.trust", "teleop.satisfaction"):
+        assert "only Bonferroni is possible" in reasons[f"{name}/pairs/adjustment"]

@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
-from trustlab.reproduction.audit.catalogue import printed_numbers
-from trustlab.reproduction.audit.check import Check, Formula, reach, rows_of
+from trustlab.reproduction.audit.catalogue import PrintedNumber, printed_numbers
+from trustlab.reproduction.audit.check import Follows, Formula, reach, rows_of
+from trustlab.reproduction.audit.consistency import sample_checks
 from trustlab.reproduction.audit.relations import chi2_of_epsilon
-from trustlab.reproduction.audit.sample_moments import sample_checks
-from trustlab.reproduction.printed_number import PrintedNumber
 from trustlab.studies.anova import mauchly_p_value
 
 
@@ -62,8 +61,9 @@ NUMBERS = {
 
 def verdict(printed, conventions=(), explanations=(), **more):
     numbers = NUMBERS | {"product": PrintedNumber("product", "Table", "product", printed)}
-    product = Formula("a b", lambda v: v.a * v.b, {"a": "a", "b": "b"})
-    return Check("product", product, conventions, explanations, **more).row(numbers)
+    more |= {"conventions": conventions, "explanations": explanations}
+    product = Follows("a b", lambda v: v.a * v.b, ids={"a": "a", "b": "b"}, of="product", **more)
+    return product.row(numbers)
 
 
 def test_verdicts_at_their_edges():
@@ -78,7 +78,7 @@ def test_verdicts_at_their_edges():
 
 
 def test_conventions_are_tried_and_explanations_only_explain():
-    total = Formula("a + b", lambda v: v.a + v.b, {"a": "a", "b": "b"}, "the sum")
+    total = Formula("a + b", lambda v: v.a + v.b, "the sum", {"a": "a", "b": "b"})
     assert verdict("5.0", conventions=(total,)).verdict == "reproduced"
     row = verdict("5.0", explanations=(total,))
     assert row.verdict == "differs"

@@ -2,19 +2,20 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import astuple, fields, replace
 
 import pandas as pd
 
 from trustlab.models.checks import shown
 from trustlab.models.display import axes_or_new
 from trustlab.reproduction.audit.catalogue import printed_numbers, why_unchecked
-from trustlab.reproduction.audit.check import VERDICTS, Remark, Row, rows_of
-from trustlab.reproduction.audit.joint_consistency import joint_rows
-from trustlab.reproduction.audit.remarks import relation_checks, remarks
-from trustlab.reproduction.audit.sample_moments import sample_checks
-from trustlab.reproduction.audit.statements import claim_checks, statement_checks
-from trustlab.reproduction.audit.statistics import study_checks
+from trustlab.reproduction.audit.check import VERDICTS, Row, row_about, rows_of
+from trustlab.reproduction.audit.consistency import joint_rows, sample_checks, study_checks
+from trustlab.reproduction.audit.statements import (
+    claim_checks,
+    relation_checks,
+    remarks,
+    statement_checks,
+)
 from trustlab.reproduction.published import published_facts
 
 MAKERS = (
@@ -70,30 +71,23 @@ def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     # twice is no check.
     checks = [row.id for row in rows if not row.id.endswith("/duplicate")]
     checked = {start for id in checks for start in _ancestors(id)}
-    rows += rows_of([Remark(id, why_unchecked(id)) for id in numbers if id not in checked], numbers)
+    rows += [row_about(numbers[id], why_unchecked(id)) for id in numbers if id not in checked]
     differ = {row.id for row in rows if row.verdict == "differs"}
-    rows = [_resting(row, differ) for row in rows]
     order = {id: i for i, id in enumerate(numbers)}
-    place = {
-        row.id: next((order[x] for x in _ancestors(row.id) if x in order), len(order))
-        for row in rows
-    }
-    rows.sort(key=lambda row: (place[row.id], row.id))
-    return pd.DataFrame(
-        [astuple(row) for row in rows], columns=[field.name for field in fields(Row)]
-    )
+
+    def place(row: Row) -> tuple[int, str]:
+        """Where the number stands that a row is about, or that its id continues."""
+        return next((order[id] for id in _ancestors(row.id) if id in order), len(order)), row.id
+
+    return pd.DataFrame([_resting(row, differ) for row in sorted(rows, key=place)])
 
 
 def _resting(row: Row, differ: set[str]) -> Row:
     """Return a row that says on which numbers it rests that do not follow from others."""
     used = [id for id in re.findall(r"\(([^()\s]+)\)", row.inputs) if id in differ]
-    if row.formula.startswith("number of"):  # which counts its inputs, whatever they are
+    if not used or row.formula.startswith("number of"):  # which counts its inputs
         return row
-    return (
-        replace(row, reason=f"{row.reason} Rests on {', '.join(used)}, judged “differs”.")
-        if used
-        else row
-    )
+    return row._replace(reason=f"{row.reason} Rests on {', '.join(used)}, judged “differs”.")
 
 
 def _ancestors(id: str) -> list[str]:

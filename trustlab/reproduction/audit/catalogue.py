@@ -3,21 +3,91 @@
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from decimal import Decimal, InvalidOperation
 from fnmatch import fnmatchcase
 from functools import cache
 
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, shown
-from trustlab.reproduction.printed_number import PrintedNumber
-from trustlab.reproduction.published import printed_pilot, published_folder, published_table
+from trustlab.reproduction.published import (
+    printed_pilot,
+    published_facts,
+    published_folder,
+    published_table,
+)
 from trustlab.reproduction.published_study import published_studies
 
 PARTICIPANTS = ("1", "2", "3", "4", "5")
 TABLES = ("2.1", "2.2", "2.3", "2.4", "2.5", "2.6", "3.1")
-BY_PARTICIPANT = ("2.1", "2.2", "2.3", "2.6")
 CONDITIONS = {"uav": ("C1", "C2", "C3", "C4", "C5"), "teleop": ("M", "OMI", "MMI", "TMIG")}
+
+# Printed words that stand for a number or a rank.
+WORDS = published_facts("words")
+
+
+@dataclass(frozen=True)
+class PrintedNumber:
+    """
+    One number of the dissertation, or a word that stands where a number could.
+
+    `id` is for example "table_2.1/delta_TSC/2", `where` the table, section, remark or caption,
+    `quantity` what it is, `printed` its text with all trailing zeros; `exact` marks a count, which
+    has no rounding.
+    """
+
+    id: str
+    where: str
+    quantity: str
+    printed: str
+    exact: bool = False
+
+    @property
+    def is_word(self) -> bool:
+        """Whether a word is printed that stands for a number or a rank."""
+        return self.printed.lower() in WORDS
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether a bound is printed, such as "<.0005" or ">.05"."""
+        return self.printed.startswith(("<", ">"))
+
+    @property
+    def value(self) -> float:
+        """The number; NaN for a word that stands for none."""
+        try:
+            return WORDS.get(self.printed.lower()) or float(Decimal(self.printed.lstrip("<>")))
+        except InvalidOperation:
+            return math.nan
+
+    @property
+    def half(self) -> float:
+        """
+        Half a unit of the last printed digit; 0 for counts.
+
+        Words that stand for a number have 0, other words NaN.
+        """
+        if self.exact or self.is_word:
+            return 0.0
+        if not math.isfinite(self.value):
+            return math.nan
+        exponent = Decimal(self.printed.lstrip("<>")).as_tuple().exponent
+        return float(f"5e{int(exponent) - 1}")
+
+    @property
+    def decimals(self) -> int:
+        """Decimals as printed, of the mantissa where there is an exponent."""
+        return len(self.printed.lower().split("e")[0].partition(".")[2])
+
+    @property
+    def compatible(self) -> tuple[float, float]:
+        """Least and greatest value that rounds to the number, or obeys the bound."""
+        if self.is_bound:
+            below = self.printed.startswith("<")
+            return (-math.inf, self.value) if below else (self.value, math.inf)
+        reach = self.half * (1.0 + 1e-9)  # a value on the edge may miss it by its own rounding
+        return self.value - reach, self.value + reach
 
 
 def study_names(numbers: Mapping[str, PrintedNumber]) -> list[str]:
@@ -42,7 +112,7 @@ def _tables() -> Iterator[PrintedNumber]:
             name = ".".join(row) if isinstance(row, tuple) else str(row)
             for column, text in cells.items():
                 where, quantity = f"Table {number}, {name}", str(column)
-                if number in BY_PARTICIPANT and str(column).isdigit():
+                if str(column).isdigit():
                     where, quantity = f"Table {number}, participant {column}", name
                 yield PrintedNumber(f"table_{number}/{name}/{column}", where, quantity, text)
 
@@ -55,25 +125,24 @@ def _pilot() -> Iterator[PrintedNumber]:
 
 def _studies() -> Iterator[PrintedNumber]:
     for name, study in published_studies().items():
+
+        def number(key: str, quantity: str, text: str, exact: bool = False) -> PrintedNumber:
+            return PrintedNumber(f"{name}/{key}", where, quantity, text, exact)  # noqa: B023
+
         where, title = study.where.split(" (")[0], study.title
-        yield PrintedNumber(f"{name}/n", where, "n", str(study.n), exact=True)
+        yield number("n", "n", str(study.n), exact=True)
         for field in ("mean", "sd", "mauchly", "anova", "pairs", "t_test"):
             for entry, text in getattr(study, field).items():
-                exact = (
-                    field in ("mauchly", "anova") and text.strip().isdecimal()
-                )  # degrees of freedom
-                yield PrintedNumber(
-                    f"{name}/{field}.{entry}", where, f"{title}: {field} {entry}", text, exact
-                )
+                degrees = field in ("mauchly", "anova") and text.isdecimal()
+                yield number(f"{field}.{entry}", f"{title}: {field} {entry}", text, degrees)
         for pair in study.significant_without_p:
-            yield PrintedNumber(
-                f"{name}/significant.{pair}", where, f"{title}: {pair}", "significantly"
-            )
+            yield number(f"significant.{pair}", f"{title}: {pair}", "significantly")
         if study.epsilon:
-            yield PrintedNumber(f"{name}/epsilon", where, f"{title}: epsilon", study.epsilon)
+            yield number("epsilon", f"{title}: epsilon", study.epsilon)
 
 
-def claims() -> Iterator[tuple[PrintedNumber, str, str, str]]:
+@cache
+def claims() -> list[tuple[PrintedNumber, str, str, str]]:
     """
     Return each claim of claims.csv, its reading, and the ids of the means after and before.
 
@@ -82,6 +151,7 @@ def claims() -> Iterator[tuple[PrintedNumber, str, str, str]]:
     performance, (2.39); or none of these.
     """
     table = pd.read_csv(published_folder() / "claims.csv", dtype=str, keep_default_na=False)
+    listed = []
     for where, claim, printed, reading, after, before in table.itertuples(index=False):
         start, _, against = claim.partition(" over ")
         texts, references = printed.split(" / "), before.split(" / ")
@@ -90,13 +160,14 @@ def claims() -> Iterator[tuple[PrintedNumber, str, str, str]]:
             names = [f"{start} over {condition} [%]" for condition in re.findall(r"C\d", against)]
         for name, text, mean in zip(names, texts, references, strict=True):
             id = f"claim/{_slug(where)}/{_slug(name)}"
-            yield PrintedNumber(id, where, name, text), reading, after, mean
+            listed.append((PrintedNumber(id, where, name, text), reading, after, mean))
+    return listed
 
 
 def _statements() -> Iterator[PrintedNumber]:
     table = pd.read_csv(published_folder() / "statements.csv", dtype=str)
     for id, where, statement, printed in table.itertuples(index=False):
-        yield PrintedNumber(id, where, statement, printed, exact=printed.strip().isdecimal())
+        yield PrintedNumber(id, where, statement, printed, exact=printed.isdecimal())
 
 
 @cache
@@ -111,31 +182,27 @@ def why_unchecked(id: str) -> str:
     return next(reason for pattern, reason in _reasons() if fnmatchcase(id, pattern))
 
 
+@cache
+def _all_numbers() -> dict[str, PrintedNumber]:
+    """Return every printed number by id, read once."""
+    claimed = [number for number, *_ in claims()]
+    numbers = [*_tables(), *_pilot(), *_studies(), *claimed, *_statements()]
+    return {number.id: number for number in numbers}
+
+
 def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, PrintedNumber]:
     """
     Return every printed number by id: tables, studies, claims and statements.
 
     `changes` puts other values in place of printed ones, by id.
     """
-    numbers: dict[str, PrintedNumber] = {}
-    for number in (
-        *_tables(),
-        *_pilot(),
-        *_studies(),
-        *(number for number, *_ in claims()),
-        *_statements(),
-    ):
-        if number.id in numbers:
-            raise ValueError(
-                f"the id {number.id!r} stands for two printed numbers in data/published"
-            )
-        numbers[number.id] = number
     if changes is not None and not isinstance(changes, Mapping):
         raise ValueError(
             "changes must map ids to texts of numbers, for example "
             f"{{'table_2.1/a_r/1': '0.9992'}}, got {shown(changes)}; "
             'to select rows of the audit: verdicts[verdicts["verdict"] == "differs"]'
         )
+    numbers = dict(_all_numbers())
     for id, text in (changes or {}).items():
         numbers[id] = _changed(numbers, id, text)
     return numbers

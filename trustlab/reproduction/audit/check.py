@@ -3,11 +3,11 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.reproduction.printed_number import PrintedNumber
+from trustlab.reproduction.audit.catalogue import PrintedNumber
 
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
@@ -16,8 +16,7 @@ Span = tuple[float, float, float]
 NOTHING = (np.nan, np.nan, np.nan)
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """
     One row of the audit; the fields are the columns of its table.
 
@@ -41,22 +40,19 @@ class Row:
 
 def row_about(
     number: PrintedNumber,
-    verdict: str,
     reason: str,
+    verdict: str = "not checkable",
     span: Span = NOTHING,
-    formula: str = "",
-    inputs: str = "",
-    id: str = "",
-    quantity: str = "",
-    printed: str = "",
+    **columns: Any,
 ) -> Row:
     """
-    Return the row of a printed number, under another id, quantity or text where one is given.
+    Return the row of a printed number; `columns` that are not empty stand in place of its own.
 
     `span` is the recomputed value, its least and its greatest.
     """
-    about = id or number.id, number.where, quantity or number.quantity, printed or number.printed
-    return Row(*about, *span, verdict, reason.strip(), formula, inputs)
+    about = number.id, number.where, number.quantity, number.printed
+    row = Row(*about, *span, verdict, reason.strip())
+    return row._replace(**{name: text for name, text in columns.items() if text})
 
 
 def listing(inputs: Mapping[str, str], numbers: Numbers) -> str:
@@ -73,18 +69,12 @@ class Values:
     Printed numbers by the symbols of a formula, as attributes; notes which are used.
 
     A symbol that stands for several numbers, x for x_1, x_2 …, is their stack along a new first
-    axis. `value` gives the value of a symbol and its id; `constants` are attributes as well.
+    axis. `value` gives the value of a symbol and its id.
     """
 
-    def __init__(
-        self,
-        ids: Mapping[str, str],
-        value: Callable[[str, str], Any],
-        constants: Mapping[str, float] | None = None,
-    ) -> None:
+    def __init__(self, ids: Mapping[str, str], value: Callable[[str, str], Any]) -> None:
         self._ids, self._value = ids, value
         self.used: dict[str, str] = {}
-        self.__dict__ |= constants or {}
 
     def __getattr__(self, symbol: str) -> Any:
         """Return the value of a symbol, or the values of the numbers that it stands for."""
@@ -106,31 +96,29 @@ class Formula:
     """
     A way to compute one printed number from others.
 
-    `text` is the formula as one reads it; `compute` takes `Values`; `ids` maps symbols to ids of
-    printed numbers; `label` names the convention, or says what an explanation assumes. `changed`
-    has symbols put in place of printed values, without rounding (the change that an explanation
-    tries); `as_printed` names symbols that are used with the printed digits as they stand;
-    `constants` are numbers that are not printed, such as how many conditions there are.
+    `text` is the formula as one reads it; `compute` takes `Values`; `label` names the convention,
+    or says what an explanation assumes; `ids` maps symbols to ids of printed numbers. `as_printed`
+    names symbols that are used with the printed digits as they stand; `changed` has symbols put in
+    place of printed values, without rounding (the change that an explanation tries).
     """
 
     text: str
     compute: Callable[[Any], Any]
-    ids: Mapping[str, str] = field(default_factory=dict)
     label: str = ""
-    changed: Mapping[str, float] = field(default_factory=dict)
+    ids: Mapping[str, str] = field(default_factory=dict)
     as_printed: tuple[str, ...] = ()
-    constants: Mapping[str, float] = field(default_factory=dict)
+    changed: Mapping[str, float] = field(default_factory=dict)
 
     def inputs(self, numbers: Numbers) -> dict[str, str]:
         """Return the ids of the numbers that the formula uses, by symbol."""
-        values = Values(self.ids, lambda _, id: np.asarray(numbers[id].value), self.constants)
+        values = Values(self.ids, lambda _, id: np.asarray(numbers[id].value))
         with np.errstate(all="ignore"):
             self.compute(values)
         return values.used
 
     def at(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the value of the formula at arrays of its inputs."""
-        return self.compute(Values(self.ids, lambda symbol, _: values[symbol], self.constants))
+        return self.compute(Values(self.ids, lambda symbol, _: values[symbol]))
 
     def range(self, numbers: Numbers) -> Span:
         """
@@ -142,13 +130,11 @@ class Formula:
         half = {symbol: numbers[id].half for symbol, id in inputs.items() if symbol not in fixed}
         return reach(self.at, middle, half)
 
-    def meets(self, number: PrintedNumber, numbers: Numbers) -> bool:
-        """
-        Return whether the range of the formula takes in values that round to a printed number.
-        """
-        _, low, high = self.range(numbers)
-        least, most = number.compatible
-        return low <= most and high >= least
+    def result(self, value: float, number: PrintedNumber) -> str:
+        """Return the formula with its value, and its label."""
+        return f"{self.text} = {show(value, number, 2)}" + (
+            f" ({self.label})" if self.label else ""
+        )
 
 
 def reach(compute: Callable, middle: Mapping[str, float], half: Mapping[str, float]) -> Span:
@@ -159,26 +145,20 @@ def reach(compute: Callable, middle: Mapping[str, float], half: Mapping[str, flo
     input) is passed over.
     """
     names = [name for name in middle if half.get(name, 0.0) > 0.0]
-    if len(names) <= 6:
-        # All corners, and the middles of edges and faces, where a function that is not monotone may
-        # turn.
-        points = np.array(list(product((0.0, -1.0, 1.0), repeat=len(names)))).reshape(
-            3 ** len(names), -1
-        )
-    else:
-        # Too many middles: random points, the same at every call, take their place.
-        corners = np.array(list(product((-1.0, 1.0), repeat=len(names))))
+    # All corners, and the middles of edges and faces, where a function that is not monotone may
+    # turn; of many inputs random points, the same at every call, take the place of the middles.
+    few = len(names) <= 6
+    points = np.array(list(product((0.0, -1.0, 1.0) if few else (-1.0, 1.0), repeat=len(names))))
+    if not few:
         inside = np.random.default_rng(0).uniform(-1.0, 1.0, (3000, len(names)))
-        points = np.concatenate([np.zeros((1, len(names))), corners, inside])
+        points = np.concatenate([np.zeros((1, len(names))), points, inside])
     values = {name: np.full(len(points), float(value)) for name, value in middle.items()}
-    for i, name in enumerate(names):
-        values[name] = middle[name] + half[name] * points[:, i]
+    for name, offsets in zip(names, points.T, strict=True):
+        values[name] = middle[name] + half[name] * offsets
     with np.errstate(all="ignore"):
         reached = np.broadcast_to(np.asarray(compute(values), dtype=float), (len(points),))
     known = reached[~np.isnan(reached)]
-    if known.size == 0:
-        return np.nan, np.nan, np.nan
-    return float(reached[0]), float(known.min()), float(known.max())
+    return (float(reached[0]), float(known.min()), float(known.max())) if known.size else NOTHING
 
 
 def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
@@ -192,45 +172,55 @@ def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
     return f"{value:.{like.decimals + more}f}"
 
 
-@dataclass(frozen=True)
-class Check:
+@dataclass(frozen=True, kw_only=True)
+class Relation:
     """
-    Whether a printed number follows from others.
+    What other printed numbers say of the number `of`.
 
-    `formula` is how `number` is defined; `conventions` are other readings of the definition, tried
-    in turn; `explanations` are mistakes that could have led to the printed number, named only if
-    they give it. `suffix` is appended to the id where a number is checked more than once; `target`
-    is what counts as the printed value where a word is printed. Where `binding` is given, it says
-    why the formula need not hold exactly, and "not checkable" replaces "differs".
+    `suffix` is appended to the id where a number is checked more than once, with a `quantity` of
+    its own.
     """
 
-    number: str
-    formula: Formula
-    conventions: tuple[Formula, ...] = ()
-    explanations: tuple[Formula, ...] = ()
+    of: str
     note: str = ""
     suffix: str = ""
     quantity: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Follows(Relation, Formula):
+    """
+    A formula that a printed number follows from.
+
+    `conventions` are other readings of the definition, tried in turn; `explanations` are mistakes
+    that could have led to the printed number, named only if they give it. `target` has the ends
+    that the result must lie between where they are not those of the printed number. Where `binding`
+    is given, it says why the formula need not hold exactly, and "not checkable" replaces "differs".
+    """
+
+    conventions: tuple[Formula, ...] = ()
+    explanations: tuple[Formula, ...] = ()
     binding: str = ""
     target: tuple[float, float] | None = None
 
     def row(self, numbers: Numbers) -> Row:
         """Return the verdict."""
-        number = numbers[self.number]
+        number = numbers[self.of]
         least, most = self.target or number.compatible
-        ways = [(way, way.range(numbers)) for way in (self.formula, *self.conventions)]
-        hit = next((w for w in ways if least <= w[1][0] <= most), None)
-        near = next((w for w in ways if w[1][1] <= most and w[1][2] >= least), None)
-        way, span = hit or near or ways[0]
+        ways = [(way, way.range(numbers)) for way in (self, *self.conventions)]
+        hit = [w for w in ways if least <= w[1][0] <= most]
+        near = [w for w in ways if w[1][1] <= most and w[1][2] >= least]
+        way, span = (hit or near or ways)[0]
         value, low, high = span
-        result = _result(way, value, number)
+        reason = f"{way.result(value, number)}."
         if hit:
-            verdict, reason = "reproduced", f"{result}."
+            verdict = "reproduced"
         elif near:
             verdict = "within rounding"
             reason = (
-                f"{result}; from {show(low, number, 2)} to {show(high, number, 2)} as the printed "
-                f"inputs vary within their rounding, which takes in the printed {number.printed}."
+                f"{reason[:-1]}; from {show(low, number, 2)} to {show(high, number, 2)} as the "
+                "printed inputs vary within their rounding, which takes in the printed "
+                f"{number.printed}."
             )
             explanation = self._explained(numbers, least, most)
             if explanation:
@@ -238,16 +228,23 @@ class Check:
         else:
             verdict = "not checkable" if self.binding else "differs"
             reason = f"{self._missed(number, ways)} {self._explained(numbers, least, most)}".strip()
-        reason = f"{reason} {self.note}"
-        id, inputs = number.id + self.suffix, listing(way.inputs(numbers), numbers)
-        return row_about(number, verdict, reason, span, way.text, inputs, id, self.quantity)
+        return row_about(
+            number,
+            f"{reason} {self.note}",
+            verdict,
+            span,
+            id=number.id + self.suffix,
+            quantity=self.quantity,
+            formula=way.text,
+            inputs=listing(way.inputs(numbers), numbers),
+        )
 
     def _missed(self, number: PrintedNumber, ways: list) -> str:
         """Return the reason where no convention reaches the printed number."""
         tried = []
         for way, (value, low, high) in ways:
             span = f", from {show(low, number, 2)} to {show(high, number, 2)} within rounding"
-            tried.append(f"{_result(way, value, number)}{span if high > low else ''}")
+            tried.append(f"{way.result(value, number)}{span if high > low else ''}")
         word = f"“{number.printed}”, that is {number.value:g}" if number.is_word else number.printed
         reason = f"{'; '.join(tried)}. Printed is {word}."
         if self.binding:
@@ -257,38 +254,29 @@ class Check:
         _, (value, _, _) = ways[0]
         should = show(value, number)
         reason += f" It should be {should}."
-        if len(should) == len(number.printed):
-            changed = sum(a != b for a, b in zip(should, number.printed, strict=True))
-            reason += " One digit differs." if changed == 1 else ""
-        return reason
+        same_length = len(should) == len(number.printed)
+        changed = sum(a != b for a, b in zip(should, number.printed, strict=False))
+        return f"{reason} One digit differs." if same_length and changed == 1 else reason
 
     def _explained(self, numbers: Numbers, least: float, most: float) -> str:
         """Name the first explanation that gives the printed number."""
         for way in self.explanations:
             value, _, _ = way.range(numbers)
             if least <= value <= most:
-                return f"Probably {way.label}: {way.text} = {show(value, numbers[self.number], 2)}."
+                return f"Probably {way.label}: {way.text} = {show(value, numbers[self.of], 2)}."
         return ""
 
 
-def _result(way: Formula, value: float, number: PrintedNumber) -> str:
-    return f"{way.text} = {show(value, number, 2)}" + (f" ({way.label})" if way.label else "")
+@dataclass(frozen=True, kw_only=True)
+class Allows(Relation):
+    """The range, from `least` to `most`, that other printed numbers leave a number."""
 
-
-@dataclass(frozen=True)
-class Possible:
-    """
-    Whether a printed number lies in the range that other numbers allow, from `least` to `most`.
-    """
-
-    number: str
     least: Formula
     most: Formula
-    note: str = ""
 
     def row(self, numbers: Numbers) -> Row:
         """Return the verdict: "not checkable" inside the range, "differs" outside."""
-        number, verdict = numbers[self.number], "not checkable"
+        number, verdict = numbers[self.of], "not checkable"
         _, low, _ = self.least.range(numbers)
         _, _, high = self.most.range(numbers)
         least, most = number.compatible
@@ -304,33 +292,18 @@ class Possible:
         else:
             reason = f"Not determined by other printed numbers, which allow it {between}."
         first = self.note.startswith("Suspicious")
-        reason = f"{self.note} {reason}" if first else f"{reason} {self.note}"
-        inputs = listing(self.most.inputs(numbers) or self.least.inputs(numbers), numbers)
-        span = (np.nan, low, high)
         return row_about(
-            number, verdict, reason, span, f"{self.least.text} … {self.most.text}", inputs
-        )
-
-
-@dataclass(frozen=True)
-class Remark:
-    """A printed number that no other determines: why it cannot be checked, or what is odd."""
-
-    number: str
-    reason: str
-    suffix: str = ""
-    quantity: str = ""
-
-    def row(self, numbers: Numbers) -> Row:
-        """Return the verdict "not checkable" with the reason."""
-        id, quantity = self.number + self.suffix, self.quantity
-        return row_about(
-            numbers[self.number], "not checkable", self.reason, id=id, quantity=quantity
+            number,
+            f"{self.note} {reason}" if first else f"{reason} {self.note}",
+            verdict,
+            (np.nan, low, high),
+            formula=f"{self.least.text} … {self.most.text}",
+            inputs=listing(self.most.inputs(numbers) or self.least.inputs(numbers), numbers),
         )
 
 
 # What a maker of checks returns: a row, or what gives one.
-Finding = Check | Possible | Remark | Row
+Finding = Follows | Allows | Row
 
 
 def rows_of(checks: Iterable[Finding], numbers: Numbers) -> list[Row]:

@@ -1,39 +1,31 @@
 """
 Relations between printed numbers: what follows from what, and the range that other numbers allow.
 
-A relation is a line of arithmetic: `Follows(text, lambda v: …, of=number)`. {p} stands for each
-participant, {study} for each study of k conditions, {a} and {b} for each of its printed pairs. v
-has the printed numbers by their own names: those of the same participant, of the same study, or
-beside the number that is checked. `inputs` says where a symbol stands otherwise, and a * there
-makes it several.
+A relation is a line of arithmetic: `Follows(text, lambda v: …, of=number)`. v has the printed
+numbers by their own names: those of the same participant, of the same study, or beside the number
+that is checked. `ids` says where a symbol stands otherwise, and a * there makes it several.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
 from fnmatch import fnmatchcase
+from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
+from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
+from trustlab.allocation.limits import limits_as_printed
+from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, conditions_of, study_names
 from trustlab.reproduction.audit.check import (
-    Check,
+    Allows,
+    Follows,
     Formula,
     NotPrintedError,
     Numbers,
-    Possible,
-    Values,
-)
-from trustlab.reproduction.audit.equations import (
-    LIMIT_INPUTS,
-    PERFORMANCE,
-    RANGE_INPUTS,
-    RATE_INPUTS,
-    bounds,
-    largest_step,
-    limits,
-    robot_gain,
 )
 from trustlab.studies.anova import mauchly_factor, mauchly_p_value
 
@@ -43,60 +35,67 @@ POSITIVE = (1e-12, INFINITE)  # of a difference that must not be 0
 # Names of printed numbers that formulas write as letters.
 LETTERS = {"epsilon": "ε", "chi2": "χ2", "beta": "β"}
 
-
-@dataclass(frozen=True)
-class Way:
-    """A formula of a relation: its text, its arithmetic, and where its symbols stand."""
-
-    text: str
-    compute: Callable[[Any], Any]
-    label: str = ""
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    as_printed: tuple[str, ...] = ()
+PERFORMANCE = ("P_r_min", "P_r_max", "P_h_min", "P_h_max")
+LIMIT_INPUTS = (*PERFORMANCE, "a_pr", "delta_P_h")
+RANGE_INPUTS = (*PERFORMANCE, "delta_TSC", "TSC_l", "TSC_u")
+RATE_INPUTS = (*PERFORMANCE, "a_pr", "a_r", "delta_TSC", "TSC_l", "TSC_u")
+BOUNDS = ("P_rl", "P_ru", "r_l", "r_u")
 
 
-@dataclass(frozen=True)
-class Follows(Way):
+def robot_gain(v: dict) -> np.ndarray:
+    """Return b_pr of (2.3) from a_pr, P_r_min, P_r_max and P_h_max."""
+    return gain_of_human_performance(v["a_pr"], v["P_r_min"], v["P_r_max"], v["P_h_max"])
+
+
+def constants(v: dict) -> TscConstants:
+    """Return the constants at printed parameters; b_pr of (2.3) where it is not among them."""
+    a_T, b_T = performance_weights(*(v[name] for name in PERFORMANCE))
+    return TscConstants(
+        a_r=v.get("a_r", np.nan),
+        beta=np.nan,  # no limit and no bound depends on it
+        p_h_min=v["P_h_min"],
+        p_h_max=v["P_h_max"],
+        a_pr=v["a_pr"],
+        b_pr=v.get("b_pr", robot_gain(v)),
+        p_r_min=v["P_r_min"],
+        p_r_max=v["P_r_max"],
+        a_T=a_T,
+        b_T=b_T,
+    )
+
+
+def limits(v: dict) -> dict[str, np.ndarray]:
+    """Return TSC_lb and TSC_ub, (2.9)-(2.10), and b_pr of (2.3)."""
+    lower, upper = limits_as_printed(constants(v), v["delta_P_h"])
+    return {"TSC_lb": lower, "TSC_ub": upper, "b_pr": robot_gain(v)}
+
+
+def bounds(v: dict) -> dict[str, np.ndarray]:
     """
-    How the number `of` is defined by others; `conventions` are other readings, tried in turn, and
-    `explanations` mistakes, named only if they give the printed number.
+    Return P_rl, P_ru (2.15) and r_l, r_u (2.33).
 
-    `target` has the ends that the result must lie between where they are not those of the printed
-    number: by printed word, or a function of v and the printed value. `only` and `unless` name a
-    number that must and must not be printed; `binding` says why a number that differs may still be
-    right.
+    With b_pr among the parameters, c of (2.20) is b_pr P_h/(1 − a_pr); P_rl and P_ru need neither
+    a_pr nor a_r.
     """
-
-    of: str = ""
-    conventions: tuple[Way, ...] = ()
-    explanations: tuple[Way, ...] = ()
-    target: Any = None
-    note: str = ""
-    suffix: str = ""
-    quantity: str = ""
-    binding: str = ""
-    participants: tuple[str, ...] = PARTICIPANTS
-    studies: str = "*"
-    only: str = ""
-    unless: str = ""
+    v = {"a_pr": np.nan, "a_r": np.nan} | v
+    rise = v["b_pr"] * v["P_h_max"] / (1.0 - v["a_pr"]) if "b_pr" in v else None
+    p = performance_as_printed(constants(v), v["TSC_l"], v["TSC_u"], v["delta_TSC"], rise)
+    r = utilization_as_printed(
+        v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous_high
+    )
+    r_low, r_high = (np.where(p.p_r_low < p.p_r_high, x, np.nan) for x in r)
+    return dict(zip(BOUNDS, (p.p_r_low, p.p_r_high, r_low, r_high), strict=True))
 
 
-@dataclass(frozen=True)
-class Allows:
-    """The range that other numbers leave the number `of`; {each} in `only` is every condition."""
-
-    of: str
-    least: Way
-    most: Way
-    only: str = ""
-    suffix: str = ""
-    quantity: str = ""
-    participants: tuple[str, ...] = PARTICIPANTS
-    studies: str = "*"
-    unless: str = ""
+def bound(name: str) -> Callable[[Any], np.ndarray]:
+    """Return how one of the four bounds is computed."""
+    symbols = RATE_INPUTS if name.startswith("r") else RANGE_INPUTS
+    return lambda v: bounds(v.named(*symbols))[name]
 
 
-def chi2_of_epsilon(epsilon: np.ndarray, n: np.ndarray, k: int, greatest: bool) -> np.ndarray:
+def chi2_of_epsilon(
+    epsilon: np.ndarray, n: float | np.ndarray, k: int, greatest: bool
+) -> np.ndarray:
     """
     Return the least or greatest χ² of Mauchly that an ε of Greenhouse and Geisser leaves.
 
@@ -113,23 +112,22 @@ def chi2_of_epsilon(epsilon: np.ndarray, n: np.ndarray, k: int, greatest: bool) 
         return -mauchly_factor(n, k) * np.log(w)
 
 
-def f_of_moments(v: Any, greatest: bool) -> np.ndarray:
+def f_of_moments(v: Any, k: int, greatest: bool) -> np.ndarray:
     """Return F at an average correlation of −1/(k − 1), the least, or 1, the greatest."""
     means, sds = v.M, v.SD
-    n = v.n
-    k = len(means)
+    if len(means) < k:
+        raise NotPrintedError("a mean")
     variance = (sds**2).mean(axis=0)
     covariance = (sds.sum(axis=0) ** 2 - (sds**2).sum(axis=0)) / (k * (k - 1.0))
     error = variance - covariance if greatest else variance * k / (k - 1.0)
-    return n * means.var(axis=0, ddof=1) / error
+    return v.n * means.var(axis=0, ddof=1) / error
 
 
 def t_of_moments(v: Any, correlation: int) -> np.ndarray:
     """Return the size of a paired t at a correlation of 1 (the greatest) or −1 (the least)."""
     means, sds = v.M, v.SD
-    n = v.n
     sd = np.abs(sds[0] - correlation * sds[1])
-    return np.abs(means[0] - means[1]) * np.sqrt(n) / np.maximum(sd, 1e-12)
+    return np.abs(means[0] - means[1]) * np.sqrt(v.n) / np.maximum(sd, 1e-12)
 
 
 def p_of_moments(v: Any, correlation: int, times: float) -> np.ndarray:
@@ -138,7 +136,7 @@ def p_of_moments(v: Any, correlation: int, times: float) -> np.ndarray:
     return np.minimum(times * p, 1.0)
 
 
-def b_pr(v: Any) -> np.ndarray:
+def gain(v: Any) -> np.ndarray:
     """Return b_pr by (2.3)."""
     return robot_gain(v.named("a_pr", "P_r_min", "P_r_max", "P_h_max"))
 
@@ -148,15 +146,13 @@ def upper_limit(v: Any, *gain: str) -> np.ndarray:
     return limits(v.named(*LIMIT_INPUTS, *gain))["TSC_ub"]
 
 
-def step(v: Any) -> np.ndarray:
-    """Return the largest step of TSC (Remark 3)."""
-    return largest_step(v.named(*PERFORMANCE, "delta_P_r", "delta_P_h"))
-
-
-def step_of_difference(v: Any) -> np.ndarray:
-    """Return Remark 3's expression as it stands, whose terms have opposite signs."""
-    values = v.named(*PERFORMANCE, "delta_P_r", "delta_P_h")
-    return largest_step(values | {"delta_P_h": -values["delta_P_h"]})
+def step(v: Any, sign: float = 1.0) -> np.ndarray:
+    """
+    Return the largest step of TSC (Remark 3), or with −1 its expression as it stands, whose terms
+    have opposite signs.
+    """
+    a_T, b_T = performance_weights(*v.named(*PERFORMANCE).values())
+    return np.abs(a_T * v.delta_P_r + sign * b_T * v.delta_P_h)
 
 
 def change(v: Any) -> np.ndarray:
@@ -164,14 +160,28 @@ def change(v: Any) -> np.ndarray:
     return 100 * abs(v.after - v.before) / v.before
 
 
-def between_c2_c3_and_the_rest(v: Any) -> np.ndarray:
-    """Return by how much the lesser of C2 and C3 exceeds all other conditions."""
-    return np.minimum(v.x_C2, v.x_C3) - np.maximum(np.maximum(v.x_C1, v.x_C4), v.x_C5)
+def above(of: str, higher: str, lower: str, column: str) -> Follows:
+    """Return that the means of some conditions lie above those of others."""
+
+    def end(word: str, conditions: str) -> str:
+        names = [f"x_C{c}" for c in conditions]
+        return f"{word}({', '.join(names)})" if len(names) > 1 else names[0]
+
+    return Follows(
+        f"{end('min', higher)} − {end('max', lower)}",
+        lambda v: (
+            np.min([getattr(v, f"x_C{c}") for c in higher], axis=0)
+            - np.max([getattr(v, f"x_C{c}") for c in lower], axis=0)
+        ),
+        of=f"section_2_4_1_3/{of}",
+        ids={"x": f"table_2.{column}_mean"},
+        target=POSITIVE,
+    )
 
 
-def gap_of_thresholds(v: Any) -> np.ndarray:
-    """Return how far μ ± σ of the two thresholds of Table 2.3 lie apart."""
-    return v.u_mean - v.u_sd - v.l_mean - v.l_sd
+def participants_left(v: Any, orders: int) -> np.ndarray:
+    """Return how many participants are more than the last whole square of orders needs."""
+    return v.participants % orders
 
 
 def spread_of_participant_3(v: Any) -> np.ndarray:
@@ -184,27 +194,11 @@ STEP = "a_T δ_Pr + b_T δ_Ph"
 GAIN = "(1 − a_pr)(P_r_max − P_r_min)/P_h_max"
 UPPER = "a'_3 P_h + b'_3 (2.10)"
 CHANGE = "100 |after − before|/before"
-GREATEST_STEP = Way(
+GREATEST_STEP = Formula(
     "(1 − a_pr)(P_r_max − P_r_min)", lambda v: (1 - v.a_pr) * (v.P_r_max - v.P_r_min)
 )
-ZERO = Way("0", lambda v: 0)
+ZERO = Formula("0", lambda v: 0)
 FIVE = {c: {"x": f"table_2.6/{c}/[1-5]"} for c in ("C2", "C4")}
-THRESHOLDS = {
-    f"{end}_{kind}": f"table_2.3/TSC_{end}.{kind}/{{p}}" for end in "ul" for kind in ("mean", "sd")
-}
-APART = "(μ_u − σ_u) − (μ_l + σ_l)"
-CELLS = {"M": "{study}/mean.*", "SD": "{study}/sd.*"}
-PAIR = {
-    f"{symbol}_{c}": f"{{study}}/{kind}.{{{c}}}"
-    for symbol, kind in (("M", "mean"), ("SD", "sd"))
-    for c in "ab"
-}
-OMI_USED = Way(
-    CHANGE,
-    change,
-    "the value of OMI, {printed[teleop.tracking_error/mean.OMI]}, was used",
-    {"after": "teleop.tracking_error/mean.OMI"},
-)
 MEAN_OF_PRODUCTS = (
     "(2.4) is a mean of products, which is below the product of the means where the robot is "
     "faster the farther it is from the path."
@@ -217,160 +211,125 @@ def against_mmi(scheme: str) -> dict[str, str]:
     return {"after": mean(scheme), "before": mean("MMI")}
 
 
-TABLE_2_1 = (
-    Follows("1 − a_r", lambda v: 1 - v.a_r, of="table_2.1/b_r/{p}"),
-    Follows("1 − a_r", lambda v: 1 - v.a_r, of="pilot/b_r"),
-    Follows(GAIN, b_pr, of="table_2.1/b_pr/{p}"),
-    Follows(GAIN, b_pr, of="pilot/b_pr"),
-    Follows(
+def of_participant(p: str) -> Iterator[Follows | Allows]:
+    """Return the relations of Tables 2.1 and 2.2 about a participant."""
+    yield Follows("1 − a_r", lambda v: 1 - v.a_r, of=f"table_2.1/b_r/{p}")
+    yield Follows(GAIN, gain, of=f"table_2.1/b_pr/{p}")
+    yield Follows(
         STEP,
         step,
-        of="table_2.1/delta_TSC/{p}",
+        of=f"table_2.1/delta_TSC/{p}",
         explanations=(
-            Way(
+            Formula(
                 "a_T δ_Pr − b_T δ_Ph",
-                step_of_difference,
+                lambda v: step(v, -1.0),
                 "|a_T δ_Pr − b_T δ_Ph| was taken as it stands in Remark 3, whose maximum is the "
                 "sum",
             ),
         ),
-    ),
+    )
+    yield Follows(
+        "a_T b'_1 − b_T P_h_min (2.9)",
+        lambda v: limits(v.named(*LIMIT_INPUTS))["TSC_lb"],
+        of=f"table_2.1/TSC_lb/{p}",
+    )
+    yield Follows(
+        UPPER,
+        lambda v: upper_limit(v, "b_pr"),
+        "b_pr as printed",
+        of=f"table_2.1/TSC_ub/{p}",
+        as_printed=("b_pr",),  # (2.3) ties it to the other parameters
+        conventions=(
+            Formula(UPPER, upper_limit, "b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb"),
+        ),
+        explanations=tuple(
+            Formula(
+                UPPER,
+                lambda v: upper_limit(v, "b_pr"),
+                f"the b_pr of participant {other} was used",
+                {"b_pr": f"table_2.1/b_pr/{other}"},
+                ("b_pr",),
+            )
+            for other in PARTICIPANTS
+        ),
+    )
+    yield Allows(of=f"table_2.1/delta_P_r/{p}", least=ZERO, most=GREATEST_STEP)
+    for name in BOUNDS:
+        equation = "(2.33)" if name.startswith("r") else "(2.15)"
+        yield Follows(f"{name} of {equation}", bound(name), of=f"table_2.2/{name}/{p}")
+
+
+def thresholds_of(p: str) -> Iterator[Follows]:
+    """Return what the text says of the thresholds of a participant."""
+    yield Follows(
+        "min(β − r_l, r_u − β)",
+        lambda v: np.minimum(v.β - v.r_l, v.r_u - v.β),
+        of="section_2_4_1_2/enclose_beta",
+        suffix=f"/{p}",
+        quantity=f"r_l ≤ β ≤ r_u, participant {p}",
+        target=(0.0, INFINITE),
+    )
+    yield Follows(
+        "least gap in TSC_lb < TSC_l < TSC_u < TSC_ub",
+        lambda v: np.min([v.TSC_l - v.TSC_lb, v.TSC_u - v.TSC_l, v.TSC_ub - v.TSC_u], axis=0),
+        of="section_2_4_1_2/limits",
+        suffix=f"/{p}",
+        quantity=f"TSC_lb < TSC_l < TSC_u < TSC_ub, participant {p}",
+        target=POSITIVE,
+    )
+    ends = {end: f"table_2.3/TSC_{end}" for end in "ul"}
+    apart = Follows(
+        "(μ_u − σ_u) − (μ_l + σ_l)",
+        lambda v: v.u_mean - v.u_sd - v.l_mean - v.l_sd,
+        ids={f"{end}_{x}": f"{id}.{x}/{p}" for end, id in ends.items() for x in ("mean", "sd")},
+        of="section_2_4_1_3/follow",
+        suffix=f"/{p}",
+        quantity=f"μ ± σ of TSC_l and TSC_u apart, participant {p}",
+        target=(0.0, INFINITE),
+    )
+    if p == "3":
+        apart = replace(
+            apart,
+            of="section_2_4_1_3/not_distinguishable",
+            suffix="",
+            quantity="μ ± σ of TSC_l and TSC_u overlap, participant 3",
+            target=(-INFINITE, 0.0),
+        )
+    yield apart
+
+
+PILOT_AND_THRESHOLDS = (
+    Follows("1 − a_r", lambda v: 1 - v.a_r, of="pilot/b_r"),
+    Follows(GAIN, gain, of="pilot/b_pr"),
     Follows(
         STEP,
         step,
         of="claim/remark_3/delta_tsc_of_the_pilot_operator",
-        inputs={x: f"pilot/{x}" for x in (*PERFORMANCE, "delta_P_r", "delta_P_h")},
+        ids={x: f"pilot/{x}" for x in (*PERFORMANCE, "delta_P_r", "delta_P_h")},
     ),
-    Follows(
-        "a_T b'_1 − b_T P_h_min (2.9)",
-        lambda v: limits(v.named(*LIMIT_INPUTS))["TSC_lb"],
-        of="table_2.1/TSC_lb/{p}",
-    ),
-    Follows(
-        UPPER,
-        lambda v: upper_limit(v, "b_pr"),
-        "b_pr as printed",
-        of="table_2.1/TSC_ub/{p}",
-        as_printed=("b_pr",),  # (2.3) ties it to the other parameters
-        conventions=(
-            Way(UPPER, upper_limit, "b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb"),
-        ),
-        explanations=tuple(
-            Way(
-                UPPER,
-                lambda v: upper_limit(v, "b_pr"),
-                f"the b_pr of participant {p} was used",
-                {"b_pr": f"table_2.1/b_pr/{p}"},
-                ("b_pr",),
-            )
-            for p in PARTICIPANTS
-        ),
-    ),
-    Allows("table_2.1/delta_P_r/{p}", ZERO, GREATEST_STEP),
-    Allows("pilot/delta_P_r", ZERO, GREATEST_STEP),
-)
-
-TABLES_2_2_AND_2_3 = (
-    Follows(
-        "P_rl of (2.15)", lambda v: bounds(v.named(*RANGE_INPUTS))["P_rl"], of="table_2.2/P_rl/{p}"
-    ),
-    Follows(
-        "P_ru of (2.15)", lambda v: bounds(v.named(*RANGE_INPUTS))["P_ru"], of="table_2.2/P_ru/{p}"
-    ),
-    Follows(
-        "r_l of (2.33)", lambda v: bounds(v.named(*RATE_INPUTS))["r_l"], of="table_2.2/r_l/{p}"
-    ),
-    Follows(
-        "r_u of (2.33)", lambda v: bounds(v.named(*RATE_INPUTS))["r_u"], of="table_2.2/r_u/{p}"
-    ),
-    Follows(
-        "min(β − r_l, r_u − β)",
-        lambda v: np.minimum(v.β - v.r_l, v.r_u - v.β),
-        of="section_2_4_1_2/enclose_beta",
-        suffix="/{p}",
-        quantity="r_l ≤ β ≤ r_u, participant {p}",
-        target=(0.0, INFINITE),
-    ),
-    Follows(
-        "least gap in TSC_lb < TSC_l < TSC_u < TSC_ub",
-        lambda v: np.min(
-            [v.TSC_l - v.TSC_lb, v.TSC_u - v.TSC_l, v.TSC_ub - v.TSC_u],
-            axis=0,
-        ),
-        of="section_2_4_1_2/limits",
-        suffix="/{p}",
-        quantity="TSC_lb < TSC_l < TSC_u < TSC_ub, participant {p}",
-        target=POSITIVE,
-    ),
-    Follows(
-        APART,
-        gap_of_thresholds,
-        of="section_2_4_1_3/follow",
-        inputs=THRESHOLDS,
-        participants=("1", "2", "4", "5"),
-        suffix="/{p}",
-        quantity="μ ± σ of TSC_l and TSC_u apart, participant {p}",
-        target=(0.0, INFINITE),
-    ),
-    Follows(
-        APART,
-        gap_of_thresholds,
-        of="section_2_4_1_3/not_distinguishable",
-        inputs=THRESHOLDS,
-        participants=("3",),
-        quantity="μ ± σ of TSC_l and TSC_u overlap, participant {p}",
-        target=(-INFINITE, 0.0),
-    ),
+    Allows(of="pilot/delta_P_r", least=ZERO, most=GREATEST_STEP),
     Follows(
         "σ_l + σ_u of participant 3 less the greatest of the others",
         spread_of_participant_3,
         of="section_2_4_1_3/higher_sd",
-        inputs={"l": "table_2.3/TSC_l.sd/*", "u": "table_2.3/TSC_u.sd/*"},
+        ids={"l": "table_2.3/TSC_l.sd/*", "u": "table_2.3/TSC_u.sd/*"},
         target=POSITIVE,
     ),
 )
 
 TABLES_2_4_TO_2_6 = (
-    *(
-        Follows(
-            "min(x_C2, x_C3) − max(x_C1, x_C4, x_C5)",
-            between_c2_c3_and_the_rest,
-            of=f"section_2_4_1_3/{measure}",
-            inputs={"x": f"table_2.4/*/{measure}_mean"},
-            target=POSITIVE,
-        )
-        for measure in ("trust", "satisfaction")
-    ),
-    Follows(
-        "min(x_C1, x_C4, x_C5) − max(x_C2, x_C3)",
-        lambda v: np.min([v.x_C1, v.x_C4, v.x_C5], axis=0) - np.maximum(v.x_C2, v.x_C3),
-        of="section_2_4_1_3/workload",
-        inputs={"x": "table_2.4/*/tlx_mean"},
-        target=POSITIVE,
-    ),
-    *(
-        Follows(
-            "min(x_C2, x_C3) − x_C1",
-            lambda v: np.minimum(v.x_C2, v.x_C3) - v.x_C1,
-            of=f"section_2_4_1_3/{measure}_performance",
-            inputs={"x": f"table_2.5/*/P_{measure[0]}_mean"},
-            target=POSITIVE,
-        )
-        for measure in ("robot", "human")
-    ),
-    Follows(
-        "x_C1 − max(x_C2, x_C3)",
-        lambda v: v.x_C1 - np.maximum(v.x_C2, v.x_C3),
-        of="section_2_4_1_3/utilization",
-        inputs={"x": "table_2.5/*/r_mean"},
-        target=POSITIVE,
-    ),
+    above("trust", "23", "145", "4/*/trust"),
+    above("satisfaction", "23", "145", "4/*/satisfaction"),
+    above("workload", "145", "23", "4/*/tlx"),
+    above("robot_performance", "23", "1", "5/*/P_r"),
+    above("human_performance", "23", "1", "5/*/P_h"),
+    above("utilization", "1", "23", "5/*/r"),
     *(
         Follows(
             "mean of the five",
             lambda v: v.x.mean(axis=0),
             of=f"table_2.6/{condition}/mean",
-            inputs=five,
+            ids=five,
         )
         for condition, five in FIVE.items()
     ),
@@ -380,217 +339,222 @@ TABLES_2_4_TO_2_6 = (
             lambda v: v.x.std(axis=0, ddof=1),
             "divided by n − 1",
             of=f"table_2.6/{condition}/sd",
-            inputs=five,
-            conventions=(Way("SD of the five", lambda v: v.x.std(axis=0), "divided by n", five),),
+            ids=five,
+            conventions=(Formula("SD of the five", lambda v: v.x.std(axis=0), "divided by n"),),
         )
         for condition, five in FIVE.items()
     ),
 )
 
-STUDIES = (
-    Follows(
-        "participants − dropped",
-        lambda v: v.participants - v.dropped,
-        of="{study}/n",
-        studies="uav.*",
-        inputs={x: f"section_2_4_2_2/{x}" for x in ("participants", "dropped", "trials")},
-        explanations=(
-            Way(
-                "trials (participants − dropped)",
-                lambda v: v.trials * (v.participants - v.dropped),
-                "each trial of a person was counted as a person",
-            ),
-        ),
-    ),
-    Follows(
-        "participants − dropped",
-        lambda v: v.participants - v.dropped,
-        of="{study}/n",
-        studies="teleop.*",
-        inputs={x: f"section_3_9_2/{x}" for x in ("participants", "dropped")},
-    ),
-    Follows("P(F(df1, df2) > F)", lambda v: stats.f.sf(v.F, v.df1, v.df2), of="{study}/anova.p"),
-    Follows(
-        "F/(F + n − 1)",
-        lambda v: v.F / (v.F + v.n - 1),
-        "partial η²",
-        of="{study}/anova.eta2",
-        conventions=(
-            Way(
-                "F df1/(F df1 + df2)",
-                lambda v: v.F * v.df1 / (v.F * v.df1 + v.df2),
-                "partial η² with the printed df",
-            ),
-        ),
-    ),
-    Follows("k − 1, k = {k}", lambda v: v.k - 1, of="{study}/anova.df1", unless="{study}/epsilon"),
-    Follows(
-        "(k − 1)(n − 1), k = {k}",
-        lambda v: (v.k - 1) * (v.n - 1),
-        of="{study}/anova.df2",
-        unless="{study}/epsilon",
-    ),
-    # With an epsilon, each of it and the degrees of freedom follows from n and from the other.
-    Follows(
-        "df2/(n − 1)",
-        lambda v: v.df2 / (v.n - 1),
-        of="{study}/anova.df1",
-        only="{study}/epsilon",
-        conventions=(Way("{d} ε", lambda v: (v.k - 1) * v.ε),),
-    ),
-    Follows(
-        "{d} ε (n − 1)",
-        lambda v: (v.k - 1) * v.ε * (v.n - 1),
-        of="{study}/anova.df2",
-        only="{study}/epsilon",
-        conventions=(Way("df1 (n − 1)", lambda v: v.df1 * (v.n - 1)),),
-    ),
-    Follows(
-        "df2/({d} (n − 1))",
-        lambda v: v.df2 / ((v.k - 1) * (v.n - 1)),
-        of="{study}/epsilon",
-        conventions=(Way("df1/{d}", lambda v: v.df1 / (v.k - 1)),),
-    ),
-    Allows(
-        "{study}/anova.F",
-        Way(
-            "F at the least average correlation, −1/(k − 1)",
-            lambda v: f_of_moments(v, greatest=False),
-            inputs=CELLS,
-        ),
-        Way("F at correlations of 1", lambda v: f_of_moments(v, greatest=True), inputs=CELLS),
-        only="{study}/mean.{each}",
-    ),
-    Follows(
-        "k(k − 1)/2 − 1, k = {k}",
-        lambda v: v.k * (v.k - 1) / 2 - 1,
-        of="{study}/mauchly.df",
-    ),
-    Follows(
-        "P(χ²(df) > χ²) + ω [P(χ²(df + 4) > χ²) − P(χ²(df) > χ²)]",
-        lambda v: mauchly_p_value(v.χ2, v.n, v.k),
-        "second-order approximation, as statistical packages give it",
-        of="{study}/mauchly.p",
-        conventions=(
-            Way(
-                "P(χ²(df) > χ²)",
-                lambda v: stats.chi2.sf(v.χ2, v.df),
-                "first-order approximation",
-            ),
-        ),
-    ),
-    Follows(
-        "p",
-        lambda v: v.p_of_Mauchly,
-        of="{study}/sphericity",
-        inputs={"p_of_Mauchly": "{study}/mauchly.p"},
-        target={"met": (0.05, 1.0), "not met": (0.0, 0.05), "violated": (0.0, 0.05)},
-        note="Sphericity is rejected below 0.05.",
-    ),
-    Allows(
-        "{study}/mauchly.chi2",
-        Way("least χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, v.k, False)),
-        Way("greatest χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, v.k, True)),
-    ),
-    Follows("2 P(t(n − 1) > t)", lambda v: 2 * stats.t.sf(v.t, v.n - 1), of="{study}/t_test.p"),
-    Allows(
-        "{study}/t_test.t",
-        Way("t at a correlation of −1", lambda v: t_of_moments(v, -1), inputs=CELLS),
-        Way("t at a correlation of 1", lambda v: t_of_moments(v, 1), inputs=CELLS),
-    ),
-    Allows(
-        "{study}/pairs.{a}-{b}",
-        Way("p unadjusted at a correlation of 1", lambda v: p_of_moments(v, 1, 1), inputs=PAIR),
-        Way(
-            "{m} p (Bonferroni) at a correlation of −1",
-            lambda v: p_of_moments(v, -1, v.k * (v.k - 1) // 2),
-            inputs=PAIR,
-        ),
-    ),
-)
 
-PERCENTAGES_AND_COUNTS = (
-    Follows(
-        CHANGE,
-        change,
-        "relative change",
-        against_mmi("OMI"),
-        of="claim/section_3_9_5/tmig_and_omi_lower_tracking_error_against_mmi_by",
-        quantity="OMI lowers tracking error against MMI by [%]",
-    ),
-    Follows(
-        CHANGE,
-        change,
-        "relative change",
-        against_mmi("TMIG"),
-        of="claim/section_3_9_5/tmig_and_omi_lower_tracking_error_against_mmi_by",
-        suffix="/TMIG",
-        quantity="TMIG lowers tracking error against MMI by [%]",
-        explanations=(OMI_USED,),
-    ),
-    Follows(
+def of_section(numbers: Numbers) -> Iterator[Follows]:
+    """Return the relations about statements that are compared with, or rest on, other numbers."""
+    omi = numbers["teleop.tracking_error/mean.OMI"]
+    used = Formula(CHANGE, change, f"the value of OMI, {omi.printed}, was used", {"after": omi.id})
+    lower = Follows(
         CHANGE,
         change,
         "relative change",
         against_mmi("TMIG"),
         of="section_3_1/error",
-        explanations=(OMI_USED,),
-    ),
-    Follows(
-        "number of printed ANOVAs",
-        lambda v: len(v.x),
-        of="section_2_4_2_4/anovas",
-        inputs={"x": "uav.*/anova.df1"},
-        note="The seventh, uav.followed, has two conditions and was compared by a t-test.",
-    ),
-    Follows(
-        "number of printed ANOVAs",
-        lambda v: len(v.x),
-        of="section_3_9_4/anovas",
-        inputs={"x": "teleop.*/anova.df1"},
-    ),
-    Follows(
-        "number of printed measures of the UAV study, which has the same variables",
-        lambda v: len(v.x),
-        of="section_2_4_1_2/variables",
-        inputs={"x": "uav.*/n"},
-    ),
-    Follows(
-        "number of rows of Table 3.1",
-        lambda v: len(v.x),
-        of="section_3_8_2/levels",
-        inputs={"x": "table_3.1/*/error_mean"},
-    ),
+        explanations=(used,),
+    )
+    yield lower
+    claim = "claim/section_3_9_5/tmig_and_omi_lower_tracking_error_against_mmi_by"
+    for scheme, suffix in (("OMI", ""), ("TMIG", "/TMIG")):
+        yield replace(
+            lower,
+            ids=against_mmi(scheme),
+            of=claim,
+            suffix=suffix,
+            quantity=f"{scheme} lowers tracking error against MMI by [%]",
+        )
+    means = [x.value for id, x in numbers.items() if id.startswith("uav.human_performance/mean.")]
     # Nobody who is measured performs better than a perfect operator, u_h = u_i.
-    Follows(
+    yield Follows(
         "(u_i − u_h)/du_max at u_h = u_i",
         lambda v: 0 * v.x.max(axis=0),
         of="section_2_4_2/Z_Ph",
-        inputs={"x": "uav.human_performance/mean.*"},
-        target=lambda v, printed: (v.x.max(axis=0), INFINITE),
+        ids={"x": "uav.human_performance/mean.*"},
+        target=(max(means), INFINITE),
         note="The means are printed as performance: a quality would be 1 − |u_i − u_h|/du_max.",
-    ),
-    Follows(
+    )
+    study = "section_2_4_2_3/study"
+    yield Follows(
         "(tutorial + identification + 5 trials task)/60",
         lambda v: (v.tutorial + v.identification + 5 * v.trials * v.task) / 60,
         "five conditions",
         {"trials": "section_2_4_2_2/trials"},
-        of="section_2_4_2_3/study",
-        target=lambda v, printed: (0.0, printed),
+        of=study,
+        target=(0.0, numbers[study].value),
         note="The rest is for questionnaires, consent and breaks.",
+    )
+
+
+def of_study(study: str, numbers: Numbers) -> Iterator[Follows | Allows]:
+    """Return the relations about F, its degrees of freedom, t and the number of subjects."""
+    d = len(conditions_of(study)) - 1
+    of = f"{study}/{{}}".format
+    cells = {"M": of("mean.*"), "SD": of("sd.*")}
+    section = "section_3_9_2"
+    trials: tuple[Formula, ...] = ()
+    if study.startswith("uav."):
+        section = "section_2_4_2_2"
+        counted = Formula(
+            "trials (participants − dropped)",
+            lambda v: v.trials * (v.participants - v.dropped),
+            "each trial of a person was counted as a person",
+        )
+        trials = (counted,)
+    yield Follows(
+        "participants − dropped",
+        lambda v: v.participants - v.dropped,
+        of=of("n"),
+        ids={x: f"{section}/{x}" for x in ("participants", "dropped", "trials")},
+        explanations=trials,
+    )
+    yield Follows("P(F(df1, df2) > F)", lambda v: stats.f.sf(v.F, v.df1, v.df2), of=of("anova.p"))
+    eta2 = Formula(
+        "F df1/(F df1 + df2)",
+        lambda v: v.F * v.df1 / (v.F * v.df1 + v.df2),
+        "partial η² with the printed df",
+    )
+    yield Follows(
+        "F/(F + n − 1)",
+        lambda v: v.F / (v.F + v.n - 1),
+        "partial η²",
+        of=of("anova.eta2"),
+        conventions=(eta2,),
+    )
+    yield from degrees_of_freedom(of, d, of("epsilon") in numbers)
+    yield Allows(
+        of=of("anova.F"),
+        least=Formula(
+            "F at the least average correlation, −1/(k − 1)",
+            lambda v: f_of_moments(v, d + 1, greatest=False),
+            ids=cells,
+        ),
+        most=Formula(
+            "F at correlations of 1", lambda v: f_of_moments(v, d + 1, greatest=True), ids=cells
+        ),
+    )
+    yield Follows("2 P(t(n − 1) > t)", lambda v: 2 * stats.t.sf(v.t, v.n - 1), of=of("t_test.p"))
+    yield Allows(
+        of=of("t_test.t"),
+        least=Formula("t at a correlation of −1", lambda v: t_of_moments(v, -1), ids=cells),
+        most=Formula("t at a correlation of 1", lambda v: t_of_moments(v, 1), ids=cells),
+    )
+
+
+def degrees_of_freedom(of: Callable[[str], str], d: int, corrected: bool) -> Iterator[Follows]:
+    """Return the relations about degrees of freedom and ε; with an ε, each follows from another."""
+    if not corrected:
+        text = f"k = {d + 1}"
+        yield Follows(f"k − 1, {text}", lambda v: d, of=of("anova.df1"))
+        yield Follows(f"(k − 1)(n − 1), {text}", lambda v: d * (v.n - 1), of=of("anova.df2"))
+        return
+    yield Follows(
+        "df2/(n − 1)",
+        lambda v: v.df2 / (v.n - 1),
+        of=of("anova.df1"),
+        conventions=(Formula(f"{d} ε", lambda v: d * v.ε),),
+    )
+    yield Follows(
+        f"{d} ε (n − 1)",
+        lambda v: d * v.ε * (v.n - 1),
+        of=of("anova.df2"),
+        conventions=(Formula("df1 (n − 1)", lambda v: v.df1 * (v.n - 1)),),
+    )
+    yield Follows(
+        f"df2/({d} (n − 1))",
+        lambda v: v.df2 / (d * (v.n - 1)),
+        of=of("epsilon"),
+        conventions=(Formula(f"df1/{d}", lambda v: v.df1 / d),),
+    )
+
+
+def of_sphericity(study: str, numbers: Numbers) -> Iterator[Follows | Allows]:
+    """Return the relations about Mauchly's test."""
+    k = len(conditions_of(study))
+    of = f"{study}/{{}}".format
+    yield Follows(f"k(k − 1)/2 − 1, k = {k}", lambda v: k * (k - 1) / 2 - 1, of=of("mauchly.df"))
+    first_order = Formula(
+        "P(χ²(df) > χ²)", lambda v: stats.chi2.sf(v.χ2, v.df), "first-order approximation"
+    )
+    yield Follows(
+        "P(χ²(df) > χ²) + ω [P(χ²(df + 4) > χ²) − P(χ²(df) > χ²)]",
+        lambda v: mauchly_p_value(v.χ2, v.n, k),
+        "second-order approximation, as statistical packages give it",
+        of=of("mauchly.p"),
+        conventions=(first_order,),
+    )
+    if of("sphericity") in numbers:
+        met = numbers[of("sphericity")].printed == "met"
+        yield Follows(
+            "p",
+            lambda v: v.p_of_Mauchly,
+            of=of("sphericity"),
+            ids={"p_of_Mauchly": of("mauchly.p")},
+            target=(0.05, 1.0) if met else (0.0, 0.05),
+            note="Sphericity is rejected below 0.05.",
+        )
+    yield Allows(
+        of=of("mauchly.chi2"),
+        least=Formula("least χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, k, False)),
+        most=Formula("greatest χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, k, True)),
+    )
+
+
+def of_pairs(study: str, numbers: Numbers) -> Iterator[Allows]:
+    """Return the relations about pairs of conditions."""
+    k = len(conditions_of(study))
+    m = k * (k - 1) // 2
+    start = f"{study}/pairs."
+    for id in [id for id in numbers if id.startswith(start)]:
+        pair = zip("ab", id.removeprefix(start).split("-"), strict=True)
+        ids = {"n": f"{study}/n"}
+        for letter, condition in pair:
+            ids |= {f"M_{letter}": f"{study}/mean.{condition}"}
+            ids |= {f"SD_{letter}": f"{study}/sd.{condition}"}
+        yield Allows(
+            of=id,
+            least=Formula(
+                "p unadjusted at a correlation of 1", lambda v: p_of_moments(v, 1, 1), ids=ids
+            ),
+            most=Formula(
+                f"{m} p (Bonferroni) at a correlation of −1",
+                lambda v: p_of_moments(v, -1, m),
+                ids=ids,
+            ),
+        )
+
+
+# What is counted, where, and the numbers of which there should be as many.
+COUNTED = (
+    ("printed ANOVAs", "section_2_4_2_4/anovas", "uav.*/anova.df1"),
+    ("printed ANOVAs", "section_3_9_4/anovas", "teleop.*/anova.df1"),
+    (
+        "printed measures of the UAV study, which has the same variables",
+        "section_2_4_1_2/variables",
+        "uav.*/n",
     ),
+    ("rows of Table 3.1", "section_3_8_2/levels", "table_3.1/*/error_mean"),
+)
+SEVENTH = "The seventh, uav.followed, has two conditions and was compared by a t-test."
+
+PERCENTAGES_AND_COUNTS = (
     Follows(
         "√(1 − Ṫ_max)",
         lambda v: (1 - v.T) ** 0.5,
         of="claim/section_3_8_1/f_i_for_a_delay_growing_at_most_0_5_s_s",
-        inputs={"T": "section_3_8_1/T_max"},
+        ids={"T": "section_3_8_1/T_max"},
     ),
     *(
         Follows(
             "v (1 − e/e_max)",
             lambda v: v.v * (1 - v.e / v.e_max),
             of=f"remark_7/P_r_{end}",
-            inputs={
+            ids={
                 "v": f"remark_7/v_{end}",
                 "e": f"remark_7/e_{end}",
                 "e_max": "section_2_2_2/e_max",
@@ -605,18 +569,35 @@ PERCENTAGES_AND_COUNTS = (
         "W + 1 terms from k − W to k, divided by W",
         of="section_2_2_2/weights",
     ),
+    *(
+        Follows(
+            f"number of {counted}",
+            lambda v: len(v.x),
+            of=of,
+            ids={"x": pattern},
+            note=SEVENTH if of == "section_2_4_2_4/anovas" else "",
+        )
+        for counted, of, pattern in COUNTED
+    ),
+    *(
+        Follows(
+            f"participants modulo {orders}",
+            partial(participants_left, orders=orders),
+            of=f"{section}/square",
+            ids={"participants": f"{group}/participants"},
+            target=(0.0, 0.0),
+            note=f"A square balanced for order and carry-over has {orders} orders; those dropped "
+            "break the balance.",
+        )
+        for section, group, orders in (
+            ("section_2_4_2_2", "section_2_4_2_2", 10),
+            ("section_3_9_3", "section_3_9_2", 4),
+        )
+    ),
     Follows("sets × laps", lambda v: v.sets * v.laps, of="section_2_4_1_3/laps_in_all"),
     *(
         Follows("female + male", lambda v: v.female + v.male, of=f"{section}/participants")
         for section in ("section_2_4_2_2", "section_3_8_2_1", "section_3_9_2")
-    ),
-    Follows(
-        "participants modulo 10",
-        lambda v: v.participants % 10,
-        of="section_2_4_2_2/square",
-        target=(0.0, 0.0),
-        note="A square balanced for order and carry-over has 10 orders; those dropped break the "
-        "balance.",
     ),
     Follows(
         "objective + subjective",
@@ -627,16 +608,7 @@ PERCENTAGES_AND_COUNTS = (
         "df1 + 1",
         lambda v: v.df1 + 1,
         of="section_3_9_1/levels",
-        inputs={"df1": "teleop.tlx/anova.df1"},
-    ),
-    Follows(
-        "participants modulo 4",
-        lambda v: v.participants % 4,
-        of="section_3_9_3/square",
-        inputs={"participants": "section_3_9_2/participants"},
-        target=(0.0, 0.0),
-        note="A square balanced for order and carry-over has 4 orders; those dropped break the "
-        "balance.",
+        ids={"df1": "teleop.tlx/anova.df1"},
     ),
     Follows(
         "damping (stiffness + gain d) − gain p",
@@ -657,136 +629,84 @@ PERCENTAGES_AND_COUNTS = (
     ),
 )
 
-RELATIONS: tuple[Follows | Allows, ...] = (
-    *TABLE_2_1,
-    *TABLES_2_2_AND_2_3,
+STATEMENTS: tuple[Follows | Allows, ...] = (
+    *PILOT_AND_THRESHOLDS,
     *TABLES_2_4_TO_2_6,
-    *STUDIES,
     *PERCENTAGES_AND_COUNTS,
 )
 
 
-def relations(numbers: Numbers, pattern: str = "*") -> Iterator[Check | Possible]:
+def relations(numbers: Numbers, pattern: str = "*") -> Iterator[Follows | Allows]:
     """
     Return every relation about a number whose id matches a pattern.
 
-    A study need not print everything that its relations use; elsewhere an input that is not
-    printed is a fault of the list.
+    A study need not print everything that its relations use.
     """
-    for kind in (Follows, Allows):
-        for relation in RELATIONS:
-            if not isinstance(relation, kind):
-                continue
-            for context in _contexts(relation, numbers):
-                number = relation.of.format_map(context)
-                if number not in numbers or not fnmatchcase(number, pattern):
-                    continue
-                try:
-                    if _applies(relation, context, numbers):
-                        yield _checked(relation, number, context, numbers)
-                except NotPrintedError as missing:
-                    if "study" not in context:
-                        raise ValueError(f"{number} has no input {missing}") from None
-
-
-def _contexts(relation: Follows | Allows, numbers: Numbers) -> Iterator[dict]:
-    """Return what a relation's placeholders stand for, one after the other."""
-    named = relation.of + relation.suffix + relation.quantity
-    if "{p}" in named:
-        yield from ({"p": p} for p in relation.participants)
-        return
-    if "{study}" not in named:
-        yield {}
-        return
+    groups: list[tuple[Iterable[Follows | Allows], dict[str, str]]] = []
+    for p in PARTICIPANTS:
+        beside = _named(("table_2.2/", "table_2.1/"), numbers, f"/{p}")
+        groups += [(of_participant(p), beside), (thresholds_of(p), beside)]
     for study in study_names(numbers):
-        if not fnmatchcase(study, relation.studies):
-            continue
-        k = len(conditions_of(study))
-        context = {"study": study, "k": k, "d": k - 1, "m": k * (k - 1) // 2}
-        pairs = [id.rpartition(".")[2] for id in numbers if id.startswith(f"{study}/pairs.")]
-        if "{a}" not in named:
-            yield context
-            continue
-        for pair in pairs:
-            a, _, b = pair.partition("-")
-            yield context | {"a": a, "b": b}
+        starts = tuple(f"{study}/{test}" for test in ("t_test.", "mauchly.", "anova.", ""))
+        beside = _named(starts, numbers)
+        groups += [(about(study, numbers), beside) for about in (of_study, of_sphericity, of_pairs)]
+    for statement in (*STATEMENTS, *of_section(numbers)):
+        folder = statement.of.rpartition("/")[0]
+        groups.append(([statement], _named((f"{folder}/",), numbers)))
+    for group, beside in groups:
+        for relation in group:
+            if relation.of in numbers and fnmatchcase(relation.of, pattern):
+                with suppress(NotPrintedError):
+                    yield _completed(relation, beside, numbers)
 
 
-def _applies(relation: Follows | Allows, context: dict, numbers: Numbers) -> bool:
-    """Return whether the numbers are printed that a relation asks for."""
-    each = conditions_of(context["study"]) if "{each}" in relation.only else [""]
-    asked = [relation.only.format_map({**context, "each": c}) for c in each if relation.only]
-    unless = relation.unless.format_map(context)
-    return all(id in numbers for id in asked) and unless not in numbers
+def related(number: str, numbers: Numbers) -> Follows:
+    """Return the first relation that a number follows from."""
+    return next(check for check in relations(numbers, number) if isinstance(check, Follows))
 
 
-def _beside(number: str, context: dict, numbers: Numbers) -> dict[str, str]:
-    """Return the numbers of the same participant or study, or in the same place, by name."""
-    folder, ids = number.rpartition("/")[0], {}
-    if "p" in context:
-        for table in ("table_2.2", "table_2.1"):
-            listed = [id.split("/") for id in numbers if id.startswith(f"{table}/")]
-            ids |= {name: f"{table}/{name}/{p}" for _, name, p in listed if p == context["p"]}
-    elif "study" in context:
-        folder = context["study"]
-        for test in ("t_test.", "mauchly.", "anova.", ""):
-            start = f"{folder}/{test}"
-            ids |= {id.removeprefix(start): id for id in numbers if id.startswith(start)}
-    else:
-        ids = {id.removeprefix(f"{folder}/"): id for id in numbers if id.startswith(f"{folder}/")}
-    return {LETTERS.get(name, name): id for name, id in ids.items()}
+def _named(starts: tuple[str, ...], numbers: Numbers, end: str = "") -> dict[str, str]:
+    """Return ids by the names that formulas use, without their beginning and end."""
+    ids = {}
+    for start in starts:
+        for id in numbers:
+            if id.startswith(start) and id.endswith(end):
+                name = id.removeprefix(start).removesuffix(end)
+                ids[LETTERS.get(name, name)] = id
+    return ids
 
 
-def _checked(
-    relation: Follows | Allows, number: str, context: dict, numbers: Numbers
-) -> Check | Possible:
-    """Return the check of one number."""
-    beside = _beside(number, context, numbers)
-    texts = context | {"printed": {id: number.printed for id, number in numbers.items()}}
+def _completed(
+    relation: Follows | Allows, beside: Mapping[str, str], numbers: Numbers
+) -> Follows | Allows:
+    """Return a relation whose formulas say where all their symbols stand."""
 
-    def formula(way: Way, ids: Mapping[str, str]) -> Formula:
-        ids = {**ids, **_listed(way.inputs, context, numbers)}
-        text, label = way.text.format_map(texts), way.label.format_map(texts)
-        constants = {"k": context["k"]} if "k" in context else {}
-        return Formula(
-            text, way.compute, ids, label, as_printed=way.as_printed, constants=constants
-        )
+    def formula(way: Formula, ids: Mapping[str, str]) -> Any:
+        way = replace(way, ids={**ids, **_listed(way.ids, numbers)})
+        way.inputs(numbers)  # all of them are printed
+        return way
 
     if isinstance(relation, Allows):
-        least, most = formula(relation.least, beside), formula(relation.most, beside)
-        least.inputs(numbers), most.inputs(numbers)
-        return Possible(number, least, most)
+        ends = formula(relation.least, beside), formula(relation.most, beside)
+        return replace(relation, least=ends[0], most=ends[1])
     first = formula(relation, beside)
-    first.inputs(numbers)
-    target = relation.target
-    if isinstance(target, dict):
-        target = target[numbers[number].printed]
-    elif callable(target):
-        target = target(Values(first.ids, lambda _, id: numbers[id].value), numbers[number].value)
-    return Check(
-        number,
+    return replace(
         first,
-        tuple(formula(way, first.ids) for way in relation.conventions),
-        tuple(formula(way, first.ids) for way in relation.explanations),
-        relation.note,
-        relation.suffix.format_map(context),
-        relation.quantity.format_map(context),
-        relation.binding,
-        target,
+        conventions=tuple(formula(way, first.ids) for way in relation.conventions),
+        explanations=tuple(formula(way, first.ids) for way in relation.explanations),
     )
 
 
-def _listed(inputs: Mapping[str, str], context: dict, numbers: Numbers) -> dict[str, str]:
-    """Return the ids of `inputs`; a pattern gives a symbol for each number that matches."""
-    ids = {}
-    for symbol, pattern in inputs.items():
-        pattern = pattern.format_map(context)
-        start = pattern.partition("*")[0].partition("[")[0]
+def _listed(ids: Mapping[str, str], numbers: Numbers) -> dict[str, str]:
+    """Return ids by symbol; a pattern gives a symbol for each number that matches."""
+    listed = {}
+    for symbol, pattern in ids.items():
         if pattern in numbers:
-            ids[symbol] = pattern
+            listed[symbol] = pattern
             continue
+        start = pattern.partition("*")[0].partition("[")[0]
         for id in numbers:
             if fnmatchcase(id, pattern):
                 name, _, _ = id.removeprefix(start).partition("/")
-                ids[f"{symbol}_{name}"] = id
-    return ids
+                listed[f"{symbol}_{name}"] = id
+    return listed

@@ -154,20 +154,18 @@ def _impossible(study: PublishedStudy, listed: Sequence[Constraint]) -> dict[str
 def _wrong_degrees(study: PublishedStudy, reading: Reading) -> dict[str, str]:
     """Return degrees of freedom that follow from n, k and the reading and are printed otherwise."""
     n, k = study.n, study.k
-    factor = 1.0 if reading.rounded is None else reading.rounded
-    by = "" if reading.rounded is None else f"{factor:g} "
+    factor = reading.rounded or 1.0
+    by = f"{factor:g} " if reading.rounded else ""
     follows: dict[tuple[str, str], tuple[str, float]] = {
         ("mauchly", "df"): ("k(k − 1)/2 − 1", k * (k - 1) // 2 - 1),
         ("t_test", "df"): ("n − 1", n - 1),
     }
-    if not reading.df or reading.rounded is not None:
+    if not reading.df or reading.rounded:
         follows["anova", "df1"] = f"{by}(k − 1)", factor * (k - 1)
         follows["anova", "df2"] = f"{by}(k − 1)(n − 1)", factor * (k - 1) * (n - 1)
     wrong = {}
     for (test, name), (formula, value) in follows.items():
-        text = getattr(study, test).get(name)
-        if text is None:
-            continue
+        text = getattr(study, test).get(name, f"{value}")
         low, high = printed_interval(text)
         if not low <= value <= high:
             where = _where_degrees_belong(study) if test == "anova" else ""
@@ -197,10 +195,8 @@ def _wrong_p_of_f(
 ) -> dict[str, str]:
     """Return the conflict of p with F, and with ε where p is corrected, if any."""
     least = 1.0 / (study.k - 1)
-    factor = np.ones(2)
-    if reading.rounded is not None:
-        factor *= reading.rounded
-    elif reading.p:
+    factor = np.full(2, reading.rounded or 1.0)
+    if reading.p and not reading.rounded:
         factor = np.clip(ranges.get("epsilon", (least, 1.0)), least, 1.0)
     text, f_ratio = study.anova["p"], np.maximum(ranges["f_ratio"], 0.0)
     df = (study.k - 1) * factor[:, None]

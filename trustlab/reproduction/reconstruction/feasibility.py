@@ -198,7 +198,7 @@ def feasibility(
     >>> answer.feasible, answer.left_out
     (True, {})
     """
-    rng = generator(seed)
+    rng = np.random.default_rng(whole_number("seed", seed, least=0))
     problem, left_out = moment_problem(study, p_adjust, without)
     moments = problem.solve(rng)
     conflict = tuple(s.name for s in problem.constraints if moments.outside[s.name] > 0.0)
@@ -219,7 +219,10 @@ def moment_problem(
     study: PublishedStudy, p_adjust: str, without: Iterable[str]
 ) -> tuple[MomentProblem, dict[str, str]]:
     """Return the constraints that are to hold, and the reasons for those that are left out."""
-    hint = _named_study(study) if isinstance(study, str) else ""
+    hint = ""
+    if isinstance(study, str):
+        near = get_close_matches(study, published_studies(), n=1) or ["uav.tlx"]
+        hint = f"a printed one is published_studies()[{near[0]!r}]"
     of_class("study", study, PublishedStudy, hint)
     one_of("p_adjust", p_adjust, ADJUSTMENTS)
     reading = reading_of(study)
@@ -231,18 +234,6 @@ def moment_problem(
     reasons = contradictions(study, p_adjust) | requested
     rows = [s for s in rows if s.name not in reasons and s.kind != "fixed"]
     return MomentProblem(rows, study.n, study.k, reading.p, study.scale), reasons
-
-
-def _named_study(name: str) -> str:
-    """Return how to get the printed study that a name is nearest to."""
-    known = published_studies()
-    near = name if name in known else next(iter(get_close_matches(name, known, n=1)), "uav.tlx")
-    return f"a printed one is published_studies()[{near!r}]"
-
-
-def generator(seed: int) -> np.random.Generator:
-    """Return the generator of a seed."""
-    return np.random.default_rng(np.random.SeedSequence(whole_number("seed", seed, least=0)))
 
 
 def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) -> pd.DataFrame:

@@ -89,11 +89,21 @@ class MomentProblem:
     def ends(self) -> np.ndarray:
         """Lower and upper ends, shape (2, rows); of p-values their logarithms."""
         ends = np.array([(s.low, s.high) for s in self.rows], dtype=float).T
-        is_p = np.array([s.kind in P_VALUES for s in self.rows], dtype=bool)
         with np.errstate(divide="ignore", invalid="ignore"):
             logarithms = np.log(np.maximum(ends, 0.0))
-        open_at_one = np.where(ends >= 1.0, np.inf, logarithms)
-        return np.where(is_p, np.stack([logarithms[0], open_at_one[1]]), ends)
+        logarithms[1, ends[1] >= 1.0] = np.inf
+        return np.where(self.is_p, logarithms, ends)
+
+    @cached_property
+    def is_p(self) -> np.ndarray:
+        """Which rows are compared by their logarithms."""
+        return np.array([s.kind in P_VALUES for s in self.rows], dtype=bool)
+
+    @cached_property
+    def triangle(self) -> tuple[int, tuple[np.ndarray, np.ndarray]]:
+        """The rank of G, as n values have n − 1 degrees of freedom, and where it is not zero."""
+        rank = min(self.k, self.n - 1)
+        return rank, np.tril_indices(self.k, 0, rank)
 
     @cached_property
     def size(self) -> np.ndarray:
@@ -115,7 +125,7 @@ class MomentProblem:
             half = 0.5 * (high - low)
         unit = np.where(np.isfinite(half), half, OPEN_UNIT * self.size)
         # Of an interval that ends at p = 1, half of what is left of it.
-        at_one = np.isinf(high) & [s.kind in P_VALUES for s in self.rows]
+        at_one = np.isinf(high) & self.is_p
         return np.maximum(np.where(at_one, np.minimum(unit, -0.5 * low), unit), 1e-12 * self.size)
 
     @cached_property
@@ -191,15 +201,15 @@ class MomentProblem:
     def _unpack(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return means and factors of unknowns (B, …) in typical standard deviations."""
         k, (_, spread) = self.k, self.typical
-        rank = min(k, self.n - 1)  # n values have n − 1 degrees of freedom
+        rank, below = self.triangle
         factor = np.zeros((len(x), k, rank))
-        factor[:, *np.tril_indices(k, 0, rank)] = x[:, k:] * spread
+        factor[:, *below] = x[:, k:] * spread
         return x[:, :k] * spread, factor
 
     def _start(self, rng: np.random.Generator) -> np.ndarray:
         """Draw unknowns: means and standard deviations as printed, random correlations."""
         k, (centre, spread) = self.k, self.typical
-        rank = min(k, self.n - 1)
+        rank, below = self.triangle
         low, high = self.cells["mean"].T
         drawn = np.clip(centre + spread * rng.standard_normal(k), *self.scale)
         mean = np.where(np.isfinite(low), low + (high - low) * rng.random(k), drawn)
@@ -216,12 +226,12 @@ class MomentProblem:
         factor = np.linalg.cholesky(share * covariance / np.outer(root, root) + 1.0 - share)
         factor = factor[:, :rank] / np.linalg.norm(factor[:, :rank], axis=1, keepdims=True)
         factor *= sd[:, None]
-        return np.concatenate([mean, factor[np.tril_indices(k, 0, rank)]]) / spread
+        return np.concatenate([mean, factor[below]]) / spread
 
     @np.errstate(all="ignore")  # candidates may be degenerate, and numbers that are printed, too
     def solve(self, rng: np.random.Generator, starts: int = STARTS) -> Moments:
         """Search from several starts; return the first solution, or the closest candidate."""
-        closest, least = None, np.inf
+        closest, outside = None, np.array([np.inf])
         for start in range(starts):
             x = self._start(rng)
             for width in WIDTHS:
@@ -236,14 +246,13 @@ class MomentProblem:
                 if not np.isfinite(x).all():  # numbers that are far out lead there
                     break
             violation = self.outside(x[None], 0.0, 0.0)[0]
-            if violation.max() < least:
-                closest, least = x, violation.max()
-            if least == 0.0:
+            if violation.max() < outside.max():
+                closest, outside = x, violation
+            if outside.max() == 0.0:
                 break
         (mean,), (factor,) = self._unpack(closest[None])
-        outside = self.outside(closest[None], 0.0, 0.0)[0]
-        names = [s.name for s in self.rows]
-        return Moments(mean, factor, dict(zip(names, outside.tolist(), strict=True)), start + 1)
+        by_name = {s.name: float(x) for s, x in zip(self.rows, outside, strict=True)}
+        return Moments(mean, factor, by_name, start + 1)
 
     def _slopes(self, x: np.ndarray, width: float, margin: float) -> np.ndarray:
         """Return the derivatives of `outside` by forward differences, all in one call."""

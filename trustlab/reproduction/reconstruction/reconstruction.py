@@ -30,7 +30,6 @@ from trustlab.reproduction.reconstruction.contradictions import reading_of
 from trustlab.reproduction.reconstruction.feasibility import (
     Feasibility,
     feasibility,
-    generator,
     moment_problem,
 )
 from trustlab.reproduction.reconstruction.moments import sample_with_moments
@@ -214,7 +213,7 @@ def reconstruct_study(
             f"{', '.join(left_out)} are left out; feasibility() says what the closest data miss, "
             "`without` leaves statistics out"
         )
-    values = _draw(answer, (*without, *missed), generator(seed).spawn(1)[0])
+    values = _draw(answer, (*without, *missed), np.random.default_rng(int(seed)).spawn(1)[0])
     result = Reconstruction(study, answer.p_adjust, int(seed), values, left_out)
     table = result.table()
     wrong = table.index[~table["agrees"] & (table["left_out"] == "")]
@@ -275,27 +274,36 @@ def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[
     The study names the conditions; whether degrees of freedom and p are corrected says its reading.
     Mauchly's p has the second-order term.
     """
-    names = study.conditions
     omnibus = repeated_measures_batch(values[None]).iloc[0]
     pairs = condition_pairs(values[None])
-    reading = reading_of(study)
-    factor = omnibus["epsilon_gg"] if reading.df else 1.0
+    reading, factor = reading_of(study), 1.0
     p = omnibus["p_gg"] if reading.p else omnibus["p"]
     if reading.rounded is not None:
         factor = reading.rounded
         df1 = factor * omnibus["df1"]
         p = special.fdtrc(df1, df1 * (len(values) - 1), omnibus["F"])
-    analysed = {f"mean.{c}": x for c, x in zip(names, values.mean(axis=0), strict=True)}
-    analysed |= {f"sd.{c}": x for c, x in zip(names, values.std(axis=0, ddof=1), strict=True)}
-    analysed |= {"anova.F": omnibus["F"], "anova.p": p, "anova.eta2": omnibus["eta2_partial"]}
-    analysed |= {"anova.df1": factor * omnibus["df1"], "anova.df2": factor * omnibus["df2"]}
-    analysed |= {"epsilon": omnibus["epsilon_gg"], "mauchly.chi2": omnibus["mauchly_chi2"]}
-    analysed |= {"mauchly.df": study.k * (study.k - 1) // 2 - 1}
-    analysed |= {"mauchly.p": omnibus["mauchly_p"], "mauchly.violated": omnibus["mauchly_p"]}
-    # Which condition is first is not printed.
-    analysed |= {"t_test.t": abs(pairs.t[0, 0]), "t_test.p": pairs.p[0, 0], "t_test.df": pairs.df}
-    p_values = dict(zip(combinations(names, 2), adjusted(pairs.p[0], p_adjust), strict=True))
-    for (a, b), p_value in p_values.items():
+    elif reading.df:
+        factor = omnibus["epsilon_gg"]
+    analysed = {
+        "anova.F": omnibus["F"],
+        "anova.p": p,
+        "anova.eta2": omnibus["eta2_partial"],
+        "anova.df1": factor * omnibus["df1"],
+        "anova.df2": factor * omnibus["df2"],
+        "epsilon": omnibus["epsilon_gg"],
+        "mauchly.chi2": omnibus["mauchly_chi2"],
+        "mauchly.df": study.k * (study.k - 1) // 2 - 1,
+        "mauchly.p": omnibus["mauchly_p"],
+        "mauchly.violated": omnibus["mauchly_p"],
+        # Which condition is first is not printed.
+        "t_test.t": abs(pairs.t[0, 0]),
+        "t_test.p": pairs.p[0, 0],
+        "t_test.df": pairs.df,
+    }
+    for c, mean, sd in zip(study.conditions, values.mean(0), values.std(0, ddof=1), strict=True):
+        analysed |= {f"mean.{c}": mean, f"sd.{c}": sd}
+    named = combinations(study.conditions, 2)
+    for (a, b), p_value in zip(named, adjusted(pairs.p[0], p_adjust), strict=True):
         analysed[f"pairs.{a}-{b}"] = analysed[f"pairs.{b}-{a}"] = p_value
     return {name: float(value) for name, value in analysed.items()}
 

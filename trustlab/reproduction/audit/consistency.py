@@ -1,0 +1,536 @@
+"""
+Whether several printed numbers can go together: the parameters, limits and bounds of a participant;
+means, SDs, whole points and sample sizes; the pairwise p-values and F of a study.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from trustlab.reproduction.audit.catalogue import (
+    PARTICIPANTS,
+    PrintedNumber,
+    conditions_of,
+    study_names,
+)
+from trustlab.reproduction.audit.check import (
+    Allows,
+    Finding,
+    Formula,
+    Numbers,
+    Row,
+    listing,
+    row_about,
+    show,
+)
+from trustlab.reproduction.audit.relations import (
+    BOUNDS,
+    LIMIT_INPUTS,
+    PERFORMANCE,
+    ZERO,
+    bounds,
+    limits,
+    related,
+)
+from trustlab.reproduction.published import published_facts
+
+LIMITS = ("TSC_lb", "TSC_ub", "b_pr")
+# Cap on a misfit, in half units; also the misfit of an output that cannot be computed.
+FARTHEST = 1e3
+
+MEASURES = published_facts("measures")
+TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].items()}
+MOST_ITEMS = 40
+
+ALPHA = 0.05
+
+
+@dataclass(frozen=True)
+class JointCheck:
+    """
+    Several printed outputs that should come from one set of parameters.
+
+    `inputs` and `outputs` map symbols to ids; each function of `readings` computes all outputs from
+    arrays of inputs, and one of them is enough.
+    """
+
+    numbers: Numbers
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+    readings: tuple[Callable[[dict], dict], ...]
+
+    def at_printed(self) -> dict[str, np.ndarray]:
+        """Return the inputs as printed."""
+        return {name: np.asarray(self.numbers[id].value) for name, id in self.inputs.items()}
+
+    def misfit(self, computed: Mapping[str, np.ndarray], names: tuple[str, ...] = ()) -> np.ndarray:
+        """Return by how many half units the worst output lies beyond its rounding, or 0."""
+        worst = np.asarray(0.0)
+        for name in names or self.outputs:
+            number = self.numbers[self.outputs[name]]
+            miss = np.abs(computed[name] - number.value) / number.half - 1.0
+            miss = np.nan_to_num(np.clip(miss, 0.0, FARTHEST), nan=FARTHEST)
+            worst = np.maximum(worst, miss)
+        return worst
+
+    def least_misfit(self, **fixed: float) -> float:
+        """
+        Search the box of rounding, but for `fixed` inputs, for the parameters that miss least.
+        """
+        least = FARTHEST
+        for compute in self.readings:
+            least = min(least, self._search(compute, fixed))
+            if least == 0.0:
+                break
+        return least
+
+    def _search(self, compute: Callable[[dict], dict], fixed: Mapping[str, float]) -> float:
+        from scipy.optimize import differential_evolution
+
+        free = {name: self.numbers[id] for name, id in self.inputs.items() if name not in fixed}
+        middle = np.array([number.value for number in free.values()])
+        half = np.array([number.half for number in free.values()])
+
+        def miss(point: np.ndarray) -> np.ndarray:
+            values = dict(zip(free, middle[:, None] + half[:, None] * point, strict=True))
+            values |= {name: np.full(point.shape[1], value) for name, value in fixed.items()}
+            return self.misfit(compute(values))
+
+        if miss(np.zeros((len(free), 1))).item() == 0.0:
+            return 0.0
+        # A global search: the misfit has steps, as dwell times are whole numbers, and is flat where
+        # all outputs fit.
+        result = differential_evolution(
+            miss,
+            [(-1.0, 1.0)] * len(free),
+            rng=0,
+            maxiter=300,
+            popsize=12,
+            tol=1e-6,
+            polish=False,
+            vectorized=True,
+            updating="deferred",
+            callback=lambda x, convergence: miss(x[:, None]).item() == 0.0,
+        )
+        return float(result.fun)
+
+    def row(self, explain: Callable[["JointCheck"], str]) -> Row:
+        """Return the verdict; `explain` says what would give the outputs where they do not fit."""
+        names, miss = ", ".join(self.outputs), self.least_misfit()
+        verdict = "within rounding" if miss == 0.0 else "differs" if miss > 1.0 else "not checkable"
+        reason = f"{names} can all come from one set of parameters that round as printed."
+        if miss > 0.0:
+            reason = (
+                f"{'' if verdict == 'differs' else 'Suspicious: '}{names} cannot all come from "
+                "one set of parameters that round as printed; the nearest found still miss one "
+                f"of them by {miss:.2g} half units beyond its rounding. {explain(self)}"
+            )
+        return self.described(verdict, reason)
+
+    def described(self, verdict: str, reason: str) -> Row:
+        """Return a row with this verdict under the id of the second output."""
+        _, anchor, *_ = self.outputs.values()
+        names = ", ".join(self.outputs)
+        return row_about(
+            self.numbers[anchor],
+            reason,
+            verdict,
+            formula=f"{names} from one set of parameters",
+            inputs=listing(self.inputs, self.numbers),
+            id=f"{anchor}/column",
+            quantity=f"{names} at once",
+            printed=", ".join(self.numbers[id].printed for id in self.outputs.values()),
+        )
+
+
+def _limit_row(numbers: Numbers, p: str) -> Row:
+    inputs = {name: f"table_2.1/{name}/{p}" for name in LIMIT_INPUTS}
+    outputs = {name: f"table_2.1/{name}/{p}" for name in LIMITS}
+    gain = numbers[outputs["b_pr"]].value
+    with_gain = (lambda v: limits(v | {"b_pr": gain}), limits)  # b_pr as printed, then by (2.3)
+    check = JointCheck(numbers, inputs, outputs, with_gain)
+    if related(f"table_2.1/TSC_ub/{p}", numbers).row(numbers).verdict == "differs":
+        return check.described("not checkable", "TSC_ub alone does not follow; see its own row.")
+    return check.row(_finer_rate)
+
+
+def _finer_rate(check: JointCheck) -> str:
+    """Say which a_pr with one more digit gives both limits, if one does."""
+    rate, (compute, _) = check.numbers[check.inputs["a_pr"]], check.readings
+    for k in sorted(range(-5, 6), key=abs):
+        a_pr = rate.value + k * 10.0 ** -(rate.decimals + 1)
+        computed = compute(check.at_printed() | {"a_pr": np.asarray(a_pr)})
+        if check.misfit(computed, ("TSC_lb", "TSC_ub")) == 0.0:
+            return (
+                f"Both limits follow from a_pr = {a_pr:.{rate.decimals + 1}f} (printed: "
+                f"{rate.printed}), from which (2.3) gives b_pr = {float(computed['b_pr']):.2g}."
+            )
+    return ""
+
+
+def _bound_row(numbers: Numbers, p: str, limits_fit: bool) -> Row:
+    """Return the row of Table 2.2, with the limits of Table 2.1 where these fit by themselves."""
+    inputs = {name: f"table_2.1/{name}/{p}" for name in (*PERFORMANCE, "a_pr", "a_r", "delta_TSC")}
+    inputs |= {name: f"table_2.2/{name}/{p}" for name in ("TSC_l", "TSC_u")}
+    outputs = {name: f"table_2.2/{name}/{p}" for name in BOUNDS}
+    if limits_fit:
+        inputs["delta_P_h"] = f"table_2.1/delta_P_h/{p}"
+        outputs |= {name: f"table_2.1/{name}/{p}" for name in LIMITS}
+    gain = numbers[f"table_2.1/b_pr/{p}"].value
+
+    def compute(v: dict, rise_from_gain: bool) -> dict:
+        with_gain = v | {"b_pr": gain}
+        computed = bounds(with_gain if rise_from_gain else v)
+        return computed | limits(with_gain) if limits_fit else computed
+
+    # c of (2.20) as it is, then as b_pr P_h/(1 − a_pr) with b_pr as printed.
+    readings = (lambda v: compute(v, False)), (lambda v: compute(v, True))
+    return JointCheck(numbers, inputs, outputs, readings).row(_other_thresholds)
+
+
+def _other_thresholds(check: JointCheck) -> str:
+    """Say which thresholds, of two decimals, give the column, if any do."""
+    point, grid = check.at_printed(), np.arange(-100, 101) / 100.0
+    # P_rl depends on TSC_l alone and P_ru on TSC_u alone, so that few pairs are left to search.
+    low = grid[check.misfit(bounds(point | {"TSC_l": grid}), ("P_rl",)) == 0.0]
+    high = grid[check.misfit(bounds(point | {"TSC_u": grid}), ("P_ru",)) == 0.0]
+    pairs = [(lower, upper) for lower in low.tolist() for upper in high.tolist() if lower < upper]
+
+    def away(pair: tuple[float, float]) -> float:
+        thresholds = dict(zip(("TSC_l", "TSC_u"), map(np.asarray, pair), strict=True))
+        return float(check.misfit(bounds(point | thresholds), BOUNDS))
+
+    first = JointCheck(check.numbers, check.inputs, check.outputs, check.readings[:1])
+    for lower, upper in sorted(pairs, key=away):
+        if first.least_misfit(TSC_l=lower, TSC_u=upper) == 0.0:
+            return (
+                "They follow, within the rounding of the other parameters, from TSC_l = "
+                f"{lower:.2f} and TSC_u = {upper:.2f}: probably the thresholds printed are not "
+                "those the column was computed from."
+            )
+    return ""
+
+
+def joint_rows(numbers: Numbers) -> list[Row]:
+    """Return whether limits and bounds fit together, two rows for every participant."""
+    rows = []
+    for p in PARTICIPANTS:
+        limit_row = _limit_row(numbers, p)
+        rows += [limit_row, _bound_row(numbers, p, limit_row.verdict == "within rounding")]
+    return rows
+
+
+def attainable(number: PrintedNumber, units: Fraction) -> float:
+    """
+    Return the mean nearest to a printed one that whole points can have (the GRIM test).
+
+    NaN if none rounds to it.
+
+    `units` are whole points per unit of the scale: respondents × items for ratings in steps of 1.
+    """
+    least, most = number.compatible
+    points = round(number.value * units)
+    means = [float(Fraction(points + i) / units) for i in (-1, 0, 1)]
+    nearest = min(means, key=lambda x: abs(x - number.value))
+    return nearest if least <= nearest <= most else math.nan
+
+
+def simplest_ratio(number: PrintedNumber, most: int = 60) -> Fraction | None:
+    """Return a percentage's simplest ratio with a denominator up to `most`, or None."""
+    least, top = number.compatible
+    for denominator in range(1, most + 1):
+        below = math.floor(number.value * denominator / 100)
+        for ratio in (Fraction(below, denominator), Fraction(below + 1, denominator)):
+            if least <= 100 * ratio <= top:
+                return ratio
+    return None
+
+
+def _measures(numbers: Numbers) -> dict[str, dict[str, str]]:
+    """Return, per measure, condition to id of its mean."""
+    measures: dict[str, dict[str, str]] = {}
+    for id in numbers:
+        table, _, rest = id.partition("/")
+        if table in ("table_2.4", "table_2.5", "table_3.1") and id.endswith("_mean"):
+            condition, column = rest.split("/")
+            measures.setdefault(f"{table}/{column.removesuffix('_mean')}", {})[condition] = id
+        elif rest.startswith("mean."):
+            measures.setdefault(table, {})[rest.removeprefix("mean.")] = id
+    return measures
+
+
+def _size(measure: str) -> str:
+    """Return the id of the number of respondents."""
+    tables = {"table_2": "section_2_4_1_1/participants", "table_3": "section_3_8_2_1/participants"}
+    return tables.get(measure.split(".")[0], f"{measure}/n")
+
+
+def _kind(measure: str) -> str:
+    """Return what is measured: "tlx" of "uav.tlx" and of "table_2.4/tlx"."""
+    return measure.replace("/", ".").split(".")[-1]
+
+
+def _sd(measure: str, mean: str, numbers: Numbers) -> Allows | Row:
+    """Return the range of an SD that the mean and the ends of the scale leave."""
+    sd = mean.replace("_mean", "_sd").replace("/mean.", "/sd.")
+    if measure not in MEASURES["scales"]:
+        unknown = "Depends on scores that are not printed, on a scale that is not printed."
+        return row_about(numbers[sd], unknown)
+    least, most = MEASURES["scales"][measure]
+
+    def at_the_ends(v: Any) -> np.ndarray:
+        if math.isinf(most):
+            return v.M * np.sqrt(v.n)
+        variance = v.n / (v.n - 1.0) * (v.M - least) * (most - v.M)
+        return np.sqrt(np.maximum(variance, 0.0))
+
+    text = f"√(n/(n − 1) (M − {least:g})({most:g} − M)), all scores at the ends of the scale"
+    text = "M √n, all but one score 0" if math.isinf(most) else text
+    greatest = Formula(text, at_the_ends, ids={"M": mean, "n": _size(measure)})
+    return Allows(of=sd, least=ZERO, most=greatest)
+
+
+def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Row]:
+    """Return a questionnaire's remarks, one per mean, and a row on its items or its scoring."""
+    is_tlx, respondents = _kind(measure) == "tlx", numbers[_size(measure)]
+    rules = TLX_RULES
+    if not is_tlx:
+        rules = {f"{items} items": Fraction(items) for items in range(1, MOST_ITEMS + 1)}
+
+    def nearest(condition: str, rule: str) -> float:
+        # Table 2.4 may rest on two sets of tests under C1.
+        twice = measure.startswith("table_2.4") and condition == "C1"
+        sets = numbers["section_2_4_1_3/sets"].value if twice else 1
+        return attainable(numbers[ids[condition]], int(respondents.value * sets) * rules[rule])
+
+    fitting = [rule for rule in rules if not any(math.isnan(nearest(c, rule)) for c in ids)]
+    listed = MEASURES["expected_items"]
+    expected, source = listed.get(measure) or listed.get(_kind(measure)) or ("", "")
+    rows = []
+    for condition, id in ids.items():
+        reason = "Follows from answers that are not printed."
+        if fitting:
+            mean = nearest(condition, fitting[0])
+            reason += f" Whole points ({fitting[0]}) can give {show(mean, numbers[id], 2)}."
+        if expected and math.isnan(nearest(condition, expected)):
+            reason += f" With {expected} no whole points round to it."
+        if is_tlx and all(math.isnan(nearest(condition, rule)) for rule in rules):
+            reason = (
+                f"Suspicious: for n = {respondents.printed} no whole points give it, raw or "
+                f"weighted (GRIM). {reason}"
+            )
+        rows.append(row_about(numbers[id], reason))
+    items = _items(measure, ids, fitting, numbers)
+    if expected and expected not in fitting:
+        items = items._replace(reason=f"Suspicious: not {expected} ({source}). {items.reason}")
+    return [*rows, items]
+
+
+def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Numbers) -> Row:
+    """
+    Return which numbers of items, or rules of scoring, all means fit.
+
+    Not checkable, as neither is printed.
+    """
+    kind, fewest = _kind(measure), math.nan
+    if kind == "tlx":
+        word, unknown = "scoring", "The rule of scoring is not printed."
+        fit, tried = ": " + "; ".join(fitting[:4]), "any of: " + "; ".join(TLX_RULES)
+    else:
+        word, unknown = "items", "The number of items is not printed."
+        counts = [rule.removesuffix(" items") for rule in fitting]
+        fit, tried = f" {', '.join(counts[:4])} items", f"up to {MOST_ITEMS} items"
+        fewest = float(counts[0]) if counts else math.nan
+    fits = f"All means are whole points for{fit}"
+    if not fitting:
+        fits = f"Not all means are whole points for {tried}"
+    return row_about(
+        numbers[next(iter(ids.values()))],
+        f"{unknown} {fits}.",
+        span=(fewest, math.nan, math.nan),
+        formula="mean × respondents × items is a whole number",
+        inputs=listing({**ids, "n": _size(measure)}, numbers),
+        id=f"{measure}/{word}",
+        quantity=f"{kind}: {word} that all means fit",
+        printed=", ".join(numbers[id].printed for id in ids.values()),
+    )
+
+
+def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Allows | Row:
+    """Return the range of a mean of Table 2.5 that the participants' own ranges leave."""
+    name, forced = _kind(measure), ""
+    if condition == "C3" and name in ("P_r", "r"):
+        symbol = "r_" if name == "r" else "P_r"
+        low, high = (
+            np.mean([numbers[f"table_2.2/{symbol}{end}/{p}"].value for p in PARTICIPANTS])
+            for end in "lu"
+        )
+        forced = (
+            f"The bounds of Table 2.2, which hold in steady state, are {low:.4f} and "
+            f"{high:.4f} on average."
+        )
+    if name == "r":
+        return row_about(numbers[id], f"Measured; a share between 0 and 1. {forced}")
+    least, most = (
+        Formula(
+            f"mean of {name}_{end} of Table 2.1",
+            lambda v: v.x.mean(axis=0),
+            ids={f"x_{p}": f"table_2.1/{name}_{end}/{p}" for p in PARTICIPANTS},
+        )
+        for end in ("min", "max")
+    )
+    top, _, _ = most.range(numbers)
+    if numbers[id].value >= top:
+        forced = (
+            f"Suspicious: it reaches the mean of the greatest values, {top:.4f}, as if every "
+            "participant had been at their best throughout."
+        )
+    return Allows(of=id, least=least, most=most, note=forced)
+
+
+def _followed(id: str, numbers: Numbers) -> Row:
+    """Return a remark on a share of Table 2.6: the simplest counts that give it."""
+    ratio = simplest_ratio(numbers[id])
+    simplest = f"; simplest is {ratio.numerator} of {ratio.denominator}" if ratio else ""
+    return row_about(numbers[id], f"Counts of suggestions are not printed{simplest}.")
+
+
+def sample_checks(numbers: Numbers) -> list[Finding]:
+    """Return the checks of the means and SDs in Tables 2.4-2.6 and 3.1 and in the studies."""
+    shares = [f"table_2.6/{condition}/{p}" for condition in ("C2", "C4") for p in PARTICIPANTS]
+    checks: list[Finding] = [_followed(id, numbers) for id in shares]
+    for measure, ids in _measures(numbers).items():
+        checks += [_sd(measure, id, numbers) for id in ids.values()]
+        if measure.startswith("table_2.5"):
+            checks += [_performance(measure, c, id, numbers) for c, id in ids.items()]
+        elif _kind(measure) in ("tlx", "trust", "satisfaction", "preference"):
+            checks += _ratings(measure, ids, numbers)
+    return checks
+
+
+def _duplicates(first: str, second: str, numbers: Numbers) -> list[Row]:
+    """Return remarks on statistics that two studies share to the last digit."""
+
+    def same(key: str) -> bool:
+        pair = [
+            numbers[id].printed for id in (f"{first}/{key}", f"{second}/{key}") if id in numbers
+        ]
+        return len(pair) == 2 and len(set(pair)) == 1
+
+    rows = []
+    if same("mauchly.chi2") and same("mauchly.p"):
+        chi2, df = numbers[f"{second}/mauchly.chi2"], numbers[f"{second}/mauchly.df"]
+        chance = float(np.diff(stats.chi2.cdf(chi2.compatible, df.value))[0])
+        reason = (
+            f"Suspicious: χ² = {chi2.printed} and p = {numbers[f'{second}/mauchly.p'].printed} "
+            f"are printed for {first} as well; under sphericity two measures agree so closely "
+            f"with a chance of about 1 in {1.0 / chance:.0f}. Probably one was copied from the "
+            "other."
+        )
+        quantity = f"{chi2.quantity}, against {first}"
+        rows.append(row_about(chi2, reason, id=f"{chi2.id}/duplicate", quantity=quantity))
+    if same("anova.F"):
+        f_ratio, reason = numbers[f"{second}/anova.F"], f"the same F is printed for {first}."
+        rows.append(row_about(f_ratio, f"Suspicious: {reason}", id=f"{f_ratio.id}/duplicate"))
+    return rows
+
+
+def study_checks(numbers: Numbers) -> list[Row]:
+    """Return the rows about pairs of studies, and about all pairs of conditions of a study."""
+    names = study_names(numbers)
+    return [
+        *(row for name in names for row in _adjustments(name, numbers)),
+        *(row for pair in combinations(names, 2) for row in _duplicates(*pair, numbers)),
+    ]
+
+
+def _adjustments(name: str, numbers: Numbers) -> list[Row]:
+    """
+    Return for which adjustment of p the printed pairs can go with the printed F, if F and all means
+    are printed.
+
+    The variances of all k(k − 1)/2 differences add up to k(k − 1) MS_error, and MS_error =
+    MS_conditions/F. A printed p fixes the variance of its difference, p < .0005 bounds it from
+    above, no significance from below. Šidák's and Holm's p lie between the unadjusted and
+    Bonferroni's. Not checkable, as neither the adjustment nor every pair is printed.
+    """
+    conditions = conditions_of(name)
+    k, ids = len(conditions), {f"M_{c}": f"{name}/mean.{c}" for c in conditions}
+    ids |= {"n": f"{name}/n", "F": f"{name}/anova.F"}
+    if not set(ids.values()) <= numbers.keys():
+        return []
+    text = "k(k − 1) MS_conditions/F"
+    formula = Formula(text, lambda v: k * (k - 1.0) * v.n * v.M.var(axis=0, ddof=1) / v.F, ids=ids)
+    value, low, high = formula.range(numbers)
+    times = {"unadjusted": 1.0, "Bonferroni": k * (k - 1) / 2}
+    spans = {way: _sum_of_variances(name, numbers, m) for way, m in times.items()}
+    fits = [way for way, (least, most) in spans.items() if least <= high and most >= low]
+    allowed = "; ".join(
+        f"{way}: from {least:.4g} to {most:.4g}" for way, (least, most) in spans.items()
+    )
+    reason = (
+        f"The variances of all differences add up to {value:.4g} by F, from {low:.4g} to "
+        f"{high:.4g} within rounding. The printed pairs allow {allowed}, with pairs that are not "
+        f"listed taken as not significant at {ALPHA}. "
+    )
+    if len(fits) == 2:
+        reason += "The adjustment is not printed; these numbers leave it open."
+    elif fits:
+        reason += f"The adjustment is not printed; of the two only {fits[0]} is possible."
+    else:
+        reason = f"Suspicious: {reason}Neither is possible."
+    number = numbers[ids["F"]]
+    row = row_about(
+        number,
+        reason,
+        span=(value, low, high),
+        formula=text,
+        inputs=listing(formula.inputs(numbers), numbers),
+        id=f"{name}/pairs/adjustment",
+        quantity=f"{number.quantity}, against the pairwise p-values",
+    )
+    return [row]
+
+
+def _printed_p(name: str, pair: tuple[str, str], numbers: Numbers) -> tuple[float, float]:
+    """Return least and greatest p of a pair; those not listed were not significant."""
+    for a, b in (pair, pair[::-1]):
+        if f"{name}/significant.{a}-{b}" in numbers:
+            return 0.0, ALPHA
+        if f"{name}/pairs.{a}-{b}" in numbers:
+            return numbers[f"{name}/pairs.{a}-{b}"].compatible
+    return ALPHA, 1.0
+
+
+def _distance(first: PrintedNumber, second: PrintedNumber) -> tuple[float, float]:
+    """Return least and greatest difference of two printed numbers within their rounding."""
+    apart, slack = abs(first.value - second.value), first.half + second.half
+    return max(apart - slack, 0.0), apart + slack
+
+
+def _sum_of_variances(name: str, numbers: Numbers, times: float) -> tuple[float, float]:
+    """Return least and greatest sum of the differences' variances, for p multiplied by `times`."""
+    n = numbers[f"{name}/n"].value
+    least = most = 0.0
+
+    def spread(p: float, difference: float) -> float:
+        """SD of a difference from its p and mean."""
+        return difference * np.sqrt(n) / stats.t.isf(min(p / times, 1.0) / 2.0, n - 1.0)
+
+    for pair in combinations(conditions_of(name), 2):
+        means, sds = ([numbers[f"{name}/{kind}.{c}"] for c in pair] for kind in ("mean", "sd"))
+        least_apart, most_apart = _distance(*means)
+        least_sd, _ = _distance(*sds)  # at a correlation of 1; the greatest is at −1
+        most_sd = sum(sd.value + sd.half for sd in sds)
+        low_p, high_p = _printed_p(name, pair, numbers)
+        below = spread(low_p, least_apart) if low_p > 0.0 else 0.0
+        above = spread(high_p, most_apart) if high_p < 1.0 else np.inf
+        least += max(below, least_sd) ** 2
+        most += min(above, most_sd) ** 2
+    return least, most
