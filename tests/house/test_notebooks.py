@@ -8,6 +8,8 @@ import pytest
 
 # Of a cell, with lines of 100 columns that the formatter lays out.
 MOST_LINES = 60
+# Of a notebook, blank ones not counted.
+MOST_CODE = 250
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 QUOTED = re.compile(r"“[^”]*”|```.*?```|`[^`]*`", re.S)
 DECIMAL = re.compile(r"(?<![\w.()\-])\d+\.\d+(?![\w.)])")
@@ -51,6 +53,8 @@ def test_no_decimal_literals_in_prose(path):
 def test_code_cells_are_short(path):
     cells = ["".join(cell["source"]) for cell in load(path) if cell["cell_type"] == "code"]
     assert [source for source in cells if len(source.splitlines()) > MOST_LINES] == []
+    lines = [line for source in cells for line in source.splitlines() if line.strip()]
+    assert len(lines) <= MOST_CODE
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
