@@ -195,17 +195,22 @@ def guidance(operators: int = 30) -> pd.DataFrame:
 
 def checks() -> pd.DataFrame:
     """
-    Printed effects beside 40 studies of each testbed simulated under the posterior;
-    needs `make calibration`.
+    Printed effects beside 40 studies of each testbed simulated under the posterior, as fitted and
+    with what it says of deciding put aside; needs `make calibration`.
     """
-    found = {
-        name: read_calibration(name, HERE.parent / "calibration")
-        for name in ("ground_robot", "uav")
-    }
-    tables = {
-        name: one.within_reach().checks(40, seed=SEED + 1, n_jobs=2) for name, one in found.items()
-    }
-    return pd.concat(tables, names=["study"]).reset_index("study")
+    tables = {}
+    for name in ("ground_robot", "uav"):
+        found = read_calibration(name, HERE.parent / "calibration").within_reach()
+        free = found.posterior.assign(attention_cost=0.0)
+        people = {
+            "deciding is free": free,
+            "free, trust too high by 0.6": free.assign(trust_bias=0.6),
+            "fitted": found.posterior,
+        }
+        for assumed, posterior in people.items():
+            one = replace(found, posterior=posterior)
+            tables[name, assumed] = one.checks(40, seed=SEED + 1, n_jobs=2)
+    return pd.concat(tables, names=["study", "assumed"]).reset_index(["study", "assumed"])
 
 
 # Standard deviation of noise [m/s] per sample, its time constant [s], and the window of means [s].
