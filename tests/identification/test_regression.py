@@ -6,8 +6,6 @@ y(k) + a_1 y(k−1) + … = b_1 u(k−nk) + … + c + e(k); coefficients, standa
 residuals to 1e-10.
 """
 
-import itertools
-
 import numpy as np
 import pytest
 import statsmodels.api as sm
@@ -65,19 +63,6 @@ def assert_same(fit, oracle, rtol=1e-10):
     assert fit.degrees_of_freedom == oracle.df_resid
 
 
-@pytest.mark.parametrize("intercept", [False, True])
-@pytest.mark.parametrize(
-    ("na", "nb", "nk"), list(itertools.product([1, 2, 3, 4], [1, 2, 3], [0, 1, 2, 3]))
-)
-def test_every_order_agrees_with_ols(na, nb, nk, intercept):
-    rng = np.random.default_rng(np.random.SeedSequence([na, nb, nk, intercept]))
-    y, u = random_system(rng, na, (nb,), (nk,), 400)
-    fit = arx(y, u[:, 0], na, nb, nk, intercept)
-    assert_same(fit, ols([(y, u)], na, (nb,), (nk,), intercept))
-    lags = [f"a{j + 1}" for j in range(na)] + [f"b{j + 1}" for j in range(nb)]
-    assert list(fit.names) == lags + ["c"] * intercept
-
-
 @given(
     seed=st.integers(0, 2**32 - 1),
     na=st.integers(1, 4),
@@ -85,21 +70,16 @@ def test_every_order_agrees_with_ols(na, nb, nk, intercept):
     intercept=st.booleans(),
     lengths=st.lists(st.integers(60, 300), min_size=1, max_size=3),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_random_systems_agree_with_ols(seed, na, orders, intercept, lengths):
     rng = np.random.default_rng(seed)
     nb, nk = zip(*orders, strict=True)
     runs = [random_system(rng, na, nb, nk, length) for length in lengths]
     fit = arx([y for y, _ in runs], [u for _, u in runs], na, nb, nk, intercept)
     assert_same(fit, ols(runs, na, nb, nk, intercept))
-
-
-def test_two_inputs_name_input_and_lag():
-    rng = np.random.default_rng(5)
-    y, u = random_system(rng, 1, (2, 1), (1, 0), 300)
-    fit = arx(y, u, 1, (2, 1), (1, 0), intercept=True)
-    assert fit.names == ("a1", "b1_1", "b1_2", "b2_1", "c")
-    assert_same(fit, ols([(y, u)], 1, (2, 1), (1, 0), True))
+    prefixes = ["b"] if len(nb) == 1 else [f"b{i}_" for i in range(1, len(nb) + 1)]
+    inputs = [f"{b}{j}" for b, lags in zip(prefixes, nb, strict=True) for j in range(1, lags + 1)]
+    assert list(fit.names) == [f"a{j}" for j in range(1, na + 1)] + inputs + ["c"] * intercept
 
 
 def test_no_equation_crosses_from_one_run_to_the_next():
@@ -147,19 +127,13 @@ def condition(design):
     return np.linalg.cond(scaled) ** 2
 
 
-@pytest.mark.parametrize(
-    "size",
-    [
-        1e-3,
-    ],
-)
-def test_nearly_collinear_lags_agree_with_ols(size):
+def test_nearly_collinear_lags_agree_with_ols():
     """
-    An input that hardly moves, so that its lags differ by `size`: refinement wins back the digits
-    that normal equations lose.
+    An input that hardly moves, so that its lags differ by a thousandth: refinement wins back the
+    digits that normal equations lose.
     """
     rng = np.random.default_rng(np.random.SeedSequence(9))
-    u = 1.0 + size * rng.normal(size=600)
+    u = 1.0 + 1e-3 * rng.normal(size=600)
     y = np.zeros(u.size)
     for k in range(2, u.size):
         y[k] = 0.5 * y[k - 1] + 2.0 * u[k - 1] - u[k - 2] + 0.1 * rng.normal()
@@ -210,18 +184,12 @@ def test_a_constant_input_beside_an_intercept_names_one_of_them():
     assert caught.value.parameters in {("b1",), ("c",)}
 
 
-@pytest.mark.parametrize(
-    "factor",
-    [
-        1.0,
-    ],
-)
-def test_two_inputs_that_move_together_name_one_of_them(factor):
+def test_two_inputs_that_move_together_name_one_of_them():
     y, u = system()
     with pytest.raises(
         IdentificationError, match="is a linear combination of the others"
     ) as caught:
-        arx(y, np.column_stack([u, factor * u]), 1, 1, 1)
+        arx(y, np.column_stack([u, u]), 1, 1, 1)
     assert caught.value.parameters in {("b1_1",), ("b2_1",)}
 
 
@@ -246,33 +214,15 @@ def test_a_run_shorter_than_its_lags_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("y_shape", "u_shape"),
-    [((50,), (49,)), ((50,), (2, 50))],
-)
-def test_shapes_that_do_not_fit_are_refused(y_shape, u_shape):
-    rng = np.random.default_rng(4)
-    with pytest.raises(ValueError, match=r"y must be \(N,\) and u \(N,\) or \(N, m\)"):
-        arx(rng.normal(size=y_shape), rng.normal(size=u_shape))
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("where", ["y", "u"])
-def test_samples_that_are_not_finite_are_refused(bad, where):
-    y, u = system()
-    (y if where == "y" else u[:, 0])[7] = bad
-    with pytest.raises(ValueError, match="NaN or infinite"):
-        arx(y, u)
-
-
-@pytest.mark.parametrize(
-    ("orders", "message"),
+    ("change", "words"),
     [
-        ({"na": -1}, "na must be a whole number"),
-        ({"nk": -1}, "nk must be a whole number"),
+        ({"u": np.ones(49)}, r"y must be \(N,\) and u \(N,\) or \(N, m\)"),
+        ({"y": np.full(200, np.nan)}, "NaN or infinite"),
+        ({"u": np.full(200, np.inf)}, "NaN or infinite"),
         ({"nk": (1, 2)}, "nk names 2 inputs, u has 1"),
     ],
 )
-def test_orders_that_make_no_sense_are_refused(orders, message):
+def test_what_makes_no_equation_is_refused(change, words):
     y, u = system()
-    with pytest.raises(ValueError, match=message):
-        arx(y, u, **orders)
+    with pytest.raises(ValueError, match=words):
+        arx(**{"y": y, "u": u[:, 0]} | change)
