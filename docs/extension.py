@@ -428,7 +428,7 @@ def headline(chapter: dict) -> tuple[str, str]:
 
 def question(chapter: dict) -> str:
     """Return the question that the answer of an executed notebook begins with, or ""."""
-    asked = re.match(r"([^*]+\?)\s+\*\*", answer(chapter))
+    asked = re.match(r"([^*?]+\?)\s", answer(chapter))
     return f"*{asked[1]}*" if asked else ""
 
 
