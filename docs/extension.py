@@ -409,21 +409,34 @@ class Headlines(SphinxDirective):
             number, *kinds = line.split()
             path = next(Path(self.env.srcdir).glob(f"{number}_*.ipynb"))
             self.env.note_dependency(str(path))
-            title, said = headline(json.loads(path.read_text(encoding="utf-8")))
+            chapter = json.loads(path.read_text(encoding="utf-8"))
+            title, said = headline(chapter)
             if said.startswith(("Skipped", "It was not run", "This report failed")):
                 kinds = ["skipped"]
-            lines.append(f"- {number} [{title}]({path.name}) {' '.join(map(badge, kinds))} {said}")
+            shown = f"{' '.join(map(badge, kinds))} {question(chapter)} {said}"
+            lines.append(f"- {number} [{title}]({path.name}) {shown}")
         return [_parsed(self, lines, "headlines")]
 
 
 def headline(chapter: dict) -> tuple[str, str]:
     """Return the title of an executed notebook, and what its answer says in bold."""
-    texts = ["".join(cell["source"]) for cell in chapter["cells"]]
-    title = texts[0].partition("\n")[0].removeprefix("# ")
-    answer = re.search(r'class="answer".*?>(.*?)</section>', "\n".join(texts), re.DOTALL)
-    said = answer[1].strip() if answer else ""
+    title = "".join(chapter["cells"][0]["source"]).partition("\n")[0].removeprefix("# ")
+    said = answer(chapter)
     bold = re.search(r"\*\*(.+?)\*\*", said, re.DOTALL)
     return title, bold[1] if bold else said
+
+
+def question(chapter: dict) -> str:
+    """Return the question that the answer of an executed notebook begins with, or ""."""
+    asked = re.match(r"([^*?]+\?)\s", answer(chapter))
+    return f"*{asked[1]}*" if asked else ""
+
+
+def answer(chapter: dict) -> str:
+    """Return the answer of an executed notebook."""
+    text = "\n".join("".join(cell["source"]) for cell in chapter["cells"])
+    found = re.search(r'class="answer".*?>(.*?)</section>', text, re.DOTALL)
+    return found[1].strip() if found else ""
 
 
 def badge(kind: str) -> str:

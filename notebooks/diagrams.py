@@ -7,19 +7,19 @@ the block that they define.
 """
 
 import re
+from functools import partialmethod
 from itertools import pairwise
+from math import dist
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
 
-COLOURS = {"velocity": "#0067a3", "force": "#ad4500", "wave": "#00785a", "signal": "#4a525b"}
-INK, PALE, EDGE, FACE, BAND = "#1f2328", "#5f6770", "#8a929b", "#f4f6f8", "#e3ebf2"
+INK, GREY, PALE, EDGE = "#1f2328", "#4a525b", "#5f6770", "#8a929b"
+FACE, BAND = "#f4f6f8", "#e3ebf2"
 SIZE, LINE = 9.0, 0.165  # points, inches
 SIDES = {"n": (0, 1), "e": (1, 0), "s": (0, -1), "w": (-1, 0)}
 PLACE = re.compile(r"(\w+)\.([nesw])([+-][\d.]+)?")  # robot.e, or robot.e+0.1 above its middle
-BESIDE = {"above": (0, 0.12, "center"), "below": (0, -0.14, "center")}
-BESIDE |= {"left": (-0.06, 0, "right"), "right": (0.06, 0, "left")}
 
 
 class Diagram:
@@ -36,22 +36,23 @@ class Diagram:
         look = {"ha": ha, "va": "center_baseline", "fontsize": SIZE, "zorder": 6}
         self.axis.text(x, y, words, color=colour, **look)
 
-    def block(self, name, words, x, y, w=1.0, h=0.56, equations=""):
-        """Place a block round (x, y); a line of its words stands for one on the page."""
+    def block(self, name, words, x, y, w=1.0, h=0.56):
+        """Place a block round (x, y); what follows a bar in its words is pale."""
         self.boxes[name] = (x, y, w, h)
         corner, shape = (x - w / 2, y - h / 2), "round,pad=0,rounding_size=0.05"
         self.axis.add_patch(
             FancyBboxPatch(corner, w, h, shape, fc=FACE, ec=EDGE, zorder=3 if words else 1)
         )
-        lines = [(line, INK) for line in words.splitlines()]
-        lines += [(line, PALE) for line in equations.splitlines()]
-        for i, (line, colour) in enumerate(lines):
-            self.text(line, x, y + LINE * ((len(lines) - 1) / 2 - i), colour, "center")
+        dark = words.partition("|")[0].count("\n") + 1
+        lines = re.split(r"[\n|]", words)
+        for i, line in enumerate(lines):
+            above = LINE * ((len(lines) - 1) / 2 - i)
+            self.text(line, x, y + above, INK if i < dark else PALE, "center")
 
-    def circle(self, name, x, y, radius=0.1, words="", signs=""):
-        """Place a sum with signs as in "+w -s", a product, a contact, or a point on a wire."""
+    def circle(self, name, x, y, words="", signs=""):
+        """Place a product, a sum with signs as in "+w -s", or a point on a wire."""
+        radius, fill = (0.1, "white") if words or signs else (0.03, PALE)
         self.boxes[name] = (x, y, 2 * radius, 2 * radius)
-        fill = PALE if radius < 0.03 else "white"
         self.axis.add_patch(Circle((x, y), radius, fc=fill, ec=INK, zorder=5))
         self.text(words, x, y, ha="center")
         for sign, side in signs.replace("-", "−").split():
@@ -64,12 +65,8 @@ class Diagram:
         self.axis.add_patch(Rectangle((left, bottom), right - left, top - bottom, **look))
         self.text(words, left + 0.07, top - 0.13, PALE)
 
-    def arrow(self, *places, label="", kind="signal", side="", leg=None, at=0.5, head=True):
-        """
-        Draw an arrow through places, each the side of a block or a point, turning at right angles.
-
-        The label stands beside the longest leg, or the one of that number, at this fraction.
-        """
+    def wire(self, *places, colour=GREY, dashes="-"):
+        """Draw a line through places, blocks' sides or points, and return its level legs."""
         points = [self._point(places[0])]
         for place in places[1:]:
             (x0, y0), (x1, y1) = points[-1], self._point(place)
@@ -77,28 +74,46 @@ class Diagram:
             if x0 != x1 and y0 != y1:
                 points.append((x1, y0) if down else (x0, y1))
             points.append((x1, y1))
-        colour, dashes = COLOURS.get(kind, COLOURS["signal"]), (0, (3.2, 2))
-        look = {"color": colour, "lw": 1.3, "ls": dashes if kind == "decision" else "-"}
-        self.axis.plot(*zip(*points), **look, solid_capstyle="butt", zorder=2, gid=kind)
-        legs = list(pairwise(points))
-        if head:
-            tip = {"arrowstyle": "-|>,head_width=.17", "color": colour, "lw": 0}
-            tip |= {"shrinkA": 0, "shrinkB": 0, "mutation_scale": 15}
-            self.axis.annotate("", points[-1], points[-2], arrowprops=tip, zorder=4)
-        lengths = [abs(x1 - x0) + abs(y1 - y0) for (x0, y0), (x1, y1) in legs]
-        (x0, y0), (x1, y1) = legs[lengths.index(max(lengths)) if leg is None else leg]
-        dx, dy, ha = BESIDE[side or ("above" if y0 == y1 else "right")]
-        ink = INK if colour == COLOURS["signal"] else colour
-        self.text(label, x0 + at * (x1 - x0) + dx, y0 + at * (y1 - y0) + dy, ink, ha)
+        self.axis.plot(*zip(*points), color=colour, lw=1.3, ls=dashes, zorder=2)
+        return list(pairwise(points))
 
-    def port(self, left, right, there, back, half=0.13):
-        """Draw a power port between blocks side by side, `there` as in ("velocity", "$r_m$")."""
-        (x0, y), (x1, _) = self._point(f"{left}.e"), self._point(f"{right}.w")
-        self.axis.add_patch(Rectangle((x0, y - half), x1 - x0, 2 * half, color=BAND, lw=0))
-        ends = f"{left}.e+{half}", f"{right}.w+{half}"
-        self.arrow(*ends, kind=there[0], label=there[1])
-        ends = f"{right}.w-{half}", f"{left}.e-{half}"
-        self.arrow(*ends, kind=back[0], label=back[1], side="below")
+    def signal(self, label, *places, colour=GREY, dashes="-", side=1, leg=None, at=0.5):
+        """
+        Draw an arrow through places.
+
+        The label stands above or right of the longest leg, or the one of that number, at this
+        fraction; with side −1 below or left of it.
+        """
+        legs = self.wire(*places, colour=colour, dashes=dashes)
+        tip = {"arrowstyle": "-|>,head_width=.17", "color": colour, "lw": 0, "shrinkA": 0}
+        tip |= {"shrinkB": 0, "mutation_scale": 15}
+        self.axis.annotate("", *reversed(legs[-1]), arrowprops=tip, zorder=4)
+        longest = max(legs, key=lambda ends: dist(*ends))
+        (x0, y0), (x1, y1) = longest if leg is None else legs[leg]
+        beside = (0.06 * side, 0, "left" if side > 0 else "right")
+        dx, dy, ha = (0, 0.13 * side, "center") if y0 == y1 else beside
+        self.text(label, x0 + at * (x1 - x0) + dx, y0 + at * (y1 - y0) + dy, colour, ha)
+
+    velocity = partialmethod(signal, colour="#0067a3")
+    force = partialmethod(signal, colour="#ad4500")
+    wave = partialmethod(signal, colour="#00785a")
+    decision = partialmethod(signal, dashes=(0, (3.2, 2)))
+
+    def ports(self, *chain, half=0.13):
+        """
+        Draw power ports between blocks side by side.
+
+        Between the names of two blocks stand what goes right and what comes back; an f is a force.
+        """
+        for left, there, back, right in zip(*(chain[i::3] for i in range(3)), chain[3::3]):
+            (x0, y), (x1, _) = self._point(f"{left}.e"), self._point(f"{right}.w")
+            self.axis.add_patch(Rectangle((x0, y - half), x1 - x0, 2 * half, color=BAND, lw=0))
+            for label, start, end, side in (
+                (there, f"{left}.e", f"{right}.w", 1),
+                (back, f"{right}.w", f"{left}.e", -1),
+            ):
+                draw = self.force if "f" in label else self.velocity
+                draw(label, f"{start}{side * half:+}", f"{end}{side * half:+}", side=side)
 
     def _point(self, place):
         if not isinstance(place, str):
@@ -109,60 +124,58 @@ class Diagram:
         return round(x, 6), round(y, 6)  # what should be level is level
 
 
-V, F, W, D = "velocity", "force", "wave", "decision"
-
-
 def two_levels():
     """Figs. 1.1 and 2.1: an inner loop that drives, an outer one that says who should."""
     d = Diagram(3.4)
     d.frame("Outer loop: who drives?", 1.98, 2.06, 6.44, 3.32)
     d.frame("", 1.98, 0.4, 6.44, 1.94)
     d.text("Inner loop: driving", 5.7, 0.5, PALE, "right")
-    d.block("human", "Operator", 0.62, 1.7, 1.04, 2.6, "$r$ by (2.5)\n$P_h$ by (2.6)")
-    d.block("rule", "Rule, $TSC_l$\nand $TSC_u$", 2.66, 2.56, 1.04, 0.74, "(2.8)")
-    d.block("tsc", "TSC =\n$a_T P_r - b_T P_h$", 4.2, 2.56, 1.22, 0.74, "(2.1)")
-    d.block("means", "Means over\n100 s", 5.82, 2.56, 0.98, 0.74, "(2.4), (2.7)")
-    d.block("auto", "Autonomous\ncontroller", 2.72, 0.72, 1.1, 0.54)
-    for name, x, y in (("manual", 3.61, 1.4), ("alone", 3.61, 1.04), ("switch", 4.11, 1.22)):
-        d.circle(name, x, y, 0.035)
+    d.block("human", "Operator|$r$ by (2.5)\n$P_h$ by (2.6)", 0.62, 1.7, 1.04, 2.6)
+    d.block("rule", "Rule, $TSC_l$\nand $TSC_u$|(2.8)", 2.66, 2.56, 1.04, 0.74)
+    d.block("tsc", "TSC =\n$a_T P_r - b_T P_h$|(2.1)", 4.2, 2.56, 1.22, 0.74)
+    d.block("means", "Means over\n100 s|(2.4), (2.7)", 5.82, 2.56, 0.98, 0.74)
+    d.block("auto", "Autonomous\ncontroller", 2.72, 0.72, 1.1)
     d.block("robot", "Robot", 5.0, 1.22, 0.84)
-    d.circle("out", 5.82, 1.22, 0.028)
-    d.circle("seen", 5.82, 0.6, 0.028)
-    d.arrow("human.e-0.3", "manual.w", label="command $u_h$", at=0.55)
-    d.arrow("auto.e", (3.45, 0.72), "alone.w", label="$u_a$", leg=1)
-    d.axis.plot((3.64, 4.08), (1.4, 1.22), color=INK)
-    d.arrow("switch.e", "robot.w", label="$u$", at=0.4)
-    d.arrow("robot.e", "out.w", head=False)
-    d.arrow("out.n", "means.s", label="speed, $e$", side="left")
-    d.arrow("out.s", "seen.n", (5.82, 0.6), "auto.e-0.12", label="deviation $e$", at=0.45)
-    d.arrow("seen.s", (5.82, 0.12), (0.62, 0.12), "human.s", label="what the operator sees", at=0.2)
-    d.arrow("means.w", "tsc.e", label="$P_r$, $P_h$")
-    d.arrow("tsc.w", "rule.e", label="TSC")
-    d.arrow("rule.w", "human.e+0.86", label="suggestion", kind=D, at=0.57)
-    d.arrow("human.e-0.06", (3.86, 1.64), (3.86, 1.34), label="mode $M$", kind=D, at=0.16)
+    d.circle("manual", 3.61, 1.4)
+    d.circle("alone", 3.61, 1.04)
+    d.circle("switch", 4.11, 1.22)
+    d.circle("out", 5.82, 1.22)
+    d.circle("seen", 5.82, 0.6)
+    d.signal("command $u_h$", "human.e-0.3", "manual.w", at=0.55)
+    d.signal("$u_a$", "auto.e", (3.45, 0.72), "alone.w", leg=1)
+    d.axis.plot((3.61, 4.11), (1.4, 1.22), color=INK)
+    d.signal("$u$", "switch.e", "robot.w", at=0.4)
+    d.wire("robot.e", "out.w")
+    d.signal("speed, $e$", "out.n", "means.s", side=-1)
+    d.signal("deviation $e$", "out.s", "auto.e-0.12", at=0.45)
+    d.signal("what the operator sees", "seen.s", (5.82, 0.12), "human.s", at=0.2)
+    d.signal("$P_r$, $P_h$", "means.w", "tsc.e")
+    d.signal("TSC", "tsc.w", "rule.e")
+    d.decision("suggestion", "rule.w", "human.e+0.86", at=0.57)
+    d.decision("mode $M$", "human.e-0.06", (3.86, 1.64), (3.86, 1.34), at=0.16)
     return d
 
 
 def model_loop():
     """Chapter 2 as five equations: the mode acts on the load, and on what reaches the robot."""
     d = Diagram(2.06)
-    d.block("rule", "Rule", 0.66, 1.3, 0.9, equations="(2.8)")
-    d.block("use", "Utilization", 2.06, 1.3, 0.98, equations="(2.5)")
-    d.block("hand", "Human\nperformance", 3.52, 1.3, 1.08, 0.72, "(2.6)")
-    d.circle("times", 4.66, 1.3, words="×")
-    d.block("robot", "Robot\nperformance", 5.8, 1.3, 1.1, 0.72, "(2.3)")
-    d.block("tsc", "$a_T P_r - b_T P_h$", 3.0, 0.4, 1.4, equations="(2.1)")
-    d.circle("m", 1.3, 1.3, 0.028)
-    d.circle("p", 4.3, 1.3, 0.028)
-    d.arrow("rule.e", "use.w", label="$M$", kind=D, at=0.67)
-    d.arrow("use.e", "hand.w", label="$r$")
-    d.arrow("hand.e", "times.w", label="$P_h$", at=0.4)
-    d.arrow("times.e", "robot.w", label="$M P_h$")
+    d.block("rule", "Rule|(2.8)", 0.66, 1.3, 0.9)
+    d.block("use", "Utilization|(2.5)", 2.06, 1.3, 0.98)
+    d.block("hand", "Human\nperformance|(2.6)", 3.52, 1.3, 1.08, 0.72)
+    d.block("robot", "Robot\nperformance|(2.3)", 5.8, 1.3, 1.1, 0.72)
+    d.block("tsc", "$a_T P_r - b_T P_h$|(2.1)", 3.0, 0.4, 1.4)
+    d.circle("times", 4.66, 1.3, "×")
+    d.circle("m", 1.3, 1.3)
+    d.circle("p", 4.3, 1.3)
+    d.decision("$M$", "rule.e", "use.w", at=0.67)
+    d.signal("$r$", "use.e", "hand.w")
+    d.signal("$P_h$", "hand.e", "times.w", at=0.4)
+    d.signal("$M P_h$", "times.e", "robot.w")
     said = "$M$ = 1 manual, $M$ = 0 autonomous"
-    d.arrow("m.n", (1.3, 1.82), (4.66, 1.82), "times.n", label=said, kind=D)
-    d.arrow("p.s", (4.3, 0.52), "tsc.e+0.12", label="$P_h$", leg=0)
-    d.arrow("robot.s", (5.8, 0.28), "tsc.e-0.12", label="$P_r$", at=0.4)
-    d.arrow("tsc.w", (0.66, 0.4), "rule.s", label="TSC")
+    d.decision(said, "m.n", (1.3, 1.82), "times.n")
+    d.signal("$P_h$", "p.s", "tsc.e+0.12", leg=0)
+    d.signal("$P_r$", "robot.s", "tsc.e-0.12", at=0.4)
+    d.signal("TSC", "tsc.w", "rule.s")
     return d
 
 
@@ -170,35 +183,30 @@ def teleoperation():
     """Figs. 3.1, 3.4, 3.5 and 3.8: a chain of ports, which trust reaches through two scales."""
     d = Diagram(4.3)
     d.frame("Channel: passive, Theorem 3", 3.91, 0.34, 6.44, 4.22)
-    d.block("human", "Operator", 0.58, 3.46, 0.96, 0.9, "assumed\npassive")
-    d.block("device", "Haptic device", 2.3, 3.46, 1.3, 0.9, "$r$-passive\n(3.8)–(3.11)")
-    d.block("one", "Scattering 1", 4.5, 3.46, 1.06, 0.9, "scale $\\beta$\n(3.12), (3.13)")
-    words = "Delays\n$T_1(t)$, $T_2(t)$\nand gains\n$f_1$, $f_2$"
-    d.block("delay", words, 5.92, 2.18, 0.88, 3.46, "(3.16)")
-    d.block("two", "Scattering 2", 4.5, 0.9, 1.06, 0.9, "scale $\\alpha$\n(3.12), (3.13)")
-    d.block("guard", "Passivity\ncontroller", 3.13, 0.9, 0.9, 0.9, "Theorem 4\n(3.19)")
-    d.block("robot", "Robot and\nguidance", 1.86, 0.9, 0.9, 0.9, "(A.1)")
-    d.block("world", "Environ-\nment", 0.52, 0.9, 0.84, 0.9, "passive")
-    d.port("human", "device", (F, "$f_h$"), (V, "$r_m$"))
-    d.port("device", "one", (V, "$r_m$"), (F, "$f_m$"))
-    d.port("guard", "two", (F, "$f_s$"), (V, "$r_s$"))
-    d.port("robot", "guard", (F, "$f'_s$"), (V, "$r_s$"))
-    d.port("world", "robot", (F, "$f_e$"), (V, "$v$"))
-    for name, place, waves in (("one", 1.28, "u_l v_l"), ("two", -1.28, "u_r v_r")):
-        there, back = (f"${wave}$" for wave in waves.split())
-        d.arrow(f"{name}.e+0.13", f"delay.w{place + 0.13:+}", label=there, kind=W)
-        d.arrow(f"delay.w{place - 0.13:+}", f"{name}.e-0.13", label=back, kind=W, side="below")
-    words = "Performance\n$P_h$, $P_r$"
-    d.block("means", words, 0.66, 2.18, 1.1, 0.76, "(3.26), (3.27)")
-    d.block("trust_h", "Trust in operator $T_{rh}$", 2.7, 2.5, 1.78, 0.52, "(3.3), (3.5)")
-    d.block("trust_r", "Trust in robot $T_{hr}$", 2.7, 1.86, 1.78, 0.52, "(3.2), (3.5)")
-    d.arrow("human.s+0.08", "means.n", label="$u_h$")
-    d.arrow("world.n", "means.s-0.14", label="error $e$")
-    d.arrow("means.e+0.18", "trust_h.w-0.14", label="$P_h$")
-    d.arrow("means.e-0.18", "trust_r.w+0.14", label="$P_r$", side="below")
-    d.arrow("trust_h.e", "one.s", label="$\\beta$", leg=1)
-    d.arrow("trust_r.e", "two.n", label="$\\alpha$", leg=1)
-    d.arrow("trust_r.s-0.84", "robot.n", label="1 − $\\alpha$")
+    d.block("human", "Operator|assumed\npassive", 0.58, 3.46, 0.96, 0.9)
+    d.block("device", "Haptic device|$r$-passive\n(3.8)–(3.11)", 2.3, 3.46, 1.3, 0.9)
+    d.block("one", "Scattering 1|scale $\\beta$\n(3.12), (3.13)", 4.5, 3.46, 1.06, 0.9)
+    words = "Delays\n$T_1(t)$, $T_2(t)$\nand gains\n$f_1$, $f_2$|(3.16)"
+    d.block("delay", words, 5.92, 2.18, 0.88, 3.46)
+    d.block("two", "Scattering 2|scale $\\alpha$\n(3.12), (3.13)", 4.5, 0.9, 1.06, 0.9)
+    d.block("guard", "Passivity\ncontroller|Theorem 4\n(3.19)", 3.13, 0.9, 0.9, 0.9)
+    d.block("robot", "Robot and\nguidance|(A.1)", 1.86, 0.9, 0.9, 0.9)
+    d.block("world", "Environ-\nment|passive", 0.52, 0.9, 0.84, 0.9)
+    d.ports("human", "$f_h$", "$r_m$", "device", "$r_m$", "$f_m$", "one")
+    d.ports("world", "$f_e$", "$v$", "robot", "$f'_s$", "$r_s$", "guard", "$f_s$", "$r_s$", "two")
+    for name, place, there, back in (("one", 1.28, "u_l", "v_l"), ("two", -1.28, "u_r", "v_r")):
+        d.wave(f"${there}$", f"{name}.e+0.13", f"delay.w{place + 0.13:+}")
+        d.wave(f"${back}$", f"delay.w{place - 0.13:+}", f"{name}.e-0.13", side=-1)
+    d.block("means", "Performance\n$P_h$, $P_r$|(3.26), (3.27)", 0.66, 2.18, 1.1, 0.76)
+    d.block("trust_h", "Trust in operator $T_{rh}$|(3.3), (3.5)", 2.7, 2.5, 1.78)
+    d.block("trust_r", "Trust in robot $T_{hr}$|(3.2), (3.5)", 2.7, 1.86, 1.78)
+    d.signal("$u_h$", "human.s+0.08", "means.n")
+    d.signal("error $e$", "world.n", "means.s-0.14")
+    d.signal("$P_h$", "means.e+0.18", "trust_h.w-0.14")
+    d.signal("$P_r$", "means.e-0.18", "trust_r.w+0.14", side=-1)
+    d.signal("$\\beta$", "trust_h.e", "one.s", leg=1)
+    d.signal("$\\alpha$", "trust_r.e", "two.n", leg=1)
+    d.signal("1 − $\\alpha$", "trust_r.s-0.84", "robot.n")
     return d
 
 
@@ -206,32 +214,29 @@ def haptic_device():
     """Figs. 3.6 and 3.11: the output is velocity + Λ position, and γ scales what the hand feels."""
     d = Diagram(3.3)
     d.frame("", 0.62, 0.2, 5.86, 3.2)
+    d.block("device", "Device|(3.8)", 1.98, 1.48, 0.98, 0.6)
+    d.block("local", "Local control|$-B\\dot x - Kx$", 1.98, 2.38, 1.14, 0.6)
+    d.block("sum", "∫", 3.46, 2.48, 0.46, 0.42)
+    d.block("weight", "$\\Lambda$", 4.36, 2.48, 0.46, 0.42)
+    d.block("small", "$\\gamma$", 3.46, 0.58, 0.46, 0.42)
     d.circle("force", 1.0, 1.48, signs="+w +n -s")
-    d.block("device", "Device", 1.98, 1.48, 0.98, 0.6, "(3.8)")
-    d.block("local", "Local control", 1.98, 2.38, 1.14, 0.6, "$-B\\dot x - Kx$")
-    for name, words, x, y in (
-        ("sum", "∫", 3.46, 2.48),
-        ("weight", "$\\Lambda$", 4.36, 2.48),
-        ("small", "$\\gamma$", 3.46, 0.58),
-    ):
-        d.block(name, words, x, y, 0.46, 0.42)
     d.circle("out", 5.02, 1.48, signs="+w +n")
-    for name, x in (("v", 2.98), ("w", 3.46), ("r", 5.5)):
-        d.circle(name, x, 1.48, 0.028)
-    d.arrow((0.06, 1.48), "force.w", label="$f_h$", kind=F, at=0.3)
-    d.arrow("force.e", "device.w")
-    d.arrow("device.e", "out.w", label="$\\dot x$", at=0.75)
-    d.arrow("v.n", "local.e-0.1", label="$\\dot x$", leg=0)
-    d.arrow("w.n", "sum.s")
-    d.arrow("sum.w", "local.e+0.1", label="$x$")
-    d.arrow("sum.e", "weight.w", label="$x$")
-    d.arrow("weight.e", "out.n", label="$\\Lambda x$", leg=1, at=0.4)
-    d.arrow("local.w", "force.n", label="$f_{local}$", leg=1, at=0.42)
-    d.arrow("out.e", (6.44, 1.48), label="$r_m$", kind=V, at=0.9)
-    d.arrow((6.44, 0.58), "small.e", label="$f''_m$", kind=F, at=0.3)
-    d.arrow("small.w", (1.0, 0.58), "force.s", label="$f_m$ = $\\gamma f''_m$", kind=F)
-    said = "$r''_m$ = $r_m/\\gamma$, to the operator"
-    d.arrow("r.n", (5.5, 2.95), (0.06, 2.95), label=said, kind=V)
+    d.circle("v", 2.98, 1.48)
+    d.circle("w", 3.46, 1.48)
+    d.circle("r", 5.5, 1.48)
+    d.force("$f_h$", (0.06, 1.48), "force.w", at=0.3)
+    d.signal("", "force.e", "device.w")
+    d.signal("$\\dot x$", "device.e", "out.w", at=0.75)
+    d.signal("$\\dot x$", "v.n", "local.e-0.1", leg=0)
+    d.signal("", "w.n", "sum.s")
+    d.signal("$x$", "sum.w", "local.e+0.1")
+    d.signal("$x$", "sum.e", "weight.w")
+    d.signal("$\\Lambda x$", "weight.e", "out.n", leg=1, at=0.4)
+    d.signal("$f_{local}$", "local.w", "force.n", leg=1, at=0.42)
+    d.velocity("$r_m$", "out.e", (6.44, 1.48), at=0.9)
+    d.force("$f''_m$", (6.44, 0.58), "small.e", at=0.3)
+    d.force("$f_m$ = $\\gamma f''_m$", "small.w", "force.s", leg=0)
+    d.velocity("$r''_m$ = $r_m/\\gamma$, to the operator", "r.n", (0.06, 2.95))
     return d
 
 
@@ -239,34 +244,28 @@ def channel():
     """Fig. 3.7: scattering outside the delays, the scales outside the scattering."""
     d = Diagram(2.34)
     d.frame("", 0.42, 0.3, 6.1, 2.02)
-    d.block("one", "Scattering", 1.98, 1.12, 0.84, 1.3, "(3.13)")
-    d.block("two", "Scattering", 4.7, 1.12, 0.84, 1.3, "(3.13)")
-    for name, words, x, y, w in (
-        ("beta", "$\\beta(t)$", 0.92, 0.72, 0.5),
-        ("t1", "$T_1(t)$", 3.0, 1.52, 0.56),
-        ("f1", "$f_1$", 3.74, 1.52, 0.42),
-        ("f2", "$f_2$", 2.93, 0.72, 0.42),
-        ("t2", "$T_2(t)$", 3.67, 0.72, 0.56),
-        ("alpha", "$\\alpha(t)$", 5.72, 1.52, 0.5),
-    ):
-        d.block(name, words, x, y, w, 0.42)
-    for start, end, label, kind, at in (
-        ((0.06, 1.52), "one.w+0.4", "$r_m$", V, 0.11),
-        ("one.w-0.4", "beta.e", "$f'_m$", F, 0.5),
-        ("beta.w", (0.06, 0.72), "$f_m$", F, 0.75),
-        ("one.e+0.4", "t1.w", "$u_l$", W, 0.5),
-        ("t1.e", "f1.w", "", W, 0.5),
-        ("f1.e", "two.w+0.4", "$v_r$", W, 0.5),
-        ("two.w-0.4", "t2.e", "$u_r$", W, 0.5),
-        ("t2.w", "f2.e", "", W, 0.5),
-        ("f2.w", "one.e-0.4", "$v_l$", W, 0.5),
-        ("two.e+0.4", "alpha.w", "$r'_s$", V, 0.5),
-        ("alpha.e", (6.44, 1.52), "$r_s$", V, 0.64),
-        ((6.44, 0.72), "two.e-0.4", "$f_s$", F, 0.13),
-    ):
-        d.arrow(start, end, label=label, kind=kind, at=at)
-    d.arrow((5.72, 2.3), "alpha.n", label="trust $T_{hr}$", at=0.24, side="left")
-    d.arrow((0.92, 0.04), "beta.s", label="trust $T_{rh}$", at=0.28)
+    d.block("one", "Scattering|(3.13)", 1.98, 1.12, 0.84, 1.3)
+    d.block("two", "Scattering|(3.13)", 4.7, 1.12, 0.84, 1.3)
+    d.block("beta", "$\\beta(t)$", 0.92, 0.72, 0.5, 0.42)
+    d.block("t1", "$T_1(t)$", 3.0, 1.52, 0.56, 0.42)
+    d.block("f1", "$f_1$", 3.74, 1.52, 0.42, 0.42)
+    d.block("f2", "$f_2$", 2.93, 0.72, 0.42, 0.42)
+    d.block("t2", "$T_2(t)$", 3.67, 0.72, 0.56, 0.42)
+    d.block("alpha", "$\\alpha(t)$", 5.72, 1.52, 0.5, 0.42)
+    d.velocity("$r_m$", (0.06, 1.52), "one.w+0.4", at=0.11)
+    d.force("$f'_m$", "one.w-0.4", "beta.e")
+    d.force("$f_m$", "beta.w", (0.06, 0.72), at=0.75)
+    d.wave("$u_l$", "one.e+0.4", "t1.w")
+    d.wave("", "t1.e", "f1.w")
+    d.wave("$v_r$", "f1.e", "two.w+0.4")
+    d.wave("$u_r$", "two.w-0.4", "t2.e")
+    d.wave("", "t2.w", "f2.e")
+    d.wave("$v_l$", "f2.w", "one.e-0.4")
+    d.velocity("$r'_s$", "two.e+0.4", "alpha.w")
+    d.velocity("$r_s$", "alpha.e", (6.44, 1.52), at=0.64)
+    d.force("$f_s$", (6.44, 0.72), "two.e-0.4", at=0.13)
+    d.signal("trust $T_{hr}$", (5.72, 2.3), "alpha.n", at=0.24, side=-1)
+    d.signal("trust $T_{rh}$", (0.92, 0.04), "beta.s", at=0.28)
     d.text("power in: $r_m^T f_m$", 0.42, 2.18, PALE)
     d.text("power out: $r_s^T f_s$", 6.1, 0.14, PALE, "right")
     return d
@@ -276,76 +275,66 @@ def robot_side():
     """Figs. 3.9 and 3.10: the observer and the controller guard the port, not the robot."""
     d = Diagram(2.94)
     d.frame("Passivity controller", 0.56, 0.36, 2.3, 2.3)
-    for name, x, y in (("r", 1.0, 1.78), ("r2", 1.88, 1.78), ("f2", 1.88, 0.66)):
-        d.circle(name, x, y, 0.028)
+    d.block("z", "$z(t)$", 1.0, 1.24, 0.5, 0.42)
+    d.block("po", "PO", 1.88, 1.24, 0.46, 0.42)
+    d.block("low", "Velocity\nloop", 3.62, 1.78, 0.8, 0.6)
+    d.block("robot", "Robot", 4.74, 1.78, 0.74, 0.6)
+    d.block("world", "Environ-\nment", 6.0, 1.78, 0.8, 0.6)
+    d.block("one", "1 − $\\alpha$", 2.72, 2.58, 0.6, 0.42)
+    d.block("auto", "Autonomous\ncontroller", 3.9, 2.58, 1.06)
+    d.block("guide", "Guiding force|$-k_{ffa}\\, e$", 3.62, 0.66, 1.1)
+    d.circle("r", 1.0, 1.78)
+    d.circle("r2", 1.88, 1.78)
+    d.circle("f2", 1.88, 0.66)
     d.circle("f", 1.0, 0.66, signs="+n +e")
     d.circle("ref", 2.72, 1.78, signs="+w +n")
-    for name, words, x, y, w, h in (
-        ("z", "$z(t)$", 1.0, 1.24, 0.5, 0.42),
-        ("po", "PO", 1.88, 1.24, 0.46, 0.42),
-        ("low", "Velocity\nloop", 3.62, 1.78, 0.8, 0.6),
-        ("robot", "Robot", 4.74, 1.78, 0.74, 0.6),
-        ("world", "Environ-\nment", 6.0, 1.78, 0.8, 0.6),
-        ("one", "1 − $\\alpha$", 2.72, 2.58, 0.6, 0.42),
-        ("auto", "Autonomous\ncontroller", 3.9, 2.58, 1.06, 0.54),
-    ):
-        d.block(name, words, x, y, w, h)
-    d.block("guide", "Guiding force", 3.62, 0.66, 1.1, equations="$-k_{ffa}\\, e$")
-    d.arrow((0.06, 1.78), "ref.w", label="$r_s$", kind=V, at=0.09)
-    d.arrow("r.s", "z.n", kind=V)
-    d.arrow("z.s", "f.n", label="$z r_s$", kind=F, side="left")
-    d.arrow("r2.s", "po.n")
-    d.arrow("f2.n", "po.s")
-    d.arrow("po.w", "z.e", label="on", kind=D)
-    d.arrow("guide.w", "f.e", label="$f'_s$", kind=F, at=0.25)
-    d.arrow("f.w", (0.06, 0.66), label="$f_s$", kind=F, at=0.75)
-    d.arrow("ref.e", "low.w", label="$v_{ref}$")
-    d.arrow("low.e", "robot.w")
-    d.port("robot", "world", (V, "$v$"), (F, "$f_e$"))
-    d.arrow("robot.n", (4.74, 2.58), "auto.e", label="error $e$", leg=0, at=0.4)
-    d.arrow("robot.s", (4.74, 0.66), "guide.e", label="error $e$", leg=0)
-    d.arrow("auto.w", "one.e", label="$A_c$")
-    d.arrow((1.9, 2.58), "one.w", label="$T_{hr}$", at=0.4)
-    d.arrow("one.s", "ref.n")
+    d.velocity("$r_s$", (0.06, 1.78), "ref.w", at=0.09)
+    d.velocity("", "r.s", "z.n")
+    d.force("$z r_s$", "z.s", "f.n", side=-1)
+    d.signal("", "r2.s", "po.n")
+    d.signal("", "f2.n", "po.s")
+    d.decision("on", "po.w", "z.e")
+    d.force("$f'_s$", "guide.w", "f.e", at=0.25)
+    d.force("$f_s$", "f.w", (0.06, 0.66), at=0.75)
+    d.signal("$v_{ref}$", "ref.e", "low.w")
+    d.signal("", "low.e", "robot.w")
+    d.ports("robot", "$v$", "$f_e$", "world")
+    d.signal("error $e$", "robot.n", "auto.e", leg=0, at=0.4)
+    d.signal("error $e$", "robot.s", "guide.e", leg=0)
+    d.signal("$A_c$", "auto.w", "one.e")
+    d.signal("$T_{hr}$", (1.9, 2.58), "one.w", at=0.4)
+    d.signal("", "one.s", "ref.n")
     return d
 
 
 def team():
     """Figs. 4.1, 4.3 and 4.4: the same chain, whose far end moves from robot to robot."""
     d = Diagram(3.5)
+    d.block("human", "Operator|(4.30)", 0.48, 1.14, 0.8, 0.9)
+    d.block("device", "Haptic\ndevice|(4.6)", 1.6, 1.14, 0.7, 0.9)
+    d.block("one", "Filter\n$F_1$|(4.16)", 2.6, 1.14, 0.58, 0.9)
+    d.block("waves", "Switched\nchannel|Theorem 5", 3.66, 1.14, 0.84, 0.9)
+    d.block("two", "Filter\n$F_2$|(4.16)", 4.73, 1.14, 0.58, 0.9)
     d.block("team", "", 5.9, 1.14, 1.02, 1.7)
-    for name, words, x, w, equations in (
-        ("human", "Operator", 0.48, 0.8, "(4.30)"),
-        ("device", "Haptic\ndevice", 1.6, 0.7, "(4.6)"),
-        ("one", "Filter\n$F_1$", 2.6, 0.58, "(4.16)"),
-        ("waves", "Switched\nchannel", 3.66, 0.84, "Theorem 5"),
-        ("two", "Filter\n$F_2$", 4.73, 0.58, "(4.16)"),
-    ):
-        d.block(name, words, x, 1.14, w, 0.9, equations)
     d.text("Team (4.19)", 5.9, 1.86, PALE, "center")
-    for name, words, x, y in (
-        ("leader", "$i_k$", 5.64, 1.14),
-        ("first", "1", 6.2, 1.52),
-        ("last", "$N$", 6.2, 0.76),
-    ):
-        d.block(name, words, x, y, 0.3, 0.3)
-    d.arrow("leader.n", (5.64, 1.52), "first.w", head=False)
-    d.arrow("leader.s", (5.64, 0.76), "last.w", head=False)
-    d.arrow("first.s", "last.n", head=False)
+    d.block("leader", "$i_k$", 5.64, 1.14, 0.3, 0.3)
+    d.block("first", "1", 6.2, 1.52, 0.3, 0.3)
+    d.block("last", "$N$", 6.2, 0.76, 0.3, 0.3)
+    d.wire("leader.n", (5.64, 1.52), "first.w")
+    d.wire("leader.s", (5.64, 0.76), "last.w")
+    d.wire("first.s", "last.n")
     d.text("$i_k$: the leader", 5.9, 0.42, PALE, "center")
-    d.port("human", "device", (F, "$f_h$"), (V, "$r_m$"))
-    d.port("device", "one", (V, "$r_m$"), (F, "$f_m$"))
-    d.port("one", "waves", (V, "$\\hat r_m$"), (F, "$\\hat f_m$"))
-    d.port("waves", "two", (V, "$\\hat r_s$"), (F, "$\\hat f_s$"))
-    d.port("two", "team", (V, "$r_s$"), (F, "$f_s$"))
-    d.block("operator", "Trust in operator\n$T_{rh,i}$", 1.86, 2.34, 1.4, 0.72, "(4.2), (4.3)")
+    hand = "human", "$f_h$", "$r_m$", "device", "$r_m$", "$f_m$", "one"
+    sent = "$\\hat r_m$", "$\\hat f_m$", "waves", "$\\hat r_s$", "$\\hat f_s$", "two"
+    d.ports(*hand, *sent, "$r_s$", "$f_s$", "team")
+    d.block("operator", "Trust in operator\n$T_{rh,i}$|(4.2), (4.3)", 1.86, 2.34, 1.4, 0.72)
     d.block("policy", "Leader: the\nmost trusted", 3.86, 3.04, 1.16)
-    d.block("robots", "Trust in each\nrobot $T_{hr,i}$", 5.76, 3.04, 1.2, 0.74, "(4.1)")
-    d.circle("choice", 3.86, 2.34, 0.028)
-    d.arrow("human.n", (0.48, 2.34), "operator.w", label="$P_h$", leg=0, at=0.6)
-    d.arrow("operator.e", "waves.n-0.2", label="$\\beta_{i_k}$", leg=0)
-    d.arrow("team.n+0.3", "robots.s+0.44", label="$P_{r,i}$", side="left")
-    d.arrow("robots.w", "policy.e", label="$T_{hr,i}$")
-    d.arrow("policy.s", "waves.n+0.2", label="$i_k$", kind=D, at=0.22, side="left")
-    d.arrow("choice.e", "team.n-0.3", label="switches both ends", kind=D, at=0.54)
+    d.block("robots", "Trust in each\nrobot $T_{hr,i}$|(4.1)", 5.76, 3.04, 1.2, 0.74)
+    d.circle("choice", 3.86, 2.34)
+    d.signal("$P_h$", "human.n", "operator.w", leg=0, at=0.6)
+    d.signal("$\\beta_{i_k}$", "operator.e", "waves.n-0.2", leg=0)
+    d.signal("$P_{r,i}$", "team.n+0.3", "robots.s+0.44", side=-1)
+    d.signal("$T_{hr,i}$", "robots.w", "policy.e")
+    d.decision("$i_k$", "policy.s", "waves.n+0.2", at=0.22, side=-1)
+    d.decision("switches both ends", "choice.e", "team.n-0.3", at=0.54)
     return d

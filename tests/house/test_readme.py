@@ -12,7 +12,7 @@ import pytest
 from matplotlib import pyplot as plt
 
 import trustlab as tl
-from tests.house.documents import DOCUMENTS, ROOT, blocks, name_of, python, write_files
+from tests.house.documents import DOCUMENTS, FENCE, ROOT, blocks, name_of, python, write_files
 from trustlab.sessions import load_recipe
 
 
@@ -52,6 +52,17 @@ def test_code_runs(path, tmp_path, monkeypatch, capsys):
         exec(compile(python(path), name_of(path), "exec"), {"__name__": "__main__"})
         plt.close("all")
     assert capsys.readouterr().out.strip()
+
+
+def words_of(path):
+    """Words of a page outside its blocks of code and the markup of tables."""
+    return [word for word in FENCE.sub("", path.read_text()).split() if re.search(r"\w", word)]
+
+
+def test_documentation_is_short():
+    written = [path for path in DOCUMENTS[1:] if path.name != "benchmarks.md"]
+    assert sum(len(words_of(path)) for path in written) <= 10_000
+    assert len(words_of(ROOT / "CONTRIBUTING.md")) <= 600
 
 
 def test_blocks_of_the_documentation_fit_a_page_of_1280_pixels():

@@ -54,7 +54,7 @@ def test_what_touches_is_found():
     diagram = diagrams.Diagram(1.0, 3.0)
     diagram.block("a", "A", 0.7, 0.5)
     diagram.block("b", "B", 2.3, 0.5)
-    diagram.arrow("a.e", "b.w", label="$u$")
+    diagram.signal("$u$", "a.e", "b.w")
     assert touching(diagram) == []
     diagram.text("across", 1.0, 0.45)
     assert {what for _, what in touching(diagram)} == {"the edge of a block", "a wire"}
