@@ -415,6 +415,7 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, clien
     assert (len(first.rows), len(second.commands)) == (5, 0)
     assert first.end == "the experimenter let it be driven again"
     assert first.settings["seed"] != second.settings["seed"]
+    assert tl.read_live_study(served.plan.folder).faults().empty
 
 
 def test_the_experimenter_sees_adds_and_ends(served, client, driving_page):
