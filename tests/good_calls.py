@@ -215,7 +215,6 @@ NOT_WALKED = {
     "allocation.incentive_box": "is the kernel of incentive_bounds",
     "calibrate": "simulates studies for minutes",
     "fit_population": "takes seconds; sample_posterior checks the same arguments",
-    "live.live_difficulty": "takes a minute",
     "live.policy_agreement": "needs a team that somebody led",
     "publishing.caption": "for the notebooks of this project",
     "publishing.only_parameters": "reads the names of a notebook",

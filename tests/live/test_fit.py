@@ -6,7 +6,7 @@ Oracle: `fit_tsc` called by hand with the same values held.
 import pytest
 
 import trustlab as tl
-from trustlab.live.hands import Driver, HumanHand
+from trustlab.live.hands import HumanHand
 from trustlab.live.task import scripted_commands
 
 OTHER = tl.published_models()["2"]
@@ -18,11 +18,11 @@ def driven(tmp_path):
     A function that returns a widget whose drive is done, by a scripted hand with a person's limits.
     """
 
-    def drive(laps, seed=2):
+    def drive(laps, seed=1):
         log = tmp_path / f"{laps}.jsonl"
         live = tl.LiveGroundRobot("C3", OTHER, (0.0, 0.35), laps=laps, seed=seed, log=log)
         config = live.trial.settings
-        hand = Driver(config, HumanHand(config, seed))
+        hand = HumanHand(config, seed)
         commands, _ = scripted_commands(live.trial.task, config, hand)
         live.trial.take({"begin": True})
         assert live.trial.take({"k": 0, "commands": commands, "seen": 0})["done"]

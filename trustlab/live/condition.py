@@ -2,8 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from trustlab.allocation.limits import threshold_pair
 from trustlab.live.tick import SCORE, SIGNALS
@@ -112,8 +111,3 @@ class LiveCondition:
         """The weight of each signal in a rule of one's own."""
         rule = self.suggestions if isinstance(self.suggestions, Mapping) else {}
         return {signal: float(rule.get(signal, 0.0)) for signal in SIGNALS}
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the condition as plain values for `study.json`."""
-        pair = None if self.thresholds is None else list(self.thresholds)
-        return asdict(self) | {"thresholds": pair}

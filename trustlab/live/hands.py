@@ -1,6 +1,6 @@
 """
 Scripted people: hands at the keys of a drive, one with a person's limits; a hand that points; a
-person who leads a team. They rehearse studies, and tell how hard a task is.
+person who leads a team. They rehearse studies.
 """
 
 from collections import deque
@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from trustlab.live.task import PERIOD
-from trustlab.testbeds.ground_robot.course import path_point
 
 REACTION = 0.2
 """The time from seeing to pressing a key [s], besides that of the video link."""
@@ -23,42 +22,14 @@ Gates nearer than this are passed without looking [m]; smaller bearings are let 
 this one the forward key is released [rad].
 """
 
+RAMP = ("rise", "fall")
+"""How fast a lever moves towards full deflection and back."""
+
 POINTING = 0.5
 """Deflection of a hand that points, for a distance to the target [1/m]."""
 
 MISJUDGED, MISJUDGED_TIME = 0.15, 1.0
 """Standard deviation of a judged bearing [rad] and how long a misjudgement lasts [s]."""
-
-
-class Driver:
-    """A hand that steers, and follows suggestions; it wants no other switch."""
-
-    def __init__(self, config: Mapping[str, Any], hand: Any):
-        self.config, self.hand = config, hand
-
-    def __call__(self, picture: Mapping[str, Any]) -> list[float]:
-        """Return the command that follows a picture."""
-        v, w = self.hand.step(picture)
-        mode, suggested = (picture["row"] or (self.config["task"]["first_mode"], -1))[:2]
-        limits = self.config["limits"]
-        bounded = [float(np.clip(x, *limits[n])) for n, x in (("v_command", v), ("w_command", w))]
-        return [*bounded, mode if suggested < 0 else suggested]
-
-
-class Keys:
-    """Levers that keys move: forward and left, in [−1, 1], with the ramp of a drive."""
-
-    def __init__(self, config: Mapping[str, Any]):
-        self.levers = np.zeros(2)
-        self.step = {name: rate * config["sample_time"] for name, rate in config["ramp"].items()}
-
-    def press(self, forward: int, left: int) -> np.ndarray:
-        """Hold keys for one sample (−1, 0 or 1 each); return where the levers are then."""
-        for i, target in enumerate((forward, left)):
-            now = self.levers[i]
-            most = self.step["rise"] if abs(target) > abs(now) else self.step["fall"]
-            self.levers[i] = now + min(max(target - now, -most), most)
-        return self.levers
 
 
 class HumanHand:
@@ -67,19 +38,46 @@ class HumanHand:
     directions, and has keys.
 
     It turns towards the middle of the nearest gate ahead that is in view, and turns on where none
-    is.
+    is. It follows suggestions, and wants no other switch.
     """
 
     def __init__(self, config: Mapping[str, Any], seed: int | np.random.SeedSequence = 0):
-        self.view = config["view"]
-        self.keys = Keys(config)
-        self.robot = config["robot"]
+        self.view, self.robot = config["view"], config["robot"]
+        self.mode = config["task"]["first_mode"]
+        self.levers = np.zeros(2)  # forward and left, in [−1, 1]
+        self.rise, self.fall = (config["ramp"][name] * config["sample_time"] for name in RAMP)
         late = round(REACTION / config["sample_time"])
         self.seen: deque = deque(maxlen=late + 1)
         self.gates = np.array(config["posts"]).reshape(-1, 2, 2)
         self.rng = np.random.default_rng(seed)
         self.keep = np.exp(-config["sample_time"] / MISJUDGED_TIME)
         self.misjudged, self.bearing = 0.0, 0.0
+
+    def __call__(self, picture: Mapping[str, Any]) -> list[float]:
+        """Return the command that follows a picture."""
+        mode, suggested = (picture["row"] or (self.mode, -1))[:2]
+        return [*self.step(picture), mode if suggested < 0 else suggested]
+
+    def step(self, picture: Mapping[str, Any]) -> tuple[float, float]:
+        """Return the speed and the turn rate that follow a picture, within the robot's limits."""
+        self.seen.append((picture["x"], picture["y"], picture["yaw"]))
+        self.misjudged *= self.keep
+        self.misjudged += np.sqrt(1.0 - self.keep**2) * self.rng.standard_normal()
+        bearing = self.look(*self.seen[0])
+        if bearing is None:  # look for the next gate where the last one was
+            self.bearing = np.sign(self.bearing) * (SLOW_DOWN + 0.1)
+        else:
+            self.bearing = bearing + MISJUDGED * self.misjudged
+        forward = 1 if abs(self.bearing) < SLOW_DOWN else 0
+        left = 0 if abs(self.bearing) < DEAD_BAND else int(np.sign(self.bearing))
+        self.press(np.array([forward, left]))
+        v, w = self.levers.tolist()
+        return self.robot["max_speed"] * v, self.robot["max_turn_rate"] * w
+
+    def press(self, keys: np.ndarray) -> None:
+        """Hold keys (−1, 0 or 1 each) for one sample: they move levers, with a ramp."""
+        most = np.where(np.abs(keys) > np.abs(self.levers), self.rise, self.fall)
+        self.levers += np.clip(keys - self.levers, -most, most)
 
     def look(self, x: float, y: float, yaw: float) -> float | None:
         """
@@ -88,55 +86,15 @@ class HumanHand:
         away = self.gates - (x, y)
         cos, sin = np.cos(yaw), np.sin(yaw)
         ahead, left = away @ (cos, sin), away @ (-sin, cos)
-        in_view = (np.hypot(ahead, left) < self.view["range"]) & (
-            np.abs(np.arctan2(left, ahead)) < 0.5 * self.view["field"]
-        )
-        middle_x, middle_y = 0.5 * (ahead[:, 0] + ahead[:, 1]), 0.5 * (left[:, 0] + left[:, 1])
-        facing = (
-            left[:, 0] > left[:, 1]
-        )  # the left row of posts has a colour of its own: gates are not taken backwards
-        distance = np.where(
-            (in_view[:, 0] | in_view[:, 1]) & facing & (middle_x > NEAREST),
-            np.hypot(middle_x, middle_y),
-            np.inf,
-        )
+        near = np.hypot(ahead, left) < self.view["range"]
+        in_view = near & (np.abs(np.arctan2(left, ahead)) < 0.5 * self.view["field"])
+        # The left row of posts has a colour of its own: gates are not taken backwards.
+        facing = left[:, 0] > left[:, 1]
+        middle_x, middle_y = ahead.mean(axis=1), left.mean(axis=1)
+        shown = in_view.any(axis=1) & facing & (middle_x > NEAREST)
+        distance = np.where(shown, np.hypot(middle_x, middle_y), np.inf)
         i = int(np.argmin(distance))
-        return float(np.arctan2(middle_y[i], middle_x[i])) if np.isfinite(distance[i]) else None
-
-    def step(self, picture: Mapping[str, Any]) -> tuple[float, float]:
-        """Return the command v, w that follows a picture."""
-        self.seen.append((picture["x"], picture["y"], picture["yaw"]))
-        self.misjudged = (
-            self.keep * self.misjudged + np.sqrt(1.0 - self.keep**2) * self.rng.standard_normal()
-        )
-        bearing = self.look(*self.seen[0])
-        if bearing is None:
-            self.bearing = np.sign(self.bearing) * (
-                SLOW_DOWN + 0.1
-            )  # look for the next gate where the last one was
-        else:
-            self.bearing = bearing + MISJUDGED * self.misjudged
-        forward = 1 if abs(self.bearing) < SLOW_DOWN else 0
-        left = 0 if abs(self.bearing) < DEAD_BAND else int(np.sign(self.bearing))
-        lever = self.keys.press(forward, left)
-        return self.robot["max_speed"] * lever[0], self.robot["max_turn_rate"] * lever[1]
-
-
-class IdealHand:
-    """
-    A hand without limits: sees the path and steers to a point ahead on it, at once and as finely as
-    it likes.
-    """
-
-    def __init__(self, config: Mapping[str, Any]):
-        self.path, self.robot = np.array(config["path"]), config["robot"]
-
-    def step(self, picture: Mapping[str, Any]) -> tuple[float, float]:
-        """Return the command v, w that follows a picture."""
-        x, y, _, _ = path_point(picture["arc"] + 0.6, self.path)
-        bearing = np.arctan2(y - picture["y"], x - picture["x"]) - picture["yaw"]
-        bearing = np.arctan2(np.sin(bearing), np.cos(bearing))
-        return self.robot["max_speed"], 2.5 * bearing
+        return float(np.arctan2(middle_y[i], middle_x[i])) if shown.any() else None
 
 
 class TrackingHand:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, shown
+from trustlab.models.checks import between, of_class, one_of, shown
 from trustlab.sessions.session import Metadata, Session
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.dynamics import MODELS
@@ -71,6 +71,28 @@ def trust_of(content: Mapping[str, Any]) -> TrustInLoop | None:
     return TrustInLoop(model, stored["every"], stored["start"])
 
 
+class HandSettings:
+    """
+    What the settings of flights and of a team's runs have in common: lengths [s], the least delay
+    [s], and a model of trust.
+    """
+
+    duration: float
+    training: float
+    least_delay: float
+    trust: Any
+
+    def __post_init__(self):
+        trust_as_json(self.trust)
+        between("duration", self.duration, 1.0, 3600.0)
+        between("training", self.training, 1.0, 3600.0)
+        between("least_delay", self.least_delay, 0.0, MOST_DELAY)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the settings as plain values for `study.json`."""
+        return {**vars(self), "trust": trust_as_json(self.trust)}
+
+
 class LiveRun(Protocol):
     """A run that was begun, stepped by commands."""
 
@@ -113,6 +135,35 @@ class LiveTask:
         """
         raise NotImplementedError
 
+    def hand_config(
+        self,
+        content: Mapping[str, Any],
+        condition: str,
+        seed: int,
+        choice: tuple[str, float, float],
+        **more: Any,
+    ) -> dict[str, Any]:
+        """
+        Return such settings of a task that is commanded by a hand in its square and a choice, given
+        by its name and limits, and what else they hold.
+        """
+        duration = content["training" if condition == "training" else "duration"]
+        name, least, most = choice
+        limits = {"pointer_x": [-1.0, 1.0], "pointer_y": [-1.0, 1.0], name: [least, most]}
+        return {
+            "live_task": self.name,
+            "condition": condition,
+            "trust": content.get("trust"),
+            "seed": seed,
+            "sample_time": PERIOD,
+            "samples": round(duration / PERIOD),
+            "duration": duration,
+            "commands": list(limits),
+            "limits": limits,
+            "clock": "real",
+            **more,
+        }
+
     def begin(self, config: Mapping[str, Any]) -> LiveRun:
         """Return a run at its beginning."""
         raise NotImplementedError
@@ -151,6 +202,11 @@ class LiveTask:
         about = Metadata(condition=config["condition"], source="trustlab.live", more=facts)
         frame = pd.DataFrame(table, index, config["columns"])
         return Session(frame, about.changed(**metadata))
+
+
+def force_shown(session: Session) -> float:
+    """Return the root mean square of the force that was shown [N]."""
+    return float(np.sqrt((session["f_m_x"] ** 2 + session["f_m_y"] ** 2).mean()))
 
 
 def task_named(name: str) -> LiveTask:

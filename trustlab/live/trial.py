@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -77,9 +77,15 @@ class Record:
         self.commands += commands
         self._heard, self._noted = entry["at"], []
 
-    def session(self, task: LiveTask, fault: str, **facts: Any) -> Session:
+    def session(
+        self,
+        task: LiveTask,
+        fault: str,
+        unlogged: Sequence[list[float]] = (),
+        **facts: Any,
+    ) -> Session:
         """
-        Return the logged rows as a session, at least two.
+        Return the rows as a session, at least two.
 
         Parameters
         ----------
@@ -87,6 +93,8 @@ class Record:
             What was done.
         fault : str
             What is wrong with the log, "" for nothing.
+        unlogged : sequence of list of float
+            Rows that the log does not hold yet.
         **facts : object
             More metadata: participant, synthetic and others.
         """
@@ -96,16 +104,18 @@ class Record:
             facts["period_median"] = float(np.median(self.periods))
             facts["period_max"] = float(np.max(self.periods))
         facts["delay"] = float(np.percentile(self.delays, 97.0)) if self.delays else 0.0
-        return task.session(self.settings, self.rows, **facts)
+        return task.session(self.settings, [*self.rows, *unlogged], **facts)
+
+    @property
+    def other_maker(self) -> str:
+        """What else than this package made the log, "" for nothing."""
+        made = {name: self.header.get(name) for name in made_by()}
+        return "" if made == made_by() else "trustlab {version} (sources {sources})".format(**made)
 
     def fault(self, task: LiveTask) -> str:
         """Return why the rows are not verified: made elsewhere or otherwise; "" if they are."""
-        made = {name: self.header.get(name) for name in made_by()}
-        if made != made_by():
-            return (
-                f"made by trustlab {made['version']} (sources {made['sources']}), not verified by "
-                f"{made_by()['version']} ({made_by()['sources']})"
-            )
+        if self.other_maker:
+            return f"made by {self.other_maker}, not verified here"
         try:
             rows = replay(task, self.settings, self.commands)
         except Exception as error:  # of a user's own part, or settings that nobody wrote
@@ -198,8 +208,7 @@ class Trial:
             header = {"settings": settings, **made_by(), **facts}
             self.log.append([header])
             self.log.entries.append(header)
-        header, *entries = self.log.entries
-        self.record = Record(header, entries)
+        self.record = Record(self.log.entries[0], self.log.entries[1:])
         self.settings = self.record.settings
         # A notebook's kernel may answer in one thread and show a session in another.
         self.lock = threading.RLock()
@@ -207,7 +216,11 @@ class Trial:
         self.run = task.begin(self.settings)
         self.rows: list[list[float]] = []
         try:
-            self._check_maker()
+            if self.record.other_maker and not self.done:
+                raise LogError(
+                    f"{path}: begun by {self.record.other_maker}; a drive in progress is continued "
+                    "by the version that began it alone: begin another one"
+                )
             self._do(self.record.commands)
             fault = difference(task, self.settings, self.record.rows, self.rows)
             if fault:
@@ -215,14 +228,6 @@ class Trial:
         except LogError:
             self.log.close()
             raise
-
-    def _check_maker(self) -> None:
-        made = {name: self.record.header.get(name) for name in made_by()}
-        if made != made_by() and not self.record.end:
-            raise LogError(
-                f"{self.log.path}: begun by trustlab {made['version']} with other sources; a drive "
-                "in progress is continued by the version that began it alone: begin another one"
-            )
 
     def _do(self, commands: Iterable[Iterable[float]]) -> None:
         for command in commands:
@@ -310,6 +315,5 @@ class Trial:
     def session(self, **facts: Any) -> Session:
         """Return what has been done so far, also what is not logged yet."""
         with self.lock:
-            now = Record(self.record.header)
-            now.__dict__.update(self.record.__dict__, rows=self.rows)
-            return now.session(self.task, self.fault, **facts)
+            unlogged = self.rows[len(self.record.rows) :]
+            return self.record.session(self.task, self.fault, unlogged, **facts)

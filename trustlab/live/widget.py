@@ -18,7 +18,7 @@ from trustlab.live.tasks import ground_robot, team
 from trustlab.live.tasks.ground_robot import drive_config, warn_if_too_short
 from trustlab.live.tasks.team import LeadingSettings
 from trustlab.live.tasks.teleoperation import TeleoperationSettings, TeleoperationTask
-from trustlab.live.trial import Trial, made_by, read_record
+from trustlab.live.trial import Trial, read_record
 from trustlab.models.checks import check_participant, flag, of_class, one_of, whole_number
 from trustlab.models.digest import digest
 from trustlab.models.extras import extra
@@ -82,8 +82,7 @@ def goes_on(path: Path, settings: Mapping[str, Any], participant: str) -> bool:
     record, _, _ = read_record(path)
     if record is None or record.header.get("participant") != participant:
         return False
-    made = {name: record.header.get(name) for name in made_by()}
-    return record.settings == settings and not record.end and made == made_by()
+    return record.settings == settings and not record.end and not record.other_maker
 
 
 class LiveWidget(anywidget.AnyWidget):
@@ -93,6 +92,8 @@ class LiveWidget(anywidget.AnyWidget):
     words = traitlets.Dict().tag(sync=True)
     path = traitlets.Unicode().tag(sync=True)
     trials: ClassVar[WeakValueDictionary[Path, Trial]] = WeakValueDictionary()
+    facts: Mapping[str, Any] = {}
+    """What the session's metadata say besides."""
 
     def __init__(
         self,
@@ -149,7 +150,7 @@ class LiveWidget(anywidget.AnyWidget):
     @property
     def session(self) -> Session:
         """What has been done so far."""
-        return self.trial.session(participant=self.trial.record.header["participant"])
+        return self.trial.session(participant=self.trial.record.header["participant"], **self.facts)
 
     @property
     def verified(self) -> bool:
@@ -273,20 +274,15 @@ def checked_thresholds(
     condition: str, model: TscModel, thresholds: Any
 ) -> tuple[float, float] | None:
     """
-    Return the thresholds of a condition's suggestions within Theorem 1's limits; needed in C2 and
-    C3, refused elsewhere.
+    Return the thresholds of a condition's suggestions within Theorem 1's limits; refused where they
+    have no effect. `drive_config` says where they are needed.
     """
-    if suggested_by_tsc(condition):
-        if thresholds is None:
-            raise ValueError(
-                f"{condition} needs thresholds=(TSC_l, TSC_u): take those of "
-                "trustlab.choose_thresholds(model)"
-            )
-        pair = threshold_pair("threshold", thresholds)
-        return check_thresholds(model, *pair, threshold_limits(model))
-    if thresholds is not None:
+    if thresholds is None:
+        return None
+    if not suggested_by_tsc(condition):
         raise ValueError(f"thresholds have no effect in {condition}; leave them out")
-    return None
+    pair = threshold_pair("threshold", thresholds)
+    return check_thresholds(model, *pair, threshold_limits(model))
 
 
 class LiveTracking(LiveWidget):
@@ -363,6 +359,8 @@ class LiveTracking(LiveWidget):
     (10, 0.45, True)
     """
 
+    session = LiveWidget.session  # a member of its own has a place in the documentation
+
     def __init__(
         self,
         scheme: str | Scheme = "TMIG",
@@ -378,15 +376,9 @@ class LiveTracking(LiveWidget):
         self.scheme, loop = scheme_named(scheme), study_named(study)
         if task is not None:
             of_class("task", task, TrackingTask)
-        given = {
-            "scheme": scheme,
-            "study": study,
-            "guidance": guidance,
-            "delay": delay,
-            "task": task,
-        }
-        own = {name for name, part in given.items() if not isinstance(part, str | None)}
-        parts = {name: given[name] for name in given if name in own}
+        given = {"scheme": scheme, "study": study, "guidance": guidance, "delay": delay}
+        given |= {"task": task}
+        parts = {name: part for name, part in given.items() if not isinstance(part, str | None)}
         where = guidance.where if isinstance(guidance, Guidance) else guidance
         settings = TeleoperationSettings(duration, study=loop.study, guidance=where).as_json()
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
@@ -394,17 +386,12 @@ class LiveTracking(LiveWidget):
         config = flight.config(settings, self.scheme.name, {}, seed)
         config |= {"parts": {name: described(part) for name, part in parts.items()}}
         super().__init__(flight, config, participant, log, "en")
-
-    @property
-    def session(self) -> Session:
-        """What has been flown so far."""
-        facts = {
+        self.facts = {
             "scheme": self.scheme.title.replace("force feedback", "cues"),
             "robot": "simulated",
             "note": NOTE,
             "cues": "visual cue; with a gamepad, vibration cue",
         }
-        return self.trial.session(participant=self.trial.record.header["participant"], **facts)
 
     @property
     def energy(self) -> pd.DataFrame:

@@ -26,7 +26,7 @@ seconds = 1
 picture = "dot.png"
 items = [
     {name = "first", text = "First?", low = 1, high = 5},
-    {name = "second", text = "Second?", kind = "text"},
+    {name = "second", text = "Write no.", kind = "text", expected = "no"},
 ]
 
 [secret]
@@ -98,8 +98,9 @@ def test_after_its_time_a_form_is_handed_in_as_it_is(make_plan, pages):
     with pytest.raises(AnswerError):
         participation.answers({"page": 1, "late": True, "answers": {"first": 9}})
     participation.answers({"page": 1, "late": True, "answers": {"second": "yes"}})
-    answers = tl.read_live_study(plan.folder).answers()
-    assert answers.query("page == 'hurry'")["item"].tolist() == ["second"]
+    study = tl.read_live_study(plan.folder)
+    assert study.answers().query("page == 'hurry'")["item"].tolist() == ["second"]
+    assert study.participants["attention"].tolist() == [1, 0, 0, 0]
 
 
 def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, client):

@@ -3,15 +3,16 @@ Pages from TOML: their order, their words, and which answers are taken. Oracles:
 and lists written out.
 """
 
+import re
+from dataclasses import asdict
+
 import pytest
 
 from trustlab.live.study.drives import item_order
 from trustlab.live.study.pages import (
-    HOLE,
     LANGUAGES,
     AnswerError,
     StudyPage,
-    as_json,
     read_pages,
     read_words,
     steps_of,
@@ -135,7 +136,7 @@ def test_own_pages_stand_where_they_say(toml):
         ("games", 1, 5, False),
         ("late", 1, 5, True),
     ]
-    assert [StudyPage.read(one) for one in as_json(pages)] == pages
+    assert [StudyPage.read(asdict(one)) for one in pages] == pages
 
 
 def test_answers_that_a_page_takes(toml):
@@ -174,7 +175,7 @@ def test_answers_that_a_page_takes(toml):
     ("text", "said"),
     [
         ("[a", "is no TOML file"),
-        ("[mine]\nafter='drive'\ntitel='x'", "has no 'titel'; did you mean 'title'"),
+        ("[mine]\nafter='drive'\ntitel='x'", "got 'titel'; did you mean 'title'"),
         (
             "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t'}, "
             "{name='a', text='u'}]",
@@ -185,6 +186,9 @@ def test_answers_that_a_page_takes(toml):
 def test_faults_of_a_file_are_named(toml, text, said):
     with pytest.raises(ValueError, match=said):
         read_pages(files=toml(text))
+
+
+HOLE = re.compile(r"\{(\w+)\}")
 
 
 def test_every_language_has_the_same_messages_pages_and_items():

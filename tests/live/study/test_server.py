@@ -325,17 +325,6 @@ def test_a_disk_that_is_full_acknowledges_nothing(
     assert "is saved again" in caplog.text
 
 
-def test_the_window_that_began_last_drives(served, client, driving_page):
-    url = served.links["P01"]
-    first = begun(client, driving_page, url, "first")
-    assert first.drive(0, 5)["k"] == 5
-    second = driving_page(url, window="second")
-    assert second.begin()["k"] == 5  # it goes on where the first one was
-    assert "another window" in first.drive(5, 5)["refused"]
-    assert second.drive(5, 5)["k"] == 10
-    assert len(record(served.plan).commands) == 10
-
-
 def test_a_second_click_and_a_second_window_find_the_page_done(served, client):
     url = served.links["P01"]
     with ThreadPoolExecutor(8) as pool:
@@ -345,7 +334,7 @@ def test_a_second_click_and_a_second_window_find_the_page_done(served, client):
         ]
     assert sorted(found) == [200, *[409] * 7]
     assert [event["kind"] for event in events(served.plan)] == ["page"]
-    assert client(f"{url}/answers", CONSENT).json["page"] == 1
+    assert client(f"{url}/state").json["page"] == 1
     for page in (-1, 1.0, "0", None, True, 10**30):
         assert client(f"{url}/answers", CONSENT | {"page": page}).status in (400, 409)
 
@@ -426,6 +415,7 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, clien
     assert (len(first.rows), len(second.commands)) == (5, 0)
     assert first.end == "the experimenter let it be driven again"
     assert first.settings["seed"] != second.settings["seed"]
+    assert tl.read_live_study(served.plan.folder).faults().empty
 
 
 def test_the_experimenter_sees_adds_and_ends(served, client, driving_page):

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from trustlab.live.study.pages import Item, Step
 from trustlab.live.study.plan import Plan, file_origin
@@ -29,34 +28,100 @@ FROM_PART = "own drive in part"
 FROM_STAND_IN = "stand-in"
 """Where a participant's model and thresholds come from."""
 
-
-def log_path(folder: Path, step: Step, attempt: int) -> Path:
-    """Return the log of an attempt at a drive."""
-    again = f".{attempt + 1}" if attempt else ""
-    return folder / f"{step.name}{again}.jsonl"
+FORM_MINUTES = 0.5
+ITEM_MINUTES = 0.1
+"""Time that people need for a page and for an item on it [min]."""
 
 
-def drive_seed(plan: Plan, code: str, step: Step, attempt: int) -> int:
+class Attempt(NamedTuple):
+    """An attempt at a drive of a study, numbered from 0."""
+
+    plan: Plan
+    code: str
+    step: Step
+    number: int
+
+    @property
+    def path(self) -> Path:
+        """The log."""
+        again = f".{self.number + 1}" if self.number else ""
+        return self.plan.folder / self.code / f"{self.step.name}{again}.jsonl"
+
+    @property
+    def origin(self) -> str:
+        """What the log's first line is linked to."""
+        return file_origin(self.plan.digest, self.code, self.path.stem)
+
+    @property
+    def seed(self) -> int:
+        """A child of the study's seed by participant, page and attempt."""
+        key = (list(self.plan.orders).index(self.code), self.step.index, self.number)
+        child = np.random.SeedSequence(self.plan.content["seed"], spawn_key=key)
+        return int(child.generate_state(1)[0])
+
+    def settings(self, model: Mapping[str, Any] | None) -> tuple[dict[str, Any], dict[str, Any]]:
+        """
+        Return what determines the drive but for the commands, and what else the log begins with:
+        the condition, and where the participant's model comes from.
+        """
+        known = stand_in(self.plan, "no identification drive") if model is None else model
+        condition = self.step.condition or self.step.page.name
+        config = drive_of(self.plan.content, condition, known, self.seed)
+        return config, {"condition": condition, "source": known["source"], "why": known["why"]}
+
+    def read(self, link: str | None = None) -> tuple[Record | None, str]:
+        """
+        Return what the log says, if anything, and what is wrong with it, "" for nothing: its rows
+        are compared with a replay, its last link with the one that is known.
+        """
+        record, last, fault = read_record(self.path, self.origin)
+        if record is not None and not fault:
+            fault = record.fault(task_of(record.settings))
+            fault = f"{self.path.name}: {fault}" if fault else ""
+        if not fault and link not in (None, last):
+            fault = f"{self.path.name}: it does not end where the drive was finished"
+        return record, fault
+
+    def session(self, record: Record, fault: str) -> Session:
+        """
+        Return the logged rows; their metadata hold the verdict, the log period, pauses, and the
+        delay with which pictures were seen.
+        """
+        session = record.session(
+            task_of(record.settings),
+            fault,
+            position=self.step.position,
+            page=self.step.index,
+            attempt=self.number,
+            thresholds_from=record.header["source"],
+            participant=self.code,
+            condition=record.header["condition"],
+            synthetic=self.plan.rehearsal,
+        )
+        late = record.settings["late"] + max(record.settings["sample_time"], PERIOD)
+        return session.with_metadata(seen_late=session.metadata.more["delay"] > late)
+
+
+def drive_of(
+    content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
+) -> dict[str, Any]:
     """
-    Return the seed of an attempt: a child of the study's seed by participant, page and attempt.
+    Return the settings of a drive of a study with this content, with a known model and thresholds.
     """
-    key = (list(plan.orders).index(code), step.index, attempt)
-    child = np.random.SeedSequence(plan.content["seed"], spawn_key=key)
-    return int(child.generate_state(1)[0])
+    config = task_named(content["task"]).config(content, condition, known, seed)
+    config["late"] = max(config["late"], content["least_delay"])
+    if content["rehearsal"]:
+        config["clock"] = "accelerated"
+    return config
 
 
 def item_order(plan: Plan, code: str, step: Step) -> list[Item]:
     """Return a page's items as a participant sees them: in an order of their own if shuffled."""
     items = list(step.page.items)
     if step.page.shuffled:
-        rng = np.random.default_rng(drive_seed(plan, code, step, 0))
+        rng = np.random.default_rng(Attempt(plan, code, step, 0).seed)
         items = [items[i] for i in rng.permutation(len(items))]
     return items
-
-
-FORM_MINUTES = 0.5
-ITEM_MINUTES = 0.1
-"""Time that people need for a page and for an item on it [min]."""
 
 
 def planned_minutes(plan: Plan) -> int:
@@ -71,11 +136,11 @@ def planned_minutes(plan: Plan) -> int:
     return 5 * math.ceil(minutes / 5.0)
 
 
-def stand_in(plan: Plan, why: str, detail: str = "") -> dict[str, Any]:
+def stand_in(plan: Plan, why: str) -> dict[str, Any]:
     """Return the plan's own model and thresholds, with the reason why they stand in."""
     if "stand_in" not in plan.content:  # a task whose drives need no model of the person
         return {"source": "", "why": ""}
-    return {"source": FROM_STAND_IN, "why": why, "detail": detail, **plan.content["stand_in"]}
+    return {"source": FROM_STAND_IN, "why": why, **plan.content["stand_in"]}
 
 
 def identified(plan: Plan, session: Session) -> dict[str, Any]:
@@ -103,88 +168,13 @@ def identified(plan: Plan, session: Session) -> dict[str, Any]:
         if math.isnan(chosen.lower) or not limit_cycle(model, chosen.lower, chosen.upper).exists:
             raise ValueError(chosen.reason)
     except IdentificationError as error:
-        return stand_in(plan, f"no model: {str(error)[:160].rpartition(' ')[0]} …", str(error))
-    except ValueError as error:
-        return stand_in(plan, "the model that fits has no thresholds", str(error))
+        return stand_in(plan, f"no model: {str(error)[:160].rpartition(' ')[0]} …")
+    except ValueError:
+        return stand_in(plan, "the model that fits has no thresholds")
     names = ", ".join(fit.parameters.index[fit.parameters["status"] == "fixed"])
     return {
         "source": FROM_PART if names else FROM_FIT,
         "why": f"held at the stand-in's value: {names}" if names else "",
-        "detail": fit.message,
         "model": asdict(model),
         "thresholds": [chosen.lower, chosen.upper],
-        "fit_percent": pd.Series(fit.fit_percent).astype(float).to_dict(),
     }
-
-
-def drive_of(
-    content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
-) -> dict[str, Any]:
-    """
-    Return the settings of a drive of a study with this content, with a known model and thresholds.
-    """
-    config = task_named(content["task"]).config(content, condition, known, seed)
-    config["late"] = max(config["late"], content["least_delay"])
-    if content["rehearsal"]:
-        config["clock"] = "accelerated"
-    return config
-
-
-def drive_settings(
-    plan: Plan, code: str, step: Step, attempt: int, model: Mapping[str, Any] | None
-) -> dict[str, Any]:
-    """
-    Return the first line of an attempt's file: what determines the drive but for the commands, and
-    where its model comes from.
-    """
-    known = stand_in(plan, "no identification drive") if model is None else dict(model)
-    condition = step.condition or step.page.name
-    config = drive_of(plan.content, condition, known, drive_seed(plan, code, step, attempt))
-    return {
-        "condition": condition,
-        "source": known["source"],
-        "why": known["why"],
-        "config": config,
-    }
-
-
-class DriveReading(NamedTuple):
-    """What the log of a drive says, if anything; its last link; what is wrong with it, or ""."""
-
-    record: Record | None
-    link: str
-    fault: str
-
-
-def read_drive(plan: Plan, code: str, step: Step, attempt: int) -> DriveReading:
-    """Return an attempt at a drive, its rows compared with a replay of their commands."""
-    path = log_path(plan.folder / code, step, attempt)
-    record, link, fault = read_record(path, file_origin(plan.digest, code, path.stem))
-    if record is not None and not fault:
-        fault = record.fault(task_of(record.settings))
-        fault = f"{path.name}: {fault}" if fault else ""
-    return DriveReading(record, link, fault)
-
-
-def session_of_drive(
-    plan: Plan, code: str, step: Step, attempt: int, drive: DriveReading, fault: str = ""
-) -> Session:
-    """
-    Return the session of an attempt at a drive: the logged rows; its metadata hold the verdict, the
-    log period, pauses, and the delay with which pictures were seen.
-    """
-    record = drive.record
-    if record is None:
-        raise ValueError(drive.fault)
-    facts = {
-        "position": step.position,
-        "page": step.index,
-        "attempt": attempt,
-        "thresholds_from": record.header["source"],
-        "participant": code,
-        "condition": record.header["condition"],
-        "synthetic": plan.rehearsal,
-    }
-    late = record.settings["late"] + max(record.settings["sample_time"], PERIOD)
-    session = record.session(task_of(record.settings), fault or drive.fault, **facts)
-    return session.with_metadata(seen_late=session.metadata.more["delay"] > late)

@@ -62,16 +62,15 @@ def _readme(tables: Mapping[str, pd.DataFrame], about: str) -> str:
 
 def meaning_of(name: str) -> tuple[str, str]:
     """Return unit and meaning of a column."""
-    signal = VOCABULARY.get(name)
-    usual = (signal.unit, signal.meaning) if signal else ("", "")
-    unit, meaning = meanings().get(name, usual)
-    for ending, words in ENDINGS.items():
-        if not meaning and name.endswith(ending):
-            meaning = f"{words} of the questionnaire {name.removesuffix(ending)}"
-    return unit, meaning
+    if name in (own := meanings()):
+        return own[name]
+    if name in VOCABULARY:
+        return VOCABULARY[name].unit, VOCABULARY[name].meaning
+    page, _, kind = name.rpartition("_")
+    return "", f"{SCORES[kind]} of the questionnaire {page}" if kind in SCORES else ""
 
 
-ENDINGS = {"_raw": "mean score", "_mean": "mean score", "_subscale": "score of a subscale"}
+SCORES = {"raw": "mean score", "mean": "mean score", "subscale": "score of a subscale"}
 
 
 def meanings() -> dict[str, tuple[str, str]]:
@@ -82,30 +81,20 @@ def meanings() -> dict[str, tuple[str, str]]:
 
 def samples_of(sessions: list[Session]) -> pd.DataFrame:
     """Return every sample of drives as one table."""
-    tables = []
+    tables = {}
     for session in sessions:
         meta = session.metadata
-        table = session.data.reset_index(names="t")
-        keys = {
-            "participant": meta.participant,
-            "position": meta.more["position"],
-            "condition": meta.condition,
-        }
-        for place, (name, value) in enumerate(keys.items()):
-            table.insert(place, name, value)
-        tables.append(table)
-    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+        tables[meta.participant, meta.more["position"], meta.condition] = session.data
+    names = ["participant", "position", "condition", "t"]
+    return pd.concat(tables, names=names).reset_index() if tables else pd.DataFrame()
 
 
 def items_of(pages: list[StudyPage]) -> pd.DataFrame:
     """Return every item that people were asked, with its words."""
-    columns = ("kind", "low", "high", "step", "left", "right", "reversed", "required")
     rows = []
     for page in pages:
         for item in page.items:
-            row = {"page": page.name, "item": item.name, "words": item.text}
-            row |= {name: getattr(item, name) for name in columns}
-            row["choices"] = "; ".join(item.choices)
-            row["expected"] = "" if item.expected is None else str(item.expected)
-            rows.append(row)
-    return pd.DataFrame(rows)
+            expected = "" if item.expected is None else str(item.expected)
+            more = {"choices": "; ".join(item.choices), "expected": expected}
+            rows.append({"page": page.name, **vars(item), **more})
+    return pd.DataFrame(rows).rename(columns={"name": "item", "text": "words"})

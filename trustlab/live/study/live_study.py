@@ -4,7 +4,7 @@ import json
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import pandas as pd
 
 from trustlab.live.condition import LiveCondition
 from trustlab.live.study.drives import drive_of
-from trustlab.live.study.pages import as_json, read_pages, read_words, task_pages
+from trustlab.live.study.pages import read_pages, read_words, task_pages
 from trustlab.live.study.participant import Participant
 from trustlab.live.study.plan import FORMAT, Plan, content_digest, delete_participant
 from trustlab.live.study.rehearsal import rehearse
@@ -59,8 +59,7 @@ class LiveStudy(Plan):
     seed : int
         Seed of the orders and of every drive.
     pages : path-like or sequence of path-like
-        TOML files that change words and pages, leave some out, or add pages and questionnaires of
-        your own.
+        TOML files that change pages, leave some out, or add pages and questionnaires of your own.
     drives : DriveSettings, TeleoperationSettings or LeadingSettings, optional
         The drives' settings, of the task's class: their length, for example.
     task : {"ground_robot", "teleoperation", "team"}
@@ -109,7 +108,7 @@ class LiveStudy(Plan):
         kind = protocol.settings
         drives = replace(kind() if drives is None else of_class("drives", drives, kind), **settings)
         conditions = protocol.conditions if conditions is None else conditions
-        personal = {c.name: c.as_json() for c in conditions if isinstance(c, LiveCondition)}
+        personal = {c.name: asdict(c) for c in conditions if isinstance(c, LiveCondition)}
         if personal and task != "ground_robot":
             raise ValueError(f"a LiveCondition belongs to the ground robot; {task} has its own")
         names = [c.name if isinstance(c, LiveCondition) else c for c in conditions]
@@ -139,8 +138,8 @@ class LiveStudy(Plan):
             "orders": dict(sorted(orders.items())) if group_of else orders,
             "groups": group_of,
             "language": language,
-            "words": read_words(language, files),
-            "pages": as_json(read_pages(language, files)),
+            "words": read_words(language),
+            "pages": [asdict(page) for page in read_pages(language, files)],
         }
         for page in content["pages"]:
             if page["group"]:

@@ -7,32 +7,25 @@ import os
 import secrets
 import shutil
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
 from trustlab.live.log import sync_folder
-from trustlab.live.study.pages import KINDS, SECTIONS, Step, StudyPage, steps_of
-from trustlab.live.task import TASKS
+from trustlab.live.study.pages import Step, StudyPage, steps_of
 from trustlab.models.checks import one_of
 from trustlab.models.digest import digest
 from trustlab.models.files import write_atomically
 
 FORMAT = 4
-NEEDED = ("task", "rehearsal", "conditions", "groups", "seed", "language", "words", "made_by")
-"""What a plan holds, besides orders and pages."""
-
 PLAN = "study.json"
 EVENTS = "events"
 TOMBSTONE = ".deleted"
-TOKENS, LINKS = ".tokens.json", ".links.json"
 EXPERIMENTER = "experimenter"
 JOIN = ".join"
 """The name of the link for joining; no code has a full stop."""
-
-PRIVATE = 0o600
 
 
 class DeletedError(ValueError):
@@ -68,49 +61,36 @@ class Plan:
         Raises
         ------
         ValueError
-            If there is no plan in it, or one of another version of this package.
+            If there is no plan in it, or one that was changed or is of another version.
         """
         plan = cls.__new__(cls)
         Plan.__init__(plan, Path(folder).absolute(), read_plan(Path(folder)))
-        try:
-            for name in NEEDED:
-                plan.content[name]
-            one_of("task", plan.content["task"], TASKS)
-            for page in plan.pages:
-                one_of("kind", page.kind, KINDS)
-                one_of("section", page.section, SECTIONS)
-            for code in plan.orders:
-                plan.steps(code)
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
-            raise ValueError(
-                f"{plan.folder / PLAN} was changed after it was frozen, and does not hold a plan "
-                f"any more ({error!r}); restore it from a copy"
-            ) from None
         return plan
 
     def freeze(self) -> None:
         """Write the plan where there is none; compare it with the one that is there."""
         if (self.folder / PLAN).exists():
             frozen = read_plan(self.folder)
-            changed = [key for key in self.content if frozen.get(key) != self.content[key]]
-            if changed and changed != ["digest"]:
-                changed.remove("digest")
+            changed = [name for name in self.content if frozen.get(name) != self.content[name]]
             if changed:
+                changed.remove("digest")
                 raise ValueError(
                     f"{self.folder} holds a frozen plan with other {', '.join(changed)}; open it "
                     "with trustlab.LiveStudy.open, or choose another folder: a plan does not "
                     "change once it is made"
                 )
             return
-        if self.folder.exists() and any(
-            path.name not in self.orders for path in self.folder.iterdir()
+        if self.folder.exists() and {path.name for path in self.folder.iterdir()} - set(
+            self.orders
         ):
             raise ValueError(
                 f"{self.folder} has other files in it; a study needs a folder of its own"
             )
         for code in self.orders:
             (self.folder / code).mkdir(parents=True, exist_ok=True)
-        make_tokens(self.folder, self.orders)
+        tokens = {name: secrets.token_urlsafe(16) for name in (EXPERIMENTER, JOIN, *self.orders)}
+        write_tokens(self.folder, tokens)
+        sync_folder(self.folder.parent)
         sync_folder(self.folder)
         write_atomically(self.folder / PLAN, json.dumps(self.content, indent=1) + "\n")
         sync_folder(self.folder)
@@ -119,11 +99,6 @@ class Plan:
     def digest(self) -> str:
         """The digest that the plan was frozen with; every file of the study is linked to it."""
         return self.content["digest"]
-
-    @property
-    def fault(self) -> str:
-        """What is wrong with `study.json`: "" if it is as it was frozen."""
-        return "" if self.digest == content_digest(self.content) else f"{PLAN}: it was changed"
 
     @property
     def orders(self) -> dict[str, list[str]]:
@@ -182,7 +157,7 @@ def content_digest(content: Mapping[str, Any]) -> str:
 
 
 def read_plan(folder: Path) -> dict[str, Any]:
-    """Return what the plan in a folder holds."""
+    """Return what the plan in a folder holds; one that is not as it was frozen is refused."""
     file = folder.absolute() / PLAN
     if not file.is_file():
         raise ValueError(
@@ -191,13 +166,15 @@ def read_plan(folder: Path) -> dict[str, Any]:
         )
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-        version = content.get("format")
-    except (ValueError, AttributeError) as error:
-        raise ValueError(f"{file} was damaged: {error}; restore it from a copy") from None
-    if version != FORMAT or "digest" not in content:
+        version, whole = content.get("format"), content["digest"] == content_digest(content)
+    except (ValueError, AttributeError, KeyError) as error:
+        raise ValueError(f"{file} was damaged: {error!r}; restore it from a copy") from None
+    if version != FORMAT:
         raise ValueError(
             f"{file} has format {version!r}; this version of trustlab reads format {FORMAT}"
         )
+    if not whole:
+        raise ValueError(f"{file} was changed after it was frozen; restore it from a copy")
     return content
 
 
@@ -206,16 +183,13 @@ def file_origin(plan: str, code: str, name: str) -> str:
     return digest(plan, code, name)
 
 
+# beside the data, not with them
+# --------------------------------------------------------------------------------------------------
+
+
 def links_path(folder: Path) -> Path:
-    """Return where the last links of events are kept: beside the data, not with them."""
-    return folder.with_name(f"{folder.name}{LINKS}")
-
-
-def note_link(folder: Path, code: str, link: str) -> None:
-    """Write down the last link of a participant's events, beside the study."""
-    with _links_lock:
-        links = read_links(folder) | {code: link}
-        write_atomically(links_path(folder), json.dumps(links, indent=1) + "\n")
+    """Return where the last links of events are kept."""
+    return folder.with_name(f"{folder.name}.links.json")
 
 
 def read_links(folder: Path) -> dict[str, str]:
@@ -224,9 +198,17 @@ def read_links(folder: Path) -> dict[str, str]:
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
+def note_link(folder: Path, code: str, link: str | None) -> None:
+    """Write down the last link of a participant's events; None forgets it."""
+    with _links_lock:
+        links = read_links(folder) | {code: link}
+        known = {name: link for name, link in links.items() if link is not None}
+        write_atomically(links_path(folder), json.dumps(known, indent=1) + "\n")
+
+
 def tokens_path(folder: Path) -> Path:
-    """Return where the tokens are kept: beside the data, not with them."""
-    return folder.with_name(f"{folder.name}{TOKENS}")
+    """Return where the tokens are kept, of 128 bits each."""
+    return folder.with_name(f"{folder.name}.tokens.json")
 
 
 def read_tokens(folder: Path) -> dict[str, str]:
@@ -242,17 +224,9 @@ def read_tokens(folder: Path) -> dict[str, str]:
     return dict(json.loads(path.read_text(encoding="utf-8")))
 
 
-def make_tokens(folder: Path, codes: Iterable[str]) -> None:
-    """
-    Draw a token of 128 bits for each participant and for the experimenter; those that are there
-    stay.
-    """
-    path = tokens_path(folder)
-    known = read_tokens(folder) if path.exists() else {}
-    names = (EXPERIMENTER, JOIN, *codes)
-    tokens = {name: known.get(name) or secrets.token_urlsafe(16) for name in names}
-    write_atomically(path, json.dumps(tokens, indent=1), mode=PRIVATE)
-    sync_folder(path.parent)
+def write_tokens(folder: Path, tokens: Mapping[str, str]) -> None:
+    """Write tokens by name, for nobody else on this machine."""
+    write_atomically(tokens_path(folder), json.dumps(tokens, indent=1), mode=0o600)
 
 
 def delete_participant(folder: Path, code: str) -> None:
@@ -265,10 +239,9 @@ def delete_participant(folder: Path, code: str) -> None:
     home.with_name(f"{code}{TOMBSTONE}").touch()
     sync_folder(folder)
     if tokens_path(folder).exists():
-        left = {name: token for name, token in read_tokens(folder).items() if name != code}
-        write_atomically(tokens_path(folder), json.dumps(left, indent=1), mode=PRIVATE)
-    links = {name: link for name, link in read_links(folder).items() if name != code}
-    write_atomically(links_path(folder), json.dumps(links, indent=1) + "\n")
+        tokens = read_tokens(folder).items()
+        write_tokens(folder, {name: token for name, token in tokens if name != code})
+    note_link(folder, code, None)
     if home.exists():
         # Renamed first, so that no row arrives in a folder that is half gone.
         home.rename(gone := folder / f".{code}.going")

@@ -14,12 +14,13 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.log import read_log
-from trustlab.live.study.drives import DriveReading, log_path, read_drive, session_of_drive
+from trustlab.live.study.drives import Attempt
 from trustlab.live.study.export import items_of, samples_of, write_export
 from trustlab.live.study.pages import Step, StudyPage
-from trustlab.live.study.plan import EVENTS, PLAN, Plan, file_origin, read_links
+from trustlab.live.study.plan import EVENTS, Plan, file_origin, read_links
 from trustlab.live.study.progress import Progress, progress_of
 from trustlab.live.task import LEAST_ROWS, LiveTask, task_named
+from trustlab.live.trial import Record
 from trustlab.models.checks import one_of
 from trustlab.models.display import as_html
 from trustlab.sessions.session import Session
@@ -36,19 +37,16 @@ from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measur
 
 KEYS = ["participant", "position", "condition"]
 REHEARSAL = "scripted hands, no person took part"
-
-
-def file_of(step: Step, attempt: int) -> str:
-    """Return the name of the log of an attempt at a drive."""
-    return log_path(Path(), step, attempt).name
-
-
-class Fault(NamedTuple):
-    """Whose file is not as it was written, and what is wrong with it."""
-
-    code: str
-    file: str
-    fault: str
+FACTS = (
+    "attempt",
+    "verified",
+    "thresholds_from",
+    "period_median",
+    "period_max",
+    "delay",
+    "seen_late",
+)
+"""Metadata of a drive that its measures begin with."""
 
 
 class ParticipantRecord(NamedTuple):
@@ -57,6 +55,18 @@ class ParticipantRecord(NamedTuple):
     code: str
     events: list[dict[str, Any]]
     progress: Progress
+    fault: str
+
+
+class RecordedDrive(NamedTuple):
+    """
+    An attempt at a drive that events tell of, whether it is the one that was driven to its end,
+    what its log says, and what is wrong with that.
+    """
+
+    attempt: Attempt
+    finished: bool
+    record: Record | None
     fault: str
 
 
@@ -76,6 +86,19 @@ def participant_record(plan: Plan, code: str, link: str | None) -> ParticipantRe
     return ParticipantRecord(code, reading.entries, progress_of(reading.entries), fault)
 
 
+def recorded_drives(plan: Plan, record: ParticipantRecord) -> list[RecordedDrive]:
+    """Return every attempt at a drive that a participant's events tell of."""
+    drives, steps = [], plan.steps(record.code)
+    for event in record.events:
+        if event["kind"] == "begin":
+            attempt = Attempt(plan, record.code, steps[event["page"]], event["attempt"])
+            end = record.progress.done.get(event["page"], {})
+            finished = end.get("attempt") == attempt.number
+            log, fault = attempt.read(end["link"] if finished else None)
+            drives.append(RecordedDrive(attempt, finished, log, fault))
+    return drives
+
+
 def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     """
     Read what a live study has recorded, finished or not; nothing in the folder changes.
@@ -92,7 +115,7 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     Raises
     ------
     ValueError
-        If there is no study in the folder, or its plan was damaged.
+        If there is no study in the folder, or its plan is not as it was frozen.
 
     Examples
     --------
@@ -133,11 +156,6 @@ class RecordedStudy:
     deleted: tuple[str, ...]
 
     @property
-    def progress(self) -> dict[str, Progress]:
-        """Where each participant is, by code."""
-        return {code: record.progress for code, record in self.records.items()}
-
-    @property
     def task(self) -> LiveTask:
         """What people do."""
         return task_named(self.plan.content["task"])
@@ -147,58 +165,31 @@ class RecordedStudy:
         """What kind of data these are where no person took part; else empty."""
         return REHEARSAL if self.plan.rehearsal else ""
 
-    def _finished(self, *names: str) -> Iterator[tuple[str, Step, dict[str, Any]]]:
-        """Yield participant, page and event of every page that is done, of those names."""
-        for code, now in self.progress.items():
-            for step in self.plan.steps(code):
-                if step.page.name in names and step.index in now.done:
-                    yield code, step, now.done[step.index]
+    @cached_property
+    def _drives(self) -> list[RecordedDrive]:
+        records = self.records.values()
+        return [drive for record in records for drive in recorded_drives(self.plan, record)]
 
     @cached_property
-    def _drives(self) -> dict[tuple[str, str], DriveReading]:
-        """Every attempt at a drive that events tell of, by participant and file."""
-        drives = {}
-        for code, record in self.records.items():
-            steps = self.plan.steps(code)
-            for event in record.events:
-                if event["kind"] == "begin":
-                    step, attempt = steps[event["page"]], event["attempt"]
-                    drives[code, file_of(step, attempt)] = read_drive(
-                        self.plan, code, step, attempt
-                    )
+    def _conditions(self) -> list[tuple[RecordedDrive, str]]:
+        """
+        The finished drives under a condition, each with what is wrong with the files that it rests
+        on.
+        """
+        drives = []
+        for drive in self._drives:
+            if drive.finished and drive.attempt.step.page.name == "drive":
+                faults = [self.records[drive.attempt.code].fault, drive.fault]
+                drives.append((drive, "; ".join(fault for fault in faults if fault)))
         return drives
 
     @cached_property
     def _sessions(self) -> list[Session]:
-        sessions = []
-        for code, step, event in self._finished("drive"):
-            attempt = event["attempt"]
-            name = file_of(step, attempt)
-            drive = self._drives.get((code, name))
-            if drive and drive.record and len(drive.record.rows) >= LEAST_ROWS:
-                fault = self._fault_of(code, name)
-                sessions.append(session_of_drive(self.plan, code, step, attempt, drive, fault))
-        return sessions
-
-    @cached_property
-    def _faults(self) -> list[Fault]:
-        faults = [Fault(code, PLAN, self.plan.fault) for code in self.records if self.plan.fault]
-        for code, record in self.records.items():
-            faults += [Fault(code, f"{EVENTS}.jsonl", record.fault)] if record.fault else []
-        faults += [Fault(*key, drive.fault) for key, drive in self._drives.items() if drive.fault]
-        for code, step, event in self._finished(*{page.name for page in self.plan.pages}):
-            name = file_of(step, event.get("attempt", 0))
-            drive = self._drives.get((code, name))
-            if drive and not drive.fault and drive.link != event["link"]:
-                fault = f"{name}: it does not end where the drive was finished"
-                faults.append(Fault(code, name, fault))
-        return faults
-
-    def _fault_of(self, code: str, name: str) -> str:
-        """Return what is wrong with the files that a drive rests on, "" for nothing."""
-        files = (name, f"{EVENTS}.jsonl", PLAN)
-        own = [fault.fault for fault in self._faults if fault.code == code and fault.file in files]
-        return "; ".join(own)
+        return [
+            drive.attempt.session(drive.record, fault)
+            for drive, fault in self._conditions
+            if drive.record and len(drive.record.rows) >= LEAST_ROWS
+        ]
 
     def faults(self) -> pd.DataFrame:
         """
@@ -206,7 +197,7 @@ class RecordedStudy:
 
         Every line is linked to the lines before it and to the plan, the last link of everybody's
         events is kept beside the study, and every drive is replayed from its commands. A drive is
-        `verified` if nothing is wrong with its log, its participant's events and the plan. What
+        `verified` if nothing is wrong with its log and its participant's events. What
         links cannot prove: that nobody wrote all lines anew who also has the file beside the study,
         or cut the last lines of a drive that is not finished.
 
@@ -215,7 +206,11 @@ class RecordedStudy:
         pandas.DataFrame
             Columns participant, file, fault; no rows if nothing was changed.
         """
-        return pd.DataFrame(self._faults, columns=["participant", "file", "fault"])
+        rows = [(code, f"{EVENTS}.jsonl", record.fault) for code, record in self.records.items()]
+        rows += [(drive.code, drive.path.name, fault) for drive, _, _, fault in self._drives]
+        return pd.DataFrame(
+            [row for row in rows if row[-1]], columns=["participant", "file", "fault"]
+        )
 
     def sessions(self) -> list[Session]:
         """Return the sessions of all drives under a condition, the last attempt of each."""
@@ -233,10 +228,10 @@ class RecordedStudy:
         stand in), restarts, notes.
         """
         rows = []
-        for code, now in self.progress.items():
-            steps, model = self.plan.steps(code), now.model or {}
-            drives = [step.index for step in steps if step.page.name == "drive"]
-            done = sum(index in now.done for index in drives)
+        for code, record in self.records.items():
+            steps, now = self.plan.steps(code), record.progress
+            model = now.model or {}
+            done = [step for step in steps if step.index in now.done]
             rows.append(
                 {
                     "participant": code,
@@ -244,12 +239,12 @@ class RecordedStudy:
                     "order": " ".join(self.plan.orders[code]),
                     "pages_done": len(now.done),
                     "pages": len(steps) - 1,
-                    "drives": done,
+                    "drives": sum(step.page.name == "drive" for step in done),
                     "complete": len(now.done) == len(steps) - 1,
                     "ended": now.ended,
                     "withdrawn": now.withdrawn,
                     "completion": now.completion,
-                    "attention": self._inattentive(code),
+                    "attention": sum(_inattentive(step, now.done[step.index]) for step in done),
                     "model": model.get("source", ""),
                     "why": model.get("why", ""),
                     "restarts": sum(now.attempts.values()),
@@ -262,16 +257,6 @@ class RecordedStudy:
         """Return a participant's group as a column, none where there are no groups."""
         groups = self.plan.groups
         return {"group": groups[code]} if code in groups else {}
-
-    def _inattentive(self, code: str) -> int:
-        """Return how many attention checks a participant answered otherwise than expected."""
-        count = 0
-        for step in self.plan.steps(code):
-            answers = self.records[code].progress.done.get(step.index, {}).get("answers", {})
-            for item in step.page.items:
-                checked = item.expected is not None and item.name in answers
-                count += checked and answers[item.name] != item.expected
-        return count
 
     def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
         """Say of a table where its numbers come from, where no person took part."""
@@ -289,46 +274,33 @@ class RecordedStudy:
             A row per answer: participant, position and condition (NaN and None for pages that
             belong to no drive), page, item, answer (NaN where it is words), text.
         """
-        rows = []
-        forms = [page.name for page in self.plan.pages if page.kind == "form"]
-        for code, step, event in self._finished(*forms):
-            place = (
-                code,
-                np.nan if step.position is None else step.position,
-                step.condition,
-                step.page.name,
-            )
-            # A damaged line, which faults() names, may have lost the word.
-            for item, answer in event.get("answers", {}).items():
-                words = isinstance(answer, str)
-                rows.append(
-                    (*place, item, np.nan if words else float(answer), answer if words else "")
-                )
         columns = [*KEYS, "page", "item", "answer", "text"]
-        return (
-            pd.DataFrame(rows, columns=columns)
-            .astype({"position": float, "answer": float})
-            .pipe(self._labelled)
-        )
+        frame = pd.DataFrame(list(self._answers()), columns=columns)
+        return self._labelled(frame.astype({"position": float, "answer": float}))
+
+    def _answers(self) -> Iterator[tuple[Any, ...]]:
+        for code, record in self.records.items():
+            for step in self.plan.steps(code):
+                # A damaged line, which faults() names, may have lost the word.
+                answers = record.progress.done.get(step.index, {}).get("answers", {})
+                for item, answer in answers.items():
+                    value = (np.nan, answer) if isinstance(answer, str) else (answer, "")
+                    yield code, step.position, step.condition, step.page.name, item, *value
 
     def scores(self) -> dict[str, ScaleScores]:
         """
         Return the scores of every questionnaire that is scored and answered, by the name of its
-        page; answers in a file that was changed, or to a plan that was, are not scored.
+        page; answers in a file that was changed are not scored.
         """
-        if self.plan.fault:
-            return {}
         answers = self.answers()
         changed = [code for code, record in self.records.items() if record.fault]
         answers = answers[~answers["participant"].isin(changed)]
         scores = {}
         for page in self.plan.pages:
-            items = [item.name for item in page.items if item.kind == "scale"]
+            items = [item.name for item in page.scales]
             rows = answers[(answers["page"] == page.name) & answers["item"].isin(items)]
             if page.scored and not rows.empty:
-                scores[page.name] = _score(
-                    page, rows.astype({"condition": str}), page.section == "each"
-                )
+                scores[page.name] = _score(page, rows)
         return scores
 
     @property
@@ -350,36 +322,26 @@ class RecordedStudy:
         rows = []
         for session in self._sessions:
             meta = session.metadata
-            facts = ["attempt", "verified", "thresholds_from", "period_median", "period_max"]
-            facts += ["delay", "seen_late"]
-            row = {
-                "participant": meta.participant,
-                **self._group(meta.participant),
-                "position": meta.more["position"],
-                "condition": meta.condition,
-            }
-            row |= {"synthetic": meta.synthetic} | {
-                name: meta.more.get(name, np.nan) for name in facts
-            }
-            row["pauses"] = len(meta.more["pauses"])
-            rows.append(row | self.task.measures(session))
+            rows.append(
+                {
+                    "participant": meta.participant,
+                    **self._group(meta.participant),
+                    "position": meta.more["position"],
+                    "condition": meta.condition,
+                    "synthetic": meta.synthetic,
+                    **{name: meta.more.get(name, np.nan) for name in FACTS},
+                    "pauses": len(meta.more["pauses"]),
+                    **self.task.measures(session),
+                }
+            )
         if not rows:
             return pd.DataFrame(columns=[*KEYS, "verified"])
-        table = pd.DataFrame(rows)
-        for name, scored in self.scores().items():
-            if self._page(name).section == "each":
-                columns = [
-                    column
-                    for column in scored.scores
-                    if column in KEYS or column.endswith(("_raw", "_mean", "_subscale"))
-                ]
-                table = table.merge(
-                    scored.scores[columns], how="left", on=["participant", "condition"]
-                )
+        table, keys = pd.DataFrame(rows), ["participant", "condition"]
+        for scored in self.scores().values():
+            if "condition" in scored.scores:
+                columns = scored.scores.filter(regex="_(raw|mean|subscale)$").columns
+                table = table.merge(scored.scores[[*keys, *columns]], how="left", on=keys)
         return self._labelled(table)
-
-    def _page(self, name: str) -> StudyPage:
-        return next(page for page in self.plan.pages if page.name == name)
 
     def exclusions(self) -> pd.DataFrame:
         """
@@ -392,18 +354,18 @@ class RecordedStudy:
             file with a fault, and the participants who are left out with them, as every condition
             is needed of each.
         """
-        rows = []
-        there = {
-            (code, step.condition): self._fault_of(code, file_of(step, event["attempt"]))
-            for code, step, event in self._finished("drive")
+        reasons = {
+            (drive.attempt.code, drive.attempt.step.condition): fault
+            for drive, fault in self._conditions
         }
-        for code in self.records:
-            for condition in self.plan.orders[code]:
-                if (code, condition) not in there:
-                    rows.append((code, condition, "not driven to its end"))
-                elif there[code, condition]:
-                    rows.append((code, condition, there[code, condition]))
-        return pd.DataFrame(rows, columns=["participant", "condition", "reason"])
+        rows = [
+            (code, condition, reasons.get((code, condition), "not driven to its end"))
+            for code in self.records
+            for condition in self.plan.orders[code]
+        ]
+        return pd.DataFrame(
+            [row for row in rows if row[-1]], columns=["participant", "condition", "reason"]
+        )
 
     def complete(self) -> pd.DataFrame:
         """Return the measures of those participants who have all conditions, each verified."""
@@ -426,9 +388,9 @@ class RecordedStudy:
             If there are too few complete participants, or the measure has missing values or no
             variance.
         """
-        frame = self._for_analysis(dv)
         between = "group" if self.plan.groups else None
         order: Any = self.plan.content["conditions"]
+        frame = self._for_analysis(dv)
         return repeated_measures(
             frame, dv, "condition", "participant", between=between, order=order
         )
@@ -448,22 +410,16 @@ class RecordedStudy:
         ValueError
             As for `analysis`.
         """
+        order = self.plan.content["conditions"]
         frame = self._for_analysis(dv)
-        return order_effects(
-            frame,
-            dv,
-            "condition",
-            "position",
-            subject="participant",
-            order=self.plan.content["conditions"],
-        )
+        return order_effects(frame, dv, "condition", "position", subject="participant", order=order)
 
     def _for_analysis(self, dv: str) -> pd.DataFrame:
         frame = self.complete()
-        if frame["participant"].nunique() < 2:
+        count = frame["participant"].nunique()
+        if count < 2:
             raise ValueError(
-                f"{frame['participant'].nunique()} participants have all conditions; an analysis "
-                "needs two or more"
+                f"{count} participants have all conditions; an analysis needs two or more"
             )
         one_of("dv", dv, frame.columns)
         return frame
@@ -473,8 +429,8 @@ class RecordedStudy:
         Return in a sentence or two how many took part, are complete, are left out, and were
         deleted.
         """
-        complete = self.complete()["participant"].nunique() if self._sessions else 0
-        begun = sum(bool(now.done) for now in self.progress.values())
+        complete = self.complete()["participant"].nunique()
+        begun = sum(bool(record.progress.done) for record in self.records.values())
         origin = f" Rehearsal: {self.origin}." if self.origin else ""
         return (
             f"{len(self.plan.orders)} participants planned, {begun} begun, {complete} complete "
@@ -544,18 +500,26 @@ class RecordedStudy:
         return self.measures
 
     def _repr_html_(self) -> str:
-        return as_html(
-            self.summary(), self.participants, title=f"Live study {self.plan.folder.name}"
-        )
+        title = f"Live study {self.plan.folder.name}"
+        return as_html(self.summary(), self.participants, title=title)
 
     def __repr__(self) -> str:
         return f"RecordedStudy({self.plan.folder.name!r}: {self.summary()})"
 
 
-def _score(page: StudyPage, answers: pd.DataFrame, per_condition: bool) -> ScaleScores:
+def _inattentive(step: Step, event: dict[str, Any]) -> int:
+    """Return how many checks of attention on a page were answered otherwise than expected."""
+    answers = event.get("answers", {})
+    return sum(
+        item.expected is not None and answers.get(item.name, item.expected) != item.expected
+        for item in step.page.items
+    )
+
+
+def _score(page: StudyPage, answers: pd.DataFrame) -> ScaleScores:
     """Return the scores of one questionnaire from its answers, one to a row."""
-    condition = "condition" if per_condition else None
-    keys = ["participant", "condition"] if per_condition else ["participant"]
+    condition = "condition" if page.section == "each" else None
+    keys = ["participant", condition] if condition else ["participant"]
     wide = answers.pivot_table("answer", keys, "item", sort=False).reset_index()
     wide.attrs = answers.attrs
     return score(wide, _questionnaire(page), subject="participant", condition=condition)
@@ -563,7 +527,7 @@ def _score(page: StudyPage, answers: pd.DataFrame, per_condition: bool) -> Scale
 
 def _questionnaire(page: StudyPage) -> Questionnaire:
     """Return what a page asks, on the scale of its items."""
-    items = [item for item in page.items if item.kind == "scale"]
+    items = page.scales
     scale = {name: getattr(items[0], name) for name in ("low", "high", "step")}
     names, turned = [item.name for item in items], [item.name for item in items if item.reversed]
     printed = {"trust": TRUST_CHECKLIST, "nasa_tlx": NASA_TLX}.get(page.scored)

@@ -16,7 +16,7 @@ import secrets
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Container, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Self
@@ -73,6 +73,7 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+
 HEADERS = {
     "Content-Security-Policy": POLICY,
     "X-Content-Type-Options": "nosniff",
@@ -97,12 +98,12 @@ class Base(tornado.web.RequestHandler):
         server, headers = self.server, self.request.headers
         if self.request.host not in server.hosts:  # another name for this address: DNS rebinding
             raise tornado.web.HTTPError(421)
+        post = self.request.method == "POST"
         socket = headers.get("Upgrade", "").lower() == "websocket"
         origins = (f"http://{self.request.host}", server.url)
-        if (socket or self.request.method == "POST") and headers.get("Origin") not in origins:
+        if (socket or post) and headers.get("Origin") not in origins:
             raise tornado.web.HTTPError(403)
-        kind = headers.get("Content-Type", "").partition(";")[0]
-        if self.request.method == "POST" and kind != "application/json":
+        if post and headers.get("Content-Type", "").partition(";")[0] != "application/json":
             raise tornado.web.HTTPError(415)
 
     @property
@@ -110,24 +111,12 @@ class Base(tornado.web.RequestHandler):
         """The server."""
         return self.settings["server"]
 
-    def holder(self, token: str) -> str:
-        """Return whose link this is; an unknown one is as if the page did not exist."""
+    def holder(self, token: str, allowed: Container[str]) -> str:
+        """Return whose link this is; that of nobody allowed is as if the page did not exist."""
         holder = self.server.holder(token)
-        if holder is None:
+        if holder is None or holder not in allowed:
             raise tornado.web.HTTPError(404)
         return holder
-
-    def participant(self, token: str) -> str:
-        """Return which participant's link this is."""
-        holder = self.holder(token)
-        if holder in (EXPERIMENTER, JOIN):
-            raise tornado.web.HTTPError(404)
-        return holder
-
-    def allow(self, token: str, holder: str) -> None:
-        """Turn away who has another link."""
-        if self.holder(token) != holder:
-            raise tornado.web.HTTPError(404)
 
     def body(self) -> dict[str, Any]:
         """Return the request's body, an object in JSON without NaN and infinities."""
@@ -144,10 +133,10 @@ class Base(tornado.web.RequestHandler):
         self.set_header("Content-Type", f"{TYPES[Path(name).suffix]}; charset=utf-8")
         self.write(content)
 
-    async def reply(self, work: Callable[[], dict[str, Any]]) -> None:
-        """Answer with what work in a thread returns, or with why it cannot be done."""
+    async def reply(self, work: Awaitable[dict[str, Any]]) -> None:
+        """Answer with what work returns, or with why it cannot be done."""
         try:
-            self.write(await asyncio.to_thread(work))
+            self.write(await work)
             if self.request.method == "POST":
                 self.server.saved()
         except OSError as error:
@@ -155,11 +144,8 @@ class Base(tornado.web.RequestHandler):
             self.set_status(507)
             self.finish({"error": f"nothing can be saved: {self.server.disk}"})
         except AnswerError as error:
-            self.set_status(400)
+            self.set_status(error.status)
             self.finish({"error": str(error)})
-        except RefusedError as error:
-            self.set_status(409)
-            self.finish({"error": str(error), **error.facts})
         except DeletedError:
             raise tornado.web.HTTPError(404) from None
 
@@ -207,15 +193,32 @@ class Static(Base):
         self.page(name)
 
 
+class Frame(Base):
+    """The page that a link opens, which its script fills."""
+
+    def initialize(self, name: str, allowed: Container[str]) -> None:
+        """Keep the page's file, and whose links open it."""
+        self.name, self.allowed = name, allowed
+
+    def get(self, token: str) -> None:
+        """Answer with the frame."""
+        self.holder(token, self.allowed)
+        self.page(self.name)
+
+
 class Join(Base):
     """
     The link by which anybody takes the next free place: by a button, since programs that look at
     links take none; a cookie leads back to it.
     """
 
+    def prepare(self) -> None:
+        """Refuse everybody where nobody is to join."""
+        super().prepare()
+        self.holder(self.path_args[0], (JOIN,) if self.server.enrol else ())
+
     def get(self, token: str) -> None:
         """Answer with the page that asks, or lead to the place that was taken."""
-        self._allow(token)
         place = self.get_cookie("place", "")
         if self.server.holder(place) in self.server.plan.orders:
             self.redirect(f"/p/{place}")
@@ -224,52 +227,30 @@ class Join(Base):
 
     async def post(self, token: str) -> None:
         """Take the next free place."""
-        self._allow(token)
-        await self.reply(self._place)
-
-    def _allow(self, token: str) -> None:
-        self.allow(token, JOIN)
-        if not self.server.enrol:
-            raise tornado.web.HTTPError(404)
+        await self.reply(asyncio.to_thread(self._place))
 
     def _place(self) -> dict[str, Any]:
-        code = self.server.free_place()
-        if code is None:
-            raise RefusedError("All places of this study are taken. Thank you for your interest.")
-        place = self.server.tokens[code]
+        place = self.server.free_place()
         self.set_cookie("place", place, httponly=True, samesite="Strict", path="/join")
         return {"link": f"/p/{place}"}
 
 
-class ParticipantPage(Base):
-    """The page that a link opens."""
+class ParticipantState(Base):
+    """What a participant's page asks."""
 
-    def get(self, token: str) -> None:
-        """Answer with the frame that the script fills."""
-        self.participant(token)
-        self.page("study.html")
+    async def get(self, token: str) -> None:
+        """Answer with the page to show."""
+        code = self.holder(token, self.server.plan.orders)
+        await self.reply(self.server.ask(code, "state", {}))
 
 
 class ParticipantRequest(Base):
-    """What a participant's page asks and tells."""
-
-    async def get(self, token: str, request: str) -> None:
-        """Answer with the page to show."""
-        if request != "state":
-            raise tornado.web.HTTPError(405)
-        await self._reply(token, lambda participant: participant.state())
+    """What a participant's page tells."""
 
     async def post(self, token: str, request: str) -> None:
         """Take answers, or the wish to stop."""
-        if request == "state":
-            raise tornado.web.HTTPError(405)
-        body = self.body()
-        await self._reply(token, lambda participant: getattr(participant, request)(body))
-
-    async def _reply(self, token: str, work: Callable[[Participant], dict[str, Any]]) -> None:
-        code = self.participant(token)
-        async with self.server.queues.setdefault(code, asyncio.Lock()):
-            await self.reply(lambda: work(self.server.participant(code)))
+        code = self.holder(token, self.server.plan.orders)
+        await self.reply(self.server.ask(code, request, self.body()))
 
 
 class DriveSocket(tornado.websocket.WebSocketHandler, Base):
@@ -279,7 +260,7 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
         """Refuse who has no link of a participant."""
         super().prepare()
         token, page = self.path_args
-        self.code, self.number = self.participant(token), int(page)
+        self.code, self.number = self.holder(token, self.server.plan.orders), int(page)
 
     def check_origin(self, origin: str) -> bool:
         """Whether a page may connect: `prepare` has looked."""
@@ -291,80 +272,68 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
 
     async def on_message(self, text: str | bytes) -> None:
         """Do the commands of a message, after those before it; answer with the picture."""
+        words = self.server.plan.content["words"]
         try:
             message = parsed(text) | {"page": self.number}
-            async with self.server.queues.setdefault(self.code, asyncio.Lock()):
-                answer = await asyncio.to_thread(self._answer, message)
+            answer = await self.server.ask(self.code, "drive", message)
             self.server.saved()
         except OSError as error:
             self.server.not_saved(error)
-            answer = {"trouble": self.server.plan.content["words"]["disk"]}
+            answer = {"trouble": words["disk"]}
         except DeletedError:
             answer = {"done": True}
-        except (LogError, ValueError) as error:
-            words = self.server.plan.content["words"]["stopped"]
-            answer = {"refused": words.replace("{error}", str(error))}
+        except ValueError as error:
+            answer = {"refused": words["stopped"].replace("{error}", str(error))}
+        if answer.get("refused") == OTHER_WINDOW:
+            answer["refused"] = words["other_window"]
         if self.ws_connection is not None:
             self.write_message(json.dumps(answer))
 
-    def _answer(self, message: Mapping[str, Any]) -> dict[str, Any]:
-        answer = self.server.participant(self.code).drive(message)
-        if answer.get("refused") == OTHER_WINDOW:
-            answer["refused"] = self.server.plan.content["words"]["other_window"]
-        return answer
+
+class ExperimenterState(Base):
+    """What the experimenter's page asks."""
+
+    async def get(self, token: str) -> None:
+        """Answer with where everybody is."""
+        self.holder(token, (EXPERIMENTER,))
+        self.write(await asyncio.to_thread(self.server.overview))
 
 
-class ExperimenterPage(Base):
-    """The page that shows who is where."""
+class ExperimenterExport(Base):
+    """What was recorded."""
 
-    def get(self, token: str) -> None:
-        """Answer with the frame that the script fills."""
-        self.allow(token, EXPERIMENTER)
-        self.page("experimenter.html")
-
-
-class ExperimenterRequest(Base):
-    """What the experimenter's page asks and tells."""
-
-    async def get(self, token: str, request: str) -> None:
-        """Answer with where everybody is, or with everything as a zip."""
-        self.allow(token, EXPERIMENTER)
-        if request == "export":
-            await self.export()
-        elif request == "state":
-            self.write(await asyncio.to_thread(self.server.overview))
-        else:
-            raise tornado.web.HTTPError(404)
-
-    async def export(self) -> None:
-        """Answer with everything that was recorded, as a zip."""
+    async def get(self, token: str) -> None:
+        """Answer with everything, as a zip."""
         # Only here: a server that comes back after a crash needs no analysis.
         from trustlab.live.study.recorded import read_live_study
 
+        self.holder(token, (EXPERIMENTER,))
+        study = self.server.plan.folder
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "data.zip"
-            study = self.server.plan.folder
             await asyncio.to_thread(lambda: read_live_study(study).export(path))
             self.set_header("Content-Type", "application/zip")
             name = f'attachment; filename="{study.name}.zip"'
             self.set_header("Content-Disposition", name.encode("ascii", "replace"))
             self.write(path.read_bytes())
 
-    async def post(self, token: str, request: str) -> None:
-        """Restart a drive, add a note, or end a participation."""
-        self.allow(token, EXPERIMENTER)
+
+class ExperimenterAct(Base):
+    """What the experimenter's page tells."""
+
+    async def post(self, token: str) -> None:
+        """Restart a drive, add a note, or end a participation; answer with where everybody is."""
+        self.holder(token, (EXPERIMENTER,))
         body = self.body()
         code, action = body.get("participant"), body.get("action")
-        known = code in self.server.plan.present() and action in ("restart", "note", "end")
-        if request != "act" or not known:
-            raise tornado.web.HTTPError(400 if request == "act" else 404)
+        if code not in self.server.plan.present() or action not in ("restart", "note", "end"):
+            raise tornado.web.HTTPError(400)
 
-        def act() -> dict[str, Any]:
-            getattr(self.server.participant(code), f"experimenter_{action}")(body)
-            return self.server.overview()
+        async def act() -> dict[str, Any]:
+            await self.server.ask(code, f"experimenter_{action}", body)
+            return await asyncio.to_thread(self.server.overview)
 
-        async with self.server.queues.setdefault(code, asyncio.Lock()):
-            await self.reply(act)
+        await self.reply(act())
 
 
 class Missing(Base):
@@ -385,7 +354,7 @@ class Listener(tornado.httpserver.HTTPServer):
         """Take a connection, or close it."""
         contexts: list[Any] = [connection.context for connection in self._connections]
         same = sum(context.address[:1] == address[:1] for context in contexts)
-        if len(self._connections) >= self.most or same >= self.most_of_address:
+        if len(contexts) >= self.most or same >= self.most_of_address:
             stream.close()
         else:
             super().handle_stream(stream, address)
@@ -424,27 +393,18 @@ class StudyServer:
                 f"the study was frozen with {plan.content['made_by']}, this is {made_by()}: its "
                 "drives would not compare; go on with the version it was begun with"
             )
-        if plan.fault:
-            raise ValueError(
-                f"{plan.fault} after it was frozen: restore it from a copy before it is served"
-            )
         self.plan = plan
-        self.address = address
+        self.address, self.url = address, url.rstrip("/")
         self.port = whole_number("port", port, 0, 65535)
-        self.url = url.rstrip("/")
         self.enrol = flag("enrol", enrol)
-        self.files = {
-            path.name: path.read_bytes() for path in STATIC.iterdir() if path.suffix in TYPES
-        }
-        self.hosts: set[str] = set()
+        files = (path for path in STATIC.iterdir() if path.suffix in TYPES)
+        self.files = {path.name: path.read_bytes() for path in files}
         self.queues: dict[str, asyncio.Lock] = {}
         self.participants: dict[str, Participant] = {}
         self.lock = threading.RLock()
         self.tokens: dict[str, str] = {}
         self.tokens_at = 0
-        self.thread: threading.Thread | None = None
         self.started = threading.Event()
-        self.fault: BaseException | None = None
         self.disk = ""
         self.mistakes = 0
         self.told: set[str] = set()
@@ -474,10 +434,25 @@ class StudyServer:
                 self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
             return self.participants[code]
 
-    def free_place(self) -> str | None:
-        """Return the next participant whom nobody is yet, and take the place."""
-        with self.lock:
-            return next((c for c in self.plan.present() if self.participant(c).enrol()), None)
+    async def ask(self, code: str, request: str, body: Mapping[str, Any]) -> dict[str, Any]:
+        """Let a participant answer a request, in a thread, after those before it."""
+
+        def answer() -> dict[str, Any]:
+            participant = self.participant(code)
+            with participant.lock:
+                return getattr(participant, request)(body)
+
+        async with self.queues.setdefault(code, asyncio.Lock()):
+            return await asyncio.to_thread(answer)
+
+    def free_place(self) -> str:
+        """Take the place of the next participant whom nobody is yet, and return its token."""
+        for code in self.plan.present():
+            participant = self.participant(code)
+            with participant.lock:
+                if participant.enrol():
+                    return self.tokens[code]
+        raise RefusedError("All places of this study are taken. Thank you for your interest.")
 
     def mistaken(self, error: Any) -> None:
         """Note a mistake of ours; the log tells each kind once."""
@@ -539,6 +514,16 @@ class StudyServer:
         return self.url or f"http://{name}:{self.port}"
 
     @property
+    def hosts(self) -> set[str]:
+        """The names by which a request may call this server."""
+        names = LOOPBACK if self.address in LOOPBACK else (self.address,)
+        plain = {f"[{name}]" if ":" in name else name for name in names}
+        hosts = {f"{name}:{self.port}" for name in plain}
+        if self.port == 80:  # browsers leave the usual port out
+            hosts |= plain
+        return hosts | ({urlsplit(self.url).netloc} if self.url else set())
+
+    @property
     def experimenter(self) -> str:
         """The experimenter's link."""
         return f"{self.base}/experimenter/{self.tokens[EXPERIMENTER]}"
@@ -553,15 +538,19 @@ class StudyServer:
         tokens.
         """
         token = r"([A-Za-z0-9_-]{22})"
+        experimenter = {"name": "experimenter.html", "allowed": (EXPERIMENTER,)}
         return tornado.web.Application(
             [
                 (r"/static/([a-z_]+\.[a-z]+)", Static),
-                (rf"/p/{token}", ParticipantPage),
-                (rf"/join/{token}", Join),
-                (rf"/p/{token}/(state|answers|withdraw)", ParticipantRequest),
+                (rf"/p/{token}", Frame, {"name": "study.html", "allowed": self.plan.orders}),
+                (rf"/p/{token}/state", ParticipantState),
+                (rf"/p/{token}/(answers|withdraw)", ParticipantRequest),
                 (rf"/p/{token}/drive/(\d{{1,4}})", DriveSocket),
-                (rf"/experimenter/{token}", ExperimenterPage),
-                (rf"/experimenter/{token}/(state|act|export)", ExperimenterRequest),
+                (rf"/join/{token}", Join),
+                (rf"/experimenter/{token}", Frame, experimenter),
+                (rf"/experimenter/{token}/state", ExperimenterState),
+                (rf"/experimenter/{token}/export", ExperimenterExport),
+                (rf"/experimenter/{token}/act", ExperimenterAct),
             ],
             default_handler_class=Missing,
             log_function=lambda handler: None,
@@ -570,7 +559,7 @@ class StudyServer:
             server=self,
         )
 
-    async def _serve(self) -> None:
+    async def _serve(self, sockets: list[Any]) -> None:
         listener = Listener(
             self.application(),
             max_body_size=LARGEST_BODY,
@@ -581,13 +570,6 @@ class StudyServer:
         files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         listener.most = min(MOST_CONNECTIONS, max(files - 2 * len(self.plan.orders) - 50, 10))
         listener.most_of_address = listener.most if self.url else MOST_OF_ADDRESS
-        sockets = tornado.netutil.bind_sockets(self.port, self.address)
-        self.port = sockets[0].getsockname()[1]
-        names = LOOPBACK if self.address in LOOPBACK else (self.address,)
-        self.hosts = {f"[{n}]:{self.port}" if ":" in n else f"{n}:{self.port}" for n in names}
-        if self.port == 80:  # browsers leave the usual port out
-            self.hosts |= {host.rpartition(":")[0] for host in self.hosts}
-        self.hosts |= {urlsplit(self.url).netloc} if self.url else set()
         listener.add_sockets(sockets)
         self.loop, self.ending = asyncio.get_running_loop(), asyncio.Event()
         self.loop.set_default_executor(ThreadPoolExecutor(WRITERS))
@@ -596,47 +578,51 @@ class StudyServer:
         listener.stop()
         await listener.close_all_connections()
 
-    def _run(self) -> None:
-        try:
-            asyncio.run(self._serve())
-        except BaseException as error:  # told to who started it
-            self.fault = error
-            self.started.set()
-
     def __enter__(self) -> Self:
         """Begin to serve; one server per study."""
+        folder = self.plan.folder
         try:
-            self.held = Log(self.plan.folder / SERVED)
+            self.held = Log(folder / SERVED)
             self.held.append([{"at": time.time(), **made_by()}])
         except LogError:
             raise ValueError(
-                f"{self.plan.folder} is being served already, by another process or notebook"
+                f"{folder} is being served already, by another process or notebook"
             ) from None
         except OSError as error:
             raise ValueError(
-                f"nothing can be written in {self.plan.folder} ({error.strerror}): make it "
-                "writable and see that its disk has room before people come"
+                f"nothing can be written in {folder} ({error.strerror}): make it writable and see "
+                "that its disk has room before people come"
             ) from None
         try:
             training = drive_of(self.plan.content, "training", stand_in(self.plan, ""), seed=0)
             prepare(task_of(training), training)
             self.holder("")
-            self.thread = threading.Thread(target=self._run, name="live study", daemon=True)
-            self.thread.start()
-            self.started.wait()
-            if self.fault is not None:
-                raise ValueError(
-                    f"cannot serve on {self.address}, port {self.port}: {self.fault}"
-                ) from self.fault
+            sockets = self._sockets()
         except BaseException:
             self.held.close()
             raise
+        self.port = sockets[0].getsockname()[1]
+        self.thread = threading.Thread(
+            target=asyncio.run, args=(self._serve(sockets),), name="live study", daemon=True
+        )
+        self.thread.start()
+        if not self.started.wait(10.0):
+            self.held.close()
+            raise ValueError("the server did not start within 10 s; a traceback says why")
         return self
+
+    def _sockets(self) -> list[Any]:
+        try:
+            return tornado.netutil.bind_sockets(self.port, self.address)
+        except (OSError, UnicodeError) as error:
+            raise ValueError(
+                f"cannot serve on {self.address}, port {self.port}: {error}"
+            ) from error
 
     def wait(self) -> None:
         """Return when interrupted."""
         try:
-            while self.thread is not None and self.thread.is_alive():
+            while self.thread.is_alive():
                 self.thread.join(1.0)
         except KeyboardInterrupt:
             print(
@@ -646,7 +632,6 @@ class StudyServer:
     def __exit__(self, *_: object) -> None:
         """End the server."""
         self.loop.call_soon_threadsafe(self.ending.set)
-        assert self.thread is not None
         self.thread.join(10.0)
         for participant in self.participants.values():
             participant.close()

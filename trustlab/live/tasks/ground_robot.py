@@ -7,22 +7,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from trustlab.live.condition import NOTICE, LiveCondition
-from trustlab.live.hands import Driver, HumanHand
-from trustlab.live.noise import HASHED
+from trustlab.live.hands import HumanHand
 from trustlab.live.study.settings import DriveSettings, model_of
 from trustlab.live.task import LiveTask
-from trustlab.live.tick import (
-    FORCING,
-    ROBOT,
-    SCORE,
-    SIGNALS,
-    TASK as NUMBERS,
-    Command,
-    Room,
-    World,
-    begin_drive,
-    tick,
-)
+from trustlab.live.tick import SCORE, SIGNALS, STATE, Switching, World, begin_drive, tick
 from trustlab.models.checks import of_class, one_of, positive, warn, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
@@ -34,14 +22,13 @@ from trustlab.testbeds.deciding import (
     SCHEDULE,
     SETTLING,
     TSC,
+    Task,
     task_of,
 )
 from trustlab.testbeds.ground_robot.conditions import E_MAX, SLOWEST
 from trustlab.testbeds.ground_robot.course import Course, CourseNumbers, default_course
-from trustlab.testbeds.ground_robot.kernel import COLUMNS, LOG, STATE
-from trustlab.testbeds.ground_robot.pioneer import Pioneer
-
-COMMANDS = ("v_command", "w_command", "mode")
+from trustlab.testbeds.ground_robot.kernel import COLUMNS, LOG
+from trustlab.testbeds.ground_robot.pioneer import Pioneer, PioneerNumbers
 
 DRIVES = {**CONDITIONS, "training": (OWN, False), "identification": (SCHEDULE, False)}
 """
@@ -54,7 +41,7 @@ LIVE_SPEED = 0.5
 Largest speed of the robot in live drives [m/s].
 
 The printed people reach P_r = 0.35–0.40 and P_h up to 0.465 (Table 2.1), which a robot of the
-calibrated 0.7 m/s makes too easy: a hand that sees everything reaches 0.67 there. At 0.5 m/s the
+calibrated 0.7 m/s makes too easy: a hand that sees everything reached 0.67 there. At 0.5 m/s the
 best that (2.4) allows is just above the best person printed.
 """
 
@@ -76,6 +63,12 @@ MOST_SAMPLES = 36_000
 
 MOST_SEED = 2**53 - 1
 """Largest seed that JSON keeps in every language."""
+
+PILOT_A = 0.9991
+"""a of (2.5) where there is no model of the person: that of the pilot operator."""
+
+WHOLE = ("scheme", "forced", "laps", "window", "first_mode")
+"""Numbers of a task that are whole."""
 
 
 def drive_config(
@@ -115,9 +108,16 @@ def drive_config(
     **view : float or bool
         What is seen, in place of `VIEW`.
     """
-    name, scheme, forced, notice = _rule_of(condition)
-    weights, pair = _own_rule(condition)
-    thresholds = pair or thresholds
+    own = condition if isinstance(condition, LiveCondition) else None
+    name = own.name if own else one_of("condition", condition, DRIVES)
+    scheme, forced = (own.scheme, own.forced) if own else DRIVES[name]
+    if own and own.thresholds:
+        thresholds = own.thresholds
+    if scheme == TSC and thresholds is None:
+        raise ValueError(
+            f"{name} needs thresholds=(TSC_l, TSC_u); take them from "
+            "trustlab.choose_thresholds(model)"
+        )
     robot = of_class("robot", Pioneer(max_speed=LIVE_SPEED) if robot is None else robot, Pioneer)
     course = of_class("course", course or default_course(), Course)
     phases = None
@@ -127,25 +127,18 @@ def drive_config(
         raise ValueError(
             "a schedule of modes goes with the condition 'identification', and only with it"
         )
-    lower, upper = thresholds or (0.0, 0.0)
-    if scheme == TSC and thresholds is None:
-        raise ValueError(
-            f"{name} needs thresholds=(TSC_l, TSC_u); take them from "
-            "trustlab.choose_thresholds(model)"
-        )
     for setting in view:
         one_of("a setting of the view", setting, VIEW)
     first = int(phases[0][0]) if phases else 1
     laps = whole_number("laps", laps, most=100) if laps is not None else 0
-    task = task_of(scheme, E_MAX, forced, laps, lower, upper, model, first)._asdict()
-    free = name in ("training", "identification")
-    task |= {"settling": 0.0 if free else SETTLING, "notice": notice, **weights}
-    task["a"] = model.human.a if model else 0.9991
+    lower, upper = thresholds or (0.0, 0.0)
+    task = task_of(scheme, E_MAX, forced, laps, lower, upper, model, first)
+    anchor = 1.0 - math.exp(-SAMPLE_TIME / robot.anchoring_time)
     return {
         "live_task": "ground_robot",
         "condition": name,
         "columns": [*COLUMNS, "laps"],
-        "commands": list(COMMANDS),
+        "commands": ["v_command", "w_command", "mode"],
         "limits": {
             "v_command": [0.0, robot.max_speed],
             "w_command": [-robot.max_turn_rate, robot.max_turn_rate],
@@ -155,11 +148,8 @@ def drive_config(
         "samples": _samples(laps, seconds, phases, course),
         "seed": whole_number("seed", seed, least=0, most=MOST_SEED),
         "schedule": phases,
-        "task": {
-            name: int(value) if NUMBERS[name].kind == "i" else float(value)
-            for name, value in task.items()
-        },
-        "robot": _robot_numbers(robot),
+        "task": _numbers(task, own, name in ("training", "identification"), model),
+        "robot": robot.numbers._asdict() | {"anchor": anchor},
         "path": course.path.tolist(),
         "posts": course.posts.tolist(),
         "ramp": dict(RAMP),
@@ -169,27 +159,18 @@ def drive_config(
     }
 
 
-def _robot_numbers(robot: Pioneer) -> dict[str, float]:
-    """Return the numbers of a robot; its estimate is anchored while the person drives."""
-    anchor = 1.0 - math.exp(-SAMPLE_TIME / robot.anchoring_time)
-    return robot.numbers._asdict() | {"anchor": anchor}
-
-
-def _rule_of(condition: str | LiveCondition) -> tuple[str, int, bool, float]:
-    """Return a drive's name, who suggests, whether that must be followed, and after what time."""
-    if isinstance(condition, LiveCondition):
-        return condition.name, condition.scheme, condition.forced, condition.notice
-    scheme, forced = DRIVES[one_of("condition", condition, DRIVES)]
-    return condition, scheme, forced, NOTICE
-
-
-def _own_rule(
-    condition: str | LiveCondition,
-) -> tuple[dict[str, float], tuple[float, float] | None]:
-    """Return the weights and thresholds of a rule of one's own, zeros and None without one."""
-    if isinstance(condition, LiveCondition):
-        return condition.weights, condition.thresholds
-    return dict.fromkeys(SIGNALS, 0.0), None
+def _numbers(
+    task: Task, own: LiveCondition | None, free: bool, model: TscModel | None
+) -> dict[str, float]:
+    """Return a task and when its mode may change as plain numbers by name."""
+    switching = Switching(
+        0.0 if free else SETTLING,
+        own.notice if own else NOTICE,
+        model.human.a if model else PILOT_A,
+        **(own.weights if own else dict.fromkeys(SIGNALS, 0.0)),
+    )
+    both = {**task._asdict(), **switching._asdict()}
+    return {name: int(value) if name in WHOLE else float(value) for name, value in both.items()}
 
 
 def _samples(
@@ -214,8 +195,7 @@ def _samples(
 def warn_if_too_short(config: Mapping[str, Any]) -> None:
     """Warn where a drive's laps can be over before anybody may switch."""
     task = config["task"]
-    length = config["path"][-1][2]
-    lap = length / config["robot"]["max_speed"]
+    lap = config["path"][-1][2] / config["robot"]["max_speed"]
     if task["laps"] and task["laps"] * lap <= task["settling"]:
         warn(
             f"nobody may switch in the first {task['settling']:g} s, when the window of measured "
@@ -231,31 +211,34 @@ class Drive:
         self.config = config
         self.k = 0
         self.done = False
-        task, robot = (
-            np.array([tuple(config[name][field] for field in kind.names)], kind)[0]
-            for name, kind in (("task", NUMBERS), ("robot", ROBOT))
-        )
-        path, posts = (np.array(config[name], dtype=float) for name in ("path", "posts"))
-        source = np.array([(config["seed"], 0)], HASHED)[0]
-        self.world = World(task, robot, CourseNumbers(path, posts), source)
-        self.state, forcing = np.zeros(1, STATE)[0], np.zeros(1, FORCING)[0]
-        z_r, z_h = np.empty((2, config["samples"]))
-        self.room = Room(z_r, z_h, np.empty((len(posts), 4)), self.state, forcing)
         self.row: list[float] = []
-        self._log = np.zeros(1, LOG)[0]
+        robot = dict(config["robot"])
+        anchor = robot.pop("anchor")
+        course = CourseNumbers(*(np.array(config[name], float) for name in ("path", "posts")))
+        self.world = World(
+            Task(**{name: config["task"][name] for name in Task._fields}),
+            Switching(**{name: config["task"][name] for name in Switching._fields}),
+            PioneerNumbers(**robot),
+            anchor,
+            course,
+            np.random.default_rng(config["seed"]),
+            np.empty(config["samples"]),
+            np.empty(config["samples"]),
+            np.empty((len(course.posts), 4)),
+        )
+        self.state, self._log = np.zeros(1, STATE)[0], np.zeros(1, LOG)[0]
         self.ends = np.cumsum([length for _, length in config["schedule"] or ()]) / SAMPLE_TIME
-        begin_drive(task, robot, self.world.course, self.state, forcing)
+        begin_drive(self.world, self.state)
 
     def step(self, *command: float) -> list[float]:
         """Drive for one sample; where modes are scheduled, the one that is wanted has no effect."""
-        v, w, mode = command
+        v, w, mode = map(float, command)  # whole numbers would compile all once more
         if self.ends.size:
             phase = min(int(np.searchsorted(self.ends, self.k, side="right")), self.ends.size - 1)
-            mode = self.config["schedule"][phase][0]
-        # a float also where the mode is whole: else all would be compiled once more
-        done = tick(self.k, Command(v, w, float(mode)), self.world, self.room, self._log)
+            mode = float(self.config["schedule"][phase][0])
+        done = tick(self.k, v, w, mode, self.world, self.state, self._log)
         self.k += 1
-        self.done = bool(done) or self.k >= self.config["samples"]
+        self.done = done or self.k >= self.config["samples"]
         self.row = [*self._log.tolist(), float(self.state["laps"])]
         return self.row
 
@@ -308,9 +291,9 @@ class GroundRobotTask(LiveTask):
         """Return a drive at its beginning."""
         return Drive(config)
 
-    def hand(self, config: Mapping[str, Any], rng: np.random.Generator) -> Driver:
+    def hand(self, config: Mapping[str, Any], rng: np.random.Generator) -> HumanHand:
         """Return a hand with a person's limits, which follows suggestions."""
-        return Driver(config, HumanHand(config, int(rng.integers(2**32))))
+        return HumanHand(config, int(rng.integers(2**32)))
 
     def minutes(self, config: Mapping[str, Any]) -> float:
         """Return how long a drive takes, its laps at two thirds of the largest speed [min]."""

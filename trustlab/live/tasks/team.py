@@ -1,13 +1,13 @@
 """A team as a live task: one person leads it to goals through whichever robot leads."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from trustlab.live.hands import ScriptedLeader
-from trustlab.live.task import MOST_DELAY, PERIOD, LiveTask, trust_as_json, trust_of
+from trustlab.live.task import PERIOD, HandSettings, LiveTask, force_shown, trust_of
 from trustlab.models.checks import between, positive, whole_number
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.team.decisions import POLICIES, TeamSituation
@@ -61,7 +61,7 @@ START = 1.0
 
 
 @dataclass(frozen=True)
-class LeadingSettings:
+class LeadingSettings(HandSettings):
     """
     The runs of a live study of a team.
 
@@ -109,17 +109,9 @@ class LeadingSettings:
     def __post_init__(self):
         whole_number("robots", self.robots, least=3, most=6)
         whole_number("goals", self.goals, most=20)
-        trust_as_json(self.trust)
-        between("duration", self.duration, 1.0, 3600.0)
-        between("training", self.training, 1.0, 3600.0)
-        between("least_delay", self.least_delay, 0.0, MOST_DELAY)
         between("min_dwell", self.min_dwell, 1.0, 60.0)
         positive("tolerance", self.tolerance)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the settings as plain values for `study.json`."""
-        plain = {each.name: getattr(self, each.name) for each in fields(self)}
-        return plain | {"trust": trust_as_json(self.trust)}
+        super().__post_init__()
 
 
 def ring(count: int) -> np.ndarray:
@@ -257,37 +249,26 @@ class TeamTask(LiveTask):
     ) -> dict[str, Any]:
         """Return the settings of a run; start, goals and abilities are drawn from its seed."""
         rng = np.random.default_rng(seed)
-        count, training = content["robots"], condition == "training"
-        duration = content["training" if training else "duration"]
+        count = content["robots"]
         start = np.zeros((count, 3))
         start[:, :2] = rng.uniform(-START, START, (count, 2))
         abilities = [ABILITIES[i] for i in rng.permutation(count)]
-        return {
-            "live_task": self.name,
-            "condition": BY_HAND if training else condition,
-            "chooses": training or condition in (BY_HAND, SUGGESTED),
-            "start": start.tolist(),
-            "goals": _goals(content["goals"], rng),
-            "robots": [asdict(robot) for robot in abilities],
-            "gains": gains_of(count),
-            "min_dwell": content["min_dwell"],
-            "tolerance": content["tolerance"],
-            "trust": content.get("trust"),
-            "seed": seed,
-            "sample_time": PERIOD,
-            "samples": round(duration / PERIOD),
-            "duration": duration,
-            "field": FIELD + START,
-            "columns": [*COLUMNS, *(f"trust_{i}" for i in range(1, count + 1))],
-            "commands": list(COMMANDS),
-            "late": 0.0,
-            "limits": {
-                "pointer_x": [-1.0, 1.0],
-                "pointer_y": [-1.0, 1.0],
-                "leader_choice": [0, count],
-            },
-            "clock": "real",
-        }
+        return self.hand_config(
+            content,
+            condition,
+            seed,
+            ("leader_choice", 0, count),
+            chooses=condition in ("training", BY_HAND, SUGGESTED),
+            start=start.tolist(),
+            goals=_goals(content["goals"], rng),
+            robots=[asdict(robot) for robot in abilities],
+            gains=gains_of(count),
+            min_dwell=content["min_dwell"],
+            tolerance=content["tolerance"],
+            field=FIELD + START,
+            columns=[*COLUMNS, *(f"trust_{i}" for i in range(1, count + 1))],
+            late=0.0,
+        )
 
     def begin(self, config: Mapping[str, Any]) -> LeadingRun:
         """Return a run at its beginning."""
@@ -308,7 +289,6 @@ class TeamTask(LiveTask):
         """
         leader, suggested = session["leader"], session["leader_suggested"]
         moves = np.diff(np.column_stack([session["team_x"], session["team_y"]]), axis=0)
-        square = session["f_m_x"] ** 2 + session["f_m_y"] ** 2
         ends = np.flatnonzero((suggested[:-1] > 0) & (suggested[1:] != suggested[:-1]))
         followed = int((leader[ends + 1] == suggested[ends]).sum())
         return {
@@ -319,7 +299,7 @@ class TeamTask(LiveTask):
             "switches": int(np.count_nonzero(np.diff(leader))),
             "suggestions": len(ends),
             "followed_percent": 100.0 * followed / len(ends) if len(ends) else np.nan,
-            "force": float(np.sqrt(square.mean())),
+            "force": force_shown(session),
         }
 
 

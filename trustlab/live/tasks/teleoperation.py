@@ -1,14 +1,14 @@
 """Shared teleoperation as a live task: a UAV after its target, under the schemes of Chapter 3."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from trustlab.live.hands import TrackingHand
-from trustlab.live.task import MOST_DELAY, PERIOD, LiveTask, trust_as_json, trust_of
-from trustlab.models.checks import between, one_of
+from trustlab.live.task import PERIOD, HandSettings, LiveTask, force_shown, trust_of
+from trustlab.models.checks import one_of
 from trustlab.models.simulation import DivergenceError, PartError
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Session
@@ -44,7 +44,7 @@ UNBOUNDED = 1e6
 
 
 @dataclass(frozen=True)
-class TeleoperationSettings:
+class TeleoperationSettings(HandSettings):
     """
     The flights of a live study of shared teleoperation.
 
@@ -86,15 +86,7 @@ class TeleoperationSettings:
     def __post_init__(self):
         one_of("study", self.study, TASKS)
         one_of("guidance", self.guidance, GUIDANCE)
-        trust_as_json(self.trust)
-        between("duration", self.duration, 1.0, 3600.0)
-        between("training", self.training, 1.0, 3600.0)
-        between("least_delay", self.least_delay, 0.0, MOST_DELAY)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the settings as plain values for `study.json`."""
-        plain = {each.name: getattr(self, each.name) for each in fields(self)}
-        return plain | {"trust": trust_as_json(self.trust)}
+        super().__post_init__()
 
 
 class LiveFlight:
@@ -177,31 +169,21 @@ class TeleoperationTask(LiveTask):
         self, content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
     ) -> dict[str, Any]:
         """Return the settings of a flight."""
-        training = condition == "training"
-        duration = content["training" if training else "duration"]
-        scheme = "M" if training else condition
+        allocates = condition == "MMI"
         view = self.parts.get("task") or TASKS[content["study"]]
-        least, most = (0.0, 1.0) if scheme == "MMI" else (-1.0, -1.0)
-        limits = {"pointer_x": [-1.0, 1.0], "pointer_y": [-1.0, 1.0], "alpha_choice": [least, most]}
-        return {
-            "live_task": self.name,
-            "condition": condition,
-            "scheme": scheme,
-            "allocates": scheme == "MMI",
-            "study": content["study"],
-            "guidance": content["guidance"],
-            "trust": content.get("trust"),
-            "seed": seed,
-            "sample_time": PERIOD,
-            "samples": round(duration / PERIOD),
-            "duration": duration,
-            "half": view.view if view.view < UNBOUNDED else view.size_x,
-            "columns": list(COLUMNS),
-            "commands": list(COMMANDS),
-            "late": view.camera_delay,
-            "limits": limits,
-            "clock": "real",
-        }
+        return self.hand_config(
+            content,
+            condition,
+            seed,
+            ("alpha_choice", *((0.0, 1.0) if allocates else (-1.0, -1.0))),
+            scheme="M" if condition == "training" else condition,
+            allocates=allocates,
+            study=content["study"],
+            guidance=content["guidance"],
+            half=view.view if view.view < UNBOUNDED else view.size_x,
+            columns=list(COLUMNS),
+            late=view.camera_delay,
+        )
 
     def begin(self, config: Mapping[str, Any]) -> LiveFlight:
         """Return a flight at its beginning."""
@@ -218,8 +200,7 @@ class TeleoperationTask(LiveTask):
         """
         measures = {name: float(session[name].mean()) for name in NUMBERS[:5]}
         measures["worst_error"] = float(session["path_error"].max())
-        square = session["f_m_x"] ** 2 + session["f_m_y"] ** 2
-        measures["force"] = float(np.sqrt(square.mean()))
+        measures["force"] = force_shown(session)
         measures["energy_operator"] = float(session["energy_operator"][-1])
         return measures
 
