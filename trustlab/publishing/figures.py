@@ -6,7 +6,6 @@ data.
 from __future__ import annotations
 
 import os
-import sys
 import textwrap
 from pathlib import Path
 
@@ -36,11 +35,14 @@ def use_house_style() -> None:
 
     pyplot.style.use(Path(__file__).parent / "templates" / "house.mplstyle")
     pyplot.rcParams["axes.prop_cycle"] = cycler(color=PALETTE)
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    try:
+        from IPython import get_ipython
+        from matplotlib_inline.backend_inline import set_matplotlib_formats
+    except ImportError:
+        return
+    shell = get_ipython()
     if shell is None:
         return
-    from matplotlib_inline.backend_inline import set_matplotlib_formats
-
     formatters = shell.display_formatter.formatters
     formatters["text/html"].for_type(pd.DataFrame, table_html)
     set_matplotlib_formats("svg" if REPORT in os.environ else "png", dpi=150)
