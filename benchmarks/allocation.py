@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
+import itertools
 import warnings
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from statistics import median
 from time import perf_counter
 
 import numpy as np
@@ -14,7 +14,7 @@ import trustlab as tl
 from benchmarks.peers.correction_problem import Turns
 from benchmarks.peers.opti_steps import OptiShooting
 from benchmarks.peers.worker import Worker
-from benchmarks.timing import Row, same, within
+from benchmarks.timing import Row, beside, same, within
 from trustlab.allocation import TargetWarning
 
 TARGET, C_B, HORIZON, STEPS = (0.15, 0.56), 1e-5, 200, 300
@@ -36,52 +36,51 @@ def corrector(engine: str | None = None, horizon: int = HORIZON) -> tl.Threshold
         return tl.ThresholdCorrector(pilot(), TARGET, C_B, horizon, engine=engine, **options)
 
 
-def closed_loop(name: str) -> list[tuple[tuple, np.ndarray]]:
-    """Return states of a run with noise, (r, P_r, TSC_l, TSC_u, mode), and the plan's modes."""
+def closed_loop(name: str) -> tuple[list[tuple], np.ndarray]:
+    """Return states of a run with noise, (r, P_r, TSC_l, TSC_u, mode), and each plan's modes."""
     robot, engine = pilot().robot, corrector()
     noise = np.random.default_rng(20_190).normal(size=(STEPS, 4))
-    (lower, upper), r, p_r, mode, out = STARTS[name], 0.5, 0.315, 1, []
+    (lower, upper), r, p_r, mode = STARTS[name], 0.5, 0.315, 1
+    states, modes = [], []
     for row in noise:
-        state = (r, p_r, lower, upper, mode)
-        plan = engine.step(*state)
-        out.append((state, plan.path[4, :-1]))
+        states.append((r, p_r, lower, upper, mode))
+        plan = engine.step(*states[-1])
+        modes.append(plan.path[4, :-1])
         r = float(np.clip(plan.path[0, 1] + 0.01 * row[0], 0.0, 1.0))
         p_r = float(np.clip(plan.path[1, 1] + 0.003 * row[1], robot.p_min, robot.p_max))
         moved = C_B * row[2:] if name == "near" else np.zeros(2)
         lower, upper = lower + plan.c_l + moved[0], upper + plan.c_u + moved[1]
         mode = int(plan.path[4, 0])
-    return out
+    return states, np.array(modes)
 
 
-def scaled(loop: list) -> np.ndarray:
+def scaled(states: list[tuple]) -> np.ndarray:
     """Return r, the share of P_r, and both thresholds from their target in c_b, at each step."""
     robot = pilot().robot
-    r, p_r, lower, upper, _ = np.array([state for state, _ in loop]).T
+    r, p_r, lower, upper, _ = np.array(states).T
     share = (p_r - robot.p_min) / (robot.p_max - robot.p_min)
     return np.column_stack([r, share, (upper - TARGET[1]) / C_B, (lower - TARGET[0]) / C_B])
 
 
 def rows() -> Iterator[Row]:
     """Yield our engines, the peers at the same states, growth with N, and simulation."""
-    loops = {name: closed_loop(name) for name in STARTS}
     human, robot = pilot().human, pilot().robot
     numbers = [human.a, human.beta, human.p_min, human.p_max]
     data = {"constants": np.array([*numbers, robot.a, robot.b, robot.p_min, robot.p_max])}
     data["horizon"] = np.array(HORIZON)
-    for name, loop in loops.items():
-        yield from alone(name, loop)
-        data[f"{name}_states"] = scaled(loop)
-        data[f"{name}_modes"] = np.array([modes for _, modes in loop])
-    for name, loop in loops.items():
+    loops = {}
+    for name in STARTS:
+        loops[name], data[f"{name}_modes"] = closed_loop(name)
+        data[f"{name}_states"] = scaled(loops[name])
+        yield from alone(name, loops[name])
+    for name, states in loops.items():
         opti = OptiShooting(data, HORIZON)
         turns = Turns(data[f"{name}_states"], data[f"{name}_modes"], opti.solve)
-        yield compared(name, loop, "CasADi Opti with IPOPT", turns, turns)
-    with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder) / "loop.npz", **data)
-        with Worker("do_mpc_steps", Path(folder) / "loop.npz") as worker:
-            for name, loop in loops.items():
-                result = lambda n=name: worker.ask(n)["result"]  # noqa: E731
-                yield compared(name, loop, "do-mpc with IPOPT", result, worker.timed(name))
+        yield compared(name, states, "CasADi Opti with IPOPT", turns, turns)
+    with Worker("do_mpc_steps", data) as worker:
+        for name, states in loops.items():
+            result = lambda n=name: worker.ask(n)["result"]  # noqa: E731
+            yield compared(name, states, "do-mpc with IPOPT", result, worker.timed(name))
     yield growth(loops["far"])
     steps = 200_000
     work = f"simulate_allocation under (2.8), {steps:,} samples"
@@ -89,43 +88,42 @@ def rows() -> Iterator[Row]:
     yield within(work, run, steps / 1e7 * 1e3, note="10 million samples a second")
 
 
-def milliseconds(call: Callable[[], object]) -> float:
-    """Return the time of one call; a peer in a process of its own returns its seconds."""
-    began = perf_counter()
-    told = call()
-    return 1e3 * (told if isinstance(told, float) else perf_counter() - began)
+def stepped(engine: tl.ThresholdCorrector, states: list[tuple]) -> list[float]:
+    """Return the milliseconds of one step after the other."""
+    times = []
+    for state in states:
+        began = perf_counter()
+        engine.step(*state)
+        times.append(1e3 * (perf_counter() - began))
+    return times
 
 
-def alone(name: str, loop: list) -> Iterator[Row]:
+def alone(name: str, states: list[tuple]) -> Iterator[Row]:
     """Yield both engines over the whole loop."""
     for engine, limit in ((None, 0.015), ("casadi", 50.0)):
         plan = corrector(engine)
-        for state, _ in loop[:10]:
-            plan.step(*state)
-        times = [milliseconds(lambda s=state, p=plan: p.step(*s)) for state, _ in loop]
+        stepped(plan, states[:10])
+        times = stepped(plan, states)
         p99 = float(np.percentile(times, 99))
         work = f"Correction, N = {HORIZON}, {name}, engine {engine or 'clipped'}"
         goal = f"p99 ≤ {limit:g} ms"
         yield Row(work, times, goal=goal, met=p99 <= limit, note=f"p99 {p99:.3g} ms")
 
 
-def compared(name: str, loop: list, peer: str, result: Callable, side: Callable) -> Row:
-    """Return our CasADi engine beside a peer, whose cost is checked at the first steps."""
-    ours, checked = corrector("casadi"), 3
-    for state, _ in loop[:checked]:
+def compared(name: str, states: list[tuple], peer: str, result: Callable, side: Callable) -> Row:
+    """
+    Return our CasADi engine beside a peer, each at one state after the other; the peer's cost is
+    checked at the first states.
+    """
+    engine, ahead = corrector("casadi"), itertools.cycle(states)
+    ours = lambda: engine.step(*next(ahead))  # noqa: E731
+    for state in states[:3]:
         inputs = np.reshape(result(), (2, HORIZON))
         best = corrector().step(*state).cost
         same(peer, 1.0, 1.0 + (cost_of(inputs, state) - best) / max(best, C_B**2), 1e-4)
-        ours.step(*state)
-    pairs = [
-        (milliseconds(lambda s=state: ours.step(*s)), milliseconds(side))
-        for state, _ in loop[checked : checked + 60]
-    ]
-    ratios = [theirs / mine for mine, theirs in pairs]
-    met = float(np.median(ratios)) >= 3.0
+        ours()
     work = f"Correction, N = {HORIZON}, {name}, engine casadi"
-    mine, theirs = map(list, zip(*pairs, strict=True))
-    return Row(work, mine, peer, theirs, ratios, "ratio ≥ 3", met)
+    return beside(work, ours, peer, side, least=3.0, turns=60)
 
 
 def cost_of(inputs: np.ndarray, state: tuple) -> float:
@@ -141,14 +139,13 @@ def cost_of(inputs: np.ndarray, state: tuple) -> float:
     return cost
 
 
-def growth(loop: list) -> Row:
+def growth(states: list[tuple]) -> Row:
     """Return the power of N to which the time of a clipped plan grows."""
-    sizes, times = np.array([100, 400, 3_600, 36_000]), []
-    for n in sizes.tolist():
+    sizes, times = [100, 400, 3_600, 36_000], []
+    for n in sizes:
         plan = corrector(horizon=n)
-        plan.step(*loop[0][0])
-        each = [milliseconds(lambda s=s, p=plan: p.step(*s)) for s, _ in loop[:20]]
-        times.append(float(np.median(each)))
+        stepped(plan, states[:1])
+        times.append(median(stepped(plan, states[:20])))
     power = float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
     curve = ", ".join(f"{n:,}: {ms:.3g} ms" for n, ms in zip(sizes, times, strict=True))
     note = f"N to the power of {power:.2f}; {curve}"

@@ -6,7 +6,6 @@ import contextlib
 import shutil
 import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -67,14 +66,12 @@ def regressions() -> Iterator[Row]:
     yield within(work, ours, 0.5, turns=25)
     same("statsmodels", ours(), statsmodels()[:3], 1e-8)
     yield beside(work, ours, "statsmodels OLS", statsmodels, least=5.0, turns=25)
-    with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder) / "arx.npz", y=y, u=u)
-        with Worker("sysidentpy_arx", Path(folder) / "arx.npz") as worker:
-            for way in ("known structure", "frols"):
-                c, a, b = worker.ask(way)["result"]
-                same(f"SysIdentPy, {way}", ours(), [-a, b, c], 1e-8)
-                peer = f"SysIdentPy, {way}, no covariance"
-                yield beside(work, ours, peer, worker.timed(way), least=5.0)
+    with Worker("sysidentpy_arx", {"y": y, "u": u}) as worker:
+        for way in ("known structure", "frols"):
+            c, a, b = worker.ask(way)["result"]
+            same(f"SysIdentPy, {way}", ours(), [-a, b, c], 1e-8)
+            peer = f"SysIdentPy, {way}, no covariance"
+            yield beside(work, ours, peer, worker.timed(way), least=5.0)
 
 
 def joint_fits() -> Iterator[Row]:

@@ -17,26 +17,11 @@ from scipy.optimize import least_squares
 
 
 @numba.njit(cache=True)
-def residuals(x, mode, p_h, p_r, sd_h, sd_r, out):
-    """Fill `out`, shape (2 N,), with the weighted residuals of p_h, then of p_r."""
-    a_h, beta, h_min, h_max, a, p_min, p_max, now = x
-    n = mode.size
-    r = 0.0
-    gain = (1.0 - a) * (p_max - p_min) / h_max
-    for k in range(n):
-        bell = 0.0
-        if r > 1e-12:
-            bell = exp(beta * log(r / beta) + (1.0 - beta) * log((1.0 - r) / (1.0 - beta)))
-        h = h_min + (h_max - h_min) * bell
-        out[k] = (h - p_h[k]) / sd_h
-        out[n + k] = (now - p_r[k]) / sd_r
-        now = a * now + (1.0 - a) * p_min + gain * mode[k] * h
-        r = a_h * r + (1.0 - a_h) * mode[k]
-
-
-@numba.njit(cache=True)
-def jacobian(x, mode, sd_h, sd_r, out):
-    """Fill `out`, shape (8, 2 N), with the derivatives of the residuals, a row per parameter."""
+def residuals(x, mode, p_h, p_r, sd_h, sd_r, out, by_x):
+    """
+    Fill `out`, shape (2 N,), with the weighted residuals of p_h, then of p_r, and `by_x`, shape
+    (8, 2 N), with their derivatives, a row per parameter.
+    """
     a_h, beta, h_min, h_max, a, p_min, p_max, now = x
     n = mode.size
     span = h_max - h_min
@@ -57,18 +42,20 @@ def jacobian(x, mode, sd_h, sd_r, out):
             by_a = span * bell * (beta / r - (1.0 - beta) / (1.0 - r)) * r_a
             by_beta = span * bell * (log_r - log_q)
         h = h_min + span * bell
-        out[0, k] = w_h * by_a
-        out[1, k] = w_h * by_beta
-        out[2, k] = w_h * (1.0 - bell)
-        out[3, k] = w_h * bell
-        out[0, n + k] = w_r * d0
-        out[1, n + k] = w_r * d1
-        out[2, n + k] = w_r * d2
-        out[3, n + k] = w_r * d3
-        out[4, n + k] = w_r * d4
-        out[5, n + k] = w_r * d5
-        out[6, n + k] = w_r * d6
-        out[7, n + k] = w_r * d7
+        out[k] = w_h * (h - p_h[k])
+        out[n + k] = w_r * (now - p_r[k])
+        by_x[0, k] = w_h * by_a
+        by_x[1, k] = w_h * by_beta
+        by_x[2, k] = w_h * (1.0 - bell)
+        by_x[3, k] = w_h * bell
+        by_x[0, n + k] = w_r * d0
+        by_x[1, n + k] = w_r * d1
+        by_x[2, n + k] = w_r * d2
+        by_x[3, n + k] = w_r * d3
+        by_x[4, n + k] = w_r * d4
+        by_x[5, n + k] = w_r * d5
+        by_x[6, n + k] = w_r * d6
+        by_x[7, n + k] = w_r * d7
         into, share = rest * rise / h_max * m, m * h / h_max
         d0 = a * d0 + into * by_a
         d1 = a * d1 + into * by_beta
@@ -85,16 +72,16 @@ def jacobian(x, mode, sd_h, sd_r, out):
 
 def fit(start, mode, p_h, p_r, sd_h, sd_r, tr_solver="exact"):
     """Return the optimum; the covariance is computed, as a user needs it."""
-    by_row = np.zeros((8, 2 * mode.size))
+    by_x = np.zeros((8, 2 * mode.size))
 
     def error(x):
         out = np.empty(2 * mode.size)
-        residuals(x, mode, p_h, p_r, sd_h, sd_r, out)
+        residuals(x, mode, p_h, p_r, sd_h, sd_r, out, by_x)
         return out
 
     def slope(x):
-        jacobian(x, mode, sd_h, sd_r, by_row)
-        return by_row.T
+        # SciPy asks for it where the last error was computed.
+        return by_x.T
 
     end = least_squares(error, start, jac=slope, method="trf", x_scale="jac", tr_solver=tr_solver)
     np.linalg.inv(end.jac.T @ end.jac)

@@ -11,6 +11,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from time import perf_counter
 
@@ -21,11 +22,16 @@ PYTHON = FOLDER.parent / ".venv" / "bin" / "python"
 class Worker:
     """A peer's process: names of calls in, results and seconds out, as lines of JSON."""
 
-    def __init__(self, peer: str, arrays: Path):
+    def __init__(self, peer: str, arrays: dict):
+        import numpy as np
+
         if not PYTHON.exists():
             raise RuntimeError("the peers are not installed; `make bench` does it")
+        self.folder = tempfile.TemporaryDirectory()
+        path = Path(self.folder.name) / "arrays.npz"
+        np.savez(path, **arrays)
         self.process = subprocess.Popen(
-            [str(PYTHON), __file__, peer, str(arrays)],
+            [str(PYTHON), __file__, peer, str(path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -51,6 +57,7 @@ class Worker:
     def __exit__(self, *_):
         self.process.kill()
         self.process.communicate()
+        self.folder.cleanup()
 
 
 def answer(peer: str, arrays: str) -> None:

@@ -10,7 +10,6 @@ import html
 import importlib
 import pkgutil
 import re
-import shutil
 import tempfile
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +22,7 @@ from nbformat.v4 import new_code_cell
 
 import trustlab
 import trustlab as tl
+from tests.publishing.walk import chromium
 from tests.publishing.world import ROOT, make, publish, write_book
 from trustlab.allocation.correction_run import CorrectionRun
 from trustlab.allocation.ranges import RangeIntervals
@@ -42,9 +42,6 @@ from trustlab.studies.report import report
 from trustlab.teleoperation import Passivity, TeamTrial
 from trustlab.trust.comparison import MEASURES, TrustComparison
 
-BROWSER = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
 FIRE = "window.top.fired=(window.top.fired||0)+1"
 AWAY = "https://attacker.invalid/"
 ATTACKS = {
@@ -69,43 +66,33 @@ NAME = " ".join(ATTACKS.values())
 
 
 @pytest.fixture(scope="module")
-def visit():
+def browser():
+    yield from chromium()
+
+
+@pytest.fixture(scope="module")
+def visit(browser):
     """
     Return a function that shows a page in Chromium, presses what can be pressed, and tells what
     fired and was fetched.
     """
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if BROWSER is None:
-        pytest.skip("needs Chromium: apt-get install chromium")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"]
-        )
-        page = browser.new_page()
-        asked = []
-        dialogs = []
-        # "No content" leaves the page where it is, so that what came of a press can be read.
-        page.route(
-            "**/*", lambda route: (asked.append(route.request.url), route.fulfill(status=204))
-        )
-        page.on("dialog", lambda dialog: (dialogs.append(dialog.message), dialog.dismiss()))
+    page = browser.new_page()
+    asked, dialogs = [], []
+    # "No content" leaves the page where it is, so that what came of a press can be read.
+    page.route("**/*", lambda route: (asked.append(route.request.url), route.fulfill(status=204)))
+    page.on("dialog", lambda dialog: (dialogs.append(dialog.message), dialog.dismiss()))
 
-        def visit(text):
-            page.goto("about:blank")
-            asked.clear(), dialogs.clear()
-            page.evaluate("window.fired = 0")
-            page.set_content(text, wait_until="load")
-            page.evaluate("document.querySelectorAll('#go').forEach(one => one.click())")
-            page.wait_for_timeout(30)
-            return SimpleNamespace(
-                fired=page.evaluate("window.fired"),
-                asked=list(asked),
-                dialogs=list(dialogs),
-                page=page,
-            )
+    def visit(text):
+        page.goto("about:blank")
+        asked.clear(), dialogs.clear()
+        page.evaluate("window.fired = 0")
+        page.set_content(text, wait_until="load")
+        page.evaluate("document.querySelectorAll('#go').forEach(one => one.click())")
+        page.wait_for_timeout(30)
+        fired = page.evaluate("window.fired")
+        return SimpleNamespace(fired=fired, asked=[*asked], dialogs=[*dialogs], page=page)
 
-        yield visit
-        browser.close()
+    return visit
 
 
 def unescaped(text):

@@ -176,7 +176,7 @@ def test_run_again_only_where_an_input_changed(world):
     before = (root / "docs" / "01_good.ipynb").stat().st_mtime_ns
     done = publish(root, "01_good", parameters="-p sed 1")
     assert done.returncode != 0
-    assert "did you mean 'seed'?; declared are: seed, size, x" in done.stderr
+    assert "one of 'seed', 'size', 'x', got 'sed'; did you mean 'seed'?" in done.stderr
     assert (root / "docs" / "01_good.ipynb").stat().st_mtime_ns == before
 
 
@@ -213,9 +213,8 @@ def test_an_interrupt_leaves_neither_report_nor_kernel(tmp_path):
         said = process.communicate(timeout=120)[1]
     finally:
         process.kill()
-    assert process.returncode == 130
-    assert "01_long is not half made" in said
-    assert "Traceback" not in said
+    assert process.returncode == -signal.SIGINT
+    assert said == ""
     kernel = int(mark.read_text())
     deadline = time.monotonic() + 60.0
     while psutil.pid_exists(kernel) and time.monotonic() < deadline:

@@ -3,6 +3,7 @@
 import ast
 import re
 import runpy
+import subprocess
 from types import SimpleNamespace
 
 import matplotlib as mpl
@@ -12,12 +13,13 @@ import pytest
 from docutils import nodes
 from docutils.utils import new_document
 from IPython.core.interactiveshell import InteractiveShell
+from nbformat import from_dict
 
 import trustlab as tl
 from tests.publishing.world import ROOT, make
 from trustlab.publishing import figures, only_parameters
 from trustlab.publishing.chapter import empty_chapter
-from trustlab.publishing.provenance import provenance
+from trustlab.publishing.run import commit, provenance
 from trustlab.publishing.tables import table_html
 from trustlab.reproduction.published import VERDICTS
 
@@ -177,7 +179,7 @@ def test_lab_gets_a_png_with_its_caption_and_the_book_an_svg_without(book, monke
     kind = "image/svg+xml" if book else "image/png"
     assert set(data) == {kind, "text/plain"}
     assert words.get_visible() is not book
-    assert about[kind]["caption"] == "What it means."
+    assert not book or about[kind]["caption"] == "What it means."
     assert "partial η²" in table["text/html"]
 
 
@@ -188,14 +190,28 @@ def test_an_estimate_has_the_decimals_of_its_standard_error():
 
 
 def test_provenance_lists_what_a_notebook_reads_and_names_no_path(tmp_path):
-    read = provenance(ROOT, NOTEBOOKS / "01_identification.ipynb", {})["Data"]
-    assert "data/published" in read
-    assert "data/sessions" in read
+    papermill = {"start_time": "2026-11-27T13:48:22.1+00:00", "duration": 1.26}
+    run = from_dict({"metadata": {"papermill": papermill | {"parameters": {"seed": 5}}}})
+    read = provenance(ROOT, NOTEBOOKS / "01_identification.ipynb", run)
+    assert read["Data"] == "data/coverage, data/published, data/sessions"
+    assert (read["Started"], read["Time taken"]) == ("2026-11-27 13:48 UTC", "1.3 s")
+    assert (read["Parameter seed"], read["Parameter runs"]) == ("5", "60")
     root = make(tmp_path, n01_a=["# A"])
-    origin = provenance(root, root / "notebooks" / "01_a.ipynb", {"seed": 5})
+    origin = provenance(root, root / "notebooks" / "01_a.ipynb", run)
     assert origin["Commit"] == "not a git checkout"
-    assert origin["Parameter seed"] == "5"
     assert str(tmp_path) not in str(origin)
+
+
+def test_the_commit_is_marked_where_a_file_is_changed_or_new(tmp_path):
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a"]
+    for words in ("init -q", "commit -q --allow-empty -m first"):
+        subprocess.run([*git, *words.split()], check=True)
+    clean = commit(tmp_path)
+    assert re.fullmatch("[0-9a-f]{40}", clean)
+    (tmp_path / "new.py").touch()
+    assert commit(tmp_path) == clean + " + uncommitted changes"
+    (tmp_path / "inside").mkdir()
+    assert commit(tmp_path / "inside") == "not a git checkout"
 
 
 NAMES = 'session_file = "run.csv"\nwindow = 0.0  # seconds'
@@ -205,7 +221,7 @@ def test_a_parameter_that_a_notebook_lacks_is_refused():
     only_parameters({"In": ["", NAMES, "# Parameters\nwindow = 100\n", "import os"]})
     only_parameters({"In": ["", "import os", "# Parameters\nrate = 3\n"]})  # a cell of its author
     only_parameters({})  # not a notebook
-    with pytest.raises(ValueError, match="no parameter 'sesion_file'; did you mean 'session_file'"):
+    with pytest.raises(ValueError, match="got 'sesion_file'; did you mean 'session_file'"):
         only_parameters({"In": ["", NAMES, '# Parameters\nsesion_file = "mine.csv"\n']})
 
 

@@ -9,76 +9,55 @@ import os
 import signal
 import sys
 import time
-from datetime import UTC, datetime
 from pathlib import Path
 
-from trustlab.models.files import write_atomically
 from trustlab.publishing.chapter import chapter, empty_chapter
 from trustlab.publishing.parameters import DataAbsentError
-from trustlab.publishing.provenance import external_data, provenance
 from trustlab.publishing.run import (
     SETTINGS,
     CellError,
     anonymous,
-    chosen_parameters,
-    declared_parameters,
     execute,
+    given_parameters,
+    provenance,
 )
 
 
 def main(words: list[str] | None = None) -> int:
     """
-    Return 0, 1 if the notebook failed, 2 for a wrong command, 130 if interrupted.
+    Return 0, 1 if the notebook failed, 2 for a wrong command.
 
     A notebook that fails is a chapter that says so, and nothing else of it; Make runs it again.
     """
     parser = argparse.ArgumentParser(prog="python -m trustlab.publishing", description=__doc__)
     parser.add_argument("notebook", type=Path)
     parser.add_argument("chapter", type=Path)
-    parser.add_argument(
-        "-p",
-        nargs=2,
-        action="append",
-        default=[],
-        metavar=("NAME", "VALUE"),
-        help="a parameter, for the notebooks that declare it",
-    )
+    parser.add_argument("-p", nargs=2, action="append", default=[], help="a parameter, its value")
     options = parser.parse_args(words)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    # Ctrl-C ends the process at once, and the kernel ends with it; threads would wait.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     root, path = Path.cwd(), options.notebook.resolve()
-    os.environ |= SETTINGS
-    if external_data(root).is_dir():
-        os.environ["TRUSTLAB_DATA"] = str(external_data(root))
-    began, skipped = time.monotonic(), False
-    failure = ""
-    started = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+    data = os.environ.get("TRUSTLAB_DATA") or "data/external"
+    os.environ |= SETTINGS | {"TRUSTLAB_DATA": os.path.abspath(data)}
+    began, outcome = time.monotonic(), "run"
     try:
-        parameters = chosen_parameters(path, options.p)
-        run = execute(path, parameters, path.parent)
-        values = declared_parameters(path) | parameters
-        origin = provenance(root, path, values) | {"Started": started}
-        origin["Time taken"] = f"{time.monotonic() - began:.1f} s"
-        page = chapter(run, origin)
+        run = execute(path, given_parameters(path, options.p), path.parent)
+        page = chapter(run, provenance(root, path, run))
     except DataAbsentError as error:
+        outcome = "skipped"
         page = empty_chapter(path, f"**Skipped: {error}**")
-        skipped = True
     except CellError as error:
+        outcome = "failed"
         failure = anonymous(str(error), root)
         page = empty_chapter(path, "**This report failed.** Nothing of it is shown.", failure)
-    except (OSError, ValueError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"interrupted: {path.stem} is not half made", file=sys.stderr, flush=True)
-        os._exit(130)  # the kernel ends with the process that started it; threads would wait
-    write_atomically(options.chapter, anonymous(page, root))
-    if failure or skipped:  # as if from before everything that it depends on
-        os.utime(options.chapter, (0, 0))
-    word = "failed" if failure else "skipped" if skipped else "run"
-    print(f"{path.stem} … {word} in {time.monotonic() - began:.1f} s", flush=True)
-    if failure:
         print(f"\n── {path.stem} failed in {failure}", file=sys.stderr)
-    return int(bool(failure))
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    options.chapter.write_text(anonymous(page, root), encoding="utf-8")
+    if outcome != "run":  # as if from before everything that it depends on
+        os.utime(options.chapter, (0, 0))
+    print(f"{path.stem} … {outcome} in {time.monotonic() - began:.1f} s", flush=True)
+    return int(outcome == "failed")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import textwrap
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -30,12 +29,12 @@ def use_house_style() -> None:
 
     The book shows figures as SVG; JupyterLab, which draws SVG in trusted notebooks only, gets PNG.
     """
-    import matplotlib as mpl
     from cycler import cycler
+    from matplotlib import pyplot
+    from matplotlib.figure import Figure
 
-    sheet = Path(__file__).parent / "templates" / "house.mplstyle"
-    mpl.rcParams.update(mpl.rc_params_from_file(sheet, use_default_template=False))
-    mpl.rcParams["axes.prop_cycle"] = cycler(color=PALETTE)
+    pyplot.style.use(Path(__file__).parent / "templates" / "house.mplstyle")
+    pyplot.rcParams["axes.prop_cycle"] = cycler(color=PALETTE)
     try:
         from IPython import get_ipython
         from matplotlib_inline.backend_inline import set_matplotlib_formats
@@ -44,48 +43,19 @@ def use_house_style() -> None:
     shell = get_ipython()
     if shell is None:
         return
-    name = "svg" if REPORT in os.environ else "png"
-    set_matplotlib_formats(name, dpi=150)
-    kind = {"svg": "image/svg+xml", "png": "image/png"}[name]
-    _caption_figures(shell.display_formatter.formatters[kind])
-    shell.display_formatter.formatters["text/html"].for_type(pd.DataFrame, table_html)
-    if mpl.get_backend().endswith("inline"):
-        _draw_once(mpl.get_backend())
-
-
-def _draw_once(backend: str) -> None:
-    """Keep pyplot from drawing after each cell what the notebook then draws for itself."""
-    from matplotlib import pyplot
-
-    # before the first figure does, which asks for those drawings again
-    pyplot.switch_backend(backend)
-    pyplot.uninstall_repl_displayhook()
-
-
-def _caption_figures(formatter: Any) -> None:
-    """Let a notebook keep a figure's caption, which the book sets in type, beside it."""
-    from matplotlib.figure import Figure
-
-    draw = formatter.lookup_by_type(Figure)
-
-    def drawn(figure) -> tuple[str, dict[str, Any]]:
-        words = [text for text in figure.texts if text.get_gid() == CAPTION_ID]
-        for text in words:
-            text.set_visible(REPORT not in os.environ)
-        picture = draw(figure)
-        picture, about = picture if isinstance(picture, tuple) else (picture, {})
-        return picture, about | {"caption": " ".join(text.get_text() for text in words)}
-
-    formatter.for_type(Figure, drawn)
-
-
-def _figure(where):
-    return where.figure.figure  # axes -> (sub)figure -> figure; a figure is its own
-
-
-def _remove(where, gid: str) -> None:
-    for old in [artist for artist in where.texts if artist.get_gid() == gid]:
-        old.remove()
+    formatters = shell.display_formatter.formatters
+    formatters["text/html"].for_type(pd.DataFrame, table_html)
+    set_matplotlib_formats("svg" if REPORT in os.environ else "png", dpi=150)
+    svg = formatters["image/svg+xml"]
+    if REPORT in os.environ:
+        draw = svg.lookup_by_type(Figure)
+        svg.for_type(Figure, lambda figure: (draw(figure), {"caption": figure.get_label()}))
+    backend = pyplot.get_backend()
+    if backend.endswith("inline"):
+        # Or pyplot would draw after each cell what the notebook then draws for itself. It is told
+        # before the first figure, which would ask for those drawings again.
+        pyplot.switch_backend(backend)
+        pyplot.uninstall_repl_displayhook()
 
 
 def caption(where, text: str, synthetic: bool | str = False):
@@ -112,19 +82,14 @@ def caption(where, text: str, synthetic: bool | str = False):
         table = where.copy(deep=False)
         table.attrs = {"caption": text}
         return table
-    figure = _figure(where)
-    if synthetic:
-        _mark(figure, label)
-    _remove(figure, CAPTION_ID)
-    words = textwrap.fill(text, max(30, int(figure.get_figwidth() * 14)))
-    return figure.text(
-        0.01, -0.02, words, ha="left", va="top", fontsize=9, color="#555555", gid=CAPTION_ID
-    )
-
-
-def _mark(figure, words: str) -> None:
-    """Mark a figure as made from synthetic data, in its upper right corner."""
-    _remove(figure, MARK_ID)
-    figure.text(
-        0.995, 1.01, words, fontsize=8, color="#8a5a00", ha="right", va="bottom", gid=MARK_ID
-    )
+    figure = where.figure.figure  # axes -> (sub)figure -> figure; a figure is its own
+    for old in [words for words in figure.texts if words.get_gid() in (CAPTION_ID, MARK_ID)]:
+        old.remove()
+    if synthetic:  # marked in the upper right corner, too
+        style = {"fontsize": 8, "color": "#8a5a00", "ha": "right", "va": "bottom"}
+        figure.text(0.995, 1.01, label, gid=MARK_ID, **style)
+    lines = textwrap.fill(text, max(30, int(figure.get_figwidth() * 14)))
+    figure.set_label(lines)
+    style = {"fontsize": 9, "color": "#555555", "ha": "left", "va": "top"}
+    style["visible"] = REPORT not in os.environ  # the book sets it in type
+    return figure.text(0.01, -0.02, lines, gid=CAPTION_ID, **style)

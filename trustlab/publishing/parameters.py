@@ -1,16 +1,18 @@
 """What a notebook asks for at its beginning: known parameters, and data."""
 
-import ast
+import re
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from trustlab.models.checks import did_you_mean
+from trustlab.models.checks import one_of
 from trustlab.sessions import external_data
 
 # How the cell begins that papermill puts behind the one with the tag "parameters".
 INJECTED = "# Parameters\n"
+# A name that a line of a cell sets.
+ASSIGNED = re.compile(r"^(\w+) *=(?!=)", re.MULTILINE)
 
 
 def only_parameters(space: Mapping[str, Any]) -> None:
@@ -28,20 +30,10 @@ def only_parameters(space: Mapping[str, Any]) -> None:
         If papermill sets a name that the cell of the parameters does not set, with the nearest.
     """
     for before, cell in pairwise(space.get("In", ())):
-        declared = _assigned(before) if cell.startswith(INJECTED) else []
-        for name in _assigned(cell) if declared else ():
-            if name not in declared:
-                raise ValueError(
-                    f"this notebook has no parameter {name!r}{did_you_mean(name, declared)} "
-                    f"(it has {', '.join(declared)})"
-                )
-
-
-def _assigned(source: str) -> list[str]:
-    """Return the names that the lines of a cell set."""
-    lines = [node for node in ast.parse(source).body if isinstance(node, ast.Assign)]
-    targets = [target for line in lines for target in line.targets]
-    return [target.id for target in targets if isinstance(target, ast.Name)]
+        declared = ASSIGNED.findall(before)
+        if declared and cell.startswith(INJECTED):
+            for name in ASSIGNED.findall(cell):
+                one_of("a parameter of this notebook", name, declared)
 
 
 class DataAbsentError(FileNotFoundError):

@@ -1,6 +1,5 @@
 """Tables as people read them: heads in words, numbers as papers write them, in book and Lab."""
 
-import functools
 import html
 import numbers
 import re
@@ -17,40 +16,28 @@ P_VALUE = re.compile(
     r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman"
     r"|mixed|shapiro_least|simulated|chi2)"
 )
-LEAST_P = 0.001
+# Columns whose decimals are those of the standard error of their row.
+ESTIMATE = re.compile(
+    "stderr|se|M|ci_high|ci_low|difference|estimate|mean|mean_difference|simulated|value"
+)
 # "0.3 to 0.5" and "0.3 ± 0.1" stay on a line.
 BETWEEN = re.compile(r"(?<=\d) (to|±) (?=[-−\d])")
-# Significant digits of a typical number of a column, and of a standard error.
+LEAST_P = 0.001
+# Significant digits of a typical number of a column, of a standard error, and of numbers whose
+# sizes are too different for the same decimals: by more than so many powers of ten.
 DIGITS = 3
-# Of numbers that have no decimals in common.
-DIGITS_ALONE = 4
 DIGITS_OF_ERROR = 2
-MOST_DECIMALS = 8
-# Powers of ten between which numbers of a column are written with the same decimals.
+DIGITS_ALONE = 4
 SAME_SCALE = 1
-# The standard error of a row says how many decimals these have.
-ERRORS = {"stderr", "se"}
-ESTIMATES = ERRORS | {
-    "M",
-    "ci_high",
-    "ci_low",
-    "difference",
-    "estimate",
-    "mean",
-    "mean_difference",
-    "simulated",
-    "value",
-}
+MOST_DECIMALS = 8
 MOST_ROWS = 1000
 
 
-@functools.cache
-def words() -> dict[str, dict[str, str]]:
-    """Return names in code and what a table shows instead: in heads (th), in cells too (td)."""
-    text = (Path(__file__).parent / "templates" / "columns.toml").read_text(encoding="utf-8")
-    read = tomllib.loads(text)
-    read["td"] |= WORDS
-    return read
+# Names in code, and what a table shows instead: as a head or as a cell.
+TEMPLATE = Path(__file__).parent / "templates" / "columns.toml"
+NAMES = tomllib.loads(TEMPLATE.read_text(encoding="utf-8"))
+CELLS = NAMES["td"] | WORDS
+HEADS = NAMES["th"] | CELLS
 
 
 def table_html(frame: pd.DataFrame) -> str:
@@ -59,27 +46,32 @@ def table_html(frame: pd.DataFrame) -> str:
     numbers with few digits, their full value beside them in ``<data value>``; the caption that
     `caption` gave it, with columns that are the same in every row.
     """
-    by_column = frame.columns.nlevels == 1
-    said = frame.attrs.get("caption", "")
-    if by_column:
+    plain = frame.columns.nlevels == 1
+    caption = frame.attrs.get("caption", "")
+    errors = None
+    if plain:
         frame = _with_row_names(frame)
-        same = _constants(frame)
-        frame = frame.drop(columns=list(same))
-        if same:
-            words = "; ".join(f"{_word(name)}: {_plain(value)}" for name, value in same.items())
-            said = f"{said} In every row: {words}."
+        same = _constant(frame)
+        if same.any():
+            pairs = frame.loc[:, same].iloc[0].items()
+            values = "; ".join(f"{_word(name)}: {cell(value)}" for name, value in pairs)
+            values = html.unescape(re.sub("<[^>]*>", "", values))
+            caption = f"{caption} In every row: {values}."
+        frame = frame.loc[:, ~same]
+        errors = _errors(frame)
     # By position, as two columns may have the same head.
-    texts = pd.DataFrame({place: _written(frame, place) for place in range(frame.shape[1])})
-    heads = [
-        tuple(map(_head, name)) if isinstance(name, tuple) else _head(name)
-        for name in frame.columns
-    ]
-    texts.columns = frame.columns.map(dict(zip(frame.columns, heads, strict=True)))
-    texts.index = frame.index
-    table = texts.to_html(
-        index=not by_column, escape=False, border=0, sparsify=by_column, max_rows=MOST_ROWS
+    columns = [_column(name, column, errors) for name, column in frame.items()]
+    texts = pd.DataFrame(dict(enumerate(columns)), index=frame.index)
+    texts.columns = frame.columns
+    table = texts.rename(columns=lambda name: html.escape(_word(name))).to_html(
+        index=not plain, escape=False, border=0, sparsify=plain, max_rows=MOST_ROWS
     )
-    return table.replace(">", f"><caption>{html.escape(said)}</caption>", 1) if said else table
+    head = f"><caption>{html.escape(caption)}</caption>" if caption else ">"
+    return table.replace(">", head, 1)
+
+
+def _word(name: object) -> str:
+    return HEADS.get(str(name), str(name))
 
 
 def _with_row_names(frame: pd.DataFrame) -> pd.DataFrame:
@@ -87,93 +79,64 @@ def _with_row_names(frame: pd.DataFrame) -> pd.DataFrame:
     if frame.index.name is None and pd.api.types.is_integer_dtype(frame.index):
         return frame.reset_index(drop=True)
     above = f", by {frame.columns.name}" if frame.columns.name else ""
-    rows = frame.index.to_frame(index=False)
-    rows.columns = pd.Index([f"{_word(name or '')}{above}" for name in frame.index.names])
-    return pd.concat([rows, frame.reset_index(drop=True)], axis=1)
+    heads = [f"{_word(name or '')}{above}" for name in frame.index.names]
+    return frame.rename_axis(columns=None).reset_index(names=heads, allow_duplicates=True)
 
 
-def _constants(frame: pd.DataFrame) -> dict:
-    """Return columns that are the same in every row of three or more, unless most of them are."""
-    if len(frame) < 3 or not frame.columns.is_unique:
-        return {}
-    same = {
-        name: column.iloc[0]
-        for name, column in frame.items()
-        if column.notna().all() and len(set(column.astype(str))) == 1
-    }
-    return same if 2 * len(same) <= frame.shape[1] else {}
+def _constant(frame: pd.DataFrame) -> np.ndarray:
+    """Mark columns that are the same in every row of three or more, unless most of them are."""
+    columns = [column for _, column in frame.items()]
+    same = np.array([x.notna().all() and len(set(x.astype(str))) == 1 for x in columns], dtype=bool)
+    return same & (len(frame) >= 3) & (2 * same.sum() <= same.size)
 
 
-def _word(name: object) -> str:
-    return (words()["th"] | words()["td"]).get(str(name), str(name))
+def _errors(frame: pd.DataFrame) -> pd.Series | None:
+    """Return the standard error of each row, or else half of its interval."""
+    for name in ("stderr", "se"):
+        if name in frame:
+            return frame[name]
+    whole = "ci_low" in frame and "ci_high" in frame
+    return (frame["ci_high"] - frame["ci_low"]) / 2.0 if whole else None
 
 
-def _head(name: object) -> str:
-    return html.escape(_word(name))
-
-
-def _written(frame: pd.DataFrame, place: int) -> list[str]:
-    """Return the texts of a column."""
-    head = frame.columns[place]
+def _column(head: object, column: pd.Series, errors: pd.Series | None) -> list[str]:
+    """Return the texts of a column; under several heads, its name is the last."""
     name = str(head[-1] if isinstance(head, tuple) else head)
-    column = frame.iloc[:, place]
     p = P_VALUE.fullmatch(name) is not None
-    decimals: list[int | None] = [None] * len(column)
-    errors = _errors(frame)
-    if errors is not None and name in ESTIMATES:
-        decimals = [common_decimals(np.array([error]), DIGITS_OF_ERROR) for error in errors]
-    elif pd.api.types.is_float_dtype(column):
-        decimals = [common_decimals(column.to_numpy(float))] * len(column)
+    if errors is not None and ESTIMATE.fullmatch(name):
+        decimals = [common_decimals([error], DIGITS_OF_ERROR) for error in errors]
+    else:
+        decimals = [common_decimals(column) if column.dtype.kind == "f" else None] * len(column)
     return [cell(value, p, count) for value, count in zip(column, decimals, strict=True)]
 
 
-def _errors(frame: pd.DataFrame) -> np.ndarray | None:
-    """Return the standard error of each row, or else half of its interval."""
-    for name in ERRORS & set(frame.columns):
-        return frame[name].to_numpy(float)
-    if {"ci_low", "ci_high"} <= set(frame.columns):
-        return (frame["ci_high"] - frame["ci_low"]).to_numpy(float) / 2.0
-    return None
-
-
-def common_decimals(values: np.ndarray, digits: int = DIGITS) -> int | None:
+def common_decimals(values, digits: int = DIGITS) -> int | None:
     """
     Return the decimals that show a typical number, and differences between numbers; None where
     their sizes are too different to have the same.
     """
+    values = np.asarray(values, dtype=float)
     finite = values[np.isfinite(values)]
-    sizes = np.abs(finite[finite != 0.0])
-    if not sizes.size:
+    if not finite.any():
         return 0
-    powers = np.floor(np.log10(sizes))
+    powers = np.floor(np.log10(np.abs(finite[finite != 0.0])))
     if np.ptp(powers) > SAME_SCALE:
         return None
-    spread = np.ptp(finite)
-    wanted = digits - 1 - int(np.median(powers))
-    if spread > 0.0:
-        wanted = max(wanted, DIGITS_OF_ERROR - 1 - int(np.floor(np.log10(spread))))
-    wanted = max(wanted, 0)
-    if wanted > MOST_DECIMALS:
+    most = digits - 1 - int(np.median(powers))
+    if np.ptp(finite) > 0.0:
+        most = max(most, DIGITS_OF_ERROR - 1 - int(np.floor(np.log10(np.ptp(finite)))))
+    if most > MOST_DECIMALS:
         return None
-    for count in range(wanted):
-        if np.allclose(finite, finite.round(count), 1e-9, 0.0):
-            return count
-    return wanted
-
-
-def _plain(value: object) -> str:
-    """Return a value as a caption shows it."""
-    return html.unescape(re.sub("<[^>]*>", "", cell(value)))
+    exact = (n for n in range(most) if np.allclose(finite, finite.round(n), 1e-9, 0.0))
+    return next(exact, max(most, 0))
 
 
 def cell(value: object, p: bool = False, decimals: int | None = None) -> str:
     """Return a value as a table shows it; a p-value with three decimals or as a bound."""
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
     if pd.api.types.is_scalar(value) and pd.isna(value):
         return "–"
-    if not isinstance(value, numbers.Real):
-        text = words()["td"].get(str(value), str(value))
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        text = CELLS.get(str(value), str(value))
         return BETWEEN.sub("\u00a0\\1\u00a0", html.escape(text))
     if isinstance(value, numbers.Integral):
         return str(value)

@@ -7,7 +7,6 @@ from pathlib import Path
 from trustlab.live.study.plan import PLAN
 from trustlab.models.extras import extra
 from trustlab.models.files import write_atomically
-from trustlab.publishing.provenance import provenance
 from trustlab.testbeds.team_animation import policy
 
 PACKAGE = Path(__file__).parents[2]
@@ -30,16 +29,17 @@ img {{ max-width: 100%; background: #fff; }} h1, h2, h3 {{ line-height: 1.2; }}
 def write_report(folder: Path, codes: list[str], path: Path) -> Path:
     """Run the notebook on what a folder holds of these participants, and write its page."""
     from trustlab.publishing.chapter import chapter
-    from trustlab.publishing.run import anonymous, execute
+    from trustlab.publishing.run import anonymous, execute, provenance
 
     with extra("reports"):
         import nbformat
         from nbconvert import HTMLExporter
 
-    origin = provenance(PACKAGE.parent, NOTEBOOK, {}) | {"Data": ", ".join([PLAN, *codes])}
-    run = nbformat.reads(chapter(execute(NOTEBOOK, {}, folder), origin), as_version=4)
+    run = execute(NOTEBOOK, {}, folder)
+    origin = provenance(PACKAGE.parent, NOTEBOOK, run) | {"Data": ", ".join([PLAN, *codes])}
+    page = nbformat.reads(chapter(run, origin), as_version=4)
     exporter = HTMLExporter(template_name="basic", embed_images=True, exclude_input=True)
-    body, _ = exporter.from_notebook_node(run)
+    body, _ = exporter.from_notebook_node(page)
     page = f"{HEAD.format(policy=policy())}{body}</main></body></html>"
     page = anonymous(page.replace(str(folder), folder.name), PACKAGE.parent)
     write_atomically(path.absolute(), page)
