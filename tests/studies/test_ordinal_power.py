@@ -34,7 +34,8 @@ def test_power_is_the_share_of_rejections_in_r(case):
         try:
             model = tl.ordinal_model(frame, "rating", "condition", "person")
         except ValueError as error:
-            assert "the likelihood has no maximum" in str(error)
+            if "the likelihood has no maximum" not in str(error):
+                raise
             refused += 1
             continue
         rejected += model.table()["p_chi2"].item() < 0.05
