@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.models.portable import exponential
 from trustlab.teleoperation import SCHEMES, STUDIES, Guidance, PartError, packet_delay
 from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds import tracking_vehicle
@@ -26,15 +25,6 @@ def tmig(state):
         1.0 + np.exp(-10.0 * (state.trust_rh - 0.5))
     )
     return alpha, beta
-
-
-def tmig_as_built_in(state):
-    """The same by the exponential that the package computes it with."""
-    alpha, beta = state.alpha_max - state.alpha_min, state.beta_max - state.beta_min
-    return (
-        state.alpha_min + alpha / (1.0 + exponential(10.0 * (state.trust_hr - 0.5))),
-        state.beta_min + beta / (1.0 + exponential(10.0 * (state.trust_rh - 0.5))),
-    )
 
 
 def columns(session, stem):
@@ -58,8 +48,6 @@ def test_tmig_written_by_a_user_is_tmig(guidance):
     run = tl.simulate_teleoperation(tl.Scheme("mine", tmig), **mine)
     np.testing.assert_allclose(run.data, ours, rtol=0.0, atol=1e-12)
     assert run.metadata.more["parts"] == "scheme"
-    same = tl.simulate_teleoperation(tl.Scheme("mine", tmig_as_built_in), **mine)
-    assert same.data.equals(ours)
 
 
 def law(state):

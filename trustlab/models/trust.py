@@ -17,7 +17,6 @@ from trustlab.models.checks import (
     set_in_order,
 )
 from trustlab.models.compiled import njit
-from trustlab.models.portable import exponential
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -37,7 +36,7 @@ def logistic_scale(low, high, steepness, midpoint, trust):
 
     Far from the midpoint the exponential may be infinite, and the scale is `low`.
     """
-    return low + (high - low) / (1.0 + exponential(steepness * (trust - midpoint)))
+    return low + (high - low) / (1.0 + np.exp(steepness * (trust - midpoint)))
 
 
 @njit

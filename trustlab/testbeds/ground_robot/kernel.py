@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trustlab.models.compiled import inner, njit
-from trustlab.models.portable import cos_sin, direction, wrapped
 from trustlab.models.simulation import END
 from trustlab.models.tsc import next_utilization
 from trustlab.operators.ground_robot import driving_style, joystick
@@ -34,7 +33,7 @@ from trustlab.testbeds.deciding import (
     skill_now,
 )
 from trustlab.testbeds.ground_robot.course import CourseNumbers, nearest_point, path_point
-from trustlab.testbeds.ground_robot.pioneer import scan
+from trustlab.testbeds.ground_robot.pioneer import scan, wrapped
 
 # Correlation time of the hand's shaking [s].
 SHAKING = 0.25
@@ -129,7 +128,7 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
         px, py, tx, ty = path_point(arc + person.look_ahead, course.path)
         aside = person.noise * spread * state.wander
         dx, dy = px - aside * ty - before.robot_x, py + aside * tx - before.robot_y
-        bearing = wrapped(direction(dy, dx) - before.yaw)
+        bearing = wrapped(np.arctan2(dy, dx) - before.yaw)
         v_want, w_want = joystick(bearing, speed, person.steering_gain, person.easing)
         state.v_hand += rates.grip * (v_want - state.v_hand)
         w_want += person.noise * activity * state.shaking
@@ -144,7 +143,7 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
 def place(course, robot, dt, state):
     """Put the robot on the path, rolling."""
     state.x, state.y, tx, ty = path_point(0.0, course.path)
-    state.yaw = direction(ty, tx)
+    state.yaw = np.arctan2(ty, tx)
     state.v = robot.cruise_speed
     state.v_hand = robot.cruise_speed
     state.est_x = state.x
@@ -213,7 +212,7 @@ def roll(robot, anchor, dt, course, found, state, sensing):
         path = course.path
         state.est_arc = nearest_point(state.est_x, state.est_y, state.est_arc, path)[2]
         px, py, _, _ = path_point(state.est_arc + robot.look_ahead, path)
-        bearing = direction(py - state.est_y, px - state.est_x) - (state.yaw + state.heading_error)
+        bearing = np.arctan2(py - state.est_y, px - state.est_x) - (state.yaw + state.heading_error)
         v_want, w_want = robot.search_speed, robot.steering_gain * wrapped(bearing)
         if seen > 0:
             v_want = max(
@@ -230,14 +229,12 @@ def roll(robot, anchor, dt, course, found, state, sensing):
     old_y = state.y
     middle = state.yaw + 0.5 * state.w * dt
     step = state.v * dt
-    cos, sin = cos_sin(middle)
-    state.x = old_x + step * cos
-    state.y = old_y + step * sin
+    state.x = old_x + step * np.cos(middle)
+    state.y = old_y + step * np.sin(middle)
     state.yaw = wrapped(state.yaw + state.w * dt)
     state.moved = np.sqrt((state.x - old_x) ** 2 + (state.y - old_y) ** 2)
-    cos, sin = cos_sin(middle + state.heading_error)
-    state.est_x += step * cos
-    state.est_y += step * sin
+    state.est_x += step * np.cos(middle + state.heading_error)
+    state.est_y += step * np.sin(middle + state.heading_error)
     state.heading_error += robot.heading_drift * state.v * dt
     state.heading_error += robot.heading_noise * np.sqrt(step) * sensing.standard_normal()
 

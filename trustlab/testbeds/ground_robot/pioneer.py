@@ -8,7 +8,12 @@ import numpy as np
 
 from trustlab.models.checks import finite_number, not_negative, positive
 from trustlab.models.compiled import inner
-from trustlab.models.portable import cos_sin, direction, wrapped
+
+
+@inner
+def wrapped(angle):
+    """Return the angle in (−π, π]."""
+    return angle - 2.0 * np.pi * np.ceil(angle / (2.0 * np.pi) - 0.5)
 
 
 @inner(_nrt=False)
@@ -24,9 +29,9 @@ def scan(posts, robot, state, sensing, offsets):
     mean_px = 0.0
     mean_py = 0.0
     seen = 0
-    cos, sin = cos_sin(state.yaw)
+    cos, sin = np.cos(state.yaw), np.sin(state.yaw)
     half = 0.5 * robot.field_of_view
-    edge = cos_sin(half)[0] if half < np.pi else -2.0
+    edge = np.cos(half) if half < np.pi else -2.0
     for i in range(posts.shape[0]):
         dx, dy = posts[i, 0] - state.x, posts[i, 1] - state.y
         if abs(dx) > 1.001 * robot.scan_range or abs(dy) > 1.001 * robot.scan_range:
@@ -37,7 +42,7 @@ def scan(posts, robot, state, sensing, offsets):
         inside = cos * dx + sin * dy - edge * distance
         if distance > robot.scan_range or inside < -1e-9 * distance:
             continue
-        if inside < 1e-9 * distance and abs(wrapped(direction(dy, dx) - state.yaw)) > half:
+        if inside < 1e-9 * distance and abs(wrapped(np.arctan2(dy, dx) - state.yaw)) > half:
             continue
         if sensing.random() > robot.detection:
             continue
@@ -49,7 +54,8 @@ def scan(posts, robot, state, sensing, offsets):
             continue
         # Where the estimate has the post: what was seen, turned by the errors of bearing and of the
         # estimated heading.
-        turned_x, turned_y = cos_sin(state.heading_error + aside)
+        turned = state.heading_error + aside
+        turned_x, turned_y = np.cos(turned), np.sin(turned)
         longer = 1.0 + far / max(distance, 1e-9)
         offsets[seen, 0], offsets[seen, 1] = posts[i, 0], posts[i, 1]
         offsets[seen, 2] = state.est_x + longer * (turned_x * dx - turned_y * dy)
@@ -68,7 +74,7 @@ def scan(posts, robot, state, sensing, offsets):
         ax, ay = offsets[i, 0] - mean_px, offsets[i, 1] - mean_py
         bx, by = offsets[i, 2] - mean_x, offsets[i, 3] - mean_y
         cross, dot = cross + ax * by - ay * bx, dot + ax * bx + ay * by
-    turn = direction(cross, dot) if seen > 1 else 0.0
+    turn = np.arctan2(cross, dot) if seen > 1 else 0.0
     return mean_x - mean_px, mean_y - mean_py, turn, seen
 
 
