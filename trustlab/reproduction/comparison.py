@@ -6,7 +6,7 @@ from decimal import Decimal
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, shown, whole_number
+from trustlab.models.checks import one_of, shown, whole_number
 from trustlab.reproduction.printed_number import ROUNDINGS, half_unit, printed_decimal, rounds_to
 
 Compute = Callable[[dict[str, float]], Mapping[str, float]]
@@ -137,7 +137,8 @@ def smallest_change(
     ValueError
         If the output is not computed, or an argument is not understood.
     """
-    of_class("inputs", inputs, Mapping, "it must map names to numbers as printed")
+    if not isinstance(inputs, Mapping) or not inputs:
+        raise ValueError(f"inputs must map names to numbers as printed, got {shown(inputs)}")
     units_of = {name: 2.0 * half_unit(text) for name, text in inputs.items()}
     reach, units = half_unit(printed), whole_number("units", units, most=10**5)
     middle = {name: float(text) for name, text in inputs.items()}
