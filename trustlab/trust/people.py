@@ -77,10 +77,10 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
     >>> len(panel), panel.trials
     (100, 10)
     """
-    settings = _recipe(recipe)
     if isinstance(name, str) and name in SETS:
-        path, read = SETS[name]
-        return read(data_folder("people") / path)
+        file, read = SETS[name]
+        return read(data_folder("people") / file)
+    settings = _recipe(recipe)
     if isinstance(name, pd.DataFrame):
         return _from_table(name, settings, "table")
     # A live study is known by its measures: its room is below this one.
