@@ -6,7 +6,7 @@ from decimal import Decimal
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import shown, whole_number
+from trustlab.models.checks import one_of, shown, whole_number
 from trustlab.reproduction.printed_number import ROUNDINGS, half_unit, printed_decimal, rounds_to
 
 Compute = Callable[[dict[str, float]], Mapping[str, float]]
@@ -101,15 +101,8 @@ def compare(
             verdict = "within 2 s.e."
         counts = matching_digits(value, text), len(target.as_tuple().digits)
         rows.append((name, float(value), error, text, *counts, verdict))
-    columns = [
-        "quantity",
-        "ours",
-        "stderr",
-        "printed",
-        "matching_digits",
-        "printed_digits",
-        "verdict",
-    ]
+    counted = "matching_digits", "printed_digits"
+    columns = ["quantity", "ours", "stderr", "printed", *counted, "verdict"]
     return pd.DataFrame(rows, columns=columns).set_index("quantity")
 
 
@@ -144,23 +137,14 @@ def smallest_change(
     ValueError
         If the output is not computed, or an argument is not understood.
     """
-    if not hasattr(inputs, "items"):
-        kind = type(inputs).__name__
-        raise ValueError(f"inputs must map names to numbers as printed, got {kind}")
+    if not isinstance(inputs, Mapping) or not inputs:
+        raise ValueError(f"inputs must map names to numbers as printed, got {shown(inputs)}")
     units_of = {name: 2.0 * half_unit(text) for name, text in inputs.items()}
-    if not units_of:
-        raise ValueError("inputs must hold at least one number as printed, got none")
     reach, units = half_unit(printed), whole_number("units", units, most=10**5)
     middle = {name: float(text) for name, text in inputs.items()}
-    if not isinstance(output, str):
-        raise ValueError(f"output must be the name of an output of compute, got {shown(output)}")
     if not callable(compute):
-        kind = type(compute).__name__
-        raise ValueError(f"compute must be a function of a dictionary of inputs, got {kind}")
-    outputs = compute(dict(middle))
-    if output not in outputs:
-        names = ", ".join(map(str, outputs))
-        raise ValueError(f"compute returns {names}, but no {shown(output)}")
+        raise ValueError(f"compute must be a function of a dictionary, got {shown(compute)}")
+    one_of("output", output, compute(dict(middle)))
     target, rows = float(printed), []
     for name, unit in units_of.items():
         for k in sorted(range(-units, units + 1), key=abs):

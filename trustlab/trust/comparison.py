@@ -11,7 +11,7 @@ from scipy import special
 from trustlab.models.checks import of_class, one_of, spawned, whole_number
 from trustlab.models.display import as_html
 from trustlab.trust.dynamics import BASELINES, MODELS
-from trustlab.trust.fitting import CRITERIA, Link, fitted, model_class
+from trustlab.trust.fitting import CRITERIA, TrustFit, fitted, model_class
 from trustlab.trust.interface import LEAST, TrustDynamics
 from trustlab.trust.likelihood import cell, predict, simulate_ratings
 from trustlab.trust.panel import Panel
@@ -82,9 +82,12 @@ class TrustComparison:
             for measure in MEASURES[:4]:
                 wide = scores.pivot_table(measure, "person", "model", dropna=False)
                 for name in names:
-                    difference = (wide[name] - wide[reference]).dropna().to_numpy()
-                    if name != reference and difference.size > 1:
-                        rows.append((split, measure, name, *_interval(difference)))
+                    apart = (wide[name] - wide[reference]).dropna()
+                    if name != reference and apart.size > 1:
+                        half = special.stdtrit(apart.size - 1, 0.975) * apart.sem()
+                        ends = apart.mean() - half, apart.mean() + half
+                        row = (apart.mean(), apart.sem(), *ends, apart.size)
+                        rows.append((split, measure, name, *row))
         columns = ["split", "measure", "model", "difference", "se", "ci_low", "ci_high", "people"]
         return pd.DataFrame(rows, columns=columns)
 
@@ -92,14 +95,6 @@ class TrustComparison:
         text = " ".join((self.source, *self.cautions))
         title = f"Models of trust, differences from {self.against}"
         return as_html(text, self.table(), self.paired(), title=title)
-
-
-def _interval(difference: np.ndarray) -> tuple:
-    """Return mean, standard error, ends of the 95 % interval, and number of people."""
-    mean, size = float(difference.mean()), difference.size
-    se = float(difference.std(ddof=1) / np.sqrt(size))
-    half = float(special.stdtrit(size - 1, 0.975)) * se
-    return mean, se, mean - half, mean + half, size
 
 
 def named_models(models: Models) -> dict[str, type[TrustDynamics]]:
@@ -163,8 +158,8 @@ def compare_trust_models(
     """
     of_class("panel", panel, Panel, "tl.read_people(…) reads one")
     chosen = named_models(models)
-    if against not in chosen:
-        against = next(iter(chosen)) if against == "performance" else against
+    if against not in chosen and against == "performance":
+        against = next(iter(chosen))
     one_of("against", against, list(chosen))
     free = one_of("criterion", criterion, CRITERIA) == "free"
     folds = whole_number("folds", folds, least=2)
@@ -173,50 +168,42 @@ def compare_trust_models(
     order = np.random.default_rng(spawned(seed, 1)[0]).permutation(len(panel))
     groups = np.array_split(order, folds)
     later = panel.trials - panel.trials // 3
-    splits: dict[str, list] = {"people": [], "last third": []}
-    for name, model in chosen.items():
-        # Where all people are fitted best is a good place to start from, and nothing more.
-        start = fitted(panel, model, free=free).centre
-        parts = []
-        for group in groups:
-            rest = panel.of(np.setdiff1d(order, group))
-            fit = fitted(rest, model, free=free, start=start)
-            parts.append(_scores(fit.model, fit.link, panel.of(group), 0))
-        splits["people"].append(pd.concat(parts).assign(split="people", model=name))
-        if later < panel.trials:
-            fit = fitted(panel, model, free=free, until=later, start=start)
-            scores = _scores(fit.model, fit.link, panel, later)
-            splits["last third"].append(scores.assign(split="last third", model=name))
-    tables = [table for split in splits.values() for table in split]
+    # What is fitted, up to which event, and what is scored after it.
+    splits: list[tuple[str, Panel, int | None, Panel]] = [
+        ("people", panel.of(np.setdiff1d(order, group)), None, panel.of(group)) for group in groups
+    ]
+    splits += [("last third", panel, later, panel)] if later < panel.trials else []
+    # Where all people are fitted best is a good place to start from, and nothing more.
+    starts = {name: fitted(panel, model, free=free).centre for name, model in chosen.items()}
+    tables = []
+    for split, seen, until, unseen in splits:
+        for name, model in chosen.items():
+            fit = fitted(seen, model, free=free, until=until, start=starts[name])
+            scores = _scores(fit, unseen, until or 0)
+            tables.append(scores.assign(split=split, model=name))
     scores = pd.concat(tables, ignore_index=True)[["split", "model", "person", *MEASURES]]
     return TrustComparison(scores, against, panel.source, panel.cautions)
 
 
-def _scores(model: TrustDynamics, link: Link, panel: Panel, since: int) -> pd.DataFrame:
+def _scores(fit: TrustFit, panel: Panel, since: int) -> pd.DataFrame:
     """Return every person's measures on the events from one on."""
     actual = panel.ratings[:, 1:]
-    steps = predict(model, panel)
-    free = predict(model, panel, free=True, known=since)
-    logs = np.log(np.fmax(steps.probability(panel), LEAST))
-    inside = np.stack(
-        [
-            _in_central_interval(rating, panel.ratings[:, k + 1], panel.resolution)
-            for k, rating in enumerate(steps.distributions)
-        ],
-        axis=1,
-    )
-    missing = np.isnan(actual)
-    odds = link.bias + link.slope * steps.preference
-    followed = panel.events.followed
+    steps = predict(fit.model, panel)
+    free = predict(fit.model, panel, free=True, known=since)
+    inside = [
+        _in_central_interval(rating, actual[:, k], panel.resolution)
+        for k, rating in enumerate(steps.distributions)
+    ]
+    odds = fit.link.bias + fit.link.slope * steps.preference
     values = {
         "free_error": np.square(free.mean - actual),
         "step_error": np.square(steps.mean - actual),
-        "log_score": np.where(missing, np.nan, logs),
-        "reliance_loss": -special.log_expit(-odds) - followed * odds,
-        "coverage": np.where(missing, np.nan, inside),
+        "log_score": np.log(np.maximum(steps.probability(panel), LEAST)),
+        "reliance_loss": -special.log_expit(-odds) - panel.events.followed * odds,
+        "coverage": np.where(np.isnan(actual), np.nan, np.transpose(inside)),
     }
-    table = {name: _mean(value[:, since:]) for name, value in values.items()}
-    return pd.DataFrame({"person": panel.people} | table)
+    means = {name: pd.DataFrame(value[:, since:]).mean(axis=1) for name, value in values.items()}
+    return pd.DataFrame({"person": panel.people} | means)
 
 
 def _in_central_interval(rating: Any, actual: np.ndarray, resolution: float) -> np.ndarray:
@@ -225,18 +212,10 @@ def _in_central_interval(rating: Any, actual: np.ndarray, resolution: float) -> 
     rounded to it does.
     """
     low, high = cell(actual, resolution)
-    at_end = np.isinf(low) | np.isinf(high)
-    low, high = np.where(at_end, low, actual), np.where(at_end, high, actual)
+    inner = np.isfinite(low) & np.isfinite(high)
+    low, high = np.where(inner, actual, low), np.where(inner, actual, high)
     lowest = np.full(actual.size, -np.inf)
     return (rating.mass(lowest, low) <= 0.95) & (rating.mass(lowest, high) >= 0.05)
-
-
-def _mean(values: np.ndarray) -> np.ndarray:
-    """Return the mean of each row without what is missing; NaN where all is."""
-    known = np.isfinite(values)
-    count = known.sum(axis=1)
-    total = np.where(known, values, 0.0).sum(axis=1)
-    return total / np.where(count > 0, count, np.nan)
 
 
 def recover_trust_models(

@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import between, finite_array, of_class, positive
+from trustlab.models.checks import array_between, of_class, positive
 from trustlab.trust.interface import Event
 
 # Columns of a panel in a table, beside person and trial.
 SIGNALS = Event._fields
-DEFAULTS = Event()
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +58,10 @@ class Panel:
         k : int
             The trial, from 0.
         """
-        values = [signal[:, k] for signal in self.events]
-        event = Event(*values)
-        absent = np.isnan(event.dt)
-        filled = {
-            name: np.where(absent, 0.0 if name == "dt" else value, getattr(event, name))
-            for name, value in DEFAULTS._asdict().items()
-        }
-        return Event(**filled)
+        signals = [signal[:, k] for signal in self.events]
+        absent = np.isnan(Event(*signals).dt)
+        nothing = Event(dt=0.0)
+        return Event(*map(np.where, [absent] * len(signals), nothing, signals))
 
     def of(self, rows) -> "Panel":
         """
@@ -166,33 +161,33 @@ def panel_from_table(
     table = first.sort_values(["place", "trial"], kind="stable")
     number = table.groupby("place").cumcount().to_numpy()
     row, people = pd.factorize(table["person"])
-    size, columns = len(people), int(number.max()) + 1
-    ratings = np.full((size, columns), np.nan)
-    ratings[row, number] = (table["rating"].to_numpy(dtype=float) - low) / span
+
+    def grid(column: pd.Series) -> np.ndarray:
+        """Return a column in rows of people; NaN where a person has no such trial."""
+        values = np.full((len(people), int(number.max()) + 1), np.nan)
+        values[row, number] = column
+        return values
+
+    ratings = grid((table["rating"].astype(float) - low) / span)
     outside = (ratings < 0.0) | (ratings > 1.0)
     if outside.any():
         raise ValueError(
             f"{outside.sum()} ratings are outside the scale from {low:g} to {high:g}; low and high "
             "are its ends"
         )
-    signals = {}
-    present = np.zeros((size, columns), dtype=bool)
-    present[row, number] = True
-    for name, default in DEFAULTS._asdict().items():
-        values = np.where(present, default, np.nan)
-        if name in table:
-            column = table[name].to_numpy(dtype=float)
-            values[row, number] = np.where(np.isnan(column), default, column)
-        signals[name] = values[:, 1:]
-    performed = table["p_r"].to_numpy(dtype=float)[number > 0]
-    for value in finite_array("p_r", performed):
-        between("p_r", value, 0.0, 1.0)
+    array_between("p_r", table["p_r"].to_numpy(dtype=float)[number > 0], 0.0, 1.0, "performance")
+    # A signal that is not in the table, or missing there, has its usual value.
+    complete = table.assign(**{name: np.nan for name in SIGNALS if name not in table})
+    signals = [
+        grid(complete[name].astype(float).fillna(usual))[:, 1:]
+        for name, usual in Event()._asdict().items()
+    ]
     if resolution is None:
         levels = np.unique(np.round(ratings[np.isfinite(ratings)], 9))
         resolution = float(np.diff(levels).min()) if levels.size > 1 else 0.01
     return Panel(
         tuple(people),
-        Event(**signals),
+        Event(*signals),
         ratings,
         positive("resolution", resolution),
         source,

@@ -9,8 +9,8 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from scipy import stats
 
+from tests import textbook
 from trustlab.reproduction.audit.catalogue import PrintedNumber, conditions_of, printed_numbers
 from trustlab.reproduction.audit.check import rows_of
 from trustlab.reproduction.audit.consistency import study_checks
@@ -27,19 +27,14 @@ def printed_study(seed, times, n=36):
         + rng.normal(size=(n, 5)) * rng.uniform(0.6, 1.4, 5)
         + rng.normal(0.0, 0.4, 5)
     )
-    centred = data - data.mean(axis=1, keepdims=True)
-    between = n * data.mean(axis=0).var(ddof=1)
-    error = ((centred - centred.mean(axis=0)) ** 2).sum() / (4 * (n - 1))
-    printed = {"n": str(n), "anova.F": f"{between / error:.3f}"}
-    for i, c in enumerate(NAMES):
-        printed |= {
-            f"mean.{c}": f"{data[:, i].mean():.3f}",
-            f"sd.{c}": f"{data[:, i].std(ddof=1):.3f}",
-        }
-    for i, j in combinations(range(5), 2):
-        p = min(times * stats.ttest_rel(data[:, i], data[:, j]).pvalue, 1.0)
+    found = textbook.analysed(data)
+    printed = {"n": str(n), "anova.F": f"{found['F']:.3f}"}
+    for c, mean, sd in zip(NAMES, found["mean"], found["sd"], strict=True):
+        printed |= {f"mean.{c}": f"{mean:.3f}", f"sd.{c}": f"{sd:.3f}"}
+    for (a, b), test in zip(combinations(NAMES, 2), found["pairs"], strict=True):
+        p = min(times * test.pvalue, 1.0)
         if p < 0.0495:
-            printed[f"pairs.{NAMES[i]}-{NAMES[j]}"] = "<.0005" if p < 0.0005 else f"{p:.3f}"
+            printed[f"pairs.{a}-{b}"] = "<.0005" if p < 0.0005 else f"{p:.3f}"
     return {
         f"uav.made/{key}": PrintedNumber(f"uav.made/{key}", "made here", key, text, key == "n")
         for key, text in printed.items()

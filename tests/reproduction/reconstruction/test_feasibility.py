@@ -7,12 +7,14 @@ arithmetic written here with SciPy's distributions.
 
 import re
 from decimal import Decimal
+from itertools import combinations
 
 import numpy as np
 import pytest
 from scipy import stats
 
 import trustlab as tl
+from tests import textbook
 from trustlab.reproduction import compare_adjustments
 from trustlab.reproduction.reconstruction.contradictions import contradictions
 
@@ -29,10 +31,6 @@ NOT_FOUND = {
     "teleop.satisfaction": ("none",),
     "teleop.trust": ("holm", "none"),
 }
-
-
-def text_of_p(p):
-    return f"{p:.3f}" if p >= 0.001 else "<.001"
 
 
 def adjusted(p, p_adjust):
@@ -59,31 +57,20 @@ def true_study(seed):
         values, scale = np.clip(np.round(4.0 + 1.2 * values), 1.0, 7.0), (1.0, 7.0)
         values[:2] = [[1.0], [7.0]]
     names, decimals = "ABCDEF"[:k], int(rng.integers(1, 4))
-    centring = np.eye(k) - 1.0 / k
-    centred = centring @ np.cov(values.T) @ centring
-    epsilon = np.trace(centred) ** 2 / ((k - 1) * (centred**2).sum())
-    f = n * values.mean(axis=0).var(ddof=1) / (np.trace(centred) / (k - 1))
+    found = textbook.analysed(values)
     corrected = k > 2 and bool(rng.integers(0, 2))
-    df1 = (epsilon if corrected else 1.0) * (k - 1)
-    df2, places = df1 * (n - 1), 2 * corrected
-    anova = {"F": f"{f:.2f}", "df1": f"{df1:.{places}f}", "df2": f"{df2:.{places}f}"}
-    anova |= {"p": text_of_p(stats.f.sf(f, df1, df2))}
+    factor = found["epsilon"] if corrected else 1.0
+    anova = textbook.printed_anova(found, (n, k), factor, factor, 2 * corrected)
     if rng.random() < 0.5:
-        anova["eta2"] = f"{f / (f + n - 1):.3f}"
-    fields = {"n": n, "anova": anova, "scale": scale}
-    for key, cells in (("mean", values.mean(axis=0)), ("sd", values.std(axis=0, ddof=1))):
-        fields[key] = {c: f"{x:.{decimals}f}" for c, x in zip(names, cells, strict=True)}
+        anova["eta2"] = f"{found['eta2']:.3f}"
+    fields = {"n": n, "anova": anova, "scale": scale} | textbook.printed_cells(found, decimals)
     if corrected and rng.random() < 0.5:
-        fields["epsilon"] = f"{epsilon:.3f}"
+        fields["epsilon"] = f"{found['epsilon']:.3f}"
     p_adjust = str(rng.choice(["bonferroni", "holm", "none"]))
-    pairs = [(i, j) for i in range(k) for j in range(i + 1, k)]
-    raw = np.array([stats.ttest_rel(values[:, i], values[:, j]).pvalue for i, j in pairs])
-    p = adjusted(raw, p_adjust)
+    p = adjusted(np.array([test.pvalue for test in found["pairs"]]), p_adjust)
     if k > 2 and (np.abs(p - 0.05) > 5e-4).all() and (p < 0.05).any():
-        printed = zip(pairs, p, strict=True)
-        fields["pairs"] = {
-            f"{names[i]}-{names[j]}": text_of_p(x) for (i, j), x in printed if x < 0.05
-        }
+        named = zip(combinations(names, 2), p, strict=True)
+        fields["pairs"] = {f"{a}-{b}": textbook.text_of_p(x) for (a, b), x in named if x < 0.05}
     return fields, p_adjust
 
 

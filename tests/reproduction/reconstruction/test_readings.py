@@ -10,6 +10,7 @@ from hypothesis import given, settings, strategies as st
 from scipy import optimize, stats
 
 import trustlab as tl
+from tests import textbook
 from trustlab.reproduction import reconstruct_study
 from trustlab.reproduction.reconstruction.constraints import BOTH, NEITHER, ONLY_DF, ONLY_P
 from trustlab.reproduction.reconstruction.contradictions import contradictions, reading_of
@@ -111,27 +112,15 @@ def test_a_contradiction_is_never_consistent():
 
 def print_of(values, reading, decimals):
     """What a paper would print of data, by the textbook's sums of squares."""
-    n, k = values.shape
-    covariance = np.cov(values.T)
-    centring = np.eye(k) - 1.0 / k
-    centred = centring @ covariance @ centring
-    epsilon = np.trace(centred) ** 2 / ((k - 1) * (centred**2).sum())
-    f = n * values.mean(axis=0).var(ddof=1) / (np.trace(centred) / (k - 1))
-    df = epsilon if reading.df else 1.0
-    share = epsilon if reading.p else 1.0
-    p = stats.f.sf(f, share * (k - 1), share * (k - 1) * (n - 1))
+    found = textbook.analysed(values)
+    epsilon = found["epsilon"]
+    df, p = (epsilon if corrected else 1.0 for corrected in (reading.df, reading.p))
     places = decimals if reading.df else 0
     return tl.PublishedStudy(
         "s",
-        n,
-        {c: f"{x:.2f}" for c, x in zip("ABCDE", values.mean(axis=0), strict=False)},
-        {c: f"{x:.2f}" for c, x in zip("ABCDE", values.std(axis=0, ddof=1), strict=False)},
-        anova={
-            "F": f"{f:.2f}",
-            "df1": f"{df * (k - 1):.{places}f}",
-            "df2": f"{df * (k - 1) * (n - 1):.{places}f}",
-            "p": f"{p:.3f}" if p >= 0.001 else "<.001",
-        },
+        len(values),
+        **textbook.printed_cells(found, 2),
+        anova=textbook.printed_anova(found, values.shape, df, p, places),
         epsilon=f"{epsilon:.{decimals}f}",
     )
 
