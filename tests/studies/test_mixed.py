@@ -188,7 +188,7 @@ def test_pairs():
     assert between["df"].item() == 12
     assert np.isnan(between["d_z"].item())
     assert np.isfinite(between["d_av"].item())
-    with pytest.raises(ValueError, match="factor must be one of"):
+    with pytest.raises(ValueError, match="'task' is not a factor of this design"):
         model.pairs("task")
     with pytest.raises(ValueError, match="factor and at are both"):
         model.pairs("group", at="group")

@@ -247,7 +247,7 @@ def test_bad_input_names_what_is_wrong():
         tl.ordinal_model(WINE.assign(rating=range(72)), "rating", **give)
     with pytest.raises(ValueError, match="no column 'temperature'"):
         tl.ordinal_model(WINE, "rating", "temperature", "judge")
-    with pytest.raises(ValueError, match="one level"):
+    with pytest.raises(ValueError, match="one condition only"):
         tl.ordinal_model(WINE.assign(temp="cold"), "rating", **give)
     with pytest.raises(ValueError, match="the likelihood has no maximum"):
         tl.ordinal_model(WINE.assign(rating=(WINE["temp"] == "cold") * 1), "rating", **give)

@@ -7,27 +7,25 @@ participants over the residual variance σ².
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from functools import reduce
-from itertools import chain, combinations, product
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy import special, stats
-from scipy.linalg import helmert
 from scipy.optimize import brentq
 
 from trustlab.models.checks import counted, of_class, spawned, whole_number
 from trustlab.models.display import Result
-from trustlab.studies.anova import partial_eta_interval
-from trustlab.studies.pairs import d_z_interval, holm
+from trustlab.studies.anova import Design, effect_name, partial_eta_interval, subsets
+from trustlab.studies.pairs import d_z_interval, holm, levels_of_factor, marginals
 from trustlab.studies.table import (
     ScoreTable,
     column_of,
     labelled,
-    levels_of,
     origin_of,
-    read_scores,
+    read_cells,
+    read_factors,
     refuse_missing_labels,
 )
 from trustlab.studies.words import apa_number, apa_p
@@ -205,22 +203,14 @@ class MixedModel(Result):
             If a factor is unknown, or both are the same.
         """
         factor = [*self.factors][len(self.between)] if factor is None else factor
-        for argument, name in {"factor": factor, "at": at}.items():
-            if not isinstance(name, Hashable) or name not in {*self.factors, None}:
-                raise ValueError(f"{argument} must be one of {[*self.factors]}, got {name!r}")
-        if factor == at:
-            raise ValueError(f"factor and at are both {factor!r}; name two factors")
-        cells = pd.DataFrame(product(*self.factors.values()), columns=[*self.factors])
-        labels = self.factors[factor]
-        pairs = pd.DataFrame(combinations(labels, 2), columns=["a", "b"])
-        first, second = np.triu_indices(len(labels), 1)
+        design = Design(self.n, self.factors)
+        labels = pd.Index(levels_of_factor(design, factor), tupleize_cols=False)
+        a, b = np.triu_indices(len(labels), 1)
         df = self.tests.set_index("effect")["df2"][str(factor)]
         twice = np.nan if factor in self.between else 2.0 * self.residual_variance
         tables = []
-        for level in [np.nan] if at is None else self.factors[at]:
-            here = cells[factor] if at is None else cells[factor].where(cells[at] == level)
-            mean = np.array([(here == label) / (here == label).sum() for label in labels])
-            weights = mean[first] - mean[second]
+        for level, cells, _ in marginals(design, factor, at):
+            weights = (cells[:, a] - cells[:, b]).T
             difference = weights @ self.means["mean"].to_numpy()
             se = np.sqrt(((weights @ self.covariance) * weights).sum(axis=1))
             tests = estimates_of(difference, se, df).rename(columns={"estimate": "mean_difference"})
@@ -230,7 +220,9 @@ class MixedModel(Result):
             limits = d_z_interval(tests["t"].to_numpy(), df, scale)
             tests["d_z_low"], tests["d_z_high"] = limits
             tests["d_av"] = difference / np.sqrt(self.subject_variance + self.residual_variance)
-            tables.append(pairs.assign(level=level)[["level", "a", "b"]].join(tests))
+            pairs = pd.DataFrame({"a": labels.take(a), "b": labels.take(b)})
+            pairs.insert(0, "level", pd.Series([level] * len(pairs)))
+            tables.append(pairs.join(tests))
         return labelled(pd.concat(tables, ignore_index=True), self.origin)
 
     def apa(self) -> str:
@@ -258,51 +250,6 @@ class MixedModel(Result):
 
 TESTS = ["effect", "F", "df1", "df2", "p", "chi2", "p_chi2"]
 TESTS += ["eta2_partial", "eta2_partial_low", "eta2_partial_high"]
-
-
-def names_of(names: Any) -> list[Hashable]:
-    """Return names of columns as a list; a text or None is one name or none."""
-    if isinstance(names, list | tuple):
-        return list(names)
-    return [] if names is None else [names]
-
-
-def levels_by_factor(
-    frame: pd.DataFrame, within: list, between: list, subject: Hashable, order: Any
-) -> dict[Hashable, list]:
-    """Return the levels of each factor, those between subjects first."""
-    people = column_of(frame, "subject", subject)
-    levels = {}
-    for argument, names in {"between": between, "within": within}.items():
-        for name in names:
-            column = column_of(frame, argument, name)
-            # A list is the order of the factor within subjects, or else of that between them.
-            listed = order if argument == "within" or not within else None
-            if isinstance(order, dict):
-                listed = order.get(name)
-            levels[name] = levels_of(column, argument, listed)
-            if len(levels[name]) < 2:
-                raise ValueError(f"{argument}: column {name!r} has one level; two are needed")
-            if argument == "between":
-                refuse_two_labels(argument, column, people)
-            elif column.groupby(people).nunique().max() == 1:
-                raise ValueError(
-                    f"within: column {name!r} has one label for every person; give between={name!r}"
-                )
-    if not levels:
-        raise ValueError("within and between name no factor")
-    if isinstance(order, dict) and not order.keys() <= levels.keys():
-        raise ValueError(f"order is of {[*order]}, but the factors are {[*levels]}")
-    return levels
-
-
-def refuse_two_labels(argument: str, column: pd.Series, people: pd.Series) -> None:
-    """Refuse a person with two labels in a column."""
-    counts = column.groupby(people).nunique()
-    if twice := counts.index[counts > 1].tolist():
-        raise ValueError(
-            f"{argument}: subject {twice[0]!r} has two labels in column {column.name!r}"
-        )
 
 
 def mixed_model(
@@ -354,19 +301,9 @@ def mixed_model(
           F  df1  df2   icc
     0  5.89    4  140  0.78
     """
-    of_class("frame", frame, pd.DataFrame, "with a row per subject and condition")
-    groups = names_of(between)
-    factors = levels_by_factor(frame, names_of(within), groups, subject, order)
-
-    def label(levels: tuple) -> Hashable:
-        return levels[0] if len(factors) == 1 else " × ".join(map(str, levels))
-
-    cells = [label(levels) for levels in product(*factors.values())]
-    long, name = frame.copy(), label(tuple(factors))
-    long[name] = [label(row) for row in frame[[*factors]].itertuples(index=False)]
-    if empty := [cell for cell in cells if cell not in set(long[name])]:
-        raise ValueError(f"within: no subject has a score in cell {empty[0]!r} of {name}")
-    return fit_mixed_model(read_scores(long, dv, name, subject, order=cells), factors, groups)
+    levels, groups = read_factors(frame, dv, within, subject, between, order)
+    factors = groups | levels
+    return fit_mixed_model(read_cells(frame, dv, factors, subject), factors, [*groups])
 
 
 def fit_mixed_model(
@@ -378,22 +315,30 @@ def fit_mixed_model(
     """
     factors, between = factors or {table.within: table.conditions}, between or []
     groups = int(np.prod([len(factors[name]) for name in between]))
-    subject, cell = np.nonzero(~np.isnan(table.values))
+    there = ~np.isnan(table.values)
+    if not there.any(axis=0).all():
+        cell = table.conditions[np.argmin(there.any(axis=0))]
+        raise ValueError(f"within: no subject has a score in cell {cell!r} of {table.within}")
+    subject, cell = np.nonzero(there)
     y, x = table.values[subject, cell], np.eye(len(table.conditions))[cell]
     model = RandomIntercepts("subject", pd.Series(subject, name=table.subject))
     fit = model.fit(y, x, restricted=True)
     n = model.counts.size
     covariance = fit.residual * fit.inverse
     rows = []
-    for names in chain(*(combinations(factors, size + 1) for size in range(len(factors)))):
+    design = Design(n, factors)
+    for names in subsets(factors)[1:]:
         df2 = n - groups
         if not set(names) <= set(between):
             df2 = y.size - n - x.shape[1] + groups
-        rows.append((" × ".join(map(str, names)), *_wald(fit, factors, names, df2)))
+        rows.append((effect_name((), names), *_wald(fit, design.contrasts(names), df2)))
     tests = pd.DataFrame(rows, columns=TESTS)
     means = estimates_of(fit.beta, np.sqrt(np.diag(covariance)), tests["df2"].min())
     means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]
-    means.index = pd.Index(table.conditions, name="condition", tupleize_cols=False)
+    labels = [*table.conditions]
+    if len(factors) > 1:
+        labels = [effect_name((), levels) for levels in labels]
+    means.index = pd.Index(labels, name="condition", tupleize_cols=False)
     numbers = {
         "subject_variance": fit.ratio * fit.residual,
         "residual_variance": fit.residual,
@@ -415,13 +360,8 @@ def fit_mixed_model(
     )
 
 
-def _wald(fit: InterceptFit, factors: dict, names: tuple, df2: int) -> tuple:
-    """Return the columns of `TESTS` but the first: contrasts of the factors' levels, averaged."""
-    parts = [
-        helmert(len(levels)).T if name in names else np.full((len(levels), 1), 1.0 / len(levels))
-        for name, levels in factors.items()
-    ]
-    contrasts = reduce(np.kron, parts)
+def _wald(fit: InterceptFit, contrasts: np.ndarray, df2: int) -> tuple:
+    """Return the columns of `TESTS` but the first, for contrasts of the cells."""
     effect = contrasts.T @ fit.beta
     spread = fit.residual * contrasts.T @ fit.inverse @ contrasts
     chi2 = float(effect @ np.linalg.solve(spread, effect))

@@ -10,7 +10,7 @@ from scipy import special
 
 from trustlab.models.checks import of_class
 from trustlab.models.display import Result
-from trustlab.studies.mixed import estimates_of, refuse_two_labels
+from trustlab.studies.mixed import estimates_of
 from trustlab.studies.pairs import holm
 from trustlab.studies.table import (
     column_of,
@@ -18,6 +18,7 @@ from trustlab.studies.table import (
     levels_of,
     read_scores,
     refuse_missing_labels,
+    refuse_two_labels,
 )
 
 

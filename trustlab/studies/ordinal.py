@@ -19,14 +19,18 @@ from trustlab.models.checks import finite_array, of_class, whole_number
 from trustlab.models.display import Result
 from trustlab.studies.mixed import (
     estimates_of,
-    levels_by_factor,
     likelihood_ratios,
     matrices_of,
-    names_of,
     variances_of,
 )
 from trustlab.studies.pairs import holm
-from trustlab.studies.table import column_of, labelled, origin_of, refuse_missing_labels
+from trustlab.studies.table import (
+    column_of,
+    labelled,
+    origin_of,
+    read_factors,
+    refuse_missing_labels,
+)
 from trustlab.studies.words import apa_number, apa_p
 
 MOST_CATEGORIES = 30
@@ -407,7 +411,8 @@ def ordinal_model(
     if len(people) < 3:
         raise ValueError(f"subject: column {subject!r} has {len(people)} people; at least 3 needed")
     answers, categories = _categories(column_of(data, "dv", dv))
-    factors = levels_by_factor(data, names_of(within), names_of(between), subject, order)
+    inside, groups = read_factors(data, dv, within, subject, between, order)
+    factors = groups | inside
     for name, levels in factors.items():
         data[name] = pd.Categorical(data[name], levels)
     for name in covariates:

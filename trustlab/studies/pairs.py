@@ -148,7 +148,7 @@ def _share(factors: Mapping[Hashable, Sequence], fixed: Mapping[Hashable, int]) 
     return reduce(np.kron, parts, np.ones(1))
 
 
-def _marginals(
+def marginals(
     design: Design, factor: Hashable, at: Hashable
 ) -> Iterator[tuple[Hashable, np.ndarray, np.ndarray]]:
     """
@@ -181,7 +181,7 @@ def factor_pairs(
     a, b = np.triu_indices(len(levels), 1)
     regression = regress(values[None], design)
     tables = []
-    for level, cells, rows in _marginals(design, factor, at):
+    for level, cells, rows in marginals(design, factor, at):
         weights, hypotheses = cells[:, a] - cells[:, b], rows[a]
         if factor in design.between:
             weights, hypotheses = cells[:, a], rows[a] - rows[b]
@@ -203,7 +203,7 @@ def simple_effects(
     """Return the effect of one factor at each level of another."""
     regression = regress(values[None], design)
     rows = []
-    for level, cells, means in _marginals(design, factor, at):
+    for level, cells, means in marginals(design, factor, at):
         contrasts, hypothesis = cells @ orthonormal_contrasts(len(means)), means[:1]
         if factor in design.between:
             contrasts, hypothesis = cells[:, :1], np.diff(means, axis=0)

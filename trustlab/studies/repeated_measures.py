@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import of_class, one_of, open_unit
+from trustlab.models.checks import one_of, open_unit
 from trustlab.models.display import Result
 from trustlab.studies import pairs
 from trustlab.studies.anova import CORRECTIONS, Design, effects, partial_eta_interval, regress
@@ -18,10 +18,10 @@ from trustlab.studies.table import (
     ScoreTable,
     complete_scores,
     labelled,
+    names_of,
     read_cells,
+    read_factors,
     read_groups,
-    read_levels,
-    refuse_repeated,
     same_for_all,
 )
 
@@ -501,25 +501,14 @@ def repeated_measures(
            F  df1  df2  epsilon_gg   p_gg
     0  5.891    4  140       0.819  0.001
     """
-    factors = within if isinstance(within, list) else [within]
-    groups = between if isinstance(between, list) else [] if between is None else [between]
     one_of("correction", correction, ("auto", *CORRECTIONS))
     alpha = open_unit("alpha", alpha)
-    if not factors:
-        raise ValueError("within must name a column, got an empty list")
-    if len(factors) == 1 and not isinstance(order, dict) and order is not None:
-        order = {factors[0]: order}
-    order = of_class("order", {} if order is None else order, dict, "give each factor's levels")
-    if unknown := [name for name in order if name not in (*factors, *groups)]:
-        raise ValueError(
-            f"order: {unknown[0]!r} is not a factor of this design: {[*factors, *groups]}"
-        )
-    listed = [order.get(name) for name in factors] if order else [None] * len(factors)
-    levels = read_levels(frame, dv, factors, subject, listed)
+    if not names_of(within):
+        raise ValueError("within must name a column")
+    levels, groups = read_factors(frame, dv, within, subject, between, order)
     observed = read_cells(frame, dv, levels, subject)
     scores, excluded = complete_scores(observed, missing)
-    read = {name: read_groups(frame, name, scores, order) for name in groups}
-    refuse_repeated([dv, subject, *factors, *groups])
+    read = {name: read_groups(frame, name, listed, scores) for name, listed in groups.items()}
     design = Design(
         len(scores.subjects),
         levels,

@@ -186,44 +186,99 @@ def read_scores(
     By default a categorical column keeps the order of its categories (those that occur); any other
     is sorted. `within` is a column, `order` its levels.
     """
-    levels = read_levels(frame, dv, [within], subject, [order])
-    return read_cells(frame, dv, levels, subject)
+    order = None if order is None else {within: order}
+    return read_cells(
+        frame, dv, read_factors(frame, dv, [within], subject, order=order)[0], subject
+    )
 
 
-def read_levels(
-    frame: pd.DataFrame, dv: Hashable, factors: list, subject: Hashable, orders: list
-) -> dict[Hashable, tuple]:
-    """Return the levels of every factor within subjects, of a table whose columns are checked."""
+def names_of(names: Any) -> list[Hashable]:
+    """Return a list of columns; one name alone or None is a list of one or none."""
+    if isinstance(names, list):
+        return names
+    return [] if names is None else [names]
+
+
+def read_factors(
+    frame: pd.DataFrame,
+    dv: Hashable,
+    within: Any,
+    subject: Hashable,
+    between: Any = None,
+    order: Any = None,
+) -> tuple[dict[Hashable, tuple], dict[Hashable, tuple]]:
+    """
+    Return the levels of every factor within and between subjects of a long table, whose columns are
+    checked. `order` has the levels of a single factor, or of several by name.
+    """
     of_class("frame", frame, pd.DataFrame, "with a row per subject and condition")
+    within, between = names_of(within), names_of(between)
+    if not within + between:
+        raise ValueError("within and between name no factor")
     start = "frame"
     if isinstance(subject, Hashable) and subject not in frame.columns:
         start = f"frame.rename_axis({subject!r}).reset_index()"
     remedy = (
         "; a table with a column per condition becomes long by "
-        f"{start}.melt(id_vars={subject!r}, var_name={factors[0]!r}, value_name={dv!r})"
+        f"{start}.melt(id_vars={subject!r}, var_name={(within + between)[0]!r}, value_name={dv!r})"
     )
     column_of(frame, "dv", dv, remedy)
-    columns = [column_of(frame, "within", name, remedy) for name in factors]
-    column_of(frame, "subject", subject)
-    refuse_repeated([dv, subject, *factors])
-    if len(frame) == 0:
-        raise ValueError("frame has no rows")
-    levels = {}
-    for name, column, order in zip(factors, columns, orders, strict=True):
-        levels[name] = tuple(levels_of(column, "within", order))
-        if len(levels[name]) < 2:
-            raise ValueError(
-                f"within: column {name!r} has one condition only, {levels[name][0]!r}; two are "
-                "needed"
-            )
-    return levels
-
-
-def refuse_repeated(columns: list) -> None:
-    """Refuse a column that has two parts in a design."""
+    inside = {name: column_of(frame, "within", name, remedy) for name in within}
+    groups = {name: column_of(frame, "between", name) for name in between}
+    people = column_of(frame, "subject", subject)
+    columns = [dv, subject, *within, *between]
     for name in columns:
         if columns.count(name) > 1:
             raise ValueError(f"every column has one part in a design, but {name!r} is named twice")
+    if len(frame) == 0:
+        raise ValueError("frame has no rows")
+    refuse_missing_labels(people, "subject")
+    orders = _orders(order, within, between)
+    levels_within, levels_between = (
+        {name: _levels(column, argument, orders.get(name)) for name, column in part.items()}
+        for argument, part in (("within", inside), ("between", groups))
+    )
+    for name, column in inside.items():
+        if column.groupby(people).nunique().max() == 1:
+            raise ValueError(
+                f"within: column {name!r} has one label for every person; give between={name!r}"
+            )
+    for column in groups.values():
+        refuse_two_labels("between", column, people)
+    return levels_within, levels_between
+
+
+def _orders(order: Any, within: list, between: list) -> dict:
+    """Return the orders of levels by factor; a list is that of the only factor, within first."""
+    if order is not None and not isinstance(order, dict) and len(within or between) == 1:
+        order = {(within or between)[0]: order}
+    order = of_class("order", {} if order is None else order, dict, "give each factor's levels")
+    if unknown := [name for name in order if name not in (*within, *between)]:
+        raise ValueError(
+            f"order: {unknown[0]!r} is not a factor of this design: {[*within, *between]}"
+        )
+    return order
+
+
+def _levels(column: pd.Series, argument: str, order: Any) -> tuple:
+    """Return the levels of a factor, two or more."""
+    levels = tuple(levels_of(column, argument, order))
+    if len(levels) < 2:
+        raise ValueError(
+            f"{argument}: column {column.name!r} has one condition only, {levels[0]!r}; two are "
+            "needed"
+        )
+    return levels
+
+
+def refuse_two_labels(argument: str, column: pd.Series, people: pd.Series) -> None:
+    """Refuse a person with two labels in a column."""
+    labels = column.groupby(people).unique()
+    for person, given in labels[labels.map(len) > 1].items():
+        raise ValueError(
+            f"{argument}: subject {person!r} has two labels in column {column.name!r}, "
+            f"{given[0]!r} and {given[1]!r}"
+        )
 
 
 def read_cells(
@@ -319,22 +374,14 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
 
 
 def read_groups(
-    frame: pd.DataFrame, name: Hashable, scores: ScoreTable, orders: Mapping
+    frame: pd.DataFrame, name: Hashable, listed: tuple, scores: ScoreTable
 ) -> tuple[tuple, np.ndarray]:
     """
-    Return the groups in a column, each with two of the complete subjects or more, and the group
-    number of each subject.
+    Return the listed groups of a column that have complete subjects, two or more each, and the
+    group number of each subject.
     """
-    groups: dict[Hashable, Hashable] = {}
-    column = column_of(frame, "between", name)
-    listed = levels_of(column, "between", orders.get(name))
-    for subject, group in zip(frame[scores.subject].tolist(), column.tolist(), strict=True):
-        if groups.setdefault(subject, group) != group:
-            raise ValueError(
-                f"between: subject {subject!r} has two values in column {name!r}, "
-                f"{groups[subject]!r} and {group!r}"
-            )
-    members = [groups[subject] for subject in scores.subjects]
+    group_of = dict(zip(frame[scores.subject].tolist(), frame[name].tolist(), strict=True))
+    members = [group_of[subject] for subject in scores.subjects]
     levels = tuple(level for level in listed if level in members)
     if len(levels) < 2:
         raise ValueError(

@@ -26,7 +26,7 @@ from trustlab.models.checks import (
 )
 from trustlab.studies.anova import Design, orthonormal_contrasts, sphericity
 from trustlab.studies.repeated_measures import repeated_measures
-from trustlab.studies.table import labels_of
+from trustlab.studies.table import labels_of, names_of
 from trustlab.testbeds.covariance import checked_covariance
 
 # --- settings -------------------------------------------------------------------------------------
@@ -96,14 +96,12 @@ class StudyColumns:
     @property
     def factors(self) -> list:
         """The factors within subjects."""
-        return self.within if isinstance(self.within, list) else [self.within]
+        return names_of(self.within)
 
     @property
     def groups(self) -> list:
         """The factors between subjects."""
-        if self.between is None:
-            return []
-        return self.between if isinstance(self.between, list) else [self.between]
+        return names_of(self.between)
 
     @property
     def several(self) -> bool:
