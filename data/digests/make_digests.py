@@ -27,6 +27,8 @@ COMPUTED = 1e-7
 ESTIMATED = 1e-3
 # Of the largest number in a column: what is left of larger ones that cancel.
 CANCELLED = 1e-13
+# Of anything: an energy of so many joules is none.
+ROUNDING = 1e-15
 
 
 def tabled(result):
@@ -78,7 +80,7 @@ def tolerance(columns, column, row):
         return ESTIMATED * columns["standard_error"][row]
     numbers = [abs(x) for x in columns[column].values() if isinstance(x, float)]
     largest = max(filter(math.isfinite, numbers), default=0.0)
-    return COMPUTED * abs(columns[column][row]) + CANCELLED * largest
+    return COMPUTED * abs(columns[column][row]) + CANCELLED * largest + ROUNDING
 
 
 def differences(columns, expected):
