@@ -1,5 +1,6 @@
 """The smallest change by hand."""
 
+import pandas as pd
 import pytest
 
 from trustlab.reproduction import smallest_change
@@ -26,3 +27,5 @@ def test_smallest_change_names_the_input():
     assert table.loc[0, "input"] == "height"
     assert table.loc[0, "needed"] == pytest.approx(3.5)
     assert table.loc[0, "units"] == 5
+    column = pd.Series({"width": "2.0", "height": "3.0"})
+    pd.testing.assert_frame_equal(smallest_change(area, column, "area", "7.0"), table)

@@ -107,7 +107,11 @@ def compare(
 
 
 def smallest_change(
-    compute: Compute, inputs: Mapping[str, str], output: str, printed: str, units: int = 400
+    compute: Compute,
+    inputs: Mapping[str, str] | pd.Series,
+    output: str,
+    printed: str,
+    units: int = 400,
 ) -> pd.DataFrame:
     """
     Find which single printed input, changed least, makes an output round to its printed value.
@@ -117,7 +121,7 @@ def smallest_change(
     compute : callable
         Takes inputs as a dictionary of floats and returns outputs by name; may raise ValueError
         where inputs are impossible, which is passed over.
-    inputs : mapping of str to str
+    inputs : mapping of str to str, or pandas.Series
         Numbers as printed.
     output : str
         The output to explain.
@@ -137,7 +141,7 @@ def smallest_change(
     ValueError
         If the output is not computed, or an argument is not understood.
     """
-    if not isinstance(inputs, Mapping) or not inputs:
+    if not isinstance(inputs, Mapping | pd.Series) or not len(inputs):
         raise ValueError(f"inputs must map names to numbers as printed, got {shown(inputs)}")
     units_of = {name: 2.0 * half_unit(text) for name, text in inputs.items()}
     reach, units = half_unit(printed), whole_number("units", units, most=10**5)
