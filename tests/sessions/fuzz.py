@@ -6,13 +6,12 @@ Times are the processor's, so that a busy machine does not make a log look slow.
 
 Run it by hand: `python -m tests.sessions.fuzz --logs 100000`. Each format has a process of its own,
 one after the other; what fails is printed with its seed, and `--only FORMAT --first SEED --logs 1`
-repeats it. With `--section recipes` it is what recipes say that is damaged, and the cells of the
-tables that they read: rules of every kind put together at random, selectors, splitting at gaps,
-sorting, data frames, folders.
+repeats it. The last formats, `READS`, damage what recipes say and the cells of the tables that they
+read: rules of every kind put together at random, selectors, splitting at gaps, sorting, data
+frames, folders.
 """
 
 import argparse
-import gzip
 import json
 import logging
 import multiprocessing
@@ -22,14 +21,15 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from tests.sessions.logs import HAND, NUMBER, TEXT, Bag, hands, stamped
+from tests.sessions.logs import HAND, NUMBER, TEXT, Bag, hands, stamped, write_table
 from trustlab.sessions import (
     Metadata,
     Session,
@@ -44,7 +44,7 @@ from trustlab.sessions.recipe import Recipe
 MOST_SECONDS, MOST_BYTES = 5.0, 2**30
 
 
-def session() -> Session:
+def session():
     t = np.arange(40) * 0.1
     data = pd.DataFrame(
         {"mode": (t > 1.5) * 1.0, "p_r": 0.3 + 0.01 * np.sin(t), "robot_x": -t}, index=t
@@ -72,13 +72,11 @@ topic = "/tf"
 field = 'transforms[child_frame_id="b"].transform.translation.x'
 unit = "m"
 """)
-
-
 FILES = ["csv", "tsv", "txt", "csv.gz", "parquet", "feather"]
 RECIPES = {"rules": RULES, "tf": TF}
 
 
-def recording(path: Path) -> Path:
+def recording(path):
     """Write the session as a bag of ours, in the formats that `write_session` does not write."""
     bag = Bag(path)
     facts = {"participant": 3, "condition": "C1", "more": {"trial": 2}, "samples": 40}
@@ -89,7 +87,7 @@ def recording(path: Path) -> Path:
     return bag.write()
 
 
-def transforms(path: Path) -> Path:
+def transforms(path):
     """
     Write a bag in which two robots publish their places in turn, and a wheeled one the state of its
     joints.
@@ -108,37 +106,29 @@ def transforms(path: Path) -> Path:
     return bag.write()
 
 
-def originals(folder: Path) -> dict[str, tuple[Path, Path]]:
+def originals(folder):
     """Write a valid log of each format; return what is read, and the file of it that is damaged."""
-    paths = {
-        name: write_session(session(), folder / f"a.{name}") for name in ("csv", "parquet", "mcap")
-    }
-    paths["bag"] = recording(folder / "a.bag")
-    files = {name: (path, path) for name, path in paths.items()}
     table = session().table()
-    table.to_feather(folder / "a.feather")
-    table.to_csv(folder / "a.tsv", sep="\t", index=False)
-    (folder / "a.csv.gz").write_bytes(gzip.compress(table.to_csv(index=False).encode()))
-    files |= {
-        name: (folder / f"a.{name}", folder / f"a.{name}") for name in ("feather", "tsv", "csv.gz")
-    }
-    database = recording(folder / "recording")
-    files["db3"] = (database, next(database.glob("*.db3")))
-    yaml = recording(folder / "yaml")
-    files["yaml"] = (yaml, yaml / "metadata.yaml")
     dates = pd.Timestamp("2026-03-01") + pd.to_timedelta(table["t"], unit="s")
     cells = [f"({x}, 0, 1)" for x in table["robot_x"]]
-    ruled = table.assign(
-        t=dates.astype(str), pos=cells, p_r=table["p_r"].where(table.index % 3 == 0)
-    )
-    ruled.to_csv(folder / "rules.csv", index=False)
-    files["rules"] = (folder / "rules.csv", folder / "rules.csv")
-    robots = transforms(folder / "robots")
-    files["tf"] = (robots, next(robots.glob("*.db3")))
-    return files
+    blanks = table["p_r"].where(table.index % 3 == 0)
+    ruled = table.assign(t=dates.astype(str), pos=cells, p_r=blanks)
+    logs = {
+        name: write_session(session(), folder / f"a.{name}") for name in ("csv", "parquet", "mcap")
+    }
+    logs |= {
+        name: write_table(table, folder / f"a.{name}") for name in ("feather", "tsv", "csv.gz")
+    }
+    logs |= {"bag": recording(folder / "a.bag"), "rules": write_table(ruled, folder / "rules.csv")}
+    folders = {name: recording(folder / name) for name in ("db3", "yaml")}
+    folders["tf"] = transforms(folder / "tf")
+    damage = {"db3": "*.db3", "yaml": "metadata.yaml", "tf": "*.db3"}
+    return {name: (path, path) for name, path in logs.items()} | {
+        name: (path, next(path.glob(damage[name]))) for name, path in folders.items()
+    }
 
 
-def damaged(data: bytes, rng: np.random.Generator) -> bytes:
+def damaged(data, rng):
     """Return bytes with one to four faults of the kinds that disks, programs and people make."""
     data = bytearray(data)
     for _ in range(rng.integers(1, 5)):
@@ -199,9 +189,8 @@ ODD += [
     "٣",
     "-0",
 ]
-UNITS = ["mm", "s", "us", "%", "deg", "N", "furlong", ""]
-POSITIONS = ["robot_x", "robot_y", "reference_x", "reference_y", "path_error"]
 CELLS = ["t", "mode", "pedal", "speed", "err", "pos", "who"]
+POSITIONS = ["robot_x", "robot_y", "reference_x", "reference_y", "path_error"]
 OTHER = 'transforms[child_frame_id="b"].transform'
 TOPICS = {
     "/tf": [
@@ -220,167 +209,160 @@ TOPICS = {
 PATHS = [
     OTHER,
     f"{OTHER}.translation",
+    'transforms[child_frame_id="c"].transform.translation.x',
+    "transforms",
+    "position",
     "position[1]",
     "name[0]",
     "effort[0]",
+    "header.stamp",
     "x[0]",
     "[",
     'a[b="',
     "yaw(x)",
 ]
-PATHS += [
-    'transforms[child_frame_id="c"].transform.translation.x',
-    "header.stamp",
-    "position",
-    "transforms",
+
+# What a key of a recipe may say: good values, and odd ones.
+FLAGS = [True, False], [0, "x"]
+NUMBERS = [1, -1, 0.5, 2.5], [0, 1e308, -1e308, 1e-320, 10**30, "x", True]
+MAPS = [{"1": 0.5, "0": 2}], [{"x": 1e308}, {}]
+UNITS = ["mm", "s", "us", "%", "deg", "N", "furlong", ""]
+LENGTH = {"unit": (["m", "mm"], UNITS)}
+REPEATS = {"repeated": (["first", "last", "mean"], ["median"])}
+METHODS = ["previous", "linear", "nearest"], ["cubic"]
+DISTANCES = [
+    {"distance": ([["robot", "reference"]], [["robot"], "robot"])},
+    {"travelled": (["robot"], ["none"])},
 ]
+OF_CELL = {
+    "pos": {"item": ([0, 1, 2], [7, -1])},
+    "pedal": {"above": NUMBERS},
+    "mode": {"map": ([{"MANUAL": 1, "AUTO": 0, "1": 0.5, "0": 0}], [{"MANUAL": 1}])},
+}
+ANY_COLUMN = {
+    "scale": NUMBERS,
+    "offset": NUMBERS,
+    "above": NUMBERS,
+    "map": MAPS,
+    "unit": (["m"], UNITS),
+}
 
 
-def one_of(rng: np.random.Generator, values):
+def one_of(rng, values):
     return values[int(rng.integers(len(values)))]
 
 
-def toml(value) -> str:
+def toml(value):
     """Return a value as TOML: tables inline, all else as JSON writes it."""
     if isinstance(value, dict):
-        return (
-            "{ "
-            + ", ".join(f"{json.dumps(str(name))} = {toml(each)}" for name, each in value.items())
-            + " }"
-        )
-    if isinstance(value, list):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    return repr(value) if isinstance(value, float) else json.dumps(value)
+        inner = (f"{json.dumps(name)} = {toml(each)}" for name, each in value.items())
+        return "{ " + ", ".join(inner) + " }"
+    return json.dumps(value)
 
 
-def mostly(rng: np.random.Generator, good, odd):
+def mostly(rng, good, odd):
     """Return one of the good values, and now and then an odd one."""
     return one_of(rng, odd if rng.random() < 0.03 else good)
 
 
-def some(rng: np.random.Generator, share: float, **keys) -> dict:
+def some(rng, share, keys):
     """Return some of the keys, each with one of its good or odd values."""
     return {name: mostly(rng, *values) for name, values in keys.items() if rng.random() < share}
 
 
-def random_column(rng: np.random.Generator, name: str, topics: list[str]) -> dict:
+def random_column(rng, name, topics):
     """Return the rule of a column of a table, or of a bag with these topics."""
-    numbers = [1, -1, 0.5, 2.5], [0, 1e308, -1e308, 1e-320, 10**30, "x", True]
+    length = some(rng, 0.98, LENGTH) if name in POSITIONS else {}
     kind = rng.random()
     if kind < 0.06:
-        return {"value": mostly(rng, *numbers)} | ({"unit": "m"} if name in POSITIONS else {})
+        return some(rng, 1, {"value": NUMBERS}) | length
     if kind < 0.10:
-        return {
-            "from": mostly(
-                rng, ["participant", "block", "header.share"], ["trial", "kind", "start_time"]
-            )
-        }
+        facts = ["participant", "block", "header.share"], ["trial", "kind", "start_time"]
+        return some(rng, 1, {"from": facts})
     if kind < 0.16:
-        way, stems = one_of(rng, [("distance", ["robot", "reference"]), ("travelled", "robot")])
-        return {way: stems, "axes": mostly(rng, [["x"], ["x", "y"]], [["z"], []])}
+        axes = {"axes": ([["x"], ["x", "y"]], [["z"], []])}
+        return some(rng, 1, one_of(rng, DISTANCES) | axes)
     if topics:
         topic = mostly(rng, topics, ["/none", "/tf"])
         rule = {"topic": topic, "field": mostly(rng, TOPICS.get(topic, PATHS), PATHS)}
-        rule |= some(rng, 0.15, hold=([True, False], ["x"]))
+        rule |= some(rng, 0.15, {"hold": FLAGS})
     else:
-        own = {"mode": ["mode", "pedal"]}.get(name, ["pedal", "speed", "err", "pos"])
+        own = ["mode", "pedal"] if name == "mode" else ["pedal", "speed", "err", "pos"]
         rule = {"column": mostly(rng, own, [*CELLS, 0, 3, 99])}
-        rule |= {"item": mostly(rng, [0, 1, 2], [7, -1])} if rule["column"] == "pos" else {}
-        rule |= {"blank": mostly(rng, ["hold", "linear"], ["drop"])} if rng.random() < 0.6 else {}
-        rule |= (
-            {"above": mostly(rng, *numbers)} if rule["column"] == "pedal" and name == "mode" else {}
-        )
-        rule |= (
-            {"map": {"MANUAL": 1, "AUTO": 0, "1": 0.5}}
-            if rule["column"] == "mode" and rng.random() < 0.4
-            else {}
-        )
-    rule |= (
-        {"unit": mostly(rng, ["m", "mm"], UNITS)}
-        if name in POSITIONS and rng.random() < 0.98
-        else {}
-    )
-    maps = [{"1": 0.5, "0": 2}], [{"x": 1e308}, {}]
-    rule |= some(
-        rng, 0.05, scale=numbers, offset=numbers, above=numbers, map=maps, unit=(["m"], UNITS)
-    )
-    return rule | some(
-        rng,
-        0.1,
-        absolute=([True, False], [0]),
-        resample=(["previous", "linear", "nearest"], ["cubic"]),
-    )
+        rule |= some(rng, 0.6, {"blank": (["hold", "linear"], ["drop"])})
+        if name == "mode" or rule["column"] == "pos":
+            rule |= some(rng, 0.8, OF_CELL.get(rule["column"], {}))
+    rule |= length | some(rng, 0.05, ANY_COLUMN)
+    return rule | some(rng, 0.1, {"absolute": FLAGS, "resample": METHODS})
 
 
-def random_recipe(rng: np.random.Generator, topics: list[str], unit: str = "s") -> str:
-    """Return a recipe put together at random; one in ten is damaged as a text."""
-    names = ["mode", "p_r", "p_h", "r", "beta", *POSITIONS]
-    names = [str(name) for name in rng.permutation(names)[: rng.integers(1, 4)]]
-    tables = {"columns": {name: random_column(rng, name, topics) for name in names}}
-    repeats = ["first", "last", "mean"], ["median"]
-    if topics:
-        tables["time"] = some(rng, 0.3, stamp=(["receive"], ["header", "x"]), repeated=repeats)
-        tables["time"] |= {"topics": {"/joint_states": "header"}} if rng.random() < 0.2 else {}
-    else:
-        tables["time"] = {"unit": mostly(rng, [unit], ["m", "us", "s", "iso", "clock"])}
-        tables["time"] |= some(rng, 0.6, from_zero=([True, False], [1]), repeated=repeats)
-        order = {"sort": ([True, False], ["x"]), "jumps": (["split"], ["drop"])}
-        tables["time"] |= some(rng, 0.15, **order)
-        tables["time"] |= some(rng, 0.05, column=(["t"], ["pos", 0, 99]))
-        styles = {
-            "header": ([True], [False]),
-            "delimiter": ([","], [";", "x"]),
-            "decimal": (["."], [","]),
-        }
-        tables["table"] = some(rng, 0.1, **styles, skip_lines=([0], [1, 7, 10**6]))
-    if rng.random() < 0.6:
-        steps = mostly(rng, [0.1, 0.03, 1.0, 1e-3], [1e-9, 1e9, 0, "x"])
-        tables["resampling"] = {
-            "method": one_of(rng, ["previous", "linear", "nearest"]),
-            "sample_time": steps,
-        }
-    tables["splitting"] = (
-        some(rng, 0.97, gap=([0.15, 0.5, 5.0], [1e-9, 1e300, 0, -1]))
-        if rng.random() < 0.4
-        else None
-    )
-    if topics:
-        wanted = 0.95 if topics == ["/hand"] else 0.05
-        tables["messages"] = (
-            {"folder": mostly(rng, ["."], ["none", ".."])} if rng.random() < wanted else None
-        )
-    elif rng.random() < 0.3:
-        tables["files"] = {
-            "pattern": mostly(
-                rng, ["a.{kind}", "read/a.{kind}"], ["*", "{kind:int}.csv", "{", "{a}{b}"]
-            )
-        }
-        tables["header"] = some(
-            rng, 0.97, file=(["head.index"], ["../head.index", "none.csv", "a.{kind}", "{x}"])
-        )
-        tables["header"] |= some(
-            rng, 0.97, keys=([{"kind": "kind"}], [{"kind": "share"}, {"trial": "kind"}, {}])
-        )
-        tables["header"] = tables["header"] if rng.random() < 0.7 else None
+def bag_tables(rng, topics):
+    """Return the tables of a recipe that say how a bag with these topics is read."""
+    stamps = {"stamp": (["receive"], ["header", "x"]), **REPEATS}
+    topic = {"topics": ([{"/joint_states": "header"}], [{"/none": "header"}])}
+    tables = {"time": some(rng, 0.3, stamps) | some(rng, 0.2, topic)}
+    if rng.random() < (0.95 if topics == ["/hand"] else 0.05):
+        tables["messages"] = some(rng, 1, {"folder": (["."], ["none", ".."])})
+    return tables
+
+
+def text_tables(rng, unit):
+    """Return the tables of a recipe that say how files of a table are found and read."""
+    units = {"unit": ([unit], ["m", "us", "s", "iso", "clock"])}
+    order = {"sort": FLAGS, "jumps": (["split"], ["drop"])}
+    styles = {
+        "header": ([True], [False]),
+        "delimiter": ([","], [";", "x"]),
+        "decimal": (["."], [","]),
+        "skip_lines": ([0], [1, 7, 10**6]),
+    }
+    tables = {
+        "time": some(rng, 1, units)
+        | some(rng, 0.6, {"from_zero": FLAGS, **REPEATS})
+        | some(rng, 0.15, order)
+        | some(rng, 0.05, {"column": (["t"], ["pos", 0, 99])}),
+        "table": some(rng, 0.1, styles),
+    }
     if rng.random() < 0.3:
-        origin = {"from": (["participant"], ["trial", "none"])}
-        tables["metadata"] = {
-            "participant": some(rng, 0.95, value=([3], [True, 1e308, "x"])),
-            "block": some(rng, 0.95, **origin, map=([{"3": 1}], [{"1": "x"}, {}]))
-            | some(rng, 0.03, default=([0], ["x"])),
+        patterns = ["a.{kind}", "read/a.{kind}"], ["*", "{kind:int}.csv", "{", "{a}{b}"]
+        tables["files"] = some(rng, 1, {"pattern": patterns})
+        header = {
+            "file": (["head.index"], ["../head.index", "none.csv", "a.{kind}", "{x}"]),
+            "keys": ([{"kind": "kind"}], [{"kind": "share"}, {"trial": "kind"}, {}]),
         }
-    text = f'kind = "{"bag" if topics else "table"}"\n' + "performance_window = 100\n" * int(
-        rng.random() < 0.1
-    )
+        if rng.random() < 0.7:
+            tables["header"] = some(rng, 0.97, header)
+    return tables
+
+
+def random_recipe(rng, topics, unit="s"):
+    """Return a recipe put together at random; one in ten is damaged as a text."""
+    names = rng.permutation(["mode", "p_r", "p_h", "r", "beta", *POSITIONS])[: rng.integers(1, 4)]
+    tables = {"columns": {str(name): random_column(rng, name, topics) for name in names}}
+    tables |= bag_tables(rng, topics) if topics else text_tables(rng, unit)
+    if rng.random() < 0.6:
+        steps = [0.1, 0.03, 1.0, 1e-3], [1e-9, 1e9, 0, "x"]
+        tables["resampling"] = some(rng, 1, {"method": METHODS, "sample_time": steps})
+    if rng.random() < 0.4:
+        tables["splitting"] = some(rng, 0.97, {"gap": ([0.15, 0.5, 5.0], [1e-9, 1e300, 0, -1])})
+    if rng.random() < 0.3:
+        block = {
+            "from": (["participant"], ["trial", "none"]),
+            "map": ([{"3": 1}], [{"1": "x"}, {}]),
+        }
+        tables["metadata"] = {
+            "participant": some(rng, 0.95, {"value": ([3], [True, 1e308, "x"])}),
+            "block": some(rng, 0.95, block) | some(rng, 0.03, {"default": ([0], ["x"])}),
+        }
+    text = f'kind = "{"bag" if topics else "table"}"\n'
+    text += "performance_window = 100\n" if rng.random() < 0.1 else ""
     for title, table in tables.items():
-        if table is not None:
-            text += f"[{title}]\n" + "".join(
-                f"{json.dumps(key)} = {toml(value)}\n" for key, value in table.items()
-            )
+        keys = (f"{json.dumps(key)} = {toml(value)}\n" for key, value in table.items())
+        text += f"[{title}]\n" + "".join(keys)
     return damaged(text.encode(), rng).decode(errors="replace") if rng.random() < 0.1 else text
 
 
-def random_table(rng: np.random.Generator, unit: str) -> pd.DataFrame:
+def random_table(rng, unit):
     """
     Return a table with times that repeat, jump or turn back, blanks, and cells that somebody typed.
     """
@@ -390,22 +372,20 @@ def random_table(rng: np.random.Generator, unit: str) -> pd.DataFrame:
         steps = rng.choice([0.1, 0.11, 0.0, 7.0, -0.2], rows, p=[0.7, 0.1, 0.1, 0.08, 0.02])
     t = np.cumsum(steps)
     dates = pd.Timestamp("2026-03-01T23:59:57") + pd.to_timedelta(t, unit="s")
+    times = {
+        "s": t,
+        "ms": 1000.0 * t,
+        "iso": one_of(rng, [dates.astype(str), dates]),
+        "clock": dates.strftime("%H:%M:%S.%f"),
+    }
+    odd_errors = [rng.integers(-(2**60), 2**60, rows), rng.random(rows) < 0.5]
     frame = pd.DataFrame(
         {
-            "t": {
-                "s": t,
-                "ms": 1000.0 * t,
-                "iso": one_of(rng, [dates.astype(str), dates]),
-                "clock": dates.strftime("%H:%M:%S.%f"),
-            }[unit],
+            "t": times[unit],
             "mode": one_of(rng, [rng.integers(0, 2, rows), rng.choice(["MANUAL", "AUTO"], rows)]),
             "pedal": rng.random(rows),
             "speed": np.where(rng.random(rows) < 0.3, np.nan, rng.random(rows)),
-            "err": mostly(
-                rng,
-                [rng.random(rows)],
-                [rng.integers(-(2**60), 2**60, rows), rng.random(rows) < 0.5],
-            ),
+            "err": mostly(rng, [rng.random(rows)], odd_errors),
             "pos": [f"({x:.3f}, {y:.3f}, 0)" for x, y in rng.random((rows, 2))],
             "who": "a",
         }
@@ -413,39 +393,28 @@ def random_table(rng: np.random.Generator, unit: str) -> pd.DataFrame:
     if rng.random() < 0.3:
         frame = frame.astype(object)
         for _ in range(rng.integers(1, 4)):
-            frame.iloc[int(rng.integers(rows)), int(rng.integers(len(CELLS)))] = one_of(
-                rng, [*ODD, np.nan, None, 1e308]
-            )
+            cell = one_of(rng, [*ODD, np.nan, None, 1e308])
+            frame.iloc[rng.integers(rows), rng.integers(len(CELLS))] = cell
     return frame
 
 
-def random_file(rng: np.random.Generator, folder: Path, unit: str) -> Path:
+def random_file(rng, folder, unit):
     """Write a random table in one of the formats for tables."""
-    frame = random_table(rng, unit)
-    kind = one_of(rng, FILES)
-    path = folder / f"a.{kind}"
-    if kind in ("csv", "tsv", "txt", "csv.gz"):
-        text = frame.to_csv(index=False, sep="\t" if kind == "tsv" else ",").encode()
-        path.write_bytes(gzip.compress(text) if kind == "csv.gz" else text)
-        return path
-    texts = frame.apply(lambda cells: cells.astype(str) if cells.dtype == object else cells)
-    getattr(texts, f"to_{kind}")(path)
-    return path
+    frame, path = random_table(rng, unit), folder / f"a.{one_of(rng, FILES)}"
+    if path.suffix in (".parquet", ".feather"):  # a column of theirs holds one type
+        frame = frame.apply(lambda cells: cells.astype(str) if cells.dtype == object else cells)
+    return write_table(frame, path)
 
 
-def read_by_random_recipe(
-    name: str, folder: Path, bags: list[tuple[Path, list[str]]], rng: np.random.Generator
-) -> list[Session]:
+def read_by_random_recipe(name, folder, bags, rng):
     """Write a recipe and something to read by it; return the sessions."""
-    recipe = folder / "lab.toml"
     bag, topics = one_of(rng, bags) if name == "bags" else ("", [])
     unit = one_of(rng, ["s", "s", "ms", "iso", "clock"])
+    recipe = folder / "lab.toml"
     recipe.write_bytes(random_recipe(rng, topics, unit).encode())
-    options = {"recipe": recipe} | (
-        {"resample": "linear", "sample_time": mostly(rng, [0.1], [1e-7, 1e9])}
-        if rng.random() < 0.2
-        else {}
-    )
+    options = {"recipe": recipe}
+    if rng.random() < 0.2:
+        options |= {"resample": "linear", "sample_time": mostly(rng, [0.1], [1e-7, 1e9])}
     if name == "bags":
         definition = damaged(HAND.encode(), rng) if rng.random() < 0.3 else HAND.encode()
         (folder / "lab_msgs" / "Hand.msg").write_bytes(definition)
@@ -453,10 +422,9 @@ def read_by_random_recipe(
     if name == "frame":
         return [read_frame(random_table(rng, unit), **options)]
     path = random_file(rng, folder, unit)
-    header = "kind,share\n" + "".join(
-        f"{kind},0.5\n" for kind in mostly(rng, [[path.name[2:]]], [FILES, []])
-    )
-    head = damaged(header.encode(), rng) if rng.random() < 0.2 else header.encode()
+    kinds = mostly(rng, [[path.name[2:]]], [FILES, []])
+    header = "\n".join(["kind,share", *(f"{kind},0.5" for kind in kinds), ""]).encode()
+    head = damaged(header, rng) if rng.random() < 0.2 else header
     (folder / "head.index").write_bytes(head)
     try:
         if name == "file":
@@ -469,21 +437,20 @@ def read_by_random_recipe(
 READS = ("file", "frame", "folder", "bags")
 
 
-def fuzz_alone(name: str, first: int, logs: int, failures) -> None:
+def fuzz_alone(name, first, logs):
     """
     Fuzz in a process of its own, in which too much memory is a MemoryError and not the end of the
     machine.
     """
     logging.disable()  # libraries report what they find damaged
     resource.setrlimit(resource.RLIMIT_AS, (6 * MOST_BYTES, resource.RLIM_INFINITY))
-    fuzz(name, first, logs, failures)
+    _, failures = fuzz(name, first, logs)
     memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    if memory > MOST_BYTES:
-        failures.put((name, first, f"took {memory / 1e9:.2f} GB"))
     print(f"{name}: at most {memory / 1e6:.0f} MB", flush=True)
+    return failures + ["too much memory"] * (memory > MOST_BYTES)
 
 
-def reading(name: str, folder: Path) -> Callable[[np.random.Generator], list[Session]]:
+def reading(name, folder):
     """
     Return what writes something damaged and reads it: a log of the format, or one by a recipe at
     random.
@@ -500,14 +467,14 @@ def reading(name: str, folder: Path) -> Callable[[np.random.Generator], list[Ses
     options = {"recipe": RECIPES[name]} if name in RECIPES else {}
     data = file.read_bytes()
 
-    def read(rng: np.random.Generator) -> list[Session]:
+    def read(rng):
         file.write_bytes(damaged(data, rng))
         return [read_session(path, **options)]
 
     return read
 
 
-def readable(read: Callable[[], list[Session]]) -> bool:
+def readable(read):
     """Return whether there are sessions; they are valid, or the error is ours and printable."""
     try:
         sessions = read()
@@ -521,56 +488,48 @@ def readable(read: Callable[[], list[Session]]) -> bool:
     return len(sessions) > 0
 
 
-def fuzz(name: str, first: int, logs: int, failures) -> int:
+def fuzz(name, first, logs):
     """
-    Read damaged logs of one format, and put what fails into the queue; return how many were read.
+    Read damaged logs of one format; return how many were read, and what failed, which is printed.
     """
+    slowest, good, failures = 0.0, 0, []
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         read = reading(name, Path(folder))
-        slowest, good = 0.0, 0
         for seed in range(first, first + logs):
-            begun = time.process_time()
+            begun, before = time.process_time(), len(failures)
             try:
                 good += readable(partial(read, np.random.default_rng([seed, len(name)])))
             except BaseException:
-                failures.put((name, seed, traceback.format_exc(limit=-6)))
-            slowest = max(slowest, time.process_time() - begun)
-            if time.process_time() - begun > MOST_SECONDS:
-                failures.put((name, seed, f"took {time.process_time() - begun:.1f} s"))
-        print(f"{name}: {logs} logs, {good} of them read, the slowest {slowest:.2f} s", flush=True)
-    return good
+                failures.append(traceback.format_exc(limit=-6))
+            seconds = time.process_time() - begun
+            slowest = max(slowest, seconds)
+            if seconds > MOST_SECONDS:
+                failures.append(f"took {seconds:.1f} s")
+            for failure in failures[before:]:
+                print("FAILED", name, seed, failure, flush=True)
+    print(f"{name}: {logs} logs, {good} of them read, the slowest {slowest:.2f} s", flush=True)
+    return good, failures
 
 
-def main() -> None:
+def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--section", choices=["logs", "recipes"], default="logs")
     parser.add_argument("--only")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        every = READS if arguments.section == "recipes" else list(originals(Path(folder)))
-        names = [arguments.only] if arguments.only else every
-    failures: multiprocessing.Queue = multiprocessing.get_context("spawn").Queue()
-    found = []
+        names = [arguments.only] if arguments.only else [*originals(Path(folder)), *READS]
+    count = -(-arguments.logs // len(names))
+    failures = []
     for name in names:
-        count = -(-arguments.logs // len(names))
-        worker = multiprocessing.get_context("spawn").Process(
-            target=fuzz_alone, args=(name, arguments.first, count, failures)
-        )
-        worker.start()
-        while worker.is_alive() or not failures.empty():
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
             try:
-                found.append(failures.get(timeout=0.5))
-                print("FAILED", *found[-1], sep="\n", flush=True)
-            except Exception:
-                continue
-        if worker.exitcode:
-            found.append((name, "the process ended", worker.exitcode))
-            print("FAILED", *found[-1], flush=True)
-    print(f"{len(found)} failures")
-    sys.exit(bool(found))
+                failures += pool.submit(fuzz_alone, name, arguments.first, count).result()
+            except BrokenProcessPool as error:
+                failures.append(f"{name}: {error}")
+    print(*failures, f"{len(failures)} failures", sep="\n")
+    sys.exit(bool(failures))
 
 
 if __name__ == "__main__":

@@ -83,6 +83,15 @@ class Bag:
         return self.path
 
 
+def write_table(table, path):
+    """Write a table as pandas writes the format that the path's end names; return the path."""
+    if path.suffix in (".parquet", ".feather"):
+        getattr(table, f"to_{path.suffix[1:]}")(path)
+    else:
+        table.to_csv(path, sep="\t" if ".tsv" in path.name else ",", index=False)
+    return path
+
+
 def bag_of_numbers(path, times, topic="/e", **columns):
     """Write a bag with one topic of numbers for each column, or for values of one topic."""
     bag = Bag(path)

@@ -8,24 +8,12 @@ import pandas as pd
 import pytest
 from hypothesis import assume, example, given, strategies as st
 
-from tests.sessions.logs import START, bag_of_numbers, bag_recipe, table_recipe
+from tests.sessions.logs import START, bag_of_numbers, bag_recipe, table_recipe, write_table
 from trustlab.sessions import SessionError, read_frame, read_session
 
 TABLE = pd.DataFrame(
     {"t": np.arange(30) * 0.1, "p_r": np.sin(np.arange(30.0)) ** 2, "mode": np.arange(30) % 2}
 )
-
-
-def write_table(path):
-    """Write TABLE with the format's own library."""
-    if path.suffix in (".bag", ".mcap", ""):
-        columns = {"p_r": TABLE["p_r"], "mode": TABLE["mode"]}
-        return bag_of_numbers(path, TABLE["t"], **columns)
-    if path.suffix in (".parquet", ".feather"):
-        getattr(TABLE, f"to_{path.suffix[1:]}")(path)
-    else:
-        TABLE.to_csv(path, sep="\t" if ".tsv" in path.name else ",", index=False)
-    return path
 
 
 TOPICS = """[columns]
@@ -40,11 +28,15 @@ SUFFIXES = [".csv", ".CSV", ".csv.gz", ".tsv", ".tsv.gz", ".txt", ".parquet", ".
     "name", [f"a{end}" for end in (*SUFFIXES, ".bag", ".mcap", "")] + ["frame"]
 )
 def test_one_run_in_every_format_is_the_same_session(tmp_path, name):
+    path, recipe = tmp_path / name, None
     if name == "frame":
         session = read_frame(TABLE)
     else:
-        path = write_table(tmp_path / name)
-        recipe = bag_recipe(TOPICS) if path.suffix in (".bag", ".mcap", "") else None
+        if path.suffix in (".bag", ".mcap", ""):
+            recipe, columns = bag_recipe(TOPICS), TABLE[["p_r", "mode"]]
+            bag_of_numbers(path, TABLE["t"], **columns)
+        else:
+            write_table(TABLE, path)
         session = read_session(path, recipe=recipe)
         assert session.metadata.source == str(path)
     atol = 0.0 if name[1:] not in ("", ".bag", ".mcap") else 1e-12  # stamps are whole nanoseconds
@@ -147,7 +139,7 @@ def test_the_columns_of_a_session_are_its_own(tmp_path, name):
         session = read_frame(frame)
         frame.loc[:, "p_r"] = 7.0
     else:
-        path = write_table(tmp_path / name)
+        path = write_table(frame, tmp_path / name)
         session = read_session(path)
         with path.open("r+b") as file:
             file.write(bytes(path.stat().st_size))
