@@ -73,6 +73,8 @@ def test_a_failed_fit_is_named_first(operators, make_session, switching):
     assert choice.message.startswith("The fit has success = False: p_max is weakly determined.")
     assert "trustlab.sample_posterior(sessions)" in choice.message
     assert "Theorem 1 leaves no room" in choice.reason
+    assert choice.front().empty
+    assert list(choice.front()) == list(choice.candidates)
 
 
 def test_margin_is_kept(operators, choice):

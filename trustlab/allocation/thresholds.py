@@ -243,7 +243,7 @@ def choose_thresholds(
         choice = _chosen(search, limits, tsc, source)
     else:
         reason = _no_room(models, limits)
-        nothing = pd.DataFrame(columns=_Search.COLUMNS)
+        nothing = pd.DataFrame(columns=_Search.COLUMNS, dtype=float).astype({"on_front": bool})
         message = f"No thresholds: {reason}"
         values = np.nan, np.nan, np.nan, False, message, reason, limits, nothing
         choice = ThresholdChoice(*values, tsc=source)
