@@ -28,11 +28,12 @@ def analysed(x):
         "pairs": [stats.ttest_rel(x[:, i], x[:, j]) for i, j in combinations(range(k), 2)],
     }
     if k > 2:
-        w = np.linalg.det(a) / (np.trace(a) / d) ** d
+        # Mauchly's W; singular where there are fewer people than contrasts.
+        log_w = np.linalg.slogdet(a).logabsdet - d * np.log(np.trace(a) / d)
         factor = n - 1 - (2 * d * d + d + 2) / (6 * d)
         weight = (d + 2) * (d - 1) * (d - 2) * (2 * d**3 + 6 * d * d + 3 * k + 2)
         weight /= 288 * (d * factor) ** 2
-        out["chi2"] = -factor * np.log(w)
+        out["chi2"] = -factor * log_w
         plain, shifted = (stats.chi2.sf(out["chi2"], k * d / 2 - 1 + more) for more in (0, 4))
         out["mauchly_p"] = plain + weight * (shifted - plain)
     return out

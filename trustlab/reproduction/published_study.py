@@ -4,10 +4,10 @@ A within-subject study as printed: every number a string, so that "0.50" keeps i
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import permutations
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
 
 import pandas as pd
 
@@ -30,7 +30,7 @@ class PublishedStudyError(ValueError):
     """A printed study with a field that is missing or no number; the message names it."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class PublishedStudy:
     """
     The printed results of one measure in one within-subject study.
@@ -107,59 +107,38 @@ class PublishedStudy:
 
     def __post_init__(self) -> None:
         try:
-            for name, value in self._checked().items():
-                object.__setattr__(self, name, value)
-            self._check_pairs()
+            self._freeze()
+            for check in (_check_design, _check_scale, _check_numbers, _check_pairs):
+                check(self)
         except PublishedStudyError:
             raise
         except ValueError as error:
             raise PublishedStudyError(f"{self.name}: {error}") from None
 
-    def _checked(self) -> dict[str, Any]:
-        """Return what was passed where it has another form, after a look at all of it."""
-        _require(
-            isinstance(self.name, str) and self.name, f"name must be a text, got {shown(self.name)}"
-        )
-        tables = {}
+    def _freeze(self) -> None:
+        """Replace mappings by read-only copies and lists by tuples."""
         for key in PRINTED:
-            table = getattr(self, key)
-            names = isinstance(table, Mapping)
-            _require(
-                names, f"{key} must be a table of names and printed numbers, got {shown(table)}"
-            )
-            tables[key] = dict(table)
-        lists = {}
+            value = getattr(self, key)
+            if not isinstance(value, Mapping):
+                raise ValueError(
+                    f"{key} must be a table of names and printed numbers, got {shown(value)}"
+                )
+            object.__setattr__(self, key, MappingProxyType(dict(value)))
         for key in ("conditions", "significant_without_p"):
-            names = getattr(self, key)
-            listed = not isinstance(names, str) and all(isinstance(name, str) for name in names)
-            _require(listed, f"{key} must be a list of names, got {shown(names)}")
-            lists[key] = tuple(names)
-        for key in ("listed_only", "not_spherical"):
-            of_class(key, getattr(self, key), bool, "it must be true or false")
-        conditions = lists["conditions"] or tuple(dict.fromkeys([*tables["mean"], *tables["sd"]]))
-        several = len(set(conditions)) == len(conditions) >= 2
-        _require(several, f"at least two conditions are needed, all different, got {conditions}")
-        _require(tables["mean"], "mean has no condition")
-        for key, table in tables.items():
-            known = STATISTICS.get(key, table if key == "pairs" else conditions)
-            for name, text in table.items():
-                hint = "; give epsilon=... beside it" if name == "epsilon" else ""
-                there = f"there are {', '.join(known)}{hint}"
-                _require(name in known, f"{key}.{name} is unknown; {there}")
-                printed_interval(text, f"{key}.{name}")
-        if self.epsilon:
-            printed_decimal(self.epsilon, "epsilon")
-        n = whole_number("n", self.n, least=3)
-        scale = _scale(self.scale)
-        return tables | lists | {"conditions": conditions, "n": n, "scale": scale}
+            value = getattr(self, key)
+            if isinstance(value, str) or not all(isinstance(item, str) for item in value):
+                raise ValueError(f"{key} must be a list of names, got {shown(value)}")
+            object.__setattr__(self, key, tuple(value))
+        if not self.conditions:
+            object.__setattr__(self, "conditions", tuple(dict.fromkeys([*self.mean, *self.sd])))
 
-    def _check_pairs(self) -> None:
-        """Check that each pair is named once."""
-        seen: dict[tuple[int, int], str] = {}
-        for name in (*self.pairs, *self.significant_without_p):
-            pair = self.pair(name)
-            _require(pair not in seen, f"pairs: {name} was given already, as {seen.get(pair)}")
-            seen[pair] = name
+    def __hash__(self) -> int:
+        return hash((self.name, self.n, self.conditions, *self.mean.items(), *self.anova.items()))
+
+    def __reduce__(self) -> tuple:
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        plain = {key: dict(values[key]) for key in PRINTED}
+        return type(self).from_dict, (values | plain,)
 
     @property
     def k(self) -> int:
@@ -229,12 +208,20 @@ class PublishedStudy:
         PublishedStudyError
             If a field is unknown, missing or no printed number.
         """
-        try:
-            return cls(**{"name": name, **values})
-        except TypeError as error:
+        if not isinstance(values, Mapping):
             raise PublishedStudyError(
-                f"{name}: a published study must be a table of fields: {error}"
-            ) from None
+                f"{name}: a published study must be a table of fields, got {values!r}"
+            )
+        known = [f.name for f in fields(cls)]
+        unknown = [str(key) for key in values if key not in known]
+        if unknown:
+            raise PublishedStudyError(
+                f"{name}: unknown field {unknown[0]!r}; there are {', '.join(known)}"
+            )
+        missing = [key for key in ("n", "mean", "sd") if key not in values]
+        if missing:
+            raise PublishedStudyError(f"{name}: {missing[0]} is missing")
+        return cls(**{"name": name, **values})
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "dict[str, PublishedStudy]":
@@ -267,15 +254,57 @@ def _require(holds: object, message: str) -> None:
         raise ValueError(message)
 
 
-def _scale(scale: Any) -> tuple[float, float]:
-    """Return the ends of a scale; either may be infinite."""
+def _check_design(study: PublishedStudy) -> None:
+    """Check the name, the number of subjects and the conditions."""
+    named = isinstance(study.name, str) and study.name
+    _require(named, f"name must be a text, got {shown(study.name)}")
+    object.__setattr__(study, "n", whole_number("n", study.n, least=3))
+    for name in ("listed_only", "not_spherical"):
+        of_class(name, getattr(study, name), bool, "it must be true or false")
+    k, names = study.k, ", ".join(study.conditions)
+    _require(len(set(study.conditions)) == k, f"conditions must differ, got {names}")
+    _require(k >= 2, f"at least two conditions are needed, got {k}")
+    _require(study.mean, "mean has no condition")
+    for key in ("mean", "sd"):
+        for condition in getattr(study, key):
+            where = f"{key}.{condition} is not among the conditions {names}"
+            _require(condition in study.conditions, where)
+
+
+def _check_scale(study: PublishedStudy) -> None:
+    """Check the ends of the scale."""
+    scale = study.scale
     numbers = isinstance(scale, tuple | list) and len(scale) == 2
     numbers = numbers and all(isinstance(x, int | float) and not isinstance(x, bool) for x in scale)
     _require(
         numbers and scale[0] < scale[1],
         f"scale must be the lowest and the highest value, in this order, got {shown(scale)}",
     )
-    return float(scale[0]), float(scale[1])
+    object.__setattr__(study, "scale", (float(scale[0]), float(scale[1])))
+
+
+def _check_numbers(study: PublishedStudy) -> None:
+    """Check that every statistic has a known name and is a number; whether it can be is not."""
+    for key in PRINTED:
+        allowed = STATISTICS.get(key)
+        for name, text in getattr(study, key).items():
+            hint = "; give epsilon=... beside it" if name == "epsilon" else ""
+            _require(
+                allowed is None or name in allowed,
+                f"{key}.{name} is unknown; there are {', '.join(allowed or ())}{hint}",
+            )
+            printed_interval(text, f"{key}.{name}")
+    if study.epsilon:
+        printed_decimal(study.epsilon, "epsilon")
+
+
+def _check_pairs(study: PublishedStudy) -> None:
+    """Check that each pair is named once."""
+    seen: dict[tuple[int, int], str] = {}
+    for name in (*study.pairs, *study.significant_without_p):
+        pair = study.pair(name)
+        _require(pair not in seen, f"pairs: {name} was given already, as {seen.get(pair)}")
+        seen[pair] = name
 
 
 def published_studies() -> "dict[str, PublishedStudy]":
