@@ -221,11 +221,11 @@ class Drive:
             PioneerNumbers(**robot),
             anchor,
             course,
-            np.random.default_rng(config["seed"]),
             np.empty(config["samples"]),
             np.empty(config["samples"]),
             np.empty((len(course.posts), 4)),
         )
+        self.sensing = np.random.default_rng(config["seed"])
         self.state, self._log = np.zeros(1, STATE)[0], np.zeros(1, LOG)[0]
         self.ends = np.cumsum([length for _, length in config["schedule"] or ()]) / SAMPLE_TIME
         begin_drive(self.world, self.state)
@@ -236,7 +236,7 @@ class Drive:
         if self.ends.size:
             phase = min(int(np.searchsorted(self.ends, self.k, side="right")), self.ends.size - 1)
             mode = float(self.config["schedule"][phase][0])
-        done = tick(self.k, v, w, mode, self.world, self.state, self._log)
+        done = tick(self.k, v, w, mode, self.world, self.sensing, self.state, self._log)
         self.k += 1
         self.done = done or self.k >= self.config["samples"]
         self.row = [*self._log.tolist(), float(self.state["laps"])]
