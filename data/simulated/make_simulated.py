@@ -456,6 +456,8 @@ def trust_value() -> pd.DataFrame:
     return rows[["fault", "policy", "number", "time"]]
 
 
+# People who rated their trust after each of ten trials.
+RATED = ("hybrid_vr", "hybrid_real")
 # Models of trust that simulated people follow.
 FOLLOWED = ("performance", "asymmetric")
 # Models in the loops; None is (3.2), or (4.1), as printed.
@@ -487,7 +489,7 @@ QUICK = [name for name in (*tl.trust.MODELS, *tl.trust.BASELINES) if name != "op
 def trust_scores() -> pd.DataFrame:
     """Models of trust on real people, and on simulated ones."""
     tables = {}
-    for name in ("hybrid_vr", "hybrid_real"):
+    for name in RATED:
         for criterion in ("step", "free"):
             tables[name, criterion] = scored(tl.read_people(name), criterion)
     for name in ("trust_transfer", "btm"):
@@ -501,6 +503,24 @@ def trust_recovery() -> pd.DataFrame:
     """Which model is chosen where people follow which, 3 panels of each."""
     shares = tl.trust.recover_trust_models(tl.read_people("hybrid_vr"), n=3, seed=SEED)
     return shares.reset_index()
+
+
+def residuals(panel: tl.trust.Panel, name: str) -> pd.DataFrame:
+    """Return each person's mean rating minus that of a free run, by fifths of successes so far."""
+    model = tl.fit_trust(panel, name, criterion="free").typical
+    left = panel.ratings[:, 1:] - tl.trust.predict(model, panel, free=True).mean
+    share = np.cumsum(panel.events.p_r >= 0.5, axis=1) / np.arange(1, panel.trials + 1)
+    fifth = np.digitize(share, [0.2, 0.4, 0.6, 0.8], right=True)
+    person = np.repeat(np.arange(len(panel)), panel.trials)
+    table = {"fifth": fifth.ravel(), "person": person, "residual": left.ravel()}
+    return pd.DataFrame(table).groupby(["fifth", "person"], as_index=False).mean()
+
+
+def trust_residuals() -> pd.DataFrame:
+    """What models of trust, fitted for free runs, leave of real people's ratings."""
+    cases = itertools.product(RATED, ("performance", "asymmetric", "series", "optimo"))
+    tables = {(people, name): residuals(tl.read_people(people), name) for people, name in cases}
+    return pd.concat(tables, names=["people", "model"]).reset_index(["people", "model"])
 
 
 @lru_cache
@@ -574,6 +594,7 @@ TABLES = {
     recording: "allocation",
     recording_summary: "allocation",
     trust_scores: "trust",
+    trust_residuals: "trust",
     trust_recovery: "trust",
     trust_effects: "reproduction",
     trust_teams: "testbeds",

@@ -151,6 +151,13 @@ def test_trust_scores(make):
     assert names < set(stored("trust_scores")["people"])
 
 
+def test_trust_residuals(make):
+    own = stored("trust_residuals").query("people == 'hybrid_real' and model == 'series'")
+    again = make.residuals(tl.read_people("hybrid_real"), "series")
+    assert list(again["person"]) == list(own["person"])
+    np.testing.assert_allclose(again["residual"], own["residual"], atol=2e-3)
+
+
 def test_trust_recovery(make):
     own = stored("trust_recovery").set_index("simulated")
     np.testing.assert_allclose(own.sum(axis=1), 1.0)
