@@ -195,7 +195,7 @@ def test_provenance_lists_what_a_notebook_reads_and_names_no_path(tmp_path):
     read = provenance(ROOT, NOTEBOOKS / "01_identification.ipynb", run)
     assert read["Data"] == "data/coverage, data/published, data/sessions"
     assert (read["Started"], read["Time taken"]) == ("2026-11-27 13:48 UTC", "1.3 s")
-    assert (read["Parameter seed"], read["Parameter runs"]) == ("5", "60")
+    assert (read["Parameter seed"], read["Parameter runs"]) == ("5", "40")
     root = make(tmp_path, n01_a=["# A"])
     origin = provenance(root, root / "notebooks" / "01_a.ipynb", run)
     assert origin["Commit"] == "not a git checkout"
