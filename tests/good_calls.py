@@ -167,7 +167,7 @@ CALLS = {
     "Scattering.slave": lambda: {"f_s": np.ones(3), "v_r": np.ones(3)},
     "Session.between": lambda: {"start": 0.0, "stop": 0.1},
     "StudyReport.write": lambda: {"path": "report.html"},
-    "TeamRun.animate": lambda: {"path": "team.html"},
+    "TeamRun.animate": lambda: {"path": "team.gif"},
     "TeleoperationLoop.run": lambda: {"until": 0.5},
     "ThresholdLimits.contains": lambda: dict(THRESHOLDS),
     "ThresholdRule.move": lambda: dict(THRESHOLDS),

@@ -358,19 +358,6 @@ def test_the_same_results_fire_where_nothing_is_escaped(visit, results):
     assert seen.asked
 
 
-def test_the_animation_runs_its_own_script_and_no_other(visit, results, tmp_path):
-    page = results["TeamRun"].animate(tmp_path / "team.html").read_text()
-    seen = visit(page)
-    assert unmoved(seen)
-    assert f"leader: {NAME} 0" in seen.page.evaluate("document.getElementById('told').textContent")
-    assert (
-        visit(page.replace("u003cimg", "x3cimg").replace("<p>", f"<p>{ATTACKS['image']}")).fired
-        == 0
-    )  # the policy holds
-    told = re.sub("<meta[^>]*http-equiv[^>]*>", "", page).replace("<p>", f"<p>{ATTACKS['image']}")
-    assert visit(told).fired
-
-
 # reports
 # --------------------------------------------------------------------------------------------------
 

@@ -1,73 +1,87 @@
-"""A simulated team in motion: an HTML page with its data and script inside."""
+"""A simulated team in motion, picture by picture."""
 
-import base64
-import hashlib
-import html
-import json
-from pathlib import Path
-from string import Template
+from collections.abc import Iterator
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from PIL import Image
 
-# What a page may do: show what it brings, and fetch nothing.
-POLICY = (
-    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; form-action 'none'; "
-    "base-uri 'none'"
-)
-# Frames at most, and coordinates in a page at most.
-FRAMES = 1500
-COORDINATES = 150_000
-PAGE = Path(__file__).with_name("team_animation.html")
-SCRIPT = Path(__file__).with_name("team_animation.js")
-
-
-def policy(*scripts: str) -> str:
-    """
-    Return the element of a page's head that lets it run these scripts, to the letter, and fetch
-    nothing.
-    """
-    hashes = [hashlib.sha256(script.encode()).digest() for script in scripts]
-    allowed = "".join(f" 'sha256-{base64.b64encode(part).decode()}'" for part in hashes)
-    more = f"; script-src{allowed}" if scripts else ""
-    return f'<meta http-equiv="Content-Security-Policy" content="{POLICY}{more}">'
+# Pictures at most.
+PICTURES = 200
+# Pictures a second, where that makes fewer.
+PER_SECOND = 20
+# For how many recorded samples the way of a robot is seen.
+TRAIL = 150
+ROBOT = "#0072b2"
+LEADER = "#d55e00"
+GOAL = "#009e73"
 
 
-def animation_page(run, rate: float) -> str:
-    """Return an animation of a `TeamRun` as one HTML page, at simulated seconds per second."""
-    end = len(run.t)
+def samples_shown(run, rate: float) -> np.ndarray:
+    """Return which samples of a `TeamRun` are shown, at simulated seconds per second."""
+    end = len(run.t) - 1
     if run.converged:  # what comes after is rest
-        end = min(int(np.searchsorted(run.t, 1.1 * run.time_to_goal)) + 2, end)
-    frames = min(FRAMES, max(COORDINATES // (3 * len(run.robots)), 50))
-    part = slice(0, end, max(-(-end // frames), 1))
-    t, q = run.t[part], run.positions[part]
-    # what the device does to the hand
-    force = -run.data[["f_m_x", "f_m_y", "f_m_z"]].to_numpy()[part]
-    seen = np.concatenate([q.reshape(-1, 3), run.goal[None]])
-    low, high = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
-    span = 1.1 * max(float((high - low).max()), 0.1)
-    data = {
-        "t": t.round(3).tolist(),
-        "step": float(t[1] - t[0]) if len(t) > 1 else 1.0,
-        # null: not in the team then
-        "q": [[None if np.isnan(at[0]) else at for at in row] for row in q.round(4).tolist()],
-        "f": force.round(4).tolist(),
-        "most": max(float(np.linalg.norm(force, axis=1).max()), 1e-6),
-        "lead": run.data["number"].to_numpy()[part].astype(int).tolist(),
-        "far": [float(f"{value:.3g}") for value in np.maximum(run.farthest[part], 1e-12)],
-        "names": [str(name) for name in run.robots],
-        "links": [[since, pairs.tolist()] for since, pairs in run.links],
-        "goal": run.goal.tolist(),
-        "low": (0.5 * (low + high - span)).tolist(),
-        "span": span,
-        "tolerance": run.tolerance,
-    }
-    script = SCRIPT.read_text(encoding="utf-8")
-    return Template(PAGE.read_text(encoding="utf-8")).substitute(
-        TITLE=html.escape(run.title),
-        NOTE=html.escape(f"Synthetic: simulated robots, channel and operator; {run.message}."),
-        RATE=f"{rate:g}",
-        POLICY=policy(script),
-        # no tag, no comment begins in what names bring
-        DATA=json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"),
-        SCRIPT=script,
-    )
+        end = min(int(np.searchsorted(run.t, 1.1 * run.time_to_goal)) + 1, end)
+    seconds = float(run.t[end] - run.t[0]) / rate
+    count = int(np.clip(PER_SECOND * seconds, 2, min(PICTURES, end + 1)))
+    return np.linspace(0, end, count).astype(int)
+
+
+def pictures(run, samples: np.ndarray) -> Iterator[Image.Image]:
+    """
+    Yield pictures of a `TeamRun`: the team from above and from the side, its links and its leader,
+    and the greatest distance to the goal.
+    """
+    figure = Figure(figsize=(8.0, 5.6), dpi=90)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.subplot_mosaic([["y", "z"], ["far", "far"]], height_ratios=[3, 1])
+    figure.subplots_adjust(left=0.12, right=0.98, top=0.87, bottom=0.1, hspace=0.35, wspace=0.25)
+    figure.suptitle(run.title, fontsize=11, parse_math=False)
+    words = figure.text(0.5, 0.93, "", ha="center", va="top", parse_math=False)
+    places = np.concatenate([run.positions.reshape(-1, 3), run.goal[None]])
+    low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+    half = 0.55 * max(float((high - low).max()), 0.1)
+    moving = [words]
+    views = []
+    for number, name in enumerate("yz", 1):
+        axis, seen = axes[name], [0, number]
+        x, y = 0.5 * (low + high)[seen]
+        limits = {"xlim": (x - half, x + half), "ylim": (y - half, y + half)}
+        axis.set(xlabel="x [m]", ylabel=f"{name} [m]", aspect="equal", **limits)
+        axis.plot(*run.goal[seen], "o", ms=14, mfc="none", mec=GOAL)
+        links = axis.add_collection(LineCollection([], colors="0.7", lw=0.8))
+        trails = axis.add_collection(LineCollection([], colors=ROBOT, alpha=0.3, lw=0.8))
+        (robots,) = axis.plot([], [], "o", ms=6, color=ROBOT)
+        (leader,) = axis.plot([], [], "o", ms=9, color=LEADER)
+        views.append((seen, links, trails, robots, leader))
+        moving += [links, trails, robots, leader]
+    last = samples[-1] + 1
+    axes["far"].semilogy(run.t[:last], np.maximum(run.farthest[:last], 1e-9), color=ROBOT)
+    axes["far"].set(xlabel="time [s]", ylabel="to the goal\nat most [m]")
+    now = axes["far"].axvline(run.t[0], color="0.2", lw=1.0)
+    moving.append(now)
+    for artist in moving:
+        artist.set_animated(True)
+    canvas.draw()
+    background = canvas.copy_from_bbox(figure.bbox)
+    leads = run.data["number"].to_numpy().astype(int)
+    force = np.linalg.norm(run.data[["f_m_x", "f_m_y", "f_m_z"]].to_numpy(), axis=1)
+    for k in samples:
+        pairs = [each for since, each in run.links if since <= run.t[k]][-1]
+        way = np.moveaxis(run.positions[max(k - TRAIL, 0) : k + 1], 1, 0)
+        for seen, links, trails, robots, leader in views:
+            place = run.positions[k][:, seen]
+            links.set_segments(place[np.asarray(pairs, dtype=int).reshape(-1, 2)])
+            trails.set_segments(list(way[..., seen]))
+            robots.set_data(*place.T)
+            leader.set_data(*place[[leads[k]]].T)
+        now.set_xdata([run.t[k]] * 2)
+        name = run.robots[leads[k]]
+        words.set_text(f"{run.t[k]:.1f} s, leader {name}, the operator feels {force[k]:.2f} N")
+        canvas.restore_region(background)
+        for artist in moving:
+            figure.draw_artist(artist)
+        picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+        yield picture.quantize(64, method=Image.Quantize.FASTOCTREE)

@@ -268,17 +268,17 @@ class TeamRun(Result):
 
     def animate(self, path: str | Path, rate: float = 5.0) -> Path:
         """
-        Write an animation to a file, one HTML page that needs nothing from outside.
+        Write an animation to a file: a film in which the team moves.
 
-        Robots and their links, the leader, the goal, and the force that the operator feels, seen
+        Robots and their links, the leader, the goal and the force that the operator feels, seen
         from above and from the side.
 
         Parameters
         ----------
         path : str or pathlib.Path
-            The file; its folder must exist.
+            The file, a ".gif"; its folder must exist.
         rate : float
-            Simulated seconds per second at the start; the page has a slider for the time.
+            Simulated seconds per second.
 
         Returns
         -------
@@ -290,10 +290,15 @@ class TeamRun(Result):
         ValueError
             If the rate is not positive, or the folder does not exist.
         """
-        from trustlab.testbeds.team_animation import animation_page
+        from trustlab.testbeds.team_animation import pictures, samples_shown
 
-        target, page = path_of("path", path), animation_page(self, positive("rate", rate))
+        target, rate = path_of("path", path), positive("rate", rate)
+        if target.suffix != ".gif":
+            raise ValueError(f'path must be a file such as "team.gif", got {str(target)!r}')
         if not target.parent.is_dir():
             raise ValueError(f"there is no folder {target.parent} to write the animation to")
-        target.write_text(page, encoding="utf-8")
+        samples = samples_shown(self, rate)
+        first, *others = pictures(self, samples)
+        pause = 1000.0 * float(self.t[samples[-1]] - self.t[0]) / rate / samples.size  # [ms]
+        first.save(target, save_all=True, append_images=others, duration=pause, loop=0)
         return target

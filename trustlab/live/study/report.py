@@ -7,14 +7,19 @@ from pathlib import Path
 from trustlab.live.study.plan import PLAN
 from trustlab.models.extras import extra
 from trustlab.models.files import write_atomically
-from trustlab.testbeds.team_animation import policy
 
 PACKAGE = Path(__file__).parents[2]
 NOTEBOOK = Path(__file__).with_name("report.ipynb")
+# What the page may do: show what it brings, run nothing and fetch nothing.
+POLICY = (
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; form-action 'none'; "
+    "base-uri 'none'"
+)
 HEAD = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-{policy}<title>Report of a live study</title><style>
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<title>Report of a live study</title><style>
 :root {{ color-scheme: light dark; }}
 body {{ max-width: 62rem; margin: auto; padding: 1rem; font: 1rem/1.5 sans-serif; }}
 table {{ border-collapse: collapse; font-size: .85rem; }}
@@ -40,7 +45,7 @@ def write_report(folder: Path, codes: list[str], path: Path) -> Path:
     page = nbformat.reads(chapter(run, origin), as_version=4)
     exporter = HTMLExporter(template_name="basic", embed_images=True, exclude_input=True)
     body, _ = exporter.from_notebook_node(page)
-    page = f"{HEAD.format(policy=policy())}{body}</main></body></html>"
+    page = f"{HEAD.format(policy=POLICY)}{body}</main></body></html>"
     page = anonymous(page.replace(str(folder), folder.name), PACKAGE.parent)
     write_atomically(path.absolute(), page)
     return path
