@@ -1,22 +1,12 @@
 // The experimenter's page: who is where, once a second; restart a drive, add a note, end a
 // participation.
-import { element } from "./page.js";
+import { complain, element, posted } from "./page.js";
 
 const base = location.pathname.replace(/\/$/, "");
-const main = document.querySelector("main"),
-  trouble = document.getElementById("trouble");
-
-function complain(words) {
-  trouble.textContent = words;
-  trouble.hidden = !words;
-}
+const table = document.querySelector("tbody");
 
 async function act(body) {
-  const answer = await fetch(`${base}/act`, {
-    method: "POST",
-    body: JSON.stringify(body),
-    headers: { "Content-Type": "application/json" },
-  });
+  const answer = await fetch(`${base}/act`, posted(body));
   if (answer.ok) return show(await answer.json());
   const { error } = await answer.json().catch(() => ({}));
   complain(`That could not be done: ${error ?? `error ${answer.status}`}`);
@@ -117,24 +107,8 @@ function show(state) {
   const join = document.getElementById("join");
   join.hidden = !state.join;
   join.href = state.join;
-  const rows = state.people.map(update),
-    table = main.querySelector("tbody");
-  if (table?.childElementCount === rows.length) return;
-  const heads = [
-    "Participant",
-    "Order",
-    "Page",
-    "Seen",
-    "Drive",
-    "Model and thresholds",
-    "Notes and actions",
-  ];
-  const head = element(
-    "thead",
-    {},
-    element("tr", {}, ...heads.map((words) => element("th", { textContent: words }))),
-  );
-  main.replaceChildren(element("table", {}, head, element("tbody", {}, ...rows)));
+  const rows = state.people.map(update);
+  if (table.childElementCount !== rows.length) table.replaceChildren(...rows);
 }
 
 async function watch() {

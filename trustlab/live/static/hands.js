@@ -1,5 +1,5 @@
 // Who drives: hands on keyboard, gamepad, mouse or finger.
-import { clamp, keepKeys } from "./page.js";
+import { clamp, gamepad, keepKeys, stick } from "./page.js";
 
 const KEYS = {
   ArrowUp: [0, 1],
@@ -73,16 +73,13 @@ export class Hands {
 
   // Where forward and left stand now, each in [−1, 1]; one call per sample.
   read(seconds) {
-    const pad = [...(navigator.getGamepads?.() ?? [])].find((gamepad) => gamepad?.connected);
-    if (pad) {
-      const still = (x) => (Math.abs(x ?? 0) < 0.08 ? 0 : x);
-      const axes = [-still(pad.axes[1]), -still(pad.axes[0])];
-      if (axes[0] || axes[1]) this.source = "gamepad";
-      const pressed = pad.buttons[0]?.pressed ?? false;
-      if (pressed && !this.pressed) this.toggles += 1;
-      this.pressed = pressed;
-      if (this.source === "gamepad") return axes;
-    }
+    const pad = gamepad(),
+      [right, forward] = stick(pad),
+      pressed = pad?.buttons[0]?.pressed ?? false;
+    if (right || forward) this.source = "gamepad";
+    if (pressed && !this.pressed) this.toggles += 1;
+    this.pressed = pressed;
+    if (pad && this.source === "gamepad") return [forward, -right];
     if (this.source === "pointer")
       return this.pointer ? [this.pointer.forward, this.pointer.left] : [0, 0];
     const wanted = [0, 0];

@@ -1,11 +1,9 @@
 // Takes the next free place of a study, and opens its page.
-const trouble = document.getElementById("trouble");
+import { complain, posted } from "./page.js";
 
 document.querySelector("button").addEventListener("click", async () => {
-  const headers = { "Content-Type": "application/json" },
-    answer = await fetch(location.pathname, { method: "POST", body: "{}", headers }),
+  const answer = await fetch(location.pathname, posted({})),
     { link, error } = await answer.json();
   if (link) location.replace(link);
-  trouble.textContent = error ?? "";
-  trouble.hidden = !error;
+  complain(error ?? "");
 });

@@ -1,6 +1,6 @@
 // A hand's square and what it steers, drawn: for flights in a notebook, and for the tasks that a
 // server computes.
-import { clamp } from "./page.js";
+import { clamp, gamepad, stick, stroke } from "./page.js";
 
 export const PAD_STYLE = `
 .tl-track {
@@ -37,37 +37,24 @@ export class Stick {
       this.pointer = place.map((x) => clamp((x * MIDDLE) / INNER, -1, 1));
       this.source = "pointer";
     };
-    const release = () => {
-      this.pointer = [0, 0];
-    };
+    const release = () => (this.pointer = [0, 0]);
     for (const type of ["pointerdown", "pointermove"]) pad.addEventListener(type, move, { signal });
     for (const type of ["pointerleave", "pointercancel"])
       pad.addEventListener(type, release, { signal });
-    pad.addEventListener(
-      "pointerup",
-      (event) => {
-        if (event.pointerType !== "mouse") release();
-      },
-      { signal },
-    );
-  }
-
-  get pad() {
-    return [...(navigator.getGamepads?.() ?? [])].find((gamepad) => gamepad?.connected);
+    const lift = ({ pointerType }) => pointerType !== "mouse" && release();
+    pad.addEventListener("pointerup", lift, { signal });
   }
 
   read() {
-    const still = (x) => (Math.abs(x ?? 0) < 0.08 ? 0 : clamp(x, -1, 1));
-    const pad = this.pad,
-      stick = pad ? [still(pad.axes[0]), -still(pad.axes[1])] : [0, 0];
-    if (stick[0] || stick[1]) this.source = "gamepad";
-    return this.source === "gamepad" ? stick : this.pointer;
+    const place = stick(gamepad());
+    if (place[0] || place[1]) this.source = "gamepad";
+    return this.source === "gamepad" ? place : this.pointer;
   }
 
   // The vibration cue: as strong as the force is large, without a direction.
   rumble(share) {
-    this.pad?.vibrationActuator
-      ?.playEffect?.("dual-rumble", { duration: 120, strongMagnitude: share, weakMagnitude: share })
+    gamepad()
+      ?.vibrationActuator?.playEffect?.("dual-rumble", { duration: 120, strongMagnitude: share, weakMagnitude: share })
       ?.catch(() => {});
   }
 }
@@ -84,12 +71,8 @@ export function arrow(g, [x, y], [dx, dy], colour) {
   if (long < 3) return;
   const [ux, uy] = [dx / long, dy / long],
     head = Math.min(14, long);
-  g.strokeStyle = g.fillStyle = colour;
-  g.lineWidth = 4;
-  g.beginPath();
-  g.moveTo(x, y);
-  g.lineTo(x + dx - head * ux, y + dy - head * uy);
-  g.stroke();
+  stroke(g, colour, 4, [x, y], [x + dx - head * ux, y + dy - head * uy]);
+  g.fillStyle = colour;
   g.beginPath();
   g.moveTo(x + dx, y + dy);
   g.lineTo(x + dx - head * (ux - 0.6 * uy), y + dy - head * (uy + 0.6 * ux));
@@ -102,19 +85,11 @@ function spring(g, [x, y], [toX, toY]) {
     dx = toX - x,
     dy = toY - y,
     long = Math.hypot(dx, dy) || 1;
-  g.strokeStyle = "#6b7683";
-  g.lineWidth = 2;
-  g.beginPath();
-  g.moveTo(x, y);
-  for (let i = 1; i < turns; i += 1) {
-    const aside = i % 2 ? 6 : -6;
-    g.lineTo(
-      x + (dx * i) / turns - (aside * dy) / long,
-      y + (dy * i) / turns + (aside * dx) / long,
-    );
-  }
-  g.lineTo(toX, toY);
-  g.stroke();
+  const turn = (_, i) => {
+    const aside = i % turns ? (i % 2 ? 6 : -6) : 0;
+    return [x + (dx * i) / turns - (aside * dy) / long, y + (dy * i) / turns + (aside * dx) / long];
+  };
+  stroke(g, "#6b7683", 2, ...Array.from({ length: turns + 1 }, turn));
 }
 
 // What the camera under the UAV shows, from above: the floor's grid, the UAV in the middle, the
@@ -123,26 +98,14 @@ export function drawPicture(g, config, now) {
   const scale = MIDDLE / config.half,
     step = config.half / 3;
   g.clearRect(0, 0, SIZE, SIZE);
-  g.strokeStyle = "#cdd5dd";
-  g.lineWidth = 1;
   for (let i = -4; i <= 4; i += 1) {
     const x = MIDDLE + scale * (i * step - (now.robot[0] % step)),
       y = MIDDLE - scale * (i * step - (now.robot[1] % step));
-    g.beginPath();
-    g.moveTo(x, 0);
-    g.lineTo(x, SIZE);
-    g.moveTo(0, y);
-    g.lineTo(SIZE, y);
-    g.stroke();
+    stroke(g, "#cdd5dd", 1, [x, 0], [x, SIZE]);
+    stroke(g, "#cdd5dd", 1, [0, y], [SIZE, y]);
   }
-  g.strokeStyle = "#0072b2";
-  g.lineWidth = 3;
-  g.beginPath();
-  g.moveTo(MIDDLE - 14, MIDDLE);
-  g.lineTo(MIDDLE + 14, MIDDLE);
-  g.moveTo(MIDDLE, MIDDLE - 14);
-  g.lineTo(MIDDLE, MIDDLE + 14);
-  g.stroke();
+  stroke(g, "#0072b2", 3, [MIDDLE - 14, MIDDLE], [MIDDLE + 14, MIDDLE]);
+  stroke(g, "#0072b2", 3, [MIDDLE, MIDDLE - 14], [MIDDLE, MIDDLE + 14]);
   g.font = "18px system-ui, sans-serif";
   g.fillStyle = "#1b2430";
   if (!now.target) return g.fillText("The target is out of the picture", 12, 26);

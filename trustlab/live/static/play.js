@@ -139,9 +139,6 @@ export function play(root, open, on) {
   return {
     stop,
     telemetry,
-    get task() {
-      return task;
-    },
     state: () => ({ have, made: made(), still, over, delay: playout ? playout.delay * dt : 0 }),
   };
 }

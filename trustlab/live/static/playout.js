@@ -1,5 +1,7 @@
 // Pictures that come late and unevenly, shown evenly. Times are in periods of the task: picture k
 // shows what the first k commands led to.
+import { clamp } from "./page.js";
+
 const LAGS = 100, // pictures that the delay is taken from
   LATE = 0.03, // share of them that may come too late to be shown in time
   SLOWER = 0.25, // how much slower time is shown while the delay grows
@@ -40,7 +42,7 @@ export class Playout {
   tick(time) {
     const step = Math.max(time - this.last, 0),
       missing = this.needed - this.delay;
-    this.delay += Math.min(Math.max(missing, -FASTER * step), SLOWER * step);
+    this.delay += clamp(missing, -FASTER * step, SLOWER * step);
     this.delay = Math.max(this.delay, time - this.past.at(-1).k); // no picture is skipped
     this.last = time;
   }
@@ -55,7 +57,7 @@ export class Playout {
       ),
       a = past[i],
       b = past[i + 1] ?? a,
-      share = Math.min(Math.max((shown - a.k) / Math.max(b.k - a.k, 1), 0), 1),
+      share = clamp((shown - a.k) / Math.max(b.k - a.k, 1), 0, 1),
       picture = { ...a, shown };
     for (const name of this.moving) {
       const mix = name === "yaw" ? turned : between;

@@ -1,11 +1,10 @@
 // A participant's pages. What is shown next is the server's to say; words are set as text, never as
 // markup.
-import { element, filled } from "./page.js";
+import { complain, element, filled, posted } from "./page.js";
 import { play } from "./play.js";
 
 const base = location.pathname.replace(/\/$/, "");
-const main = document.querySelector("main"),
-  trouble = document.getElementById("trouble");
+const main = document.querySelector("main");
 // What pages say, in the study's language; the server tells with the first page.
 let words = {
   no_connection: "No connection. This page goes on by itself when the connection is back.",
@@ -15,40 +14,24 @@ let words = {
 // For the experimenter's eyes, and for tests
 const status = (self.study = { page: null, kind: null, rows: 0 });
 
-function complain(text) {
-  trouble.textContent = text;
-  trouble.hidden = !text;
-}
-
-// Say that the server is in trouble: a full disk has a status of its own.
-const troubled = (code) =>
-  complain(code === 507 ? words.disk : filled(words.fault, { status: code }));
-
-const pause = (ms) => new Promise((ok) => setTimeout(ok, ms));
-
 // One request. Returns {status, ...answer}; where the server is away or busy it is asked again
 // until it answers.
 async function ask(what, body) {
   for (let wait = 300; ; wait = Math.min(2 * wait, 4000)) {
     try {
-      const options = body && {
-        method: "POST",
-        body: JSON.stringify(body),
-        headers: { "Content-Type": "application/json" },
-      };
-      const answer = await fetch(`${base}/${what}`, {
-        ...options,
-        signal: AbortSignal.timeout(120000),
-      });
-      if (answer.status >= 500) troubled(answer.status);
-      else if (answer.status !== 429) {
+      const signal = AbortSignal.timeout(120000);
+      const answer = await fetch(`${base}/${what}`, body ? { ...posted(body), signal } : { signal });
+      const number = answer.status;
+      if (number === 507) complain(words.disk);
+      else if (number >= 500) complain(filled(words.fault, { status: number }));
+      else if (number !== 429) {
         complain("");
-        return { status: answer.status, ...(await answer.json()) };
+        return { status: number, ...(await answer.json()) };
       }
     } catch {
       complain(words.no_connection);
     }
-    await pause(wait);
+    await new Promise((ok) => setTimeout(ok, wait));
   }
 }
 
@@ -59,13 +42,15 @@ function paragraphs(text) {
     .map((part) => element("p", { textContent: part }));
 }
 
+// A button to tick or to choose, with its words.
+const option = (type, name, value, text) =>
+  element("label", {}, element("input", { type, name, value, required: true }), ` ${text} `);
+
 function scale(item) {
   const fine = (item.high - item.low) / item.step > 10,
     points = element("div", { className: "points" });
-  for (let value = item.low; value <= item.high; value += item.step) {
-    const input = element("input", { type: "radio", name: item.name, value, required: true });
-    points.append(element("label", {}, input, String(value)));
-  }
+  for (let value = item.low; value <= item.high; value += item.step)
+    points.append(option("radio", item.name, value, value));
   const end = (text) => element("span", { className: "end", textContent: text });
   const box = element("div", { className: fine ? "scale fine" : "scale" });
   box.append(end(item.left), points, end(item.right));
@@ -89,31 +74,9 @@ function field(item) {
         required: item.required,
       }),
     );
-  else if (item.kind === "check")
-    box.append(
-      element(
-        "label",
-        {},
-        element("input", { type: "checkbox", name: item.name, required: true }),
-        ` ${item.text}`,
-      ),
-    );
-  else
-    for (const choice of item.choices)
-      box.append(
-        element(
-          "label",
-          {},
-          element("input", { type: "radio", name: item.name, value: choice, required: true }),
-          ` ${choice} `,
-        ),
-      );
+  else if (item.kind === "check") box.append(option("checkbox", item.name, "on", item.text));
+  else box.append(...item.choices.map((choice) => option("radio", item.name, choice, choice)));
   return box;
-}
-
-function answered(form, item) {
-  const value = new FormData(form).get(item.name);
-  return value !== null && value !== "";
 }
 
 function read(form, items) {
@@ -141,8 +104,7 @@ function showForm(now) {
   );
   const button = element("button", { textContent: words.next });
   if (now.page === 0) {
-    const values = { pages: now.pages, minutes: now.minutes };
-    const text = filled(words.duration, values);
+    const text = filled(words.duration, now);
     form.querySelector("h2").after(element("p", { id: "duration", textContent: text }));
   }
   form.append(button);
@@ -153,7 +115,7 @@ function showForm(now) {
     async function handIn() {
       clearTimeout(timer);
       button.disabled = true;
-      const items = late ? now.items.filter((item) => answered(form, item)) : now.items;
+      const items = late ? now.items.filter(({ name }) => new FormData(form).get(name)) : now.items;
       const answer = await ask("answers", { page: now.page, late, answers: read(form, items) });
       button.disabled = false;
       if (answer.status === 200 || answer.status === 409) next();
@@ -186,19 +148,22 @@ async function showDrive(now) {
   await new Promise(() => {});
 }
 
-const code = (now) => filled(words.completion, { completion: now.completion });
-
 // The way out, on every page: before the first one is done it means not to take part at all.
 function offerWithdrawal(now) {
   const place = document.getElementById("withdraw"),
     [text, question] =
       now.page === 0 ? [words.decline, words.decline_sure] : [words.withdraw, words.withdraw_sure];
-  const button = element("button", { className: "quiet", type: "button", textContent: text });
-  button.addEventListener("click", async () => {
+  const onclick = async () => {
     if (!confirm(question)) return;
     button.disabled = true;
     await ask("withdraw", {});
     location.reload();
+  };
+  const button = element("button", {
+    className: "quiet",
+    type: "button",
+    textContent: text,
+    onclick,
   });
   place.replaceChildren(...(now.kind === "end" ? [] : [button]));
 }
@@ -224,12 +189,12 @@ async function run() {
       ? now.code
       : filled(words.where, { code: now.code, page: now.page + 1, pages: now.pages });
     offerWithdrawal(now);
-    if (ended)
-      return main.replaceChildren(
-        element("h2", { textContent: now.title }),
-        ...paragraphs(now.text),
-        ...(now.completion ? [element("p", { id: "completion", textContent: code(now) })] : []),
-      );
+    if (ended) {
+      main.replaceChildren(element("h2", { textContent: now.title }), ...paragraphs(now.text));
+      const textContent = filled(words.completion, { completion: now.completion });
+      if (now.completion) main.append(element("p", { id: "completion", textContent }));
+      return;
+    }
     await (now.kind === "drive" ? showDrive(now) : showForm(now));
     scrollTo(0, 0);
   }

@@ -5,7 +5,7 @@
 // picture as late as the camera, and as late as the connection alone; wait(on), it stands still.
 import { Hands } from "./hands.js";
 import { MIDDLE, PAD_STYLE, SIZE, Stick, dot, drawPad, drawPicture } from "./pad.js";
-import { clamp, dress, element, filled, keepKeys, say } from "./page.js";
+import { clamp, dress, element, filled, gamepad, keepKeys, say, stroke } from "./page.js";
 import { furnish, refusal } from "./view.js";
 
 const COLOURS = ["#0072b2", "#a04800", "#00784f", "#8a3b8f", "#8c6d00", "#47525e"];
@@ -53,13 +53,9 @@ function groundRobot(root, config, signal, note) {
 class Squares {
   constructor(root, config, signal, hint) {
     const { words } = config,
-      square = (kind, label) => {
-        const canvas = element("canvas", { className: kind, width: SIZE, height: SIZE });
-        canvas.setAttribute("aria-label", label);
-        return canvas;
-      },
-      left = square("picture", words.picture),
-      right = square("pad", words.square);
+      size = { width: SIZE, height: SIZE },
+      left = element("canvas", { className: "picture", ariaLabel: words.picture, ...size }),
+      right = element("canvas", { className: "pad", ariaLabel: words.square, ...size });
     this.status = element("div", { className: "status", role: "status" });
     this.below = element("div", { className: "below" }, this.status);
     dress(root, PAD_STYLE);
@@ -102,7 +98,7 @@ function teleoperation(root, config, signal) {
   return {
     moving: ["target", "robot", "device", "guide"],
     command() {
-      const trigger = squares.stick.pad?.buttons[7]?.value ?? 0;
+      const trigger = gamepad()?.buttons[7]?.value ?? 0;
       if (config.allocates && trigger > 0.02) share = 1 - trigger;
       return [...squares.stick.read(), share];
     },
@@ -123,14 +119,7 @@ function drawField(g, config, { goal, robots, leader }) {
     place = ([x, y]) => [MIDDLE + scale * x, MIDDLE - scale * y],
     [x, y] = place(goal);
   g.clearRect(0, 0, SIZE, SIZE);
-  g.strokeStyle = "#1b2430";
-  g.lineWidth = 3;
-  g.beginPath();
-  g.moveTo(x, y);
-  g.lineTo(x, y - 26);
-  g.lineTo(x + 16, y - 20);
-  g.lineTo(x, y - 14);
-  g.stroke();
+  stroke(g, "#1b2430", 3, [x, y], [x, y - 26], [x + 16, y - 20], [x, y - 14]);
   g.setLineDash([4, 4]);
   g.beginPath();
   g.arc(x, y, scale * config.tolerance, 0, 2 * Math.PI);
@@ -165,12 +154,12 @@ function team(root, config, signal) {
     if (config.chooses && number) choice = number;
   };
   const buttons = config.start.map((_, i) => {
-    const button = element("button", { type: "button", disabled: !config.chooses });
-    button.style.borderLeft = `.8em solid ${COLOURS[i]}`;
-    button.addEventListener("click", () => {
+    const onclick = () => {
       choose(i + 1);
       root.focus({ preventScroll: true });
-    });
+    };
+    const button = element("button", { type: "button", disabled: !config.chooses, onclick });
+    button.style.borderLeft = `.8em solid ${COLOURS[i]}`;
     keepKeys(button);
     return button;
   });

@@ -1,5 +1,5 @@
 // What a driver sees: camera, gauges and panel.
-import { clamp, dress, element, filled, keepKeys, say } from "./page.js";
+import { clamp, dress, element, filled, keepKeys, say, stroke } from "./page.js";
 
 export const STYLE = `
 .tl-drive {
@@ -142,10 +142,7 @@ class CourseMap {
     const g = this.sheet.getContext("2d");
     g.fillStyle = "rgba(255,255,255,.85)";
     g.fillRect(0, 0, 172, 140);
-    g.strokeStyle = "#555";
-    g.beginPath();
-    for (const [x, y] of path) g.lineTo(...this.place(x, y));
-    g.stroke();
+    stroke(g, "#555", 1, ...path.map(([x, y]) => this.place(x, y)));
   }
 
   draw(g, at) {
@@ -173,23 +170,20 @@ export class Gauges {
     const { task, columns, words } = config,
       top = 1.25 * config.robot.max_speed;
     const tsc = task.scheme === 2 ? [task.lower, task.upper] : [];
-    const shown = [
-      ["p_r", words.gauge_robot, 0, top, task.p_max ? [task.p_max] : []],
-      ["p_h", words.gauge_person, 0, top, []],
-      ["r", words.gauge_utilization, 0, 1, []],
-      ["tsc", words.gauge_trust, Math.min(-1, ...tsc), Math.max(1, ...tsc), tsc],
+    const gauge = (name, label, low, high, lines = []) => ({
+      at: columns.indexOf(name),
+      grows: name === "tsc", // TSC has no limits of its own
+      ...{ label, low, high, lines, past: [] },
+    });
+    this.panels = [
+      gauge("p_r", words.gauge_robot, 0, top, task.p_max ? [task.p_max] : []),
+      gauge("p_h", words.gauge_person, 0, top),
+      gauge("r", words.gauge_utilization, 0, 1),
     ];
-    this.panels = shown
-      .filter(([name]) => task.a_T || name !== "tsc")
-      .map(([name, label, low, high, lines]) => ({
-        at: columns.indexOf(name),
-        grows: name === "tsc", // TSC has no limits of its own
-        label,
-        low,
-        high,
-        lines,
-        past: [],
-      }));
+    if (task.a_T)
+      this.panels.push(
+        gauge("tsc", words.gauge_trust, Math.min(-1, ...tsc), Math.max(1, ...tsc), tsc),
+      );
   }
 
   add(row) {
@@ -221,13 +215,8 @@ export class Gauges {
         y = (value) => 112 - (84 * (clamp(value, low, high) - low)) / (high - low);
       g.fillStyle = "#f1f4f7";
       g.fillRect(x, 28, wide - 16, 84);
-      g.strokeStyle = "#a04800";
-      for (const line of lines) {
-        g.beginPath();
-        g.moveTo(x, y(line));
-        g.lineTo(x + wide - 16, y(line));
-        g.stroke();
-      }
+      for (const line of lines)
+        stroke(g, "#a04800", 1, [x, y(line)], [x + wide - 16, y(line)]);
       g.strokeStyle = "#0072b2";
       g.beginPath();
       for (let n = 0; n < past.length; n += 6) g.lineTo(x + ((wide - 16) * n) / 1800, y(past[n]));
@@ -276,18 +265,17 @@ export class Panel {
     this.config = config;
     this.explained = { words: "", until: 0 };
     this.mode = element("div", { className: "mode" });
-    this.suggestion = element("div", { className: "suggestion" });
-    this.suggestion.setAttribute("role", "status");
-    this.button = element("button", { textContent: words.switch });
-    keepKeys(this.button);
-    this.button.addEventListener("click", () => {
+    this.suggestion = element("div", { className: "suggestion", role: "status" });
+    const press = () => {
       toggle();
       root.focus({ preventScroll: true });
-    });
+    };
+    this.button = element("button", { textContent: words.switch, onclick: press });
+    keepKeys(this.button);
     this.clock = element("div", { className: "hint" });
     const hint = element("div", { className: "hint", textContent: words.hint });
-    this.root = element("div", { className: "panel" });
-    this.root.append(this.mode, this.button, this.suggestion, this.clock, hint);
+    const parts = [this.mode, this.button, this.suggestion, this.clock, hint];
+    this.root = element("div", { className: "panel" }, ...parts);
   }
 
   // Say for some seconds why nothing was switched.
@@ -319,18 +307,12 @@ export function furnish(root, config, toggle, signal) {
   dress(root, STYLE);
   root.classList.add("tl-drive");
   root.tabIndex = 0;
-  const camera = element("canvas"),
-    gauges = element("canvas"),
-    away = element("div", { className: "away", textContent: words.waiting });
-  const panel = new Panel(root, config, toggle),
-    front = element("div"),
-    below = element("div", { className: "gauges" });
-  camera.setAttribute("aria-label", words.camera);
-  gauges.setAttribute("aria-label", words.gauges);
-  away.hidden = true;
-  front.append(camera);
-  below.append(gauges);
-  root.replaceChildren(front, panel.root, below, away);
+  const camera = element("canvas", { ariaLabel: words.camera }),
+    gauges = element("canvas", { ariaLabel: words.gauges }),
+    away = element("div", { className: "away", textContent: words.waiting, hidden: true }),
+    panel = new Panel(root, config, toggle),
+    below = element("div", { className: "gauges" }, gauges);
+  root.replaceChildren(element("div", {}, camera), panel.root, below, away);
   root.focus({ preventScroll: true });
   return {
     camera: new Camera(camera, config, signal),
