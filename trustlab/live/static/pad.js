@@ -53,8 +53,9 @@ export class Stick {
 
   // The vibration cue: as strong as the force is large, without a direction.
   rumble(share) {
+    const effect = { duration: 120, strongMagnitude: share, weakMagnitude: share };
     gamepad()
-      ?.vibrationActuator?.playEffect?.("dual-rumble", { duration: 120, strongMagnitude: share, weakMagnitude: share })
+      ?.vibrationActuator?.playEffect?.("dual-rumble", effect)
       ?.catch(() => {});
   }
 }

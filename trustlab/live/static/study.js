@@ -19,8 +19,9 @@ const status = (self.study = { page: null, kind: null, rows: 0 });
 async function ask(what, body) {
   for (let wait = 300; ; wait = Math.min(2 * wait, 4000)) {
     try {
-      const signal = AbortSignal.timeout(120000);
-      const answer = await fetch(`${base}/${what}`, body ? { ...posted(body), signal } : { signal });
+      const options = body ? posted(body) : {};
+      options.signal = AbortSignal.timeout(120000);
+      const answer = await fetch(`${base}/${what}`, options);
       const number = answer.status;
       if (number === 507) complain(words.disk);
       else if (number >= 500) complain(filled(words.fault, { status: number }));
