@@ -26,7 +26,8 @@ def columns_of(log: np.dtype) -> tuple[str, ...]:
     """Return the column names of a log record, vectors spelt out by axis."""
     names = []
     for name in log.names:
-        names += [name] if log[name].shape == () else [f"{name}_{axis}" for axis in "xyz"]
+        axes = "xyz"[: sum(log[name].shape)]
+        names += [f"{name}_{axis}" for axis in axes] or [name]
     return tuple(names)
 
 

@@ -14,9 +14,10 @@ from trustlab.allocation.limits import check_thresholds, threshold_limits, thres
 from trustlab.allocation.rules import decision, performance_suggestion
 from trustlab.models.checks import between, one_of, shown, warn, whole_seed
 from trustlab.models.compiled import inner
-from trustlab.models.tsc import TscModel, performance_at, threshold_mode
+from trustlab.models.tsc import TscModel, next_utilization, performance_at, threshold_mode
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Metadata
+from trustlab.teleoperation.records import columns_of
 
 # Who allocates: a given sequence of modes, the operator, suggestions by (2.8), by Algorithm 2, at
 # random.
@@ -207,7 +208,7 @@ def framed(log: np.ndarray) -> pd.DataFrame:
     """Return a log, all numbers, as a table over time."""
     table = log.view(float).reshape(log.size, -1)
     return pd.DataFrame(
-        table, index=pd.Index(sample_times(log.size), name="t"), columns=log.dtype.names
+        table, index=pd.Index(sample_times(log.size), name="t"), columns=columns_of(log.dtype)
     )
 
 
@@ -364,3 +365,20 @@ def allocate(task, person, external, t, state, rng):
         if task.scheme == OWN:  # own thresholds are drawn anew at every switch
             state.lower = task.lower + person.lower_spread * rng.standard_normal()
             state.upper = task.upper + person.upper_spread * rng.standard_normal()
+
+
+@inner
+def log_decision(row, state):
+    """Log who drives, and what that was decided by."""
+    row.mode = state.mode
+    row.suggested_mode = state.suggested
+    row.r = state.r
+    row.p_r = state.p_r
+    row.p_h = state.p_h
+    row.tsc = state.tsc
+
+
+@inner
+def tire(person, state):
+    """Step utilization (2.5)."""
+    state.r = min(max(next_utilization(state.r, state.mode, person.a), 0.0), 1.0)

@@ -19,7 +19,6 @@ import numpy as np
 
 from trustlab.models.compiled import inner, njit
 from trustlab.models.simulation import END
-from trustlab.models.tsc import next_utilization
 from trustlab.operators.ground_robot import driving_style, joystick
 from trustlab.teleoperation.records import record
 from trustlab.testbeds.deciding import (
@@ -29,8 +28,10 @@ from trustlab.testbeds.deciding import (
     Task,
     allocate,
     begin,
+    log_decision,
     measure,
     skill_now,
+    tire,
 )
 from trustlab.testbeds.ground_robot.course import CourseNumbers, nearest_point, path_point
 from trustlab.testbeds.ground_robot.pioneer import scan, wrapped
@@ -183,15 +184,10 @@ def perform(task, k, z_r, z_h, row, state):
 @inner
 def enter(row, state):
     """Log all that is not logged yet of this sample."""
-    row.mode = state.mode
-    row.suggested_mode = state.suggested
+    log_decision(row, state)
     row.step_distance = state.moved
     row.v_command = state.v_hand
     row.w_command = state.w_hand
-    row.r = state.r
-    row.p_r = state.p_r
-    row.p_h = state.p_h
-    row.tsc = state.tsc
 
 
 @inner
@@ -276,7 +272,7 @@ def drive(first, stop, setup, state, inputs, log):
         if 0 < task.laps <= now.laps:
             return k + 1, END
         roll(setup.robot, setup.rates.anchor, dt, setup.course, state.found, now, state.sensing)
-        now.r = min(max(next_utilization(now.r, now.mode, person.a), 0.0), 1.0)  # (2.5)
+        tire(person, now)
         if k + 1 < log.size:
             sense(k + 1, setup, state, log)
     return stop, -1
