@@ -180,15 +180,15 @@ class Teleoperator:
         camera_delay : float
             How late pictures arrive [s].
         """
-        numbers = {name: getattr(self, name) for name in HAND.names if hasattr(self, name)}
-        numbers |= {
-            "learned": sample_time / max(self.adaptation, sample_time),
-            "delay": max(round((self.reaction + camera_delay) / sample_time), 1),
-            "decay": math.exp(-sample_time / self.lag),
-            "patience": max(round(self.patience / sample_time), 1),
-            "fatigue": self.fatigue / 60.0,
-        }
-        return filled(HAND, **numbers)
+        return filled(
+            HAND,
+            self,
+            learned=sample_time / max(self.adaptation, sample_time),
+            delay=max(round((self.reaction + camera_delay) / sample_time), 1),
+            decay=math.exp(-sample_time / self.lag),
+            patience=max(round(self.patience / sample_time), 1),
+            fatigue=self.fatigue / 60.0,
+        )
 
 
 # Of operators who adapt: ω_c over their whole delay [rad], of which the camera and the channel take

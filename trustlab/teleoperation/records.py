@@ -14,9 +14,16 @@ def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = 
     return np.dtype([(name, kind) for names, kind in kinds for name in names.split()])
 
 
-def filled(kind: np.dtype, **values) -> np.void:
-    """Return a record of these values by name; what is not given is zero."""
+def filled(kind: np.dtype, *settings, **values) -> np.void:
+    """
+    Return a record of these values and of what settings have by the same name, the first of them
+    that has it; else zero.
+    """
     out = np.zeros(1, kind)[0]
+    for source in reversed(settings):
+        values = {
+            name: getattr(source, name) for name in kind.names if hasattr(source, name)
+        } | values
     for name, value in values.items():
         out[name] = value
     return out

@@ -48,7 +48,6 @@ from trustlab.teleoperation.loop.settings import (
     Scheme,
     blending_cost,
     guidance_named,
-    hold_device,
     numbers_of,
     optimal_share,
     scheme_named,
@@ -178,11 +177,7 @@ class TrackingTask:
             T [s].
         """
         late = max(round(self.camera_delay / sample_time), 1)
-        gains = {
-            name: getattr(self, name)
-            for name in ("proportional", "integral", "derivative", "reach")
-        }
-        return filled(AUTONOMY, **gains, picture=self.view, delay=late)
+        return filled(AUTONOMY, self, picture=self.view, delay=late)
 
     def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -304,14 +299,15 @@ class TeleoperationLoop(Loop):
         self.task = of_class("task", TASKS[study] if task is None else task, TrackingTask)
         hooks = self._functions(trust)
         self._asked = ", ".join(hooks) or "built-in"
-        numbers, whole = self._constants(hooks), state_of(self.settings, self.guidance)
-        self.state = View(whole)
-        if self.scheme.shares == "optimal":
-            hooks["scheme"] = optimal(numbers, whole)
         ends, T = self.settings.scattering, self.settings.sample_time
         self.count = count = samples(duration, T)
         start, losses, noise, *ways = spawned(seed, 5)
         delays = delays_of(self.settings, delay, count, ways)
+        numbers = self._constants(hooks, bool(delays.any()))
+        whole = state_of(self.settings, self.guidance)
+        self.state = View(whole)
+        if self.scheme.shares == "optimal":
+            hooks["scheme"] = optimal(numbers, whole)
         inputs = drawn(self.settings, self.task, self.operator, count + 1, (start, losses, noise))
         arrives = np.ones((2, count), bool)
         for name, signal in checked_signals(signals, count, ends).items():
@@ -319,8 +315,6 @@ class TeleoperationLoop(Loop):
                 arrives[:] = signal.T
             else:
                 inputs[name][:-1] = signal
-        carried = WAVES if self.scheme.bilateral else SIGNALS
-        numbers["carried"] = carried if delays.any() else DIRECT
         # Inputs and delays have a row more than the log: padding, for a pause that nobody uses.
         follows_error = self.guidance.where == "through_channel"
         decide = asking(hooks, self.state, whole, ends, follows_error) if hooks else None
@@ -358,31 +352,39 @@ class TeleoperationLoop(Loop):
         }
         return {part: hook for part, hook in hooks.items() if callable(hook)}
 
-    def _constants(self, hooks: Mapping[str, Callable]) -> np.ndarray:
+    def _constants(self, hooks: Mapping[str, Callable], delayed: bool) -> np.ndarray:
         """Return the constants, a record of NUMBERS."""
-        settings, task = self.settings, self.task
+        task, ends = self.task, self.settings.scattering
         shares, law = self.scheme.shares, self.operator.law
-        T, ends = settings.sample_time, settings.scattering
-        numbers = numbers_of(settings, self.guidance, self.scheme.bilateral)
-        (n,) = numbers
-        n["rule"] = RULES["manual" if callable(shares) else shares]
-        n["law"] = 0 if callable(law) else LAWS.index(law)
-        hold_device(n, settings, self.operator.numbers(T, task.camera_delay))
+        T, bilateral = self.settings.sample_time, self.scheme.bilateral
+        hand = self.operator.numbers(T, task.camera_delay)
         if shares == "by hand":
-            n["hand"]["compensation"] *= 1.0 - self.operator.allocation_cost
-        n["auto"] = task.controller(T)
-        n["asks_trust"], n["asks_vehicle"] = "trust" in hooks, "vehicle" in hooks
-        if not n["asks_vehicle"]:
+            hand["compensation"] *= 1.0 - self.operator.allocation_cost
+        flies: dict[str, Any] = {}
+        if "vehicle" not in hooks:
             axes = usual_vehicle() if task.vehicle is None else three_axes(task.vehicle)
-            n["phi"], n["gamma"] = vehicle_matrices(axes, T)
+            flies["phi"], flies["gamma"] = vehicle_matrices(axes, T)
         if shares == "optimal":
-            if n["asks_vehicle"]:
+            if not flies:
                 raise ValueError(
                     "scheme OMI predicts with three TransferFunction: give the vehicle as these"
                 )
             gains = (task.proportional, task.derivative)
-            n["blend"] = blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
-        return numbers
+            flies["blend"] = blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
+        carried = WAVES if bilateral else SIGNALS
+        return numbers_of(
+            self.settings,
+            self.guidance,
+            bilateral,
+            hand,
+            auto=task.controller(T),
+            rule=RULES["manual" if callable(shares) else shares],
+            law=0 if callable(law) else LAWS.index(law),
+            carried=carried if delayed else DIRECT,
+            asks_trust="trust" in hooks,
+            asks_vehicle="vehicle" in hooks,
+            **flies,
+        )
 
     def step(self, hand: np.ndarray | None = None, alpha: float | None = None) -> View:
         """
