@@ -20,10 +20,9 @@ def filled(kind: np.dtype, *settings, **values) -> np.void:
     that has it; else zero.
     """
     out = np.zeros(1, kind)[0]
-    for source in reversed(settings):
-        values = {
-            name: getattr(source, name) for name in kind.names if hasattr(source, name)
-        } | values
+    for source in settings:
+        known = {name: getattr(source, name) for name in kind.names if hasattr(source, name)}
+        values = known | values
     for name, value in values.items():
         out[name] = value
     return out
