@@ -46,7 +46,7 @@ class World(NamedTuple):
     """
     What a drive takes place in: the task, a `Pioneer` and the share by which its estimate is
     anchored in one sample while the person drives, the noise of sensing; and room for the
-    performance of each sample and the posts that the scanner sees.
+    performance of each sample.
     """
 
     task: Task
@@ -57,7 +57,6 @@ class World(NamedTuple):
     sensing: np.random.Generator
     z_r: np.ndarray
     z_h: np.ndarray
-    found: np.ndarray
 
 
 @njit
@@ -113,6 +112,6 @@ def tick(k, v, w, mode, world, state, row):
     enter(row, state)
     if 0 < task.laps <= state.laps:
         return True
-    roll(robot, world.anchor, task.sample_time, world.course, world.found, state, world.sensing)
+    roll(robot, world.anchor, task.sample_time, world.course, state, world.sensing)
     state.r = min(max(next_utilization(state.r, state.mode, world.switching.a), 0.0), 1.0)  # (2.5)
     return False

@@ -224,7 +224,6 @@ class Drive:
             np.random.default_rng(config["seed"]),
             np.empty(config["samples"]),
             np.empty(config["samples"]),
-            np.empty((len(course.posts), 4)),
         )
         self.state, self._log = np.zeros(1, STATE)[0], np.zeros(1, LOG)[0]
         self.ends = np.cumsum([length for _, length in config["schedule"] or ()]) / SAMPLE_TIME

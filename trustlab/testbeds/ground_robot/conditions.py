@@ -235,14 +235,12 @@ def driven(
         size = modes.size
         inputs = deciding.no_inputs(size)
         inputs["mode"] = modes
-    numbers = course.numbers
     rates = kernel.rates_of(operator, robot, task.sample_time)
-    setup = kernel.DriveSetup(task, numbers, robot.numbers, operator.numbers, rates)
+    setup = kernel.DriveSetup(task, course.numbers, robot.numbers, operator.numbers, rates)
     sensing, hand, choices = map(np.random.default_rng, spawned(seed, 3))
     arc, z_r, z_h = np.empty((3, size))
-    found, lap_times = np.empty((len(numbers.posts), 4)), np.empty(task.laps)
-    now = np.zeros(1, kernel.STATE)
-    state = kernel.DriveState(now, sensing, hand, choices, arc, z_r, z_h, found, lap_times)
+    now, lap_times = np.zeros(1, kernel.STATE), np.empty(task.laps)
+    state = kernel.DriveState(now, sensing, hand, choices, arc, z_r, z_h, lap_times)
     log = np.empty(size, kernel.LOG)
     run = Simulation(kernel.drive, setup, state, inputs, log, decide)
     run.advance(size)
