@@ -196,16 +196,6 @@ class Teleoperator:
 MARGIN, ON_THE_WAY = 0.6, 0.3
 
 
-def checked_teleoperation(assumptions: Mapping[str, Any]) -> dict[str, float]:
-    """Return assumptions about teleoperators by name, each within its range."""
-    for name, value in assumptions.items():
-        least, most, _ = TELEOPERATOR_ASSUMPTIONS[
-            one_of("an assumption", name, TELEOPERATOR_ASSUMPTIONS)
-        ]
-        between(name, value, least, most)
-    return {name: float(value) for name, value in assumptions.items()}
-
-
 def assumed(row: Mapping[str, Any], assumptions: dict[str, float], place: float) -> dict:
     """
     Return a drawn operator's numbers under assumptions, of which those not named are off.

@@ -12,7 +12,7 @@ import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
 from trustlab.allocation.rules import decision, performance_suggestion
-from trustlab.models.checks import between, one_of, shown, warn, whole_seed
+from trustlab.models.checks import one_of, shown, warn, whole_seed
 from trustlab.models.compiled import inner
 from trustlab.models.tsc import TscModel, next_utilization, performance_at, threshold_mode
 from trustlab.operators.ground_robot import Operator
@@ -74,41 +74,24 @@ class Task(NamedTuple):
     """
 
     scheme: int
-    forced: bool
-    laps: int
-    lower: float
-    upper: float
-    a_T: float  # noqa: N815
-    b_T: float  # noqa: N815
-    p_min: float
-    p_max: float
     e_max: float
-    window: int
-    sample_time: float
-    first_mode: int
-    r0: float
+    forced: bool = False
+    laps: int = 0
+    lower: float = 0.0
+    upper: float = 0.0
+    first_mode: int = 1
+    r0: float = 0.0
+    a_T: float = 0.0  # noqa: N815
+    b_T: float = 0.0  # noqa: N815
+    p_min: float = 0.0
+    p_max: float = 0.0
+    window: int = round(WINDOW / SAMPLE_TIME)
+    sample_time: float = SAMPLE_TIME
 
-
-def task_of(
-    scheme: int,
-    e_max: float,
-    forced: bool = False,
-    laps: int = 0,
-    lower: float = 0.0,
-    upper: float = 0.0,
-    model: TscModel | None = None,
-    first_mode: int = 1,
-    r0: float = 0.0,
-) -> Task:
-    """Return a task; without a model TSC and P_max are 0."""
-    r0 = between("r0", r0, 0.0, 1.0)
-    numbers: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    if model:
-        numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max)
-    window = round(WINDOW / SAMPLE_TIME)
-    return Task(
-        scheme, forced, laps, lower, upper, *numbers, e_max, window, SAMPLE_TIME, first_mode, r0
-    )
+    def suggesting(self, model: TscModel) -> "Task":
+        """Return the task with TSC and suggestions of a model."""
+        robot = model.robot
+        return self._replace(a_T=model.a_T, b_T=model.b_T, p_min=robot.p_min, p_max=robot.p_max)
 
 
 def suggested_by_tsc(condition: str) -> bool:
@@ -153,8 +136,8 @@ def task_for(
     lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
     if condition == "own":  # switches in C1 come at these values of measured TSC
         lower, upper = operator.lower - operator.trust_bias, operator.upper - operator.trust_bias
-    task = task_of(scheme, e_max, forced, laps, lower, upper, model, r0=operator.r0)
-    return task, thresholds
+    task = Task(scheme, e_max, forced, laps, lower, upper, r0=operator.r0)
+    return task.suggesting(model), thresholds
 
 
 def no_inputs(size: int) -> np.ndarray:

@@ -34,9 +34,9 @@ from trustlab.operators.ground_robot import (
 from trustlab.operators.teleoperator import (
     RANGES,
     REACH,
+    TELEOPERATOR_ASSUMPTIONS,
     Teleoperator,
     assumed,
-    checked_teleoperation,
 )
 from trustlab.testbeds.covariance import checked_covariance
 from trustlab.testbeds.deciding import SAMPLE_TIME
@@ -504,7 +504,7 @@ class OperatorPopulation:
         ValueError
             If hardly any draw is a valid model.
         """
-        people = checked_assumptions({} if assumptions is None else assumptions)
+        people = checked_assumptions(assumptions)
         frame = drawn_people(n, seed, PEOPLE[self.testbed], self._drawn)
         return frame.assign(**people)
 
@@ -603,7 +603,7 @@ class TeleoperatorPopulation:
             A row per operator: participant (from 1), skill, proportional, derivative, reaction,
             lag, noise, patience, reach, crossover, compensation, allocation_cost, fatigue, law.
         """
-        people = checked_teleoperation({} if assumptions is None else assumptions)
+        people = checked_assumptions(assumptions, TELEOPERATOR_ASSUMPTIONS)
 
         def draw(number: int, rng: np.random.Generator) -> dict:
             skill, last, *draws = rng.uniform(size=len(RANGES) + 2).tolist()

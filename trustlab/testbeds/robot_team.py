@@ -17,7 +17,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.simulation import Loop, PartError, Simulation, View
-from trustlab.teleoperation.delays import delays_in_samples, first_order
+from trustlab.teleoperation.delays import coloured, delays_in_samples
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
     WaveFilter,
@@ -499,15 +499,11 @@ def _times(settings: TeamSettings, delay: float, T: float) -> dict[str, float]:
 
 def _drifts(robots: np.ndarray, decisions: int, step: float, rng) -> np.ndarray:
     """Return velocities by which robots drift, drawn, shape (M, N, 3)."""
-    velocities = np.zeros((decisions, robots.size, 3))
-    drifting = np.flatnonzero(robots["drift"])
-    keep = float(np.exp(-step / DRIFT_TIME))
-    fresh = np.sqrt(1.0 - keep**2)
-    white = rng.normal(size=(decisions, 3 * drifting.size))
-    white[0] /= fresh  # as large at the start as later
-    noise = first_order(white, fresh, keep).reshape(decisions, 3, drifting.size)
-    velocities[:, drifting] = (robots["drift"][drifting] * noise).transpose(0, 2, 1)
-    return velocities
+    velocities = np.zeros((decisions, 3, robots.size))
+    drifts = robots["drift"] > 0.0
+    noise = coloured(decisions, 3 * drifts.sum(), DRIFT_TIME, step, rng)
+    velocities[:, :, drifts] = noise.reshape(decisions, 3, drifts.sum())
+    return (velocities * robots["drift"]).transpose(0, 2, 1)
 
 
 def _drawn(decisions: int, robots: int, rate: float, rng) -> tuple[np.ndarray, np.ndarray]:

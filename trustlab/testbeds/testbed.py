@@ -255,14 +255,9 @@ class ConditionTestbed(Testbed):
         else:
             rule, mode = prepared_rule(rule, None)
             decide = deciding.obeying(rule)
-            task = deciding.task_of(
-                deciding.SCHEDULE,
-                self.e_max,
-                laps=self.laps,
-                model=model,
-                first_mode=mode,
-                r0=operator.r0,
-            )
+            task = Task(
+                deciding.SCHEDULE, self.e_max, laps=self.laps, first_mode=mode, r0=operator.r0
+            ).suggesting(model)
         facts = {self.extent: getattr(self, self.extent), "settling": deciding.SETTLING}
         if thresholds is not None:
             facts |= zip(("TSC_l", "TSC_u"), thresholds, strict=True)

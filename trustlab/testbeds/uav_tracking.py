@@ -29,7 +29,7 @@ from trustlab.models.simulation import Loop, Simulation, View, compiled_for
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
-from trustlab.teleoperation.delays import delays_in_samples, first_order, random_walk_delay
+from trustlab.teleoperation.delays import coloured, delays_in_samples, random_walk_delay
 from trustlab.teleoperation.loop.hooks import asking, is_state_space, state_space
 from trustlab.teleoperation.loop.kernel import BLOCKS, DIRECT, LAWS, SIGNALS, WAVES, teleoperate
 from trustlab.teleoperation.loop.records import (
@@ -553,13 +553,13 @@ def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.
             raise ValueError(f"{name} must be an array of numbers, got {shown(values)}") from None
         if array.shape != shape:
             raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
-        if np.isinf(array).any() or (name == "push" and np.isnan(array).any()):
-            k = int(np.argwhere(~np.isfinite(array))[0][0])
-            raise ValueError(f"{name} must be finite, but sample {k} is {array[k]}")
-        partial = np.isnan(array) if array.ndim == 2 else np.zeros((1, 1), bool)
-        if (partial.any(axis=1) != partial.all(axis=1)).any():
-            k = int(np.argmax(partial.any(axis=1) != partial.all(axis=1)))
-            raise ValueError(f"{name}: sample {k} is {array[k]}; give all three numbers, or none")
+        rows = array.reshape(count, -1)
+        none, some = np.isnan(rows).all(axis=1), np.isnan(rows).any(axis=1)
+        bad = np.isinf(rows).any(axis=1) | (some if name == "push" else some != none)
+        if bad.any():
+            k = int(np.argmax(bad))
+            allowed = "finite" if name == "push" else "finite, or NaN throughout"
+            raise ValueError(f"{name} must be {allowed}, but sample {k} is {array[k]}")
         checked[name] = array
     alpha, beta = (checked.get(name, np.full(1, np.nan)) for name in ("alpha", "beta"))
     ends.check_scales(alpha[~np.isnan(alpha)], beta[~np.isnan(beta)])
@@ -592,7 +592,7 @@ def drawn(settings, task, operator, count, seeds) -> np.ndarray:
     )
     inputs["ahead"] = ahead - position
     inputs["detected"] = _losses(task, count, T, losses)
-    inputs["motor"] = _coloured(count, operator.noise_time, T, noise)
+    inputs["motor"] = coloured(count, 3, operator.noise_time, T, noise)
     for name in DECIDED.names:
         inputs[name] = np.nan
     return inputs
@@ -609,14 +609,6 @@ def _losses(task: TrackingTask, count: int, sample_time: float, rng) -> np.ndarr
         detected[k:until] = sees
         k, sees = until, not sees
     return detected
-
-
-def _coloured(count: int, time: float, sample_time: float, rng) -> np.ndarray:
-    """Return noise of unit variance with this correlation time, shape (count, 3)."""
-    keep = np.exp(-sample_time / time)
-    white = rng.normal(size=(count, 3))
-    white[0] /= np.sqrt(1.0 - keep**2)
-    return first_order(white, np.sqrt(1.0 - keep**2), keep)
 
 
 def delays_of(settings: LoopSettings, delay: Any, count: int, seeds) -> np.ndarray:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trustlab.models.checks import (
+    between,
     finite_array,
     finite_number,
     of_class,
@@ -128,7 +129,8 @@ def drive_modes(
         k = int(np.argmax(odd))
         raise ValueError(f"mode must be zeros and ones, but sample {k} is {modes[k]:g}")
     whole_number("mode: the number of zeros and ones", modes.size, least=2, most=MOST_STEPS)
-    task = deciding.task_of(deciding.SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
+    r0 = between("r0", r0, 0.0, 1.0)
+    task = deciding.Task(deciding.SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
     log, _ = driven(task, *equipment(robot, course), operator, seed, modes)
     metadata = deciding.metadata_of("ground_robot", operator, condition, seed, NOTE, MEASURED)
     return Session(deciding.framed(log).drop(columns=["tsc", "suggested_mode"]), metadata)
