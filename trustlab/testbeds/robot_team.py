@@ -452,9 +452,9 @@ class TeamLoop(Loop):
         rows = np.arange(0, run.done, every)
         graphs = run.inputs["graph"][: run.done]
         changes = np.flatnonzero(np.diff(graphs, prepend=0))
-        table = run.log.table[: rows.size].copy()
-        table["leader"] += self._goal
-        columns = table.view(float).reshape(rows.size, -1)
+        states = run.log.table[: rows.size].view(float).reshape(rows.size, -1)
+        table = states[:, : len(kernel.COLUMNS)].copy()
+        table[:, :3] += self._goal  # where the leader is
         t = pd.Index(np.round(T * rows, 9), name="t")
         places = run.log.places[: rows.size] * run.setup.robots["root"][:, None] + self._goal
         present = np.array([graph.present for graph in self._graphs])
@@ -467,7 +467,7 @@ class TeamLoop(Loop):
             self.robots,
             self._graphs[0].adjacency,
             self._goal,
-            pd.DataFrame(columns[:, : len(kernel.COLUMNS)], t, list(kernel.COLUMNS)),
+            pd.DataFrame(table, t, list(kernel.COLUMNS)),
             places,
             np.array(self._levels)[rows // run.every],
             numbers["budget"].item(),

@@ -6,6 +6,7 @@ One step of operator, allocation, autopilot and vehicle every tenth of a second.
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -220,9 +221,10 @@ def follow(first, stop, setup, state, inputs, log):
     return stop, -1
 
 
-def flight_of(operator: Operator) -> np.void:
+@cache
+def flight_of(hand_lag: float) -> np.void:
     """Return constants; left alone, the autopilot settles at the robot performance P_R_MIN."""
-    lags = {"wander": WANDER_TIME, "shake": SHAKE_TIME, "hand": operator.hand_lag}
+    lags = {"wander": WANDER_TIME, "shake": SHAKE_TIME, "hand": hand_lag}
     lags |= {"drift": DRIFT_TIME, "anchor": ANCHORING_TIME}
     moves, driven = tracking_vehicle()[0].discrete(SAMPLE_TIME)
     # Share of the drift's variance that the vehicle follows.
@@ -242,7 +244,7 @@ def flown(
     log, (z_r, z_h) = np.empty(SAMPLES, LOG), np.empty((2, SAMPLES))
     sensing, hand, choices, start = map(np.random.default_rng, spawned(seed, 4))
     leader = LEADER.path(deciding.sample_times(SAMPLES), 0.0, start.uniform(0.0, 2.0 * np.pi))
-    setup = FlightSetup(task, flight_of(operator), operator.numbers, *leader)
+    setup = FlightSetup(task, flight_of(operator.hand_lag), operator.numbers, *leader)
     state = FlightState(np.zeros(1, STATE), sensing, hand, choices, z_r, z_h)
     run = Simulation(follow, setup, state, deciding.no_inputs(SAMPLES), log, decide)
     run.advance(SAMPLES)

@@ -333,10 +333,9 @@ class TeleoperationLoop(Loop):
     def _functions(self, trust: Any) -> dict[str, Callable]:
         """Return the functions of a user's in this loop."""
         settings, vehicle = self.settings, self.task.vehicle
-        if vehicle is not None and is_state_space(vehicle):
+        if is_state_space(vehicle):
             vehicle = state_space(*vehicle)
-        if trust is not None:
-            trust = TrustInLoop.of(trust)
+        trust = TrustInLoop.of(trust)
         if isinstance(trust, TrustInLoop):
             ranges = settings.human_to_robot, settings.robot_to_human
             trust = trust.part(*ranges, settings.sample_time)

@@ -77,10 +77,13 @@ class Motion:
 
 
 @njit(error_model="numpy")
-def rate_moves(velocities, asked):
+def rate_moves(velocities, asked, leader=-1, received=1.0):
     """
     Return 1 − ‖v − v̂‖/(‖v‖ + ‖v̂‖) of every robot, 2 s/(1 + s) for one of speed s; NaN where
     nothing moves. In steps of 0.001, so that no two faultless robots differ by their rounding.
+
+    That of a leader counts times the share of the packets that it received, where it rests the
+    share alone.
     """
     rated = np.full(len(velocities), np.nan)
     for robot in range(rated.size):
@@ -92,6 +95,8 @@ def rate_moves(velocities, asked):
         moving = np.sqrt(moved) + np.sqrt(wanted)
         if moving > LEAST_SPEED:
             rated[robot] = np.rint(1000.0 * (1.0 - np.sqrt(off) / moving)) / 1000.0
+    if leader >= 0:
+        rated[leader] = received * (1.0 if np.isnan(rated[leader]) else rated[leader])
     return rated
 
 
@@ -102,9 +107,7 @@ def tracking(motion: Motion) -> np.ndarray:
 
 def motion(motion: Motion) -> np.ndarray:
     """Return how well robots move as (4.22) asks, the leader's times the packets that arrived."""
-    rated, leader = tracking(motion), motion.leader
-    rated[leader] = motion.received * (1.0 if np.isnan(rated[leader]) else rated[leader])
-    return rated
+    return rate_moves(motion.velocities, motion.asked, motion.leader, motion.received)
 
 
 def packets(motion: Motion) -> np.ndarray:
@@ -322,7 +325,7 @@ class MostTrusted:
         now : TeamSituation
             Time, trust, who is present, who leads since when.
         """
-        leader, best = now.leader, int(np.argmax(now.trust))
+        leader, best = now.leader, int(now.trust.argmax())
         if leader is None or (now.free and now.trust[best] > now.trust[leader] + self.margin):
             return best
         return leader
