@@ -7,6 +7,7 @@ rules and measures of the other rooms, run on the log after the fact.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
@@ -28,6 +29,7 @@ from trustlab.testbeds import (
     run_condition,
 )
 from trustlab.testbeds.deciding import SETTLING
+from trustlab.testbeds.ground_robot.kernel import locate
 
 matplotlib.use("Agg")
 
@@ -138,6 +140,16 @@ def test_path_error_is_the_distance_to_the_course(sessions):
             np.hypot(*(at - reference).T), session["path_error"][every], atol=1e-12
         )
         assert distance(course, *reference.T).max() < 1e-9
+
+
+@pytest.mark.parametrize(("short", "ends"), [(1e-12, True), (1e-3, False)])
+def test_rounding_does_not_decide_when_a_lap_ends(short, ends):
+    """Where the path closes its corner can stay the nearest point, a lap but for rounding away."""
+    course = Course()
+    x, y = course.path[0, :2]
+    state = SimpleNamespace(x=x, y=y, yaw=0.0, arc=0.0, progress=course.length - short, laps=0)
+    assert locate.py_func(course.numbers, 1, SimpleNamespace(), state) == ends
+    assert state.laps == ends
 
 
 def test_the_course_is_the_rounded_polygon():

@@ -15,9 +15,9 @@ from trustlab.models.checks import (
     positive,
     set_checked,
 )
+from trustlab.models.simulation import filled
 from trustlab.teleoperation.loop.kernel import LAWS
 from trustlab.teleoperation.loop.records import HAND
-from trustlab.teleoperation.records import filled
 
 # Largest command [m/s] that operators of each study ask for, above the speed of its target.
 REACH = {"preliminary": 2.5, "main": 1.0}

@@ -14,20 +14,6 @@ def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = 
     return np.dtype([(name, kind) for names, kind in kinds for name in names.split()])
 
 
-def filled(kind: np.dtype, *settings, **values) -> np.void:
-    """
-    Return a record of these values and of what settings have by the same name, the first of them
-    that has it; else zero.
-    """
-    out = np.zeros(1, kind)[0]
-    for source in settings:
-        known = {name: getattr(source, name) for name in kind.names if hasattr(source, name)}
-        values = known | values
-    for name, value in values.items():
-        out[name] = value
-    return out
-
-
 def columns_of(log: np.dtype) -> tuple[str, ...]:
     """Return the column names of a log record, vectors spelt out by axis."""
     names = []

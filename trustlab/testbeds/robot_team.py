@@ -16,14 +16,14 @@ from trustlab.models.checks import (
     spawned,
     whole_number,
 )
-from trustlab.models.simulation import Loop, PartError, Simulation, View
+from trustlab.models.simulation import Loop, PartError, Simulation, View, filled
 from trustlab.teleoperation.delays import coloured, delays_in_samples
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
     WaveFilter,
 )
 from trustlab.teleoperation.ports.waves import READ_OUTS, accounts
-from trustlab.teleoperation.records import filled, robot_numbers, signal
+from trustlab.teleoperation.records import robot_numbers, signal
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.decisions import (
     SLACK,

@@ -25,7 +25,7 @@ from trustlab.models.checks import (
     shown,
     spawned,
 )
-from trustlab.models.simulation import Loop, Simulation, View, compiled_for
+from trustlab.models.simulation import Loop, Simulation, View, compiled_for, filled
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
@@ -56,7 +56,6 @@ from trustlab.teleoperation.loop.settings import (
     vehicle_matrices,
 )
 from trustlab.teleoperation.ports.waves import Scattering, accounts
-from trustlab.teleoperation.records import filled
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
@@ -333,9 +332,10 @@ class TeleoperationLoop(Loop):
     def _functions(self, trust: Any) -> dict[str, Callable]:
         """Return the functions of a user's in this loop."""
         settings, vehicle = self.settings, self.task.vehicle
-        if is_state_space(vehicle):
+        if vehicle is not None and is_state_space(vehicle):
             vehicle = state_space(*vehicle)
-        trust = TrustInLoop.of(trust)
+        if trust is not None:
+            trust = TrustInLoop.of(trust)
         if isinstance(trust, TrustInLoop):
             ranges = settings.human_to_robot, settings.robot_to_human
             trust = trust.part(*ranges, settings.sample_time)

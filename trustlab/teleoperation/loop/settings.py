@@ -22,6 +22,7 @@ from trustlab.models.checks import (
     shown,
 )
 from trustlab.models.compiled import njit
+from trustlab.models.simulation import filled
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
 from trustlab.models.uav import held_over
 from trustlab.teleoperation.loop.kernel import (
@@ -37,7 +38,6 @@ from trustlab.teleoperation.ports import device as haptic
 from trustlab.teleoperation.ports.budget import GuidanceBudget
 from trustlab.teleoperation.ports.device import METHODS, HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
-from trustlab.teleoperation.records import filled
 
 STUDY_NAMES = ("preliminary", "main")
 
