@@ -85,3 +85,12 @@ def panel():
 @cache
 def scattering():
     return tl.Scattering(b=2.0, alpha_min=0.2, alpha_max=1.0, beta_min=0.05, beta_max=0.5)
+
+
+def distance(course, x, y):
+    """Distances of points from a course: the least of those from all of its pieces."""
+    begin, along = course.path[:-1, :2], np.diff(course.path[:, :2], axis=0)
+    points = np.column_stack([x, y])[:, None]
+    share = ((points - begin) * along).sum(axis=2) / (along**2).sum(axis=1)
+    feet = begin + share.clip(0.0, 1.0)[..., None] * along
+    return np.sqrt(((points - feet) ** 2).sum(axis=2)).min(axis=1)

@@ -72,7 +72,6 @@ CALLS = {
     "studies.partial_eta_interval": lambda: {"f": 4.0, "df1": 2.0, "df2": 22.0},
     "studies.participants_needed": lambda: {"conditions": 4},
     "studies.williams_square": lambda: {"n": 4},
-    "teleoperation.algebraic_connectivity": lambda: {"graph": cases.graph()},
     "teleoperation.corrected_filter": lambda: {"cutoff": 5.0, "impedance": 1.0},
     "teleoperation.dominance": lambda: {"scattering": cases.scattering()},
     "teleoperation.gains": lambda: {"scattering": cases.scattering()},
@@ -186,7 +185,6 @@ CALLS = {
 NOT_WALKED = {
     "RepeatedMeasures.simple_effects": "needs two factors",
     "Session.with_performance": "needs a log of a drive",
-    "teleoperation.plot_rendered_spring": "for one chapter",
     "teleoperation.plot_transparency": "for one chapter",
     "trust.recover_trust_models": "fit_trust and compare_trust_models check the same arguments",
     "VirtualStudy.joined": "for studies in parts",

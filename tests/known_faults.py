@@ -243,9 +243,6 @@ KNOWN = {
     "Posterior.simulated": {
         "most": "foreign errors",
     },
-    "simulate_team": {
-        "performance": "NaN is taken",
-    },
     "TeamRun.plot_distance": {
         "axis": "foreign errors",
         "label": "foreign errors, anything is taken",

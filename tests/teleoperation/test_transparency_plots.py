@@ -3,13 +3,7 @@
 import matplotlib as mpl
 import numpy as np
 
-from trustlab.teleoperation import (
-    STUDIES,
-    plot_rendered_spring,
-    plot_scales,
-    plot_transparency,
-    rendered_impedance,
-)
+from trustlab.teleoperation import STUDIES, plot_scales, plot_transparency
 
 mpl.use("Agg")
 
@@ -39,11 +33,3 @@ def test_maps_mark_both_studies():
     assert axes[0].lines[1].get_xydata().tolist() == [
         [ends.beta_min / ends.beta_max, ends.alpha_min / ends.alpha_max]
     ]
-
-
-def test_a_rendered_spring():
-    lines = plot_rendered_spring(delay=0.1).lines
-    main = STUDIES["main"]
-    omega = lines[2].get_xdata()
-    felt = rendered_impedance(main.scattering, omega, main.k_ffa / (1j * omega), 0.1, 0.1)
-    np.testing.assert_allclose(lines[2].get_ydata(), np.abs(felt), rtol=1e-12)

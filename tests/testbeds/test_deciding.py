@@ -13,6 +13,7 @@ import pytest
 from scipy import stats
 
 import trustlab as tl
+from tests.cases import distance
 from trustlab.testbeds import Course, published_operator
 from trustlab.testbeds.deciding import RANDOM_PHASE, SAMPLE_TIME, SETTLING
 from trustlab.testbeds.ground_robot.course import nearest_point, path_point
@@ -42,7 +43,7 @@ def test_the_nearest_point_is_looked_for_around_the_last_one(course):
         x, y, tx, ty = path_point(s, path)
         x, y = x - aside * ty, y + aside * tx
         px, py, arc, away = nearest_point(x, y, s + rng.uniform(-1.0, 1.0), path)
-        assert away == pytest.approx(course.distance(x, y)[0], abs=1e-12)
+        assert away == pytest.approx(distance(course, x, y)[0], abs=1e-12)
         assert np.hypot(px - x, py - y) == pytest.approx(away, abs=1e-12)
         assert path_point(arc, path)[:2] == pytest.approx((px, py), abs=1e-9)
 

@@ -7,6 +7,7 @@ rules and measures of the other rooms, run on the log after the fact.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
@@ -14,6 +15,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
+from tests.cases import distance
 from trustlab.allocation import followed_suggestions
 from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.tsc import threshold_mode
@@ -27,6 +29,7 @@ from trustlab.testbeds import (
     run_condition,
 )
 from trustlab.testbeds.deciding import SETTLING
+from trustlab.testbeds.ground_robot.kernel import locate
 
 matplotlib.use("Agg")
 
@@ -129,12 +132,24 @@ def test_path_error_is_the_distance_to_the_course(sessions):
         at = np.column_stack([session["robot_x"], session["robot_y"]])[every]
         brute = np.sqrt(((at[:, None, :] - dense[None]) ** 2).sum(axis=2).min(axis=1))
         np.testing.assert_allclose(session["path_error"][every], brute, atol=1e-3)
-        np.testing.assert_allclose(course.distance(*at.T), session["path_error"][every], atol=1e-12)
+        np.testing.assert_allclose(
+            distance(course, *at.T), session["path_error"][every], atol=1e-12
+        )
         reference = np.column_stack([session["reference_x"], session["reference_y"]])[every]
         np.testing.assert_allclose(
             np.hypot(*(at - reference).T), session["path_error"][every], atol=1e-12
         )
-        assert course.distance(*reference.T).max() < 1e-9
+        assert distance(course, *reference.T).max() < 1e-9
+
+
+@pytest.mark.parametrize(("short", "ends"), [(1e-12, True), (1e-3, False)])
+def test_rounding_does_not_decide_when_a_lap_ends(short, ends):
+    """Where the path closes its corner can stay the nearest point, a lap but for rounding away."""
+    course = Course()
+    x, y = course.path[0, :2]
+    state = SimpleNamespace(x=x, y=y, yaw=0.0, arc=0.0, progress=course.length - short, laps=0)
+    assert locate.py_func(course.numbers, 1, SimpleNamespace(), state) == ends
+    assert state.laps == ends
 
 
 def test_the_course_is_the_rounded_polygon():
@@ -151,7 +166,7 @@ def test_the_course_is_the_rounded_polygon():
     assert np.abs(np.diff(direction)).max() < 1.1 * course.resolution / course.radius
     assert (np.sign(np.diff(direction)) == -1).any()  # bends to the right as well as to the left
     assert (np.sign(np.diff(direction)) == 1).any()
-    np.testing.assert_allclose(course.distance(*course.posts.T), course.half_width, atol=0.01)
+    np.testing.assert_allclose(distance(course, *course.posts.T), course.half_width, atol=0.01)
 
 
 @pytest.mark.parametrize(

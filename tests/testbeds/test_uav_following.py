@@ -14,7 +14,7 @@ from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.tsc import threshold_mode
 from trustlab.testbeds import OperatorPopulation, following_operator
 from trustlab.testbeds.deciding import CONDITIONS, SETTLING
-from trustlab.testbeds.uav_following.run import DURATION, E_MAX, U_MAX
+from trustlab.testbeds.uav_following import DURATION, E_MAX, U_MAX
 
 PEOPLE = [
     OperatorPopulation.person(row)

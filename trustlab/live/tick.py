@@ -45,8 +45,7 @@ class Switching(NamedTuple):
 class World(NamedTuple):
     """
     What a drive takes place in: the task, a `Pioneer` and the share by which its estimate is
-    anchored in one sample while the person drives; and room for the performance of each sample and
-    the posts that the scanner sees.
+    anchored in one sample while the person drives; and room for the performance of each sample.
     """
 
     task: Task
@@ -56,7 +55,6 @@ class World(NamedTuple):
     course: CourseNumbers
     z_r: np.ndarray
     z_h: np.ndarray
-    found: np.ndarray
 
 
 @njit
@@ -113,6 +111,6 @@ def tick(k, v, w, mode, world, sensing, state, row):
     enter(row, state)
     if 0 < task.laps <= state.laps:
         return True
-    roll(robot, world.anchor, task.sample_time, world.course, world.found, state, sensing)
+    roll(robot, world.anchor, task.sample_time, world.course, state, sensing)
     state.r = min(max(next_utilization(state.r, state.mode, world.switching.a), 0.0), 1.0)  # (2.5)
     return False

@@ -82,6 +82,20 @@ class View:
         return same
 
 
+def filled(kind: np.dtype, *settings, **values) -> np.void:
+    """
+    Return a record of these values and of what settings have by the same name, the first of them
+    that has it; else zero.
+    """
+    out = np.zeros(1, kind)[0]
+    for source in settings:
+        known = {name: getattr(source, name) for name in kind.names if hasattr(source, name)}
+        values = known | values
+    for name, value in values.items():
+        out[name] = value
+    return out
+
+
 @dataclass(eq=False)
 class Simulation:
     """

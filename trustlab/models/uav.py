@@ -89,14 +89,19 @@ class TransferFunction:
             If `sample_time` is not positive, or so long that the matrices are infinite.
         """
         sample_time = positive("sample_time", sample_time)
-        a, b = self.matrices()
-        block = np.zeros((self.order + 1, self.order + 1))
-        block[:-1, :-1], block[:-1, -1] = a, b
-        with np.errstate(all="ignore"):
-            exponential = linalg.expm(block * sample_time)
-        if not np.isfinite(exponential).all():
+        phi, gamma = held_over(sample_time, *self.matrices())
+        if not (np.isfinite(phi).all() and np.isfinite(gamma).all()):
             raise ValueError(f"sample_time = {sample_time:g} s is too long for the poles of {self}")
-        return exponential[:-1, :-1], exponential[:-1, -1]
+        return phi, gamma
+
+
+def held_over(sample_time: float, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return Φ and Γ of dx/dt = A x + B u over a sample in which u is held."""
+    # exp of [[A, B], [0, 0]] holds both the transition and the integral of the command
+    block = np.pad(np.column_stack([a, b]), ((0, 1), (0, 0)))
+    with np.errstate(all="ignore"):
+        exponential = linalg.expm(block * sample_time)
+    return exponential[:-1, :-1], exponential[:-1, -1]
 
 
 def three_axes(vehicle) -> tuple[TransferFunction, ...]:

@@ -257,13 +257,15 @@ OperatorNumbers = namedtuple(  # type: ignore[misc]
 )
 
 
-def checked_assumptions(assumptions: Mapping[str, Any]) -> dict[str, float]:
-    """Return assumptions about operators by name, each within its range."""
-    if not isinstance(assumptions, Mapping):
+def checked_assumptions(
+    assumptions: Mapping[str, Any] | None, ranges: Mapping[str, tuple] = ASSUMPTIONS
+) -> dict[str, float]:
+    """Return assumptions about operators by name, each within its range, (least, most, …)."""
+    if not isinstance(assumptions, Mapping | None):
         raise ValueError(f"assumptions must map names to numbers, got {shown(assumptions)}")
     return {
-        name: between(name, value, *ASSUMPTIONS[one_of("an assumption", name, ASSUMPTIONS)])
-        for name, value in assumptions.items()
+        name: between(name, value, *ranges[one_of("an assumption", name, ranges)][:2])
+        for name, value in (assumptions or {}).items()
     }
 
 

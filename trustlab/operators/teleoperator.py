@@ -15,9 +15,9 @@ from trustlab.models.checks import (
     positive,
     set_checked,
 )
+from trustlab.models.simulation import filled
 from trustlab.teleoperation.loop.kernel import LAWS
 from trustlab.teleoperation.loop.records import HAND
-from trustlab.teleoperation.records import filled
 
 # Largest command [m/s] that operators of each study ask for, above the speed of its target.
 REACH = {"preliminary": 2.5, "main": 1.0}
@@ -180,30 +180,20 @@ class Teleoperator:
         camera_delay : float
             How late pictures arrive [s].
         """
-        numbers = {name: getattr(self, name) for name in HAND.names if hasattr(self, name)}
-        numbers |= {
-            "learned": sample_time / max(self.adaptation, sample_time),
-            "delay": max(round((self.reaction + camera_delay) / sample_time), 1),
-            "decay": math.exp(-sample_time / self.lag),
-            "patience": max(round(self.patience / sample_time), 1),
-            "fatigue": self.fatigue / 60.0,
-        }
-        return filled(HAND, **numbers)
+        return filled(
+            HAND,
+            self,
+            learned=sample_time / max(self.adaptation, sample_time),
+            delay=max(round((self.reaction + camera_delay) / sample_time), 1),
+            decay=math.exp(-sample_time / self.lag),
+            patience=max(round(self.patience / sample_time), 1),
+            fatigue=self.fatigue / 60.0,
+        )
 
 
 # Of operators who adapt: ω_c over their whole delay [rad], of which the camera and the channel take
 # some [s].
 MARGIN, ON_THE_WAY = 0.6, 0.3
-
-
-def checked_teleoperation(assumptions: Mapping[str, Any]) -> dict[str, float]:
-    """Return assumptions about teleoperators by name, each within its range."""
-    for name, value in assumptions.items():
-        least, most, _ = TELEOPERATOR_ASSUMPTIONS[
-            one_of("an assumption", name, TELEOPERATOR_ASSUMPTIONS)
-        ]
-        between(name, value, least, most)
-    return {name: float(value) for name, value in assumptions.items()}
 
 
 def assumed(row: Mapping[str, Any], assumptions: dict[str, float], place: float) -> dict:

@@ -19,7 +19,7 @@ from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import one_of, shown, whole_number
 from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import ASSUMPTIONS, checked_assumptions
-from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS, checked_teleoperation
+from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS
 from trustlab.reproduction.printed_number import printed_decimal, printed_interval
 from trustlab.reproduction.published import published_facts, published_models, published_table
 from trustlab.reproduction.published_study import published_studies
@@ -298,10 +298,7 @@ def all_checked(assumptions: Mapping[str, float]) -> dict[str, float]:
     """Return assumptions about operators of both chapters, each within its range."""
     if not isinstance(assumptions, Mapping):
         raise ValueError(f"assumptions must map names to numbers, got {shown(assumptions)}")
-    for name in assumptions:
-        one_of("an assumption", name, (*ASSUMPTIONS, *TELEOPERATOR_ASSUMPTIONS))
-    drivers = checked_assumptions(_among(ASSUMPTIONS, assumptions))
-    return drivers | checked_teleoperation(_among(TELEOPERATOR_ASSUMPTIONS, assumptions))
+    return checked_assumptions(assumptions, {**ASSUMPTIONS, **TELEOPERATOR_ASSUMPTIONS})
 
 
 def _among(names: Iterable[str], assumptions: Mapping[str, float]) -> dict[str, float]:

@@ -43,7 +43,6 @@ from .team.decisions import (
 )
 from .team.graphs import (
     GraphError as GraphError,
-    algebraic_connectivity as algebraic_connectivity,
     team_graph as team_graph,
 )
 from .team.settings import (
@@ -57,7 +56,6 @@ from .transparency import (
     dominance as dominance,
     gains as gains,
     ideal_distances as ideal_distances,
-    plot_rendered_spring as plot_rendered_spring,
     plot_scales as plot_scales,
     plot_transparency as plot_transparency,
     rendered_impedance as rendered_impedance,

@@ -238,6 +238,14 @@ def delays_in_samples(
     return np.where(np.abs(delays - whole) < 1e-6, whole, delays)
 
 
+def coloured(count: int, columns: int, time: float, step: float, rng) -> np.ndarray:
+    """Return noise of unit variance with this correlation time, shape (count, columns)."""
+    keep = np.exp(-step / time)
+    fresh, white = np.sqrt(1.0 - keep**2), rng.normal(size=(count, columns))
+    white[0] /= fresh  # as large at the start as later
+    return first_order(white, fresh, keep)
+
+
 @njit
 def first_order(u, gain, keep):
     """Return y(k) = keep y(k − 1) + gain u(k) of every column, from rest."""

@@ -179,6 +179,12 @@ class TwoPortFilter:
         """Whether k_12 k_21 ≥ max (Im H)², which is 1/4 for every cutoff."""
         return self.k12 * self.k21 >= 0.25 * (1.0 - SLACK)
 
+    @property
+    def title(self) -> str:
+        """What it is, for the log."""
+        active = "" if self.is_passive else " that is not passive"
+        return f"two-port{active}, {self.cutoff:g} rad/s"
+
     def run(self, u_1: np.ndarray, u_2: np.ndarray, sample_time: float) -> FilterRun:
         """
         Filter two signals, from rest.
@@ -258,6 +264,11 @@ class WaveFilter:
 
     def __post_init__(self):
         set_checked(self, positive, "cutoff")
+
+    @property
+    def title(self) -> str:
+        """What it is, for the log."""
+        return f"waves, {self.cutoff:g} rad/s"
 
 
 def sinusoid_energy(

@@ -14,19 +14,12 @@ def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = 
     return np.dtype([(name, kind) for names, kind in kinds for name in names.split()])
 
 
-def filled(kind: np.dtype, **values) -> np.void:
-    """Return a record of these values by name; what is not given is zero."""
-    out = np.zeros(1, kind)[0]
-    for name, value in values.items():
-        out[name] = value
-    return out
-
-
 def columns_of(log: np.dtype) -> tuple[str, ...]:
     """Return the column names of a log record, vectors spelt out by axis."""
     names = []
     for name in log.names:
-        names += [name] if log[name].shape == () else [f"{name}_{axis}" for axis in "xyz"]
+        axes = "xyz"[: sum(log[name].shape)]
+        names += [f"{name}_{axis}" for axis in axes] or [name]
     return tuple(names)
 
 

@@ -78,16 +78,9 @@ class Passivity(Result):
         pandas.DataFrame
             Columns port, least_energy [J], at [s] (when), final_energy [J].
         """
-        rows = [
-            {
-                "port": port,
-                "least_energy": self.least_energy[port],
-                "at": self.energies[port].idxmin(),
-                "final_energy": self.energies[port].iloc[-1],
-            }
-            for port in self.energies
-        ]
-        return pd.DataFrame(rows)
+        ports = self.energies.rename_axis(columns="port")
+        when, final = ports.idxmin().rename("at"), ports.iloc[-1].rename("final_energy")
+        return pd.concat([self.least_energy, when, final], axis=1).rename_axis("port").reset_index()
 
     def plot(self, axes=None):
         """

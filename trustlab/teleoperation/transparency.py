@@ -233,29 +233,3 @@ def plot_transparency():
     axes[0].set(ylabel="$α_{min}/α_{max}$")
     axes[0].legend(fontsize="small", loc="lower left", frameon=True)
     return axes
-
-
-def plot_rendered_spring(delay: float = 0.05):
-    """
-    Plot the impedance that the operator feels of the guiding spring at the robot, in both studies,
-    with and without delay.
-
-    Parameters
-    ----------
-    delay : float
-        One way [s].
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-    """
-    ax, omega = axes_or_new(), np.geomspace(0.05, 60.0, 400)
-    for color, (name, settings) in zip(COLORS, STUDIES.items(), strict=True):
-        spring = settings.k_ffa / (1j * omega)
-        for late, style in ((delay, "-"), (0.0, ":")):
-            felt = rendered_impedance(settings.scattering, omega, spring, late, late)
-            label = f"{name}, delays of {1000 * late:g} ms"
-            ax.semilogx(omega, np.abs(felt), color + style, label=label)
-    ax.set(xlabel="frequency ω [rad/s]", ylabel="felt impedance of a spring [N s/m]")
-    ax.legend(fontsize="small", loc="lower left")
-    return ax

@@ -12,11 +12,12 @@ import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
 from trustlab.allocation.rules import decision, performance_suggestion
-from trustlab.models.checks import between, one_of, shown, warn, whole_seed
+from trustlab.models.checks import one_of, shown, warn, whole_seed
 from trustlab.models.compiled import inner
-from trustlab.models.tsc import TscModel, performance_at, threshold_mode
+from trustlab.models.tsc import TscModel, next_utilization, performance_at, threshold_mode
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Metadata
+from trustlab.teleoperation.records import columns_of
 
 # Who allocates: a given sequence of modes, the operator, suggestions by (2.8), by Algorithm 2, at
 # random.
@@ -73,41 +74,24 @@ class Task(NamedTuple):
     """
 
     scheme: int
-    forced: bool
-    laps: int
-    lower: float
-    upper: float
-    a_T: float  # noqa: N815
-    b_T: float  # noqa: N815
-    p_min: float
-    p_max: float
     e_max: float
-    window: int
-    sample_time: float
-    first_mode: int
-    r0: float
+    forced: bool = False
+    laps: int = 0
+    lower: float = 0.0
+    upper: float = 0.0
+    first_mode: int = 1
+    r0: float = 0.0
+    a_T: float = 0.0  # noqa: N815
+    b_T: float = 0.0  # noqa: N815
+    p_min: float = 0.0
+    p_max: float = 0.0
+    window: int = round(WINDOW / SAMPLE_TIME)
+    sample_time: float = SAMPLE_TIME
 
-
-def task_of(
-    scheme: int,
-    e_max: float,
-    forced: bool = False,
-    laps: int = 0,
-    lower: float = 0.0,
-    upper: float = 0.0,
-    model: TscModel | None = None,
-    first_mode: int = 1,
-    r0: float = 0.0,
-) -> Task:
-    """Return a task; without a model TSC and P_max are 0."""
-    r0 = between("r0", r0, 0.0, 1.0)
-    numbers: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    if model:
-        numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max)
-    window = round(WINDOW / SAMPLE_TIME)
-    return Task(
-        scheme, forced, laps, lower, upper, *numbers, e_max, window, SAMPLE_TIME, first_mode, r0
-    )
+    def suggesting(self, model: TscModel) -> "Task":
+        """Return the task with TSC and suggestions of a model."""
+        robot = model.robot
+        return self._replace(a_T=model.a_T, b_T=model.b_T, p_min=robot.p_min, p_max=robot.p_max)
 
 
 def suggested_by_tsc(condition: str) -> bool:
@@ -152,8 +136,8 @@ def task_for(
     lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
     if condition == "own":  # switches in C1 come at these values of measured TSC
         lower, upper = operator.lower - operator.trust_bias, operator.upper - operator.trust_bias
-    task = task_of(scheme, e_max, forced, laps, lower, upper, model, r0=operator.r0)
-    return task, thresholds
+    task = Task(scheme, e_max, forced, laps, lower, upper, r0=operator.r0)
+    return task.suggesting(model), thresholds
 
 
 def no_inputs(size: int) -> np.ndarray:
@@ -207,7 +191,7 @@ def framed(log: np.ndarray) -> pd.DataFrame:
     """Return a log, all numbers, as a table over time."""
     table = log.view(float).reshape(log.size, -1)
     return pd.DataFrame(
-        table, index=pd.Index(sample_times(log.size), name="t"), columns=log.dtype.names
+        table, index=pd.Index(sample_times(log.size), name="t"), columns=columns_of(log.dtype)
     )
 
 
@@ -364,3 +348,20 @@ def allocate(task, person, external, t, state, rng):
         if task.scheme == OWN:  # own thresholds are drawn anew at every switch
             state.lower = task.lower + person.lower_spread * rng.standard_normal()
             state.upper = task.upper + person.upper_spread * rng.standard_normal()
+
+
+@inner
+def log_decision(row, state):
+    """Log who drives, and what that was decided by."""
+    row.mode = state.mode
+    row.suggested_mode = state.suggested
+    row.r = state.r
+    row.p_r = state.p_r
+    row.p_h = state.p_h
+    row.tsc = state.tsc
+
+
+@inner
+def tire(person, state):
+    """Step utilization (2.5)."""
+    state.r = min(max(next_utilization(state.r, state.mode, person.a), 0.0), 1.0)

@@ -34,9 +34,9 @@ from trustlab.operators.ground_robot import (
 from trustlab.operators.teleoperator import (
     RANGES,
     REACH,
+    TELEOPERATOR_ASSUMPTIONS,
     Teleoperator,
     assumed,
-    checked_teleoperation,
 )
 from trustlab.testbeds.covariance import checked_covariance
 from trustlab.testbeds.deciding import SAMPLE_TIME
@@ -65,13 +65,21 @@ P_R_MIN = 0.30
 FOLLOWED = ((0.6416, 0.2991), (0.4074, 0.3751))
 
 
-def person_stream(seed: int, people: int, number: int) -> np.random.Generator:
+def drawn_people(n: int, seed: int, people: int, draw: Callable) -> pd.DataFrame:
     """
-    Return the random numbers of one person, so that a smaller sample is the beginning of a larger
-    one.
+    Return a row of draw(participant, rng) for each of so many people.
+
+    Each has a random stream of their own, so that a smaller sample is the beginning of a larger
+    one; `people` tells the streams of one population from those of others.
     """
     root = [whole_number("seed", seed, least=0), people]
-    return np.random.default_rng(np.random.SeedSequence(root, spawn_key=(number,)))
+    rows = []
+    for number in range(1, whole_number("n", n) + 1):
+        rng = np.random.default_rng(np.random.SeedSequence(root, spawn_key=(number,)))
+        rows.append({"participant": number} | draw(number, rng))
+    frame = pd.DataFrame(rows)
+    frame.attrs["synthetic"] = True
+    return frame
 
 
 # --- people as printed ----------------------------------------------------------------------------
@@ -496,15 +504,12 @@ class OperatorPopulation:
         ValueError
             If hardly any draw is a valid model.
         """
-        people = checked_assumptions({} if assumptions is None else assumptions)
-        numbers = range(1, whole_number("n", n) + 1)
-        frame = pd.DataFrame([self._drawn(number, seed) | people for number in numbers])
-        frame.attrs["synthetic"] = True
-        return frame
+        people = checked_assumptions(assumptions)
+        frame = drawn_people(n, seed, PEOPLE[self.testbed], self._drawn)
+        return frame.assign(**people)
 
-    def _drawn(self, number: int, seed: int) -> dict[str, float]:
+    def _drawn(self, number: int, rng: np.random.Generator) -> dict[str, float]:
         """Return the row of one operator."""
-        rng = person_stream(seed, PEOPLE[self.testbed], number)
         shares = {}
         for name, (mean, sd) in zip(FOLLOW, self.follow, strict=True):
             total = mean * (1.0 - mean) / sd**2 - 1.0
@@ -513,8 +518,8 @@ class OperatorPopulation:
         for redrawn in range(MOST_TRIES):
             z = self.mean + root @ rng.standard_normal(len(self.mean))
             try:
-                row = {"participant": number} | person_at(z, self.testbed, self.p_r_min) | shares
-                person_of(row)
+                row = person_at(z, self.testbed, self.p_r_min) | shares
+                person_of({"participant": number} | row)
             except ValueError:
                 continue
             return row | {"redrawn": redrawn}
@@ -598,19 +603,17 @@ class TeleoperatorPopulation:
             A row per operator: participant (from 1), skill, proportional, derivative, reaction,
             lag, noise, patience, reach, crossover, compensation, allocation_cost, fatigue, law.
         """
-        people = checked_teleoperation({} if assumptions is None else assumptions)
-        rows = []
-        for number in range(1, whole_number("n", n) + 1):
-            rng = person_stream(seed, TELEOPERATORS, number)
+        people = checked_assumptions(assumptions, TELEOPERATOR_ASSUMPTIONS)
+
+        def draw(number: int, rng: np.random.Generator) -> dict:
             skill, last, *draws = rng.uniform(size=len(RANGES) + 2).tolist()
-            row = {"participant": number, "skill": skill}
+            row = {"skill": skill}
             for (name, (low, high)), u in zip(RANGES.items(), draws, strict=True):
                 row[name] = low + (high - low) * 0.5 * (skill + u)
             row |= {"patience": 2.0 + 2.0 * last, "reach": REACH[self.study]}
-            rows.append(assumed(row, people, rng.uniform()))
-        frame = pd.DataFrame(rows)
-        frame.attrs["synthetic"] = True
-        return frame
+            return assumed(row, people, rng.uniform())
+
+        return drawn_people(n, seed, TELEOPERATORS, draw)
 
     @staticmethod
     def person(values: Mapping[str, Any]) -> Teleoperator:

@@ -4,6 +4,7 @@ simulated task.
 """
 
 from collections.abc import Callable, Hashable
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,8 +16,8 @@ from trustlab.models.checks import (
     spawned,
     whole_number,
 )
-from trustlab.models.simulation import Loop, PartError, Simulation, View
-from trustlab.teleoperation.delays import delays_in_samples, first_order
+from trustlab.models.simulation import Loop, PartError, Simulation, View, filled
+from trustlab.teleoperation.delays import coloured, delays_in_samples
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
     WaveFilter,
@@ -45,9 +46,12 @@ DECISION = 0.1
 DRIFT_TIME = 5.0
 # A run of as many samples takes some 3 GB.
 MOST_SAMPLES = 1e7
-# Numbers of the kernel that are settings as they are.
-FROM_SETTINGS = ("mass", "damping", "stiffness", "weight", "steepness", "lead_gain", "force_gain")
-FROM_OPERATOR = ("reach", "drag", "guarded", "grip")
+# What the filters F1 and F2 of Fig. 4.1 are, by their class.
+FILTERING: dict[type, int] = {
+    type(None): kernel.NO_FILTER,
+    WaveFilter: kernel.WAVES,
+    TwoPortFilter: kernel.TWO_PORT,
+}
 
 
 def simulate_team(
@@ -56,14 +60,50 @@ def simulate_team(
     goal=(1.0, 2.0, 0.5),
     seed: int | np.random.SeedSequence = 0,
     duration: float = 300.0,
-    operator: TeamOperator | None = None,
-    settings: TeamSettings | None = None,
-    trial: TeamTrial | None = None,
-    performance: str | Callable = "motion",
-    trust: TrustDynamics | TrustInLoop | None = None,
+    **options: Any,
 ) -> TeamRun:
     """
     Simulate robots on a graph, (4.19)-(4.24), whose leader an operator steers to a goal.
+
+    Parameters
+    ----------
+    graph, policy, goal, seed : as of `TeamLoop`
+        Who sees whom, who leads, r_q [m], and the seed of what is drawn.
+    duration : float
+        Length [s].
+    **options : as of `TeamLoop`
+        operator, settings, trial, performance and trust.
+
+    Returns
+    -------
+    TeamRun
+        With `.converged`, `.time_to_goal`, `.table()`, `.positions`, `.plot()`, `.animate(path)`.
+        Labelled synthetic.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood, before anything runs.
+    PartError
+        If a policy of your own raises an error: policy and time are named.
+    DivergenceError
+        If the run grows without bound; time and block are named.
+
+    Examples
+    --------
+    >>> import networkx as nx
+    >>> import trustlab as tl
+    >>> ring = nx.cycle_graph(4)
+    >>> run = tl.simulate_team(ring, policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0)
+    >>> run.converged, round(run.time_to_goal)
+    (True, 69)
+    """
+    return TeamLoop(graph, policy, goal, seed, duration, **options).run()
+
+
+class TeamLoop(Loop):
+    """
+    A team and its operator (Fig. 4.1), stepped or run.
 
     As printed, the graph is undirected, its weights are 0 or 1 and it stays; there Lemmas 6 and 7
     and Theorem 6 hold, and with any positive weights. A link that is lost takes energy out of V_fs,
@@ -111,62 +151,6 @@ def simulate_team(
     trust : TrustDynamics or TrustInLoop, optional
         A model of `trustlab.trust` in place of (4.1), of each robot by itself, one trial a second;
         `trust.TrustInLoop` sets how long a trial is and where trust starts.
-
-    Returns
-    -------
-    TeamRun
-        With `.converged`, `.time_to_goal`, `.table()`, `.positions`, `.plot()`, `.animate(path)`.
-        Labelled synthetic.
-
-    Raises
-    ------
-    ValueError
-        If an argument is not understood, before anything runs.
-    PartError
-        If a policy of your own raises an error: policy and time are named.
-    DivergenceError
-        If the run grows without bound; time and block are named.
-
-    Examples
-    --------
-    >>> import networkx as nx
-    >>> import trustlab as tl
-    >>> ring = nx.cycle_graph(4)
-    >>> run = tl.simulate_team(ring, policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0)
-    >>> run.converged, round(run.time_to_goal)
-    (True, 69)
-    """
-    return TeamLoop(
-        graph, policy, goal, seed, duration, operator, settings, trial, performance, trust
-    ).run()
-
-
-class TeamLoop(Loop):
-    """
-    A team and its operator (Fig. 4.1), stepped or run.
-
-    Parameters
-    ----------
-    graph : networkx.Graph, networkx.DiGraph, array_like or dict
-        Who sees whom; this and what follows as of `simulate_team`.
-    policy : {"most_trusted", "hysteresis", "sequence", "random"} or LeaderPolicy
-        Who leads.
-    goal : array_like, shape (3,)
-        r_q [m].
-    seed : int or numpy.random.SeedSequence
-        Of all that is drawn.
-    duration : float
-        How long the loop may run [s]: delays and whatever is random are drawn for this time.
-    operator : TeamOperator, optional
-        Who holds the device.
-    settings : TeamSettings, optional
-        Device, scattering, trust, robots, gains and channel.
-    trial : TeamTrial, optional
-        Time steps, start, added force and recording.
-    performance : {"motion", "tracking", "cohesion", "packets", "random"} or callable
-        What trust in a robot comes from.
-    trust : TrustDynamics or TrustInLoop, optional
-        A model of trust in place of (4.1).
 
     Attributes
     ----------
@@ -238,7 +222,6 @@ class TeamLoop(Loop):
             if driver is None:
                 self.human_trust.share = start
         self._graph = self._graphs[0]
-        self._changes: list[tuple[float, np.ndarray]] = []
         self._levels: list[np.ndarray] = []  # of trust, at every decision
         self._leader: int | None = None
         self._named: int | None = None
@@ -276,27 +259,27 @@ class TeamLoop(Loop):
         decisions = int(np.ceil(self.duration / self._step)) + 1
         drift = 0.5 * T * _drifts(robots, decisions, self._step, faults) / root
         filters = channel.filter_at(robots["b"].mean().item())
-        self._filter, filtering = _filtering(filters)
-        numbers = np.zeros(1, kernel.NUMBERS)
-        constants = dict(
-            **{name: getattr(settings, name) for name in FROM_SETTINGS},
-            **{name: getattr(operator, name) for name in FROM_OPERATOR},
-            **filtering,
+        self._filter = "no filter" if filters is None else filters.title
+        numbers = filled(
+            kernel.NUMBERS,
+            settings,
+            trial,
+            operator,
+            filters,
+            filtering=FILTERING[type(filters)],
+            cutoff=getattr(filters, "cutoff", 1.0),
             read_out=READ_OUTS[channel.read_out],
-            sample_time=T,
-            gain=float(np.sqrt(1.0 - rate)),
+            gain=np.sqrt(1.0 - rate),
             push=operator.stiffness(times["vision_delay"]),
             budget=budget,
             reserve=operator.reserve * budget,
             vision=round(times["vision_delay"] / T),
-            error_range=max(float(np.linalg.norm(distance, axis=1).max()), trial.tolerance),
+            error_range=max(np.linalg.norm(distance, axis=1).max(), trial.tolerance),
             per_decision=per_decision,
             per_row=trial.samples_per_row,
             drifting=drift.any(),
             switching=channel.switch_scattering,
         )
-        for name, value in constants.items():
-            numbers[name] = value
         formations = [
             formation_on(graph, settings.coupling, 0.5 * T, root[:, 0]) for graph in self._graphs
         ]
@@ -304,13 +287,11 @@ class TeamLoop(Loop):
         directed = [(graph.adjacency != graph.adjacency.T).any() for graph in self._graphs]
         storing = np.where(directed, np.nan, settings.force_gain / settings.lead_gain)
         setup = kernel.TeamSetup(
-            numbers, robots, matrices, stiffness, storing, delays, draws, drift
+            np.atleast_1d(numbers), robots, matrices, stiffness, storing, delays, draws, drift
         )
         rows = -(-count // trial.samples_per_row)
         log = kernel.TeamLog(
-            np.zeros(count, kernel.SAMPLE),
-            np.empty((rows, len(kernel.COLUMNS))),
-            np.empty((rows, *shape)),
+            np.zeros(count, kernel.SAMPLE), np.empty(rows, kernel.STATE), np.empty((rows, *shape))
         )
         records = setup, _state(distance / root, inner / root, count), inputs, log
         return Simulation(kernel.lead_team, *records, self._decide, per_decision, kernel.BLOCKS, T)
@@ -392,9 +373,7 @@ class TeamLoop(Loop):
             self.human_trust.judge(self._drawn[d - 1] if drawn else self._performance(t, state))
         self._levels.append(self.human_trust.trust)
         number = sum([graph.since <= t + SLACK for graph in self._graphs]) - 1
-        if self._graph is not self._graphs[number]:
-            self._graph = self._graphs[number]
-            self._changes.append((round(t, 9), self._graph.adjacency))
+        self._graph = self._graphs[number]
         inputs["graph"], inputs["lead"] = number, self._choose(t)
 
     def _performance(self, t: float, state: kernel.TeamState) -> np.ndarray:
@@ -471,12 +450,15 @@ class TeamLoop(Loop):
         run, T = self.simulation, self._trial.sample_time
         every, (numbers,) = self._trial.samples_per_row, run.setup.numbers
         rows = np.arange(0, run.done, every)
-        table = run.log.table[: rows.size].copy()
-        table.view(kernel.LOG)[:, 0]["leader"] += self._goal
+        graphs = run.inputs["graph"][: run.done]
+        changes = np.flatnonzero(np.diff(graphs, prepend=0))
+        states = run.log.table[: rows.size].view(float).reshape(rows.size, -1)
+        table = states[:, : len(kernel.COLUMNS)].copy()
+        table[:, :3] += self._goal  # where the leader is
         t = pd.Index(np.round(T * rows, 9), name="t")
         places = run.log.places[: rows.size] * run.setup.robots["root"][:, None] + self._goal
         present = np.array([graph.present for graph in self._graphs])
-        places[~present[run.inputs["graph"][rows]]] = np.nan  # not in the team, nowhere
+        places[~present[graphs[rows]]] = np.nan  # not in the team, nowhere
         facts = {"policy": self._policy.title, "filter": self._filter, "seed": str(self.seed)}
         facts |= {"read_out": self._settings.channel.read_out} | self._times
         facts |= {name: numbers[name].item() for name in ("k12", "k21", "sample_time", "push")}
@@ -485,13 +467,13 @@ class TeamLoop(Loop):
             self.robots,
             self._graphs[0].adjacency,
             self._goal,
-            pd.DataFrame(table, index=t, columns=list(kernel.COLUMNS)),
+            pd.DataFrame(table, t, list(kernel.COLUMNS)),
             places,
             np.array(self._levels)[rows // run.every],
             numbers["budget"].item(),
             self._trial.tolerance,
             facts | {"trust": self.human_trust.title},
-            tuple(self._changes),
+            tuple((round(T * k, 9), self._graphs[graphs[k]].adjacency) for k in changes),
         )
 
 
@@ -515,29 +497,13 @@ def _times(settings: TeamSettings, delay: float, T: float) -> dict[str, float]:
     return {"delay": delay, "vision_delay": vision, "min_dwell": dwell}
 
 
-def _filtering(filters: TwoPortFilter | WaveFilter | None) -> tuple[str, dict]:
-    """Return what the filters F1 and F2 of Fig. 4.1 are, and their numbers."""
-    if filters is None:
-        return "no filter", {"filtering": kernel.NO_FILTER, "cutoff": 1.0}
-    cutoff = filters.cutoff
-    if isinstance(filters, WaveFilter):
-        return f"waves, {cutoff:g} rad/s", {"filtering": kernel.WAVES, "cutoff": cutoff}
-    gains = {"k12": filters.k12, "k21": filters.k21}
-    kind = "two-port" if filters.is_passive else "two-port that is not passive"
-    return f"{kind}, {cutoff:g} rad/s", {"filtering": kernel.TWO_PORT, "cutoff": cutoff, **gains}
-
-
 def _drifts(robots: np.ndarray, decisions: int, step: float, rng) -> np.ndarray:
     """Return velocities by which robots drift, drawn, shape (M, N, 3)."""
-    velocities = np.zeros((decisions, robots.size, 3))
-    drifting = np.flatnonzero(robots["drift"])
-    keep = float(np.exp(-step / DRIFT_TIME))
-    fresh = np.sqrt(1.0 - keep**2)
-    white = rng.normal(size=(decisions, 3 * drifting.size))
-    white[0] /= fresh  # as large at the start as later
-    noise = first_order(white, fresh, keep).reshape(decisions, 3, drifting.size)
-    velocities[:, drifting] = (robots["drift"][drifting] * noise).transpose(0, 2, 1)
-    return velocities
+    velocities = np.zeros((decisions, 3, robots.size))
+    drifts = robots["drift"] > 0.0
+    noise = coloured(decisions, 3 * drifts.sum(), DRIFT_TIME, step, rng)
+    velocities[:, :, drifts] = noise.reshape(decisions, 3, drifts.sum())
+    return (velocities * robots["drift"]).transpose(0, 2, 1)
 
 
 def _drawn(decisions: int, robots: int, rate: float, rng) -> tuple[np.ndarray, np.ndarray]:
@@ -555,9 +521,7 @@ def _drawn(decisions: int, robots: int, rate: float, rng) -> tuple[np.ndarray, n
 
 def _state(q: np.ndarray, zeta: np.ndarray, count: int) -> kernel.TeamState:
     """Return what samples hand on, at the start."""
-    now = np.zeros(1, kernel.STATE)
-    row = now.view(float)[: len(kernel.COLUMNS)]
+    now, (u_l, u_r) = np.zeros(1, kernel.STATE), np.zeros((2, count, 3))
     middle, velocity, asked = np.zeros((3, *q.shape))
-    u_l, u_r = np.zeros((2, count, 3))
     robots = q, zeta, middle, velocity, asked, np.full(len(q), 0.5)
-    return kernel.TeamState(now, row, *robots, np.ones((2, count), bool), u_l, u_r, accounts())
+    return kernel.TeamState(now, *robots, np.ones((2, count), bool), u_l, u_r, accounts())

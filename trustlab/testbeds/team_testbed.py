@@ -14,13 +14,12 @@ from trustlab.models.checks import (
     positive,
     set_checked,
     spawned,
-    whole_number,
 )
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.team.decisions import POLICIES, policy_named
 from trustlab.teleoperation.team.settings import TeamOperator, TeamRobot, TeamSettings, TeamTrial
 from trustlab.testbeds.deciding import check_rules
-from trustlab.testbeds.populations import person_stream
+from trustlab.testbeds.populations import drawn_people
 from trustlab.testbeds.robot_team import simulate_team
 from trustlab.testbeds.team_run import FORCE, TeamRun
 
@@ -173,14 +172,12 @@ class RobotTeam:
         for name in assumed:
             one_of("an assumption", name, HAND)
         TeamOperator(**assumed)
-        rows = []
-        for number in range(1, whole_number("n", n) + 1):
-            rng = person_stream(seed, LEADERS_OF_TEAMS, number)
-            row: dict[str, Any] = {"participant": number}
-            for name in HAND:
-                row[name] = getattr(TeamOperator, name) * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD)
-            rows.append(row | assumed)
-        return pd.DataFrame(rows)
+        low, high = 1.0 - SPREAD, 1.0 + SPREAD
+
+        def draw(number: int, rng: np.random.Generator) -> dict[str, float]:
+            return {name: getattr(TeamOperator, name) * rng.uniform(low, high) for name in HAND}
+
+        return drawn_people(n, seed, LEADERS_OF_TEAMS, draw).assign(**assumed)
 
     def rule_of(self, condition: str, person: Mapping[str, Any]) -> Any:
         """
@@ -228,9 +225,9 @@ class RobotTeam:
             self.goal,
             rest,
             self.duration,
-            TeamOperator(**{name: person[name] for name in HAND}),
-            replace(self.blocks, robots=robots),
-            TeamTrial(0.01, record_every=0.1, tolerance=self.tolerance),
+            operator=TeamOperator(**{name: person[name] for name in HAND}),
+            settings=replace(self.blocks, robots=robots),
+            trial=TeamTrial(0.01, record_every=0.1, tolerance=self.tolerance),
         )
         return TeamSession(run)
 

@@ -23,7 +23,7 @@ from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, person_of
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.settings import SCHEMES
-from trustlab.testbeds import deciding
+from trustlab.testbeds import deciding, uav_following as flight
 from trustlab.testbeds.condition_run import ConditionRun
 from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task, check_rules
 from trustlab.testbeds.ground_robot import conditions as ground
@@ -37,7 +37,6 @@ from trustlab.testbeds.populations import (
 )
 from trustlab.testbeds.team_testbed import RobotTeam
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
-from trustlab.testbeds.uav_following import run as flight
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
 Seed = int | np.random.SeedSequence
@@ -256,14 +255,9 @@ class ConditionTestbed(Testbed):
         else:
             rule, mode = prepared_rule(rule, None)
             decide = deciding.obeying(rule)
-            task = deciding.task_of(
-                deciding.SCHEDULE,
-                self.e_max,
-                laps=self.laps,
-                model=model,
-                first_mode=mode,
-                r0=operator.r0,
-            )
+            task = Task(
+                deciding.SCHEDULE, self.e_max, laps=self.laps, first_mode=mode, r0=operator.r0
+            ).suggesting(model)
         facts = {self.extent: getattr(self, self.extent), "settling": deciding.SETTLING}
         if thresholds is not None:
             facts |= zip(("TSC_l", "TSC_u"), thresholds, strict=True)

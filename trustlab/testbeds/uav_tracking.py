@@ -25,11 +25,11 @@ from trustlab.models.checks import (
     shown,
     spawned,
 )
-from trustlab.models.simulation import Loop, Simulation, View, compiled_for
+from trustlab.models.simulation import Loop, Simulation, View, compiled_for, filled
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
-from trustlab.teleoperation.delays import delays_in_samples, first_order, random_walk_delay
+from trustlab.teleoperation.delays import coloured, delays_in_samples, random_walk_delay
 from trustlab.teleoperation.loop.hooks import asking, is_state_space, state_space
 from trustlab.teleoperation.loop.kernel import BLOCKS, DIRECT, LAWS, SIGNALS, WAVES, teleoperate
 from trustlab.teleoperation.loop.records import (
@@ -48,7 +48,6 @@ from trustlab.teleoperation.loop.settings import (
     Scheme,
     blending_cost,
     guidance_named,
-    hold_device,
     numbers_of,
     optimal_share,
     scheme_named,
@@ -57,7 +56,6 @@ from trustlab.teleoperation.loop.settings import (
     vehicle_matrices,
 )
 from trustlab.teleoperation.ports.waves import Scattering, accounts
-from trustlab.teleoperation.records import filled
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
@@ -178,11 +176,7 @@ class TrackingTask:
             T [s].
         """
         late = max(round(self.camera_delay / sample_time), 1)
-        gains = {
-            name: getattr(self, name)
-            for name in ("proportional", "integral", "derivative", "reach")
-        }
-        return filled(AUTONOMY, **gains, picture=self.view, delay=late)
+        return filled(AUTONOMY, self, picture=self.view, delay=late)
 
     def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -304,14 +298,15 @@ class TeleoperationLoop(Loop):
         self.task = of_class("task", TASKS[study] if task is None else task, TrackingTask)
         hooks = self._functions(trust)
         self._asked = ", ".join(hooks) or "built-in"
-        numbers, whole = self._constants(hooks), state_of(self.settings, self.guidance)
-        self.state = View(whole)
-        if self.scheme.shares == "optimal":
-            hooks["scheme"] = optimal(numbers, whole)
         ends, T = self.settings.scattering, self.settings.sample_time
         self.count = count = samples(duration, T)
         start, losses, noise, *ways = spawned(seed, 5)
         delays = delays_of(self.settings, delay, count, ways)
+        numbers = self._constants(hooks, bool(delays.any()))
+        whole = state_of(self.settings, self.guidance)
+        self.state = View(whole)
+        if self.scheme.shares == "optimal":
+            hooks["scheme"] = optimal(numbers, whole)
         inputs = drawn(self.settings, self.task, self.operator, count + 1, (start, losses, noise))
         arrives = np.ones((2, count), bool)
         for name, signal in checked_signals(signals, count, ends).items():
@@ -319,8 +314,6 @@ class TeleoperationLoop(Loop):
                 arrives[:] = signal.T
             else:
                 inputs[name][:-1] = signal
-        carried = WAVES if self.scheme.bilateral else SIGNALS
-        numbers["carried"] = carried if delays.any() else DIRECT
         # Inputs and delays have a row more than the log: padding, for a pause that nobody uses.
         follows_error = self.guidance.where == "through_channel"
         decide = asking(hooks, self.state, whole, ends, follows_error) if hooks else None
@@ -358,31 +351,39 @@ class TeleoperationLoop(Loop):
         }
         return {part: hook for part, hook in hooks.items() if callable(hook)}
 
-    def _constants(self, hooks: Mapping[str, Callable]) -> np.ndarray:
+    def _constants(self, hooks: Mapping[str, Callable], delayed: bool) -> np.ndarray:
         """Return the constants, a record of NUMBERS."""
-        settings, task = self.settings, self.task
+        task, ends = self.task, self.settings.scattering
         shares, law = self.scheme.shares, self.operator.law
-        T, ends = settings.sample_time, settings.scattering
-        numbers = numbers_of(settings, self.guidance, self.scheme.bilateral)
-        (n,) = numbers
-        n["rule"] = RULES["manual" if callable(shares) else shares]
-        n["law"] = 0 if callable(law) else LAWS.index(law)
-        hold_device(n, settings, self.operator.numbers(T, task.camera_delay))
+        T, bilateral = self.settings.sample_time, self.scheme.bilateral
+        hand = self.operator.numbers(T, task.camera_delay)
         if shares == "by hand":
-            n["hand"]["compensation"] *= 1.0 - self.operator.allocation_cost
-        n["auto"] = task.controller(T)
-        n["asks_trust"], n["asks_vehicle"] = "trust" in hooks, "vehicle" in hooks
-        if not n["asks_vehicle"]:
+            hand["compensation"] *= 1.0 - self.operator.allocation_cost
+        flies: dict[str, Any] = {}
+        if "vehicle" not in hooks:
             axes = usual_vehicle() if task.vehicle is None else three_axes(task.vehicle)
-            n["phi"], n["gamma"] = vehicle_matrices(axes, T)
+            flies["phi"], flies["gamma"] = vehicle_matrices(axes, T)
         if shares == "optimal":
-            if n["asks_vehicle"]:
+            if not flies:
                 raise ValueError(
                     "scheme OMI predicts with three TransferFunction: give the vehicle as these"
                 )
             gains = (task.proportional, task.derivative)
-            n["blend"] = blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
-        return numbers
+            flies["blend"] = blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
+        carried = WAVES if bilateral else SIGNALS
+        return numbers_of(
+            self.settings,
+            self.guidance,
+            bilateral,
+            hand,
+            auto=task.controller(T),
+            rule=RULES["manual" if callable(shares) else shares],
+            law=0 if callable(law) else LAWS.index(law),
+            carried=carried if delayed else DIRECT,
+            asks_trust="trust" in hooks,
+            asks_vehicle="vehicle" in hooks,
+            **flies,
+        )
 
     def step(self, hand: np.ndarray | None = None, alpha: float | None = None) -> View:
         """
@@ -551,13 +552,13 @@ def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.
             raise ValueError(f"{name} must be an array of numbers, got {shown(values)}") from None
         if array.shape != shape:
             raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
-        if np.isinf(array).any() or (name == "push" and np.isnan(array).any()):
-            k = int(np.argwhere(~np.isfinite(array))[0][0])
-            raise ValueError(f"{name} must be finite, but sample {k} is {array[k]}")
-        partial = np.isnan(array) if array.ndim == 2 else np.zeros((1, 1), bool)
-        if (partial.any(axis=1) != partial.all(axis=1)).any():
-            k = int(np.argmax(partial.any(axis=1) != partial.all(axis=1)))
-            raise ValueError(f"{name}: sample {k} is {array[k]}; give all three numbers, or none")
+        rows = array.reshape(count, -1)
+        none, some = np.isnan(rows).all(axis=1), np.isnan(rows).any(axis=1)
+        bad = np.isinf(rows).any(axis=1) | (some if name == "push" else some != none)
+        if bad.any():
+            k = int(np.argmax(bad))
+            allowed = "finite" if name == "push" else "finite, or NaN throughout"
+            raise ValueError(f"{name} must be {allowed}, but sample {k} is {array[k]}")
         checked[name] = array
     alpha, beta = (checked.get(name, np.full(1, np.nan)) for name in ("alpha", "beta"))
     ends.check_scales(alpha[~np.isnan(alpha)], beta[~np.isnan(beta)])
@@ -590,7 +591,7 @@ def drawn(settings, task, operator, count, seeds) -> np.ndarray:
     )
     inputs["ahead"] = ahead - position
     inputs["detected"] = _losses(task, count, T, losses)
-    inputs["motor"] = _coloured(count, operator.noise_time, T, noise)
+    inputs["motor"] = coloured(count, 3, operator.noise_time, T, noise)
     for name in DECIDED.names:
         inputs[name] = np.nan
     return inputs
@@ -607,14 +608,6 @@ def _losses(task: TrackingTask, count: int, sample_time: float, rng) -> np.ndarr
         detected[k:until] = sees
         k, sees = until, not sees
     return detected
-
-
-def _coloured(count: int, time: float, sample_time: float, rng) -> np.ndarray:
-    """Return noise of unit variance with this correlation time, shape (count, 3)."""
-    keep = np.exp(-sample_time / time)
-    white = rng.normal(size=(count, 3))
-    white[0] /= np.sqrt(1.0 - keep**2)
-    return first_order(white, np.sqrt(1.0 - keep**2), keep)
 
 
 def delays_of(settings: LoopSettings, delay: Any, count: int, seeds) -> np.ndarray:

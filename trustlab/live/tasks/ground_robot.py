@@ -23,7 +23,6 @@ from trustlab.testbeds.deciding import (
     SETTLING,
     TSC,
     Task,
-    task_of,
 )
 from trustlab.testbeds.ground_robot.conditions import E_MAX, SLOWEST
 from trustlab.testbeds.ground_robot.course import Course, CourseNumbers, default_course
@@ -132,7 +131,8 @@ def drive_config(
     first = int(phases[0][0]) if phases else 1
     laps = whole_number("laps", laps, most=100) if laps is not None else 0
     lower, upper = thresholds or (0.0, 0.0)
-    task = task_of(scheme, E_MAX, forced, laps, lower, upper, model, first)
+    task = Task(scheme, E_MAX, forced, laps, lower, upper, first)
+    task = task if model is None else task.suggesting(model)
     anchor = 1.0 - math.exp(-SAMPLE_TIME / robot.anchoring_time)
     return {
         "live_task": "ground_robot",
@@ -223,7 +223,6 @@ class Drive:
             course,
             np.empty(config["samples"]),
             np.empty(config["samples"]),
-            np.empty((len(course.posts), 4)),
         )
         self.sensing = np.random.default_rng(config["seed"])
         self.state, self._log = np.zeros(1, STATE)[0], np.zeros(1, LOG)[0]

@@ -311,18 +311,23 @@ def solve_robot_end(c, s):
 
 @step
 def solve_operator_end(c, s):
-    """Set the operator's end for the force at the robot's: r_m = free − Y f_m."""
+    """
+    Set the operator's end for the force at the robot's and what guides there: r_m = free − Y f_m.
+    """
     near, far = c.near, c.far
     now = s.now
     for i in range(3):
         loaded, echo = loading_and_echo(c, now.beta, i)
         through = c.admittance[i] * now.beta * near.arriving / loaded
+        guiding = s.pull[i] if c.guided_at == AT_OPERATOR else 0.0
+        free = s.free_output[i] - c.admittance[i] * guiding
         if c.carried == DIRECT:
-            straight = near.sent * s.free_output[i] / loaded + echo * far.sent * now.f_s[i]
+            straight = near.sent * free / loaded + echo * far.sent * now.f_s[i]
             s.v_r[i] = straight / (1.0 + far.reflected * echo)
             s.v_l[i] = waves.robot_wave(far, now.f_s[i], s.v_r[i])
-        now.r_m[i] = s.free_output[i] / loaded - through * s.v_l[i]
-        now.f_m[i] = now.beta * waves.operator_force(near, now.r_m[i], s.v_l[i])  # (3.12), (3.22)
+        now.r_m[i] = free / loaded - through * s.v_l[i]
+        # (3.12), (3.22)
+        now.f_m[i] = guiding + now.beta * waves.operator_force(near, now.r_m[i], s.v_l[i])
 
 
 @step
@@ -353,32 +358,24 @@ def guide_at_operator(c, s):
     The guiding force β f at the haptic device, from the picture that the operator sees; the channel
     carries the command.
 
-    The device feels f_m = offset + resistance r_m, the channel's end with no force at the robot's,
-    and the guiding force. The controller works on (r_m, f_m): guidance spends what the operator's
-    port has earned, or its budget.
+    The controller works on (r_m, f_m), of which the guiding force is a part: guidance spends what
+    the operator's port has earned, or its budget.
     """
     near, far = c.near, c.far
-    now = s.now
-    back = 0.0  # of a wave sent, what returns at once without a channel in between
-    if c.carried == DIRECT:
-        back = -far.reflected * near.sent / (1.0 + near.reflected * far.reflected)
-    gain, resistance = 0.0, now.beta * (near.b + near.arriving * back)
+    now, gain = s.now, 0.0
     for i in range(3):
-        arrived = 0.0 if c.carried == DIRECT else now.beta * near.arriving * s.v_l[i]
-        s.pull[i] = now.beta * s.guiding[i]
-        force, admittance = arrived + s.pull[i], c.admittance[i]
-        now.r_m[i] = (s.free_output[i] - admittance * force) / (1.0 + admittance * resistance)
-        now.f_m[i] = force + resistance * now.r_m[i]  # (3.12), (3.22)
-        gain += now.r_m[i] ** 2 / admittance
+        s.pull[i], now.f_s[i] = now.beta * s.guiding[i], 0.0
+    solve_operator_end(c, s)
+    for i in range(3):
+        gain += now.r_m[i] ** 2 / c.admittance[i]
     share = passivity_share(c.guard, s.account, now.r_m, now.f_m, gain, c.sample_time)
     for i in range(3):
         if share < 1.0:
             now.r_m[i] = share * now.r_m[i]
             now.f_m[i] = (s.free_output[i] - now.r_m[i]) / c.admittance[i]
-        if c.carried == DIRECT:
-            s.v_l[i] = back * now.r_m[i]
-            s.v_r[i] = waves.operator_wave(near, now.r_m[i], s.v_l[i])
-        now.f_s[i] = 0.0
+            if c.carried == DIRECT:  # what the slower device sends returns at once
+                s.v_r[i] = near.sent * now.r_m[i] / (1.0 + near.reflected * far.reflected)
+                s.v_l[i] = waves.robot_wave(far, now.f_s[i], s.v_r[i])
         now.r_s[i] = now.alpha * waves.robot_velocity(far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
     now.port_share = share
 

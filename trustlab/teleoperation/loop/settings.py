@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from scipy import linalg
 
 from trustlab.allocation.blending import OptimalBlending, best_share
 from trustlab.models.checks import (
@@ -23,7 +22,9 @@ from trustlab.models.checks import (
     shown,
 )
 from trustlab.models.compiled import njit
+from trustlab.models.simulation import filled
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
+from trustlab.models.uav import held_over
 from trustlab.teleoperation.loop.kernel import (
     BY_HAND,
     GUIDANCE,
@@ -32,7 +33,7 @@ from trustlab.teleoperation.loop.kernel import (
     NOWHERE,
     STEPS,
 )
-from trustlab.teleoperation.loop.records import NUMBERS, STATE
+from trustlab.teleoperation.loop.records import DEVICE, NUMBERS, SAMPLE, STATE, TRUST
 from trustlab.teleoperation.ports import device as haptic
 from trustlab.teleoperation.ports.budget import GuidanceBudget
 from trustlab.teleoperation.ports.device import METHODS, HapticDevice
@@ -395,44 +396,45 @@ def guidance_named(guidance: str | Guidance) -> Guidance:
     return Guidance(one_of("guidance", guidance, GUIDANCE, also="trustlab.teleoperation.Guidance"))
 
 
-def numbers_of(settings: LoopSettings, guidance: Guidance, bilateral: bool) -> np.ndarray:
+def numbers_of(
+    settings: LoopSettings, guidance: Guidance, bilateral: bool, hand: np.void, **rest
+) -> np.ndarray:
     """
-    Return the constants of a loop, a record of NUMBERS, but for who drives, sees and flies there.
+    Return the constants of a loop, a record of NUMBERS.
+
+    hand: the operator, a record of HAND. rest: what sees, flies and sets the scales there.
     """
-    numbers, T = np.zeros(1, NUMBERS), settings.sample_time
-    ends = settings.scattering
-    (n,) = numbers
-    for name in ("sample_time", "force_scaling", "steepness", "command_range", "error_range"):
-        n[name] = getattr(settings, name)
-    n["gain"] = ends.gain
-    n["guidance"] = -settings.k_ffa if settings.printed_sign else settings.k_ffa
-    n["window"] = max(round(settings.window / T), 1)
-    for name in ("human_to_robot", "robot_to_human"):
-        model = getattr(settings, name)
-        n["trust_hr" if name == "human_to_robot" else "trust_rh"] = (
-            model.decay(T),
-            model.b / model.a,
-            model.p_min,
-            model.p_max,
-            model.t_min,
-            model.t_max,
-        )
-    n["guard"] = METHODS[guidance.guard]
-    n["guided_at"] = GUIDANCE.index(guidance.where) if bilateral else NOWHERE
-    n["budget_energy"] = np.inf if guidance.budget is None else guidance.budget.energy
-    n["budget_power"] = 0.0 if guidance.budget is None else guidance.budget.power
-    n["near"], n["far"] = ends.at_operator, ends.at_robot
-    return numbers
-
-
-def hold_device(n: np.void, settings: LoopSettings, hand: np.void) -> None:
-    """Put the operator, and the device in the operator's hand, into the constants of a loop."""
-    n["hand"] = hand
+    T, ends = settings.sample_time, settings.scattering
+    budget = guidance.budget
     arm = haptic.Arm(hand["mass"], hand["stiffness"], hand["damping"])
-    axes = haptic.held_device.py_func(settings.device(), arm, settings.sample_time)
+    axes = haptic.held_device.py_func(settings.device(), arm, T)
+    device = np.zeros(3, DEVICE)
     for name, value in axes._asdict().items():
-        n["device"][name] = value
-    n["admittance"] = settings.force_scaling * axes.lever / axes.inertia
+        device[name] = value
+    models = {"trust_hr": settings.human_to_robot, "trust_rh": settings.robot_to_human}
+    trust = {
+        name: filled(TRUST, model, decay=model.decay(T), gain=model.b / model.a)
+        for name, model in models.items()
+    }
+    numbers = filled(
+        NUMBERS,
+        settings,
+        gain=ends.gain,
+        guidance=-settings.k_ffa if settings.printed_sign else settings.k_ffa,
+        window=max(round(settings.window / T), 1),
+        guard=METHODS[guidance.guard],
+        guided_at=GUIDANCE.index(guidance.where) if bilateral else NOWHERE,
+        budget_energy=budget.energy if budget else np.inf,
+        budget_power=budget.power if budget else 0.0,
+        near=ends.at_operator,
+        far=ends.at_robot,
+        hand=hand,
+        device=device,
+        admittance=settings.force_scaling * axes.lever / axes.inertia,
+        **trust,
+        **rest,
+    )
+    return np.atleast_1d(numbers)
 
 
 def state_of(settings: LoopSettings, guidance: Guidance) -> np.ndarray:
@@ -440,19 +442,12 @@ def state_of(settings: LoopSettings, guidance: Guidance) -> np.ndarray:
     Return the state before the first sample, a record of STATE: scales at their upper bounds, trust
     mid-way.
     """
-    whole, ends = np.zeros(1, STATE), settings.scattering
-    whole["sample_time"] = settings.sample_time
-    if guidance.budget is not None:
-        whole["account"] = guidance.budget.energy
-    for name in ("alpha", "beta"):
-        whole[f"{name}_min"] = getattr(ends, f"{name}_min")
-        whole[f"{name}_max"] = whole["now"][name] = getattr(ends, f"{name}_max")
-    for name, model in (
-        ("trust_hr", settings.human_to_robot),
-        ("trust_rh", settings.robot_to_human),
-    ):
-        whole["now"][name] = model.t_min + (model.t_max - model.t_min) * 0.5
-    return whole
+    ends, models = settings.scattering, (settings.human_to_robot, settings.robot_to_human)
+    hr, rh = (model.t_min + (model.t_max - model.t_min) * 0.5 for model in models)
+    scales = {"alpha": ends.alpha_max, "beta": ends.beta_max}
+    now = filled(SAMPLE, trust_hr=hr, trust_rh=rh, **scales)
+    account = guidance.budget.energy if guidance.budget else 0.0
+    return np.atleast_1d(filled(STATE, settings, ends, now=now, account=account))
 
 
 @lru_cache(maxsize=64)
@@ -475,13 +470,8 @@ def vehicle_matrices(axes: tuple, sample_time: float) -> tuple[np.ndarray, np.nd
     for i, axis in enumerate(axes):
         n = axis.order + 1
         a, b = axis.matrices()
-        # exp of the block matrix [[A, B], [0, 0]] holds both the transition and the integral of the
-        # held command
-        block = np.zeros((n + 1, n + 1))
-        block[0, 1] = 1.0
-        block[1:n, 1:n] = a
-        block[1:n, n] = b
-        whole = linalg.expm(block * sample_time)
-        phi[i, :n, :n], gamma[i, :n] = whole[:n, :n], whole[:n, n]
+        moving = np.pad(a, ((1, 0), (1, 0)))
+        moving[0, 1] = 1.0
+        phi[i, :n, :n], gamma[i, :n] = held_over(sample_time, moving, np.pad(b, (1, 0)))
     phi.flags.writeable = gamma.flags.writeable = False
     return phi, gamma

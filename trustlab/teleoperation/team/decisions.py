@@ -77,34 +77,26 @@ class Motion:
 
 
 @njit(error_model="numpy")
-def rate_move(velocity, asked):
+def rate_moves(velocities, asked, leader=-1, received=1.0):
     """
-    Return 1 − ‖v − v̂‖/(‖v‖ + ‖v̂‖) of one robot, 2 s/(1 + s) for one of speed s; NaN where
+    Return 1 − ‖v − v̂‖/(‖v‖ + ‖v̂‖) of every robot, 2 s/(1 + s) for one of speed s; NaN where
     nothing moves. In steps of 0.001, so that no two faultless robots differ by their rounding.
+
+    That of a leader counts times the share of the packets that it received, where it rests the
+    share alone.
     """
-    off = moved = wanted = 0.0
-    for i in range(3):
-        off += (velocity[i] - asked[i]) ** 2
-        moved += velocity[i] ** 2
-        wanted += asked[i] ** 2
-    moving = np.sqrt(moved) + np.sqrt(wanted)
-    if not moving > LEAST_SPEED:
-        return np.nan
-    return np.rint(1000.0 * (1.0 - np.sqrt(off) / moving)) / 1000.0
-
-
-@njit(error_model="numpy")
-def with_packets(rated, received):
-    """Return how well the leader moves, times the share of its packets that arrived."""
-    return received if np.isnan(rated) else rated * received
-
-
-@njit(error_model="numpy")
-def rate_moves(velocities, asked):
-    """Return how well every robot moves."""
-    rated = np.empty(len(velocities))
+    rated = np.full(len(velocities), np.nan)
     for robot in range(rated.size):
-        rated[robot] = rate_move(velocities[robot], asked[robot])
+        off = moved = wanted = 0.0
+        for i in range(3):
+            off += (velocities[robot, i] - asked[robot, i]) ** 2
+            moved += velocities[robot, i] ** 2
+            wanted += asked[robot, i] ** 2
+        moving = np.sqrt(moved) + np.sqrt(wanted)
+        if moving > LEAST_SPEED:
+            rated[robot] = np.rint(1000.0 * (1.0 - np.sqrt(off) / moving)) / 1000.0
+    if leader >= 0:
+        rated[leader] = received * (1.0 if np.isnan(rated[leader]) else rated[leader])
     return rated
 
 
@@ -115,9 +107,7 @@ def tracking(motion: Motion) -> np.ndarray:
 
 def motion(motion: Motion) -> np.ndarray:
     """Return how well robots move as (4.22) asks, the leader's times the packets that arrived."""
-    rated = tracking(motion)
-    rated[motion.leader] = with_packets(rated[motion.leader], motion.received)
-    return rated
+    return rate_moves(motion.velocities, motion.asked, motion.leader, motion.received)
 
 
 def packets(motion: Motion) -> np.ndarray:
@@ -298,21 +288,6 @@ class LeaderPolicy(Protocol):
         """
 
 
-@njit(error_model="numpy")
-def most_trusted(trust, leader, free, margin):
-    """
-    Return who leads next: the most trusted robot where the present leader, −1 for none, is free to
-    go and trusted less by more than a margin.
-    """
-    best = 0
-    for robot in range(1, trust.size):
-        if trust[robot] > trust[best]:
-            best = robot
-    if leader < 0:
-        return best
-    return best if free and trust[best] > trust[leader] + margin else leader
-
-
 @dataclass(frozen=True)
 class MostTrusted:
     """
@@ -350,8 +325,10 @@ class MostTrusted:
         now : TeamSituation
             Time, trust, who is present, who leads since when.
         """
-        leader = -1 if now.leader is None else now.leader
-        return most_trusted(now.trust, leader, now.free, self.margin)
+        leader, best = now.leader, int(now.trust.argmax())
+        if leader is None or (now.free and now.trust[best] > now.trust[leader] + self.margin):
+            return best
+        return leader
 
 
 @dataclass(frozen=True)

@@ -153,20 +153,6 @@ def laplacian(adjacency: np.ndarray) -> np.ndarray:
     return np.diag(adjacency.sum(axis=1)) - adjacency
 
 
-def algebraic_connectivity(graph) -> float:
-    """
-    Return λ_2 of the Laplacian: how fast the team's differences die out [1/s].
-
-    Parameters
-    ----------
-    graph : networkx.Graph, networkx.DiGraph or array_like, shape (N, N)
-        As in `team_graph`; 0 where it is not connected. On a directed graph the least real part of
-        an eigenvalue but the first.
-    """
-    values = np.linalg.eigvals(laplacian(team_graph(graph, require_connected=False)[1]))
-    return float(max(np.sort(values.real)[1], 0.0))
-
-
 def formation_on(
     graph: TeamGraph, coupling: float, h: float, root: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -108,17 +108,17 @@ TeamSetup = namedtuple(
     "TeamSetup", "numbers robots formations stiffness storing delays draws drift"
 )
 
-# What samples hand on; changed in place. now, shape (1,): a record of STATE, and row, what of it is
-# logged. q, zeta, shape (N, 3): distance to the goal and ζ, over √s. middle, shape (N, 3): q in the
+# What samples hand on; changed in place. now, shape (1,): a record of STATE. q,
+# zeta, shape (N, 3): distance to the goal and ζ, over √s. middle, shape (N, 3): q in the
 # middle of the sample, first as if the leader were not driven. velocity, asked, shape (N, 3): how
 # robots moved in the last sample before a decision [m/s], and how faultless ones would have in
 # their places. trust, shape (N,): in the operator, (4.2). arrives, shape (2, K): whether waves
 # arrive. u_l, u_r, shape (K, 3): waves. accounts: `ledger.accounts()`.
 TeamState = namedtuple(
-    "TeamState", "now row q zeta middle velocity asked trust arrives u_l u_r accounts"
+    "TeamState", "now q zeta middle velocity asked trust arrives u_l u_r accounts"
 )
 
-# samples, shape (K,): records of SAMPLE. table, shape (rows, columns): COLUMNS, every `per_row`
+# samples, shape (K,): records of SAMPLE. table, shape (rows,): records of STATE, every `per_row`
 # samples. places, shape (rows, N, 3): distances to the goal over √s.
 TeamLog = namedtuple("TeamLog", "samples table places")
 
@@ -423,16 +423,6 @@ def log_places(setup, graph, state, now, places):
             places[j, i] = state.q[j, i]
 
 
-@part
-def log_row(n, past, state, now, row):
-    """Log storages and signals of the sample."""
-    now.v_e_delayed = past.stored
-    stored = now.v_h + n.budget + now.v_hd + now.v_ch + now.v_fs
-    now.v_t = stored + now.v_e_delayed + now.v_filter  # (4.32)
-    for i in range(row.size):
-        row[i] = state.row[i]
-
-
 @njit(error_model="numpy", _nrt=False)
 def lead_team(first, stop, setup, state, inputs, log):
     """
@@ -479,7 +469,10 @@ def lead_team(first, stop, setup, state, inputs, log):
         for i in range(3):
             sample.sent[i], sample.seen[i] = now.r_s[i], now.leader[i]
         if logged:
-            log_row(n, past, state, now, log.table[at])
+            now.v_e_delayed = past.stored
+            stored = now.v_h + n.budget + now.v_hd + now.v_ch + now.v_fs
+            now.v_t = stored + now.v_e_delayed + now.v_filter  # (4.32)
+            log.table[at] = now
         if (k + 1) % n.per_decision == 0:
             measure_motion(n, robots, drift, state)
         account_energy(n, past.lost if k >= n.vision else 0.0, now)

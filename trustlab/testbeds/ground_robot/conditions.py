@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trustlab.models.checks import (
+    between,
     finite_array,
     finite_number,
     of_class,
@@ -128,7 +129,8 @@ def drive_modes(
         k = int(np.argmax(odd))
         raise ValueError(f"mode must be zeros and ones, but sample {k} is {modes[k]:g}")
     whole_number("mode: the number of zeros and ones", modes.size, least=2, most=MOST_STEPS)
-    task = deciding.task_of(deciding.SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
+    r0 = between("r0", r0, 0.0, 1.0)
+    task = deciding.Task(deciding.SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
     log, _ = driven(task, *equipment(robot, course), operator, seed, modes)
     metadata = deciding.metadata_of("ground_robot", operator, condition, seed, NOTE, MEASURED)
     return Session(deciding.framed(log).drop(columns=["tsc", "suggested_mode"]), metadata)
@@ -235,14 +237,12 @@ def driven(
         size = modes.size
         inputs = deciding.no_inputs(size)
         inputs["mode"] = modes
-    numbers = course.numbers
     rates = kernel.rates_of(operator, robot, task.sample_time)
-    setup = kernel.DriveSetup(task, numbers, robot.numbers, operator.numbers, rates)
+    setup = kernel.DriveSetup(task, course.numbers, robot.numbers, operator.numbers, rates)
     sensing, hand, choices = map(np.random.default_rng, spawned(seed, 3))
     arc, z_r, z_h = np.empty((3, size))
-    found, lap_times = np.empty((len(numbers.posts), 4)), np.empty(task.laps)
-    now = np.zeros(1, kernel.STATE)
-    state = kernel.DriveState(now, sensing, hand, choices, arc, z_r, z_h, found, lap_times)
+    now, lap_times = np.zeros(1, kernel.STATE), np.empty(task.laps)
+    state = kernel.DriveState(now, sensing, hand, choices, arc, z_r, z_h, lap_times)
     log = np.empty(size, kernel.LOG)
     run = Simulation(kernel.drive, setup, state, inputs, log, decide)
     run.advance(size)

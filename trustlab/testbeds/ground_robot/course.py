@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.models.checks import (
-    finite_array,
     not_negative,
     positive,
     rounded_up,
@@ -176,16 +175,17 @@ class Course:
         object.__setattr__(self, "_posts", self._post_rows())
 
     def _rounded(self, corners: np.ndarray) -> np.ndarray:
-        """Return the path with its arc length, closed."""
-        ahead = np.roll(corners, -1, axis=0) - corners
-        side = np.hypot(*ahead.T)
+        """Return the path with its arc length, closed; points of the plane are complex numbers."""
+        places = corners @ (1.0, 1j)
+        ahead = np.roll(places, -1) - places
+        side = np.abs(ahead)
         if (side == 0.0).any():
             raise ValueError(
                 f"corner {int(np.argmax(side == 0.0))} of the course is there twice in a row"
             )
-        into = np.roll(ahead / side[:, None], 1, axis=0)
-        out = ahead / side[:, None]
-        turn = np.arctan2(into[:, 0] * out[:, 1] - into[:, 1] * out[:, 0], (into * out).sum(axis=1))
+        out = ahead / side
+        into = np.roll(out, 1)
+        turn = np.angle(out * into.conj())
         cut = self.radius * np.abs(np.tan(turn / 2.0))
         needed = cut + np.roll(cut, -1)
         if (needed > side).any():
@@ -195,22 +195,16 @@ class Course:
                 f"{self.radius:g} m take {needed[i]:.3g} m; use a smaller radius or corners "
                 "farther apart"
             )
-        pieces = []
-        for corner, u, angle, back in zip(corners, into, turn, cut, strict=True):
+        bends = []
+        for begins, u, angle in zip(places - cut * into, into, turn, strict=True):
             count = max(2, int(np.ceil(self.radius * abs(angle) / self.resolution)) + 1)
-            along = np.linspace(0.0, angle, count)
-            normal = np.sign(angle) * np.array([-u[1], u[0]])
-            centre = corner - back * u + self.radius * normal
-            cos, sin = np.cos(along)[:, None], np.sin(along)[:, None]
-            spoke = -self.radius * normal
-            pieces.append(centre + cos * spoke + sin * np.array([-spoke[1], spoke[0]]))
-        points = np.concatenate(pieces)
-        points = np.concatenate([points, points[:1]])
-        apart = np.hypot(*np.diff(points, axis=0).T)
-        points = points[np.r_[True, apart > 1e-9]]
-        points[-1] = points[0]
-        apart = np.hypot(*np.diff(points, axis=0).T)
-        return np.column_stack([points, np.r_[0.0, np.cumsum(apart)]])
+            spoke = -self.radius * np.sign(angle) * 1j * u
+            bends.append(begins - spoke + spoke * np.exp(1j * np.linspace(0.0, angle, count)))
+        path = np.concatenate([*bends, bends[0][:1]])
+        path = path[np.r_[True, np.abs(np.diff(path)) > 1e-9]]
+        path[-1] = path[0]
+        s = np.r_[0.0, np.cumsum(np.abs(np.diff(path)))]
+        return np.column_stack([path.real, path.imag, s])
 
     def _post_rows(self) -> np.ndarray:
         count = max(2, round(self.length / self.post_spacing))
@@ -245,35 +239,6 @@ class Course:
     def length(self) -> float:
         """Length of a lap [m]."""
         return float(self._path[-1, 2])
-
-    def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """
-        Return the distance of points from the path.
-
-        Parameters
-        ----------
-        x, y : array_like, shape (N,)
-            Positions [m].
-
-        Returns
-        -------
-        numpy.ndarray, shape (N,)
-            Distance to the nearest point of the path [m].
-
-        Raises
-        ------
-        ValueError
-            If a position is not finite, or x and y differ in length.
-        """
-        x = finite_array("x", np.atleast_1d(x))
-        points = np.column_stack([x, finite_array("y", np.atleast_1d(y), length=x.size)])
-        begin, along = self._path[:-1, :2], np.diff(self._path[:, :2], axis=0)
-        distances = np.empty(len(points))
-        for k, point in enumerate(points):
-            share = ((point - begin) * along).sum(axis=1) / (along**2).sum(axis=1)
-            foot = begin + share.clip(0.0, 1.0)[:, None] * along
-            distances[k] = np.hypot(*(point - foot).T).min()
-        return distances
 
 
 @cache

@@ -19,7 +19,6 @@ import numpy as np
 
 from trustlab.models.compiled import inner, njit
 from trustlab.models.simulation import END
-from trustlab.models.tsc import next_utilization
 from trustlab.operators.ground_robot import driving_style, joystick
 from trustlab.teleoperation.records import record
 from trustlab.testbeds.deciding import (
@@ -29,8 +28,10 @@ from trustlab.testbeds.deciding import (
     Task,
     allocate,
     begin,
+    log_decision,
     measure,
     skill_now,
+    tire,
 )
 from trustlab.testbeds.ground_robot.course import CourseNumbers, nearest_point, path_point
 from trustlab.testbeds.ground_robot.pioneer import scan, wrapped
@@ -88,7 +89,7 @@ class DriveSetup(NamedTuple):
 class DriveState(NamedTuple):
     """
     What samples hand on: one record of STATE, the noise of sensing, of the hand and of decisions,
-    what is kept of each sample, room for the posts that a scan finds, and when laps ended [s].
+    what is kept of each sample, and when laps ended [s].
     """
 
     now: np.ndarray
@@ -98,7 +99,6 @@ class DriveState(NamedTuple):
     arc: np.ndarray
     z_r: np.ndarray
     z_h: np.ndarray
-    found: np.ndarray
     lap_times: np.ndarray
 
 
@@ -165,7 +165,8 @@ def locate(course, k, row, state):
     )
     lap, ahead = course.path[-1, 2], arc - state.arc if k > 0 else 0.0
     state.arc, state.progress = arc, state.progress + (ahead - lap * np.floor(ahead / lap + 0.5))
-    ended = state.progress >= (state.laps + 1) * lap
+    # a corner where the path closes may be nearest for some samples: there rounding must not decide
+    ended = state.progress >= (state.laps + 1) * lap - 1e-9
     if ended:
         state.laps += 1
     return ended
@@ -183,24 +184,19 @@ def perform(task, k, z_r, z_h, row, state):
 @inner
 def enter(row, state):
     """Log all that is not logged yet of this sample."""
-    row.mode = state.mode
-    row.suggested_mode = state.suggested
+    log_decision(row, state)
     row.step_distance = state.moved
     row.v_command = state.v_hand
     row.w_command = state.w_hand
-    row.r = state.r
-    row.p_r = state.p_r
-    row.p_h = state.p_h
-    row.tsc = state.tsc
 
 
 @inner
-def roll(robot, anchor, dt, course, found, state, sensing):
+def roll(robot, anchor, dt, course, state, sensing):
     """
     Let the robot scan, follow the hand or its own controller, and move; its odometry drifts with
     distance.
     """
-    off_x, off_y, turn, seen = scan(course.posts, robot, state, sensing, found)
+    off_x, off_y, turn, seen = scan(course.posts, robot, state, sensing)
     if state.mode == 1:
         v_want, w_want = state.v_hand, state.w_hand
         # while the operator drives between the posts, the estimate is anchored anew
@@ -275,8 +271,8 @@ def drive(first, stop, setup, state, inputs, log):
         enter(log[k], now)
         if 0 < task.laps <= now.laps:
             return k + 1, END
-        roll(setup.robot, setup.rates.anchor, dt, setup.course, state.found, now, state.sensing)
-        now.r = min(max(next_utilization(now.r, now.mode, person.a), 0.0), 1.0)  # (2.5)
+        roll(setup.robot, setup.rates.anchor, dt, setup.course, now, state.sensing)
+        tire(person, now)
         if k + 1 < log.size:
             sense(k + 1, setup, state, log)
     return stop, -1

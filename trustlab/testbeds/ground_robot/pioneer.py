@@ -17,17 +17,16 @@ def wrapped(angle):
 
 
 @inner(_nrt=False)
-def scan(posts, robot, state, sensing, offsets):
+def scan(posts, robot, state, sensing):
     """
     Compare posts seen with where the estimate has them: mean offset dx, dy, turn of the pattern,
     number seen.
 
     While the operator drives, nothing is compared, but the noise is drawn all the same.
     """
-    mean_x = 0.0
-    mean_y = 0.0
-    mean_px = 0.0
-    mean_py = 0.0
+    # Sums over posts seen: their places from the robot, where the estimate has them from its own
+    # place, and the cross and dot products of both.
+    sum_x = sum_y = sum_off_x = sum_off_y = cross = dot = 0.0
     seen = 0
     cos, sin = np.cos(state.yaw), np.sin(state.yaw)
     half = 0.5 * robot.field_of_view
@@ -55,27 +54,22 @@ def scan(posts, robot, state, sensing, offsets):
         # Where the estimate has the post: what was seen, turned by the errors of bearing and of the
         # estimated heading.
         turned = state.heading_error + aside
-        turned_x, turned_y = np.cos(turned), np.sin(turned)
         longer = 1.0 + far / max(distance, 1e-9)
-        offsets[seen, 0], offsets[seen, 1] = posts[i, 0], posts[i, 1]
-        offsets[seen, 2] = state.est_x + longer * (turned_x * dx - turned_y * dy)
-        offsets[seen, 3] = state.est_y + longer * (turned_y * dx + turned_x * dy)
-        mean_px, mean_py = mean_px + offsets[seen, 0], mean_py + offsets[seen, 1]
-        mean_x, mean_y = mean_x + offsets[seen, 2], mean_y + offsets[seen, 3]
+        seen_x = longer * (np.cos(turned) * dx - np.sin(turned) * dy)
+        seen_y = longer * (np.sin(turned) * dx + np.cos(turned) * dy)
+        sum_x, sum_y = sum_x + dx, sum_y + dy
+        sum_off_x, sum_off_y = sum_off_x + seen_x - dx, sum_off_y + seen_y - dy
+        cross, dot = cross + dx * seen_y - dy * seen_x, dot + dx * seen_x + dy * seen_y
         seen += 1
     if seen == 0:
         return 0.0, 0.0, 0.0, 0
-    mean_x = mean_x / seen
-    mean_y = mean_y / seen
-    mean_px = mean_px / seen
-    mean_py = mean_py / seen
-    cross, dot = 0.0, 0.0
-    for i in range(seen):
-        ax, ay = offsets[i, 0] - mean_px, offsets[i, 1] - mean_py
-        bx, by = offsets[i, 2] - mean_x, offsets[i, 3] - mean_y
-        cross, dot = cross + ax * by - ay * bx, dot + ax * bx + ay * by
+    # products of what lies beside the mean
+    off_x, off_y = sum_off_x / seen, sum_off_y / seen
+    mean_x, mean_y = sum_x / seen, sum_y / seen
+    cross -= sum_x * (mean_y + off_y) - sum_y * (mean_x + off_x)
+    dot -= sum_x * (mean_x + off_x) + sum_y * (mean_y + off_y)
     turn = np.arctan2(cross, dot) if seen > 1 else 0.0
-    return mean_x - mean_px, mean_y - mean_py, turn, seen
+    return state.est_x - state.x + off_x, state.est_y - state.y + off_y, turn, seen
 
 
 # Largest number of a robot, in its unit.
