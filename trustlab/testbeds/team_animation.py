@@ -31,37 +31,30 @@ def samples_shown(run, rate: float) -> np.ndarray:
 
 def pictures(run, samples: np.ndarray) -> Iterator[Image.Image]:
     """
-    Yield pictures of a `TeamRun`: the team from above and from the side, its links and its leader,
-    and the greatest distance to the goal.
+    Yield pictures of a `TeamRun`: the team from above and from the side, its links and its leader.
     """
-    figure = Figure(figsize=(8.0, 5.6), dpi=90)
+    figure = Figure(figsize=(8.0, 4.6), dpi=90)
     canvas = FigureCanvasAgg(figure)
-    axes = figure.subplot_mosaic([["y", "z"], ["far", "far"]], height_ratios=[3, 1])
-    figure.subplots_adjust(left=0.12, right=0.98, top=0.87, bottom=0.1, hspace=0.35, wspace=0.25)
+    axes = figure.subplots(1, 2)
     figure.suptitle(run.title, fontsize=11, parse_math=False)
-    words = figure.text(0.5, 0.93, "", ha="center", va="top", parse_math=False)
+    words = figure.text(0.5, 0.9, "", ha="center", parse_math=False)
     places = np.concatenate([run.positions.reshape(-1, 3), run.goal[None]])
     low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
     half = 0.55 * max(float((high - low).max()), 0.1)
     moving = [words]
     views = []
-    for number, name in enumerate("yz", 1):
-        axis, seen = axes[name], [0, number]
+    for axis, number in zip(axes, (1, 2), strict=True):
+        seen = [0, number]
         x, y = 0.5 * (low + high)[seen]
         limits = {"xlim": (x - half, x + half), "ylim": (y - half, y + half)}
-        axis.set(xlabel="x [m]", ylabel=f"{name} [m]", aspect="equal", **limits)
+        axis.set(xlabel="x [m]", ylabel=f"{'xyz'[number]} [m]", aspect="equal", **limits)
         axis.plot(*run.goal[seen], "o", ms=14, mfc="none", mec=GOAL)
         links = axis.add_collection(LineCollection([], colors="0.7", lw=0.8))
-        trails = axis.add_collection(LineCollection([], colors=ROBOT, alpha=0.3, lw=0.8))
+        trails = axis.add_collection(LineCollection([], colors=ROBOT, alpha=0.5, lw=1.0))
         (robots,) = axis.plot([], [], "o", ms=6, color=ROBOT)
         (leader,) = axis.plot([], [], "o", ms=9, color=LEADER)
         views.append((seen, links, trails, robots, leader))
         moving += [links, trails, robots, leader]
-    last = samples[-1] + 1
-    axes["far"].semilogy(run.t[:last], np.maximum(run.farthest[:last], 1e-9), color=ROBOT)
-    axes["far"].set(xlabel="time [s]", ylabel="to the goal\nat most [m]")
-    now = axes["far"].axvline(run.t[0], color="0.2", lw=1.0)
-    moving.append(now)
     for artist in moving:
         artist.set_animated(True)
     canvas.draw()
@@ -77,9 +70,10 @@ def pictures(run, samples: np.ndarray) -> Iterator[Image.Image]:
             trails.set_segments(list(way[..., seen]))
             robots.set_data(*place.T)
             leader.set_data(*place[[leads[k]]].T)
-        now.set_xdata([run.t[k]] * 2)
-        name = run.robots[leads[k]]
-        words.set_text(f"{run.t[k]:.1f} s, leader {name}, the operator feels {force[k]:.2f} N")
+        words.set_text(
+            f"{run.t[k]:.1f} s, leader {run.robots[leads[k]]}, {run.farthest[k]:.3g} m to the goal "
+            f"at most, the operator feels {force[k]:.2f} N"
+        )
         canvas.restore_region(background)
         for artist in moving:
             figure.draw_artist(artist)
