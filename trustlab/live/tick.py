@@ -101,7 +101,7 @@ def tick(k, v, w, mode, world, sensing, state, row):
     Fill the row of sample k under what the person wants, a speed [m/s], a turn rate [rad/s] and a
     mode, then move, with a generator of the noise of sensing; return whether all laps are done.
     """
-    # A generator within the world would make every call 0.2 ms longer: its type is found in Python.
+    # A generator within the world would make every call 0.1 ms longer: its type is found in Python.
     task, robot = world.task, world.robot
     locate(world.course, k, row, state)
     state.v_hand = min(max(v, 0.0), robot.max_speed)
