@@ -11,9 +11,13 @@ import sys
 import time
 from pathlib import Path
 
-from trustlab.publishing.chapter import chapter, empty_chapter
-from trustlab.publishing.parameters import DataAbsentError
-from trustlab.publishing.run import (
+# nbformat would load a parser of addresses, which takes a second for each chapter, and not use it.
+# Only here: in other processes somebody may.
+sys.modules.setdefault("rfc3987_syntax", None)
+
+from trustlab.publishing.chapter import chapter, empty_chapter  # noqa: E402
+from trustlab.publishing.parameters import DataAbsentError  # noqa: E402
+from trustlab.publishing.run import (  # noqa: E402
     SETTINGS,
     CellError,
     anonymous,

@@ -2,13 +2,10 @@
 
 import html
 import re
-import sys
 from pathlib import Path
 
 from trustlab.models.extras import extra
 
-# nbformat would load a parser of addresses, which takes a second for each chapter, and not use it.
-sys.modules.setdefault("rfc3987_syntax", None)
 with extra("reports"):
     import nbformat
     from nbformat import NotebookNode

@@ -288,7 +288,7 @@ class TeamRun(Result):
         Raises
         ------
         ValueError
-            If the rate is not positive, or the folder does not exist.
+            If the file is no .gif, its folder does not exist, or the rate is not positive.
         """
         from trustlab.testbeds.team_animation import pictures, samples_shown
 
