@@ -84,7 +84,7 @@ coverage: $(VENV)/.stamp  ## the same tests, and which lines of the package they
 	$(BIN)/python notebooks/compile_kernels.py
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m "not long" --cov --cov-report=term-missing:skip-covered
 
-bench: $(VENV)/.stamp  ## benchmarks beside the peers, and their page docs/benchmarks.md (ONLY=campaign runs one)
+bench: $(VENV)/.stamp  ## benchmarks beside the peers, and their page in the book (ONLY=campaign runs one)
 	@$(MAKE) --no-print-directory benchmarks/.venv/.stamp || echo "peers could not be installed; see above"
 	$(BIN)/python -m benchmarks $(ONLY)
 

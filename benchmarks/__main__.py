@@ -1,9 +1,11 @@
 """
 Run all benchmarks, or those named on the command line, and print one table.
 
-A whole run also writes it to docs/benchmarks.md, a page of the book, with date and machine.
+A whole run also writes it to benchmarks/results.csv, and a page of the book that shows it, with
+date and machine, to docs/benchmarks.md.
 """
 
+import csv
 import importlib
 import importlib.metadata
 import os
@@ -25,6 +27,7 @@ CASES = (
     "live",
     "robot",
 )
+RESULTS = Path(__file__).parent / "results.csv"
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 
 # One thread everywhere; and memory once taken stays with the process (glibc): otherwise large
@@ -45,7 +48,10 @@ ours within each turn, so that above 1 ours is faster. Medians are shown, in par
 and the greatest. One thread everywhere; first calls do not count unless a row says so; a peer's
 results are checked against ours before anything is timed.
 
-{table}
+:::{{csv-table}}
+:file: ../benchmarks/results.csv
+:header-rows: 1
+:::
 
 ## Peers that take long to install
 
@@ -79,10 +85,14 @@ def time_of(milliseconds) -> str:
     return f"{middle} {unit}" + (f" ({least}–{most})" if len(milliseconds) > 1 else "")
 
 
-def table(rows) -> str:
-    """Return the rows as a table in Markdown."""
-    lines = [["work", "ours", "peer", "ratio", "goal"], ["---"] * 5, *map(cells, rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+def write(rows) -> None:
+    """Write the rows as text, and the page that shows them."""
+    with RESULTS.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["work", "ours", "peer", "ratio", "goal"])
+        writer.writerows(map(cells, rows))
+    date = datetime.now(UTC).strftime("%Y-%m-%d")
+    PAGE.write_text(ABOUT.format(date=date, machine=machine()), encoding="utf-8")
 
 
 def machine() -> str:
@@ -115,9 +125,7 @@ def main(names: list[str]) -> int:
             faults += 1
             print(f"  NOT COMPARED: {type(error).__name__}: {error}", file=sys.stderr)
     if not names and not faults:
-        date = datetime.now(UTC).strftime("%Y-%m-%d")
-        text = ABOUT.format(date=date, machine=machine(), table=table(rows))
-        PAGE.write_text(text, encoding="utf-8")
+        write(rows)
     goals = [row for row in rows if row.met is not None]
     met = sum(bool(row.met) for row in goals)
     print(f"{met} of {len(goals)} goals met; {time.perf_counter() - began:.0f} s")

@@ -13,11 +13,18 @@ def test_one_case_runs_alone_and_leaves_the_page(monkeypatch, capsys, tmp_path):
     assert (row.ratios, row.met) == ([2.0, 2.0], True)
     monkeypatch.setitem(sys.modules, "benchmarks.loops", SimpleNamespace(rows=lambda: iter([row])))
     monkeypatch.setattr(bench, "PAGE", tmp_path / "page.md")
+    monkeypatch.setattr(bench, "RESULTS", tmp_path / "results.csv")
     assert bench.main(["loops"]) == 0
     said = capsys.readouterr().out
     assert "1 of 1 goals met" in said
     assert "work; 1 ms (1–1); peer: 2 ms (2–2); 2; ratio ≥ 1.5: met" in said
     assert not bench.PAGE.exists()
+    assert not bench.RESULTS.exists()
+    bench.write([row])
+    assert bench.RESULTS.read_text().endswith(
+        "\nwork,1 ms (1–1),peer: 2 ms (2–2),2,ratio ≥ 1.5: met\n"
+    )
+    assert f":file: ../benchmarks/{bench.RESULTS.name}" in bench.PAGE.read_text()
     with pytest.raises(SystemExit, match="no benchmark is called lops; there are: first_use"):
         bench.main(["lops"])
 

@@ -115,11 +115,9 @@ def test_a_hundred_logs_of_printed_people(case):
 
 def test_the_page_has_the_stored_coverage():
     page = (ROOT / "docs" / "how_to" / "identify.md").read_text()
-    lines = page.partition("95 % intervals cover")[2].splitlines()[2:7]
-    kinds = ["Table 2.1, open", "Table 2.1, thresholds", "prior, open", "prior, thresholds"]
-    for line, people in zip(lines, [*kinds, "prior, measuring rule"], strict=True):
-        shares = [covered(stored(*case)) for case in LOGS if case[0] == people]
-        assert line.endswith(f"| {', '.join(f'{100 * share:.1f} %' for share in shares)} |")
+    shares = [covered(stored(*case)) for case in LOGS]
+    stated = f"between {100 * min(shares):.1f} and {100 * max(shares):.1f} % of the 95 % intervals"
+    assert stated in page
 
 
 @pytest.mark.parametrize(
@@ -362,20 +360,6 @@ def test_what_is_not_understood_is_refused():
     assert tl.sample_posterior(far, prior=stated).draws["human_p_max"].mean() > 3.0
     above = tl.sample_posterior(session.with_columns(p_h=session["p_h"] + 0.6))
     assert "far from what the prior expects" in above.message
-
-
-def test_the_table_of_the_page_is_that_of_the_code():
-    """docs/how_to/identify.md states the weak prior's numbers."""
-    from pathlib import Path
-
-    page = (Path(__file__).parents[3] / "docs" / "how_to" / "identify.md").read_text()
-    table = tl.Prior().table()
-    rows = [line.split("|")[1:-1] for line in page.splitlines() if line.startswith("| ")]
-    stated = [[cell.strip().replace("−", "-") for cell in row] for row in rows[2:15]]
-    assert len(stated) == len(table)
-    for cells, (name, row) in zip(stated, table.iterrows(), strict=True):
-        for cell, value in zip(cells[1:4], row, strict=True):
-            assert float(cell) == pytest.approx(value, rel=0.06, abs=0.005), (name, cells)
 
 
 def test_rounded_means_are_taken_as_the_fit_takes_them():
