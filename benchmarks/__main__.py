@@ -1,7 +1,7 @@
 """
 Run all benchmarks, or those named on the command line, and print one table.
 
-A whole run also writes it to benchmarks/results.csv, and a page of the book that shows it, with
+A whole run also writes it to data/benchmarks/, and a page of the book that shows it, with
 date and machine, to docs/benchmarks.md.
 """
 
@@ -27,7 +27,7 @@ CASES = (
     "live",
     "robot",
 )
-RESULTS = Path(__file__).parent / "results.csv"
+RESULTS = Path(__file__).parents[1] / "data" / "benchmarks" / "results.csv"
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 
 # One thread everywhere; and memory once taken stays with the process (glibc): otherwise large
@@ -49,7 +49,7 @@ and the greatest. One thread everywhere; first calls do not count unless a row s
 results are checked against ours before anything is timed.
 
 :::{{csv-table}}
-:file: ../benchmarks/results.csv
+:file: ../data/benchmarks/results.csv
 :header-rows: 1
 :::
 

@@ -24,7 +24,7 @@ def test_one_case_runs_alone_and_leaves_the_page(monkeypatch, capsys, tmp_path):
     assert bench.RESULTS.read_text().endswith(
         "\nwork,1 ms (1–1),peer: 2 ms (2–2),2,ratio ≥ 1.5: met\n"
     )
-    assert f":file: ../benchmarks/{bench.RESULTS.name}" in bench.PAGE.read_text()
+    assert ":file: ../data/benchmarks/results.csv" in bench.PAGE.read_text()
     with pytest.raises(SystemExit, match="no benchmark is called lops; there are: first_use"):
         bench.main(["lops"])
 
