@@ -129,10 +129,10 @@ def covered(model, sessions, **options):
     ("loop", "where", "window"), [("open", "after", 100.0), ("closed", "before", 30.0)]
 )
 def test_intervals_of_windowed_logs(operators, loop, where, window):
-    """A short version of the long test below: 8 seeds, z scores of seven parameters."""
+    """A short version of the long test below: 5 seeds, z scores of seven parameters."""
     model = operators["pilot"]
-    z, inside = covered(model, (windowed(window, seed, loop, where) for seed in range(8)))
-    assert len(z) >= 7
+    z, inside = covered(model, (windowed(window, seed, loop, where) for seed in range(5)))
+    assert len(z) >= 4
     assert 0.6 < np.sqrt((z**2).to_numpy().mean()) < 1.5
     assert inside.to_numpy().mean() > 0.85
 

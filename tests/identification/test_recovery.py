@@ -43,8 +43,12 @@ DESIGNS = {
 }
 
 
-@pytest.mark.parametrize("design", DESIGNS)
-@pytest.mark.parametrize("name", NAMES)
+# Every operator in the first design, the pilot in every one.
+EXACT = [(name, "manual first, rested") for name in NAMES]
+EXACT += [("pilot", design) for design in DESIGNS if ("pilot", design) not in EXACT]
+
+
+@pytest.mark.parametrize(("name", "design"), EXACT)
 def test_exact_data_give_the_parameters_back(operators, make_session, switching, name, design):
     model = operators[name]
     kind, r0, p_r0 = DESIGNS[design]
@@ -90,12 +94,12 @@ def test_an_operator_at_either_end_of_utilization(operators, make_session, switc
     same.
     """
     model, successes = operators["pilot"], []
-    for seed in range(30):
+    for seed in range(12):
         fit = tl.fit_human(make_session(model, switching, noise=0.003, seed=seed, r0=r0))
         z = (fit.table()["value"] - pd.Series(truth(model)[1])) / fit.table()["stderr"]
         successes.append(fit.success)
         assert not fit.success or z.abs().max() < 5.0, (seed, fit.message)
-    assert np.mean(successes) > 0.95
+    assert sum(successes) >= 11
 
 
 def test_runs_share_parameters_and_keep_their_own_beginning(operators, make_session):
@@ -136,25 +140,26 @@ def noisy(make_session, model, switching, sessions):
 @pytest.mark.slow
 @pytest.mark.parametrize("who", ["robot", "human"])
 @pytest.mark.parametrize(
-    ("sessions", "least", "most"),
-    [(120, 0.90, 0.99), pytest.param(400, 0.92, 0.98, marks=pytest.mark.long)],
+    ("sessions", "least", "apart"),
+    [(60, 0.88, 0.25), pytest.param(400, 0.92, 0.1, marks=pytest.mark.long)],
 )
-def test_intervals_cover_the_truth(operators, make_session, switching, who, sessions, least, most):
+def test_intervals_cover_the_truth(operators, make_session, switching, who, sessions, least, apart):
     """
-    The 95 % intervals cover the truth in 95 % of seeds, give or take 2.5 sd of that share (2.0 %
-    and 1.1 %).
+    95 % intervals cover the truth in 95 % of seeds, less 2.5 sd of that share (2.8 % and 1.1 %);
+    errors are as large as the standard errors say, but for 2.7 sd of so many (9 % and 3.5 %).
+    Those of β are smaller: r0 may lie at its bound, for which the intervals allow.
     """
-    model = operators["pilot"]
-    expected = truth(model)[("robot", "human").index(who)]
+    expected = pd.Series(truth(operators["pilot"])[("robot", "human").index(who)])
     fit = {"robot": tl.fit_robot, "human": tl.fit_human}[who]
-    hits = dict.fromkeys(expected, 0)
-    for session in noisy(make_session, model, switching, sessions):
-        table = fit(session).table()
-        for key in hits:
-            low, high = table.loc[key, ["ci_low", "ci_high"]]
-            hits[key] += low <= expected[key] <= high
-    coverage = {key: count / sessions for key, count in hits.items()}
-    assert all(least <= value <= most for value in coverage.values()), coverage
+    inside, z = [], []
+    for session in noisy(make_session, operators["pilot"], switching, sessions):
+        table = fit(session).table().loc[expected.index]
+        inside.append((table["ci_low"] <= expected) & (expected <= table["ci_high"]))
+        z.append((table["value"] - expected) / table["stderr"])
+    assert (pd.DataFrame(inside).mean() >= least).all()
+    spread = (pd.DataFrame(z) ** 2).mean() ** 0.5
+    assert spread.between(0.65, 1.0 + apart).all()
+    assert spread.drop(["beta", "p_min"], errors="ignore").between(1.0 - apart, 1.0 + apart).all()
 
 
 def test_arx_is_biased_and_does_not_know_it(operators, make_session, switching):
@@ -223,7 +228,7 @@ def test_no_utilization_near_an_end_explains_more(operators, make_session, switc
     end = float(r0 > 0.5)
     settings = {"noise": "white", "robust": False}
     for name in ("pilot", "1"):
-        for seed in range(3):
+        for seed in range(2):
             mode = abs(end - switching)
             session = make_session(operators[name], mode, noise=0.003, seed=seed, r0=r0)
             best = tl.fit_human(session, **settings)

@@ -302,7 +302,8 @@ def test_numbers_have_the_digits_that_their_intervals_allow():
         assert interval_words(row) == words
 
 
-def test_dropouts_are_left_out():
+def test_dropouts_are_left_out(monkeypatch):
+    monkeypatch.setattr(sampling, "MOST_KEPT", 1)  # the walkers of the last need not arrive
     session, _ = simulated_logs.printed_case(np.random.default_rng(30), "white", minutes=5.0)
     p_h = session["p_h"].copy()
     p_h[1000:1030] = 0.0
