@@ -243,10 +243,6 @@ KNOWN = {
     "Posterior.simulated": {
         "most": "foreign errors",
     },
-    "TeamRun.plot_distance": {
-        "axis": "foreign errors",
-        "label": "foreign errors, anything is taken",
-    },
     "simulated_answers": {
         "points": "foreign errors",
     },

@@ -28,13 +28,13 @@ def logs():
 @pytest.fixture(scope="module")
 def clear(logs):
     session, _ = logs.printed_case(np.random.default_rng(3), "white")
-    return tl.sample_posterior(session, n=300)
+    return tl.sample_posterior(session, n=120)
 
 
 @pytest.fixture(scope="module")
 def unclear(logs):
     session, _ = logs.printed_case(np.random.default_rng(3), "slow", minutes=5.0)
-    return tl.sample_posterior(session, n=300)
+    return tl.sample_posterior(session, n=120)
 
 
 def of_one(posterior, tsc, count=40):

@@ -51,11 +51,6 @@ class TransferFunction:
         """1 or 2."""
         return len(self.denominator)
 
-    @property
-    def static_gain(self) -> float:
-        """Velocity per unit of a command held for ever, gain/d_0; infinite for an integrator."""
-        return self.gain / self.denominator[-1] if self.denominator[-1] else np.inf
-
     def poles(self) -> np.ndarray:
         """Return the poles [1/s], complex, shape (order,)."""
         return np.roots((1.0, *self.denominator)).astype(complex)

@@ -244,28 +244,6 @@ class TeamRun(Result):
                 axis.axvline(at, color="0.85", lw=0.6, zorder=0)
         return axes
 
-    def plot_distance(self, axis=None, label: str | None = None):
-        """
-        Plot the distance to the goal of the robot farthest from it.
-
-        Parameters
-        ----------
-        axis : matplotlib.axes.Axes, optional
-            Where; a new figure when not given.
-        label : str, optional
-            For a legend.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-        """
-        axis = axes_or_new(axis, title=self.title, figsize=(8.0, 3.2))
-        axis.semilogy(self.t, np.maximum(self.farthest, 1e-9), label=label)
-        if len(axis.lines) == 1:
-            axis.axhline(self.tolerance, color="0.5", ls="--", lw=0.8)
-        axis.set(xlabel="time [s]", ylabel="greatest distance\nto the goal [m]")
-        return axis
-
     def animate(self, path: str | Path, rate: float = 5.0) -> Path:
         """
         Write an animation to a file: a film in which the team moves.
