@@ -32,7 +32,7 @@ CHEAPER = {
     "run_campaign": lambda: {"parameters": tl.parameter_grid(n=[10, 100])},
     "sample_posterior": lambda: {"sessions": cases.log()},
     "simulate_allocation": lambda: {"steps": 50},
-    "simulate_team": lambda: {"duration": 5.0},
+    "simulate_team": lambda: {"duration": 2.0},
     "smallest_n": lambda: {"simulation": tl.studies.Simulation(replicates=100)},
     "sobol_indices": lambda: {"n": 8, "resamples": 20},
     "virtual_study": lambda: {"n_jobs": 1, "conditions": ["C1", "C3"], "n": 4},
