@@ -198,8 +198,8 @@ def test_what_the_page_says_of_errors_is_true():
     assert len(printed) == 6
     assert len(others) == 12
     words = " ".join(page.split())
-    assert f"had {min(others):.2f} to {max(others):.2f} times the error of each alone" in words
-    assert f"the printed five {min(printed):.2f} to {max(printed):.2f} times" in words
+    assert f"β were {min(others):.2f} to {max(others):.2f} times those of each person" in words
+    assert f"but {min(printed):.2f} to {max(printed):.2f} times for the printed five" in words
 
 
 @pytest.mark.long
