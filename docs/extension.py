@@ -370,7 +370,8 @@ class InDoubt(SphinxDirective):
                 more = f", and {said[why] - 1} more" * (name != claim and said[why] > 1)
                 lines += [f"{name}: {about['says']}{more} {badge(about['verdict'])}"]
                 shown.add(why)
-                if why[1] != " ":  # a symbol stays as it is
+                first = why.split()[0]
+                if first.isascii() and first.isalpha():  # δ_TSC and df1 stay as they are
                     why = why[0].upper() + why[1:]
                 why += "."
                 instead = f"*Instead*: {about['instead']}." if "instead" in about else ""

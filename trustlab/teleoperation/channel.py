@@ -127,9 +127,9 @@ def channel_run(
     read_out : {"ledger", "interpolated", "hold"}
         How delayed waves are read. "ledger" holds the newest wave, at the gain √(1 − dT/dt) of the
         moment, and never gives out more energy than arrived, for any delay, loss and order.
-        "interpolated" reads between samples with the gain f_i; passive for delays that grow at most
-        at Ṫ_max, up to about 1 % of one sample's energy. "hold" reads the last sample with f_i, and
-        is not passive for growing delays.
+        "interpolated" reads between samples with the gain f_i; for delays that grow at Ṫ_max it
+        gives out at most 2.1 % more energy than was sent (nothing more at Ṫ_max = 1/2). "hold"
+        reads the last sample with f_i, and is not passive for growing delays.
     leaders : array_like of int, shape (N,) or (2, N), optional
         For which robot the channel is set in each sample; two rows where the operator's end and the
         robot's end are set for different ones.
