@@ -4,13 +4,13 @@ pairs: test_factorial.py; with R: test_against_r.py, test_aligned_ranks.py.
 """
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import stats
 from statsmodels.stats.multitest import multipletests
 
 import trustlab as tl
-from tests.studies.test_anova import draw, long_table
+from tests.studies.scores import COLUMNS, drawn, long
+from tests.studies.test_anova import draw
 from trustlab.studies.pairs import bonferroni, condition_pairs, d_z_interval, holm
 
 
@@ -82,26 +82,20 @@ def test_the_interval_of_d_z_goes_on_where_t_is_huge():
 def test_pooled_errors_of_one_factor_are_those_of_the_anova():
     """Oracle: t² of two means with the mean square of the error, on its degrees of freedom."""
     scores = draw(1, 9, 4)[0]
-    frame = long_table(scores)
-    result = tl.repeated_measures(frame, "y", "c", "s")
+    result = tl.repeated_measures(long(scores), **COLUMNS)
     pairs = result.pairs(error="pooled")
-    mean = scores.mean(axis=0)
-    a, b = pairs["a"].to_numpy(), pairs["b"].to_numpy()
-    t = (mean[a] - mean[b]) / np.sqrt(2.0 * result.ss_error / result.df2 / 9)
+    a, b = np.triu_indices(4, 1)
+    difference = scores.mean(axis=0)[a] - scores.mean(axis=0)[b]
+    t = difference / np.sqrt(2.0 * result.ss_error / result.df2 / 9)
     np.testing.assert_allclose(pairs["t"], t, rtol=1e-10)
     np.testing.assert_allclose(pairs["df"], 24.0, rtol=1e-10)
     assert not np.allclose(pairs["t"], result.pairs()["t"])
     with pytest.raises(ValueError, match="error has no effect on Wilcoxon"):
         result.pairs(method="wilcoxon", error="pooled")
-
-
-def test_one_factor_is_not_compared_at_its_own_levels():
-    result = tl.repeated_measures(long_table(draw(1, 9, 4)[0]), "y", "c", "s")
-    with pytest.raises(ValueError, match="factor and at are both 'c'; name two factors"):
-        result.pairs("c", at="c")
+    with pytest.raises(ValueError, match="factor and at are both 'mode'; name two factors"):
+        result.pairs("mode", at="mode")
 
 
 def test_the_only_factor_within_subjects_is_compared_without_its_name():
-    frame = long_table(draw(1, 9, 3)[0]).assign(side=lambda f: np.where(f["s"] < 5, "l", "r"))
-    result = tl.repeated_measures(frame, "y", "c", "s", between="side")
-    pd.testing.assert_frame_equal(result.pairs(), result.pairs("c"))
+    result = tl.repeated_measures(drawn(), **COLUMNS, between="group")
+    assert result.pairs().equals(result.pairs("mode"))
