@@ -1,19 +1,15 @@
 """
-The engine. Oracles: pingouin and SciPy study by study; sums of squares by brute force; Mauchly's
-test and ε by hand, and as programs print them (audit/test_verdict.py); theorems.
+The engine. Oracles: sums of squares by brute force; SciPy; Mauchly's test and ε by hand, and as
+programs print them (audit/test_verdict.py); theorems; R in test_against_r.py.
 """
-
-import warnings
 
 import numpy as np
 import pandas as pd
-import pingouin
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
 import trustlab as tl
-from tests.studies.scores import COLUMNS, long
 from trustlab.studies import anova as engine
 from trustlab.studies.anova import (
     Design,
@@ -36,25 +32,6 @@ def draw(studies, n, k, seed=0):
 
 def analysed(array):
     return tl.repeated_measures_batch(array).droplevel("effect")
-
-
-@pytest.mark.parametrize(("n", "k"), [(12, 3), (36, 5), (15, 10)])
-def test_equals_a_pingouin_loop(n, k):
-    array = draw(3, n, k)
-    batch = analysed(array)
-    names = ["F", "p", "p_gg", "epsilon_gg", "eta2_generalized", "eta2_partial", "epsilon_hf"]
-    names += ["mauchly_w", "mauchly_chi2", "mauchly_p", "mauchly_df"]
-    for s, scores in enumerate(array):
-        frame = long(scores)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # pandas' own, from inside pingouin
-            row = pingouin.rm_anova(frame, correction=True, **COLUMNS).iloc[0]
-            partial = pingouin.rm_anova(frame, effsize="np2", **COLUMNS).iloc[0]["np2"]
-            epsilon = pingouin.epsilon(frame, correction="hf", **COLUMNS)
-            mauchly = pingouin.sphericity(frame, **COLUMNS)
-        theirs = [*row[["F", "p_unc", "p_GG_corr", "eps", "ng2"]], partial, epsilon]
-        theirs += [mauchly.W, mauchly.chi2, mauchly.pval, mauchly.dof]
-        np.testing.assert_allclose(batch.loc[s, names], theirs, rtol=1e-10)
 
 
 def test_sums_of_squares_by_brute_force():

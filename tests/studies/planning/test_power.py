@@ -22,21 +22,13 @@ MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
 # --- closed forms ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("n", "k"), [(3, 5), (12, 2), (36, 3)])
+@pytest.mark.parametrize(("n", "k", "alpha"), [(3, 5, 0.05), (12, 2, 0.005), (36, 3, 0.01)])
 @pytest.mark.parametrize("strength", [0.0, 2.0, 15.0])
-def test_noncentral_f_is_scipys(n, k, strength):
+def test_noncentral_f_is_scipys(n, k, alpha, strength):
     df1, df2 = k - 1, (k - 1) * (n - 1)
-    critical = stats.f.isf(0.05, df1, df2)
-    oracle = stats.ncf.sf(critical, df1, df2, strength) if strength else 0.05
-    assert noncentral_f_power(n, k, strength) == pytest.approx(oracle, abs=1e-10)
-
-
-@pytest.mark.parametrize(("n", "d_z", "alpha"), [(20, 0.5, 0.05), (36, 0.3, 0.005), (8, 1.2, 0.01)])
-def test_two_conditions_are_the_paired_t_test_of_statsmodels(n, d_z, alpha):
-    from statsmodels.stats.power import TTestPower
-
-    oracle = TTestPower().power(d_z, n, alpha)
-    assert noncentral_f_power(n, 2, n * d_z**2, alpha) == pytest.approx(oracle, abs=1e-8)
+    critical = stats.f.isf(alpha, df1, df2)
+    oracle = stats.ncf.sf(critical, df1, df2, strength) if strength else alpha
+    assert noncentral_f_power(n, k, strength, alpha) == pytest.approx(oracle, abs=1e-10)
 
 
 @given(st.integers(1, 300), st.data(), st.floats(0.5, 0.999))
@@ -219,6 +211,7 @@ POPULATION = {"mean": [0.0, 0.5, 1.0], "covariance": graded_covariance(3), "repl
         (tl.power_analysis, {"n": 2}, "n = 2 is too small for the design: repeated measures"),
         (tl.power_analysis, {"covariance": np.eye(3) + np.eye(3, k=1)}, r"symmetric, but \[0, 1\]"),
         (tl.power_analysis, {"claims": [(1, 2), (2, 1)]}, "claimed twice"),
+        (tl.power_analysis, {"claims": [(1, 1)]}, "a comparison is a pair of two conditions"),
         (tl.power_analysis, {"data": pd.DataFrame()}, "give either data= or covariance="),
         (tl.smallest_n, {"pair": (1, 2), "test": "holmes"}, "did you mean 'holm'"),
         (tl.smallest_n, {"covariance": np.ones((3, 3))}, "not positive definite"),
