@@ -80,11 +80,10 @@ def test_two_categories_agree_with_lme4(name):
         assert row["p_chi2"] == pytest.approx(test["p"], rel=1e-7)
     names = [name.removeprefix("btype") for name in own["names"]]
     expected = pd.DataFrame({"estimate": own["estimate"], "se": own["se"]}, names)
-    constant_term = expected.loc["(Intercept)"] * [-1.0, 1.0]
+    expected.loc["(Intercept)", "estimate"] *= -1.0
     found = model.coefficients_table().set_index("name")
     found.index = found.index.str.replace(r"\[T\.|\]|`", "", regex=True)
     found.loc["(Intercept)"] = model.thresholds_table().iloc[0]
-    expected.loc["(Intercept)"] = constant_term
     found = found.loc[expected.index, ["estimate", "se"]].astype(float)
     np.testing.assert_allclose(found["estimate"], expected["estimate"], rtol=0.0, atol=5e-6)
     np.testing.assert_allclose(found["se"], expected["se"], rtol=1e-5)
@@ -232,8 +231,6 @@ def test_bootstrap_and_draws():
 @pytest.mark.parametrize(
     ("rating", "message"),
     [
-        ("high", "neither numbers nor an ordered categorical"),
-        (1, "has 1 different ratings, not 2 to 30"),
         (range(72), r"72 different ratings.*formula_model"),
         ((WINE["temp"] == "cold") * 1, "the likelihood has no maximum"),
     ],

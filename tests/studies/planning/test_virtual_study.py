@@ -26,6 +26,16 @@ def kept(tmp_path_factory):
     return tl.virtual_study(n=10, seed=3, laps=2, out=folder)
 
 
+ASSUMED = {"attention_cost": 0.1, "load_utilization": 0.5, "load_switching": 0.1}
+UAV = {"testbed": "uav_following"}
+FOLLOWING = {"conditions": CONDITIONS} | UAV
+
+
+@pytest.fixture(scope="module")
+def following():
+    return tl.virtual_study(n=10, seed=0, assumptions=ASSUMED, **FOLLOWING)
+
+
 # --- populations ----------------------------------------------------------------------------------
 
 
@@ -83,14 +93,22 @@ def test_draws_have_the_distribution_and_all_are_models():
 # --- studies --------------------------------------------------------------------------------------
 
 
-def test_measures_are_those_of_the_runs_one_by_one(kept):
-    operator, model, thresholds = PUBLISHED.person(kept.participants.loc[3].to_dict())
-    seeds = np.random.SeedSequence(3).spawn(10)[3].spawn(5)
-    rows = kept.measures.query("participant == 4").set_index("condition")
-    for condition, seed in zip(CONDITIONS, seeds, strict=True):
+@pytest.mark.parametrize("name", ["kept", "following"])
+def test_measures_are_those_of_the_runs_one_by_one(name, request):
+    study = request.getfixturevalue(name)
+    fixed, assumed, seed = ({"laps": 2}, {}, 3) if name == "kept" else (UAV, ASSUMED, 0)
+    operator, model, thresholds = OperatorPopulation.person(study.participants.loc[3].to_dict())
+    person = tl.Operator(**vars(operator) | assumed)
+    seeds = np.random.SeedSequence(seed).spawn(10)[3].spawn(5)
+    rows = study.measures.query("participant == 4").set_index("condition")
+    for condition, stream in zip(CONDITIONS, seeds, strict=True):
         given = thresholds if condition in ("C2", "C3") else None
-        run = tl.run_condition(condition, operator, model, given, laps=2, seed=seed)
+        run = tl.run_condition(condition, person, model, given, **fixed, seed=stream)
         np.testing.assert_equal(rows.loc[condition, [*run.measures]].to_dict(), run.measures)
+    if name == "following":
+        for dv in ("p_r", "r", "p_h", "tlx", "satisfaction", "trust"):
+            assert study.analysis(dv).n == 10
+        assert rows.loc[["C2", "C4"], "followed_percent"].notna().all()
 
 
 def test_sessions_are_read_again_and_have_the_measures(kept):
@@ -149,30 +167,6 @@ def test_the_uav_testbed_measures_what_teleoperation_measures_does():
         expected = tl.teleoperation_measures(run).iloc[0][[*study.names]]
         assert rows.loc[scheme, [*study.names]].tolist() == expected.tolist()
     assert study.analysis("tracking_error").k == 4
-
-
-ASSUMED = {"attention_cost": 0.1, "load_utilization": 0.5, "load_switching": 0.1}
-FOLLOWING = {"conditions": CONDITIONS, "testbed": "uav_following"}
-
-
-@pytest.fixture(scope="module")
-def following():
-    return tl.virtual_study(n=10, seed=0, assumptions=ASSUMED, **FOLLOWING)
-
-
-def test_the_uav_that_follows_a_leader_measures_what_its_runs_do(following):
-    values = OperatorPopulation.uav_following().draw(10, seed=0).loc[3].to_dict()
-    operator, model, thresholds = OperatorPopulation.person(values)
-    people = tl.Operator(**{**vars(operator), **ASSUMED})
-    seeds = np.random.SeedSequence(0).spawn(10)[3].spawn(5)
-    rows = following.measures.query("participant == 4").set_index("condition")
-    for condition, seed in zip(CONDITIONS, seeds, strict=True):
-        given = thresholds if condition in ("C2", "C3") else None
-        run = tl.run_condition(condition, people, model, given, testbed="uav_following", seed=seed)
-        np.testing.assert_equal(rows.loc[condition, [*run.measures]].to_dict(), run.measures)
-    for dv in ("p_r", "r", "p_h", "tlx", "satisfaction", "trust"):
-        assert following.analysis(dv).n == 10
-    assert rows.loc[["C2", "C4"], "followed_percent"].notna().all()
 
 
 def test_same_seed_same_table_serial_or_parallel(following):
