@@ -142,7 +142,7 @@ def test_a_changed_digit_is_seen(count):
 @pytest.mark.parametrize(
     "names",
     [
-        pytest.param(["uav.followed", "uav.tlx"], id="two"),
+        pytest.param(["uav.followed", "uav.human_performance"], id="two"),
         pytest.param(list(STUDIES), marks=pytest.mark.long, id="all"),
     ],
 )
@@ -267,10 +267,10 @@ def printed_at_random(rng):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("count", [2, pytest.param(150, marks=pytest.mark.long)])
-def test_no_row_of_numbers_raises(count):
+@pytest.mark.parametrize(("count", "seed"), [(3, 9), pytest.param(150, 4, marks=pytest.mark.long)])
+def test_no_row_of_numbers_raises(count, seed):
     """Whatever is printed, the answer says what is wrong with it."""
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng(seed)
     for _ in range(count):
         names = "ABCD"[: rng.integers(2, 5)]
         listed = {"mean": names, "sd": names, "anova": ("F", "df1", "df2", "p", "eta2")}
