@@ -57,22 +57,18 @@ def test_every_effect_agrees_with_r(name):
 @pytest.mark.parametrize("name", [name for name in SETS if SETS[name]["pairs"]])
 def test_pairs_agree_with_emmeans(name):
     result = analysed(name)
+    numbers = ["mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]
     for theirs in SETS[name]["pairs"]:
         ours = result.pairs(theirs["factor"], theirs["at"])
-        columns = ("contrast", "level", "mean_difference", "ci_low", "ci_high", "t", "df")
-        given = pd.DataFrame(
-            {name: theirs[name] for name in (*columns, "p", "p_holm")}, index=range(len(ours))
-        )
-        for row in given.to_dict("records"):
+        given = {column: theirs[column] for column in ("contrast", "level", *numbers)}
+        for row in pd.DataFrame(given, index=range(len(ours))).to_dict("records"):
             a, b = (label(x.removeprefix(theirs["factor"])) for x in row["contrast"].split(" - "))
             here = (ours["a"].astype(str) == a) & (ours["b"].astype(str) == b)
             if theirs["at"] is not None:
                 here &= ours["level"].astype(str) == label(row["level"])
-            names = [*columns[2:], "p", "p_holm"]
-            expected = [row[number] for number in names]
-            np.testing.assert_allclose(
-                ours[here].iloc[0][names].astype(float), expected, rtol=1e-8, atol=1e-10
-            )
+            found = ours[here].iloc[0][numbers].astype(float)
+            expected = [row[number] for number in numbers]
+            np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-10)
 
 
 def two_way(n=10, seed=0):

@@ -41,7 +41,6 @@ def following():
 
 def test_the_published_population_has_the_printed_means_and_spreads():
     table = tl.published_table("2.1").astype(float).T
-    follow = {"mean": 0.7857, "sd": 0.2945}
     expected = {
         "ln tau_r": -np.log(1.0 - table["a_r"]),
         "logit beta": np.log(table["beta"] / (1.0 - table["beta"])),
@@ -57,7 +56,7 @@ def test_the_published_population_has_the_printed_means_and_spreads():
         assert found == pytest.approx([values.mean(), values.std()], rel=1e-9)
     names = [coordinate.name for coordinate in COORDINATES["ground_robot"]]
     assert list(rows.index) == [*names, "follow_tsc", "follow_performance"]
-    assert rows.loc["follow_tsc", [*follow]].tolist() == pytest.approx([*follow.values()])
+    assert rows.loc["follow_tsc", ["mean", "sd"]].tolist() == pytest.approx([0.7857, 0.2945])
 
 
 def test_thresholds_of_the_second_participant_are_at_their_place():
@@ -96,8 +95,11 @@ def test_draws_have_the_distribution_and_all_are_models():
 @pytest.mark.parametrize("name", ["kept", "following"])
 def test_measures_are_those_of_the_runs_one_by_one(name, request):
     study = request.getfixturevalue(name)
-    fixed, assumed, seed = ({"laps": 2}, {}, 3) if name == "kept" else (UAV, ASSUMED, 0)
-    operator, model, thresholds = OperatorPopulation.person(study.participants.loc[3].to_dict())
+    fixed, assumed, seed, population = {"laps": 2}, {}, 3, PUBLISHED
+    if name == "following":
+        fixed, assumed, seed, population = UAV, ASSUMED, 0, OperatorPopulation.uav_following()
+    fourth = population.draw(10, seed=seed).loc[3].to_dict()
+    operator, model, thresholds = population.person(fourth)
     person = tl.Operator(**vars(operator) | assumed)
     seeds = np.random.SeedSequence(seed).spawn(10)[3].spawn(5)
     rows = study.measures.query("participant == 4").set_index("condition")
