@@ -135,7 +135,6 @@ def test_what_a_reader_sees():
     ("change", "arguments", "message"),
     [
         (lambda f: f.drop(index=7), {}, r"subject 1 has no score in condition \('a0', 'b1'\)"),
-        (lambda f: f.assign(A="a0"), {}, "within: column 'A' has one condition only, 'a0'"),
         (lambda f: f, {"order": {"C": ["a0"]}}, "order: 'C' is not a factor"),
         (lambda f: f, {"order": {"group": ["novice", "q"]}, "between": "group"}, "every condition"),
         (

@@ -222,10 +222,10 @@ def test_bootstrap_and_draws():
     model, x = Cumulative(codes, 3, 9), np.tile(np.eye(4)[:, 1:], (1000, 1))
     fit = model.fit(np.tile([0, 1, 2, 1], 1000), x)
     truth = fit._replace(beta=np.array([0.5, 1.0, -0.5]), thresholds=np.array([-1, 1.0]), sd=1.3)
-    drawn = model.fit(model.draw(truth, x, np.random.default_rng(0)), x)
-    assert drawn.sd == pytest.approx(1.3, abs=0.2)
-    np.testing.assert_allclose(drawn.beta, truth.beta, atol=0.3)
-    np.testing.assert_allclose(drawn.thresholds, truth.thresholds, atol=0.3)
+    found = model.fit(model.draw(truth, x, np.random.default_rng(0)), x)
+    assert found.sd == pytest.approx(1.3, abs=0.2)
+    np.testing.assert_allclose(found.beta, truth.beta, atol=0.3)
+    np.testing.assert_allclose(found.thresholds, truth.thresholds, atol=0.3)
 
 
 @pytest.mark.parametrize(
