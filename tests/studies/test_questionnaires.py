@@ -215,6 +215,19 @@ def test_what_questionnaires_say_of_themselves():
     assert "2.4.1.3" in satisfaction_scale(5).source
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (([], 1, 7), "items must have at least 1 labels"),
+        ((["a"], 1, 7, (), {"s": ["b"]}), "s must be one of 'a', got 'b'"),
+        ((["a"], 1, 7, ["b"]), "reversed must be one of 'a', got 'b'"),
+    ],
+)
+def test_items_that_are_not_there_are_refused(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        Questionnaire("x", *arguments)
+
+
 # Cronbach's alpha
 
 

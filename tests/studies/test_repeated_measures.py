@@ -36,7 +36,6 @@ def test_order_of_conditions():
         (frame, {"order": tuple("cadb")}, tuple("cadb")),
         (frame.assign(mode=categories), {}, tuple("dcba")),
         (drawn(mode=[10, 2, 1, 0.5]), {}, (0.5, 1.0, 2.0, 10.0)),
-        (drawn(mode=[True, False]), {}, (False, True)),
         (drawn(mode=["a", 1, 2, 3]), {"order": [1, 2, 3, "a"]}, (1, 2, 3, "a")),
     ):
         result = analysed(given, **options)

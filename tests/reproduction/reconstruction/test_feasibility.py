@@ -171,8 +171,8 @@ def test_a_paper_that_always_corrects_is_read_as_such():
     assert not violated
     assert "No data with all that is printed were found from" in violated.message
     table = violated.table()
-    assert table.loc["mauchly.violated", "remedy"] == ("mauchly.violated" in violated.remedies)
-    assert violated.remedies
+    assert "mauchly.violated" in violated.remedies
+    assert table.loc["mauchly.violated", "remedy"]
     assert set(table.index[table["in_conflict"]]) == set(violated.conflict)
 
 
@@ -195,23 +195,6 @@ def test_arithmetic_conflicts_are_named(name, text):
     assert text in conflicts[f"anova.{name}"]
 
 
-def test_mauchlys_p_is_that_of_packages():
-    """
-    Oracle: p of χ² = 7 at n = 9, k = 4 by the k form, written out, and the plain χ² tail, which
-    packages do not print.
-    """
-    n, k, d = 9, 4, 3
-    factor = n - 1 - (2 * d * d + d + 2) / (6 * d)
-    weight = (d + 2) * (d - 1) * (d - 2) * (2 * d**3 + 6 * d * d + 3 * k + 2)
-    weight /= 288 * (d * factor) ** 2
-    plain, shifted = stats.chi2.sf(7.0, 5), stats.chi2.sf(7.0, 9)
-    values = {"n": n, "mean": dict.fromkeys("ABCD", "5.0"), "sd": dict.fromkeys("ABCD", "1.0")}
-    for p, conflicts in ((plain, ["mauchly.p"]), (plain + weight * (shifted - plain), [])):
-        printed = {"chi2": "7.000", "p": f"{p:.4f}"}
-        study = tl.PublishedStudy.from_dict({**values, "mauchly": printed})
-        assert list(contradictions(study)) == conflicts
-
-
 THREE = {
     "n": 20,
     "mean": {"A": "5.0", "B": "4.25", "F": "3.50"},
@@ -223,9 +206,12 @@ THREE = {
     ("changes", "name", "reason"),
     [
         ({"anova": {"F": "8.1", "p": "1.2"}}, "anova.p", "must lie between 0 and 1"),
+        ({"anova": {"F": "8.1", "p": "<0"}}, "anova.p", "must lie between 0 and 1"),
         ({"anova": {"eta2": "1.3"}}, "anova.eta2", "must lie between 0 and 1"),
         ({"anova": {"df1": "3"}}, "anova.df1", r"\(k − 1\) = 2"),
         ({"epsilon": "0.3"}, "epsilon", "needs ε from 0.25 to 0.35, which must lie between"),
+        ({"epsilon": "1.2"}, "epsilon", "= 0.5 and 1"),
+        ({"pairs": {"A-F": "1.2"}}, "pairs.A-F", "must lie between 0 and 1"),
         ({"mauchly": {"df": "9"}}, "mauchly.df", r"k\(k − 1\)/2 − 1 = 2"),
         ({"mauchly": {"chi2": "-1"}}, "mauchly.chi2", "must lie between"),
         ({"sd": {"A": "-1", "B": "1", "F": "1"}}, "sd.A", "is negative"),

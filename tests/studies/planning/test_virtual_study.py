@@ -258,7 +258,9 @@ def test_virtual_study_refuses(arguments, message):
     ("arguments", "message"),
     [
         ({"covariance": np.ones((12, 12))}, "covariance is not positive definite: its least"),
+        ({"mean": PUBLISHED.mean[:5]}, "mean must have 12 samples"),
         ({"follow": (0.5, 0.1)}, "follow must be two pairs"),
+        ({"p_r_min": None}, "p_r_min must be a number"),
     ],
 )
 def test_populations_refuse(arguments, message):
