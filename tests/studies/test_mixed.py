@@ -83,6 +83,8 @@ def test_groups_with_missing_cells_by_brute_force():
     _, beta, covariance = fitted(variances)
     np.testing.assert_allclose(model.means["mean"], cells @ beta, rtol=1e-7)
     np.testing.assert_allclose(model.means["se"] ** 2, np.diag(cells @ covariance @ cells.T))
+    half = stats.t.ppf(0.975, 12) * model.means["se"]
+    np.testing.assert_allclose(model.means["ci_high"] - model.means["mean"], half)
     table = model.table().set_index("effect")
     for effect, at in {"group": [1], "mode": [2, 3], "group × mode": [4, 5]}.items():
         chi2 = beta[at] @ np.linalg.solve(covariance[np.ix_(at, at)], beta[at])

@@ -231,6 +231,7 @@ def test_bootstrap_and_draws():
 @pytest.mark.parametrize(
     ("rating", "message"),
     [
+        ("high", "neither numbers nor an ordered categorical"),
         (1, "has 1 different ratings, not 2 to 30"),
         (range(72), r"72 different ratings.*formula_model"),
         ((WINE["temp"] == "cold") * 1, "the likelihood has no maximum"),

@@ -122,7 +122,7 @@ def test_equivalence_and_bayes_factors_agree_with_r(name):
     row = tl.equivalence(frame, **COLUMNS, bound=0.5).iloc[0]
     for number in ("t_low", "p_low", "t_high", "p_high", "ci_low", "ci_high"):
         assert row[number] == pytest.approx(own[number], rel=1e-9, abs=1e-14), number
-    assert (row["low"], row["high"]) == (-0.5, 0.5)
+    assert (row["low"], row["high"], row["df"]) == (-0.5, 0.5, row["n"] - 1)
     assert row["p"] == max(row["p_low"], row["p_high"])
     assert row["equivalent"] == (row["ci_low"] > -0.5 and row["ci_high"] < 0.5)
     found = tl.bayes_factor(frame, **COLUMNS).iloc[0]

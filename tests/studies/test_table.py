@@ -85,6 +85,7 @@ TABLES = {
         "'score' by 'mode': the error variance is zero for mode",
     ),
     "subjects constant": (table().assign(score=LEVELS), "all subjects differ by the same amounts"),
+    "a column twice": (pd.concat([table(), table()[["mode"]]], axis=1), "'mode' occurs 2 times"),
     "no rows": (table().iloc[:0], "no rows"),
     "huge": (table().assign(score=lambda f: f["score"] * 1e200), "another unit"),
 }

@@ -210,6 +210,8 @@ POPULATION = {"mean": [0.0, 0.5, 1.0], "covariance": graded_covariance(3), "repl
         (tl.power_analysis, {"covariance": np.eye(3) + np.eye(3, k=1)}, r"symmetric, but \[0, 1\]"),
         (tl.power_analysis, {"claims": [(1, 2), (2, 1)]}, "claimed twice"),
         (tl.power_analysis, {"claims": [(1, 1)]}, "a comparison is a pair of two conditions"),
+        (tl.power_analysis, {"correlation": 1.0}, "correlation must lie between"),
+        (tl.power_analysis, {"mean": None}, "power needs mean= and covariance="),
         (tl.power_analysis, {"data": pd.DataFrame()}, "give either data= or covariance="),
         (tl.smallest_n, {"pair": (1, 2), "test": "holmes"}, "did you mean 'holm'"),
         (tl.smallest_n, {"covariance": np.ones((3, 3))}, "not positive definite"),
