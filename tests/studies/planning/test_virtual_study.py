@@ -241,6 +241,7 @@ def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
     ("arguments", "message"),
     [
         ({"conditions": ["C1", "C6"]}, "condition must be one of 'C1', .*, got 'C6'"),
+        ({"conditions": []}, "two or more, each once, got none"),
         ({"n": 2}, "n = 2 is too small for the design: .* 2 conditions needs 4"),
         ({"assumptions": {"atention_cost": 0.1}}, "did you mean 'attention_cost'"),
         (
