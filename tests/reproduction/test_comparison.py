@@ -1,10 +1,13 @@
-"""The smallest change by hand."""
+"""What printed text stands for, and the smallest change, by hand."""
+
+import math
 
 import pandas as pd
 import pytest
 
 from trustlab.reproduction import smallest_change
-from trustlab.reproduction.printed_number import half_unit
+from trustlab.reproduction.audit.catalogue import PrintedNumber
+from trustlab.reproduction.printed_number import half_unit, printed_interval
 
 
 def area(values):
@@ -13,10 +16,33 @@ def area(values):
     return {"area": values["width"] * values["height"], "sum": values["width"] + values["height"]}
 
 
-def test_half_units():
-    assert half_unit("0.320") == pytest.approx(0.0005)
-    assert half_unit("5.44e-5") == pytest.approx(5e-8)
-    assert half_unit("120") == pytest.approx(0.5)
+@pytest.mark.parametrize(
+    ("text", "low", "high"),
+    [
+        ("0.50", 0.495, 0.505),
+        ("0.5", 0.45, 0.55),
+        ("5.44e-5", 5.435e-5, 5.445e-5),
+        ("120", 119.5, 120.5),
+        ("<.0005", -math.inf, 0.0005),
+        (">0.05", 0.05, math.inf),
+    ],
+)
+def test_printed_text_keeps_its_rounding(text, low, high):
+    assert printed_interval(text) == pytest.approx((low, high))
+    number = PrintedNumber("x", "Table", "x", text)
+    assert number.compatible == pytest.approx((low, high))
+    if math.isfinite(high - low):
+        assert [half_unit(text), number.half] == pytest.approx([(high - low) / 2] * 2)
+
+
+def test_printed_words_have_values():
+    def number(text, exact=False):
+        return PrintedNumber("x", "Table", "x", text, exact)
+
+    assert number("36", exact=True).half == 0.0
+    assert number("worst").value == 1.0
+    assert number("4 and 11").value == 2.0
+    assert math.isnan(number("met").value)
 
 
 def test_smallest_change_names_the_input():

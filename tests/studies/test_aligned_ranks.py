@@ -4,17 +4,15 @@ published data (reference/aligned_ranks.R); the figures that ARTool prints for i
 where those are at hand; theorems.
 """
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
 
 import trustlab as tl
+from tests.studies.scores import drawn, reference
 from trustlab.studies.pairs import aligned
 
-SETS = json.loads((Path(__file__).parent / "reference" / "aligned_ranks.json").read_text())["sets"]
+SETS = reference("aligned_ranks")["sets"]
 ARTOOL = tl.sessions.external_data("artool")
 printed_by_artool = pytest.mark.skipif(
     ARTOOL is None,
@@ -30,46 +28,30 @@ def analysed(name):
     )
 
 
-def two_way(seed=0, n=10):
-    rng = np.random.default_rng(seed)
-    cells = pd.MultiIndex.from_product(
-        [range(n), ["low", "high"], ["a", "b", "c"]], names=["who", "x", "y"]
-    )
-    frame = cells.to_frame(index=False).assign(group=lambda f: np.where(f["who"] < 4, "g", "h"))
-    return frame.assign(v=rng.exponential(size=len(frame)) + rng.standard_normal(n).repeat(6))
-
-
 @pytest.mark.parametrize("name", SETS)
 def test_tests_and_contrasts_agree_with_r(name):
     result = analysed(name)
-    found = {
-        error: {
-            frozenset(row["effect"].split(" × ")): row
-            for row in result.aligned_ranks(error).to_dict("records")
-        }
-        for error in ("own", "pooled")
-    }
+    own, pooled = (
+        {frozenset(row["effect"].split(" × ")): row for row in table.to_dict("records")}
+        for table in (result.aligned_ranks("own"), result.aligned_ranks("pooled"))
+    )
     for theirs in SETS[name]["effects"]:
         key = frozenset(theirs["effect"].split(":"))
-        assert found["own"][key]["F"] == pytest.approx(theirs["F"], rel=1e-9)
-        if "F_pooled" in theirs:
-            assert found["pooled"][key]["F"] == pytest.approx(
-                theirs["F_pooled"], rel=1e-5
-            )  # lmer's own search
-            assert found["pooled"][key]["df2"] == pytest.approx(theirs["df_pooled"], rel=1e-4)
+        assert own[key]["F"] == pytest.approx(theirs["F"], rel=1e-9)
+        if "F_pooled" in theirs:  # by lmer's own search
+            assert pooled[key]["F"] == pytest.approx(theirs["F_pooled"], rel=1e-5)
+            assert pooled[key]["df2"] == pytest.approx(theirs["df_pooled"], rel=1e-4)
     for theirs in SETS[name]["contrasts"]:
         ours = result.pairs(theirs["factor"], theirs["at"], method="aligned_ranks", error="pooled")
         rows = {(row["level"], row["a"], row["b"]): row for row in ours.to_dict("records")}
-        for level, contrast, estimate, t, df in zip(
-            *(theirs[x] for x in ("level", "contrast", "estimate", "t", "df")), strict=True
-        ):
-            a, b = (
-                label.removeprefix(theirs["factor"]) for label in contrast.split(" - ")
-            )  # as of angle0
-            sign, row = (1, rows[level, a, b]) if (level, a, b) in rows else (-1, rows[level, b, a])
-            assert sign * row["mean_difference"] == pytest.approx(estimate, abs=1e-9)
-            assert sign * row["t"] == pytest.approx(t, rel=1e-5, abs=1e-9)
-            assert row["df"] == pytest.approx(df, rel=1e-3)
+        for row in pd.DataFrame(theirs).itertuples():
+            # A contrast is named as "angle0 - angle4".
+            a, b = (x.removeprefix(row.factor) for x in row.contrast.split(" - "))
+            sign = 1 if (row.level, a, b) in rows else -1
+            found = rows[row.level, a, b] if sign == 1 else rows[row.level, b, a]
+            assert sign * found["mean_difference"] == pytest.approx(row.estimate, abs=1e-9)
+            assert sign * found["t"] == pytest.approx(row.t, rel=1e-5, abs=1e-9)
+            assert found["df"] == pytest.approx(row.df, rel=1e-3)
 
 
 @printed_by_artool
@@ -98,9 +80,11 @@ def test_other_effects_are_gone():
     In a balanced design the aligned scores have no other effect: before they are ranked, other F
     are 0.
     """
-    frame = two_way()
-    shifted = frame.assign(v=frame["v"] + 50.0 * (frame["y"] == "b") + 9.0 * (frame["x"] == "low"))
-    for own, more in ((frame, shifted),):
-        results = [tl.repeated_measures(f, "v", ["x", "y"], "who") for f in (own, more)]
-        ranks = [aligned(x.scores.values, x.design, ("x", "y")) for x in results]
-        np.testing.assert_array_equal(*ranks)
+    frame = drawn(10, x="lh", y="abc")
+    shift = 50.0 * (frame["y"] == "b") + 9.0 * (frame["x"] == "l")
+    results = [
+        tl.repeated_measures(frame.assign(score=score), "score", ["x", "y"], "person")
+        for score in (frame["score"], frame["score"] + shift)
+    ]
+    ranks = [aligned(x.scores.values, x.design, ("x", "y")) for x in results]
+    np.testing.assert_array_equal(*ranks)

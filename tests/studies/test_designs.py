@@ -29,32 +29,22 @@ def counted(rows):
     return places, follows
 
 
-@pytest.mark.parametrize(("n", "size"), SIZES.items())
-def test_a_square_is_balanced_in_position_and_carry_over(n, size):
-    square = williams_square(n)
-    assert square.shape == (size, n)
-    places, follows = counted(square.tolist())
-    assert set(places) == set(itertools.product(range(n), range(n)))
-    assert set(places.values()) == {size // n}
-    assert set(follows) == set(itertools.permutations(range(n), 2))
-    assert set(follows.values()) == {size // n}
-
-
-@given(st.integers(2, 12), st.integers(1, 4), st.integers(0, 2**63))
-@settings(max_examples=60)
-def test_whole_assignments_are_balanced(k, squares, seed):
-    n = squares * SIZES[k]
-    design = latin_square_design([f"C{i}" for i in range(k)], n, seed=seed)
+@pytest.mark.parametrize("squares", [1, 3])
+@pytest.mark.parametrize(("k", "size"), SIZES.items())
+def test_whole_assignments_are_balanced_in_position_and_carry_over(k, size, squares):
+    assert williams_square(k).shape == (size, k)
+    names, n = [f"C{i}" for i in range(k)], squares * size
+    design = latin_square_design(names, n, seed=k)
     places, follows = counted(design.table().to_numpy().tolist())
-    assert len(places) == k * k
+    assert set(places) == set(itertools.product(names, range(k)))
     assert set(places.values()) == {n // k}
-    assert len(follows) == k * (k - 1)
+    assert set(follows) == set(itertools.permutations(names, 2))
     assert set(follows.values()) == {n // k}
     balance = design.balance()
     assert balance.balanced
     assert (balance.table()["count"] == balance.table()["balanced_count"]).all()
-    for start in range(0, n, SIZES[k]):
-        assert sorted(design.rows[start : start + SIZES[k]]) == list(range(1, SIZES[k] + 1))
+    for start in range(0, n, size):
+        assert sorted(design.rows[start : start + size]) == list(range(1, size + 1))
 
 
 @given(st.integers(2, 8), st.integers(0, 1000))
@@ -72,10 +62,7 @@ def test_same_seed_same_design_and_more_participants_change_no_order(k, seed):
     ("arguments", "words"),
     [
         ((["A", "B", "C", "D"], 30), "multiple of 4; 32 would do, or 28"),
-        (("AB", 2), "conditions must be a list of labels, got 'AB'"),
         ((["A", float("nan")], 2), r"conditions\[1\] is nan"),
-        ((["A", "B"], True), "participants must be a whole number, 1 or more, got True"),
-        ((["A", "B"], 2, None), "seed must be a whole number, 0 or more, got None"),
     ],
 )
 def test_bad_designs_are_refused(arguments, words):
@@ -83,17 +70,7 @@ def test_bad_designs_are_refused(arguments, words):
         latin_square_design(*arguments)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda f: f.drop(columns="position"), "position: no column 'position'"),
-        (
-            lambda f: f.assign(condition=f["condition"].where(f.index != 2)),
-            "column 'condition' has no label in row 2",
-        ),
-        (lambda f: f.to_numpy(), "orders must be of class DataFrame, got ndarray"),
-    ],
-)
-def test_bad_orders_are_refused(change, words):
-    with pytest.raises(ValueError, match=words):
-        design_balance(change(latin_square_design(list("ABCD"), 4, seed=3).orders()))
+def test_an_order_without_a_label_is_refused():
+    orders = latin_square_design(list("ABCD"), 4, seed=3).orders()
+    with pytest.raises(ValueError, match="column 'condition' has no label in row 2"):
+        design_balance(orders.assign(condition=orders["condition"].where(orders.index != 2)))

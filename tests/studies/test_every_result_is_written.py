@@ -11,19 +11,14 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
+from tests.studies.scores import COLUMNS, drawn
 from trustlab import studies
 
 mpl.use("Agg")
 RNG = np.random.default_rng(0)
-CELLS = pd.MultiIndex.from_product(
-    [range(1, 13), ["A", "B", "C"], ["x", "y"]], names=["who", "scheme", "task"]
-)
-LONG = CELLS.to_frame(index=False).assign(
-    error=RNG.standard_normal(72) + RNG.standard_normal(12).repeat(6)
-)
+LONG = drawn(mode="ABC", task="xy")
 ONE = LONG[LONG["task"] == "x"]
-PAIR = ONE[ONE["scheme"] != "C"]
-COLUMNS = {"dv": "error", "within": "scheme", "subject": "who"}
+TWO = {"dv": "score", "within": ["mode", "task"], "subject": "person"}
 ANSWERS = pd.DataFrame(RNG.integers(1, 8, (12, 12)), columns=tl.TRUST_CHECKLIST.items).assign(
     who=range(12)
 )
@@ -35,18 +30,16 @@ ORDERED = DESIGN.orders().assign(error=RNG.standard_normal(36))
 # Every class of trustlab.studies with a table, and every function that returns one.
 RESULTS = {
     "RepeatedMeasures": lambda: tl.repeated_measures(ONE, **COLUMNS),
-    "RepeatedMeasures of several factors": lambda: tl.repeated_measures(
-        LONG, "error", ["scheme", "task"], "who"
-    ),
+    "RepeatedMeasures of several factors": lambda: tl.repeated_measures(LONG, **TWO),
     "repeated_measures_batch": lambda: studies.repeated_measures_batch(
         RNG.standard_normal((4, 9, 3))
     ),
     "MixedModel": lambda: tl.mixed_model(ONE, **COLUMNS),
-    "FormulaModel": lambda: tl.formula_model("error ~ scheme", LONG, groups="who"),
+    "FormulaModel": lambda: tl.formula_model("score ~ mode", LONG, groups="person"),
     "OrdinalModel": lambda: tl.ordinal_model(
-        ONE.assign(error=pd.qcut(ONE["error"], 4, labels=False)), **COLUMNS
+        ONE.assign(score=pd.qcut(ONE["score"], 4, labels=False)), **COLUMNS
     ),
-    "PairedTTest": lambda: studies.paired_t_test(PAIR, **COLUMNS),
+    "PairedTTest": lambda: studies.paired_t_test(ONE[ONE["mode"] != "C"], **COLUMNS),
     "OrderEffects": lambda: tl.order_effects(
         ORDERED, "error", "condition", "position", subject="participant"
     ),
@@ -73,9 +66,7 @@ RESULTS = {
     "equivalence": lambda: tl.equivalence(ONE, **COLUMNS, bound=0.5),
     "bayes_factor": lambda: tl.bayes_factor(ONE, **COLUMNS),
     "friedman": lambda: tl.repeated_measures(ONE, **COLUMNS).friedman(),
-    "aligned_ranks": lambda: tl.repeated_measures(
-        LONG, "error", ["scheme", "task"], "who"
-    ).aligned_ranks(),
+    "aligned_ranks": lambda: tl.repeated_measures(LONG, **TWO).aligned_ranks(),
 }
 
 
@@ -104,9 +95,8 @@ def test_it_is_written_and_read_again(name, tmp_path):
 
 def test_one_wide_row_is_printed_as_a_column(tmp_path):
     written = tl.report(RESULTS["PairedTTest"]())
-    own = pd.read_html(io.StringIO(written.write(tmp_path / "r.html").read_text(encoding="utf-8")))[
-        0
-    ]
+    page = written.write(tmp_path / "r.html").read_text(encoding="utf-8")
+    own = pd.read_html(io.StringIO(page))[0]
     assert own.columns.tolist() == ["statistic", "value"]
     assert len(own) == len(written.table().columns)
     assert {"a", "mean difference", "95% CI low", "p", "t"} <= set(own["statistic"])

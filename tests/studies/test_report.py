@@ -4,84 +4,88 @@ readers.
 """
 
 import dataclasses
+import html
 import io
 import re
-from pathlib import Path
 
 import matplotlib as mpl
-import numpy as np
 import pandas as pd
 import pytest
 
 import trustlab as tl
+from tests.studies.scores import drawn
 from trustlab.studies.report import _printed
 
 mpl.use("Agg")
-PILOT = Path(__file__).parents[2] / "data" / "sessions" / "pilot.csv"
 
 
-def frame_of(synthetic=False):
-    cells = pd.MultiIndex.from_product(
-        [range(10), ["M", "TMIG"], ["easy", "hard_#1"]], names=["who", "scheme", "task"]
-    )
-    frame = cells.to_frame(index=False)
-    rng = np.random.default_rng(0)
-    frame = frame.assign(error=rng.standard_normal(40) + (frame["scheme"] == "M"))
-    frame.attrs["synthetic"] = synthetic
+def frame_of():
+    frame = drawn(10, scheme=["M", "TMIG"], task=["easy", "hard_#1"])
+    frame["score"] += frame["scheme"] == "M"
+    frame.attrs["synthetic"] = True
     return frame
 
 
-def one_way():
+def one_way(**more):
     frame = frame_of()[lambda f: f["task"] == "easy"]
-    return tl.report(frame, dv="error", within="scheme", subject="who")
+    return tl.report(frame, dv="score", within="scheme", subject="person", **more)
 
 
-def two_way(**more):
-    return tl.report(frame_of(**more), dv="error", within=["scheme", "task"], subject="who")
+def two_way(frame=None):
+    frame = frame_of() if frame is None else frame
+    return tl.report(frame, dv="score", within=["scheme", "task"], subject="person")
 
 
 @pytest.mark.parametrize("make", [one_way, two_way])
-def test_text_and_tables_are_those_of_the_analysis(make):
+def test_text_and_tables_are_those_of_the_analysis(make, tmp_path):
     found = make()
     assert found.message.startswith(found.result.apa())
     pd.testing.assert_frame_equal(found.table(), found.result.table())
-    assert found.result.apa() in found._repr_html_()
+    assert html.escape(found.result.apa()) in found._repr_html_()
+    assert "synthetic data" in found._repr_html_()
     assert found.plot() is not None
+    for ending in ("html", "tex"):
+        text = found.write(tmp_path / f"results.{ending}").read_text()
+        assert text.count("[synthetic data]") == 1 + len(found.tables)
+        # Heads have no internal names.
+        words = re.findall(r"[a-z]\w*_\w+", text.replace(r"\_", "_").partition("<svg")[0])
+        assert set(words) <= {"d_z", "hard_", "eta_p", "eta_G"}, set(words)
+        assert "greenhouse" not in text
+
+
+def read_again(study, folder):
+    page = study.write(folder / "results.html").read_text()
+    return pd.read_html(io.StringIO(page)), page
 
 
 def test_html_is_read_again(tmp_path):
-    path = two_way().write(tmp_path / "results.html")
-    tables = pd.read_html(io.StringIO(path.read_text()))
+    tables, page = read_again(two_way(), tmp_path)
     means = [f"{mean:.2f}".replace("-", "−") for mean in two_way().result.descriptives()["mean"]]
     assert tables[0]["M"].astype(str).tolist() == means
     assert tables[1]["effect"].tolist() == ["scheme", "task", "scheme × task"]
-    assert "<svg" in path.read_text()
-
-
-def test_data_that_were_not_measured_say_so_in_every_caption(tmp_path):
-    study = two_way(synthetic=True)
-    for ending in ("html", "tex"):
-        text = study.write(tmp_path / f"results.{ending}").read_text()
-        assert text.count("[synthetic data]") == 1 + len(study.tables)
-    assert "synthetic data" in study._repr_html_()
+    assert "<svg" in page
 
 
 def test_levels_that_are_numbers_stay_as_they_are(tmp_path):
     frame = frame_of().replace({"M": 0.0, "TMIG": 0.125}).infer_objects()
-    found = tl.report(frame, dv="error", within=["scheme", "task"], subject="who").write(
-        tmp_path / "results.html"
-    )
-    assert pd.read_html(io.StringIO(found.read_text()))[0]["scheme"].tolist() == [
-        0.0,
-        0.0,
-        0.125,
-        0.125,
-    ]
+    tables, _ = read_again(two_way(frame), tmp_path)
+    assert tables[0]["scheme"].tolist() == [0.0, 0.0, 0.125, 0.125]
+
+
+def test_the_comparison_of_two_groups_is_a_row(tmp_path):
+    tables, _ = read_again(one_way(between="group"), tmp_path)
+    assert tables[-1][["a", "b"]].to_numpy().tolist() == [["expert", "novice"]]
+    assert "statistic" not in tables[-1]
 
 
 @pytest.fixture(scope="module")
-def fit():
-    return tl.fit_tsc(tl.read_session(PILOT))
+def pilot():
+    return tl.read_session("data/sessions/pilot.csv")
+
+
+@pytest.fixture(scope="module")
+def fit(pilot):
+    return tl.fit_tsc(pilot)
 
 
 def test_small_differences_are_not_rounded_away():
@@ -93,7 +97,7 @@ def test_small_differences_are_not_rounded_away():
         assert ends[0] < ends[1]
 
 
-def test_fits_by_participant_are_one_table(fit, tmp_path):
+def test_fits_by_participant_are_one_table(fit, pilot, tmp_path):
     failed = dataclasses.replace(fit, success=False, message="no optimum was found")
     study = tl.report({"P1": fit, "P2": failed})
     assert study.message == (
@@ -109,7 +113,7 @@ def test_fits_by_participant_are_one_table(fit, tmp_path):
     assert not [head for head in table if "_b" in head and "beta" not in head]
     # Oracle: the posterior's time constants, which are drawn as such.
     seconds, error = map(float, table.loc[0, "robot τ [s]"].split(" ± "))
-    drawn = tl.sample_posterior(tl.read_session(PILOT), n=500).table().loc["robot_time_constant"]
+    drawn = tl.sample_posterior(pilot, n=500).table().loc["robot_time_constant"]
     assert seconds == pytest.approx(drawn["mean"], abs=3 * drawn["sd"])
     assert error == pytest.approx(drawn["sd"], rel=0.2)
     assert len(study.table()) == 2 * len(fit.table())
@@ -119,22 +123,3 @@ def test_fits_by_participant_are_one_table(fit, tmp_path):
     page = study.write(tmp_path / "fits.html").read_text()
     assert "<th>human β</th>" in page
     assert "human_" not in page
-
-
-def test_heads_have_no_internal_names(tmp_path):
-    for study in (one_way(), two_way()):
-        for ending in ("html", "tex"):
-            text = study.write(tmp_path / f"results.{ending}").read_text()
-            words = re.findall(r"[a-z]\w*_\w+", text.replace(r"\_", "_").partition("<svg")[0])
-            assert set(words) <= {"d_z", "hard_", "eta_p", "eta_G"}, set(words)
-            assert "greenhouse" not in text
-
-
-def test_the_comparison_of_two_groups_is_a_row(tmp_path):
-    frame = frame_of().assign(side=lambda f: np.where(f["who"] < 4, "l", "r"))
-    easy = frame[frame["task"] == "easy"]
-    study = tl.report(easy, "error", "scheme", "who", between="side")
-    page = study.write(tmp_path / "results.html").read_text()
-    table = pd.read_html(io.StringIO(page))[-1]
-    assert table[["a", "b"]].to_numpy().tolist() == [["l", "r"]]
-    assert "statistic" not in table

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
+from tests.studies.scores import COLUMNS, drawn, long
 from trustlab.studies.words import apa_number, apa_p
 
 
@@ -39,7 +40,6 @@ def test_rounding(value, digits, text):
         (0.0495, "p = .050"),
         (0.9994, "p = .999"),
         (0.9995, "p > .999"),
-        (0.9996, "p > .999"),
         (1.0, "p > .999"),
     ],
 )
@@ -49,50 +49,52 @@ def test_p_values(p, text):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_mean_of_whole_points_is_exact(seed):
-    answers = np.random.default_rng(seed).integers(1, 11, (24, 4)).astype(float)
+    answers = np.random.default_rng(seed).integers(1, 11, (24, 4))
+    result = tl.repeated_measures(long(answers), **COLUMNS)
+    sums = answers.sum(axis=0).tolist()
+    assert result.descriptives()["mean"].tolist() == [total / 24 for total in sums]
+    for mode, total in zip("abcd", sums, strict=True):
+        on_paper = (100 * total + 12) // 24  # hundredths, halves up
+        assert f"{mode} (M = {on_paper // 100}.{on_paper % 100:02d}, SD = " in result.apa()
+
+
+def test_a_table_for_reading():
     frame = pd.DataFrame(
         {
-            "pid": np.repeat(np.arange(24), 4),
-            "scheme": ["A", "B", "C", "D"] * 24,
-            "trust": answers.ravel(),
+            "a": [0.0, 0.2],
+            "autonomy": [0.375, 0.125],
+            "n": [7, 8],
+            "df1": [1.0, 2.0],
+            "df2": [21.0, 30.5],
+            "F": [6.875, np.nan],
+            "p": [0.0004, 0.0495],
+            "p_holm": [np.nan, 0.9999],
+            "mauchly_p": [0.5, 0.25],
+            "points": [1.25, 2.0],
         }
     )
-    result = tl.repeated_measures(frame, dv="trust", within="scheme", subject="pid")
-    assert result.descriptives()["mean"].tolist() == [
-        sum(column) / 24 for column in answers.T.tolist()
-    ]
-    for scheme, mean in zip("ABCD", answers.sum(axis=0), strict=True):
-        on_paper = int((100 * mean + 12) // 24)  # hundredths, halves up
-        assert f"{scheme} (M = {on_paper // 100}.{on_paper % 100:02d}, SD = " in result.apa()
-
-
-def test_levels_that_are_numbers_are_not_rounded():
-    frame = pd.DataFrame({"level": [0.125], "autonomy": [0.375], "mean": [0.375]})
     frame.attrs["labels"] = ["autonomy"]
-    table = tl.studies.apa_table(frame)
-    assert table.loc[0].tolist() == [0.125, 0.375, "0.38"]
-
-
-def test_degrees_of_freedom_have_decimals_only_where_they_are_fractions():
-    frame = pd.DataFrame({"df1": [1.0, 2.0], "df2": [21.0, 30.5]})
-    assert tl.studies.apa_table(frame).to_dict("list") == {
-        "df1": ["1", "2"],
-        "df2": ["21.00", "30.50"],
+    before = frame.copy()
+    found = tl.studies.apa_table(frame, digits=1)
+    assert found.to_dict("list") == {
+        "a": [0.0, 0.2],  # a label stays
+        "autonomy": [0.375, 0.125],
+        "n": [7, 8],
+        "df1": ["1", "2"],  # decimals only where there are fractions
+        "df2": ["21.0", "30.5"],
+        "F": ["6.9", ""],
+        "p": ["< .001", ".050"],
+        "p_holm": ["", "> .999"],
+        "mauchly_p": [".500", ".250"],
+        "points": ["1.3", "2.0"],
     }
+    pd.testing.assert_frame_equal(frame, before)
 
 
-def two_way(n=12, **more):
-    cells = pd.MultiIndex.from_product([range(n), list("ab"), list("xyz")], names=["who", "A", "B"])
-    frame = cells.to_frame(index=False)
-    rng = np.random.default_rng(0)
-    frame["score"] = rng.normal(size=len(frame)) + rng.normal(size=n).repeat(6)
-    frame["side"] = np.where(frame["who"] < 5, "l", "r")
-    return tl.repeated_measures(frame, "score", ["A", "B"], "who", **more)
-
-
-@pytest.mark.parametrize("between", [None, "side"])
+@pytest.mark.parametrize("between", [None, "group"])
 def test_every_effect_has_the_interval_of_its_size(between):
-    result = two_way(between=between)
+    frame = drawn(A="ab", B="xyz")
+    result = tl.repeated_measures(frame, "score", ["A", "B"], "person", between=between)
     number = r"[−]?\d*\.\d\d"
     pattern = rf"ηp² = {number}, 90% CI \[{number}, {number}\], ηG² = {number}"
     assert len(re.findall(pattern, result.apa())) == len(result.table())
@@ -101,46 +103,19 @@ def test_every_effect_has_the_interval_of_its_size(between):
 
 def test_pairs_have_the_interval_of_d_z():
     scores = np.random.default_rng(1).normal(size=(9, 3)) + np.array([0.0, 2.0, 4.0])
-    cells = pd.MultiIndex.from_product([range(9), list("abc")], names=["who", "c"])
-    frame = cells.to_frame(index=False).assign(v=scores.ravel())
-    result = tl.repeated_measures(frame, "v", "c", "who")
+    result = tl.repeated_measures(long(scores), **COLUMNS)
     row = result.pairs().iloc[1]
-    words = f"d_z = {apa_number(row['d_z'])}, 95% CI [{apa_number(row['d_z_low'])}, "
-    assert words + f"{apa_number(row['d_z_high'])}]" in result.apa()
+    d, low, high = (apa_number(row[name]) for name in ("d_z", "d_z_low", "d_z_high"))
+    assert f"d_z = {d}, 95% CI [{low}, {high}]" in result.apa()
 
 
-def test_one_participant_and_several():
-    cells = pd.MultiIndex.from_product([range(12), list("ab")], names=["who", "c"])
-    frame = cells.to_frame(index=False).assign(v=np.random.default_rng(2).normal(size=24))
-    for rows, words in (
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
         ([3], "1 participant with missing cells was left out (1)."),
         ([3, 5], "2 participants with missing cells were left out (1, 2)."),
-    ):
-        result = tl.repeated_measures(frame.drop(index=rows), "v", "c", "who", missing="listwise")
-        assert result.apa().endswith(words)
-
-
-def test_a_table_for_reading():
-    frame = pd.DataFrame(
-        {
-            "a": [0.0, 0.2],
-            "n": [7, 8],
-            "F": [6.875, np.nan],
-            "p": [0.0004, 0.0495],
-            "p_holm": [np.nan, 0.9999],
-            "mauchly_p": [0.5, 0.25],
-            "points": [1.25, 2.0],
-        }
-    )
-    before = frame.copy()
-    found = tl.studies.apa_table(frame, digits=1)
-    assert found.to_dict("list") == {
-        "a": [0.0, 0.2],  # a label stays
-        "n": [7, 8],
-        "F": ["6.9", ""],
-        "p": ["< .001", ".050"],
-        "p_holm": ["", "> .999"],
-        "mauchly_p": [".500", ".250"],
-        "points": ["1.3", "2.0"],
-    }
-    pd.testing.assert_frame_equal(frame, before)
+    ],
+)
+def test_one_participant_and_several(rows, words):
+    frame = drawn(mode="ab").drop(index=rows)
+    assert tl.repeated_measures(frame, **COLUMNS, missing="listwise").apa().endswith(words)

@@ -11,9 +11,10 @@ from scipy import stats
 
 import trustlab as tl
 from tests.studies.planning.settings import settled
+from tests.studies.scores import COLUMNS, drawn, long
 from trustlab.studies import clopper_pearson, graded_covariance, noncentral_f_power, noncentrality
-from trustlab.studies.planning import power as simulation
 from trustlab.studies.planning.conditions import Conditions
+from trustlab.studies.planning.power import TESTS
 
 MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
 
@@ -21,29 +22,13 @@ MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
 # --- closed forms ---------------------------------------------------------------------------------
 
 
-def conditions_from(mean, covariance):
-    """The population with these means and covariance, its conditions numbered from 1."""
-    return Conditions(
-        range(1, len(mean) + 1), np.asarray(mean, dtype=float), np.asarray(covariance)
-    )
-
-
-@pytest.mark.parametrize("n", [3, 12, 36])
-@pytest.mark.parametrize("k", [2, 3, 5])
+@pytest.mark.parametrize(("n", "k", "alpha"), [(3, 5, 0.05), (12, 2, 0.005), (36, 3, 0.01)])
 @pytest.mark.parametrize("strength", [0.0, 2.0, 15.0])
-def test_noncentral_f_is_scipys(n, k, strength):
+def test_noncentral_f_is_scipys(n, k, alpha, strength):
     df1, df2 = k - 1, (k - 1) * (n - 1)
-    critical = stats.f.isf(0.05, df1, df2)
-    oracle = stats.ncf.sf(critical, df1, df2, strength) if strength else 0.05
-    assert noncentral_f_power(n, k, strength) == pytest.approx(oracle, abs=1e-10)
-
-
-@pytest.mark.parametrize(("n", "d_z", "alpha"), [(20, 0.5, 0.05), (36, 0.3, 0.005), (8, 1.2, 0.01)])
-def test_two_conditions_are_the_paired_t_test_of_statsmodels(n, d_z, alpha):
-    from statsmodels.stats.power import TTestPower
-
-    oracle = TTestPower().power(d_z, n, alpha)
-    assert noncentral_f_power(n, 2, n * d_z**2, alpha) == pytest.approx(oracle, abs=1e-8)
+    critical = stats.f.isf(alpha, df1, df2)
+    oracle = stats.ncf.sf(critical, df1, df2, strength) if strength else alpha
+    assert noncentral_f_power(n, k, strength, alpha) == pytest.approx(oracle, abs=1e-10)
 
 
 @given(st.integers(1, 300), st.data(), st.floats(0.5, 0.999))
@@ -77,7 +62,7 @@ def test_a_graded_covariance_has_what_was_asked_for(k, place, share, sd):
 def test_an_effect_is_reached_and_its_pattern_kept(eta2, seed):
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((4, 4))
-    population = conditions_from(rng.normal(size=4), root @ root.T + 0.1 * np.eye(4))
+    population = Conditions(range(4), rng.normal(size=4), root @ root.T + 0.1 * np.eye(4))
     scaled = population.with_effect(eta2)
     assert scaled.eta2_partial == pytest.approx(eta2, rel=1e-9)
     assert scaled.mean.mean() == pytest.approx(population.mean.mean(), abs=1e-9)
@@ -117,116 +102,82 @@ def test_twenty_cases_agree_with_the_noncentral_f(grid):
 
 
 def test_pairs_agree_with_the_noncentral_t(grid):
-    rows = grid.pairs().query("adjust != 'holm'")
-    for _, part in rows.groupby("adjust"):
-        some = part[part["closed_form"].between(0.002, 0.998)]
+    powers = dict([*grid.pairs().groupby("adjust")])
+    for name in ("none", "bonferroni"):
+        some = powers[name][powers[name]["closed_form"].between(0.002, 0.998)]
         assert len(some) > 100
         assert deviations(some, some["closed_form"]).abs().max() < 4.5
-    holm = grid.pairs().query("adjust == 'holm'")["power"].to_numpy()
-    raw = grid.pairs().query("adjust == 'none'")["power"].to_numpy()
-    bonferroni = grid.pairs().query("adjust == 'bonferroni'")["power"].to_numpy()
+    bonferroni, holm, raw = (
+        powers[name]["power"].to_numpy() for name in ("bonferroni", "holm", "none")
+    )
     assert ((bonferroni <= holm) & (holm <= raw)).all()
 
 
 @pytest.mark.parametrize(("n", "k"), [(12, 4), (3, 5)])
 def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
-    replicates = 100
-    seed = 3
-    claims = [(k, 1), (2, k)]
+    replicates, claims = 100, [(k, 1), (2, k)]
     matrix, mean = graded_covariance(k, 0.4, 0.5, 1.0), np.linspace(0.0, 1.5, k)
     found = settled(
-        tl.power_analysis, mean, matrix, n=n, replicates=replicates, seed=seed, claims=claims
+        tl.power_analysis, mean, matrix, n=n, replicates=replicates, seed=3, claims=claims
     )
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(n,)))
+    rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(n,)))
     scores = rng.standard_normal((replicates, n, k)) @ np.linalg.cholesky(matrix).T + mean
-    hits = dict.fromkeys(simulation.TESTS, 0)
-    pairs, together = 0, 0
+    hits, pairs, together = 0, 0, 0
     for study in scores:
-        frame = pd.DataFrame(study, columns=range(1, k + 1)).rename_axis("s").reset_index()
-        frame = frame.melt("s", var_name="c", value_name="v").astype({"c": int})
-        for test in hits:
-            hits[test] += (
-                tl.repeated_measures(frame, "v", "c", "s", correction=test).p_corrected < 0.05
-            )
-        result = tl.repeated_measures(frame, "v", "c", "s")
+        result = tl.repeated_measures(long(study, range(1, k + 1)), **COLUMNS, correction="auto")
+        p = [result.p, result.p_gg, result.p_hf, result.p_corrected]
+        hits = hits + (pd.Series(p, TESTS) < 0.05)
         table = result.pairs().set_index(["a", "b"])
         pairs = pairs + (table["p_holm"] < 0.05)
         right = (table["p_holm"] < 0.05) & (table["mean_difference"] < 0)  # means rise
-        together += bool(right[(1, k)] and right[(2, k)] and result.p_corrected < 0.05)
-    rows = found.table().set_index("test")["power"]
-    assert {test: round(rows[test] * replicates) for test in hits} == hits
+        together += bool(right[(1, k)] and right[(2, k)] and result.p_gg < 0.05)
+    rows = found.table().set_index("test")["power"] * replicates
+    assert rows.round().to_dict() == hits.to_dict()
     holm = found.pairs().query("adjust == 'holm'").set_index(["a", "b"])["power"] * replicates
-    assert holm.round().astype(int).to_dict() == pairs.to_dict()
+    assert holm.round().to_dict() == pairs.to_dict()
     claimed = found.claims().set_index("adjust").loc["holm"]
     assert round(claimed["power"] * replicates) == together
     assert claimed["expected_found"] <= claimed["claims"] == 2
 
 
 def test_a_grid_has_a_row_per_cell_and_test_and_draws_itself():
-    found = settled(
-        tl.power_analysis,
-        [0, 1],
-        graded_covariance(2),
-        n=[5, 9],
-        effect_size=[0.1, 0.3],
-        correlation=[0.0, 0.5],
-        replicates=100,
-    )
-    assert len(found.table()) == 2 * 2 * 2 * len(simulation.TESTS)
+    grid = {"n": [5, 9], "effect_size": [0.1, 0.3], "correlation": [0.0, 0.5]}
+    found = settled(tl.power_analysis, [0, 1], graded_covariance(2), **grid, replicates=100)
+    assert len(found.table()) == 2 * 2 * 2 * len(TESTS)
     assert set(found.table()["epsilon"]) == {1.0}
     axes = found.plot()
     assert axes.get_xlabel() == "participants n"
     assert len(axes.get_legend().get_texts()) == 4
     assert "simulated studies" in found._repr_html_()
-    with pytest.raises(ValueError, match="against must be one of 'n', 'effect_size'"):
-        found.plot("m")
-    with pytest.raises(ValueError, match="test must be one of 'none'"):
-        found.plot(test="wilks")
 
 
 # --- the smallest n -------------------------------------------------------------------------------
 
 
-def test_the_smallest_n_is_that_of_the_noncentral_f():
-    found = settled(
-        tl.smallest_n,
-        0.8,
-        MEANS,
-        graded_covariance(5),
-        effect_size=0.1,
-        test="none",
-        replicates=4000,
-        seed=2,
-    )
-    exact = next(
-        n for n in range(3, 200) if noncentral_f_power(n, 5, noncentrality(0.1, n, 5)) >= 0.8
-    )
-    assert abs(found.n - exact) <= 2
-    assert (
-        found.ci_low
-        <= noncentral_f_power(found.n, 5, noncentrality(0.1, found.n, 5))
-        <= found.ci_high
-    )
+@pytest.mark.parametrize(
+    ("chosen", "closed"),
+    [
+        (
+            {"effect_size": 0.1, "test": "none", "replicates": 4000},
+            lambda n: noncentral_f_power(n, 5, noncentrality(0.1, n, 5)),
+        ),
+        (
+            {"pair": (5, 1), "test": "bonferroni", "replicates": 2000},
+            lambda n: noncentral_f_power(n, 2, n * 0.5**2, 0.005),
+        ),
+    ],
+)
+def test_the_smallest_n_is_that_of_the_closed_form(chosen, closed):
+    found = settled(tl.smallest_n, 0.8, MEANS, graded_covariance(5), **chosen, seed=2)
+    exact = next(n for n in range(3, 400) if closed(n) >= 0.8)
+    assert abs(found.n - exact) <= 0.05 * exact
+    assert found.ci_low <= closed(found.n) <= found.ci_high
     tried = found.evaluations.set_index("n")["power"]
     assert tried[found.n] == found.power >= 0.8 > tried[found.n - 1]
     assert found.whole_squares % 10 == 0
     assert found.whole_squares >= found.n
-
-
-def test_the_smallest_n_of_a_pair():
-    found = settled(
-        tl.smallest_n,
-        0.8,
-        MEANS,
-        graded_covariance(5),
-        pair=(5, 1),
-        test="bonferroni",
-        replicates=2000,
-        seed=2,
-    )
-    exact = next(n for n in range(3, 400) if noncentral_f_power(n, 2, n * 0.5**2, 0.005) >= 0.8)
-    assert abs(found.n - exact) <= 0.05 * exact
-    assert found.table()["test"].item() == "5 – 1, bonferroni"
+    name = "5 – 1" if "pair" in chosen else "F"
+    assert found.table()["test"].item() == f"{name}, {chosen['test']}"
     assert "simulated" in found._repr_html_()
 
 
@@ -235,80 +186,68 @@ def test_the_smallest_n_of_a_pair():
 
 def test_results_do_not_depend_on_where_studies_are_simulated():
     """In this process, or in two workers."""
-    grid = {
-        "n": [5, 9],
-        "effect_size": [0.1, 0.3],
-        "replicates": 200,
-        "seed": 3,
-        "claims": [(1, 5)],
-    }
-    search = {"effect_size": 0.2, "replicates": 300, "seed": 9}
-    matrix = graded_covariance(5, 0.5, 0.4)
-    here, n_here = (
-        settled(tl.power_analysis, MEANS, matrix, **grid),
-        settled(tl.smallest_n, 0.9, MEANS, matrix, **search),
-    )
-    there = settled(tl.power_analysis, MEANS, matrix, **grid, n_jobs=2)
-    n_there = settled(tl.smallest_n, 0.9, MEANS, matrix, **search, n_jobs=2)
-    for name in ("table", "pairs", "claims"):
-        pd.testing.assert_frame_equal(
-            getattr(here, name)(), getattr(there, name)(), check_exact=True
-        )
-    pd.testing.assert_frame_equal(n_here.evaluations, n_there.evaluations, check_exact=True)
-    pd.testing.assert_frame_equal(n_here.table(), n_there.table(), check_exact=True)
+    grid = {"n": [5, 9], "effect_size": [0.1, 0.3], "replicates": 200, "claims": [(1, 5)]}
+    search = {"effect_size": 0.2, "replicates": 300}
+    population = (MEANS, graded_covariance(5, 0.5, 0.4))
+    tables = []
+    for n_jobs in (1, 2):
+        power = settled(tl.power_analysis, *population, **grid, seed=3, n_jobs=n_jobs)
+        plan = settled(tl.smallest_n, 0.9, *population, **search, seed=9, n_jobs=n_jobs)
+        tables.append([power.table(), power.pairs(), power.claims(), plan.evaluations])
+    for here, there in zip(*tables, strict=True):
+        pd.testing.assert_frame_equal(here, there, check_exact=True)
 
 
 # --- refusals -------------------------------------------------------------------------------------
 
-GOOD = graded_covariance(3)
+POPULATION = {"mean": [0.0, 0.5, 1.0], "covariance": graded_covariance(3), "replicates": 100}
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("function", "arguments", "message"),
     [
-        ({"n": 2}, "n = 2 is too small for the design: repeated measures need at least 3"),
-        ({"alpha": 1.0}, "alpha must lie strictly between 0 and 1"),
-        ({"effect_size": -0.1}, "effect_size is a population partial"),
-        ({"correlation": 1.0}, "correlation must lie between"),
-        ({"mean": None}, "power needs mean= and covariance="),
-        ({"covariance": [[1, 0.2, 0], [0.5, 1, 0], [0, 0, 1]]}, r"symmetric, but \[0, 1\] is 0.2"),
-        ({"claims": [(1, 2), (2, 1)]}, "claimed twice"),
-        ({"data": pd.DataFrame()}, "give either data= or covariance="),
+        (tl.power_analysis, {"n": 2}, "n = 2 is too small for the design: repeated measures"),
+        (tl.power_analysis, {"covariance": np.eye(3) + np.eye(3, k=1)}, r"symmetric, but \[0, 1\]"),
+        (tl.power_analysis, {"claims": [(1, 2), (2, 1)]}, "claimed twice"),
+        (tl.power_analysis, {"claims": [(1, 1)]}, "a comparison is a pair of two conditions"),
+        (tl.power_analysis, {"correlation": 1.0}, "correlation must lie between"),
+        (tl.power_analysis, {"mean": None}, "power needs mean= and covariance="),
+        (tl.power_analysis, {"data": pd.DataFrame()}, "give either data= or covariance="),
+        (tl.smallest_n, {"pair": (1, 2), "test": "holmes"}, "did you mean 'holm'"),
+        (tl.smallest_n, {"covariance": np.ones((3, 3))}, "not positive definite"),
     ],
 )
-def test_power_analysis_refuses(arguments, message):
-    given_ = {"mean": [0.0, 0.5, 1.0], "covariance": GOOD, "replicates": 100} | arguments
+def test_what_cannot_be_simulated_is_refused(function, arguments, message):
     with pytest.raises(ValueError, match=message):
-        settled(tl.power_analysis, **given_)
+        settled(function, **POPULATION | arguments)
 
 
-def pilot(**more):
-    rng = np.random.default_rng(3)
-    people = rng.normal(size=(30, 1))
-    scores = 2.0 + 0.3 * (people + rng.normal(size=(30, 3)))
-    frame = pd.DataFrame(scores, columns=["C1", "C2", "C3"]).rename_axis("subject").reset_index()
-    return frame.melt("subject", var_name="condition").assign(**more)
+def pilot():
+    """Scores of 30 people in C1 to C3 around 2, whose spread is 0.3 of that of `drawn`."""
+    frame = drawn(30, mode=["C1", "C2", "C3"])
+    return frame.assign(score=2.0 + 0.3 * frame["score"])
+
+
+def planned(*population, **more):
+    """The smallest n for a power of 0.8 by few simulated studies."""
+    columns = tl.studies.StudyColumns(**COLUMNS) if "data" in more else tl.studies.StudyColumns()
+    simulation = tl.studies.Simulation(replicates=400, seed=4)
+    return tl.smallest_n(0.8, *population, **more, columns=columns, simulation=simulation)
 
 
 def test_means_beside_data_take_the_spread_of_the_pilot():
-    wide = pilot().pivot_table(index="subject", columns="condition", values="value")[["C3", "C1"]]
-    means = {"C3": 2.1, "C1": 2.0}
-    spread = np.cov(wide.to_numpy().T)
-    simulation = tl.studies.Simulation(replicates=400)
-    plan = tl.smallest_n(0.8, means, data=pilot(), simulation=simulation)
-    expected = tl.smallest_n(0.8, [2.1, 2.0], spread, simulation=simulation)
+    wide = pilot().pivot_table(index="person", columns="mode", values="score")[["C3", "C1"]]
+    plan = planned({"C3": 2.1, "C1": 2.0}, data=pilot())
+    expected = planned([2.1, 2.0], np.cov(wide.to_numpy().T))
     assert (plan.n, plan.power) == (expected.n, expected.power)
     assert plan.population.labels == ("C3", "C1")
     with pytest.raises(ValueError, match=r"mean names \['C9'\], but data hold"):
-        tl.smallest_n(0.8, {"C1": 2.0, "C9": 2.1}, data=pilot(), simulation=simulation)
+        planned({"C1": 2.0, "C9": 2.1}, data=pilot())
 
 
 def test_a_plan_says_what_it_assumes():
-    simulation = tl.studies.Simulation(replicates=400, seed=4)
     with pytest.warns(UserWarning, match="covariance is that of synthetic data"):
-        plan = tl.smallest_n(
-            0.8, {"C1": 2.0, "C3": 2.1}, data=pilot(synthetic=True), simulation=simulation
-        )
+        plan = planned({"C1": 2.0, "C3": 2.1}, data=pilot().assign(synthetic=True))
     text = plan.apa()
     assert f"A sample of {plan.n} participants" in text
     assert "400 simulated studies (seed 4)" in text
@@ -317,29 +256,8 @@ def test_a_plan_says_what_it_assumes():
     # The noncentral t of a paired comparison, n searched one by one. Oracle: SciPy.
     d_z = abs(plan.population.d_z[0])
     for name, scale in (("half", 0.5), ("twice", 2.0)):
-        n = next(
-            n
-            for n in range(3, 10_000)
-            if stats.nct.sf(stats.t.ppf(0.975, n - 1), n - 1, np.sqrt(n) * d_z / scale)
-            + stats.nct.cdf(stats.t.ppf(0.025, n - 1), n - 1, np.sqrt(n) * d_z / scale)
-            >= 0.8
-        )
-        assert plan.n_by_spread[name] == n
-        assert str(n) in text
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"power": 1.0}, "power must lie strictly"),
-        ({"pair": (1, 2), "test": "holmes"}, "did you mean 'holm'"),
-        ({"most": 2}, "most must be a whole number, from 3"),
-        ({"covariance": np.ones((3, 3))}, "not positive definite"),
-    ],
-)
-def test_smallest_n_refuses(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        settled(
-            tl.smallest_n,
-            **({"mean": [0, 0.5, 1], "covariance": GOOD, "replicates": 100} | arguments),
-        )
+        n = np.arange(3, 10_000)
+        strength, critical = np.sqrt(n) * d_z / scale, stats.t.ppf(0.975, n - 1)
+        power = stats.nct.sf(critical, n - 1, strength) + stats.nct.cdf(-critical, n - 1, strength)
+        assert plan.n_by_spread[name] == n[np.argmax(power >= 0.8)]
+        assert str(plan.n_by_spread[name]) in text
