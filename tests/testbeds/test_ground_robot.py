@@ -22,7 +22,6 @@ from trustlab.models.tsc import threshold_mode
 from trustlab.operators import operator
 from trustlab.testbeds import (
     Course,
-    GroundRobot,
     Pioneer,
     drive_modes,
     identification_session,
@@ -296,40 +295,3 @@ def test_followed_suggestions_by_hand():
     )  # every second one second of disagreement, then agreement
     always = pd.DataFrame({"mode": np.ones(n), "suggested_mode": agreed}, index=frame.index)
     assert len(followed_suggestions(tl.Session(always))) == 50
-
-
-# Reproducible, readable, quick, and clear about what is wrong
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"condition": "C6"}, "'C5', 'own', 'random', or rule=, got 'C6'"),
-        ({"thresholds": (0.6, 0.1)}, "the lower threshold must be below the upper threshold"),
-        ({"condition": "C5"}, "no effect in C5, where Algorithm 2 decides;"),
-        ({"operator": None}, "who drives"),
-        ({"seed": -1}, "seed must be a whole number"),
-        ({"testbed": "uav_tracking"}, "testbed must be one of 'ground_robot', 'uav_following'"),
-    ],
-)
-def test_bad_input_is_named(one, model, change, says):
-    good = {"condition": "C3", "operator": one, "model": model, "thresholds": THRESHOLDS}
-    with pytest.raises(ValueError, match=says):
-        run_condition(**good | change)
-
-
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (lambda: GroundRobot(robot=Course()), "robot must be of class Pioneer"),
-        (
-            lambda: Course(corners=((0, 0), (1, 0), (np.nan, 1))),
-            "corners must be finite, but sample 2",
-        ),
-        (lambda: Pioneer(max_speed=0.0), "max_speed must be positive"),
-        (lambda: Pioneer(look_ahead=np.inf), "look_ahead must be finite"),
-    ],
-)
-def test_bad_courses_and_robots_are_named(make, says):
-    with pytest.raises(ValueError, match=says):
-        make()

@@ -9,16 +9,12 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.teleoperation import STUDIES, Delay, DivergenceError, Guidance, GuidanceBudget
+from tests.flights import T, columns, jitter, phase
+from trustlab.teleoperation import STUDIES, DivergenceError, Guidance, GuidanceBudget
 from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds.uav_tracking import TASKS, TrackingTask
 
-T = 0.01
 IDLE = tl.Teleoperator(proportional=0.0, derivative=0.0, noise=0.0, stiffness=0.0, damping=0.0)
-
-
-def columns(session, stem):
-    return session.data[[f"{stem}_{axis}" for axis in "xyz"]].to_numpy()
 
 
 def switching(state):
@@ -29,13 +25,6 @@ def switching(state):
 
 
 SWITCHING = tl.Scheme("switching", switching)
-
-
-def jitter(seed, most):
-    """A delay drawn anew in every sample: packets overtake one another."""
-    return Delay(
-        lambda t: np.random.default_rng(seed).uniform(0.02, most, t.size), np.inf, "drawn anew"
-    )
 
 
 def taken_at_random(guidance, guard, seed, seconds, budget=None):
@@ -189,8 +178,7 @@ def test_the_target_feeds_the_spring_with_force_times_velocity():
     run = tl.simulate_teleoperation(
         "M", seed=3, duration=20.0, guidance=Guidance("through_channel", "off")
     )
-    phase = np.random.default_rng(np.random.SeedSequence(3).spawn(5)[0]).uniform(0.0, 2.0 * np.pi)
-    moving = TASKS["main"].path(run.t, 1.5, phase)[1]
+    moving = TASKS["main"].path(run.t, 1.5, phase(3))[1]
     fed = T * np.cumsum((-columns(run, "f_s") * moving).sum(axis=1))
     np.testing.assert_allclose(run["energy_target"], fed, atol=1e-9)
 

@@ -13,7 +13,6 @@ from tests.teams import simulate_team
 from trustlab.teleoperation import (
     DivergenceError,
     GivenSequence,
-    GraphError,
     RandomLeaders,
     Scattering,
     TeamOperator,
@@ -28,7 +27,6 @@ from trustlab.teleoperation import (
 matplotlib.use("Agg")
 
 ALONE = TeamOperator(push=0.0, drag=0.0)
-NO_SCALING = TeamSettings(scattering=Scattering(2.0))
 
 
 def random_graph(rng, robots):
@@ -70,230 +68,174 @@ def random_team(seed):
     }
 
 
-def dense(graph, run, ends, n, leads, delay, vision, kind, start, goal, count, trust0=0.5):
-    """
-    The same equations, every sample one dense linear system per axis in all midpoint unknowns;
-    returns what the run logs.
-
-    n: dict of device, operator and filter numbers. kind: "none", "two-port" or "waves".
-    """
-    names, adjacency = team_graph(graph)
-    size, T = len(names), n["T"]
-    L = n.get("coupling", 1.0) * (np.diag(adjacency.sum(1)) - adjacency)
-    q = start - goal
-    zeta = np.zeros((size, 3))
-    x = np.zeros(3)
-    v = np.zeros(3)
-    fil = np.zeros((4, 3))
-    wave = np.zeros((2, 3))
-    held = []
-    u_l, u_r, sent, seen = (np.zeros((count, 3)) for _ in range(4))
-    far = np.linalg.norm(q, axis=1).max()
-    trust = np.full(size, trust0)
-    rows = []
-    w = n["cutoff"]
-    Z, Q, V, RM, FM, RH, FH, RS, FS, R, F = (
-        slice(0, size),
-        slice(size, 2 * size),
-        *(2 * size + i for i in range(9)),
-    )
-    for k in range(count):
-        lead, late = leads[k], k - vision
-        error = -seen[late] if late >= 0 else np.zeros(3)
-        good = max(1.0 - np.linalg.norm(error) / far, 0.0) if late >= 0 else 0.0
-        end = ends[lead]
-        beta = end.beta_min + (end.beta_max - end.beta_min) * (
-            1.0 - 1.0 / (1.0 + np.exp(-10.0 * (trust[lead] - 0.5)))
-        )
-        trust = trust + (1.0 - n["keep"]) * (good - trust)
-        v_r = u_l[k - delay] if k >= delay else np.zeros(3)
-        v_l = u_r[k - delay] if k >= delay else np.zeros(3)
-        if kind == "waves":
-            middle = (wave + 0.5 * T * w * np.array([v_r, v_l])) / (1.0 + 0.5 * T * w)
-            wave, (v_r, v_l) = 2.0 * middle - wave, middle
-        row = np.zeros((7, 3))
-        held.append((n["k21"] * (fil[[0, 2]] ** 2).sum() + n["k12"] * (fil[[1, 3]] ** 2).sum()) / w)
-        for i in range(3):
-            A, y = np.zeros((2 * size + 9, 2 * size + 9)), np.zeros(2 * size + 9)
-            h = 0.5 * T
-            b = end.b
-            port = kind == "two-port"
-            A[Z, Z] = np.eye(size)
-            A[Z, Q] = h * L
-            y[Z] = zeta[:, i]
-            A[Q, Q] = np.eye(size) + h * L
-            A[Q, Z] = -h * L.T
-            y[Q] = q[:, i]
-            A[size + lead, R] = -h * n.get("lead", 1.0)
-            push, drag = (
-                n["push"] * error[i],
-                n["drag"],
-            )  # M (v_mid − v)/h = push − d r_m − f_m − B v_mid − K x_mid
-            A[V, V] = n["M"] / h + n["B"] + n["K"] * h
-            A[V, RM] = drag
-            A[V, FM] = 1.0
-            y[V] = n["M"] * v[i] / h + push - n["K"] * x[i]
-            A[RM, RM] = 1.0
-            A[RM, V] = -(1.0 + n["Lam"] * h)
-            y[RM] = n["Lam"] * x[i]
-            k12, k21 = (n["k12"], n["k21"]) if port else (0.0, 0.0)
-            p1, p2, p3, p4 = fil[:, i] / (1 + h * w) if port else np.zeros(4)
-            g = h * w / (1 + h * w) if port else 1.0
-            A[FM, FM] = 1.0
-            A[FM, RM] = -k21
-            A[FM, FH] = -g
-            y[FM] = p2
-            A[RH, RH] = 1.0
-            A[RH, RM] = -g
-            A[RH, FH] = k12
-            y[RH] = p1
-            A[FH, FH] = 1.0
-            A[FH, RH] = -beta * b
-            y[FH] = beta * np.sqrt(2 * b / end.beta_max) * v_l[i]
-            A[RS, RS] = b
-            A[RS, FS] = 1.0
-            y[RS] = np.sqrt(2 * b) * v_r[i]
-            A[R, R] = 1.0
-            A[R, RS] = -g
-            A[R, F] = k12
-            y[R] = p3
-            A[FS, FS] = 1.0
-            A[FS, RS] = -k21
-            A[FS, F] = -g
-            y[FS] = p4
-            A[F, F] = 1.0
-            A[F, Q] = -n.get("felt", 1.0) * L[lead]
-            y[F] = 0.0
-            s = np.linalg.solve(A, y)
-            zeta[:, i], q[:, i] = 2 * s[Z] - zeta[:, i], 2 * s[Q] - q[:, i]
-            row[:, i] = s[Q][lead] + goal[i], x[i], s[RM], push - drag * s[RM], s[FM], s[R], s[F]
-            u_l[k, i] = np.sqrt(end.beta_min / (2 * b)) * (s[FH] / beta + b * s[RH])
-            u_r[k, i] = (s[FS] - b * s[RS]) / np.sqrt(2 * b)
-            x[i], v[i] = x[i] + T * s[V], 2 * s[V] - v[i]
-            inputs = np.array([s[RM], s[FH], s[RS], s[F]])
-            fil[:, i] = fil[:, i] + T * w * (inputs - (fil[:, i] + h * w * inputs) / (1 + h * w))
-            sent[k, i], seen[k, i] = s[R], s[Q][lead]
-        rows.append(row.ravel())
-    return np.array(rows), q + goal, np.array(held)
-
-
+T, COUNT = 0.02, 400
+DELAY, VISION = 10, 15  # samples
+MASS, DAMPING, STIFFNESS, WEIGHT = 0.5, 5.5, 20.0, 10.0
+PUSH, DRAG, CUTOFF, IMPEDANCE = 2.0, 1.0, 8.0, 1.5
 PLAIN = nx.Graph([(0, 1), (1, 2), (2, 3), (1, 3)])
 WEIGHTED = np.array([[0, 2.0, 0, 0], [2.0, 0, 0.3, 1], [0, 0.3, 0, 0.7], [0, 1, 0.7, 0]])
 DIRECTED = np.array([[0, 2.0, 0, 0], [0, 0, 0.3, 1], [0.5, 0, 0, 0.7], [0, 1, 0, 0]])
 
 
+def dense(laplacian, ends, leads, kind, start, goal, lead_gain, force_gain):
+    """
+    The same equations, every sample one dense linear system in all midpoint unknowns; returns what
+    the run logs, and the energy held by the filter. kind: "none", "two-port" or "waves".
+    """
+    size, h = len(start), 0.5 * T
+    Z, Q = slice(0, size), slice(size, 2 * size)
+    V, RM, FM, RH, FH, RS, FS, R, F = range(2 * size, 2 * size + 9)
+    pole = h * CUTOFF
+    k12, k21, through = 0.0, 0.0, 1.0
+    if kind == "two-port":
+        k12, k21, through = 0.5 / IMPEDANCE, 0.5 * IMPEDANCE, pole / (1.0 + pole)
+    q, zeta, x, v = start - goal, np.zeros_like(start), np.zeros(3), np.zeros(3)
+    filters, wave = np.zeros((4, 3)), np.zeros((2, 3))
+    u_l, u_r, seen = np.zeros((3, COUNT, 3))
+    far = np.linalg.norm(q, axis=1).max()
+    trust = np.full(size, 0.5)
+    rows, held = [], []
+    for k, lead in enumerate(leads):
+        error, good = np.zeros(3), 0.0
+        if k >= VISION:
+            error = -seen[k - VISION]
+            good = max(1.0 - np.linalg.norm(error) / far, 0.0)
+        end, b = ends[lead], ends[lead].b
+        share = 1.0 / (1.0 + np.exp(10.0 * (trust[lead] - 0.5)))
+        beta = end.beta_min + (end.beta_max - end.beta_min) * share
+        trust = trust + (1.0 - np.exp(-0.1 * T)) * (good - trust)
+        arrived = np.zeros((2, 3)) if k < DELAY else np.array([u_l[k - DELAY], u_r[k - DELAY]])
+        if kind == "waves":
+            middle = (wave + pole * arrived) / (1.0 + pole)
+            wave, arrived = 2.0 * middle - wave, middle
+        v_r, v_l = arrived
+        stored = k21 * filters[[0, 2]] ** 2 + k12 * filters[[1, 3]] ** 2
+        held.append(stored.sum() / CUTOFF)
+
+        A, y = np.eye(2 * size + 9), np.zeros((2 * size + 9, 3))
+        A[Z, Q] = h * laplacian
+        A[Q, Q] += h * laplacian
+        A[Q, Z] = -h * laplacian.T
+        A[size + lead, R] = -h * lead_gain
+        # M (v_mid − v)/h = push − d r_m − f_m − B v_mid − K x_mid
+        A[V, [V, RM, FM]] = MASS / h + DAMPING + STIFFNESS * h, DRAG, 1.0
+        A[RM, V] = -(1.0 + WEIGHT * h)
+        A[FM, [RM, FH]] = -k21, -through
+        A[RH, [RM, FH]] = -through, k12
+        A[FH, RH] = -beta * b
+        A[RS, [RS, FS]] = b, 1.0
+        A[R, [RS, F]] = -through, k12
+        A[FS, [RS, F]] = -k21, -through
+        A[F, Q] = -force_gain * laplacian[lead]
+        y[Z], y[Q], y[RM] = zeta, q, WEIGHT * x
+        y[V] = MASS * v / h + PUSH * error - STIFFNESS * x
+        y[[RH, FM, R, FS]] = filters / (1.0 + pole)
+        y[FH] = beta * np.sqrt(2.0 * b / end.beta_max) * v_l
+        y[RS] = np.sqrt(2.0 * b) * v_r
+        s = np.linalg.solve(A, y)
+
+        pushed = PUSH * error - DRAG * s[RM]
+        rows.append([s[Q][lead] + goal, x, s[RM], pushed, s[FM], s[R], s[F]])
+        u_l[k] = np.sqrt(end.beta_min / (2.0 * b)) * (s[FH] / beta + b * s[RH])
+        u_r[k] = (s[FS] - b * s[RS]) / np.sqrt(2.0 * b)
+        seen[k] = s[Q][lead]
+        zeta, q = 2.0 * s[Z] - zeta, 2.0 * s[Q] - q
+        x, v = x + T * s[V], 2.0 * s[V] - v
+        if kind == "two-port":
+            middle = (filters + pole * s[[RM, FH, RS, F]]) / (1.0 + pole)
+            filters = 2.0 * middle - filters
+    return np.reshape(rows, (COUNT, 21)), np.array(held)
+
+
 @pytest.mark.parametrize(
-    ("kind", "graph", "scales"),
+    ("kind", "graph", "coupling", "lead_gain", "force_gain"),
     [
-        ("none", PLAIN, {}),
-        ("two-port", PLAIN, {}),
-        ("waves", PLAIN, {}),
-        ("two-port", WEIGHTED, {}),
-        ("waves", DIRECTED, {}),
-        ("two-port", WEIGHTED, {"coupling": 3.0, "lead": 4.0, "felt": 0.2}),
-        ("none", DIRECTED, {"coupling": 0.5, "lead": 0.3, "felt": 2.0}),
+        ("two-port", PLAIN, 1.0, 1.0, 1.0),
+        ("waves", DIRECTED, 1.0, 1.0, 1.0),
+        ("two-port", WEIGHTED, 3.0, 4.0, 0.2),
+        ("none", DIRECTED, 0.5, 0.3, 2.0),
     ],
 )
-def test_kernel_against_a_dense_solver(kind, graph, scales):
+def test_kernel_against_a_dense_solver(kind, graph, coupling, lead_gain, force_gain):
     """Oracle: all unknowns of a step in one linear system, no eigenbasis and no closed form."""
-    T, count = 0.02, 400
-    rng = np.random.default_rng(8)
-    start, goal = rng.normal(size=(4, 3)), np.array([1.0, -2.0, 0.5])
-    ends = tuple(
-        Scattering(b, beta_min=low, beta_max=low + 0.7)
-        for b, low in ((1, 0.3), (2, 0.5), (0.5, 1), (3, 0.2))
-    )
-    filters = {"none": "none", "two-port": corrected_filter(8.0, 1.5), "waves": WaveFilter(8.0)}[
-        kind
-    ]
+    start, goal = np.random.default_rng(8).normal(size=(4, 3)), np.array([1.0, -2.0, 0.5])
+    bounds = ((1, 0.3), (2, 0.5), (0.5, 1), (3, 0.2))
+    ends = tuple(Scattering(b, beta_min=low, beta_max=low + 0.7) for b, low in bounds)
+    filters = {"two-port": corrected_filter(CUTOFF, IMPEDANCE), "waves": WaveFilter(CUTOFF)}
     run = simulate_team(
         graph,
         GivenSequence([2, 0, 3], times=[0.0, 2.0, 5.0]),
         goal,
-        duration=count * T,
+        duration=COUNT * T,
         sample_time=T,
         settings=TeamSettings(
-            scattering=ends,
-            coupling=scales.get("coupling", 1.0),
-            lead_gain=scales.get("lead", 1.0),
-            force_gain=scales.get("felt", 1.0),
+            scattering=ends, coupling=coupling, lead_gain=lead_gain, force_gain=force_gain
         ),
-        operator=TeamOperator(reach=1e9, guarded=False, slow_down=False, push=2.0),
-        delay=0.2,
-        vision_delay=0.3,
+        operator=TeamOperator(reach=1e9, guarded=False, slow_down=False, push=PUSH),
+        delay=DELAY * T,
+        vision_delay=VISION * T,
         min_dwell=1.5,
-        filters=filters,
+        filters=filters.get(kind, "none"),
         start=start,
         record_every=T,
     )
-    n = scales | {
-        "T": T,
-        "M": 0.5,
-        "B": 5.5,
-        "K": 20.0,
-        "Lam": 10.0,
-        "push": 2.0,
-        "drag": 1.0,
-        "cutoff": 8.0,
-    }
-    n |= {"k12": 0.5 / 1.5, "k21": 0.5 * 1.5, "keep": np.exp(-0.1 * T)}
-    leads = run.data["number"].to_numpy().astype(int)
     assert len(run.switches) == 2
-    wanted, _, held = dense(graph, run, ends, n, leads, 10, 15, kind, start, goal, count)
-    found = run.data[run.data.columns[:21]].to_numpy()
-    assert len(wanted) == len(found) == count
-    np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-9 * np.abs(wanted).max())
-    np.testing.assert_allclose(
-        run.data["v_filter"], held if kind == "two-port" else 0.0, rtol=1e-8, atol=1e-9
-    )
+    adjacency = team_graph(graph)[1]
+    laplacian = coupling * (np.diag(adjacency.sum(axis=1)) - adjacency)
+    leads = run.data["number"].to_numpy().astype(int)
+    expected, held = dense(laplacian, ends, leads, kind, start, goal, lead_gain, force_gain)
+    logged = run.data[run.data.columns[:21]].to_numpy()
+    np.testing.assert_allclose(logged, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(run.data["v_filter"], held, rtol=1e-8, atol=1e-9)
 
 
-def energies(seed, **change):
+def energy_case(seed):
+    """A random team whose inner states do not start at zero; every third has delays that vary."""
     graph, arguments = random_team(seed)
-    arguments |= {"duration": 60.0, "sample_time": 0.01, "record_every": 0.01} | change
-    return simulate_team(graph, **arguments)
+    rng = np.random.default_rng(seed)
+    arguments |= {"duration": 60.0, "sample_time": 0.01, "record_every": 0.01}
+    arguments["inner"] = rng.normal(size=arguments["start"].shape)
+    if seed % 3 == 2:
+        walk = random_walk_delay(0.1, 1.0, 0.5, seed=seed)
+        arguments |= {"delay": walk, "vision_delay": 0.7, "min_dwell": 1.5}
+    return graph, arguments
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_lemmas_6_and_7_balance_at_every_sample(seed):
-    """V(k + 1) − V(k) = supply − dissipation, (4.25) and (4.33), relative to the storage."""
-    data = energies(
-        seed, inner=np.random.default_rng(seed).normal(size=energies(seed).positions.shape[1:])
-    ).data
-    for storage, supply, lost in (
-        ("v_fs", "supply_team", "lost_team"),
-        ("v_e", "supply_error", "lost_error"),
-    ):
-        balance = data[storage] - data[supply] + data[lost]
+SLOW = {
+    "policy": "random",
+    "settings": TeamSettings(
+        robots=tuple(TeamRobot(speed=speed) for speed in (1.0, 0.2, 0.5, 0.9)),
+        coupling=2.0,
+        lead_gain=3.0,
+    ),
+    "duration": 60.0,
+    "sample_time": 0.01,
+    "record_every": 0.01,
+    "inner": np.random.default_rng(3).normal(size=(4, 3)),
+}
+
+
+@pytest.mark.parametrize("case", [*range(15), "slow"])
+def test_energies_balance_at_every_sample_and_v_t_never_rises(case):
+    """
+    V(k + 1) − V(k) = supply − dissipation, (4.25) and (4.33), relative to the storage; V_T by
+    (4.32)-(4.35), whatever the leader, to rounding; (4.15) beside it.
+    """
+    graph, arguments = (nx.path_graph(4), SLOW) if case == "slow" else energy_case(case)
+    data = simulate_team(graph, **arguments).data
+    for storage, part in (("v_fs", "team"), ("v_e", "error")):
+        balance = data[storage] - data[f"supply_{part}"] + data[f"lost_{part}"]
         assert np.ptp(balance) <= 1e-12 * len(data) ** 0.5 * data[storage].max()
-        step = np.abs(np.diff(balance)).max()
-        assert step <= 1e-12 * data[storage].max()
-        assert (np.diff(data[lost]) >= 0.0).all()
+        assert np.abs(np.diff(balance)).max() <= 1e-12 * data[storage].max()
+        assert (np.diff(data[f"lost_{part}"]) >= 0.0).all()
     device = data["v_hd"] - data["supply_device"] + data["lost_device"]
     assert np.ptp(device) <= 1e-11 * max(data["v_hd"].max(), data["supply_device"].abs().max())
-
-
-@pytest.mark.parametrize("seed", range(15))
-def test_v_t_never_rises(seed):
-    """
-    (4.32)-(4.35) with corrected filters, at every sample and to rounding, whatever the leader;
-    (4.15) beside it.
-    """
-    data = energies(seed).data
     assert np.diff(data["v_t"]).max() <= 1e-12 * data["v_t"].max()
     assert data["v_ch"].min() >= -1e-12 * data["v_ch"].max()
     assert (data[["v_hd", "v_fs", "v_e", "v_filter"]].to_numpy() >= 0.0).all()
 
 
-def test_v_t_never_rises_with_delays_that_vary():
-    for seed in range(5):
-        walk = random_walk_delay(0.1, 1.0, 0.5, seed=seed)
-        data = energies(seed, delay=walk, vision_delay=0.7, min_dwell=1.5).data
-        assert np.diff(data["v_t"]).max() <= 1e-12 * data["v_t"].max()
-        assert data["v_ch"].min() >= -1e-12 * data["v_ch"].max()
-
-
-@pytest.mark.parametrize("teams", [50, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("teams", [20, pytest.param(200, marks=pytest.mark.long)])
 def test_theorem_6_in_random_teams(teams):
     """
     Every robot within 1 mm of the goal after 1000 s, no case left out; and (4.30) held in each.
@@ -305,37 +247,34 @@ def test_theorem_6_in_random_teams(teams):
         assert run.converged, (seed, run.distances[-1].max())
 
 
-def test_free_team_meets_at_a_point_of_its_own():
+@pytest.mark.parametrize("filters", ["corrected", "waves"])
+def test_free_team_meets_at_a_point_of_its_own(filters):
     """
     Remark 13. Closed form for one leader, no scaling and ζ = 0: the mean of the start, whatever the
     goal.
 
     ∫ f_s dτ = ζ_i(0) − mean ζ(0) = 0, and ∫ r_s dτ is a multiple of it; Σ q grows by ∫ r_s dτ.
     """
-    for seed in range(4):
-        rng = np.random.default_rng([9, seed])
+    rng = np.random.default_rng(9)
+    for goal in ((1, 2, 0.5), (9, -9, 3)):
         graph = random_graph(rng, int(rng.integers(2, 9)))
         start = rng.uniform(-5.0, 5.0, (len(graph), 3))
-        shared = {
-            "policy": GivenSequence([0]),
-            "operator": ALONE,
-            "sample_time": 0.02,
-            "duration": 400.0,
-            "start": start,
-            "delay": 0.4,
-            "settings": NO_SCALING,
-        }
-        for filters in ("corrected", "waves"):
-            run, other = (
-                simulate_team(graph, goal=goal, filters=filters, **shared)
-                for goal in ((1, 2, 0.5), (9, -9, 3))
-            )
-            assert run.synchronised
-            assert not run.converged
-            np.testing.assert_allclose(
-                run.positions[-1], np.tile(start.mean(axis=0), (len(graph), 1)), atol=1e-8
-            )
-            np.testing.assert_allclose(run.positions[-1], other.positions[-1], atol=1e-8)
+        run = simulate_team(
+            graph,
+            GivenSequence([0]),
+            goal,
+            operator=ALONE,
+            sample_time=0.02,
+            duration=400.0,
+            start=start,
+            delay=0.4,
+            settings=TeamSettings(scattering=Scattering(2.0)),
+            filters=filters,
+        )
+        assert run.synchronised
+        assert not run.converged
+        meeting = np.broadcast_to(start.mean(axis=0), start.shape)
+        np.testing.assert_allclose(run.positions[-1], meeting, atol=1e-8)
 
 
 def test_v_h_falls_although_the_hand_does_nothing():
@@ -437,36 +376,6 @@ def test_a_run_is_a_session(tmp_path):
     np.testing.assert_allclose(again["f_m_x"], run.data["f_m_x"])
     k = 100
     assert session["trust_hr"][k] == run.trust[k, int(run.data["number"].iloc[k])]
-
-
-class TestBadInput:
-    @pytest.mark.parametrize(
-        ("graph", "words"),
-        [
-            (nx.Graph([("a", "b"), ("c", "d")]), "not connected.*{'a', 'b'}; {'c', 'd'}"),
-            (nx.MultiGraph([(0, 1), (0, 1)]), "parallel"),
-            (nx.Graph(), "two robots"),
-            (None, "networkx"),
-        ],
-    )
-    def test_graph(self, graph, words):
-        with pytest.raises(GraphError, match=words):
-            simulate_team(graph)
-
-    @pytest.mark.parametrize(
-        ("change", "words"),
-        [
-            ({"goal": (1.0, 2.0)}, "goal must have 3"),
-            ({"policy": "sequense"}, "did you mean 'sequence'"),
-            ({"delay_back": 1e9}, "longer than the run"),
-            ({"push": np.zeros((5, 3))}, "push must have shape"),
-            ({"read_out": "x"}, "read_out"),
-            ({"duration": 1e5, "sample_time": 1e-3}, "duration must lie in"),
-        ],
-    )
-    def test_arguments(self, change, words):
-        with pytest.raises(ValueError, match=words):
-            simulate_team(nx.path_graph(3), **({"duration": 10.0} | change))
 
 
 def test_a_run_is_repeated_from_its_inputs_without_python():

@@ -11,7 +11,6 @@ import pytest
 import trustlab as tl
 from trustlab.models.trust import TrustModel
 from trustlab.teleoperation import STUDIES
-from trustlab.teleoperation.loop.settings import LoopSettings
 
 
 @pytest.mark.parametrize("study", STUDIES)
@@ -30,16 +29,15 @@ SETTINGS = replace(
 )
 
 
-def test_each_trust_follows_its_own_model_in_its_own_units():
-    assert isinstance(SETTINGS, LoopSettings)
-    data = tl.simulate_teleoperation("TMIG", study=SETTINGS, seed=5, duration=60.0).data
-    for model, measure, column in (
-        (SETTINGS.human_to_robot, "p_r", "trust_hr"),
-        (SETTINGS.robot_to_human, "p_h", "trust_rh"),
+@pytest.mark.parametrize(("scheme", "kind"), [("TMIG", "logistic"), ("TMIS", "step")])
+def test_each_trust_follows_its_own_model_in_its_own_units_and_scales_follow_trust(scheme, kind):
+    data = tl.simulate_teleoperation(scheme, study=SETTINGS, seed=5, duration=60.0).data
+    scalings = dict(zip(("alpha", "beta"), SETTINGS.scalings(kind), strict=True))
+    for model, measure, column, scale in (
+        (SETTINGS.human_to_robot, "p_r", "trust_hr", "alpha"),
+        (SETTINGS.robot_to_human, "p_h", "trust_rh", "beta"),
     ):
-        performance = data[measure].clip(model.p_min, model.p_max).to_numpy()
-        expected = model.simulate(performance, 0.01, 0.5 * (model.t_min + model.t_max))
-        np.testing.assert_allclose(data[column], expected, atol=1e-9)
-    alpha, beta = SETTINGS.scalings()
-    np.testing.assert_allclose(data["alpha"], alpha.value(data["trust_hr"].to_numpy()), atol=1e-12)
-    np.testing.assert_allclose(data["beta"], beta.value(data["trust_rh"].to_numpy()), atol=1e-12)
+        performance, trust = data[measure].clip(model.p_min, model.p_max), data[column].to_numpy()
+        expected = model.simulate(performance.to_numpy(), 0.01, 0.5 * (model.t_min + model.t_max))
+        np.testing.assert_allclose(trust, expected, atol=1e-9)
+        np.testing.assert_allclose(data[scale], scalings[scale].value(trust), atol=1e-12)

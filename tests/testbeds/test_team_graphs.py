@@ -182,19 +182,3 @@ class TestLargeTeams:
         assert run.converged
         assert run.operator_passive
         assert np.diff(run.data["v_t"]).max() <= 1e-11 * run.data["v_t"].max()
-
-
-class TestBadChanges:
-    RING = nx.cycle_graph(4)
-
-    @pytest.mark.parametrize(
-        ("graph", "words"),
-        [
-            ([(3.0, RING)], "dict from time"),
-            ({0.0: RING, -1.0: RING}, "must be 0 and others after 0"),
-            ({0.0: RING, 3.0: np.zeros((2, 3))}, "from t = 3 s on: graph must be"),
-        ],
-    )
-    def test_changes(self, graph, words):
-        with pytest.raises(ValueError, match=words):
-            simulate_team(graph, duration=10.0)

@@ -6,7 +6,6 @@ Oracles: `simulate_team` with the same arguments; a deaf robot that leads stops 
 
 import networkx as nx
 import numpy as np
-import pytest
 
 import trustlab as tl
 from trustlab.teleoperation import TeamOperator, TeamRobot, TeamSettings, TeamTrial
@@ -60,16 +59,3 @@ def test_a_study_tells_policies_apart():
         n=12, testbed=deaf, conditions=["most_trusted", "sequence", Nearest()], seed=0, n_jobs=2
     )
     assert study.measures.equals(again.measures)
-
-
-@pytest.mark.parametrize(
-    ("call", "says"),
-    [
-        (lambda: RobotTeam(robots=(1, 2)), r"robots\[0\] must be of class TeamRobot"),
-        (lambda: RobotTeam().people(2, {"patience": 1.0}), "an assumption must be one of"),
-        (lambda: RobotTeam().run("random", {}, 0), "push"),
-    ],
-)
-def test_what_a_team_refuses(call, says):
-    with pytest.raises((ValueError, KeyError), match=says):
-        call()

@@ -5,23 +5,18 @@ Guards inside the loop: waves against ports, and the ledger under jitter and los
 import numpy as np
 import pytest
 
-from trustlab.teleoperation.delays import Delay
+from tests.flights import T, columns, jitter
 from trustlab.teleoperation.loop.settings import STUDIES
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
 SCHEMES = ("M", "MMI", "TMIG", "TMIS", "OMI")
-T = 0.01
-
-
-def vector(data, stem):
-    return data[[f"{stem}_{axis}" for axis in "xyz"]].to_numpy()
 
 
 def waves(data, ends):
     """u_l, v_l, u_r, v_r by (3.13) from what was logged at the two ports."""
     b = ends.b
-    back, out = vector(data, "f_m") / data["beta"].to_numpy()[:, None], vector(data, "r_m")
-    force, said = vector(data, "f_s"), vector(data, "r_s") / data["alpha"].to_numpy()[:, None]
+    back, out = columns(data, "f_m") / data["beta"].to_numpy()[:, None], columns(data, "r_m")
+    force, said = columns(data, "f_s"), columns(data, "r_s") / data["alpha"].to_numpy()[:, None]
     return (
         np.sqrt(ends.beta_min / (2 * b)) * (back + b * out),
         np.sqrt(ends.beta_max / (2 * b)) * (back - b * out),
@@ -59,15 +54,6 @@ def test_waves_arrive_as_they_were_sent_and_carry_the_power_of_the_ports(scheme,
     np.testing.assert_allclose(logged, carried, atol=1e-11 * np.abs(carried).max())
 
 
-def jitter(seed):
-    """Delays drawn anew in every sample: packets overtake one another."""
-    return Delay(
-        lambda t: np.random.default_rng(seed).uniform(0.02, 0.6, t.size),
-        np.inf,
-        "delays drawn anew every sample",
-    )
-
-
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_the_ledger_keeps_the_channel_passive_under_jitter_and_loss(scheme):
     for seed in range(8):
@@ -85,5 +71,5 @@ def test_the_ledger_keeps_the_channel_passive_under_jitter_and_loss(scheme):
             arrived = np.where(lost[number], 0.0, squares(sent))
             assert (np.cumsum(squares(read)) <= np.cumsum(arrived) * (1 + 1e-9) + 1e-15).all()
             assert read.any()
-        exchanged = T * (np.abs(vector(data, "r_m") * vector(data, "f_m")).sum(axis=1)).cumsum()
+        exchanged = T * (np.abs(columns(data, "r_m") * columns(data, "f_m")).sum(axis=1)).cumsum()
         assert (data["energy_channel"] >= -1e-9 * exchanged).all()

@@ -119,18 +119,3 @@ def test_left_alone_the_autopilot_drifts_away():
     course = [near[k : k + 300].mean() for k in (950, 1300, 1700)]
     assert course == sorted(course, reverse=True)
     assert near[2600:].mean() == pytest.approx(who.robot_floor, abs=0.08)
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"participant": 21}, "participant must be a whole number, from 1 to 20, got 21"),
-        ({"participant": PEOPLE[0][0]}, "model must be of class TscModel"),
-        ({"r0": 2.0}, "r0 must lie in"),
-    ],
-)
-def test_bad_input(change, says):
-    with pytest.raises(ValueError, match=says):
-        tl.run_condition(
-            **({"condition": "C3", "testbed": "uav_following", "participant": 2} | change)
-        )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from tests.flights import assert_device_balances, columns, phase, power
 from trustlab.allocation.blending import OptimalBlending
 from trustlab.models.uav import TransferFunction
 from trustlab.operators import Teleoperator
@@ -21,7 +22,6 @@ from trustlab.teleoperation.loop.settings import (
     LoopSettings,
     vehicle_matrices,
 )
-from trustlab.teleoperation.ports.device import PassivityError
 from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.testbeds.uav_tracking import (
     TASKS,
@@ -60,8 +60,7 @@ def driven(sample_time, delay, settings=UNIT, duration=4.0):
 
 def target(t):
     """The target of seed 0, from the run itself: position by its closed form."""
-    phase = np.random.default_rng(np.random.SeedSequence(0).spawn(5)[0]).uniform(0.0, 2.0 * np.pi)
-    return TASK.path(np.atleast_1d(t), 1.5, phase)[0]
+    return TASK.path(np.atleast_1d(t), 1.5, phase(0))[0]
 
 
 def device(settings, x, v, force, feedback):
@@ -175,40 +174,31 @@ def test_with_a_constant_delay_a_second_integrator_agrees_to_first_order():
     assert errors[0] / errors[-1] == pytest.approx(10.0, rel=0.3)
 
 
-def supplied(data):
-    """Energy that came into the device so far, recomputed from the logged forces and outputs."""
-    work = sum(data[f"r_m_{a}"] * (data[f"f_h_{a}"] - data[f"f_m_{a}"]) for a in "xyz")
-    return (data.index[1] * work).cumsum().to_numpy()
+def assert_robot_port_gives_one_sample_at_most(data):
+    """Theorem 4."""
+    assert data["energy_robot"].min() >= 0.01 * power(data, "r_s", "f_s").min() - 1e-12
 
 
 @pytest.mark.parametrize("study", STUDIES)
 @pytest.mark.parametrize("guidance", GUIDANCE)
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_every_port_balances_and_no_block_gives_energy_away(scheme, guidance, study):
-    for seed in range(2):
-        guard = ("repay", "cancel")[guidance == "through_channel"]
-        data = simulate_teleoperation(
-            scheme, None, study, seed, 60.0, guidance=Guidance(guidance, guard)
-        ).data
-        held = data["energy_device"] + data["energy_dissipated"]
-        np.testing.assert_allclose(held, supplied(data), rtol=1e-11, atol=1e-12 * held.max())
-        assert data["energy_device"].min() >= 0.0
-        assert (np.diff(data["energy_dissipated"]) >= 0.0).all()
-        exchanged = 0.01 * sum(
-            (data[f"r_m_{a}"] * data[f"f_m_{a}"]).abs()
-            + (data[f"r_s_{a}"] * data[f"f_s_{a}"]).abs()
-            for a in "xyz"
-        )
-        assert (data["energy_channel"] >= -1e-9 * exchanged.cumsum()).all()
-        assert data["energy_port"].min() >= -1e-9
-        power = sum(data[f"r_s_{a}"] * data[f"f_s_{a}"] for a in "xyz")
-        # Theorem 4: one sample's power at most
-        assert data["energy_robot"].min() >= 0.01 * power.min() - 1e-12
+    guard = ("repay", "cancel")[guidance == "through_channel"]
+    data = simulate_teleoperation(
+        scheme, None, study, seed=1, duration=60.0, guidance=Guidance(guidance, guard)
+    ).data
+    assert_device_balances(data)
+    exchanged = 0.01 * sum(
+        np.abs(columns(data, velocity) * columns(data, force)).sum(axis=1).cumsum()
+        for velocity, force in (("r_m", "f_m"), ("r_s", "f_s"))
+    )
+    assert (data["energy_channel"] >= -1e-9 * exchanged).all()
+    assert_robot_port_gives_one_sample_at_most(data)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", SCHEMES)
-@pytest.mark.parametrize("seeds", [50, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seeds", [16, pytest.param(200, marks=pytest.mark.long)])
 def test_stored_energy_is_bounded_under_bounded_force(scheme, seeds):
     # the hand as a passive spring, pushed by at most 4 N: what is stored is bounded by what it can
     # hold, not by time
@@ -220,15 +210,9 @@ def test_stored_energy_is_bounded_under_bounded_force(scheme, seeds):
             scheme, STILL, study, seed=seed, duration=60.0, signals={"push": force / np.sqrt(3.0)}
         ).data
         settings = STUDIES[study]
-        first, second = (
-            data["energy_device"].iloc[:3000].max(),
-            data["energy_device"].iloc[3000:].max(),
-        )
         spring = settings.stiffness + settings.weight * settings.damping
-        most = 3.0 * spring * (4.0 / settings.stiffness) ** 2
-        assert max(first, second) < most
-        power = sum(data[f"r_s_{a}"] * data[f"f_s_{a}"] for a in "xyz")
-        assert data["energy_robot"].min() >= 0.01 * power.min() - 1e-12
+        assert data["energy_device"].max() < 3.0 * spring * (4.0 / settings.stiffness) ** 2
+        assert_robot_port_gives_one_sample_at_most(data)
 
 
 def tracking(scheme, study, seeds=12, **more):
@@ -257,98 +241,47 @@ def test_the_printed_direction_of_the_force_is_active_and_without_a_guard_diverg
         )
 
 
-def test_scales_follow_trust_as_3_5_and_3_6_say():
-    for scheme, kind in (("TMIG", "logistic"), ("TMIS", "step")):
-        data = simulate_teleoperation(scheme, seed=1, duration=60.0).data
-        alpha, beta = STUDIES["main"].scalings(kind)
-        np.testing.assert_allclose(
-            data["alpha"], alpha.value(data["trust_hr"].to_numpy()), atol=1e-12
-        )
-        np.testing.assert_allclose(
-            data["beta"], beta.value(data["trust_rh"].to_numpy()), atol=1e-12
-        )
-    for scheme in ("M", "MMI"):
-        assert (simulate_teleoperation(scheme, duration=5.0).data["beta"] == 0.5).all()
-    felt = simulate_teleoperation("MI", duration=5.0).data[["f_m_x", "f_m_y", "f_m_z"]]
-    assert not felt.to_numpy().any()
-
-
 def test_performance_is_the_window_mean_of_3_27():
     data, settings = simulate_teleoperation("TMIG", seed=5, duration=40.0).data, STUDIES["main"]
-    e = sum((data[f"reference_{a}"] - data[f"robot_{a}"]).abs() for a in "xyz")
-    gap = sum((data[f"u_a_{a}"] - data[f"u_i_{a}"]).abs() for a in "xyz")
-    now = (1 - gap / settings.command_range).clip(lower=0) * (
-        1 - (1 - data["alpha"]) * e / settings.error_range
-    ).clip(lower=0)
-    np.testing.assert_allclose(data["p_r"], now.rolling(1000, min_periods=1).mean(), atol=1e-9)
+    error, gap = (
+        np.abs(columns(data, one) - columns(data, other)).sum(axis=1)
+        for one, other in (("reference", "robot"), ("u_a", "u_i"))
+    )
+    agreement = (1.0 - gap / settings.command_range).clip(min=0.0)
+    closeness = (1.0 - (1.0 - data["alpha"]) * error / settings.error_range).clip(lower=0.0)
+    expected = (agreement * closeness).rolling(1000, min_periods=1).mean()
+    np.testing.assert_allclose(data["p_r"], expected, atol=1e-9)
 
 
 def flown(data, matrices):
     """Position, velocity and acceleration of the vehicle, run again from the logged commands."""
     phi, gamma = matrices
-    command = np.stack(
-        [data[f"r_s_{a}"] + (1 - data["alpha"]) * data[f"u_a_{a}"] for a in "xyz"], axis=1
-    )
+    share = 1.0 - data["alpha"].to_numpy()[:, None]
     state, rows = np.zeros((3, 3)), []
-    state[:, 0] = data[[f"robot_{a}" for a in "xyz"]].iloc[0]
-    for u in command:
+    state[:, 0] = columns(data, "robot")[0]
+    for command in columns(data, "r_s") + share * columns(data, "u_a"):
         rows.append(state)
-        state = np.einsum("ijk,ik->ij", phi, state) + gamma * u[:, None]
-    return np.array(rows)
+        state = np.einsum("ijk,ik->ij", phi, state) + gamma * command[:, None]
+    return np.moveaxis(rows, 2, 0)
 
 
 @pytest.mark.parametrize("study", STUDIES)
 def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
     data = simulate_teleoperation("OMI", study=study, seed=6, duration=20.0).data
-    task = TASKS[study]
-    ends = STUDIES[study].scattering
-    vehicle = tracking_vehicle()
-    states = flown(data, vehicle_matrices(vehicle, 0.01))
-    np.testing.assert_allclose(states[:, :, 0], data[[f"robot_{a}" for a in "xyz"]], atol=1e-9)
-    blending = OptimalBlending(vehicle, ((task.proportional, task.derivative),) * 3, ends.alpha_min)
-    u_h, u_a, reference = (
-        data[[f"{stem}_{a}" for a in "xyz"]].to_numpy() for stem in ("u_h", "u_a", "reference")
-    )
-    phase = np.random.default_rng(np.random.SeedSequence(6).spawn(5)[0]).uniform(0.0, 2.0 * np.pi)
-    moving = task.path(data.index.to_numpy(), STUDIES[study].height, phase)[1]
+    task, settings, vehicle = TASKS[study], STUDIES[study], tracking_vehicle()
+    place, velocity, acceleration = flown(data, vehicle_matrices(vehicle, 0.01))
+    np.testing.assert_allclose(place, columns(data, "robot"), atol=1e-9)
+    gains = ((task.proportional, task.derivative),) * 3
+    blending = OptimalBlending(vehicle, gains, settings.scattering.alpha_min)
+    moving = task.path(data.index.to_numpy(), settings.height, phase(6))[1]
+    said = np.vstack([np.zeros(3), columns(data, "u_h")])
+    error, rate = columns(data, "reference") - place, moving - velocity
     for k in range(0, len(data), 37):
-        said = np.zeros(3) if k == 0 else u_h[k - 1]
-        now = blending.step(
-            said,
-            u_a[k],
-            reference[k] - states[k, :, 0],
-            moving[k] - states[k, :, 1],
-            -states[k, :, 2],
+        answer = blending.step(
+            said[k], columns(data, "u_a")[k], error[k], rate[k], -acceleration[k]
         )
-        assert data["alpha"].iloc[k] == pytest.approx(now.alpha, abs=1e-6)
+        assert data["alpha"].iloc[k] == pytest.approx(answer.alpha, abs=1e-6)
     assert data["alpha"].nunique() > 10
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "words"),
-    [
-        ({"scheme": "TMIX"}, ValueError, "did you mean 'TMI"),
-        ({"duration": -1.0}, ValueError, "duration must be"),
-        ({"delay": (0.0, 0.1)}, ValueError, "must both be zero"),
-        ({"signals": {"push": np.full((12000, 3), np.nan)}}, ValueError, "push .* but sample 0 is"),
-        ({"guidance": "tank"}, ValueError, "guidance must be one of"),
-    ],
-)
-def test_bad_input_is_refused_before_the_run(arguments, error, words):
-    with pytest.raises(error, match=words):
-        simulate_teleoperation(**arguments)
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "words"),
-    [
-        ({"mass": 1.0, "weight": 60.0}, PassivityError, "not r-passive"),
-        ({"human_to_robot": 1.0}, ValueError, "must be of class TrustModel"),
-    ],
-)
-def test_bad_settings_are_refused(change, error, words):
-    with pytest.raises(error, match=words):
-        replace(STUDIES["main"], **change)
 
 
 def test_an_unstable_vehicle_stops_the_run_with_time_and_block():
@@ -357,25 +290,23 @@ def test_an_unstable_vehicle_stops_the_run_with_time_and_block():
         simulate_teleoperation("M", task=TrackingTask(vehicle=unstable))
 
 
-def test_settings_are_those_printed():
-    for name, printed in {
-        "preliminary": (60.0, 0.55, 100.0, 1.0, 0.05, 1.0, 0.2, 1.0, 3.0, 4.0),
-        "main": (10.0, 5.5, 20.0, 2.0, 0.2, 1.0, 0.05, 0.5, 6.0, 1.5),
-    }.items():
-        s = STUDIES[name]
-        e = s.scattering
-        found = (
-            s.weight,
-            s.damping,
-            s.stiffness,
-            e.b,
-            e.alpha_min,
-            e.alpha_max,
-            e.beta_min,
-            e.beta_max,
-            s.k_ffa,
-            s.height,
-        )
-        assert found == printed
-        assert isinstance(s, LoopSettings)
-        assert s.scattering.gain == pytest.approx(0.7, abs=0.01)
+@pytest.mark.parametrize(
+    ("name", "loop", "scattering"),
+    [
+        ("preliminary", (60.0, 0.55, 100.0, 3.0, 4.0), (1.0, 0.05, 1.0, 0.2, 1.0)),
+        ("main", (10.0, 5.5, 20.0, 6.0, 1.5), (2.0, 0.2, 1.0, 0.05, 0.5)),
+    ],
+)
+def test_settings_are_those_printed(name, loop, scattering):
+    study = STUDIES[name]
+    assert isinstance(study, LoopSettings)
+    assert loop == (study.weight, study.damping, study.stiffness, study.k_ffa, study.height)
+    ends = study.scattering
+    assert scattering == (ends.b, ends.alpha_min, ends.alpha_max, ends.beta_min, ends.beta_max)
+    assert ends.gain == pytest.approx(0.7, abs=0.01)
+
+
+def test_scales_without_trust():
+    for scheme in ("M", "MMI"):
+        assert (simulate_teleoperation(scheme, duration=5.0).data["beta"] == 0.5).all()
+    assert not columns(simulate_teleoperation("MI", duration=5.0), "f_m").any()

@@ -1,0 +1,105 @@
+"""
+What simulated tasks refuse although each argument by itself is good: arguments that do not go
+together, people who do not exist, graphs and matrices of a wrong form. Wrong types and numbers of
+any argument are those of tests/test_contract.py.
+"""
+
+from dataclasses import replace
+
+import networkx as nx
+import numpy as np
+import pytest
+
+import trustlab as tl
+from tests.teams import simulate_team
+from trustlab.teleoperation import STUDIES, packet_delay
+from trustlab.teleoperation.ports.device import PassivityError
+from trustlab.testbeds import RobotTeam, published_operator
+
+PATH = nx.path_graph(3)
+UNIT, NONE = np.eye(6), np.zeros((6, 3))
+
+
+@pytest.mark.parametrize(
+    ("graph", "words"),
+    [
+        (nx.Graph([("a", "b"), ("c", "d")]), "not connected.*{'a', 'b'}; {'c', 'd'}"),
+        (nx.MultiGraph([(0, 1), (0, 1)]), "parallel"),
+        (nx.Graph(), "two robots"),
+        ([(3.0, PATH)], "dict from time"),
+        ({0.0: PATH, -1.0: PATH}, "must be 0 and others after 0"),
+        ({0.0: PATH, 3.0: np.zeros((2, 3))}, "from t = 3 s on: graph must be"),
+    ],
+)
+def test_graphs(graph, words):
+    with pytest.raises(ValueError, match=words):
+        simulate_team(graph, duration=10.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"delay_back": 1e9}, "longer than the run"),
+        ({"push": np.zeros((5, 3))}, "push must have shape"),
+        ({"duration": 1e5, "sample_time": 1e-3}, "duration must lie in"),
+    ],
+)
+def test_teams(change, words):
+    with pytest.raises(ValueError, match=words):
+        simulate_team(PATH, **({"duration": 10.0} | change))
+    with pytest.raises(ValueError, match="an assumption must be one of"):
+        RobotTeam().people(2, {"patience": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"delay": (0.0, 0.1)}, "must both be zero"),
+        ({"signals": {"push": np.full((12000, 3), np.nan)}}, "push .* but sample 0 is"),
+        (
+            {"delay": (packet_delay([0.0, 0.1], [0.1, 0.2]), 0.1), "duration": 5.0},
+            "delay to the robot: .*until 0.2 s, and the run lasts until",
+        ),
+        (
+            {"scheme": "OMI", "task": tl.TrackingTask(vehicle=lambda state: (state.robot, NONE))},
+            "three TransferFunction",
+        ),
+    ],
+)
+def test_flights(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        tl.simulate_teleoperation(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("matrices", "words"),
+    [
+        ((UNIT, NONE[:, :2], UNIT), r"B must have shape \(6, 3\), got \(6, 2\)"),
+        ((UNIT, NONE, UNIT[:3]), r"C must have shape \(6, 6\)"),
+        ((np.nan * UNIT, NONE, UNIT), "A must be finite"),
+    ],
+)
+def test_vehicles(matrices, words):
+    with pytest.raises(ValueError, match=words):
+        tl.TrackingTask(vehicle=matrices)
+
+
+def test_a_device_that_is_not_passive():
+    with pytest.raises(PassivityError, match="not r-passive"):
+        replace(STUDIES["main"], mass=1.0, weight=60.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"thresholds": (0.6, 0.1)}, "the lower threshold must be below the upper threshold"),
+        ({"condition": "C5", "thresholds": (0.1, 0.6)}, "no effect in C5, where Algorithm 2"),
+        ({"participant": None}, "who drives"),
+        ({"testbed": "uav_tracking"}, "testbed must be one of 'ground_robot', 'uav_following'"),
+        ({"testbed": "uav_following", "participant": 21}, "from 1 to 20, got 21"),
+        ({"participant": published_operator(2)}, "model must be of class TscModel"),
+    ],
+)
+def test_conditions(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        tl.run_condition(**({"condition": "C3", "participant": 2} | arguments))
