@@ -352,21 +352,6 @@ class TestGuardsRemoved:
         assert passive.distances[-1].max() < 0.01 < active.distances[-1].max()
 
 
-def test_same_seed_same_run_and_trust_drives_the_leader():
-    graph = nx.cycle_graph(5)
-    one, two, three = (
-        simulate_team(graph, seed=s, duration=60.0, sample_time=0.01) for s in (4, 4, 5)
-    )
-    assert one.data.equals(two.data)
-    assert not one.data.equals(three.data)
-    assert ((one.trust >= 0.0) & (one.trust <= 1.0)).all()
-    for at in one.switches:
-        k = int(np.searchsorted(one.t, at))
-        assert one.data["number"].iloc[k] == one.trust[k].argmax()
-    assert (np.diff(one.switches) >= 5.0 - 1e-9).all()
-    assert len(one.switches) > 2
-
-
 def test_a_run_is_a_session(tmp_path):
     run = simulate_team(nx.path_graph(3), duration=5.0)
     session = run.session()

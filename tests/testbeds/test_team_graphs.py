@@ -73,7 +73,7 @@ def test_energy_balances_through_changes(seed):
     )  # negative control: links that appear
 
 
-@pytest.mark.parametrize("seed", range(9))
+@pytest.mark.parametrize("seed", range(4))
 def test_robots_that_come_and_go_arrive(seed, tmp_path):
     graph, arguments = changing_team(seed)
     run = simulate_team(graph, **arguments, duration=600.0, record_every=0.1)
@@ -167,7 +167,7 @@ class TestLivePolicies:
 
 class TestLargeTeams:
     @pytest.mark.parametrize(
-        "graph", [nx.cycle_graph(100), nx.path_graph(4), nx.complete_graph(20), nx.star_graph(30)]
+        "graph", [nx.cycle_graph(50), nx.complete_graph(20), nx.star_graph(30)]
     )
     def test_scaled_gains_keep_the_guarantees(self, graph):
         run = simulate_team(

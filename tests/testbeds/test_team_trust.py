@@ -10,7 +10,6 @@ import pytest
 import trustlab as tl
 from tests.teams import simulate_team
 from trustlab.teleoperation import (
-    GivenSequence,
     TeamChannel,
     TeamOperator,
     TeamRobot,
@@ -120,24 +119,6 @@ def test_drift_is_a_source():
     settings = faulty(TeamRobot(drift=0.1))
     run = simulate_team(CHAIN, settings=settings, duration=60.0, sample_time=0.01)
     assert np.diff(run.data["v_t"]).max() > 1e-6
-
-
-class TestMeasures:
-    def test_tracking_of_slow_robots(self):
-        """2 s/(1 + s), in closed form: trust follows it within its time constant."""
-        speeds = (1.0, 0.25, 0.6, 1.0)
-        run = simulate_team(
-            CHAIN,
-            GivenSequence([0]),
-            settings=TeamSettings(robots=tuple(TeamRobot(speed=s) for s in speeds)),
-            duration=60.0,
-            sample_time=0.01,
-            performance="tracking",
-        )
-        rated = [2.0 * s / (1.0 + s) for s in speeds]
-        after = 1.0 - np.exp(-0.1 * 59.9)
-        expected = 0.5 + (np.array(rated) - 0.5) * after
-        np.testing.assert_allclose(run.trust[-1], expected, atol=1e-3)
 
 
 @pytest.mark.parametrize("seeds", [3, pytest.param(200, marks=pytest.mark.long)])
