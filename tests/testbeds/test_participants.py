@@ -24,9 +24,8 @@ def test_operators_are_what_the_tables_print(operators, name):
     assert who.participant == name
     assert who.human == operators[name].human == published_model(name).human
     assert [who.lower, who.lower_spread, who.upper, who.upper_spread] == own.tolist()
-    assert (100.0 * who.follow_tsc, 100.0 * who.follow_performance) == pytest.approx(
-        (shares["C2"], shares["C4"])
-    )
+    followed = 100.0 * who.follow_tsc, 100.0 * who.follow_performance
+    assert followed == pytest.approx((shares["C2"], shares["C4"]))
     assert published_thresholds(name) == (pair["TSC_l"], pair["TSC_u"])
 
 

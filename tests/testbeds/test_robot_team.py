@@ -296,60 +296,68 @@ def test_v_h_falls_although_the_hand_does_nothing():
     assert run.data["v_h"].min() < -1.0
 
 
-class TestGuardsRemoved:
-    def test_printed_filter_makes_the_free_team_diverge(self):
-        """
-        Proposition 3 inside the loop: with nobody at the device, at 10 rad/s and half a second of
-        delay.
-        """
-        shared = {"operator": ALONE, "delay": 0.5, "sample_time": 0.01, "duration": 200.0}
-        with pytest.raises(DivergenceError, match="passive"):
-            simulate_team(nx.path_graph(4), filters="printed", **shared)
-        for filters in ("corrected", "waves", "none"):
-            assert simulate_team(nx.path_graph(4), filters=filters, **shared).synchronised
+# Guards removed
 
-    def test_scattering_not_switched_with_the_leader(self):
-        """
-        The operator's end keeps the first leader's bounds: the channel pays for what the operator
-        does not.
-        """
-        ends = (Scattering(2.0, beta_min=10.0, beta_max=20.0),) + (
-            Scattering(2.0, beta_min=0.2, beta_max=0.4),
-        ) * 3
-        shared = {
-            "policy": GivenSequence(range(4), times=[0, 10, 200, 400]),
-            "settings": TeamSettings(scattering=ends),
-            "delay": 0.5,
-            "start": np.tile([-10.0, 0.0, 0.0], (4, 1)),
-            "sample_time": 0.01,
-            "duration": 600.0,
-            "filters": "waves",
-            "operator": TeamOperator(guarded=False),
-        }
-        right, wrong = (
-            simulate_team(nx.path_graph(4), switch_scattering=switched, **shared)
-            for switched in (True, False)
-        )
-        assert right.converged
-        assert right.data["v_ch"].min() >= 0.0
-        assert not wrong.converged
-        assert wrong.data["v_ch"].iloc[-1] < -1000.0
-        assert not wrong.operator_passive
 
-    def test_active_operator(self):
-        """A hand that pushes hard on old pictures gives energy for ever; its budget stops it."""
-        shared = {"delay": 1.0, "sample_time": 0.01, "duration": 200.0}
-        eager = {"push": 40.0, "reach": 50.0, "slow_down": False}
-        active = simulate_team(
-            nx.path_graph(4), operator=TeamOperator(guarded=False, **eager), **shared
+def test_printed_filter_makes_the_free_team_diverge():
+    """
+    Proposition 3 inside the loop: with nobody at the device, at 10 rad/s and half a second of
+    delay.
+    """
+    shared = {"operator": ALONE, "delay": 0.5, "sample_time": 0.01, "duration": 200.0}
+    with pytest.raises(DivergenceError, match="passive"):
+        simulate_team(nx.path_graph(4), filters="printed", **shared)
+    for filters in ("corrected", "waves", "none"):
+        assert simulate_team(nx.path_graph(4), filters=filters, **shared).synchronised
+
+
+def test_scattering_not_switched_with_the_leader():
+    """
+    The operator's end keeps the first leader's bounds: the channel pays for what the operator does
+    not.
+    """
+    bounds = [(10.0, 20.0)] + [(0.2, 0.4)] * 3
+    ends = tuple(Scattering(2.0, beta_min=low, beta_max=high) for low, high in bounds)
+    right, wrong = (
+        simulate_team(
+            nx.path_graph(4),
+            GivenSequence(range(4), times=[0, 10, 200, 400]),
+            settings=TeamSettings(scattering=ends),
+            delay=0.5,
+            start=np.tile([-10.0, 0.0, 0.0], (4, 1)),
+            sample_time=0.01,
+            duration=600.0,
+            filters="waves",
+            operator=TeamOperator(guarded=False),
+            switch_scattering=switched,
         )
-        passive = simulate_team(nx.path_graph(4), operator=TeamOperator(**eager), **shared)
-        assert not active.operator_passive
-        assert not active.converged
-        assert active.data["v_h"].iloc[-1] < -100.0 * active.budget
-        assert passive.operator_passive
-        assert passive.data["push"].min() < 1.0
-        assert passive.distances[-1].max() < 0.01 < active.distances[-1].max()
+        for switched in (True, False)
+    )
+    assert right.converged
+    assert right.data["v_ch"].min() >= 0.0
+    assert not wrong.converged
+    assert wrong.data["v_ch"].iloc[-1] < -1000.0
+    assert not wrong.operator_passive
+
+
+def test_active_operator():
+    """A hand that pushes hard on old pictures gives energy for ever; its budget stops it."""
+    active, passive = (
+        simulate_team(
+            nx.path_graph(4),
+            operator=TeamOperator(guarded=guarded, push=40.0, reach=50.0, slow_down=False),
+            delay=1.0,
+            sample_time=0.01,
+            duration=200.0,
+        )
+        for guarded in (False, True)
+    )
+    assert not active.operator_passive
+    assert not active.converged
+    assert active.data["v_h"].iloc[-1] < -100.0 * active.budget
+    assert passive.operator_passive
+    assert passive.data["push"].min() < 1.0
+    assert passive.distances[-1].max() < 0.01 < active.distances[-1].max()
 
 
 def test_a_run_is_a_session(tmp_path):

@@ -34,64 +34,53 @@ def own_loop(start, goal, robots, duration, T=4e-3, delay=0.2):
     """
     size, count, late = len(start), round(duration / T), round(delay / T)
     speed = np.array([robot.speed for robot in robots])[:, None]
-    deaf = [robot.loss == 1.0 for robot in robots]
-    L = np.zeros((size, size))
-    for i in range(size - 1):
-        L[[i, i, i + 1, i + 1], [i, i + 1, i, i + 1]] += [1.0, -1.0, -1.0, 1.0]
+    deaf = np.array([robot.loss == 1.0 for robot in robots])
+    rated = (2.0 * speed / (1.0 + speed))[:, 0].round(3)
+    L = nx.laplacian_matrix(CHAIN).toarray()
     b, low, high = 2.0, 0.5, 1.0
     M, B, K, weight, drag = 0.5, 5.5, 20.0, 10.0, 1.0
     push = 4.0 / (1.0 + 2.0 * delay)
     far = np.linalg.norm(start - goal, axis=1).max()
-    q, zeta, x, v = start - goal, np.zeros_like(start), np.zeros(3), np.zeros(3)
+    parts = [start - goal, np.zeros_like(start), np.zeros(3), np.zeros(3)]
     trust_in, trust_of = np.full(size, 0.5), np.full(size, 0.5)
-    to_robot, to_hand, seen = [], [], []
+    # what arrives, at the robot and back, and what is seen
+    to_robot, to_hand, seen = np.zeros((3, count + late, 3))
     leader, since = 0, 0.0
     places, leaders, levels = [], [], []
     for k in range(count):
-        t = k * T
         if k and k % round(0.1 / T) == 0:
-            for i in range(size):
-                rated = 2.0 * speed[i, 0] / (1.0 + speed[i, 0])
-                heard = 0.0 if i == leader and deaf[i] else 1.0
-                keep = np.exp(-0.1 * 0.1)
-                trust_in[i] = keep * trust_in[i] + (1.0 - keep) * round(rated, 3) * heard
+            heard = np.where((np.arange(size) == leader) & deaf, 0.0, rated)
+            trust_in = heard + np.exp(-0.1 * 0.1) * (trust_in - heard)
             best = int(np.argmax(trust_in))
-            if trust_in[best] > trust_in[leader] and t - since >= 5.0 - 1e-9:
-                leader, since = best, t
-        places.append(q + goal)
+            if trust_in[best] > trust_in[leader] and k * T - since >= 5.0 - 1e-9:
+                leader, since = best, k * T
+        places.append(parts[0] + goal)
         leaders.append(leader)
-        levels.append(trust_in.copy())
-        error = -seen[k - late] if k >= late else np.zeros(3)
+        levels.append(trust_in)
+        error = -seen[k]
         good = max(1.0 - np.linalg.norm(error) / far, 0.0) if k >= late else 0.0
         beta = low + (high - low) / (1.0 + np.exp(10.0 * (trust_of[leader] - 0.5)))
-        trust_of = trust_of + (1.0 - np.exp(-0.1 * T)) * (good - trust_of)
-        arrived = to_robot[k - late] if k >= late else np.zeros(3)
-        back = to_hand[k - late] if k >= late else np.zeros(3)
-        lead = np.zeros((size, 1))
-        lead[leader] = 1.0
+        trust_of = good + np.exp(-0.1 * T) * (trust_of - good)
+        lead = (np.arange(size) == leader)[:, None]
+        force = min(push, 6.0 / max(np.linalg.norm(error), 1e-12)) * error
 
-        def slope(q, zeta, x, v, beta=beta, back=back, arrived=arrived, error=error, lead=lead):
+        def slope(q, zeta, x, v, k=k, leader=leader, beta=beta, lead=lead, force=force):
             r_m = v + weight * x
-            f_m = beta * (b * r_m + np.sqrt(2.0 * b / high) * back)
-            force = min(1.0, 6.0 / max(push * np.linalg.norm(error), 1e-12)) * push * error
-            f_s = (speed * (L @ q))[lead[:, 0] > 0.0][0]
-            r_s = (np.sqrt(2.0 * b) * arrived - f_s) / b
+            f_m = beta * (b * r_m + np.sqrt(2.0 * b / high) * to_hand[k])
+            apart = speed * (L @ q)
+            f_s = apart[leader]
+            r_s = (np.sqrt(2.0 * b) * to_robot[k] - f_s) / b
             moves = speed * (L @ zeta - L @ q + lead * r_s)
             pull = force - drag * r_m - f_m
-            return moves, -speed * (L @ q), v, (pull - B * v - K * x) / M, (r_m, f_m, r_s, f_s)
+            return (moves, -apart, v, (pull - B * v - K * x) / M), (r_m, f_m, r_s, f_s)
 
-        parts = (q, zeta, x, v)
-        first = slope(*parts)
-        middle = tuple(p + 0.5 * T * d for p, d in zip(parts, first, strict=False))
-        second = slope(*middle)
-        r_m, f_m, r_s, f_s = second[4]
-        seen.append(middle[0][leader])
-        wave = np.sqrt(low / (2.0 * b)) * (f_m / beta + b * r_m)
-        answer = (f_s - b * r_s) / np.sqrt(2.0 * b)
-        lost = np.zeros(3)
-        to_robot.append(lost if deaf[leader] else wave)
-        to_hand.append(lost if deaf[leader] else answer)
-        q, zeta, x, v = (p + T * d for p, d in zip(parts, second, strict=False))
+        middle = [p + 0.5 * T * d for p, d in zip(parts, slope(*parts)[0], strict=True)]
+        change, (r_m, f_m, r_s, f_s) = slope(*middle)
+        seen[k + late] = middle[0][leader]
+        if not deaf[leader]:
+            to_robot[k + late] = np.sqrt(low / (2.0 * b)) * (f_m / beta + b * r_m)
+            to_hand[k + late] = (f_s - b * r_s) / np.sqrt(2.0 * b)
+        parts = [p + T * d for p, d in zip(parts, change, strict=True)]
     return np.array(places), np.array(leaders), np.array(levels)
 
 
@@ -121,26 +110,22 @@ def test_drift_is_a_source():
     assert np.diff(run.data["v_t"]).max() > 1e-6
 
 
-@pytest.mark.parametrize("seeds", [3, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seeds", [3, pytest.param(100, marks=pytest.mark.long)])
 def test_the_most_trusted_robot_is_sooner_at_the_goal(seeds):
     """One deaf robot of four. Negative control: with trust that comes from nothing it is not."""
-    policies = ("most_trusted", "sequence", "random")
+    cases = [(policy, "motion") for policy in ("most_trusted", "sequence", "random")]
+    cases.append(("most_trusted", "random"))
     times = np.empty((seeds, 4))
     for seed in range(seeds):
-        arguments = {
-            "seed": seed,
-            "settings": faulty(DEAF, int(np.random.default_rng([11, seed]).integers(4))),
-            "sample_time": 0.02,
-            "record_every": 0.1,
-            "duration": 200.0,
-        }
-        cases = [(policy, "motion") for policy in policies] + [("most_trusted", "random")]
+        deaf = int(np.random.default_rng([11, seed]).integers(4))
+        arguments = {"seed": seed, "settings": faulty(DEAF, deaf), "duration": 200.0}
+        arguments |= {"sample_time": 0.02, "record_every": 0.1}
         for column, (policy, performance) in enumerate(cases):
             run = simulate_team(nx.cycle_graph(4), policy, performance=performance, **arguments)
             times[seed, column] = run.time_to_goal if run.converged else 200.0
     sooner = times[:, 1:] - times[:, :1]
     assert (sooner.mean(axis=0) > 5.0).all()
-    if seeds > 100:
+    if seeds > 3:
         error = sooner.std(axis=0, ddof=1) / np.sqrt(seeds)
         assert (sooner.mean(axis=0) > 3.0 * error).all()
 
