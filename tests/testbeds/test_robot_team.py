@@ -69,15 +69,15 @@ def random_team(seed):
 
 
 T, COUNT = 0.02, 400
-DELAY, VISION = 10, 15  # samples
+DELAY, VISION, DWELL = 10, 15, 75  # samples
 MASS, DAMPING, STIFFNESS, WEIGHT = 0.5, 5.5, 20.0, 10.0
-PUSH, DRAG, CUTOFF, IMPEDANCE = 2.0, 1.0, 8.0, 1.5
+PUSH, REACH, DRAG, CUTOFF, IMPEDANCE = 2.0, 3.0, 1.0, 8.0, 1.5
 PLAIN = nx.Graph([(0, 1), (1, 2), (2, 3), (1, 3)])
 WEIGHTED = np.array([[0, 2.0, 0, 0], [2.0, 0, 0.3, 1], [0, 0.3, 0, 0.7], [0, 1, 0.7, 0]])
 DIRECTED = np.array([[0, 2.0, 0, 0], [0, 0, 0.3, 1], [0.5, 0, 0, 0.7], [0, 1, 0, 0]])
 
 
-def dense(laplacian, ends, leads, kind, start, goal, lead_gain, force_gain):
+def dense(laplacian, ends, robots, leads, kind, start, goal, lead_gain, force_gain):
     """
     The same equations, every sample one dense linear system in all midpoint unknowns; returns what
     the run logs, and the energy held by the filter. kind: "none", "two-port" or "waves".
@@ -86,6 +86,7 @@ def dense(laplacian, ends, leads, kind, start, goal, lead_gain, force_gain):
     Z, Q = slice(0, size), slice(size, 2 * size)
     V, RM, FM, RH, FH, RS, FS, R, F = range(2 * size, 2 * size + 9)
     pole = h * CUTOFF
+    speed = np.array([robot.speed for robot in robots])[:, None]
     k12, k21, through = 0.0, 0.0, 1.0
     if kind == "two-port":
         k12, k21, through = 0.5 / IMPEDANCE, 0.5 * IMPEDANCE, pole / (1.0 + pole)
@@ -100,6 +101,7 @@ def dense(laplacian, ends, leads, kind, start, goal, lead_gain, force_gain):
         if k >= VISION:
             error = -seen[k - VISION]
             good = max(1.0 - np.linalg.norm(error) / far, 0.0)
+        force = min(PUSH, REACH / max(np.linalg.norm(error), 1e-9)) * error
         end, b = ends[lead], ends[lead].b
         share = 1.0 / (1.0 + np.exp(10.0 * (trust[lead] - 0.5)))
         beta = end.beta_min + (end.beta_max - end.beta_min) * share
@@ -113,10 +115,10 @@ def dense(laplacian, ends, leads, kind, start, goal, lead_gain, force_gain):
         held.append(stored.sum() / CUTOFF)
 
         A, y = np.eye(2 * size + 9), np.zeros((2 * size + 9, 3))
-        A[Z, Q] = h * laplacian
-        A[Q, Q] += h * laplacian
-        A[Q, Z] = -h * laplacian.T
-        A[size + lead, R] = -h * lead_gain
+        A[Z, Q] = h * speed * laplacian
+        A[Q, Q] += h * speed * laplacian
+        A[Q, Z] = -h * speed * laplacian.T
+        A[size + lead, R] = -h * lead_gain * speed[lead, 0]
         # M (v_mid − v)/h = push − d r_m − f_m − B v_mid − K x_mid
         A[V, [V, RM, FM]] = MASS / h + DAMPING + STIFFNESS * h, DRAG, 1.0
         A[RM, V] = -(1.0 + WEIGHT * h)
@@ -126,19 +128,20 @@ def dense(laplacian, ends, leads, kind, start, goal, lead_gain, force_gain):
         A[RS, [RS, FS]] = b, 1.0
         A[R, [RS, F]] = -through, k12
         A[FS, [RS, F]] = -k21, -through
-        A[F, Q] = -force_gain * laplacian[lead]
+        A[F, Q] = -force_gain * speed[lead] * laplacian[lead]
         y[Z], y[Q], y[RM] = zeta, q, WEIGHT * x
-        y[V] = MASS * v / h + PUSH * error - STIFFNESS * x
+        y[V] = MASS * v / h + force - STIFFNESS * x
         y[[RH, FM, R, FS]] = filters / (1.0 + pole)
         y[FH] = beta * np.sqrt(2.0 * b / end.beta_max) * v_l
         y[RS] = np.sqrt(2.0 * b) * v_r
         s = np.linalg.solve(A, y)
 
-        pushed = PUSH * error - DRAG * s[RM]
+        pushed = force - DRAG * s[RM]
         rows.append([s[Q][lead] + goal, x, s[RM], pushed, s[FM], s[R], s[F]])
-        u_l[k] = np.sqrt(end.beta_min / (2.0 * b)) * (s[FH] / beta + b * s[RH])
-        u_r[k] = (s[FS] - b * s[RS]) / np.sqrt(2.0 * b)
         seen[k] = s[Q][lead]
+        if robots[lead].loss < 1.0:
+            u_l[k] = np.sqrt(end.beta_min / (2.0 * b)) * (s[FH] / beta + b * s[RH])
+            u_r[k] = (s[FS] - b * s[RS]) / np.sqrt(2.0 * b)
         zeta, q = 2.0 * s[Z] - zeta, 2.0 * s[Q] - q
         x, v = x + T * s[V], 2.0 * s[V] - v
         if kind == "two-port":
@@ -147,43 +150,84 @@ def dense(laplacian, ends, leads, kind, start, goal, lead_gain, force_gain):
     return np.reshape(rows, (COUNT, 21)), np.array(held)
 
 
+def most_trusted(robots):
+    """
+    Whom a team trusts most in every sample, and how much it trusts each, by plain loops: of a robot
+    that can be led it sees 2 s/(1 + s).
+    """
+    trust, leader, since = np.full(len(robots), 0.5), 0, 0
+    leads, levels = [], []
+    for k in range(COUNT):
+        if k and k % round(0.1 / T) == 0:
+            for i, robot in enumerate(robots):
+                heard = i != leader or robot.loss < 1.0
+                rated = round(2.0 * robot.speed / (1.0 + robot.speed), 3) * heard
+                trust[i] += (1.0 - np.exp(-0.1 * 0.1)) * (rated - trust[i])
+            best = int(np.argmax(trust))
+            if trust[best] > trust[leader] and k - since >= DWELL:
+                leader, since = best, k
+        leads.append(leader)
+        levels.append(trust.copy())
+    return leads, levels
+
+
+ALIKE = (TeamRobot(),) * 4
+FAULTY = (TeamRobot(loss=1.0), TeamRobot(speed=0.4), TeamRobot(speed=0.8), TeamRobot())
+
+
 @pytest.mark.parametrize(
-    ("kind", "graph", "coupling", "lead_gain", "force_gain"),
+    ("kind", "graph", "robots", "coupling", "lead_gain", "force_gain"),
     [
-        ("two-port", PLAIN, 1.0, 1.0, 1.0),
-        ("waves", DIRECTED, 1.0, 1.0, 1.0),
-        ("two-port", WEIGHTED, 3.0, 4.0, 0.2),
-        ("none", DIRECTED, 0.5, 0.3, 2.0),
+        ("two-port", PLAIN, ALIKE, 1.0, 1.0, 1.0),
+        ("waves", DIRECTED, ALIKE, 1.0, 1.0, 1.0),
+        ("two-port", WEIGHTED, ALIKE, 3.0, 4.0, 0.2),
+        ("none", DIRECTED, ALIKE, 0.5, 0.3, 2.0),
+        ("none", WEIGHTED, FAULTY, 1.0, 1.0, 1.0),
     ],
 )
-def test_kernel_against_a_dense_solver(kind, graph, coupling, lead_gain, force_gain):
+def test_kernel_against_a_dense_solver(kind, graph, robots, coupling, lead_gain, force_gain):
     """Oracle: all unknowns of a step in one linear system, no eigenbasis and no closed form."""
     start, goal = np.random.default_rng(8).normal(size=(4, 3)), np.array([1.0, -2.0, 0.5])
     bounds = ((1, 0.3), (2, 0.5), (0.5, 1), (3, 0.2))
     ends = tuple(Scattering(b, beta_min=low, beta_max=low + 0.7) for b, low in bounds)
     filters = {"two-port": corrected_filter(CUTOFF, IMPEDANCE), "waves": WaveFilter(CUTOFF)}
+    given = GivenSequence([2, 0, 3], times=[0.0, 2.0, 5.0])
+    cautious = PUSH * (1.0 + 2.0 * VISION * T)  # which over this delay comes to PUSH
     run = simulate_team(
         graph,
-        GivenSequence([2, 0, 3], times=[0.0, 2.0, 5.0]),
+        given if robots == ALIKE else "most_trusted",
         goal,
         duration=COUNT * T,
         sample_time=T,
         settings=TeamSettings(
-            scattering=ends, coupling=coupling, lead_gain=lead_gain, force_gain=force_gain
+            scattering=ends,
+            robots=robots,
+            coupling=coupling,
+            lead_gain=lead_gain,
+            force_gain=force_gain,
         ),
-        operator=TeamOperator(reach=1e9, guarded=False, slow_down=False, push=PUSH),
+        operator=TeamOperator(cautious, REACH, guarded=False),
         delay=DELAY * T,
         vision_delay=VISION * T,
-        min_dwell=1.5,
+        min_dwell=DWELL * T,
         filters=filters.get(kind, "none"),
+        read_out="ledger" if robots == ALIKE else "hold",
         start=start,
         record_every=T,
+        performance="motion",
     )
-    assert len(run.switches) == 2
+    leads = run.data["number"].to_numpy().astype(int)
+    if robots == FAULTY:
+        expected, levels = most_trusted(robots)
+        assert set(expected) == {0, 3}
+        np.testing.assert_array_equal(leads, expected)
+        np.testing.assert_allclose(run.trust, levels, atol=1e-9)
+    else:
+        assert len(run.switches) == 2
     adjacency = team_graph(graph)[1]
     laplacian = coupling * (np.diag(adjacency.sum(axis=1)) - adjacency)
-    leads = run.data["number"].to_numpy().astype(int)
-    expected, held = dense(laplacian, ends, leads, kind, start, goal, lead_gain, force_gain)
+    gains = lead_gain, force_gain
+    expected, held = dense(laplacian, ends, robots, leads, kind, start, goal, *gains)
     logged = run.data[run.data.columns[:21]].to_numpy()
     np.testing.assert_allclose(logged, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
     np.testing.assert_allclose(run.data["v_filter"], held, rtol=1e-8, atol=1e-9)
