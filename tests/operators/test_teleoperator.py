@@ -45,10 +45,11 @@ def test_no_number_is_infinite(name):
 
 def test_allocating_by_hand_costs_a_share_of_the_command_in_mmi_alone():
     costly = Teleoperator(allocation_cost=0.25)
-    weaker = Teleoperator(compensation=0.75)
-    for scheme, same in (("MMI", weaker), ("M", Teleoperator())):
-        runs = [tl.simulate_teleoperation(scheme, who, duration=10.0) for who in (costly, same)]
-        assert runs[0].data.equals(runs[1].data), scheme
+    for scheme, same in (("MMI", Teleoperator(compensation=0.75)), ("M", Teleoperator())):
+        with_cost, without = (
+            tl.simulate_teleoperation(scheme, who, duration=10.0) for who in (costly, same)
+        )
+        assert with_cost.data.equals(without.data), scheme
 
 
 def test_a_hand_tires_with_what_it_has_pushed():

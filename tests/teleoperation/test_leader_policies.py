@@ -67,11 +67,6 @@ def test_policies_by_hand(policy, trust, dwell, leaders):
     assert lead(policy, trust, dwell).tolist() == leaders
 
 
-def test_most_trusted_is_the_argmax_whenever_it_may_switch():
-    trust = np.random.default_rng(1).uniform(size=(500, 4))
-    assert (lead(MostTrusted(), trust, 0.1) == trust.argmax(axis=1)).all()
-
-
 def test_random_leaders_reach_everyone():
     chosen = lead(RandomLeaders(0.0), np.zeros((2000, 5)), 0.1)
     assert set(chosen) == set(range(5))

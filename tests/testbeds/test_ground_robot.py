@@ -31,6 +31,7 @@ from trustlab.testbeds.ground_robot.kernel import locate
 matplotlib.use("Agg")
 
 SEEDS = range(8)
+SIZES = ["step_distance", "path_error"]
 MANUAL_AUTONOMOUS_MANUAL = np.repeat([1, 0, 1], [4000, 8000, 3000])
 
 
@@ -57,34 +58,28 @@ def level(session, start, stop):
 # Assumptions 1 and 2
 
 
-def test_left_alone_performance_decays_to_a_floor(sessions):
+def test_left_alone_performance_decays_to_a_floor_and_a_skilled_operator_brings_it_back(sessions):
     for session in sessions:
-        course = [level(session, 400 + s, 420 + s) for s in (0, 60, 120, 180)]
-        assert course == sorted(course, reverse=True)
+        falls = [level(session, 400 + s, 420 + s) for s in (0, 60, 120, 180)]
+        assert falls == sorted(falls, reverse=True)
         assert 0.37 < level(session, 380, 400) < 0.43
-        late = [level(session, s, s + 100) for s in (700, 800, 900, 1000, 1100)]
-        assert min(late) > 0.235
-        assert max(late) < 0.27
-        assert max(late) - min(late) < 0.025
+        floor = [level(session, s, s + 100) for s in (700, 800, 900, 1000, 1100)]
+        assert 0.235 < min(floor) < max(floor) < 0.27
+        assert np.ptp(floor) < 0.025
+        rises = [level(session, 1200 + s, 1210 + s) for s in (0, 40, 80, 120)]
+        assert rises == sorted(rises)
+        assert level(session, 1400, 1500) > floor[-1] + 0.12
 
 
-def test_a_skilled_operator_brings_it_back(sessions):
-    for session in sessions:
-        course = [level(session, 1200 + s, 1210 + s) for s in (0, 40, 80, 120)]
-        assert course == sorted(course)
-        assert level(session, 1400, 1500) > level(session, 1100, 1200) + 0.12
-
-
-def test_speeds_and_errors_are_those_of_remark_7(sessions):
-    manual, alone = slice(1000, 4000), slice(6000, 12000)
-
-    def mean(name, part):
-        return np.mean([session[name][part].mean() for session in sessions])
-
-    assert 10.0 * mean("step_distance", manual) == pytest.approx(0.49, abs=0.015)
-    assert mean("path_error", manual) == pytest.approx(0.38, abs=0.04)
-    assert 10.0 * mean("step_distance", alone) == pytest.approx(0.39, abs=0.015)
-    assert mean("path_error", alone) == pytest.approx(0.704, abs=0.04)
+@pytest.mark.parametrize(
+    ("driven", "speed", "error"),
+    [(slice(1000, 4000), 0.49, 0.38), (slice(6000, 12000), 0.39, 0.704)],
+    ids=["by hand", "alone"],
+)
+def test_speeds_and_errors_are_those_of_remark_7(sessions, driven, speed, error):
+    means = np.mean([session.data[driven].mean()[SIZES] for session in sessions], axis=0)
+    assert 10.0 * means[0] == pytest.approx(speed, abs=0.015)
+    assert means[1] == pytest.approx(error, abs=0.04)
 
 
 def test_the_models_fit_its_sessions(operators):

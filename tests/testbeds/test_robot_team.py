@@ -420,15 +420,14 @@ def test_a_run_is_repeated_from_its_inputs_without_python():
     robots = (TeamRobot(), TeamRobot(speed=0.4), TeamRobot(loss=0.5), TeamRobot(drift=0.05))
     arguments = {"seed": 3, "duration": 20.0, "settings": TeamSettings(robots=robots)}
     graphs = {0.0: nx.cycle_graph(4), 8.0: nx.path_graph(4)}
-    first, again, other = (tl.TeamLoop(graphs, "random", **arguments) for _ in range(3))
-    run = first.run()
-    for loop in (again, other):
-        loop.simulation.decide = None
-        loop.simulation.inputs[:] = first.simulation.inputs
-    other.simulation.inputs["lead"] = 0
-    for loop in (again, other):
-        loop.simulation.advance(len(loop.simulation.inputs))
-    assert len(run.switches) > 0
-    np.testing.assert_array_equal(again.simulation.log.table, first.simulation.log.table)
-    np.testing.assert_array_equal(again.simulation.log.places, first.simulation.log.places)
-    assert (other.simulation.log.places != first.simulation.log.places).any()
+    loops = [tl.TeamLoop(graphs, "random", **arguments) for _ in range(3)]
+    assert len(loops[0].run().switches) > 0
+    first, again, other = (loop.simulation for loop in loops)
+    again.inputs[:] = other.inputs[:] = first.inputs
+    other.inputs["lead"] = 0
+    for simulation in (again, other):
+        simulation.decide = None
+        simulation.advance(len(simulation.inputs))
+    np.testing.assert_array_equal(again.log.table, first.log.table)
+    np.testing.assert_array_equal(again.log.places, first.log.places)
+    assert (other.log.places != first.log.places).any()

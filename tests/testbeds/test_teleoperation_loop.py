@@ -237,7 +237,7 @@ def failing(state):
         ),
         (
             {"scheme": tl.Scheme("s", lambda s: (0.5, -0.1 * s.t + 0.1))},
-            r"beta = .*; it must lie in \[0.05, 0.5\]",
+            r"beta = 0\.049.*; it must lie in \[0.05, 0.5\]",
         ),
         ({"scheme": tl.Scheme("s", lambda s: 1.0 / (s.t - 1.0))}, "scheme .* raised TypeError"),
         (

@@ -200,13 +200,18 @@ def test_which_scheme_tracks_better_depends_on_the_printed_guidance_in_one_study
     assert better == (study == "main")  # with the robot left to the operator
 
 
-def test_the_printed_direction_of_the_force_is_active_and_without_a_guard_diverges():
-    printed = replace(STUDIES["main"], printed_sign=True)
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        # the printed direction of the force is active
+        {"study": replace(STUDIES["main"], printed_sign=True), "scheme": "TMIG"},
+        {"task": TrackingTask(vehicle=(TransferFunction(1.0, (-3.0,)),) * 3), "scheme": "M"},
+    ],
+)
+def test_a_run_that_diverges_stops_with_time_and_block(arguments):
     words = r"the (robot|channel|haptic device) diverged at sample \d+ \(.* s\); lower"
     with pytest.raises(DivergenceError, match=words):
-        simulate_teleoperation(
-            "TMIG", study=printed, guidance=Guidance("through_channel", "off"), seed=1
-        )
+        simulate_teleoperation(guidance=Guidance("through_channel", "off"), seed=1, **arguments)
 
 
 def test_performance_is_the_window_mean_of_3_27():
@@ -250,12 +255,6 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
         )
         assert data["alpha"].iloc[k] == pytest.approx(answer.alpha, abs=1e-6)
     assert data["alpha"].nunique() > 10
-
-
-def test_an_unstable_vehicle_stops_the_run_with_time_and_block():
-    unstable = (TransferFunction(1.0, (-3.0,)),) * 3
-    with pytest.raises(DivergenceError, match="the robot diverged at sample"):
-        simulate_teleoperation("M", task=TrackingTask(vehicle=unstable))
 
 
 @pytest.mark.parametrize(
