@@ -2,14 +2,12 @@
 The ground robot: Assumptions 1 and 2 appear without being scripted, limits hold, conditions do what
 they say.
 
-Oracles: Remark 7 for the sizes; closed-form geometry and a dense brute-force path; the models,
-rules and measures of the other rooms, run on the log after the fact.
+Oracles: Remark 7 for the sizes; closed-form geometry, and the distance from all pieces of a path.
 """
 
 from dataclasses import replace
 from types import SimpleNamespace
 
-import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
@@ -27,8 +25,6 @@ from trustlab.testbeds import (
 )
 from trustlab.testbeds.deciding import SETTLING
 from trustlab.testbeds.ground_robot.kernel import locate
-
-matplotlib.use("Agg")
 
 SEEDS = range(8)
 SIZES = ["step_distance", "path_error"]

@@ -3,7 +3,8 @@ Chapter 4 in one loop: against a dense solver, Lemmas 6 and 7, V_T, Theorem 6, R
 removed.
 """
 
-import matplotlib
+from dataclasses import replace
+
 import networkx as nx
 import numpy as np
 import pytest
@@ -23,8 +24,6 @@ from trustlab.teleoperation import (
     random_walk_delay,
     team_graph,
 )
-
-matplotlib.use("Agg")
 
 ALONE = TeamOperator(push=0.0, drag=0.0)
 
@@ -237,7 +236,10 @@ def test_kernel_against_a_dense_solver(kind, graph, robots, coupling, lead_gain,
 
 
 def energy_case(seed):
-    """A random team whose inner states do not start at zero; every fourth has delays that vary."""
+    """
+    A random team whose inner states do not start at zero; every fourth has delays that vary, every
+    fifth slow robots.
+    """
     graph, arguments = random_team(seed)
     rng = np.random.default_rng(seed)
     arguments |= {"duration": 60.0, "sample_time": 0.01, "record_every": 0.01}
@@ -245,30 +247,20 @@ def energy_case(seed):
     if seed % 4 == 3:
         walk = random_walk_delay(0.1, 1.0, 0.5, seed=seed)
         arguments |= {"delay": walk, "vision_delay": 0.7, "min_dwell": 1.5}
+    if seed % 5 == 4:
+        slow = tuple(TeamRobot(speed=speed) for speed in rng.uniform(0.2, 1.0, len(graph)))
+        gains = {"coupling": 2.0, "lead_gain": 3.0}
+        arguments["settings"] = replace(arguments["settings"], robots=slow, **gains)
     return graph, arguments
 
 
-SLOW = {
-    "policy": "random",
-    "settings": TeamSettings(
-        robots=tuple(TeamRobot(speed=speed) for speed in (1.0, 0.2, 0.5, 0.9)),
-        coupling=2.0,
-        lead_gain=3.0,
-    ),
-    "duration": 60.0,
-    "sample_time": 0.01,
-    "record_every": 0.01,
-    "inner": np.random.default_rng(3).normal(size=(4, 3)),
-}
-
-
-@pytest.mark.parametrize("case", [*range(15), "slow"])
-def test_energies_balance_at_every_sample_and_v_t_never_rises(case):
+@pytest.mark.parametrize("seed", range(15))
+def test_energies_balance_at_every_sample_and_v_t_never_rises(seed):
     """
     V(k + 1) − V(k) = supply − dissipation, (4.25) and (4.33), relative to the storage; V_T by
     (4.32)-(4.35), whatever the leader, to rounding; (4.15) beside it.
     """
-    graph, arguments = (nx.path_graph(4), SLOW) if case == "slow" else energy_case(case)
+    graph, arguments = energy_case(seed)
     data = simulate_team(graph, **arguments).data
     for storage, part in (("v_fs", "team"), ("v_e", "error")):
         balance = data[storage] - data[f"supply_{part}"] + data[f"lost_{part}"]

@@ -1,6 +1,5 @@
 """
-Trust that comes from what robots do: faults, what is measured of them, the choice of a leader, and
-a loop that is stepped.
+Trust that comes from what robots do: faults, the choice of a leader, and a loop that is stepped.
 """
 
 import networkx as nx
