@@ -5,10 +5,12 @@ tests.
 
 from dataclasses import replace
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from trustlab.teleoperation import STUDIES, plot_scales, plot_transparency
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.teleoperation.transparency import (
@@ -18,6 +20,7 @@ from trustlab.teleoperation.transparency import (
     rendered_impedance,
 )
 
+mpl.use("Agg")
 SETTINGS = settings(max_examples=60, deadline=None, derandomize=True)
 share = st.floats(0.02, 1.0)
 
@@ -126,3 +129,30 @@ def test_rendered_impedance_is_that_of_the_channel_at_a_frequency():
     in_phase, ahead = np.linalg.lstsq(basis, f_m, rcond=None)[0]
     felt = rendered_impedance(channel, [omega], 0.0, 0.1, 0.2)[0]
     assert in_phase + 1j * ahead == pytest.approx(felt, rel=1e-6)
+
+
+# Figures
+
+
+def test_scales_are_those_of_the_settings():
+    """Oracle: (3.5) by hand, from upper to lower bound as trust grows."""
+    ends = STUDIES["main"].scattering
+    lines = {line.get_label(): line for line in plot_scales(STUDIES["main"]).lines}
+    for symbol, low, high in (
+        ("α", ends.alpha_min, ends.alpha_max),
+        ("β", ends.beta_min, ends.beta_max),
+    ):
+        trust, scale = lines[f"{symbol}, logistic"].get_data()
+        expected = high + (low - high) / (1.0 + np.exp(-10.0 * (trust - 0.5)))
+        np.testing.assert_allclose(scale, expected, rtol=1e-12)
+        assert set(lines[f"{symbol}, step"].get_ydata()) == {low, high}
+
+
+def test_maps_mark_both_studies():
+    axes = plot_transparency()
+    ends = STUDIES["main"].scattering
+    assert len(axes) == 3
+    assert [line.get_label() for line in axes[0].lines] == list(STUDIES)
+    assert axes[0].lines[1].get_xydata().tolist() == [
+        [ends.beta_min / ends.beta_max, ends.alpha_min / ends.alpha_max]
+    ]

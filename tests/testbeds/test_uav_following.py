@@ -1,7 +1,7 @@
-"""The UAV that follows a leader (Section 2.4.2): its measures, its operators, its conditions.
+"""
+The UAV that follows a leader (Section 2.4.2): by hand and left alone.
 
-Oracles: the measures of the sessions room on the log after the fact; (2.5) and (2.6); the rules
-called one by one; the closed form of what a hand's imperfection comes to.
+Oracles: (2.5) and (2.6), and the closed form of what a hand's imperfection comes to.
 """
 
 from dataclasses import replace
