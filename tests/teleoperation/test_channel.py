@@ -91,8 +91,11 @@ def test_energy_is_never_negative_in_200_random_channels(read_out):
         assert (run.energy - run.wave_energy).min() >= -rounding, seed
 
 
-def test_waves_and_powers_are_those_of_4_7():
-    """Oracle: (3.13) and (4.7), u and v in terms of f and r, and the power of the ports (3.15)."""
+def test_waves_are_those_of_3_13_and_4_7():
+    """
+    Oracle: u and v in terms of f and r, from which (3.15), the power at the ports, follows by
+    algebra.
+    """
     for seed in range(50):
         arguments = random_channel(seed)
         run, leaders = channel_run(**arguments), arguments["leaders"]
@@ -100,8 +103,7 @@ def test_waves_and_powers_are_those_of_4_7():
             np.array([getattr(end, name) for end in arguments["scattering"]])[leaders][:, None]
             for name in ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")
         )
-        alpha, beta = arguments["alpha"][:, None], arguments["beta"][:, None]
-        near, far = run.f_m / beta, run.r_s / alpha
+        near, far = run.f_m / arguments["beta"][:, None], run.r_s / arguments["alpha"][:, None]
         waves = {
             "u_l": np.sqrt(b_low / (2 * b)) * (near + b * run.r_m),
             "v_l": np.sqrt(b_high / (2 * b)) * (near - b * run.r_m),
@@ -111,11 +113,6 @@ def test_waves_and_powers_are_those_of_4_7():
         for name, wave in waves.items():
             atol = 1e-9 * np.abs(wave).max()
             np.testing.assert_allclose(getattr(run, name), wave, rtol=1e-9, atol=atol)
-        taken = 0.5 * beta * (run.u_l**2 / b_low - run.v_l**2 / b_high)
-        given = 0.5 * alpha * (run.v_r**2 / a_high - run.u_r**2 / a_low)
-        atol = 1e-9 * np.abs(run.v_r).max() ** 2
-        np.testing.assert_allclose(taken.sum(axis=1), (run.r_m * run.f_m).sum(axis=1), atol=atol)
-        np.testing.assert_allclose(given.sum(axis=1), (run.r_s * run.f_s).sum(axis=1), atol=atol)
 
 
 @pytest.mark.parametrize("read_out", ["ledger", "interpolated", "hold"])
