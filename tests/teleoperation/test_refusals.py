@@ -54,6 +54,7 @@ def test_channels(call, words):
     [
         (SENT, [0.1, 0.05, 0.3, 0.4], "packet 1, sent at t = 0.1 s, was received before"),
         (SENT, [np.nan] * 4, "ever received"),
+        (SENT, [0.1, 0.5, np.nan, 0.4], r"until 0\.5 s, and the run lasts until 0\.6 s"),
         (SENT, [0.1], "same number of packets"),
         ([0.0, 0.2, 0.1, 0.3], [0.5] * 4, "packet 2, sent at t = 0.1 s, .*before the packet bef"),
         ([100.0, 101.0], [100.5, 101.5], "give seconds from the start of the run"),

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag, expm
 
 import trustlab as tl
 from tests.flights import T, assert_device_balances, columns, power
-from trustlab.teleoperation import SCHEMES, STUDIES, Guidance, PartError, packet_delay
+from trustlab.teleoperation import SCHEMES, STUDIES, Guidance, PartError
 from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds import tracking_vehicle
 
@@ -177,20 +177,6 @@ def test_the_channel_is_not_blamed_for_the_guidance(guidance):
     np.testing.assert_allclose(run["energy_channel"] + felt, between, atol=1e-9)
     assert run["energy_channel"].min() >= -1e-9
     assert felt.min() < -0.1 if guidance == "at_operator" else not felt.any()
-
-
-def test_a_trace_of_packets_is_read_newest_first():
-    sent = np.arange(0.0, 20.0, 0.005)
-    rng = np.random.default_rng(3)
-    received = sent + rng.exponential(0.05, sent.size)
-    received[rng.uniform(size=sent.size) < 0.5] = np.nan
-    trace = packet_delay(sent, received)
-    late = trace.samples(1900, T)
-    for k in range(0, 1900, 37):  # by brute force: the newest of all that have come
-        newest = max(sent[received <= T * k + 1e-9], default=-T)
-        assert late[k] == pytest.approx(max(T * k - newest, T), abs=1e-12)
-    run = tl.simulate_teleoperation("TMIG", duration=15.0, delay=trace)
-    assert run["energy_port"].min() > -1e-9
 
 
 def forging(state):
