@@ -84,6 +84,13 @@ def test_a_delayed_hand_weaves(operators):
     assert errors[1] > 1.5 * errors[0]
 
 
-def test_a_model_in_percent_is_refused(operators):
-    with pytest.raises(ValueError, match="rescale the model"):
-        tl.Operator("pilot", tl.HumanModel(0.999, 0.5, 10.0, 90.0))
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"look_ahead": 0.0}, "look_ahead must be positive"),
+        ({"human": tl.HumanModel(0.999, 0.5, 10.0, 90.0)}, "rescale the model"),
+    ],
+)
+def test_operators_that_cannot_be(operators, change, words):
+    with pytest.raises(ValueError, match=words):
+        replace(operator("pilot", operators["pilot"]), **change)

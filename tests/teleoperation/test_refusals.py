@@ -1,6 +1,6 @@
 """
-What the parts of a teleoperation loop refuse although each argument by itself is good. Wrong types
-and numbers of any argument are those of tests/test_contract.py.
+What the parts of a teleoperation loop refuse: ranges, and arguments that do not go together.
+What tests/test_contract.py puts into every argument is not tried here again.
 """
 
 import numpy as np
@@ -11,13 +11,16 @@ from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import Delay, packet_delay
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
+    WaveFilter,
     corrected_filter,
     passivity_margin,
     printed_filter,
     sinusoid_energy,
 )
-from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.ports.device import HapticDevice
+from trustlab.teleoperation.ports.waves import EnergyLedger, Scattering
 from trustlab.teleoperation.team.decisions import GivenSequence, MostTrusted, policy_named
+from trustlab.teleoperation.transparency import rendered_impedance
 
 ONES, UNIT = np.ones((50, 1)), Scattering(1.0)
 SENT = [0.0, 0.1, 0.2, 0.3]
@@ -32,6 +35,8 @@ def send(scattering=UNIT, **change):
     [
         (lambda: Scattering(1.0, alpha_min=0.9, alpha_max=0.3), "alpha_min must not exceed"),
         (lambda: Scattering(1.0, alpha_max=1.1), r"alpha_max must not exceed 1 \(3\.1\)"),
+        (lambda: EnergyLedger(0.0), "sample_time must be positive"),
+        (lambda: rendered_impedance(UNIT, [1.0], [1.0, 2.0]), "environment must be"),
         (lambda: send(delay_1=-0.1), "delay_1: a constant delay must not be negative"),
         (lambda: send(delay_1=(0.1, 0.2)), "delay_1: a constant delay must be a number"),
         (lambda: send(delay_1=0.0), "at least one sample"),
@@ -68,6 +73,14 @@ def test_traces(sent, received, words):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
+        (lambda: printed_filter(0.0), "cutoff must be positive"),
+        (lambda: WaveFilter(0.0), "cutoff must be positive"),
+        (lambda: corrected_filter(0.0, 1.0), "cutoff must be positive"),
+        (lambda: corrected_filter(1.0, 0.0), "impedance must be positive"),
+        (
+            lambda: HapticDevice(0.001, 0.55, 100.0, 60.0, port_damping=-0.1),
+            "port_damping must not",
+        ),
         (lambda: TwoPortFilter(1.0, 0.2, 1.0), r"k_12 k_21 = 0\.2"),
         (lambda: passivity_margin([1.0], [1.0, -1.0]), "stable"),
         (lambda: passivity_margin([1.0, 0.0, 0.0], [1.0, 1.0]), "proper"),
@@ -80,7 +93,7 @@ def test_traces(sent, received, words):
         ),
     ],
 )
-def test_filters(call, words):
+def test_filters_and_devices(call, words):
     with pytest.raises(ValueError, match=words):
         call()
 
@@ -90,6 +103,7 @@ def test_filters(call, words):
     [
         (lambda: GivenSequence([]), "at least one"),
         (lambda: GivenSequence([0, 1], times=[0.0]), "times"),
+        (lambda: MostTrusted(-0.1), "margin"),
         (lambda: policy_named(MostTrusted), "must be one of"),  # a class, no policy
         (
             lambda: tl.simulate_team(np.ones((2, 2)) - np.eye(2), GivenSequence(["z", 0])),

@@ -1,9 +1,9 @@
 """
-What simulated tasks refuse although each argument by itself is good: arguments that do not go
-together, people who do not exist, graphs and matrices of a wrong form. Wrong types and numbers of
-any argument are those of tests/test_contract.py.
+What simulated tasks refuse: ranges, and arguments that do not go together.
+What tests/test_contract.py puts into every argument is not tried here again.
 """
 
+import inspect
 from dataclasses import replace
 
 import networkx as nx
@@ -12,9 +12,10 @@ import pytest
 
 import trustlab as tl
 from tests.teams import simulate_team
+from trustlab.operators.answers import experience, simulated_answers
 from trustlab.teleoperation import STUDIES, packet_delay
 from trustlab.teleoperation.ports.device import PassivityError
-from trustlab.testbeds import RobotTeam, published_operator
+from trustlab.testbeds import Pioneer, RobotTeam, published_operator, tracking_vehicle
 
 PATH = nx.path_graph(3)
 UNIT, NONE = np.eye(6), np.zeros((6, 3))
@@ -54,6 +55,7 @@ def test_teams(change, words):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        ({"duration": -1.0}, "duration must be"),
         ({"delay": (0.0, 0.1)}, "must both be zero"),
         ({"signals": {"push": np.full((12000, 3), np.nan)}}, "push .* but sample 0 is"),
         (
@@ -84,9 +86,41 @@ def test_vehicles(matrices, words):
         tl.TrackingTask(vehicle=matrices)
 
 
-def test_a_device_that_is_not_passive():
+def test_devices_and_robots():
     with pytest.raises(PassivityError, match="not r-passive"):
         replace(STUDIES["main"], mass=1.0, weight=60.0)
+    with pytest.raises(ValueError, match="must be of class TrustModel"):
+        replace(STUDIES["main"], human_to_robot=1.0)
+    with pytest.raises(ValueError, match="max_speed must be positive"):
+        Pioneer(max_speed=0.0)
+
+
+RUN = tl.simulate_teleoperation(duration=1.0)
+CALLS = (
+    (tl.simulate_teleoperation, {"duration": 1.0}),
+    (tl.TeleoperationLoop, {"duration": 1.0}),
+    (simulated_answers, {"session": RUN}),
+    (experience, {"session": RUN}),
+    (tl.TrackingTask, {}),
+    (tl.Teleoperator, {}),
+    (tl.OptimalBlending, {}),
+    (tracking_vehicle, {}),
+)
+
+
+@pytest.mark.parametrize(
+    ("call", "good", "name"),
+    [
+        (call, good, name)
+        for call, good in CALLS
+        for name in inspect.signature(call).parameters
+        if name != "options"
+    ],
+)
+def test_nothing_but_a_clear_error_comes_of_nonsense(call, good, name):
+    for bad in (np.inf, b"x", True, 1j, np.array(["a"])):  # no values of tests/contract.py
+        with pytest.raises(ValueError, match=r"\w+ \w+"):
+            call(**(good | {name: bad}))
 
 
 @pytest.mark.parametrize(
@@ -95,6 +129,8 @@ def test_a_device_that_is_not_passive():
         ({"thresholds": (0.6, 0.1)}, "the lower threshold must be below the upper threshold"),
         ({"condition": "C5", "thresholds": (0.1, 0.6)}, "no effect in C5, where Algorithm 2"),
         ({"participant": None}, "who drives"),
+        ({"condition": None}, "condition must be one of .*or rule="),
+        ({"r0": 2.0, "testbed": "uav_following"}, "r0 must lie in"),
         ({"testbed": "uav_tracking"}, "testbed must be one of 'ground_robot', 'uav_following'"),
         ({"testbed": "uav_following", "participant": 21}, "from 1 to 20, got 21"),
         ({"participant": published_operator(2)}, "model must be of class TscModel"),
