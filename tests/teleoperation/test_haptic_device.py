@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from trustlab.teleoperation.ports import device as compiled
 from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
 
 PRELIMINARY = {"damping": 0.55, "stiffness": 100.0, "weight": 60.0}
@@ -92,19 +91,6 @@ def test_an_active_device_shows_negative_dissipation():
     assert min(lost) < 0.0
 
 
-@pytest.mark.parametrize("gains", [PRELIMINARY, MAIN], ids=["preliminary", "main"])
-def test_stable_at_the_printed_sample_time(gains):
-    most = HapticDevice(mass=1e-3, **gains).largest_mass()
-    device = HapticDevice(mass=most, **gains)
-    x, v = np.ones(3), np.zeros(3)
-    levels = [device.storage(x, v)]
-    for _ in range(2000):
-        x, v, _ = device.step(x, v, np.zeros(3), np.zeros(3), 0.01)
-        levels.append(device.storage(x, v))
-    assert (np.diff(levels) <= 1e-12 * levels[0]).all()
-    assert levels[-1] < 1e-6 * levels[0]
-
-
 def test_heaviest_device_of_the_preliminary_study():
     assert HapticDevice(mass=0.001, **PRELIMINARY).largest_mass() == pytest.approx(
         0.55 / 60, rel=1e-12
@@ -150,48 +136,3 @@ def test_passive_exactly_where_storage_and_loss_are_positive(seed, port_damping)
     b, k = damping + 1.5 * port_damping, stiffness + 1.5 * port_damping * weight
     conditions = [b - mass * weight, k + weight * b - weight * mass * weight]
     assert device.is_passive == (np.min(conditions) >= 0.0)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"mass": 0.0}, "mass must be positive"),
-        ({"weight": 0.0}, "weight must be positive"),
-        ({"port_damping": -0.1}, "port_damping must not be negative"),
-    ],
-)
-def test_bad_gains_are_refused(change, words):
-    with pytest.raises(ValueError, match=words):
-        HapticDevice(**({"mass": 0.001} | PRELIMINARY | change))
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_one_compiled_axis_in_a_hand_is_the_device_with_springs_added(seed):
-    """
-    Oracle: (3.8) solved as a system; a hand that is a spring and a damper adds to K and B of the
-    motion, and to neither storage nor loss.
-    """
-    rng = np.random.default_rng([32, seed])
-    mass, damping, stiffness, weight, k_hand, b_hand, sample_time = rng.uniform(
-        [0.01, 1.0, 5.0, 1.0, 0.0, 0.0, 1e-3], [0.1, 5.0, 50.0, 9.0, 20.0, 3.0, 1e-2]
-    )
-    arm = compiled.Arm(0.0, k_hand, b_hand)
-    gains = compiled.Device(sample_time, mass, damping, stiffness, weight, *[0.0] * 4)
-    axis = compiled.held_device(gains, arm, sample_time)
-    bare = HapticDevice([mass], damping, stiffness, weight)
-    moved = [[mass], [damping + b_hand], [stiffness + k_hand]]
-    x, v, force, feedback = rng.normal(size=4)
-
-    def middle(feedback):
-        ahead, _ = midpoint(moved, np.array([x]), np.array([v]), [force - feedback], sample_time)
-        return (ahead[0] - x) / sample_time
-
-    assert compiled.midpoint_velocity(axis, x, v, force, feedback) == pytest.approx(
-        middle(feedback), rel=1e-9
-    )
-    assert compiled.device_storage(axis, x, v) == pytest.approx(bare.storage([x], [v]), rel=1e-12)
-    assert compiled.device_loss(axis, x, v) == pytest.approx(bare.dissipation([x], [v]), rel=1e-12)
-    # Without feedback r_m of the midpoint is v + Λ (x + T v/2).
-    output = middle(0.0) + weight * (x + 0.5 * sample_time * middle(0.0))
-    assert compiled.free_output(axis, x, v, force) == pytest.approx(output, rel=1e-9)
-    assert axis.sample_time == sample_time

@@ -50,40 +50,33 @@ def test_cancelling_keeps_energy_above_one_sample_and_never_raises_the_force(see
 def test_repaying_keeps_energy_at_zero_or_above(seed):
     v, f = stream(seed)
     _, _, energy, deficit = controlled(PassivityController(T, "repay"), v, f)
-    assert energy.min() >= -1e-12 * T * np.abs(v * f).sum()
-    assert deficit.max() <= 1e-12 * T * np.abs(v * f).sum()
-
-
-def test_without_the_controller_the_energy_falls_for_ever():
-    v, f = np.ones((500, 1)), -np.ones((500, 1))
-    assert T * (v * f).sum() == pytest.approx(-5.0)
-    assert controlled(PassivityController(T), v, f)[2][-1] == 0.0
+    rounding = 1e-12 * T * np.abs(v * f).sum()
+    assert energy.min() >= -rounding
+    assert deficit.max() <= rounding
 
 
 @SETTINGS
 @given(st.floats(-5, 5), st.floats(0.01, 5), st.floats(0.05, 5), st.floats(-2, 3))
 def test_damping_of_a_yielding_port_takes_the_power_demanded(power, square, compliance, demand):
     w, met = activation(power, square, compliance, demand)
+    size = 1.0 + abs(power) + square / compliance
     assert w >= 0.0
 
     def taken(w):
         return ((1 + w) * power + w / compliance * square) / (1 + w) ** 2
 
-    if met and np.isfinite(w):
-        assert taken(w) >= demand - 1e-9 * (1 + abs(power) + square / compliance)
-        if w > 0.0:
-            assert taken(w) == pytest.approx(
-                demand, abs=1e-9 * (1 + abs(power) + square / compliance)
-            )
-            assert all(taken(share * w) <= demand + 1e-9 for share in (0.0, 0.3, 0.9))
-    elif np.isinf(w):
+    if np.isinf(w):
         assert power + square / compliance <= 0.0
+    elif met:
+        assert taken(w) >= demand - 1e-9 * size
+        if w > 0.0:
+            assert taken(w) <= demand + 1e-9 * size
+            assert all(taken(share * w) <= demand + 1e-9 for share in (0.0, 0.3, 0.9))
     else:
         best = minimize_scalar(lambda x: -taken(np.exp(x)), bounds=(-20, 20), method="bounded")
-        assert max(-best.fun, taken(0.0)) <= demand + 1e-9
-        assert taken(w) >= max(-best.fun, taken(0.0)) - 1e-6 * (
-            1 + abs(power) + square / compliance
-        )
+        most = max(-best.fun, taken(0.0))
+        assert most <= demand + 1e-9
+        assert taken(w) >= most - 1e-6 * size
 
 
 @pytest.mark.parametrize(
@@ -125,15 +118,9 @@ def test_ports_that_cannot_take_what_is_demanded_are_stopped(power, square, dema
     assert activation(power, square, 1.0, demand) == expected
 
 
-def test_a_port_that_stands_still_is_not_damped():
-    for method in ("cancel", "repay"):
-        controller = PassivityController(T, method)
-        controller.step([1.0], [-1.0])
-        done = controller.step([0.0], [-3.0])
-        assert (done.force.tolist(), done.z) == ([-3.0], 0.0)
-
-
-def test_energy_in_hand_is_no_deficit():
-    controller = PassivityController(T)
-    done = controller.step([2.0], [3.0])
-    assert (done.energy, done.deficit, controller.energy) == (6.0 * T, 0.0, 6.0 * T)
+@pytest.mark.parametrize("method", ["cancel", "repay"])
+def test_a_port_that_stands_still_is_not_damped(method):
+    controller = PassivityController(T, method)
+    controller.step([1.0], [-1.0])
+    done = controller.step([0.0], [-3.0])
+    assert (done.force.tolist(), done.z, controller.energy) == ([-3.0], 0.0, done.energy)

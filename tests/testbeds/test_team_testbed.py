@@ -6,7 +6,6 @@ Oracles: `simulate_team` with the same arguments; a deaf robot that leads stops 
 
 import networkx as nx
 import numpy as np
-import pytest
 
 import trustlab as tl
 from trustlab.teleoperation import TeamOperator, TeamRobot, TeamSettings, TeamTrial
@@ -49,27 +48,10 @@ def test_a_session_is_a_run_of_the_team():
 def test_a_study_tells_policies_apart():
     """Where one robot is deaf, who trusts robots by what they do lets it lead no more."""
     deaf = RobotTeam(robots=(TeamRobot(loss=1.0), *(TeamRobot(),) * 3), duration=60.0)
-    study = tl.virtual_study(
-        n=12, testbed=deaf, conditions=["most_trusted", "sequence", Nearest()], seed=0
-    )
+    policies = ["most_trusted", "sequence", Nearest()]
+    study = tl.virtual_study(n=12, testbed=deaf, conditions=policies, seed=0)
     assert study.conditions == ("most_trusted", "sequence", "nearest")
     pairs = study.analysis("time").pairs().set_index(["a", "b"])
-    assert pairs.loc[("most_trusted", "sequence"), "p_holm"] < 0.05, pairs
-    assert pairs.loc[("most_trusted", "sequence"), "mean_difference"] < 0.0
-    again = tl.virtual_study(
-        n=12, testbed=deaf, conditions=["most_trusted", "sequence", Nearest()], seed=0, n_jobs=2
-    )
-    assert study.measures.equals(again.measures)
-
-
-@pytest.mark.parametrize(
-    ("call", "says"),
-    [
-        (lambda: RobotTeam(robots=(1, 2)), r"robots\[0\] must be of class TeamRobot"),
-        (lambda: RobotTeam().people(2, {"patience": 1.0}), "an assumption must be one of"),
-        (lambda: RobotTeam().run("random", {}, 0), "push"),
-    ],
-)
-def test_what_a_team_refuses(call, says):
-    with pytest.raises((ValueError, KeyError), match=says):
-        call()
+    first = pairs.loc[("most_trusted", "sequence")]
+    assert first["p_holm"] < 0.05, pairs
+    assert first["mean_difference"] < 0.0

@@ -1,6 +1,5 @@
 """
-Trust that comes from what robots do: faults, what is measured of them, the choice of a leader, and
-a loop that is stepped.
+Trust that comes from what robots do: faults, the choice of a leader, and a loop that is stepped.
 """
 
 import networkx as nx
@@ -10,8 +9,6 @@ import pytest
 import trustlab as tl
 from tests.teams import simulate_team
 from trustlab.teleoperation import (
-    GivenSequence,
-    TeamChannel,
     TeamOperator,
     TeamRobot,
     TeamSettings,
@@ -28,162 +25,29 @@ def faulty(robot, place=0, size=4, **change):
     return TeamSettings(robots=robots, **change)
 
 
-def own_loop(start, goal, robots, duration, T=4e-3, delay=0.2):
-    """
-    The closed loop written out: an explicit rule of second order on the ordinary differential
-    equations, waves in a queue, trust and the most trusted leader by plain loops.
-    """
-    size, count, late = len(start), round(duration / T), round(delay / T)
-    speed = np.array([robot.speed for robot in robots])[:, None]
-    deaf = [robot.loss == 1.0 for robot in robots]
-    L = np.zeros((size, size))
-    for i in range(size - 1):
-        L[[i, i, i + 1, i + 1], [i, i + 1, i, i + 1]] += [1.0, -1.0, -1.0, 1.0]
-    b, low, high = 2.0, 0.5, 1.0
-    M, B, K, weight, drag = 0.5, 5.5, 20.0, 10.0, 1.0
-    push = 4.0 / (1.0 + 2.0 * delay)
-    far = np.linalg.norm(start - goal, axis=1).max()
-    q, zeta, x, v = start - goal, np.zeros_like(start), np.zeros(3), np.zeros(3)
-    trust_in, trust_of = np.full(size, 0.5), np.full(size, 0.5)
-    to_robot, to_hand, seen = [], [], []
-    leader, since = 0, 0.0
-    places, leaders, levels = [], [], []
-    for k in range(count):
-        t = k * T
-        if k and k % round(0.1 / T) == 0:
-            for i in range(size):
-                rated = 2.0 * speed[i, 0] / (1.0 + speed[i, 0])
-                heard = 0.0 if i == leader and deaf[i] else 1.0
-                keep = np.exp(-0.1 * 0.1)
-                trust_in[i] = keep * trust_in[i] + (1.0 - keep) * round(rated, 3) * heard
-            best = int(np.argmax(trust_in))
-            if trust_in[best] > trust_in[leader] and t - since >= 5.0 - 1e-9:
-                leader, since = best, t
-        places.append(q + goal)
-        leaders.append(leader)
-        levels.append(trust_in.copy())
-        error = -seen[k - late] if k >= late else np.zeros(3)
-        good = max(1.0 - np.linalg.norm(error) / far, 0.0) if k >= late else 0.0
-        beta = low + (high - low) / (1.0 + np.exp(10.0 * (trust_of[leader] - 0.5)))
-        trust_of = trust_of + (1.0 - np.exp(-0.1 * T)) * (good - trust_of)
-        arrived = to_robot[k - late] if k >= late else np.zeros(3)
-        back = to_hand[k - late] if k >= late else np.zeros(3)
-        lead = np.zeros((size, 1))
-        lead[leader] = 1.0
-
-        def slope(q, zeta, x, v, beta=beta, back=back, arrived=arrived, error=error, lead=lead):
-            r_m = v + weight * x
-            f_m = beta * (b * r_m + np.sqrt(2.0 * b / high) * back)
-            force = min(1.0, 6.0 / max(push * np.linalg.norm(error), 1e-12)) * push * error
-            f_s = (speed * (L @ q))[lead[:, 0] > 0.0][0]
-            r_s = (np.sqrt(2.0 * b) * arrived - f_s) / b
-            moves = speed * (L @ zeta - L @ q + lead * r_s)
-            pull = force - drag * r_m - f_m
-            return moves, -speed * (L @ q), v, (pull - B * v - K * x) / M, (r_m, f_m, r_s, f_s)
-
-        parts = (q, zeta, x, v)
-        first = slope(*parts)
-        middle = tuple(p + 0.5 * T * d for p, d in zip(parts, first, strict=False))
-        second = slope(*middle)
-        r_m, f_m, r_s, f_s = second[4]
-        seen.append(middle[0][leader])
-        wave = np.sqrt(low / (2.0 * b)) * (f_m / beta + b * r_m)
-        answer = (f_s - b * r_s) / np.sqrt(2.0 * b)
-        lost = np.zeros(3)
-        to_robot.append(lost if deaf[leader] else wave)
-        to_hand.append(lost if deaf[leader] else answer)
-        q, zeta, x, v = (p + T * d for p, d in zip(parts, second, strict=False))
-    return np.array(places), np.array(leaders), np.array(levels)
+def test_drift_is_a_source():
+    """Negative control: with a robot that drifts V_T rises."""
+    settings = faulty(TeamRobot(drift=0.1))
+    run = simulate_team(CHAIN, settings=settings, duration=60.0, sample_time=0.01)
+    assert np.diff(run.data["v_t"]).max() > 1e-6
 
 
-def test_the_whole_loop_against_an_own_integrator():
-    """A deaf robot that leads at first, and a slow one; leaders equal, places within 1 mm."""
-    robots = (DEAF, TeamRobot(speed=0.4), TeamRobot(), TeamRobot())
-    start, goal = np.random.default_rng(5).uniform(-2.0, 2.0, (4, 3)), np.array([0.5, -1.0, 0.2])
-    run = tl.simulate_team(
-        CHAIN,
-        goal=goal,
-        duration=24.0,
-        operator=TeamOperator(guarded=False),
-        settings=TeamSettings(robots=robots, channel=TeamChannel(filters="none", read_out="hold")),
-        trial=TeamTrial(4e-3, record_every=4e-3, start=start),
-    )
-    places, leaders, levels = own_loop(start, goal, robots, 24.0)
-    np.testing.assert_array_equal(run.data["number"], leaders)
-    assert set(leaders) == {0, 2}
-    np.testing.assert_allclose(run.trust, levels, atol=1e-9)
-    np.testing.assert_allclose(run.positions, places, atol=1e-3)
-
-
-class TestSlowRobots:
-    SETTINGS = TeamSettings(
-        robots=tuple(TeamRobot(speed=s) for s in (1.0, 0.2, 0.5, 0.9)), coupling=2.0, lead_gain=3.0
-    )
-
-    def test_lemmas_6_and_7_hold(self):
-        run = simulate_team(
-            CHAIN,
-            "random",
-            settings=self.SETTINGS,
-            duration=60.0,
-            sample_time=0.01,
-            record_every=0.01,
-            inner=np.random.default_rng(3).normal(size=(4, 3)),
-        )
-        data = run.data
-        for storage, supply, lost in (
-            ("v_fs", "supply_team", "lost_team"),
-            ("v_e", "supply_error", "lost_error"),
-        ):
-            balance = data[storage] - data[supply] + data[lost]
-            assert np.ptp(balance) <= 1e-10 * data[storage].max()
-        assert np.diff(data["v_t"]).max() <= 1e-11 * data["v_t"].max()
-
-    def test_drift_is_a_source(self):
-        """Negative control: with a robot that drifts V_T rises."""
-        settings = TeamSettings(robots=(TeamRobot(drift=0.1),) + (TeamRobot(),) * 3)
-        run = simulate_team(CHAIN, settings=settings, duration=60.0, sample_time=0.01)
-        assert np.diff(run.data["v_t"]).max() > 1e-6
-
-
-class TestMeasures:
-    def test_tracking_of_slow_robots(self):
-        """2 s/(1 + s), in closed form: trust follows it within its time constant."""
-        speeds = (1.0, 0.25, 0.6, 1.0)
-        run = simulate_team(
-            CHAIN,
-            GivenSequence([0]),
-            settings=TeamSettings(robots=tuple(TeamRobot(speed=s) for s in speeds)),
-            duration=60.0,
-            sample_time=0.01,
-            performance="tracking",
-        )
-        rated = [2.0 * s / (1.0 + s) for s in speeds]
-        after = 1.0 - np.exp(-0.1 * 59.9)
-        expected = 0.5 + (np.array(rated) - 0.5) * after
-        np.testing.assert_allclose(run.trust[-1], expected, atol=1e-3)
-
-
-@pytest.mark.parametrize("seeds", [3, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seeds", [3, pytest.param(100, marks=pytest.mark.long)])
 def test_the_most_trusted_robot_is_sooner_at_the_goal(seeds):
     """One deaf robot of four. Negative control: with trust that comes from nothing it is not."""
-    policies = ("most_trusted", "sequence", "random")
+    cases = [(policy, "motion") for policy in ("most_trusted", "sequence", "random")]
+    cases.append(("most_trusted", "random"))
     times = np.empty((seeds, 4))
     for seed in range(seeds):
-        arguments = {
-            "seed": seed,
-            "settings": faulty(DEAF, int(np.random.default_rng([11, seed]).integers(4))),
-            "sample_time": 0.02,
-            "record_every": 0.1,
-            "duration": 200.0,
-        }
-        cases = [(policy, "motion") for policy in policies] + [("most_trusted", "random")]
+        deaf = int(np.random.default_rng([11, seed]).integers(4))
+        arguments = {"seed": seed, "settings": faulty(DEAF, deaf), "duration": 200.0}
+        arguments |= {"sample_time": 0.02, "record_every": 0.1}
         for column, (policy, performance) in enumerate(cases):
             run = simulate_team(nx.cycle_graph(4), policy, performance=performance, **arguments)
             times[seed, column] = run.time_to_goal if run.converged else 200.0
     sooner = times[:, 1:] - times[:, :1]
     assert (sooner.mean(axis=0) > 5.0).all()
-    if seeds > 100:
+    if seeds > 3:
         error = sooner.std(axis=0, ddof=1) / np.sqrt(seeds)
         assert (sooner.mean(axis=0) > 3.0 * error).all()
 

@@ -1,0 +1,189 @@
+"""
+The conditions C1–C5 and rules of one's own, on the ground robot and the UAV that follows.
+
+Oracles: the models, rules and measures of the other rooms, run on the log after the fact; a rule
+applied to what was logged gives the modes that were driven.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.allocation.rules import performance_suggestion
+from trustlab.models.simulation import Simulation
+from trustlab.models.tsc import threshold_mode
+from trustlab.testbeds import drive_modes, published_operator, published_thresholds
+from trustlab.testbeds.deciding import CONDITIONS, SETTLING
+from trustlab.testbeds.uav_following import DURATION, E_MAX, U_MAX
+
+FLIGHT = {"measure": "uav_tracking", "e_max": E_MAX, "u_max": U_MAX, "axes": "xy"}
+BEDS = {
+    "ground_robot": SimpleNamespace(measure={}, low=0.28, high=0.32, first=1),
+    "uav_following": SimpleNamespace(measure=FLIGHT, low=0.45, high=0.52, first=0),
+}
+
+
+@pytest.fixture(scope="module", params=BEDS)
+def bed(request):
+    """A testbed with a run of each condition."""
+    name = request.param
+    runs = {
+        condition: tl.run_condition(condition, testbed=name, participant=2, seed=0)
+        for condition in CONDITIONS
+    }
+    return SimpleNamespace(name=name, runs=runs, **vars(BEDS[name]))
+
+
+def test_the_log_agrees_with_models_and_measures(bed):
+    for run in bed.runs.values():
+        session, model = run.session, run.model
+        used = model.human.simulate(session["mode"])[0]
+        np.testing.assert_allclose(session["r"], used, atol=1e-12)
+        again = session.with_performance(window=100.0, **bed.measure)
+        for name in ("p_r", "p_h"):
+            np.testing.assert_allclose(session[name], again[name], atol=1e-11)
+        tsc = model.value(session["p_r"], session["p_h"])
+        np.testing.assert_allclose(session["tsc"], tsc, atol=1e-12)
+        apart = [session[f"reference_{axis}"] - session[f"robot_{axis}"] for axis in "xy"]
+        np.testing.assert_allclose(session["path_error"], np.hypot(*apart), atol=1e-12)
+        assert session.metadata.synthetic
+
+
+def test_suggestions_are_those_of_the_rules(bed):
+    for name, (algorithm, forced) in CONDITIONS.items():
+        run = bed.runs[name]
+        after = run.session.t >= SETTLING
+        shown, robot = run.session["suggested_mode"], run.model.robot
+        assert (shown[~after] == -1.0).all()
+        expected, now = np.full(after.sum(), -1.0), 1
+        for k, (tsc, p_r) in enumerate(run.session.data[["tsc", "p_r"]][after].to_numpy()):
+            if algorithm == 2:
+                expected[k] = now = threshold_mode(tsc, *run.thresholds, now)
+            elif algorithm == 3:
+                expected[k] = performance_suggestion(p_r, robot.p_min, robot.p_max)
+        np.testing.assert_array_equal(shown[after], expected)
+        if bed.name == "ground_robot" and name != "C1":
+            assert {0.0, 1.0} <= set(expected)
+        if forced:
+            assert set(run.suggestions()["state"]) <= {"followed", "open", "withdrawn"}
+
+
+def test_measures(bed):
+    for name, run in bed.runs.items():
+        session, measures = run.session, run.measures
+        assert measures["p_r"] == session["p_r"].mean()
+        assert measures["switches"] == np.abs(np.diff(session["mode"])).sum()
+        assert np.isnan(measures["followed_percent"]) == (name == "C1")
+        row = run.table().iloc[0]
+        assert (str(row["participant"]), row["condition"], row["synthetic"]) == ("2", name, True)
+        if bed.name == "uav_following":
+            assert len(session) == 10 * DURATION
+            continue
+        laps = np.diff(run.lap_times, prepend=0.0)
+        assert measures["laps"] == laps.size == 8
+        assert measures["duration"] == pytest.approx(run.lap_times[-1])
+        assert laps.min() > 60.0
+        assert laps.max() < 130.0
+        assert measures["lap_time"] == pytest.approx(laps.mean())
+
+
+@pytest.mark.parametrize("condition", CONDITIONS)
+def test_run_condition_as_typed(operators, condition):
+    run = tl.run_condition(condition, participant=2, laps=2, seed=7)
+    thresholds = published_thresholds(2) if condition in ("C2", "C3") else None
+    arguments = condition, published_operator("2"), operators["2"], thresholds
+    assert run.session == tl.run_condition(*arguments, laps=2, seed=7).session
+    assert run.session == tl.run_condition(condition, "2", laps=2, seed=7).session
+    assert (run.thresholds is None) == (thresholds is None)
+
+
+# Rules of one's own
+
+
+class Relay:
+    def __init__(self, low, high, mode):
+        self.low, self.high, self.mode = low, high, mode
+        self.calls = 0
+
+    def step(self, *, tsc, p_r):
+        Relay.last = self  # the run's own copy
+        self.calls += 1
+        return 1 if p_r < self.low else 0 if p_r > self.high else None
+
+
+def test_a_rule_decides_from_what_is_measured(bed):
+    rule = Relay(bed.low, bed.high, bed.first)
+    run = tl.run_condition(rule=rule, participant=2, testbed=bed.name, seed=3)
+    log, now = run.session, bed.first
+    decides = log.t > SETTLING - 0.05
+    modes = []
+    for p_r, decided in zip(log["p_r"], decides, strict=True):
+        if decided:
+            now = 1 if p_r < bed.low else 0 if p_r > bed.high else now
+        modes.append(now)
+    np.testing.assert_array_equal(log["mode"], modes)
+    assert Relay.last.calls == decides.sum()
+    assert rule.calls == 0
+    assert np.count_nonzero(np.diff(modes)) >= 2
+    assert log.metadata.condition == "rule Relay"
+    assert log.metadata.synthetic
+    assert run.measures["followed_percent"] == 100.0
+    if bed.name == "ground_robot":  # these modes, driven as given, give the same log
+        again = drive_modes(np.array(modes), published_operator(2), seed=3)
+        for name in ("p_r", "p_h", "r", "path_error", "robot_x", "yaw"):
+            np.testing.assert_array_equal(again[name], log[name])
+
+
+def test_a_rule_that_says_what_suggestions_say_gives_the_modes_of_2_8(bed):
+    thresholds = bed.runs["C3"].thresholds
+    rule = tl.ThresholdRule(*thresholds)
+    log = tl.run_condition(rule=rule, participant=2, testbed=bed.name, seed=3).session
+    mode = 1
+    for tsc, driven in log.data.loc[log.t > SETTLING - 0.05, ["tsc", "mode"]].to_numpy():
+        mode = threshold_mode(tsc, *thresholds, mode)
+        assert driven == mode
+
+
+def test_a_rule_that_switches_often_is_driven_once(monkeypatch):
+    class Restless:
+        calls = 0
+
+        def step(self, tsc, p_r):
+            Restless.calls += 1
+            return Restless.calls // 10 % 2
+
+    runs = []
+    begin = Simulation.__post_init__
+    monkeypatch.setattr(Simulation, "__post_init__", lambda self: begin(self) or runs.append(self))
+    run = tl.run_condition(rule=Restless(), participant=2, laps=3, seed=3)
+    assert run.measures["switches"] > 100
+    (simulated,) = runs
+    assert simulated.done == run.log.size
+
+
+class Late:
+    def step(self, tsc, p_r):
+        raise RuntimeError("out of data")
+
+
+class Hungry:
+    def step(self, tsc, p_r, r):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("rule", "more", "words"),
+    [
+        (Late(), {}, "rule.step failed at t = 100.0 s, with TSC = .*RuntimeError: out of data"),
+        (Late(), {"testbed": "uav_following"}, "rule.step failed at t = 100.0 s.*out of data"),
+        (Hungry(), {}, r"called as step\(tsc=…, p_r=…\), but is step\(tsc, p_r, r\): missing"),
+        (3, {}, "rule must have a method step"),
+        (Late(), {"condition": "C3"}, "no effect beside rule="),
+        (Late(), {"thresholds": (0.0, 0.3)}, "no effect beside rule="),
+    ],
+)
+def test_rules_that_fail_say_when(rule, more, words):
+    with pytest.raises(ValueError, match=words):
+        tl.run_condition(rule=rule, participant=2, **more)
