@@ -5,10 +5,11 @@ the files on the disk.
 
 import io
 import json
-import os
 import re
+import socket
 import stat
 import threading
+import time
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -18,31 +19,20 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.live.study.plan import file_origin, read_tokens, tokens_path
+from tests.live.study.recording import advance, entries, events, record
+from trustlab.live.study.plan import read_tokens, tokens_path
 from trustlab.live.study.server import StudyServer
-from trustlab.live.trial import read_record
 
 CONSENT = {"page": 0, "answers": {"consent": True}}
+END = {"participant": "P01", "action": "end"}
 
 
-def begun(client, driving_page, url, window="a"):
+def begun(client, driving_page, url):
     """Consent, and begin the training drive."""
     client(f"{url}/answers", CONSENT)
-    page = driving_page(url, window=window)
+    page = driving_page(url)
     assert page.begin()["k"] == 0
     return page
-
-
-def record(plan, code="P01", name="01-training"):
-    """What the log of a drive says."""
-    return read_record(plan.folder / code / f"{name}.jsonl", file_origin(plan.digest, code, name))[
-        0
-    ]
-
-
-def events(plan, code="P01"):
-    path = plan.folder / code / "events.jsonl"
-    return [json.loads(line)[1] for line in path.read_text().splitlines()] if path.exists() else []
 
 
 # who may ask
@@ -78,39 +68,23 @@ def test_foreign_hosts_are_misdirected(served, client):
 def test_forged_origins_change_nothing(served, client, origin):
     origin = origin and origin.format(port=served.server.port)
     for link in (served.links["P01"] + "/answers", served.server.experimenter + "/act"):
-        assert (
-            client(link, {**CONSENT, "participant": "P01", "action": "end"}, Origin=origin).status
-            == 403
-        )
+        assert client(link, CONSENT | END, Origin=origin).status == 403
     assert events(served.plan) == []
 
 
 def test_wrong_tokens_lead_nowhere(served, client):
-    base, token = served.base, read_tokens(served.plan.folder)["P01"]
-    experimenter = read_tokens(served.plan.folder)["experimenter"]
+    tokens = read_tokens(served.plan.folder)
+    token, experimenter = tokens["P01"], tokens["experimenter"]
     last = "A" if token[-1] != "A" else "B"
-    for wrong in (
-        "x" * 22,
-        token[:-1] + last,
-        token.swapcase(),
-        token[:-1],
-        token + "x",
-        experimenter,
-        "P01",
-        "",
-    ):
-        assert client(f"{base}/p/{wrong}").status == 404
-        assert client(f"{base}/p/{wrong}/state").status == 404
-        assert client(f"{base}/p/{wrong}/answers", CONSENT).status == 404
-    for wrong in (token, "x" * 22):
-        assert client(f"{base}/experimenter/{wrong}").status == 404
-        assert client(f"{base}/experimenter/{wrong}/state").status == 404
-        assert (
-            client(
-                f"{base}/experimenter/{wrong}/act", {"participant": "P01", "action": "end"}
-            ).status
-            == 404
-        )
+    near = [token[:-1] + last, token.swapcase(), token[:-1], token + "x"]
+    wrong = [f"p/{each}" for each in ("x" * 22, *near, experimenter, "P01", "")]
+    wrong += [f"experimenter/{each}" for each in (token, "x" * 22)]
+    for place in wrong:
+        link = f"{served.base}/{place}"
+        statuses = [client(link + path).status for path in ("", "/state", "/export")]
+        statuses += [client(f"{link}/{post}", CONSENT | END).status for post in ("answers", "act")]
+        assert set(statuses) == {404}, place
+    assert client(served.links["P01"] + "/export").status == 404
     assert events(served.plan) == []
 
 
@@ -177,11 +151,8 @@ def test_the_participant_is_told_no_condition(served, client, driving_page):
     training = begun(client, driving_page, url)
     for path in ("", "/state"):
         said += client(url + path).content
-    order = served.plan.orders["P01"]
-    page = next(step.index for step in served.plan.steps("P01") if step.page.name == "drive")
     participant = served.server.participant("P01")
-    for index in range(1, page):
-        participant.add("page", page=index, name="x", attempt=0, link="")
+    page = advance(participant, "drive")
     participant.add(
         "model", page=2, attempt=0, source="", why="", **served.plan.content["stand_in"]
     )
@@ -190,8 +161,8 @@ def test_the_participant_is_told_no_condition(served, client, driving_page):
     said += client(f"{url}/state").content + json.dumps(answer).encode()
     said += json.dumps(training.drive(0, 5)).encode()
     assert not re.search(rb"\bC[1-5]\b", said)
-    name = f"{page:02d}-drive"
-    assert record(served.plan, name=name).header["condition"] == order[0]  # the lab knows
+    drive = record(served.plan, name=f"{page:02d}-drive")
+    assert drive.header["condition"] == served.plan.orders["P01"][0]  # the lab knows
 
 
 def test_foreign_pages_cannot_drive(served, client, driving_page):
@@ -212,22 +183,9 @@ def test_foreign_pages_cannot_drive(served, client, driving_page):
 
 
 def test_messages_that_are_none(served, client, driving_page):
+    """Commands that nobody can give are those of `test_trial.py`."""
     page = begun(client, driving_page, served.links["P01"])
-    good = [0.3, 0.1, 1]
-    for bad in (
-        good[:-1],
-        [*good, 0.0],
-        [*good[:-1], 2],
-        [9.0, *good[1:]],
-        ["0", *good[1:]],
-        {},
-        3,
-    ):
-        answer = page.say(k=0, commands=[bad], seen=0)
-        assert "refused" in answer, bad
-        assert "This page cannot go on" in answer["refused"]
-    for message in ({"k": None, "commands": [good]}, {"k": 0, "commands": good}, {"k": 0}):
-        assert set(page.say(**message, seen=0)) & {"refused", "k"}
+    assert "This page cannot go on" in page.say(k=0, commands=[[9.0, 0.1, 1]], seen=0)["refused"]
     for text in ("", "{", "[]", "3", '{"k": NaN}', "[" * 5000, '"\\ud83d"'):
         page.socket.send(text)
         assert "refused" in json.loads(page.socket.recv())
@@ -239,12 +197,9 @@ def test_words_that_no_file_can_hold_are_refused(served, client):
     """Half of a pair of code units, as JSON lets it pass."""
     url = served.links["P01"]
     client(url + "/answers", CONSENT)
-    participant = served.server.participant("P01")
-    page = next(step for step in participant.steps if step.page.name == "satisfaction")
-    for index in range(1, page.index):
-        participant.add("page", page=index, name="x", attempt=0, link="")
+    page = advance(served.server.participant("P01"), "satisfaction")
     answers = '{"satisfaction": 4, "comfort": 4, "control": 4, "remark": "\\ud800 hi"}'
-    body = f'{{"page": {page.index}, "answers": {answers}}}'.encode()
+    body = f'{{"page": {page}, "answers": {answers}}}'.encode()
     refused = client(f"{url}/answers", body)
     assert (refused.status, refused.json["error"]) == (400, "remark: this answer cannot be taken")
     note = b'{"participant": "P01", "action": "note", "text": "\\ud800"}'
@@ -252,66 +207,36 @@ def test_words_that_no_file_can_hold_are_refused(served, client):
     assert client(f"{served.server.experimenter}/export").status == 200
 
 
-def test_connections_are_capped_and_slow_heads_time_out(served, client, monkeypatch):
-    import socket
-    import time
-
-    place = ("127.0.0.1", served.server.port)
-    held = [socket.create_connection(place, timeout=30) for _ in range(150)]
-    closed = 0
-    for each in held[-20:]:
-        each.settimeout(2.0)
-        with suppress(TimeoutError, ConnectionError):
-            closed += each.recv(1) == b""
-    assert closed == 20, "beyond a hundred of an address"
-    for each in held[50:]:
-        each.close()
-    began = time.monotonic()
-    for each in held[:50]:
-        each.sendall(b"GET /")
-    held[0].settimeout(30.0)
-    assert held[0].recv(100) == b""
-    assert 5.0 < time.monotonic() - began < 20.0
-    assert client(served.links["P01"] + "/state").status == 200
-    for each in held[:50]:
-        each.close()
+def test_connections_are_capped_and_slow_heads_time_out(make_plan, client, monkeypatch):
+    monkeypatch.setattr("trustlab.live.study.server.HEADER_TIME", 2.0)
+    with StudyServer(make_plan()) as server:
+        place = ("127.0.0.1", server.port)
+        held = [socket.create_connection(place, timeout=30) for _ in range(150)]
+        closed = 0
+        for each in held[-20:]:
+            each.settimeout(2.0)
+            with suppress(TimeoutError, ConnectionError):
+                closed += each.recv(1) == b""
+        assert closed == 20, "beyond a hundred of an address"
+        for each in held[50:]:
+            each.close()
+        began = time.monotonic()
+        for each in held[:50]:
+            each.sendall(b"GET /")
+        assert held[0].recv(100) == b""
+        assert 1.0 < time.monotonic() - began < 10.0
+        assert client(server.links()["P01"] + "/state").status == 200
+        for each in held[:50]:
+            each.close()
 
 
 # what is kept
 # --------------------------------------------------------------------------------------------------
 
 
-def test_commands_are_on_the_disk_when_they_are_acknowledged(
-    served, client, driving_page, monkeypatch
-):
+def test_a_disk_that_is_full_acknowledges_nothing(served, client, driving_page, full_disk, caplog):
     page = begun(client, driving_page, served.links["P01"])
-    synced, fsync = [], os.fsync
-
-    def note(handle):
-        fsync(handle)
-        synced.append(os.fstat(handle).st_size)
-
-    monkeypatch.setattr(os, "fsync", note)
-    for first in (0, 5, 10):
-        answer = page.drive(first, 5)
-        assert (answer["k"], answer["done"]) == (first + 5, False)
-        path = served.plan.folder / "P01" / "01-training.jsonl"
-        assert synced[-1] == path.stat().st_size
-    assert page.drive(3, 20)["k"] == 23  # sent again with more
-    assert page.drive(40, 5)["k"] == 23
-    assert len(record(served.plan).commands) == 23
-
-
-def test_a_disk_that_is_full_acknowledges_nothing(
-    served, client, driving_page, monkeypatch, caplog
-):
-    page = begun(client, driving_page, served.links["P01"])
-
-    def full(handle):
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "fsync", full)
+    with full_disk():
         for _ in range(2):
             assert "cannot save at the moment" in page.drive(0, 5)["trouble"]
         seen = client(f"{served.server.experimenter}/state").json
@@ -328,11 +253,8 @@ def test_a_disk_that_is_full_acknowledges_nothing(
 def test_a_second_click_and_a_second_window_find_the_page_done(served, client):
     url = served.links["P01"]
     with ThreadPoolExecutor(8) as pool:
-        found = [
-            answer.status
-            for answer in pool.map(lambda _: client(f"{url}/answers", CONSENT), range(8))
-        ]
-    assert sorted(found) == [200, *[409] * 7]
+        answers = list(pool.map(lambda _: client(f"{url}/answers", CONSENT), range(8)))
+    assert sorted(answer.status for answer in answers) == [200, *[409] * 7]
     assert [event["kind"] for event in events(served.plan)] == ["page"]
     assert client(f"{url}/state").json["page"] == 1
     for page in (-1, 1.0, "0", None, True, 10**30):
@@ -430,15 +352,19 @@ def test_the_experimenter_sees_adds_and_ends(served, client, driving_page):
     assert [one["text"] for one in seen["P01"]["notes"]] == [note["text"]]
     assert seen["P02"]["seconds_ago"] is None
     for body in (
-        {"participant": "P09", "action": "end"},
-        {"participant": "P01", "action": "overview"},
+        END | {"participant": "P09"},
+        END | {"participant": []},
+        END | {"action": "overview"},
         {},
-        {"participant": [], "action": "end"},
+        note | {"text": "x" * 1001},
     ):
         assert client(f"{experimenter}/act", body).status == 400
-    long = {"participant": "P01", "action": "note", "text": "x" * 1001}
-    assert client(f"{experimenter}/act", long).status == 400
-    assert client(f"{experimenter}/act", {"participant": "P01", "action": "end"}).status == 200
+    archive = client(f"{experimenter}/export")
+    assert (archive.status, archive.headers["Content-Type"]) == (200, "application/zip")
+    with zipfile.ZipFile(io.BytesIO(archive.content)) as files:
+        people = pd.read_parquet(io.BytesIO(files.read("participants.parquet")))
+    assert people["pages_done"].tolist() == [1, 0, 0]
+    assert client(f"{experimenter}/act", END).status == 200
     assert client(served.links["P01"] + "/state").json["kind"] == "end"
     table = tl.read_live_study(served.plan.folder).participants.set_index("participant")
     assert table.loc["P01", "ended"]
@@ -461,21 +387,6 @@ def test_people_decline_and_withdraw(served, client, driving_page):
     assert table["withdrawn"].to_dict() == {"P01": True, "P02": True, "P03": False}
     seen = client(served.server.experimenter + "/state").json["people"]
     assert [person["withdrawn"] for person in seen] == [True, True, False]
-
-
-def test_everything_is_exported_as_a_zip_with_a_readme(served, client, driving_page):
-    url = served.links["P01"]
-    begun(client, driving_page, url)
-    answer = client(served.server.experimenter + "/export")
-    assert (answer.status, answer.headers["Content-Type"]) == (200, "application/zip")
-    archive = zipfile.ZipFile(io.BytesIO(answer.content))
-    names = ["participants", "answers", "measures", "samples", "items", "exclusions", "faults"]
-    files = {f"{name}.{kind}" for name in names for kind in ("csv", "parquet")}
-    assert set(archive.namelist()) == files | {"README.txt"}
-    people = pd.read_parquet(io.BytesIO(archive.read("participants.parquet")))
-    assert people["pages_done"].tolist() == [1, 0, 0]
-    assert client(url + "/export").status == 404
-    assert client(f"{served.base}/experimenter/{'x' * 22}/export").status == 404
 
 
 def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, driving_page):
@@ -513,9 +424,9 @@ def test_nothing_about_a_person_is_kept_but_what_the_documentation_lists(
     about = {"at", "kind", "page", "name", "answers", "condition", "position", "attempt", "rows"}
     assert kept == about | {"link"}
     path = served.plan.folder / "P01" / "01-training.jsonl"
-    header, *entries = [json.loads(line)[1] for line in path.read_text().splitlines()]
+    header, *rest = entries(path)
     assert set(header) == {"settings", "version", "sources", "condition", "source", "why"}
-    kept = {key for entry in entries for key in entry}
+    kept = {key for entry in rest for key in entry}
     assert kept == {"at", "window", "note", "commands", "seen", "rows", "end"}
     words = "".join(path.read_text() for path in served.plan.folder.rglob("*") if path.is_file())
     assert not re.search(r"Mozilla|secret|10\.1\.2\.3|127\.0\.0\.1", words)
