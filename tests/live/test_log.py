@@ -72,17 +72,6 @@ def test_lines_taken_out_put_in_or_exchanged_are_found_by_number(tmp_path):
         assert read_log(path, "a").fault.startswith(f"rows.jsonl, line {number}:")
 
 
-def test_a_write_that_fails_leaves_no_half_line(tmp_path, full_disk):
-    path = tmp_path / "rows.jsonl"
-    log = Log(path, "a")
-    log.append([[0]])
-    with full_disk(), pytest.raises(OSError, match="No space"):
-        log.append([[1]])
-    log.append([[1]])
-    assert read_log(path, "a").entries == [[0], [1]]
-    assert read_log(path, "a").fault == ""
-
-
 def test_a_disk_that_is_full_takes_half_a_line_back(tmp_path):
     """A limit on a file's size, as a real disk sets it: the write stops in the middle of a line."""
     path = tmp_path / "rows.jsonl"

@@ -105,3 +105,13 @@ def served(make_plan):
     plan = make_plan()
     with StudyServer(plan) as server:
         yield SimpleNamespace(plan=plan, server=server, links=server.links(), base=server.base)
+
+
+@pytest.fixture
+def page(served, client):
+    """The first participant's page, which has consented and begun the training drive."""
+    link = served.links["P01"]
+    client(f"{link}/answers", {"page": 0, "answers": {"consent": True}})
+    begun = DrivingPage(link)
+    assert begun.begin()["k"] == 0
+    return begun

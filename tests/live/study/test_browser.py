@@ -10,7 +10,6 @@ import random
 import re
 import time
 
-import numpy as np
 import pytest
 
 import trustlab as tl
@@ -18,7 +17,7 @@ from tests.live.study.recording import advance, record
 from tests.live.study.test_crashes import Server, plant_torn_line
 from trustlab.live.study.plan import read_tokens
 from trustlab.live.study.server import StudyServer
-from trustlab.live.task import LiveTask, task_of
+from trustlab.live.task import LiveTask
 
 Error = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").Error
 ATTACK = '<script>window.top.fired=1</script><img src=x onerror="window.top.fired=1">'
@@ -168,22 +167,6 @@ def check_report(study, browser):
         assert heading in words
     assert re.search(r"p_r by condition.*N = 3.*2 conditions", words), words[1000:2500]
     assert str(study.plan.folder.parent) not in path.read_text()
-
-
-@pytest.mark.long
-def test_a_drive_of_sixty_seconds_in_real_time_is_verified(make_plan, browser):
-    plan = make_plan(training=60.0)
-    with StudyServer(plan) as server:
-        page = driving(browser.new_context(), server.links()["P01"])
-        page.keyboard.down("ArrowUp")
-        until(page, "self.study.page === 2", 120)
-    drive = record(plan)
-    assert len(drive.rows) == 600
-    assert drive.fault(task_of(drive.settings)) == ""
-    speed = np.array(drive.commands)[:, 0]
-    assert speed.max() > 0.0
-    # the key was down, but for the ramp and where the page slept
-    assert (speed == speed.max()).sum() > 500
 
 
 # what goes wrong

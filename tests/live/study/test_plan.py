@@ -74,20 +74,23 @@ def test_folders_that_hold_no_study(tmp_path):
 
 def test_the_command_line_plans_deletes_and_complains(tmp_path, monkeypatch, capsys):
     served = []
-    monkeypatch.setattr(
-        planning.LiveStudy,
-        "serve",
-        lambda plan, *where, **options: served.append((plan.folder.name, *where)),
-    )
-    folder = tmp_path / "mystudy"
-    assert main([str(folder), "--delete", "P01"]) == 2
-    assert main([str(folder)]) == 0
-    assert main([str(folder), "--port", "9000"]) == 0
-    assert served == [("mystudy", "127.0.0.1", 8765), ("mystudy", "127.0.0.1", 9000)]
-    assert len(tl.LiveStudy.open(folder).orders) == 20
-    assert main([str(folder), "--delete", "P07"]) == 0
-    assert tl.LiveStudy.open(folder).deleted() == ["P07"]
-    assert main([str(folder), "--delete", "P99"]) == 2
+
+    def serve(plan, *where, **options):
+        served.append(where)
+
+    monkeypatch.setattr(planning.LiveStudy, "serve", serve)
+    folder = str(tmp_path / "mystudy")
+    for options, code in (
+        (["--delete", "P01"], 2),
+        ([], 0),
+        (["--port", "9000"], 0),
+        (["--delete", "P07"], 0),
+        (["--delete", "P99"], 2),
+    ):
+        assert main([folder, *options]) == code
+    assert served == [("127.0.0.1", 8765), ("127.0.0.1", 9000)]
+    plan = tl.LiveStudy.open(folder)
+    assert (len(plan.orders), plan.deleted()) == (20, ["P07"])
     said = capsys.readouterr()
     assert "A new study: C1 to C5, 20 participants" in said.out
     assert "error: participant must be one of 'P01'" in said.err
@@ -138,10 +141,11 @@ def test_a_rule_of_ones_own_is_driven(make_plan):
     log = drive_rows(config, lambda mode, suggested: mode if suggested < 0 else suggested)
     standing, expected = 1, []
     for t, value in zip(0.1 * log.index, log["r"] - 0.5 * log["p_h"], strict=True):
-        standing = 0 if value >= 0.3 else 1 if value <= 0.1 else standing
         if t < 100.0 - 1e-9:
-            standing = 1
-        expected.append(standing if t >= 100.0 - 1e-9 else -1)
+            expected.append(-1)
+            continue
+        standing = 0 if value >= 0.3 else 1 if value <= 0.1 else standing
+        expected.append(standing)
     assert log["suggested_mode"].tolist() == expected
     assert set(log["mode"]) == {0, 1}
     session = TASK.session(config, log.to_numpy())

@@ -27,14 +27,6 @@ CONSENT = {"page": 0, "answers": {"consent": True}}
 END = {"participant": "P01", "action": "end"}
 
 
-def begun(client, driving_page, url):
-    """Consent, and begin the training drive."""
-    client(f"{url}/answers", CONSENT)
-    page = driving_page(url)
-    assert page.begin()["k"] == 0
-    return page
-
-
 # who may ask
 # --------------------------------------------------------------------------------------------------
 
@@ -146,22 +138,21 @@ def test_answers_tell_browsers_to_run_and_fetch_nothing_else(served, client):
     assert stat.S_IMODE(tokens_path(served.plan.folder).stat().st_mode) == 0o600
 
 
-def test_the_participant_is_told_no_condition(served, client, driving_page):
+def test_the_participant_is_told_no_condition(served, client, page, driving_page):
     url, said = served.links["P01"], b""
-    training = begun(client, driving_page, url)
     for path in ("", "/state"):
         said += client(url + path).content
     participant = served.server.participant("P01")
-    page = advance(participant, "drive")
+    number = advance(participant, "drive")
     participant.add(
         "model", page=2, attempt=0, source="", why="", **served.plan.content["stand_in"]
     )
-    answer = driving_page(url, page).begin()
+    answer = driving_page(url, number).begin()
     assert answer["config"]["columns"]
     said += client(f"{url}/state").content + json.dumps(answer).encode()
-    said += json.dumps(training.drive(0, 5)).encode()
+    said += json.dumps(page.drive(0, 5)).encode()
     assert not re.search(rb"\bC[1-5]\b", said)
-    drive = record(served.plan, name=f"{page:02d}-drive")
+    drive = record(served.plan, name=f"{number:02d}-drive")
     assert drive.header["condition"] == served.plan.orders["P01"][0]  # the lab knows
 
 
@@ -182,9 +173,8 @@ def test_foreign_pages_cannot_drive(served, client, driving_page):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_messages_that_are_none(served, client, driving_page):
+def test_messages_that_are_none(served, page):
     """Commands that nobody can give are those of `test_trial.py`."""
-    page = begun(client, driving_page, served.links["P01"])
     assert "This page cannot go on" in page.say(k=0, commands=[[9.0, 0.1, 1]], seen=0)["refused"]
     for text in ("", "{", "[]", "3", '{"k": NaN}', "[" * 5000, '"\\ud83d"'):
         page.socket.send(text)
@@ -234,8 +224,7 @@ def test_connections_are_capped_and_slow_heads_time_out(make_plan, client, monke
 # --------------------------------------------------------------------------------------------------
 
 
-def test_a_disk_that_is_full_acknowledges_nothing(served, client, driving_page, full_disk, caplog):
-    page = begun(client, driving_page, served.links["P01"])
+def test_a_disk_that_is_full_acknowledges_nothing(served, client, page, full_disk, caplog):
     with full_disk():
         for _ in range(2):
             assert "cannot save at the moment" in page.drive(0, 5)["trouble"]
@@ -261,8 +250,7 @@ def test_a_second_click_and_a_second_window_find_the_page_done(served, client):
         assert client(f"{url}/answers", CONSENT | {"page": page}).status in (400, 409)
 
 
-def test_a_drive_is_done_when_its_commands_are(served, client, driving_page):
-    page = begun(client, driving_page, served.links["P01"])
+def test_a_drive_is_done_when_its_commands_are(served, client, page):
     assert page.drive(0, 99)["done"] is False
     assert page.drive(99, 5)["done"] is True
     done = record(served.plan)
@@ -322,16 +310,16 @@ def test_only_a_proxy_leads_people_here_from_other_machines(make_plan, client):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, client, driving_page):
-    url, act = served.links["P01"], served.server.experimenter + "/act"
-    page = begun(client, driving_page, url)
+def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(
+    served, client, page, driving_page
+):
+    act = served.server.experimenter + "/act"
     page.drive(0, 5)
-    restart = {"participant": "P01", "action": "restart"}
-    assert client(act, restart | {"page": 0}).status == 400  # no drive
-    assert client(act, restart | {"page": 2}).status == 400  # not begun
-    assert client(act, restart | {"page": 1}).status == 200
+    for number, status in ((0, 400), (2, 400), (1, 200)):  # no drive, not begun, begun
+        restart = {"participant": "P01", "action": "restart", "page": number}
+        assert client(act, restart).status == status
     assert page.drive(5, 5) == {"done": True}
-    again = driving_page(url)
+    again = driving_page(served.links["P01"])
     assert again.begin()["k"] == 0
     first, second = record(served.plan), record(served.plan, name="01-training.2")
     assert (len(first.rows), len(second.commands)) == (5, 0)
@@ -340,9 +328,8 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, clien
     assert tl.read_live_study(served.plan.folder).faults().empty
 
 
-def test_the_experimenter_sees_adds_and_ends(served, client, driving_page):
+def test_the_experimenter_sees_adds_and_ends(served, client, page):
     experimenter = served.server.experimenter
-    page = begun(client, driving_page, served.links["P01"])
     told = {"fps": 60, "x": "no", "y": None}
     page.say(k=0, commands=[[0.3, 0.1, 1]] * 5, seen=0, telemetry=told)
     note = {"participant": "P01", "action": "note", "text": "<script>alert(1)</script> spoke"}
@@ -371,31 +358,28 @@ def test_the_experimenter_sees_adds_and_ends(served, client, driving_page):
     assert table.loc["P01", "notes"] == note["text"]
 
 
-def test_people_decline_and_withdraw(served, client, driving_page):
-    decliner, leaver = served.links["P01"], served.links["P02"]
+def test_people_decline_and_withdraw(served, client, page):
+    leaver, decliner = served.links["P01"], served.links["P02"]
     assert client(f"{decliner}/withdraw", {}).json["title"] == "You have stopped"
-    page = begun(client, driving_page, leaver)
     page.drive(0, 5)
-    client(f"{leaver}/withdraw", {})
-    client(f"{leaver}/withdraw", {})
+    for _ in range(2):
+        client(f"{leaver}/withdraw", {})
     assert page.drive(5, 5) == {"done": True}
-    assert record(served.plan, "P02").end == "the participation ended"
+    assert record(served.plan).end == "the participation ended"
     assert client(f"{leaver}/state").json["kind"] == "end"
-    ends = [event for event in events(served.plan, "P02") if event["kind"] == "end"]
+    ends = [event for event in events(served.plan) if event["kind"] == "end"]
     assert [event["source"] for event in ends] == ["participant"]
-    table = tl.read_live_study(served.plan.folder).participants.set_index("participant")
-    assert table["withdrawn"].to_dict() == {"P01": True, "P02": True, "P03": False}
+    table = tl.read_live_study(served.plan.folder).participants
     seen = client(served.server.experimenter + "/state").json["people"]
+    assert table["withdrawn"].tolist() == [True, True, False]
     assert [person["withdrawn"] for person in seen] == [True, True, False]
 
 
-def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, driving_page):
-    url = served.links["P01"]
-    page = begun(client, driving_page, url)
+def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, page):
     page.drive(0, 5)
     served.plan.delete("P01")
     for path in ("", "/state"):
-        assert client(url + path).status == 404
+        assert client(served.links["P01"] + path).status == 404
     assert page.drive(5, 5) == {"done": True}
     assert not (served.plan.folder / "P01").exists()
     seen = client(served.server.experimenter + "/state").json
@@ -448,7 +432,7 @@ def nonsense(rng, depth=0):
     return str(rng.choice(words)) if kind < 2 else known[rng.integers(len(known))]
 
 
-def test_random_bodies_and_messages_make_no_mistake(served, client, driving_page):
+def test_random_bodies_and_messages_make_no_mistake(served, client, page):
     """What is refused is refused by a number below 500, and lets nothing in."""
     rng = np.random.default_rng(0)
     experimenter = served.server.experimenter
@@ -456,7 +440,6 @@ def test_random_bodies_and_messages_make_no_mistake(served, client, driving_page
     links += [f"{served.base}/join/{'x' * 22}", f"{served.base}/p/{'y' * 22}/answers"]
     found = [client(links[k % 5], nonsense(rng)).status for k in range(400)]
     assert not [status for status in found if status >= 500]
-    page = begun(client, driving_page, served.links["P01"])
     for _ in range(400):
         page.socket.send(json.dumps(nonsense(rng)))
         answer = json.loads(page.socket.recv())

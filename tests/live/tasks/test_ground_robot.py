@@ -2,7 +2,6 @@
 Settings, drives and hands of the ground robot live. Oracles: Table 2.1 as printed.
 """
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -31,13 +30,12 @@ def test_the_live_task_is_as_hard_as_people_found_it():
         assert min(most) - 0.02 < hand[signal] < max(most) + 0.02, signal
 
 
-def test_a_live_session_is_one_like_any_other(tmp_path):
+def test_a_live_session_knows_its_laps():
     session = driven(drive_config("C3", MODEL, (0.0, 0.35), laps=2, seed=3))
     assert session.sample_time == 0.1
-    assert len(session.metadata.more["lap_times"]) == 2
-    assert session.metadata.more["lap_times"][-1] == pytest.approx(session.t[-1])
-    again = tl.read_session(tl.write_session(session, tmp_path / "live.csv"))
-    np.testing.assert_array_equal(again["p_r"], session["p_r"])
+    laps = session.metadata.more["lap_times"]
+    assert len(laps) == 2
+    assert laps[-1] == pytest.approx(session.t[-1])
 
 
 def test_an_identification_drive_is_fitted():
