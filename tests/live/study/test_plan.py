@@ -110,7 +110,7 @@ def test_conditions_and_courses_of_ones_own_are_driven(make_plan):
     """A notice of 10 s, on another course. Oracle: time from suggestion to switch in the log."""
     slow = tl.LiveCondition("slow", suggestions="tsc", forced=True, notice=10.0)
     course = tl.testbeds.Course(((0, 0), (9, 0), (9, 9), (0, 9)), radius=2.0)
-    options = {"course": course, "laps": 3, "training": 5.0, "rehearsal": True}
+    options = {"course": course, "laps": 2, "training": 5.0, "rehearsal": True}
     plan = make_plan(["C3", slow], 2, **options)
     assert make_plan(["C3", slow], 2, **options).content == plan.content
     with pytest.raises(ValueError, match="holds a frozen plan with other own_conditions"):
