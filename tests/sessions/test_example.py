@@ -2,7 +2,6 @@
 
 import numpy as np
 import pandas as pd
-import pytest
 
 import trustlab as tl
 from tests.house.documents import ROOT
@@ -14,8 +13,3 @@ def test_the_pilot_is_the_file_of_the_repository_wherever_one_works(tmp_path, mo
     session = tl.sessions.example("pilot")
     assert session.metadata.synthetic
     np.testing.assert_array_equal(session.data[["mode", "p_r", "p_h"]], file)
-
-
-def test_a_misspelt_example_lists_those_there_are():
-    with pytest.raises(ValueError, match=r"one of 'pilot', got 'pilott'; did you mean 'pilot'\?"):
-        tl.sessions.example("pilott")

@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 from tests.sessions.logs import bag_of_numbers, table_recipe
-from tests.sessions.test_bags import COLUMNS, RESAMPLED, TF, lab_bag, turtles  # noqa: F401
 from tests.sessions.test_recipes import LAB
 from trustlab.sessions import (
     RecipeError,
@@ -22,6 +21,7 @@ GOOD = HEAD + "0,1,1\n1,0,1\n"
 PLAIN = '[columns]\np_r = { column = "p_r" }\n'
 TIME = '[time]\nunit = "s"\n'
 GRID = '[resampling]\nmethod = "linear"\nsample_time = 1\n'
+BACK = HEAD + "0,1,1\n1,1,1\n2,0,1\n0.5,0,1\n1.5,1,1\n2.5,1,1\n"
 LOGS = {
     "empty": ("", None, ["the file is empty"], None),
     "blank": (" \n\n", None, ["line 1: is empty; the names of the columns"], None),
@@ -101,6 +101,18 @@ LOGS = {
         None,
         ["line 4, column t: time repeats (1.0 s, then 1.0 s)", '[time] repeated = "first"'],
         TIME + 'repeated = "first"\n' + PLAIN,
+    ),
+    "backwards": (
+        BACK,
+        PLAIN,
+        ["line 5, column t: time runs backwards", "[time] sort = true", '[time] jumps = "split"'],
+        TIME + "sort = true\n" + PLAIN,
+    ),
+    "split": (
+        BACK,
+        TIME + 'jumps = "split"\n' + PLAIN,
+        ["splits the log into 2 sessions; read_sessions"],
+        None,
     ),
     "irregular": (
         GOOD + "3,0,1\n4,0,1\n",

@@ -114,21 +114,6 @@ def test_parts_are_cut_where_time_jumps(tmp_path_factory, steps):
     assert note.endswith(f"gaps of more than 1 s; {short} too short")
 
 
-BACK = "t,a\n0,1\n1,2\n2,3\n0.5,4\n1.5,5\n2.5,6\n"
-
-
-def test_a_clock_that_jumps_back_is_mended_by_the_remedy_named(read, tmp_path):
-    with pytest.raises(SessionError, match="line 5, column t: time runs backwards") as caught:
-        read(BACK, PLAIN)
-    for line in ("sort = true", 'jumps = "split"'):
-        assert line in str(caught.value)
-        text = f'[files]\npattern = "run.csv"\n[time]\nunit = "s"\n{line}\n{PLAIN}'
-        starts = [each.t[0] for each in read_sessions(tmp_path, table_recipe(text))]
-        assert starts == ([0.0] if "sort" in line else [0.0, 0.5])
-    with pytest.raises(SessionError, match="splits the log into 2 sessions; read_sessions"):
-        read(BACK, text)
-
-
 # --- blanks -------------------------------------------------------------------------------------
 
 

@@ -109,7 +109,8 @@ def wait_for_commands(plan, at_least, seconds=20):
 
 
 def test_three_people_at_once_from_consent_to_report(make_plan, browser):
-    plan = make_plan(rehearsal=True)
+    course = tl.testbeds.Course(((0, 0), (4, 0), (4, 4), (0, 4)), radius=1.0)
+    plan = make_plan(rehearsal=True, course=course)
     with StudyServer(plan) as server:
         experimenter = opened(browser.new_context(), server.experimenter)
         people = {code: opened(browser.new_context(), url) for code, url in server.links().items()}
@@ -135,14 +136,10 @@ def test_three_people_at_once_from_consent_to_report(make_plan, browser):
         assert " of " not in experimenter.inner_text("tbody tr td:nth-child(3)")
         assert experimenter.faults == []
     study = tl.read_live_study(plan.folder)
-    measures = study.measures
+    measures = study.measures.sort_values(["participant", "position"])
     assert study.participants["complete"].all()
-    assert measures[["verified", "synthetic"]].all(axis=None)
-    assert study.exclusions().empty
-    by_person = measures.sort_values(["participant", "position"]).groupby("participant")
-    assert by_person["condition"].agg(list).to_dict() == plan.orders
-    scores = ["tlx_raw", "trust_mean", "satisfaction_mean", "p_r", "p_h"]
-    assert measures[scores].notna().all(axis=None)
+    assert measures["verified"].all()
+    assert measures.groupby("participant")["condition"].agg(list).to_dict() == plan.orders
     answers = study.answers()
     assert len(answers) == 3 * (1 + 2 * (6 + 12 + 4))
     assert answers["text"].str.contains("<script>").sum() == 6
