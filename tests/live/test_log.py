@@ -7,7 +7,7 @@ import resource
 import signal
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 from trustlab.live.log import Log, LogError, read_log
 
@@ -46,7 +46,6 @@ def test_a_file_cut_anywhere_gives_its_whole_lines(entries, cut, tmp_path_factor
     assert (reading.entries, reading.fault) == ([*entries[:whole], "after"], "")
 
 
-@settings(max_examples=200)
 @given(entries=ENTRIES.filter(bool), place=st.integers(min_value=0), bit=st.integers(0, 7))
 def test_every_bit_that_is_changed_is_found(entries, place, bit, tmp_path_factory):
     path, data = logged(tmp_path_factory, entries)

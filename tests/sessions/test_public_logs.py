@@ -9,11 +9,11 @@ that distance is the integral of speed.
 
 import hashlib
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 import pytest
+from rosbags.highlevel import AnyReader
 
 from trustlab.sessions import external_data, read_session
 from trustlab.sessions.recipe import Recipe
@@ -69,28 +69,17 @@ vehicle = { from = "vehicle" }
 """
 
 
-class Log(NamedTuple):
-    """
-    A public log: where it is (repository at commit: path), its licence, its SHA-256 and our recipe.
-    """
-
-    source: str
-    licence: str
-    digest: str
-    recipe: str
-
-
+# By name: the SHA-256 and our recipe.
 LOGS = {
-    "example.bag": Log(
-        "https://github.com/facontidavide/PlotJuggler at ddcbd05b: datasamples/example.bag",
-        "MPL-2.0",
+    # https://github.com/facontidavide/PlotJuggler at ddcbd05b: datasamples/example.bag; MPL-2.0.
+    "example.bag": (
         "6f8b495a7215a03099836955e1ffbf80f2abaff7f8bd65a1bdf9e52c809cef5d",
         TURTLES,
     ),
-    "log_CT19_10_3.csv": Log(
-        "https://github.com/M-Colley/roads-chi25-data at 7e0c504: "
-        "ClearedLogs/ClearedLogs/LogsDay4/CT19/10/log_CT19_10_3.csv",
-        "MIT (its LICENSE), CC BY 4.0 (its README)",
+    # https://github.com/M-Colley/roads-chi25-data at 7e0c504:
+    # ClearedLogs/ClearedLogs/LogsDay4/CT19/10/log_CT19_10_3.csv; MIT (its LICENSE), CC BY 4.0 (its
+    # README).
+    "log_CT19_10_3.csv": (
         "897b7e9e3ba054eca0977c2c6e69c5a72abb70ca1446d514c18d50758212ef40",
         REMOTE,
     ),
@@ -101,18 +90,16 @@ def public(name):
     """
     Return the path of a log and its recipe; skip where it is absent, fail where it is another file.
     """
-    log, folder = LOGS[name], external_data("public_logs")
+    (digest, recipe), folder = LOGS[name], external_data("public_logs")
     if folder is None or not (folder / name).is_file():
         pytest.skip(f"needs public logs, listed with sources in {Path(__file__).name}")
-    assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == log.digest
-    return folder / name, Recipe.from_toml(log.recipe)
+    assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
+    return folder / name, Recipe.from_toml(recipe)
 
 
 def test_a_turtle_that_follows_another():
     path, recipe = public("example.bag")
     session = read_session(path, recipe=recipe)
-    from rosbags.highlevel import AnyReader
-
     times, heights = [], []
     with AnyReader([path]) as reader:
         for connection, stamp, data in reader.messages():
