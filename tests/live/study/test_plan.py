@@ -19,7 +19,7 @@ from trustlab.live.tasks.ground_robot import TASK, Drive
 from trustlab.testbeds.ground_robot.kernel import COLUMNS
 
 
-def test_the_plan_is_frozen_and_opens_again(make_plan, tmp_path):
+def test_the_plan_is_frozen_and_opens_again(make_plan):
     plan = make_plan()
     before = (plan.folder / "study.json").read_bytes()
     design = tl.latin_square_design(["C1", "C3"], ["P01", "P02", "P03"], 0, whole_squares=False)

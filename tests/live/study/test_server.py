@@ -182,7 +182,7 @@ def test_words_that_no_file_can_hold_are_refused(served, client):
 
 
 def test_connections_are_capped_and_slow_heads_time_out(make_plan, client, monkeypatch):
-    monkeypatch.setattr("trustlab.live.study.server.HEADER_TIME", 2.0)
+    monkeypatch.setattr("trustlab.live.study.server.HEADER_TIME", 5.0)
     with StudyServer(make_plan()) as server:
         place = ("127.0.0.1", server.port)
         held = [socket.create_connection(place, timeout=30) for _ in range(150)]
@@ -198,7 +198,7 @@ def test_connections_are_capped_and_slow_heads_time_out(make_plan, client, monke
         for each in held[:50]:
             each.sendall(b"GET /")
         assert held[0].recv(100) == b""
-        assert 1.0 < time.monotonic() - began < 10.0
+        assert 1.0 < time.monotonic() - began < 15.0
         assert client(server.links()["P01"] + "/state").status == 200
         for each in held[:50]:
             each.close()
