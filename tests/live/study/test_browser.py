@@ -110,7 +110,8 @@ def wait_for_commands(plan, at_least, seconds=20):
 
 def test_three_people_at_once_from_consent_to_report(make_plan, browser):
     course = tl.testbeds.Course(((0, 0), (4, 0), (4, 4), (0, 4)), radius=1.0)
-    plan = make_plan(rehearsal=True, course=course)
+    brief = {"training": 5.0, "identification": [(1, 5.0), (0, 5.0)], "course": course}
+    plan = make_plan(rehearsal=True, **brief)
     with StudyServer(plan) as server:
         experimenter = opened(browser.new_context(), server.experimenter)
         people = {code: opened(browser.new_context(), url) for code, url in server.links().items()}

@@ -82,6 +82,8 @@ def test_groups_are_the_factor_between_subjects(tmp_path):
     )
     assert effects.equals(oracle.table())
     assert effects.to_string().count("group") > 1
+    with pytest.raises(ValueError, match="dv must be one of"):
+        study.analysis("forces")
 
 
 def test_after_its_time_a_form_is_handed_in_as_it_is(make_plan, pages):
