@@ -51,12 +51,21 @@ def test_a_person_leads_a_team_in_the_browser(tmp_path, through):
     plan = tl.LiveStudy(tmp_path / "s", ["by_hand", "suggested"], 2, task="team", **settings)
     said = []
 
-    def act(page):
+    def lead(page):
         until(page, f"{K} > 4")
         pointing(page, 0.9, 0.5)
         page.keyboard.press("2")
+
+    def act(page):
+        lead(page)
         until(page, f"{K} > 10")
         said.append(page.inner_text("#drive"))
+        if len(said) == 2:
+            number = page.evaluate("self.study.page")
+            page.reload()  # the run goes on behind the last command
+            next_page(page, number - 1)
+            go_on(page, "drive")
+            lead(page)
         until(page, "!document.querySelector('#drive')")
 
     study = through(plan, act)
@@ -68,6 +77,7 @@ def test_a_person_leads_a_team_in_the_browser(tmp_path, through):
         assert last == pytest.approx([0.9, 0.5], abs=0.02)
     by_hand = next(s for s in study.sessions() if s.metadata.condition == "by_hand")
     assert by_hand["leader"][-1] == 2, "from the end of the dwell time on"
+    assert study.measures["pauses"].max() >= 1, "the page was loaded again"
     assert study.measures["period_median"].tolist() == pytest.approx([0.05, 0.05], abs=0.02)
 
 
