@@ -14,20 +14,17 @@ distributed = pytest.importorskip("distributed")
 
 @pytest.mark.filterwarnings("ignore::trustlab.campaign.CampaignWarning")
 def test_dask_gives_the_table_of_the_serial_run(tmp_path):
-    def task(i, x, seed):
-        if i == 7:
-            raise ValueError("as asked")
-        return {"draw": np.random.default_rng(seed).normal(), "x": repr(x), "process": os.getpid()}
-
     # Tuples that begin with a function are calls to a Dask graph.
     values = [("a", 1), [(len, "abc")], {"k": "task-0"}, "task-0", np.arange(3), None]
-    runs = tl.parameter_grid(i=range(10), x=values)
-    runs = [{"i": run["i"], "value": run["x"]} for run in runs]
+    runs = [{"i": i, "value": value} for i in range(10) for value in values]
 
-    def valued(i, value, seed):
-        return task(i, value, seed)
+    def task(i, value, seed):
+        if i == 7:
+            raise ValueError("as asked")
+        draw = np.random.default_rng(seed).normal()
+        return {"draw": draw, "x": repr(value), "process": os.getpid()}
 
-    serial = tl.run_campaign(valued, runs, seed=3, n_jobs=1)
+    serial = tl.run_campaign(task, runs, seed=3, n_jobs=1)
     with (
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
@@ -35,7 +32,7 @@ def test_dask_gives_the_table_of_the_serial_run(tmp_path):
         distributed.Client(cluster),
         joblib.parallel_config("dask"),
     ):
-        table = tl.run_campaign(valued, runs, seed=3, out=tmp_path)
+        table = tl.run_campaign(task, runs, seed=3, out=tmp_path)
     assert os.getpid() not in set(table["process"])
     assert table["process"].nunique() == 2
     both = [frame.drop(columns=["process", "traceback"]) for frame in (serial, table)]

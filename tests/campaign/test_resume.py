@@ -170,10 +170,10 @@ def test_values_that_are_not_plain_are_compared_by_content(tmp_path):
     def total(x, seed):
         return {"y": float(np.sum(x))}
 
-    for _ in range(2):
+    for resumed in (0, 2):
         table = go(tmp_path, [{"x": np.arange(n)} for n in (3, 4)], total)
         assert table["y"].tolist() == [3.0, 6.0]
-    assert table.attrs["resumed"] == 2
+        assert table.attrs["resumed"] == resumed
     with pytest.raises(CampaignError, match="parameters of run 1 were"):
         go(tmp_path, [{"x": np.arange(n)} for n in (3, 5)], total)
 

@@ -1,6 +1,8 @@
-"""Chromium for the tests that drive and fly in it."""
+"""Chromium for the tests that drive and fly in it, and a disk that is full."""
 
+import os
 import shutil
+from contextlib import contextmanager
 
 import pytest
 
@@ -26,3 +28,19 @@ def browser(chromium):
     started = chromium.launch(**OPTIONS)
     yield started
     started.close()
+
+
+@pytest.fixture
+def full_disk(monkeypatch):
+    """A context in which nothing can be saved."""
+
+    def full(handle):
+        raise OSError(28, "No space left on device")
+
+    @contextmanager
+    def disk():
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "fsync", full)
+            yield
+
+    return disk

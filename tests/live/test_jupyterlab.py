@@ -16,9 +16,6 @@ from pathlib import Path
 
 import pytest
 
-import trustlab as tl
-from trustlab.live.tasks.team import LeadingSettings
-
 pytestmark = pytest.mark.long
 pytest.importorskip("jupyterlab", reason="JupyterLab is not installed")
 pytest.importorskip("notebook", reason="Notebook 7 is not installed")
@@ -55,12 +52,13 @@ def compiled(tmp_path_factory):
     Compile, here and once, what the notebooks' kernels will find on disk: on a fresh machine it
     takes longer than a page waits.
     """
-    folder = tmp_path_factory.mktemp("logs")
-    lives = (
-        tl.LiveGroundRobot("C1", model=tl.published_models()["2"], laps=1, log=folder / "a.jsonl"),
-        tl.LiveTracking("TMIG", task=tl.TrackingTask(view=1.0), log=folder / "b.jsonl"),
-        tl.LiveTeam("by_hand", LeadingSettings(duration=60.0), log=folder / "c.jsonl"),
-    )
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        lives = []
+        for source in (DRIVE, FLY, LEAD):
+            scope = {}
+            exec(source, scope)
+            lives.append(scope["live"])
     for live in lives:
         live.trial.take({"begin": True})
         least = [live.trial.settings["limits"][name][0] for name in live.trial.settings["commands"]]
@@ -107,11 +105,8 @@ class Opened:
 
     def __init__(self, browser, lab, name, cells):
         application, address, home = lab
-        notebook = {
-            "nbformat": 4,
-            "nbformat_minor": 5,
-            "metadata": {"kernelspec": {"name": "python3", "display_name": "Python 3"}},
-        }
+        kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3"}}
+        notebook = {"nbformat": 4, "nbformat_minor": 5, "metadata": kernel}
         code = {"cell_type": "code", "metadata": {}, "execution_count": None, "outputs": []}
         notebook["cells"] = [
             code | {"id": f"cell-{i}", "source": source} for i, source in enumerate(cells)

@@ -114,21 +114,17 @@ def test_topics_with_the_same_stamps_need_no_resampling(tmp_path):
     assert called["mode"].tolist() == [1, 1, 0, 1, 1]
 
 
-def held(path, stamps):
-    """Write a bag whose modes are held, at 0 to 20 s and 30 to 40 s of measurements."""
-    bag = Bag(path)
-    for t in [*range(21), *range(30, 41)]:
-        bag.add("/p", t, NUMBER, data=0.01 * t)
-    for k, t in enumerate(stamps):
-        bag.add("/mode", t, NUMBER, data=float(k % 2))
-    return bag.write()
-
-
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("stamp", [25.0, 29.9, 30.0, 30.1])
 def test_a_message_that_holds_into_the_end_of_a_gap(tmp_path, name, stamp):
+    """Modes are held, at 0 to 20 s and 30 to 40 s of measurements."""
     (tmp_path / "logs").mkdir()
-    held(tmp_path / "logs" / name, [0.0, 10.0, stamp])
+    bag = Bag(tmp_path / "logs" / name)
+    for t in [*range(21), *range(30, 41)]:
+        bag.add("/p", t, NUMBER, data=0.01 * t)
+    for t, mode in ((0.0, 0.0), (10.0, 1.0), (stamp, 0.0)):
+        bag.add("/mode", t, NUMBER, data=mode)
+    bag.write()
     recipe = bag_recipe(f"""[files]
 pattern = "{name}"
 [splitting]

@@ -74,14 +74,10 @@ def test_mixed_initiative_measures_are_3_27():
     scales = {"window": 0.1, "measure": "mixed_initiative", "e_max": 9.0, "u_max": 8.0}
     session = arm(mode=alpha)
     measured = session.with_performance(axes="yz", **scales)
-    e, off_a, off_h = (
-        norm(session, *pair, axes="yz")
-        for pair in (("reference", "robot"), ("u_a", "u_i"), ("u_h", "u_i"))
-    )
-    np.testing.assert_allclose(
-        measured["p_r"], (1 - off_a / 8) * (1 - (1 - alpha) * e / 9), atol=1e-12
-    )
-    np.testing.assert_allclose(measured["p_h"], (1 - off_h / 8) * (1 - alpha * e / 9), atol=1e-12)
+    e = norm(session, "reference", "robot", "yz")
+    for name, command, share in (("p_r", "u_a", 1 - alpha), ("p_h", "u_h", alpha)):
+        quality = 1 - norm(session, command, "u_i", "yz") / 8
+        np.testing.assert_allclose(measured[name], quality * (1 - share * e / 9), atol=1e-12)
     assert measured.metadata.more["performance"] == "(3.26), (3.27), window 0.1 s"
     # α comes before the mode.
     both = arm(alpha=alpha).with_performance(**scales)

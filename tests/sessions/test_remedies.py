@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 from tests.sessions.logs import bag_of_numbers, table_recipe
-from tests.sessions.test_bags import COLUMNS, RESAMPLED, TF, lab_bag, turtles  # noqa: F401
 from tests.sessions.test_recipes import LAB
 from trustlab.sessions import (
     RecipeError,
@@ -22,6 +21,7 @@ GOOD = HEAD + "0,1,1\n1,0,1\n"
 PLAIN = '[columns]\np_r = { column = "p_r" }\n'
 TIME = '[time]\nunit = "s"\n'
 GRID = '[resampling]\nmethod = "linear"\nsample_time = 1\n'
+BACK = HEAD + "0,1,1\n1,1,1\n2,0,1\n0.5,0,1\n1.5,1,1\n2.5,1,1\n"
 LOGS = {
     "empty": ("", None, ["the file is empty"], None),
     "blank": (" \n\n", None, ["line 1: is empty; the names of the columns"], None),
@@ -101,6 +101,18 @@ LOGS = {
         None,
         ["line 4, column t: time repeats (1.0 s, then 1.0 s)", '[time] repeated = "first"'],
         TIME + 'repeated = "first"\n' + PLAIN,
+    ),
+    "backwards": (
+        BACK,
+        PLAIN,
+        ["line 5, column t: time runs backwards", "[time] sort = true", '[time] jumps = "split"'],
+        TIME + "sort = true\n" + PLAIN,
+    ),
+    "split": (
+        BACK,
+        TIME + 'jumps = "split"\n' + PLAIN,
+        ["splits the log into 2 sessions; read_sessions"],
+        None,
     ),
     "irregular": (
         GOOD + "3,0,1\n4,0,1\n",
@@ -198,33 +210,32 @@ def test_the_first_fault_of_a_recipe_names_table_and_key(tmp_path, old, new, wor
 
 
 def test_what_is_not_there_or_of_no_known_kind(read, tmp_path):
+    """Single arguments that are wrong are those of the walk in `tests/test_contract.py`."""
     read(GOOD)
     own = write_session(read(GOOD), tmp_path / "own.mcap")
     bag = bag_of_numbers(tmp_path / "a.mcap", [0, 1], values=[0, 1])
     (tmp_path / "run.sas7bdat").write_bytes(b"x")
-    for call, words in [
+    for path, options, words in [
+        (tmp_path / "rum.csv", {}, "no file at this path; did you mean 'run.csv'?"),
+        ("rum.csv", {}, "no file at this path (looked in "),
+        ("a\0.csv", {}, "path must be a path, got 'a"),
+        (tmp_path / "run.sas7bdat", {}, "then trustlab.read_frame(frame)"),
+        (bag, {}, "not written by trustlab, so it needs a recipe (topics: /e)"),
+        (own, {"columns": ["p_rr"]}, "'p_rr' is missing; did you mean 'p_r'?"),
+        (own, {"delimiter": ";"}, "delimiter and decimal do not apply to .mcap"),
+        (own, {"recipe": table_recipe(PLAIN)}, "'recipe' reads a table, but this is a bag"),
+        (tmp_path / "run.csv", {"recipe": "ros_ground_robt"}, "did you mean 'ros_ground_robot'?"),
         (
-            lambda: read_session(tmp_path / "rum.csv"),
-            "no file at this path; did you mean 'run.csv'?",
+            tmp_path / "run.csv",
+            {"recipe": table_recipe(PLAIN), "delimiter": ";"},
+            "beside a recipe: state them in its [table]",
         ),
-        (lambda: read_session("rum.csv"), "no file at this path (looked in "),
-        (lambda: read_session("a\0.csv"), "path must be a path, got 'a"),
-        (lambda: read_session(tmp_path / "run.sas7bdat"), "then trustlab.read_frame(frame)"),
-        (lambda: read_session(bag), "not written by trustlab, so it needs a recipe (topics: /e)"),
-        (lambda: read_session(own, columns=["p_rr"]), "'p_rr' is missing; did you mean 'p_r'?"),
-        (lambda: read_session(own, delimiter=";"), "delimiter and decimal do not apply to .mcap"),
-        (lambda: read_sessions(tmp_path / "run.csv"), "read a single file with read_session"),
-        (lambda: load_recipe("ros_ground_robt"), "did you mean 'ros_ground_robot'? (known: "),
-        (
-            lambda: read_session(own, table_recipe(PLAIN)),
-            "'recipe' reads a table, but this is a bag",
-        ),
-        (lambda: read(GOOD, PLAIN, delimiter=";"), "beside a recipe: state them in its [table]"),
-        (lambda: write_session(read(GOOD), tmp_path / "a.cvs"), "did you mean '.csv'?"),
     ]:
         with pytest.raises(ValueError) as caught:
-            call()
+            read_session(path, **options)
         assert words in str(caught.value)
+    with pytest.raises(ValueError, match="read a single file with read_session"):
+        read_sessions(tmp_path / "run.csv")
 
 
 def test_what_a_frame_lacks():

@@ -114,21 +114,6 @@ def test_parts_are_cut_where_time_jumps(tmp_path_factory, steps):
     assert note.endswith(f"gaps of more than 1 s; {short} too short")
 
 
-BACK = "t,a\n0,1\n1,2\n2,3\n0.5,4\n1.5,5\n2.5,6\n"
-
-
-def test_a_clock_that_jumps_back_is_mended_by_the_remedy_named(read, tmp_path):
-    with pytest.raises(SessionError, match="line 5, column t: time runs backwards") as caught:
-        read(BACK, PLAIN)
-    for line in ("sort = true", 'jumps = "split"'):
-        assert line in str(caught.value)
-        text = f'[files]\npattern = "run.csv"\n[time]\nunit = "s"\n{line}\n{PLAIN}'
-        starts = [each.t[0] for each in read_sessions(tmp_path, table_recipe(text))]
-        assert starts == ([0.0] if "sort" in line else [0.0, 0.5])
-    with pytest.raises(SessionError, match="splits the log into 2 sessions; read_sessions"):
-        read(BACK, text)
-
-
 # --- blanks -------------------------------------------------------------------------------------
 
 
@@ -225,14 +210,15 @@ def test_a_recipe_resamples_each_column_by_its_own_rule(read):
     assert caller.metadata.more["resampled"].startswith("previous at 1 s")
 
 
-@pytest.mark.parametrize(("gap", "warned"), [(1.3, True), (0.9, False)])
+@pytest.mark.parametrize(("gap", "warned"), [(1.3, 1), (0.9, 0)])
 def test_a_gap_that_resampling_bridges_is_told(recwarn, gap, warned):
     """More than ten of the log's steps, and of the new ones."""
     frame = pd.DataFrame({"t": [0.0, 0.1, 0.2, 0.3, 0.4, 0.4 + gap], "p_r": 0.3})
     read_frame(frame, resample="linear", sample_time=0.05)
-    words = [str(each.message) for each in recwarn]
-    start = "data frame: resampling bridges a gap of 1.3 s at t = 0.4 s; "
-    assert [each.startswith(start) for each in words] == [True] * warned
+    assert len(recwarn) == warned
+    for each in recwarn:
+        start = "data frame: resampling bridges a gap of 1.3 s at t = 0.4 s; "
+        assert str(each.message).startswith(start)
 
 
 # --- what is doubted ----------------------------------------------------------------------------

@@ -37,7 +37,7 @@ PLAIN = st.recursive(
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(
     values=st.lists(FINITE, min_size=2, max_size=5),
     start=st.floats(-1e9, 1e9),

@@ -14,27 +14,23 @@ from trustlab.live.study.server import StudyServer
 SHORT = {"laps": 1, "training": 10.0, "identification": [(1, 20.0), (0, 20.0)]}
 
 
-def ask(url, body=None, *, method=None, host=None, path=None, **headers):
+def ask(url, body=None, *, host=None, path=None, **headers):
     """
     One request, as a page of the study would send it but for what is given; returns status, headers
     and JSON or bytes.
     """
     place = urlsplit(url)
     link = http.client.HTTPConnection(place.hostname, place.port, timeout=60)
-    own = {"Host": host or place.netloc}
-    data = None
+    own, data = {"Host": host or place.netloc}, None
     if body is not None:
         data = body if isinstance(body, bytes) else json.dumps(body).encode()
         own |= {"Content-Type": "application/json", "Origin": f"http://{place.netloc}"}
+        own["Content-Length"] = str(len(data))
     own |= {name.replace("_", "-"): value for name, value in headers.items()}
-    link.putrequest(
-        method or ("GET" if body is None else "POST"), path or place.path, skip_host=True
-    )
+    link.putrequest("GET" if data is None else "POST", path or place.path, skip_host=True)
     for name, value in own.items():
         if value is not None:
             link.putheader(name, value)
-    if data is not None:
-        link.putheader("Content-Length", str(len(data)))
     try:
         link.endheaders(data)
         answer = link.getresponse()
@@ -43,10 +39,12 @@ def ask(url, body=None, *, method=None, host=None, path=None, **headers):
         return SimpleNamespace(status=0, headers={}, content=b"", json={})
     finally:
         link.close()
-    kind = answer.headers.get("Content-Type", "")
-    found = json.loads(content) if "json" in kind and content else {}
+    json_sent = content and "json" in answer.headers.get("Content-Type", "")
     return SimpleNamespace(
-        status=answer.status, headers=answer.headers, content=content, json=found
+        status=answer.status,
+        headers=answer.headers,
+        content=content,
+        json=json.loads(content) if json_sent else {},
     )
 
 
@@ -89,12 +87,8 @@ def make_plan(tmp_path):
     def make(conditions=("C1", "C3"), participants=3, name="mystudy", **options):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            return tl.LiveStudy(
-                tmp_path / name,
-                list(conditions),
-                participants,
-                **{"whole_squares": False, **SHORT, **options},
-            )
+            options = {"whole_squares": False, **SHORT, **options}
+            return tl.LiveStudy(tmp_path / name, list(conditions), participants, **options)
 
     return make
 
@@ -105,3 +99,13 @@ def served(make_plan):
     plan = make_plan()
     with StudyServer(plan) as server:
         yield SimpleNamespace(plan=plan, server=server, links=server.links(), base=server.base)
+
+
+@pytest.fixture
+def page(served, client):
+    """The first participant's page, which has consented and begun the training drive."""
+    link = served.links["P01"]
+    client(f"{link}/answers", {"page": 0, "answers": {"consent": True}})
+    begun = DrivingPage(link)
+    assert begun.begin()["k"] == 0
+    return begun

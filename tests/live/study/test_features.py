@@ -53,17 +53,15 @@ def names(plan, code):
 
 
 def test_groups_fill_squares_of_their_own_and_have_pages_of_their_own(make_plan, pages):
-    plan = make_plan(participants={"told": 4, "untold": 4}, pages=pages, whole_squares=True)
+    options = {"participants": {"told": 4, "untold": 4}, "pages": pages, "whole_squares": True}
+    plan = make_plan(**options)
     assert list(plan.orders) == [f"P0{i}" for i in range(1, 9)]
     assert Counter(plan.groups.values()) == {"told": 4, "untold": 4}
     for group in ("told", "untold"):
-        firsts = [plan.orders[code][0] for code, name in plan.groups.items() if name == group]
-        assert Counter(firsts) == {"C1": 2, "C3": 2}
-        for code, name in plan.groups.items():
-            assert ("secret" in names(plan, code)) == (name == "told")
-    same = make_plan(
-        participants={"told": 4, "untold": 4}, pages=pages, whole_squares=True, name="again"
-    )
+        codes = [code for code, name in plan.groups.items() if name == group]
+        assert Counter(plan.orders[code][0] for code in codes) == {"C1": 2, "C3": 2}
+        assert {"secret" in names(plan, code) for code in codes} == {group == "told"}
+    same = make_plan(**options, name="again")
     assert same.groups == plan.groups
     column = tl.read_live_study(plan.folder).participants.set_index("participant")["group"]
     assert column.to_dict() == plan.groups
@@ -84,6 +82,8 @@ def test_groups_are_the_factor_between_subjects(tmp_path):
     )
     assert effects.equals(oracle.table())
     assert effects.to_string().count("group") > 1
+    with pytest.raises(ValueError, match="dv must be one of"):
+        study.analysis("forces")
 
 
 def test_after_its_time_a_form_is_handed_in_as_it_is(make_plan, pages):
@@ -93,10 +93,12 @@ def test_after_its_time_a_form_is_handed_in_as_it_is(make_plan, pages):
     now = participation.state()
     assert now["seconds"] == 1
     assert base64.b64decode(now["picture"].partition(",")[2]) == PNG
-    with pytest.raises(AnswerError):
-        participation.answers({"page": 1, "answers": {"second": "yes"}})
-    with pytest.raises(AnswerError):
-        participation.answers({"page": 1, "late": True, "answers": {"first": 9}})
+    for refused in (
+        {"answers": {"second": "yes"}},
+        {"late": True, "answers": {"first": 9}},
+    ):
+        with pytest.raises(AnswerError):
+            participation.answers({"page": 1, **refused})
     participation.answers({"page": 1, "late": True, "answers": {"second": "yes"}})
     study = tl.read_live_study(plan.folder)
     assert study.answers().query("page == 'hurry'")["item"].tolist() == ["second"]

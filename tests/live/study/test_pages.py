@@ -69,66 +69,34 @@ def names(pages, order=("C2", "C1")):
 
 def test_the_course_of_a_participant():
     drive = ["drive", "nasa_tlx", "trust", "satisfaction"]
-    assert names(read_pages()) == [
-        "consent",
-        "training",
-        "identification",
-        *drive,
-        "pause",
-        *drive,
-        "debriefing",
-    ]
+    course = ["consent", "training", "identification", *drive, "pause", *drive, "debriefing"]
+    assert names(read_pages()) == course
     steps = steps_of(read_pages(), ["C2", "C1"])
-    assert [(s.condition, s.position) for s in steps if s.page.name == "drive"] == [
-        ("C2", 1),
-        ("C1", 2),
-    ]
-    assert [s.page.title for s in steps if s.page.name == "drive"] == [
-        "Drive 1 of 2",
-        "Drive 2 of 2",
-    ]
-    assert [s.name for s in steps[:4]] == [
-        "00-consent",
-        "01-training",
-        "02-identification",
-        "03-drive",
-    ]
+    drives = [(s.condition, s.position, s.page.title) for s in steps if s.page.name == "drive"]
+    assert drives == [("C2", 1, "Drive 1 of 2"), ("C1", 2, "Drive 2 of 2")]
+    assert [s.name for s in steps[2:4]] == ["02-identification", "03-drive"]
 
 
-def test_items_are_those_that_the_questionnaires_score():
-    pages = {page.name: page for page in read_pages()}
-    scale = {
-        name: [item.name for item in page.items if item.kind == "scale"]
-        for name, page in pages.items()
-    }
-    assert scale["nasa_tlx"] == list(NASA_TLX.items)
-    assert scale["trust"] == list(TRUST_CHECKLIST.items)
-    assert scale["satisfaction"] == list(satisfaction_scale().items)
-    ends = {
-        name: {(i.low, i.high, i.step) for i in page.items if i.kind == "scale"}
-        for name, page in pages.items()
-    }
-    assert (ends["nasa_tlx"], ends["trust"], ends["satisfaction"]) == (
-        {(0, 100, 5)},
-        {(1, 7, 1)},
-        {(1, 7, 1)},
-    )
+@pytest.mark.parametrize(
+    ("name", "questionnaire", "ends"),
+    [
+        ("nasa_tlx", NASA_TLX, (0, 100, 5)),
+        ("trust", TRUST_CHECKLIST, (1, 7, 1)),
+        ("satisfaction", satisfaction_scale(), (1, 7, 1)),
+    ],
+)
+def test_items_are_those_that_the_questionnaires_score(name, questionnaire, ends):
+    page = next(page for page in read_pages() if page.name == name)
+    scales = [item for item in page.items if item.kind == "scale"]
+    assert [item.name for item in scales] == list(questionnaire.items)
+    assert {(item.low, item.high, item.step) for item in scales} == {ends}
 
 
 def test_own_pages_stand_where_they_say(toml):
     pages = read_pages(files=toml(OWN))
     drive = ["drive", "ease", "nasa_tlx", "trust", "satisfaction"]
-    course = [
-        "consent",
-        "hours",
-        "training",
-        "identification",
-        *drive,
-        *drive,
-        "last",
-        "debriefing",
-    ]
-    assert names(pages) == course
+    before = ["consent", "hours", "training", "identification"]
+    assert names(pages) == [*before, *drive, *drive, "last", "debriefing"]
     by_name = {page.name: page for page in pages}
     assert by_name["consent"].title == "Einverständnis"
     assert by_name["consent"].items[0].kind == "check"  # what a file does not give stays
@@ -143,9 +111,8 @@ def test_answers_that_a_page_takes(toml):
     pages = {page.name: page for page in read_pages(files=toml(OWN))}
     hours = {"games": 5, "late": 1, "hand": "left"}
     assert pages["hours"].check(hours) == hours
-    assert pages["last"].check({"words": "<script>"}) == {"words": "<script>"}
-    assert pages["last"].check({"words": ""}) == {"words": ""}
-    assert pages["last"].check({"words": "x" * 1000})
+    for words in ("<script>", "", "x" * 1000):
+        assert pages["last"].check({"words": words}) == {"words": words}
     refused = [
         {"games": 0},
         {"games": 6},
@@ -158,17 +125,12 @@ def test_answers_that_a_page_takes(toml):
         {"games": [3]},
         {"hand": {}},
     ]
-    for change in refused:
+    wrong = [("hours", hours | change) for change in refused]
+    wrong += [("hours", answers) for answers in (None, [], "x", {}, {"games": 3})]
+    wrong += [("last", {"words": words}) for words in ("x" * 1001, 3, None, "a\0b")]
+    for name, answers in [*wrong, ("consent", {"consent": False})]:
         with pytest.raises(AnswerError):
-            pages["hours"].check(hours | change)
-    for answers in (None, [], "x", {}, {"games": 3}):
-        with pytest.raises(AnswerError):
-            pages["hours"].check(answers)
-    for words in ("x" * 1001, 3, None, "a\0b"):
-        with pytest.raises(AnswerError):
-            pages["last"].check({"words": words})
-    with pytest.raises(AnswerError):
-        pages["consent"].check({"consent": False})
+            pages[name].check(answers)
 
 
 @pytest.mark.parametrize(
@@ -188,6 +150,12 @@ def test_faults_of_a_file_are_named(toml, text, said):
         read_pages(files=toml(text))
 
 
+def shape(page):
+    """All of a page but its words."""
+    items = [(i.name, i.kind, i.low, i.high, i.step, i.reversed) for i in page.items]
+    return page.name, page.kind, page.section, page.scored, items
+
+
 HOLE = re.compile(r"\{(\w+)\}")
 
 
@@ -201,17 +169,7 @@ def test_every_language_has_the_same_messages_pages_and_items():
         for name, text in words.items():
             assert set(HOLE.findall(text)) == set(HOLE.findall(english[name])), name
         for page, model in zip(read_pages(language), pages, strict=True):
-            assert (page.name, page.kind, page.section, page.scored) == (
-                model.name,
-                model.kind,
-                model.section,
-                model.scored,
-            )
-            shapes = [
-                [(i.name, i.kind, i.low, i.high, i.step, i.reversed) for i in p.items]
-                for p in (page, model)
-            ]
-            assert shapes[0] == shapes[1]
+            assert shape(page) == shape(model)
     with pytest.raises(ValueError, match="language must be one of 'de', 'en'"):
         read_pages("fr")
 

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
+from tests.live.study.recording import entries, events
 from trustlab.live.study.drives import FROM_FIT, FROM_PART, FROM_STAND_IN, identified
 from trustlab.live.study.export import write_export
 from trustlab.live.study.settings import model_of
@@ -33,31 +34,31 @@ items = [
 """
 
 
+def planned(folder, participants, seconds, **more):
+    """A study of two conditions to be rehearsed, with short drives."""
+    phases = [(1, seconds), (0, seconds)]
+    course = tl.testbeds.Course(((0, 0), (4, 0), (4, 4), (0, 4)), radius=1.0)
+    short = {"laps": 1, "training": 5.0, "identification": phases, "rehearsal": True}
+    with pytest.warns(UserWarning, match="nobody may switch"):
+        return tl.LiveStudy(
+            folder / "mystudy", ["C1", "C3"], participants, course=course, **short, **more
+        )
+
+
 @pytest.fixture(scope="module")
 def rehearsed(tmp_path_factory):
     """
-    A rehearsed study of two conditions; in the first participant's second drive the computer makes
-    a mistake of a millionth.
+    A rehearsed study; in the first participant's second drive the computer makes a mistake of a
+    millionth.
     """
     folder = tmp_path_factory.mktemp("studies")
     (folder / "pages.toml").write_text(OWN_PAGE)
-    short = {
-        "laps": 1,
-        "training": 5.0,
-        "identification": [(1, 10.0), (0, 10.0)],
-        "pages": folder / "pages.toml",
-    }
-    with pytest.warns(UserWarning, match="nobody may switch"):
-        plan = tl.LiveStudy(folder / "mystudy", ["C1", "C3"], 4, rehearsal=True, **short)
+    plan = planned(folder, 2, 10.0, pages=folder / "pages.toml")
     do = Trial._do
 
     def changed(trial, commands):
         do(trial, commands)
-        if (
-            trial.log.path.parent.name == "P01"
-            and trial.log.path.name == "09-drive.jsonl"
-            and trial.rows
-        ):
+        if trial.log.path == plan.folder / "P01" / "09-drive.jsonl" and trial.rows:
             trial.rows[7][trial.settings["columns"].index("p_r")] += 1e-6
             patched.undo()
 
@@ -69,64 +70,53 @@ def rehearsed(tmp_path_factory):
 
 def test_measures_are_those_of_the_files(rehearsed):
     measures = rehearsed.measures.set_index(["participant", "condition"])
-    assert len(measures) == 8
+    assert len(measures) == 4
+    assert measures["synthetic"].all()
     for (code, condition), row in measures.iterrows():
-        for path in (rehearsed.plan.folder / code).glob("*-drive.jsonl"):
-            header, *entries = [json.loads(line)[1] for line in path.read_text().splitlines()]
-            if header["condition"] == condition:
-                break
-        rows = [row for entry in entries for row in entry.get("rows", [])]
+        logs = map(entries, (rehearsed.plan.folder / code).glob("*-drive.jsonl"))
+        header, *rest = next(log for log in logs if log[0]["condition"] == condition)
+        rows = [row for entry in rest for row in entry.get("rows", [])]
         table = pd.DataFrame(rows, columns=header["settings"]["columns"])
         assert row["p_r"] == pytest.approx(table["p_r"].mean(), rel=1e-13)
         assert row["duration"] == pytest.approx((len(table) - 1) * 0.1, abs=1e-9)
         assert row["position"] == rehearsed.plan.orders[code].index(condition) + 1
-        assert row["synthetic"]
-        events = [
-            json.loads(line)[1]
-            for line in (rehearsed.plan.folder / code / "events.jsonl").read_text().splitlines()
-        ]
         own = {
             event["name"]: event["answers"]
-            for event in events
+            for event in events(rehearsed.plan, code)
             if event.get("condition") == condition and "answers" in event
         }
         assert row["tlx_raw"] == pytest.approx(sum(own["nasa_tlx"].values()) / 6)
         turned = ("deceptive", "underhanded", "suspicious", "wary", "harmful")
         trust = [8 - x if name in turned else x for name, x in own["trust"].items()]
         assert row["trust_mean"] == pytest.approx(sum(trust) / 12)
-        assert row["satisfaction_mean"] == pytest.approx(
-            sum(own["satisfaction"][n] for n in ("satisfaction", "comfort", "control")) / 3
-        )
+        satisfaction = [own["satisfaction"][n] for n in ("satisfaction", "comfort", "control")]
+        assert row["satisfaction_mean"] == pytest.approx(sum(satisfaction) / 3)
 
 
 def test_answers_are_all_there_and_own_questionnaires_scored(rehearsed):
     answers = rehearsed.answers()
-    assert len(answers) == 4 * (1 + 3 + 2 * 22)
-    games = answers[answers["page"] == "hours"].set_index(["participant", "item"])
+    assert len(answers) == 2 * (1 + 3 + 2 * 22)
+    hours = answers[answers["page"] == "hours"].set_index(["participant", "item"])
     scores = rehearsed.scores()["hours"].scores.set_index("participant")["hours_mean"]
     for code, score in scores.items():
-        assert (
-            score
-            == (games.loc[(code, "games"), "answer"] + 6 - games.loc[(code, "late"), "answer"]) / 2
-        )
-        assert games.loc[(code, "hand"), "text"] in ("left", "right")
+        games, late = (hours.loc[(code, name), "answer"] for name in ("games", "late"))
+        assert score == (games + 6 - late) / 2
+        assert hours.loc[(code, "hand"), "text"] in ("left", "right")
     assert answers.attrs["origin"] == "scripted hands, no person took part"
 
 
 def test_sessions_are_like_any_other_and_the_folder_is_as_it_was(rehearsed):
-    before = {path: path.stat().st_mtime_ns for path in rehearsed.plan.folder.rglob("*")}
+    files = rehearsed.plan.folder.rglob
+    before = {path: path.stat().st_mtime_ns for path in files("*")}
     again = tl.read_live_study(rehearsed.plan.folder)
     assert again.measures.equals(rehearsed.measures)
     assert again.measures.attrs == {"origin": rehearsed.origin}
     assert again.participants.equals(rehearsed.participants)
     session = again.sessions()[0]
     assert session.metadata.synthetic
-    assert {"verified", "thresholds_from", "performance_window", "lap_times"} <= set(
-        session.metadata.more
-    )
-    assert {path: path.stat().st_mtime_ns for path in rehearsed.plan.folder.rglob("*")} == before
-    with pytest.raises(ValueError, match="dv must be one of"):
-        again.analysis("p_rr")
+    notes = {"verified", "thresholds_from", "performance_window", "lap_times"}
+    assert notes <= set(session.metadata.more)
+    assert {path: path.stat().st_mtime_ns for path in files("*")} == before
 
 
 def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, tmp_path):
@@ -141,12 +131,9 @@ def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, t
     measures = pd.read_parquet(io.BytesIO(archive.read("measures.parquet")))
     pd.testing.assert_frame_equal(measures, rehearsed.measures, check_dtype=False)
     samples = pd.read_csv(io.BytesIO(archive.read("samples.csv")))
-    drive = samples[(samples["participant"] == "P02") & (samples["condition"] == "C3")]
-    session = next(
-        s
-        for s in rehearsed.sessions()
-        if (s.metadata.participant, s.metadata.condition) == ("P02", "C3")
-    )
+    drive = samples.query("participant == 'P02' and condition == 'C3'")
+    labels = [s.label for s in rehearsed.sessions()]
+    session = rehearsed.sessions()[labels.index("operator P02, C3, synthetic")]
     np.testing.assert_array_equal(drive["p_r"], session["p_r"])
     items = pd.read_csv(io.BytesIO(archive.read("items.csv")))
     assert "The robot is deceptive." in set(items["words"])
@@ -208,19 +195,9 @@ def test_questionnaires_on_other_scales_are_scored(tmp_path, pages):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """A rehearsed study in which nothing is wrong."""
-    folder = tmp_path_factory.mktemp("studies") / "mystudy"
-    with pytest.warns(UserWarning, match="nobody may switch"):
-        plan = tl.LiveStudy(
-            folder,
-            ["C1", "C3"],
-            2,
-            rehearsal=True,
-            laps=1,
-            training=5.0,
-            identification=[(1, 5.0), (0, 5.0)],
-        )
+    plan = planned(tmp_path_factory.mktemp("studies"), 2, 5.0)
     plan.rehearse(seed=1)
-    return folder
+    return plan.folder
 
 
 def verdict(folder):
@@ -232,10 +209,11 @@ def verdict(folder):
         return {path.name for path in folder.rglob("*") if path.name in str(error)}, 0
 
 
-def changes_found(folder, count, seed):
+@pytest.mark.parametrize("count", [16, pytest.param(200, marks=pytest.mark.long)])
+def test_every_bit_that_is_changed_is_found(finished, count):
     """Change a bit at so many places of all files; each must be found, with its file's name."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    rng = np.random.default_rng(seed)
+    files = sorted(path for path in finished.rglob("*") if path.is_file())
+    rng = np.random.default_rng(count)
     assert {path.suffix for path in files} == {".json", ".jsonl"}
     for number in range(count):
         path = files[number % len(files)]
@@ -243,49 +221,36 @@ def changes_found(folder, count, seed):
         changed = bytearray(data)
         changed[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
         path.write_bytes(changed)
-        names, verified = verdict(folder)
+        names, verified = verdict(finished)
         path.write_bytes(data)
         assert path.name in names, (path.name, names)
         # A drive under a condition does not rest on the rows of a training drive.
         assert verified < 4 or "training" in path.name or "identification" in path.name
-    assert verdict(folder) == (set(), 4)
-
-
-def test_every_bit_that_is_changed_is_found(finished):
-    changes_found(finished, 16, seed=1)
-
-
-@pytest.mark.long
-def test_every_bit_that_is_changed_at_200_places_is_found(finished):
-    changes_found(finished, 200, seed=2)
+    assert verdict(finished) == (set(), 4)
 
 
 def test_rows_answers_and_plans_that_are_rewritten_are_found(finished):
-    """Whole and readable files, each not as it was written."""
-    drive = next(finished.glob("P01/*-drive.jsonl"))
+    """Whole and readable files, each not as it was written; None is a file that is gone."""
+    drive, other = (next(finished.glob(f"{code}/*-drive.jsonl")) for code in ("P01", "P02"))
+    study, events = finished / "study.json", finished / "P01" / "events.jsonl"
     lines = drive.read_text().splitlines(keepends=True)
-    events = finished / "P01" / "events.jsonl"
     told = events.read_text().splitlines(keepends=True)
-    plan = json.loads((finished / "study.json").read_text())
     happier = [line.replace('"comfort": ', '"comfort": 1') for line in told]
     assert happier != told
-    cases = [
-        (drive, lambda: drive.write_text("".join(lines[:2] + lines[3:]))),
-        (drive, lambda: drive.write_text("".join(lines[:-1]))),
-        (drive, lambda: drive.write_text(next(finished.glob("P02/*-drive.jsonl")).read_text())),
-        (drive, drive.unlink),
-        (events, lambda: events.write_text("".join(happier))),
-        (events, lambda: events.write_text("".join(told[:3] + told[4:]))),
-        (events, lambda: events.write_text("".join(told[:-2]))),  # cut at a line's end
-        (events, events.unlink),
-        (finished / "study.json", None),
-    ]
-    for path, change in cases:
+    longer = json.dumps(json.loads(study.read_text()) | {"laps": 2}, indent=1)
+    for path, text in [
+        (drive, "".join(lines[:2] + lines[3:])),
+        (drive, "".join(lines[:-1])),
+        (drive, other.read_text()),
+        (drive, None),
+        (events, "".join(happier)),
+        (events, "".join(told[:3] + told[4:])),
+        (events, "".join(told[:-2])),  # cut at a line's end
+        (events, None),
+        (study, longer),
+    ]:
         before = path.read_bytes()
-        if change is None:
-            path.write_text(json.dumps(plan | {"laps": 2}, indent=1))
-        else:
-            change()
+        path.unlink() if text is None else path.write_text(text)
         names, verified = verdict(finished)
         path.write_bytes(before)
         assert path.name in names, (path.name, names)
@@ -293,18 +258,20 @@ def test_rows_answers_and_plans_that_are_rewritten_are_found(finished):
     assert verdict(finished) == (set(), 4)
 
 
+def exchange_folders(folder):
+    first, second, away = folder / "P01", folder / "P02", folder / "x"
+    for old, new in ((first, away), (second, first), (away, second)):
+        old.rename(new)
+
+
 def test_folders_of_two_participants_exchanged_are_named(finished):
-    one, other, away = finished / "P01", finished / "P02", finished / "x"
-    for a, b in ((one, away), (other, one), (away, other)):
-        a.rename(b)
+    exchange_folders(finished)
     study = tl.read_live_study(finished)
     assert set(study.faults()["participant"]) == {"P01", "P02"}
     assert study.measures.empty
     assert set(study.exclusions()["participant"]) == {"P01", "P02"}
-    assert study.export().exists()
-    (finished / "report-data.zip").unlink()
-    for a, b in ((one, away), (other, one), (away, other)):
-        a.rename(b)
+    study.export().unlink()
+    exchange_folders(finished)
     assert verdict(finished) == (set(), 4)
 
 

@@ -5,10 +5,11 @@ the files on the disk.
 
 import io
 import json
-import os
 import re
+import socket
 import stat
 import threading
+import time
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -18,31 +19,12 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.live.study.plan import file_origin, read_tokens, tokens_path
+from tests.live.study.recording import advance, entries, events, record
+from trustlab.live.study.plan import read_tokens, tokens_path
 from trustlab.live.study.server import StudyServer
-from trustlab.live.trial import read_record
 
 CONSENT = {"page": 0, "answers": {"consent": True}}
-
-
-def begun(client, driving_page, url, window="a"):
-    """Consent, and begin the training drive."""
-    client(f"{url}/answers", CONSENT)
-    page = driving_page(url, window=window)
-    assert page.begin()["k"] == 0
-    return page
-
-
-def record(plan, code="P01", name="01-training"):
-    """What the log of a drive says."""
-    return read_record(plan.folder / code / f"{name}.jsonl", file_origin(plan.digest, code, name))[
-        0
-    ]
-
-
-def events(plan, code="P01"):
-    path = plan.folder / code / "events.jsonl"
-    return [json.loads(line)[1] for line in path.read_text().splitlines()] if path.exists() else []
+END = {"participant": "P01", "action": "end"}
 
 
 # who may ask
@@ -50,18 +32,12 @@ def events(plan, code="P01"):
 
 
 def test_foreign_hosts_are_misdirected(served, client):
-    url = served.links["P01"]
-    assert client(f"{url}/state").status == 200
-    port = served.server.port
-    for host in (
-        "attacker.invalid",
-        f"attacker.invalid:{port}",
-        "127.0.0.1",
-        f"127.0.0.1:{port + 1}",
-        f"127.0.0.1.attacker.invalid:{port}",
-    ):
-        assert client(f"{url}/state", host=host).status in (400, 421), host
-    assert client(f"{url}/state", host=f"localhost:{port}").status == 200
+    state, port = served.links["P01"] + "/state", served.server.port
+    near = [f"127.0.0.1:{port + 1}", f"127.0.0.1.attacker.invalid:{port}"]
+    for host in ("attacker.invalid", f"attacker.invalid:{port}", "127.0.0.1", *near):
+        assert client(state, host=host).status in (400, 421), host
+    for host in (None, f"localhost:{port}"):
+        assert client(state, host=host).status == 200
 
 
 @pytest.mark.parametrize(
@@ -78,39 +54,23 @@ def test_foreign_hosts_are_misdirected(served, client):
 def test_forged_origins_change_nothing(served, client, origin):
     origin = origin and origin.format(port=served.server.port)
     for link in (served.links["P01"] + "/answers", served.server.experimenter + "/act"):
-        assert (
-            client(link, {**CONSENT, "participant": "P01", "action": "end"}, Origin=origin).status
-            == 403
-        )
+        assert client(link, CONSENT | END, Origin=origin).status == 403
     assert events(served.plan) == []
 
 
 def test_wrong_tokens_lead_nowhere(served, client):
-    base, token = served.base, read_tokens(served.plan.folder)["P01"]
-    experimenter = read_tokens(served.plan.folder)["experimenter"]
+    tokens = read_tokens(served.plan.folder)
+    token, experimenter = tokens["P01"], tokens["experimenter"]
     last = "A" if token[-1] != "A" else "B"
-    for wrong in (
-        "x" * 22,
-        token[:-1] + last,
-        token.swapcase(),
-        token[:-1],
-        token + "x",
-        experimenter,
-        "P01",
-        "",
-    ):
-        assert client(f"{base}/p/{wrong}").status == 404
-        assert client(f"{base}/p/{wrong}/state").status == 404
-        assert client(f"{base}/p/{wrong}/answers", CONSENT).status == 404
-    for wrong in (token, "x" * 22):
-        assert client(f"{base}/experimenter/{wrong}").status == 404
-        assert client(f"{base}/experimenter/{wrong}/state").status == 404
-        assert (
-            client(
-                f"{base}/experimenter/{wrong}/act", {"participant": "P01", "action": "end"}
-            ).status
-            == 404
-        )
+    near = [token[:-1] + last, token.swapcase(), token[:-1], token + "x"]
+    wrong = [f"p/{each}" for each in ("x" * 22, *near, experimenter, "P01", "")]
+    wrong += [f"experimenter/{each}" for each in (token, "x" * 22)]
+    for place in wrong:
+        link = f"{served.base}/{place}"
+        statuses = [client(link + path).status for path in ("", "/state", "/export")]
+        statuses += [client(f"{link}/{post}", CONSENT | END).status for post in ("answers", "act")]
+        assert set(statuses) == {404}, place
+    assert client(served.links["P01"] + "/export").status == 404
     assert events(served.plan) == []
 
 
@@ -172,26 +132,22 @@ def test_answers_tell_browsers_to_run_and_fetch_nothing_else(served, client):
     assert stat.S_IMODE(tokens_path(served.plan.folder).stat().st_mode) == 0o600
 
 
-def test_the_participant_is_told_no_condition(served, client, driving_page):
+def test_the_participant_is_told_no_condition(served, client, page, driving_page):
     url, said = served.links["P01"], b""
-    training = begun(client, driving_page, url)
     for path in ("", "/state"):
         said += client(url + path).content
-    order = served.plan.orders["P01"]
-    page = next(step.index for step in served.plan.steps("P01") if step.page.name == "drive")
     participant = served.server.participant("P01")
-    for index in range(1, page):
-        participant.add("page", page=index, name="x", attempt=0, link="")
+    number = advance(participant, "drive")
     participant.add(
         "model", page=2, attempt=0, source="", why="", **served.plan.content["stand_in"]
     )
-    answer = driving_page(url, page).begin()
+    answer = driving_page(url, number).begin()
     assert answer["config"]["columns"]
     said += client(f"{url}/state").content + json.dumps(answer).encode()
-    said += json.dumps(training.drive(0, 5)).encode()
+    said += json.dumps(page.drive(0, 5)).encode()
     assert not re.search(rb"\bC[1-5]\b", said)
-    name = f"{page:02d}-drive"
-    assert record(served.plan, name=name).header["condition"] == order[0]  # the lab knows
+    drive = record(served.plan, name=f"{number:02d}-drive")
+    assert drive.header["condition"] == served.plan.orders["P01"][0]  # the lab knows
 
 
 def test_foreign_pages_cannot_drive(served, client, driving_page):
@@ -211,40 +167,13 @@ def test_foreign_pages_cannot_drive(served, client, driving_page):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_messages_that_are_none(served, client, driving_page):
-    page = begun(client, driving_page, served.links["P01"])
-    good = [0.3, 0.1, 1]
-    for bad in (
-        good[:-1],
-        [*good, 0.0],
-        [*good[:-1], 2],
-        [9.0, *good[1:]],
-        ["0", *good[1:]],
-        {},
-        3,
-    ):
-        answer = page.say(k=0, commands=[bad], seen=0)
-        assert "refused" in answer, bad
-        assert "This page cannot go on" in answer["refused"]
-    for message in ({"k": None, "commands": [good]}, {"k": 0, "commands": good}, {"k": 0}):
-        assert set(page.say(**message, seen=0)) & {"refused", "k"}
-    for text in ("", "{", "[]", "3", '{"k": NaN}', "[" * 5000, '"\\ud83d"'):
-        page.socket.send(text)
-        assert "refused" in json.loads(page.socket.recv())
-    assert record(served.plan).commands == []
-    assert page.drive(0, 3)["k"] == 3
-
-
 def test_words_that_no_file_can_hold_are_refused(served, client):
     """Half of a pair of code units, as JSON lets it pass."""
     url = served.links["P01"]
     client(url + "/answers", CONSENT)
-    participant = served.server.participant("P01")
-    page = next(step for step in participant.steps if step.page.name == "satisfaction")
-    for index in range(1, page.index):
-        participant.add("page", page=index, name="x", attempt=0, link="")
+    page = advance(served.server.participant("P01"), "satisfaction")
     answers = '{"satisfaction": 4, "comfort": 4, "control": 4, "remark": "\\ud800 hi"}'
-    body = f'{{"page": {page.index}, "answers": {answers}}}'.encode()
+    body = f'{{"page": {page}, "answers": {answers}}}'.encode()
     refused = client(f"{url}/answers", body)
     assert (refused.status, refused.json["error"]) == (400, "remark: this answer cannot be taken")
     note = b'{"participant": "P01", "action": "note", "text": "\\ud800"}'
@@ -252,66 +181,35 @@ def test_words_that_no_file_can_hold_are_refused(served, client):
     assert client(f"{served.server.experimenter}/export").status == 200
 
 
-def test_connections_are_capped_and_slow_heads_time_out(served, client, monkeypatch):
-    import socket
-    import time
-
-    place = ("127.0.0.1", served.server.port)
-    held = [socket.create_connection(place, timeout=30) for _ in range(150)]
-    closed = 0
-    for each in held[-20:]:
-        each.settimeout(2.0)
-        with suppress(TimeoutError, ConnectionError):
-            closed += each.recv(1) == b""
-    assert closed == 20, "beyond a hundred of an address"
-    for each in held[50:]:
-        each.close()
-    began = time.monotonic()
-    for each in held[:50]:
-        each.sendall(b"GET /")
-    held[0].settimeout(30.0)
-    assert held[0].recv(100) == b""
-    assert 5.0 < time.monotonic() - began < 20.0
-    assert client(served.links["P01"] + "/state").status == 200
-    for each in held[:50]:
-        each.close()
+def test_connections_are_capped_and_slow_heads_time_out(make_plan, client, monkeypatch):
+    monkeypatch.setattr("trustlab.live.study.server.HEADER_TIME", 5.0)
+    with StudyServer(make_plan()) as server:
+        place = ("127.0.0.1", server.port)
+        held = [socket.create_connection(place, timeout=30) for _ in range(150)]
+        closed = 0
+        for each in held[-20:]:
+            each.settimeout(2.0)
+            with suppress(TimeoutError, ConnectionError):
+                closed += each.recv(1) == b""
+        assert closed == 20, "beyond a hundred of an address"
+        for each in held[50:]:
+            each.close()
+        began = time.monotonic()
+        for each in held[:50]:
+            each.sendall(b"GET /")
+        assert held[0].recv(100) == b""
+        assert 1.0 < time.monotonic() - began < 15.0
+        assert client(server.links()["P01"] + "/state").status == 200
+        for each in held[:50]:
+            each.close()
 
 
 # what is kept
 # --------------------------------------------------------------------------------------------------
 
 
-def test_commands_are_on_the_disk_when_they_are_acknowledged(
-    served, client, driving_page, monkeypatch
-):
-    page = begun(client, driving_page, served.links["P01"])
-    synced, fsync = [], os.fsync
-
-    def note(handle):
-        fsync(handle)
-        synced.append(os.fstat(handle).st_size)
-
-    monkeypatch.setattr(os, "fsync", note)
-    for first in (0, 5, 10):
-        answer = page.drive(first, 5)
-        assert (answer["k"], answer["done"]) == (first + 5, False)
-        path = served.plan.folder / "P01" / "01-training.jsonl"
-        assert synced[-1] == path.stat().st_size
-    assert page.drive(3, 20)["k"] == 23  # sent again with more
-    assert page.drive(40, 5)["k"] == 23
-    assert len(record(served.plan).commands) == 23
-
-
-def test_a_disk_that_is_full_acknowledges_nothing(
-    served, client, driving_page, monkeypatch, caplog
-):
-    page = begun(client, driving_page, served.links["P01"])
-
-    def full(handle):
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "fsync", full)
+def test_a_disk_that_is_full_acknowledges_nothing(served, client, page, full_disk, caplog):
+    with full_disk():
         for _ in range(2):
             assert "cannot save at the moment" in page.drive(0, 5)["trouble"]
         seen = client(f"{served.server.experimenter}/state").json
@@ -328,26 +226,12 @@ def test_a_disk_that_is_full_acknowledges_nothing(
 def test_a_second_click_and_a_second_window_find_the_page_done(served, client):
     url = served.links["P01"]
     with ThreadPoolExecutor(8) as pool:
-        found = [
-            answer.status
-            for answer in pool.map(lambda _: client(f"{url}/answers", CONSENT), range(8))
-        ]
-    assert sorted(found) == [200, *[409] * 7]
+        answers = list(pool.map(lambda _: client(f"{url}/answers", CONSENT), range(8)))
+    assert sorted(answer.status for answer in answers) == [200, *[409] * 7]
     assert [event["kind"] for event in events(served.plan)] == ["page"]
     assert client(f"{url}/state").json["page"] == 1
     for page in (-1, 1.0, "0", None, True, 10**30):
         assert client(f"{url}/answers", CONSENT | {"page": page}).status in (400, 409)
-
-
-def test_a_drive_is_done_when_its_commands_are(served, client, driving_page):
-    page = begun(client, driving_page, served.links["P01"])
-    assert page.drive(0, 99)["done"] is False
-    assert page.drive(99, 5)["done"] is True
-    done = record(served.plan)
-    assert (len(done.rows), done.end) == (100, "complete")
-    assert [event["kind"] for event in events(served.plan)] == ["page", "begin", "page"]
-    assert page.drive(100, 5) == {"done": True}
-    assert client(served.links["P01"] + "/state").json["page"] == 2
 
 
 def test_a_failed_start_lets_the_study_go(make_plan):
@@ -400,16 +284,16 @@ def test_only_a_proxy_leads_people_here_from_other_machines(make_plan, client):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, client, driving_page):
-    url, act = served.links["P01"], served.server.experimenter + "/act"
-    page = begun(client, driving_page, url)
+def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(
+    served, client, page, driving_page
+):
+    act = served.server.experimenter + "/act"
     page.drive(0, 5)
-    restart = {"participant": "P01", "action": "restart"}
-    assert client(act, restart | {"page": 0}).status == 400  # no drive
-    assert client(act, restart | {"page": 2}).status == 400  # not begun
-    assert client(act, restart | {"page": 1}).status == 200
+    for number, status in ((0, 400), (2, 400), (1, 200)):  # no drive, not begun, begun
+        restart = {"participant": "P01", "action": "restart", "page": number}
+        assert client(act, restart).status == status
     assert page.drive(5, 5) == {"done": True}
-    again = driving_page(url)
+    again = driving_page(served.links["P01"])
     assert again.begin()["k"] == 0
     first, second = record(served.plan), record(served.plan, name="01-training.2")
     assert (len(first.rows), len(second.commands)) == (5, 0)
@@ -418,9 +302,8 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, clien
     assert tl.read_live_study(served.plan.folder).faults().empty
 
 
-def test_the_experimenter_sees_adds_and_ends(served, client, driving_page):
+def test_the_experimenter_sees_adds_and_ends(served, client, page):
     experimenter = served.server.experimenter
-    page = begun(client, driving_page, served.links["P01"])
     told = {"fps": 60, "x": "no", "y": None}
     page.say(k=0, commands=[[0.3, 0.1, 1]] * 5, seen=0, telemetry=told)
     note = {"participant": "P01", "action": "note", "text": "<script>alert(1)</script> spoke"}
@@ -430,61 +313,47 @@ def test_the_experimenter_sees_adds_and_ends(served, client, driving_page):
     assert [one["text"] for one in seen["P01"]["notes"]] == [note["text"]]
     assert seen["P02"]["seconds_ago"] is None
     for body in (
-        {"participant": "P09", "action": "end"},
-        {"participant": "P01", "action": "overview"},
+        END | {"participant": "P09"},
+        END | {"participant": []},
+        END | {"action": "overview"},
         {},
-        {"participant": [], "action": "end"},
+        note | {"text": "x" * 1001},
     ):
         assert client(f"{experimenter}/act", body).status == 400
-    long = {"participant": "P01", "action": "note", "text": "x" * 1001}
-    assert client(f"{experimenter}/act", long).status == 400
-    assert client(f"{experimenter}/act", {"participant": "P01", "action": "end"}).status == 200
+    archive = client(f"{experimenter}/export")
+    assert (archive.status, archive.headers["Content-Type"]) == (200, "application/zip")
+    with zipfile.ZipFile(io.BytesIO(archive.content)) as files:
+        people = pd.read_parquet(io.BytesIO(files.read("participants.parquet")))
+    assert people["pages_done"].tolist() == [1, 0, 0]
+    assert client(f"{experimenter}/act", END).status == 200
     assert client(served.links["P01"] + "/state").json["kind"] == "end"
     table = tl.read_live_study(served.plan.folder).participants.set_index("participant")
     assert table.loc["P01", "ended"]
     assert table.loc["P01", "notes"] == note["text"]
 
 
-def test_people_decline_and_withdraw(served, client, driving_page):
-    decliner, leaver = served.links["P01"], served.links["P02"]
+def test_people_decline_and_withdraw(served, client, page):
+    leaver, decliner = served.links["P01"], served.links["P02"]
     assert client(f"{decliner}/withdraw", {}).json["title"] == "You have stopped"
-    page = begun(client, driving_page, leaver)
     page.drive(0, 5)
-    client(f"{leaver}/withdraw", {})
-    client(f"{leaver}/withdraw", {})
+    for _ in range(2):
+        client(f"{leaver}/withdraw", {})
     assert page.drive(5, 5) == {"done": True}
-    assert record(served.plan, "P02").end == "the participation ended"
+    assert record(served.plan).end == "the participation ended"
     assert client(f"{leaver}/state").json["kind"] == "end"
-    ends = [event for event in events(served.plan, "P02") if event["kind"] == "end"]
+    ends = [event for event in events(served.plan) if event["kind"] == "end"]
     assert [event["source"] for event in ends] == ["participant"]
-    table = tl.read_live_study(served.plan.folder).participants.set_index("participant")
-    assert table["withdrawn"].to_dict() == {"P01": True, "P02": True, "P03": False}
+    table = tl.read_live_study(served.plan.folder).participants
     seen = client(served.server.experimenter + "/state").json["people"]
+    assert table["withdrawn"].tolist() == [True, True, False]
     assert [person["withdrawn"] for person in seen] == [True, True, False]
 
 
-def test_everything_is_exported_as_a_zip_with_a_readme(served, client, driving_page):
-    url = served.links["P01"]
-    begun(client, driving_page, url)
-    answer = client(served.server.experimenter + "/export")
-    assert (answer.status, answer.headers["Content-Type"]) == (200, "application/zip")
-    archive = zipfile.ZipFile(io.BytesIO(answer.content))
-    names = ["participants", "answers", "measures", "samples", "items", "exclusions", "faults"]
-    files = {f"{name}.{kind}" for name in names for kind in ("csv", "parquet")}
-    assert set(archive.namelist()) == files | {"README.txt"}
-    people = pd.read_parquet(io.BytesIO(archive.read("participants.parquet")))
-    assert people["pages_done"].tolist() == [1, 0, 0]
-    assert client(url + "/export").status == 404
-    assert client(f"{served.base}/experimenter/{'x' * 22}/export").status == 404
-
-
-def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, driving_page):
-    url = served.links["P01"]
-    page = begun(client, driving_page, url)
+def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, page):
     page.drive(0, 5)
     served.plan.delete("P01")
     for path in ("", "/state"):
-        assert client(url + path).status == 404
+        assert client(served.links["P01"] + path).status == 404
     assert page.drive(5, 5) == {"done": True}
     assert not (served.plan.folder / "P01").exists()
     seen = client(served.server.experimenter + "/state").json
@@ -495,7 +364,7 @@ def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, drivin
     assert "1 deleted" in study.summary()
 
 
-def test_nothing_about_a_person_is_kept_but_what_the_documentation_lists(
+def test_nothing_about_a_person_who_drove_is_kept_but_what_the_documentation_lists(
     served, client, driving_page
 ):
     """
@@ -506,16 +375,21 @@ def test_nothing_about_a_person_is_kept_but_what_the_documentation_lists(
     client(f"{url}/answers", CONSENT, User_Agent="Mozilla/5.0 (secret)", Cookie="a=b")
     page = driving_page(url, header={"User-Agent": "Mozilla/5.0 (secret)", "X-Real-IP": "10.1.2.3"})
     page.begin()
-    page.drive(0, 5)
+    assert page.drive(0, 5)["done"] is False
     page.say(note="paused")
-    page.drive(5, 99)
+    assert page.drive(5, 99)["done"] is True
+    assert page.drive(100, 5) == {"done": True}
+    assert client(f"{url}/state").json["page"] == 2
+    done = record(served.plan)
+    assert (len(done.rows), done.end) == (100, "complete")
+    assert [event["kind"] for event in events(served.plan)] == ["page", "begin", "page"]
     kept = {key for event in events(served.plan) for key in event}
     about = {"at", "kind", "page", "name", "answers", "condition", "position", "attempt", "rows"}
     assert kept == about | {"link"}
     path = served.plan.folder / "P01" / "01-training.jsonl"
-    header, *entries = [json.loads(line)[1] for line in path.read_text().splitlines()]
+    header, *rest = entries(path)
     assert set(header) == {"settings", "version", "sources", "condition", "source", "why"}
-    kept = {key for entry in entries for key in entry}
+    kept = {key for entry in rest for key in entry}
     assert kept == {"at", "window", "note", "commands", "seen", "rows", "end"}
     words = "".join(path.read_text() for path in served.plan.folder.rglob("*") if path.is_file())
     assert not re.search(r"Mozilla|secret|10\.1\.2\.3|127\.0\.0\.1", words)
@@ -537,19 +411,22 @@ def nonsense(rng, depth=0):
     return str(rng.choice(words)) if kind < 2 else known[rng.integers(len(known))]
 
 
-def test_random_bodies_and_messages_make_no_mistake(served, client, driving_page):
+def test_random_bodies_and_messages_make_no_mistake(served, client, page):
     """What is refused is refused by a number below 500, and lets nothing in."""
     rng = np.random.default_rng(0)
     experimenter = served.server.experimenter
     links = [f"{served.links['P02']}/answers", f"{experimenter}/act", f"{served.links['P02']}/x"]
     links += [f"{served.base}/join/{'x' * 22}", f"{served.base}/p/{'y' * 22}/answers"]
-    found = [client(links[k % 5], nonsense(rng)).status for k in range(400)]
-    assert not [status for status in found if status >= 500]
-    page = begun(client, driving_page, served.links["P01"])
-    for _ in range(400):
-        page.socket.send(json.dumps(nonsense(rng)))
+    statuses = [client(links[k % 5], nonsense(rng)).status for k in range(400)]
+    assert max(statuses) < 500
+    assert "This page cannot go on" in page.say(k=0, commands=[[9.0, 0.1, 1]], seen=0)["refused"]
+    texts = ["", "{", "[]", "3", '{"k": NaN}', "[" * 5000, '"\\ud83d"']
+    for text in [*texts, *(json.dumps(nonsense(rng)) for _ in range(400))]:
+        page.socket.send(text)
         answer = json.loads(page.socket.recv())
         assert {"refused", "k", "done"} & set(answer), answer
+        assert text not in texts or "refused" in answer
+    assert record(served.plan).commands == []
     assert served.server.mistakes == 0
     assert page.begin()["done"] is False
     study = tl.read_live_study(served.plan.folder)

@@ -1,8 +1,9 @@
 """
-Settings, drives and hands of the ground robot live. Oracles: Table 2.1 as printed.
+Settings, drives and hands of the ground robot live, and a driver's model from a drive.
+
+Oracles: Table 2.1 as printed; `fit_tsc` called by hand with the same values held.
 """
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -31,13 +32,12 @@ def test_the_live_task_is_as_hard_as_people_found_it():
         assert min(most) - 0.02 < hand[signal] < max(most) + 0.02, signal
 
 
-def test_a_live_session_is_one_like_any_other(tmp_path):
+def test_a_live_session_knows_its_laps():
     session = driven(drive_config("C3", MODEL, (0.0, 0.35), laps=2, seed=3))
     assert session.sample_time == 0.1
-    assert len(session.metadata.more["lap_times"]) == 2
-    assert session.metadata.more["lap_times"][-1] == pytest.approx(session.t[-1])
-    again = tl.read_session(tl.write_session(session, tmp_path / "live.csv"))
-    np.testing.assert_array_equal(again["p_r"], session["p_r"])
+    laps = session.metadata.more["lap_times"]
+    assert len(laps) == 2
+    assert laps[-1] == pytest.approx(session.t[-1])
 
 
 def test_an_identification_drive_is_fitted():
@@ -45,6 +45,29 @@ def test_an_identification_drive_is_fitted():
     session = driven(drive_config("identification", MODEL, seed=3, schedule=phases))
     assert session["mode"][[0, 2499, 2500, 4999, 5000]].tolist() == [1.0, 1.0, 0.0, 0.0, 1.0]
     assert 0.25 < tl.fit_robot(session).model.p_max < 0.5
+
+
+def test_what_a_drive_leaves_undetermined_is_held_at_the_drives_model(tmp_path):
+    log = tmp_path / "drive.jsonl"
+    live = tl.LiveGroundRobot("C3", MODEL, (0.0, 0.35), laps=4, seed=1, log=log)
+    settings = live.trial.settings
+    commands, _ = scripted_commands(live.trial.task, settings, HumanHand(settings, 1))
+    live.trial.take({"begin": True})
+    assert live.trial.take({"k": 0, "commands": commands, "seen": 0})["done"]
+    alone = tl.fit_tsc(live.session)
+    assert not alone.success
+    assert alone.parameters.loc["human_a", "status"] == "weak"
+    found = live.fit().parameters
+    held = found.index[found["status"] == "fixed"]
+    assert {"human_a", "human_beta"} <= set(held)
+    values = {}
+    for name in held:
+        part, _, parameter = name.partition("_")
+        values[name] = getattr(getattr(MODEL, part), parameter)
+    assert found.loc[held, "value"].to_dict() == values
+    again = tl.fit_tsc(live.session, fixed=values | {"r0": 0.0})
+    assert (found["status"] == "estimated").any()
+    assert found["value"].to_dict() == again.parameters["value"].to_dict()
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,6 @@ Oracle: `TeamLoop` and `TeleoperationLoop` stepped here by the logged commands, 
 code; plain loops; `cohens_kappa` of statsmodels.
 """
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -15,15 +13,12 @@ from statsmodels.stats.inter_rater import cohens_kappa
 import trustlab as tl
 from trustlab.live.task import task_named, task_of
 from trustlab.live.tasks.agreement import occasions, policy_agreement
-from trustlab.live.tasks.team import ABILITIES, LeadingSettings
-from trustlab.live.tasks.teleoperation import TeleoperationSettings
+from trustlab.live.tasks.team import ABILITIES
 from trustlab.operators.teleoperator import REACH
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, TeamTrial
 
 SHORT = {"team": {"duration": 9.0, "goals": 2}, "teleoperation": {"duration": 3.0}}
-CASES = [("team", "by_hand"), ("team", "suggested"), ("teleoperation", "TMIG")]
-CASES += [("teleoperation", "MMI")]
 
 
 def configured(task, condition, seed=3):
@@ -50,18 +45,6 @@ def stepped(config, commands):
             break
         rows.append(run.step(*command))
     return np.array(rows)
-
-
-@pytest.mark.parametrize(("task", "condition"), CASES)
-def test_a_session_has_the_rows_and_finite_measures(task, condition):
-    config = json.loads(json.dumps(configured(task, condition)))
-    rows = stepped(config, commanded(config))
-    protocol = task_of(config)
-    session = protocol.session(config, rows, participant="P01")
-    assert session.sample_time == 0.05
-    assert session.data.to_numpy().tobytes() == rows.tobytes()
-    for name, number in protocol.measures(session).items():
-        assert np.isfinite(number) or name == "followed_percent"
 
 
 class ByCommand:
@@ -145,31 +128,6 @@ def test_policies_lead_where_they_should_and_suggest_where_they_should():
     assert not suggested[~stands].any()
 
 
-# studies
-# --------------------------------------------------------------------------------------------------
-
-
-def planned(folder, task, conditions, **more):
-    settings = {"training": 1.0, **SHORT[task], "duration": 2.0, **more}
-    return tl.LiveStudy(folder, conditions, 2, task=task, **settings)
-
-
-@pytest.mark.parametrize("task", ["team", "teleoperation"])
-def test_a_study_is_rehearsed_and_read(tmp_path, task):
-    conditions = list(task_named(task).conditions[:2])
-    plan = planned(tmp_path / "s", task, conditions, rehearsal=True)
-    plan.rehearse(1)
-    study = tl.read_live_study(plan.folder)
-    measures = study.measures
-    assert measures["verified"].all()
-    assert len(measures) == 4
-    assert study.participants["complete"].all()
-    assert set(study.task.reported) <= set(measures)
-    assert study.export().exists()
-    assert tl.LiveStudy.open(plan.folder).content["task"] == task
-    assert study.faults().empty
-
-
 # agreement
 # --------------------------------------------------------------------------------------------------
 
@@ -217,47 +175,37 @@ def test_agreement_is_cohens_kappa():
     assert result["high"] < 0.9
 
 
-# what is refused
-# --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda f: tl.LiveStudy(f, ["C1", "C2"], 2, task="flying"), "task must be"),
-        (lambda f: LeadingSettings(robots=7), "robots"),
-        (lambda f: TeleoperationSettings(guidance="nonsense"), "guidance"),
-        (lambda f: tl.LiveTeam(settings=tl.DriveSettings(), log=f), "settings"),
-    ],
-)
-def test_what_cannot_be_is_refused(tmp_path, make, message):
-    with pytest.raises((ValueError, TypeError), match=message):
-        make(tmp_path / "s")
-
-
-# another model of trust
+# studies
 # --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("task", "column"), [("team", "trust_1"), ("teleoperation", "trust_hr")])
-def test_another_model_of_trust_drives_and_is_replayed(tmp_path, task, column):
-    """Its trust stays over a trial of half a second, ten rows; the printed one changes in each."""
-    beta = tl.trust.MODELS["beta"](success=2.0, failure=3.0)
-    conditions = list(task_named(task).conditions[:2])
-    courses = {}
-    for name, trust in (("printed", None), ("beta", tl.trust.TrustInLoop(beta, every=0.5))):
-        plan = planned(tmp_path / name, task, conditions, rehearsal=True, trust=trust)
+def test_studies_of_two_models_of_trust_are_rehearsed_and_read(tmp_path, task, column):
+    """Trust stays over a trial of half a second, ten rows; the printed one changes in each."""
+    protocol = task_named(task)
+    settings = {"task": task, "training": 1.0, **SHORT[task], "duration": 2.0, "rehearsal": True}
+    conditions = list(protocol.conditions[:2])
+    beta = tl.trust.TrustInLoop(tl.trust.MODELS["beta"](success=2.0, failure=3.0), every=0.5)
+    changes = {}
+    for name, trust in (("printed", None), ("beta", beta)):
+        plan = tl.LiveStudy(tmp_path / name, conditions, 2, trust=trust, **settings)
         plan.rehearse(1)
         study = tl.read_live_study(plan.folder)
-        assert study.measures["verified"].all()
+        measures = study.measures
+        assert (len(measures), measures["verified"].all()) == (4, True)
+        assert np.isfinite(measures[list(study.task.reported)].to_numpy(float)).all()
+        assert study.participants["complete"].all()
         assert study.faults().empty
-        courses[name] = study.sessions()[0][column]
-    changes = {name: np.flatnonzero(np.diff(course)) for name, course in courses.items()}
+        assert study.export().exists()
+        assert tl.LiveStudy.open(plan.folder).content["task"] == task
+        session = study.sessions()[0]
+        assert session.sample_time == 0.05
+        changes[name] = np.flatnonzero(np.diff(session[column]))
     assert len(changes["beta"]) > 0
     assert set(np.diff(changes["beta"]) % 10) <= {0}
     assert len(changes["printed"]) > 2 * len(changes["beta"])
     with pytest.raises(ValueError, match="cannot be replayed from a study's plan"):
-        planned(tmp_path / "own", task, conditions, trust=Own())
+        tl.LiveStudy(tmp_path / "own", conditions, 2, trust=Own(), **settings)
 
 
 class Own(tl.trust.TrustDynamics):
