@@ -62,19 +62,19 @@ def test_intervals_cover_where_plain_residuals_do_not():
 def test_a_calibration_grows_in_its_folder_and_is_read_again(tmp_path):
     arguments = {"study": "table_2.6", "n": 5, "priors": TWO, "n_jobs": 1}
     arguments["out"] = tmp_path / "campaign"
-    first = tl.calibrate(simulations=24, **arguments)
+    first = tl.calibrate(simulations=12, **arguments)
     kept = sorted((tmp_path / "campaign").rglob("runs-*.json"))
     assert kept
     stamps = [file.stat().st_mtime_ns for file in kept]
-    again = tl.calibrate(simulations=24, **arguments)
+    again = tl.calibrate(simulations=12, **arguments)
     assert [file.stat().st_mtime_ns for file in kept] == stamps
     pd.testing.assert_frame_equal(first.posterior, again.posterior, check_exact=True)
-    grown = tl.calibrate(simulations=28, **arguments)
+    grown = tl.calibrate(simulations=14, **arguments)
     assert [file.stat().st_mtime_ns for file in kept] == stamps
-    assert len(grown.simulations) == 28
-    assert grown.settings == first.settings | {"simulations": 28}
+    assert len(grown.simulations) == 14
+    assert grown.settings == first.settings | {"simulations": 14}
     assert first.settings["n"] == 5
-    pd.testing.assert_frame_equal(grown.simulations[:24], first.simulations, check_exact=True)
+    pd.testing.assert_frame_equal(grown.simulations[:12], first.simulations, check_exact=True)
     write_calibration(first, tmp_path / "data")
     read = read_calibration("table_2.6", tmp_path / "data")
     pd.testing.assert_frame_equal(first.simulations, read.simulations, rtol=1e-12)

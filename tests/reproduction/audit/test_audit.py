@@ -11,15 +11,18 @@ import tomllib
 from fractions import Fraction
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 
 import trustlab as tl
+from trustlab.reproduction import plot_ranges, plot_slips
 from trustlab.reproduction.audit.audit import MAKERS, audit
 from trustlab.reproduction.audit.catalogue import printed_numbers
 from trustlab.reproduction.audit.check import VERDICTS, Follows, rows_of
 from trustlab.reproduction.audit.consistency import joint_rows
 
+mpl.use("Agg")
 PUBLISHED = Path(__file__).parents[3] / "data" / "published"
 QUICK = [maker for maker in MAKERS if maker is not joint_rows]
 COLUMNS = ["id", "where", "quantity", "printed", "recomputed", "low", "high", "verdict", "reason"]
@@ -281,3 +284,18 @@ def test_every_reason_for_an_unchecked_number_is_used(verdicts):
     said = verdicts.loc[verdicts["verdict"] == "not checkable", "reason"]
     unused = [reason for reason in reasons if not said.str.contains(reason, regex=False).any()]
     assert unused == []
+
+
+def test_ranges_and_slips_are_where_the_table_has_them(verdicts):
+    """Figures show the numbers of the table."""
+    verdicts = verdicts.reset_index()
+    rows = verdicts[verdicts["id"].str.startswith("table_2.1/delta_TSC")]
+    ax = plot_ranges(rows)
+    labels = [label.get_text() for label in ax.get_yticklabels()]
+    assert labels == [f"participant {p}" for p in range(1, 6)]
+    printed = [line.get_xdata()[0] for line in ax.lines if line.get_marker() == "D"]
+    assert printed == [float(text) for text in rows["printed"]]
+    slips = verdicts[(verdicts["verdict"] == "differs") & (verdicts["high"] > verdicts["low"])]
+    places = [line.get_xdata()[0] for line in plot_slips(slips).lines if line.get_marker() == "D"]
+    assert len(places) == len(slips) > 3
+    assert all(abs(place) > 1.0 for place in places)
