@@ -75,7 +75,6 @@ def test_a_clear_log_gets_thresholds_that_do_what_is_said(clear, operators):
     assert row["mean_ci_low"] - 1e-3 < cycle.mean_p_r < row["mean_ci_high"] + 1e-3
     mean = tl.choose_thresholds(clear, objective="mean")
     assert mean.table().loc["P_r", "mean"] >= row["mean"]
-    assert tl.choose_thresholds(clear, objective=0.5).offered
     assert choice.plot()[0].get_xlabel() == "lower threshold $TSC_l$"
     plt.close("all")
 

@@ -135,9 +135,9 @@ def test_a_recipe_may_be_a_file_scale_performance_and_lack_a_first_rating(tmp_pa
 def test_a_live_study_is_a_panel(tmp_path):
     """A rehearsal, whose answers are random: its panel has what its table of measures has."""
     pytest.importorskip("anywidget")
-    plan = tl.LiveStudy(
-        tmp_path / "study", ["C1", "C3"], 2, 0, laps=1, training=5.0, rehearsal=True
-    )
+    course = tl.testbeds.Course(((0, 0), (4, 0), (4, 4), (0, 4)), radius=1.0)
+    brief = {"training": 5.0, "identification": [(1, 5.0), (0, 5.0)], "course": course, "laps": 1}
+    plan = tl.LiveStudy(tmp_path / "study", ["C1", "C3"], 2, 0, rehearsal=True, **brief)
     plan.rehearse(0)
     study = tl.read_live_study(tmp_path / "study")
     panel = tl.read_people(study, {"performance": (0.0, 0.5)})
