@@ -91,7 +91,6 @@ CALLS = {
         "duration": 1.0,
     },
     "teleoperation.team_graph": lambda: {"graph": cases.graph()},
-    "teleoperation.WaveFilter": lambda: {"cutoff": 5.0},
     "testbeds.drive_modes": lambda: {
         "mode": np.array([1.0, 0.0, 1.0]),
         "operator": cases.driver(),

@@ -113,9 +113,6 @@ KNOWN = {
     "Scheme": {
         "title": "anything is taken",
     },
-    "TeamLoop": {
-        "performance": "NaN is taken",
-    },
     "TeamLoop.step": {
         "leader": "foreign errors",
         "samples": "no argument named",
@@ -358,25 +355,15 @@ KNOWN = {
     },
     "teleoperation.TeamChannel": {
         "delay": "NaN is taken",
-        "delay_back": "NaN is taken",
     },
     "teleoperation.TeamTrial": {
         "start": "anything is taken",
-        "inner": "anything is taken",
-        "push": "anything is taken",
-    },
-    "teleoperation.corrected_filter": {
-        "product": "no argument named",
     },
     "teleoperation.gains": {
         "beta": "no difference",
     },
     "teleoperation.packet_delay": {
         "received": "foreign errors",
-    },
-    "teleoperation.passivity_margin": {
-        "k12": "no difference",
-        "k21": "no difference",
     },
     "teleoperation.rendered_impedance": {
         "environment": "foreign errors",

@@ -11,13 +11,14 @@ def picked(kind, options):
     return {item.name: options.pop(item.name) for item in fields(kind) if item.name in options}
 
 
-def simulate_team(graph, policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0, **options):
+def team_loop(graph, policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0, **options):
     settings = options.pop("settings", TeamSettings())
     options.setdefault("performance", "random")  # theorems hold whoever is trusted
     channel, trial = picked(TeamChannel, options), picked(TeamTrial, options)
-    if isinstance(settings, TeamSettings):
-        changed = {"channel": TeamChannel(**channel)} | picked(TeamSettings, options)
-        settings = replace(settings, **changed)
-    return tl.simulate_team(
-        graph, policy, goal, seed, settings=settings, trial=TeamTrial(**trial), **options
-    )
+    changed = {"channel": TeamChannel(**channel)} | picked(TeamSettings, options)
+    options |= {"settings": replace(settings, **changed), "trial": TeamTrial(**trial)}
+    return tl.TeamLoop(graph, policy, goal, seed, **options)
+
+
+def simulate_team(*arguments, **options):
+    return team_loop(*arguments, **options).run()

@@ -11,7 +11,6 @@ from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import Delay, packet_delay
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
-    WaveFilter,
     corrected_filter,
     passivity_margin,
     printed_filter,
@@ -45,7 +44,7 @@ def send(scattering=UNIT, **change):
         (lambda: send([], leaders=np.zeros(50, int)), "there are 0 robots"),
         (
             lambda: Delay(lambda t: 0.1 - t, 0.1, "this delay").samples(50, 0.01),
-            r"-0\.01 s at t = 0\.11 s: it must not be negative",
+            r"0 s at t = 0\.1 s: it must be at least one sample",
         ),
     ],
 )
@@ -74,7 +73,6 @@ def test_traces(sent, received, words):
     ("call", "words"),
     [
         (lambda: printed_filter(0.0), "cutoff must be positive"),
-        (lambda: WaveFilter(0.0), "cutoff must be positive"),
         (lambda: corrected_filter(0.0, 1.0), "cutoff must be positive"),
         (lambda: corrected_filter(1.0, 0.0), "impedance must be positive"),
         (
@@ -84,7 +82,6 @@ def test_traces(sent, received, words):
         (lambda: TwoPortFilter(1.0, 0.2, 1.0), r"k_12 k_21 = 0\.2"),
         (lambda: passivity_margin([1.0], [1.0, -1.0]), "stable"),
         (lambda: passivity_margin([1.0, 0.0, 0.0], [1.0, 1.0]), "proper"),
-        (lambda: passivity_margin([1.0], [1.0, 1.0], k12=-1.0), "k12 must not be negative"),
         (lambda: corrected_filter(1.0, 1.0).run(np.zeros(3), np.zeros(4), 0.1), "same shape"),
         (lambda: corrected_filter(1.0, 1.0).run([0.0, np.nan], [0.0, 1.0], 0.1), "sample 1"),
         (

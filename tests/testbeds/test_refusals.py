@@ -40,8 +40,8 @@ def test_graphs(graph, words):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"delay_back": 1e9}, "longer than the run"),
-        ({"push": np.zeros((5, 3))}, "push must have shape"),
+        ({"delay": (0.2, 1e9)}, "longer than the run"),
+        ({"start": np.zeros((5, 3))}, "start must have shape"),
         ({"duration": 1e5, "sample_time": 1e-3}, "duration must lie in"),
     ],
 )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.teams import simulate_team
+from tests.teams import simulate_team, team_loop
 from trustlab.teleoperation import (
     DivergenceError,
     GivenSequence,
@@ -19,8 +19,6 @@ from trustlab.teleoperation import (
     TeamOperator,
     TeamRobot,
     TeamSettings,
-    WaveFilter,
-    corrected_filter,
     random_walk_delay,
     team_graph,
 )
@@ -68,9 +66,9 @@ def random_team(seed):
 
 
 T, COUNT = 0.02, 400
-DELAY, VISION, DWELL = 10, 15, 75  # samples
+DELAY, DWELL = 10, 75  # samples
 MASS, DAMPING, STIFFNESS, WEIGHT = 0.5, 5.5, 20.0, 10.0
-PUSH, REACH, DRAG, CUTOFF, IMPEDANCE = 2.0, 3.0, 1.0, 8.0, 1.5
+PUSH, REACH, DRAG, CUTOFF = 2.0, 3.0, 1.0, 10.0
 PLAIN = nx.Graph([(0, 1), (1, 2), (2, 3), (1, 3)])
 WEIGHTED = np.array([[0, 2.0, 0, 0], [2.0, 0, 0.3, 1], [0, 0.3, 0, 0.7], [0, 1, 0.7, 0]])
 DIRECTED = np.array([[0, 2.0, 0, 0], [0, 0, 0.3, 1], [0.5, 0, 0, 0.7], [0, 1, 0, 0]])
@@ -79,8 +77,7 @@ DIRECTED = np.array([[0, 2.0, 0, 0], [0, 0, 0.3, 1], [0.5, 0, 0, 0.7], [0, 1, 0,
 def dense(laplacian, ends, robots, leads, kind, start, goal, lead_gain, force_gain):
     """
     The same equations, every sample one dense linear system in all midpoint unknowns; returns what
-    the run logs, the robots' places, and the energy held by the filter. kind: "none", "two-port" or
-    "waves".
+    the run logs, the robots' places, and the energy held by the filter. kind: the filter.
     """
     size, h = len(start), 0.5 * T
     Z, Q = slice(0, size), slice(size, 2 * size)
@@ -88,8 +85,9 @@ def dense(laplacian, ends, robots, leads, kind, start, goal, lead_gain, force_ga
     pole = h * CUTOFF
     speed = np.array([robot.speed for robot in robots])[:, None]
     k12, k21, through = 0.0, 0.0, 1.0
-    if kind == "two-port":
-        k12, k21, through = 0.5 / IMPEDANCE, 0.5 * IMPEDANCE, pole / (1.0 + pole)
+    if kind == "corrected":
+        impedance = np.mean([end.b for end in ends])
+        k12, k21, through = 0.5 / impedance, 0.5 * impedance, pole / (1.0 + pole)
     q, zeta, x, v = start - goal, np.zeros_like(start), np.zeros(3), np.zeros(3)
     filters, wave = np.zeros((4, 3)), np.zeros((2, 3))
     u_l, u_r, seen = np.zeros((3, COUNT, 3))
@@ -98,8 +96,8 @@ def dense(laplacian, ends, robots, leads, kind, start, goal, lead_gain, force_ga
     rows, places, held = [], [], []
     for k, lead in enumerate(leads):
         error, good = np.zeros(3), 0.0
-        if k >= VISION:
-            error = -seen[k - VISION]
+        if k >= DELAY:
+            error = -seen[k - DELAY]
             good = max(1.0 - np.linalg.norm(error) / far, 0.0)
         force = min(PUSH, REACH / max(np.linalg.norm(error), 1e-9)) * error
         end, b = ends[lead], ends[lead].b
@@ -145,7 +143,7 @@ def dense(laplacian, ends, robots, leads, kind, start, goal, lead_gain, force_ga
             u_r[k] = (s[FS] - b * s[RS]) / np.sqrt(2.0 * b)
         zeta, q = 2.0 * s[Z] - zeta, 2.0 * s[Q] - q
         x, v = x + T * s[V], 2.0 * s[V] - v
-        if kind == "two-port":
+        if kind == "corrected":
             middle = (filters + pole * s[[RM, FH, RS, F]]) / (1.0 + pole)
             filters = 2.0 * middle - filters
     return np.reshape(rows, (COUNT, 21)), np.array(places), np.array(held)
@@ -179,9 +177,9 @@ FAULTY = (TeamRobot(loss=1.0), TeamRobot(speed=0.4), TeamRobot(speed=0.8), TeamR
 @pytest.mark.parametrize(
     ("kind", "graph", "robots", "coupling", "lead_gain", "force_gain"),
     [
-        ("two-port", PLAIN, ALIKE, 1.0, 1.0, 1.0),
+        ("corrected", PLAIN, ALIKE, 1.0, 1.0, 1.0),
         ("waves", DIRECTED, ALIKE, 1.0, 1.0, 1.0),
-        ("two-port", WEIGHTED, ALIKE, 3.0, 4.0, 0.2),
+        ("corrected", WEIGHTED, ALIKE, 3.0, 4.0, 0.2),
         ("none", DIRECTED, ALIKE, 0.5, 0.3, 2.0),
         ("none", WEIGHTED, FAULTY, 1.0, 1.0, 1.0),
     ],
@@ -191,9 +189,8 @@ def test_kernel_against_a_dense_solver(kind, graph, robots, coupling, lead_gain,
     start, goal = np.random.default_rng(8).normal(size=(4, 3)), np.array([1.0, -2.0, 0.5])
     bounds = ((1, 0.3), (2, 0.5), (0.5, 1), (3, 0.2))
     ends = tuple(Scattering(b, beta_min=low, beta_max=low + 0.7) for b, low in bounds)
-    filters = {"two-port": corrected_filter(CUTOFF, IMPEDANCE), "waves": WaveFilter(CUTOFF)}
     given = GivenSequence([2, 0, 3], times=[0.0, 2.0, 5.0])
-    cautious = PUSH * (1.0 + 2.0 * VISION * T)  # which over this delay comes to PUSH
+    cautious = PUSH * (1.0 + 2.0 * DELAY * T)  # which over this delay comes to PUSH
     run = simulate_team(
         graph,
         given if robots == ALIKE else "most_trusted",
@@ -209,10 +206,8 @@ def test_kernel_against_a_dense_solver(kind, graph, robots, coupling, lead_gain,
         ),
         operator=TeamOperator(cautious, REACH, guarded=False),
         delay=DELAY * T,
-        vision_delay=VISION * T,
         min_dwell=DWELL * T,
-        filters=filters.get(kind, "none"),
-        read_out="ledger" if robots == ALIKE else "hold",
+        filters=kind,
         start=start,
         record_every=T,
         performance="motion",
@@ -243,15 +238,15 @@ def energy_case(seed):
     graph, arguments = random_team(seed)
     rng = np.random.default_rng(seed)
     arguments |= {"duration": 60.0, "sample_time": 0.01, "record_every": 0.01}
-    arguments["inner"] = rng.normal(size=arguments["start"].shape)
     if seed % 4 == 3:
-        walk = random_walk_delay(0.1, 1.0, 0.5, seed=seed)
-        arguments |= {"delay": walk, "vision_delay": 0.7, "min_dwell": 1.5}
+        arguments |= {"delay": random_walk_delay(0.1, 1.0, 0.5, seed=seed), "min_dwell": 1.5}
     if seed % 5 == 4:
         slow = tuple(TeamRobot(speed=speed) for speed in rng.uniform(0.2, 1.0, len(graph)))
         gains = {"coupling": 2.0, "lead_gain": 3.0}
         arguments["settings"] = replace(arguments["settings"], robots=slow, **gains)
-    return graph, arguments
+    loop = team_loop(graph, **arguments)
+    loop.simulation.state.zeta[:] = rng.normal(size=arguments["start"].shape)
+    return loop
 
 
 @pytest.mark.parametrize("seed", range(15))
@@ -260,8 +255,7 @@ def test_energies_balance_at_every_sample_and_v_t_never_rises(seed):
     V(k + 1) − V(k) = supply − dissipation, (4.25) and (4.33), relative to the storage; V_T by
     (4.32)-(4.35), whatever the leader, to rounding; (4.15) beside it.
     """
-    graph, arguments = energy_case(seed)
-    data = simulate_team(graph, **arguments).data
+    data = energy_case(seed).run().data
     for storage, part in (("v_fs", "team"), ("v_e", "error")):
         balance = data[storage] - data[f"supply_{part}"] + data[f"lost_{part}"]
         assert np.ptp(balance) <= 1e-12 * len(data) ** 0.5 * data[storage].max()
@@ -401,7 +395,7 @@ def test_active_operator():
 
 def test_a_run_is_a_session(tmp_path):
     run = simulate_team(nx.path_graph(3), duration=5.0)
-    session = run.session()
+    session = run.session
     assert session.metadata.synthetic
     tl.write_session(session, tmp_path / "team.csv")
     again = tl.read_session(tmp_path / "team.csv")

@@ -83,7 +83,7 @@ def test_robots_that_come_and_go_arrive(seed, tmp_path):
     np.testing.assert_array_equal(here[late], np.tile([1, 1, 0, 1, 0, 1, 1], (np.sum(late), 1)))
     leaders = run.data["number"].to_numpy().astype(int)
     assert here[np.arange(len(leaders)), leaders].all()
-    assert len(run.links) == 3
+    assert len(run.graphs) == 3
     with Image.open(run.animate(tmp_path / "team.gif", rate=50.0)) as film:
         assert film.n_frames > 20
 

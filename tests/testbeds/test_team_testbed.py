@@ -36,7 +36,7 @@ def test_a_session_is_a_run_of_the_team():
         settings=TeamSettings.scaled(ring, 40.0),
         trial=TeamTrial(0.01, record_every=0.1, tolerance=0.1),
     )
-    np.testing.assert_array_equal(session.run.positions, run.positions)
+    np.testing.assert_array_equal(session.positions, run.positions)
     measures = session.measures
     assert measures["switches"] == len(run.switches)
     assert measures["work"] == run.data["supply_hand"].iloc[-1]

@@ -11,7 +11,6 @@ from .filters import (
     FilterRun as FilterRun,
     PassivityMargin as PassivityMargin,
     TwoPortFilter as TwoPortFilter,
-    WaveFilter as WaveFilter,
     corrected_filter as corrected_filter,
     passivity_margin as passivity_margin,
     printed_filter as printed_filter,
@@ -37,7 +36,6 @@ from .team.decisions import (
     GivenSequence as GivenSequence,
     LeaderPolicy as LeaderPolicy,
     MostTrusted as MostTrusted,
-    Motion as Motion,
     RandomLeaders as RandomLeaders,
     TeamSituation as TeamSituation,
 )

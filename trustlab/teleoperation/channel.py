@@ -178,7 +178,7 @@ def channel_run(
         np.array([end.at_robot for end in ends], END)[far],
         alphas,
         betas,
-        delays_in_samples(delays, rate, read_out, count, period),
+        delays_in_samples(delays, rate, count, period, read_out),
         min(end.gain for end in ends),
         READ_OUTS[read_out],
         period,

@@ -5,6 +5,7 @@ recurrence of coloured noise.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -51,13 +52,13 @@ class Delay:
         Returns
         -------
         numpy.ndarray, shape (count,)
-            Zero throughout, or at least one sample everywhere.
+            At least one sample everywhere.
 
         Raises
         ------
         ValueError
-            If a delay is negative, not finite, between zero and one sample, longer than the run,
-            not known until the end of the run, or grows faster than `max_rate`; the time is named.
+            If a delay is not finite, below one sample, longer than the run, not known until the end
+            of the run, or grows faster than `max_rate`; the time is named.
         """
         t = sample_time * np.arange(count)
         if t[-1] > self.end:
@@ -68,17 +69,16 @@ class Delay:
             values = np.full(count, self.function(t), dtype=float)
         except Exception as error:
             raise ValueError(f"{self.title} gives no {count} delays: {error}") from error
-        length, present = count * sample_time, values.any()
+        length = count * sample_time
         with np.errstate(invalid="ignore"):
             growth = np.diff(values, append=values[-1]) / sample_time
         for bad, reason in (
             (~np.isfinite(values), "it must be finite"),
-            (values < 0.0, "it must not be negative"),
-            (values > length, f"it is longer than the run of {length:g} s"),
             (
-                present & (values < sample_time * (1.0 - SLACK)),
-                f"it must be zero throughout or at least one sample, {sample_time:g} s",
+                values < sample_time * (1.0 - SLACK),
+                f"it must be at least one sample, {sample_time:g} s",
             ),
+            (values > length, f"it is longer than the run of {length:g} s"),
             (
                 growth > self.max_rate + 1e-6,
                 f"from there it grows faster than max_rate = {self.max_rate:g}, for which f_i = "
@@ -89,7 +89,7 @@ class Delay:
             if bad.any():
                 k = int(np.argmax(bad))
                 raise ValueError(f"{self.title} is {values[k]:g} s at t = {t[k]:g} s: {reason}")
-        return np.maximum(values, present * sample_time)
+        return np.maximum(values, sample_time)
 
 
 def random_walk_delay(
@@ -207,17 +207,23 @@ def delay_from(name: str, delay, max_rate: float) -> Delay:
     return Delay(lambda t: seconds, 0.0, title)
 
 
+def both_ways(delay: Any) -> dict[str, Any]:
+    """Return the delays to the robot and back by name, from one for both ways or a pair."""
+    pair = delay if isinstance(delay, tuple) else (delay, delay)
+    if len(pair) != 2:
+        raise ValueError(f"delay must be one for both ways, or (to the robot, back), got {pair}")
+    return dict(zip(("delay to the robot", "delay back"), pair, strict=True))
+
+
 def delays_in_samples(
-    pair: Mapping[str, object],
+    pair: Mapping[str, Any],
     max_rate: float,
-    read_out: str,
     count: int,
     sample_time: float,
-    zero: bool = False,
+    read_out: str = "ledger",
 ) -> np.ndarray:
     """
-    Return the delays both ways in samples, shape (2, count), from arguments by name; `zero` allows
-    both to be zero.
+    Return the delays both ways in samples, shape (2, count), from arguments by name.
 
     Delays within 1e-6 of a whole number of samples are made whole, so that rounding does not mix
     two samples.
@@ -231,9 +237,6 @@ def delays_in_samples(
                 f"= {max_rate:g}; raise max_delay_rate of the scattering, or use read_out='ledger'"
             )
         row[:] = delay.samples(count, sample_time) / sample_time
-    if not delays.all() and (delays.any() or not zero):
-        least = "zero (no channel in between) or both at least" if zero else "at least"
-        raise ValueError(f"{' and '.join(pair)} must both be {least} one sample, {sample_time:g} s")
     whole = np.round(delays)
     return np.where(np.abs(delays - whole) < 1e-6, whole, delays)
 

@@ -1,9 +1,10 @@
 """
-Filters at a port: the two-port of Proposition 3 as printed, its passivity margin, the corrected
-two-port, and filtered waves.
+Filters at a port: the two-port of Proposition 3 as printed, its passivity margin, and the corrected
+two-port.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,7 @@ from trustlab.teleoperation.records import signals
 SLACK = 1e-12
 
 
-@dataclass(frozen=True)
-class PassivityMargin:
+class PassivityMargin(NamedTuple):
     """
     What a two-port filter needs to be passive.
 
@@ -34,21 +34,13 @@ class PassivityMargin:
         this.
     frequency : float
         Where the maximum is [rad/s].
-    product : float
-        k_12 k_21 given.
     """
 
     least_product: float
     frequency: float
-    product: float
-
-    @property
-    def is_passive(self) -> bool:
-        """Whether the two-port is passive, up to rounding."""
-        return self.product >= self.least_product - SLACK * max(self.least_product, 1.0)
 
 
-def passivity_margin(numerator, denominator, k12: float = 0.0, k21: float = 0.0) -> PassivityMargin:
+def passivity_margin(numerator, denominator) -> PassivityMargin:
     """
     Return what the two-port [[k_21, H], [−H, k_12]] of (4.16)-(4.17) needs to be passive.
 
@@ -60,15 +52,11 @@ def passivity_margin(numerator, denominator, k12: float = 0.0, k21: float = 0.0)
     ----------
     numerator, denominator : array_like
         Coefficients of H(s), highest power first; stable and proper.
-    k12 : float
-        k_12 ≥ 0 [m/(N s)].
-    k21 : float
-        k_21 ≥ 0 [N s/m].
 
     Raises
     ------
     ValueError
-        If H is improper or unstable, or a gain is negative.
+        If H is improper or unstable.
 
     Notes
     -----
@@ -81,7 +69,6 @@ def passivity_margin(numerator, denominator, k12: float = 0.0, k21: float = 0.0)
     """
     top = np.trim_zeros(finite_array("numerator", numerator), "f")
     bottom = np.trim_zeros(finite_array("denominator", denominator), "f")
-    product = not_negative("k12", k12) * not_negative("k21", k21)
     if bottom.size < max(top.size, 1):
         raise ValueError("H must be proper: its numerator has a higher degree than its denominator")
     poles = np.roots(bottom)
@@ -96,11 +83,10 @@ def passivity_margin(numerator, denominator, k12: float = 0.0, k21: float = 0.0)
     places = np.abs(np.append(flat.roots, 0.0))  # one place too many does no harm
     heights = (imaginary(places) / size(places)) ** 2
     best = int(np.argmax(heights))
-    return PassivityMargin(float(heights[best]), float(places[best]), product)
+    return PassivityMargin(float(heights[best]), float(places[best]))
 
 
-@dataclass(frozen=True, eq=False)
-class FilterRun:
+class FilterRun(NamedTuple):
     """
     What a two-port filter did with two signals, with its ledger.
 
@@ -167,23 +153,12 @@ class TwoPortFilter:
     def __post_init__(self):
         set_checked(self, positive, "cutoff")
         set_checked(self, not_negative, "k12", "k21")
-        if self.require_passive and not self.is_passive:
-            product = self.k12 * self.k21
+        product = self.k12 * self.k21
+        if self.require_passive and product < 0.25 * (1.0 - SLACK):
             raise PassivityError(
                 f"the two-port filter is not passive: k_12 k_21 = {product:.4g}, and max (Im H)² = "
                 "0.25; raise k12 or k21, or pass require_passive=False to see it fail"
             )
-
-    @property
-    def is_passive(self) -> bool:
-        """Whether k_12 k_21 ≥ max (Im H)², which is 1/4 for every cutoff."""
-        return self.k12 * self.k21 >= 0.25 * (1.0 - SLACK)
-
-    @property
-    def title(self) -> str:
-        """What it is, for the log."""
-        active = "" if self.is_passive else " that is not passive"
-        return f"two-port{active}, {self.cutoff:g} rad/s"
 
     def run(self, u_1: np.ndarray, u_2: np.ndarray, sample_time: float) -> FilterRun:
         """
@@ -223,9 +198,9 @@ def printed_filter(cutoff: float) -> TwoPortFilter:
     return TwoPortFilter(cutoff, 0.0, 0.0, require_passive=False)
 
 
-def corrected_filter(cutoff: float, impedance: float, product: float = 0.25) -> TwoPortFilter:
+def corrected_filter(cutoff: float, impedance: float) -> TwoPortFilter:
     """
-    Return a passive two-port: k_21 = √p · impedance and k_12 = √p/impedance with p = k_12 k_21 ≥ ¼.
+    Return the least that is passive, k_12 k_21 = ¼: k_21 = ½ impedance and k_12 = ½/impedance.
 
     Parameters
     ----------
@@ -233,42 +208,9 @@ def corrected_filter(cutoff: float, impedance: float, product: float = 0.25) -> 
         ω_c [rad/s].
     impedance : float
         k_21/k_12 is its square [N s/m]; the channel's b shares the cost between drag and yielding.
-    product : float
-        k_12 k_21; the least that is passive when not given.
     """
-    impedance, root = positive("impedance", impedance), np.sqrt(positive("product", product))
-    return TwoPortFilter(cutoff, float(root / impedance), float(root * impedance))
-
-
-@dataclass(frozen=True)
-class WaveFilter:
-    """
-    A low-pass filter on a wave variable: ``|H| ≤ 1``, so that it is passive without gains of its
-    own.
-
-    da/dt = ω_c (v − a) gives out a; ½‖v‖² − ½‖a‖² is the change of ‖a‖²/(2ω_c) plus ½‖v − a‖², also
-    sample by sample under the midpoint rule, whatever b and the scales on either side of it do.
-
-    Parameters
-    ----------
-    cutoff : float
-        ω_c [rad/s], positive.
-
-    Raises
-    ------
-    ValueError
-        If the cutoff is not positive.
-    """
-
-    cutoff: float
-
-    def __post_init__(self):
-        set_checked(self, positive, "cutoff")
-
-    @property
-    def title(self) -> str:
-        """What it is, for the log."""
-        return f"waves, {self.cutoff:g} rad/s"
+    impedance = positive("impedance", impedance)
+    return TwoPortFilter(cutoff, 0.5 / impedance, 0.5 * impedance)
 
 
 def sinusoid_energy(

@@ -3,7 +3,7 @@ A team of robots led to a goal by one operator through whichever of them leads: 
 simulated task.
 """
 
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from typing import Any
 
 import numpy as np
@@ -13,31 +13,27 @@ from trustlab.models.checks import (
     between,
     finite_array,
     of_class,
+    one_of,
     spawned,
     whole_number,
 )
 from trustlab.models.simulation import Loop, PartError, Simulation, View, filled
-from trustlab.teleoperation.delays import coloured, delays_in_samples
-from trustlab.teleoperation.filters import (
-    TwoPortFilter,
-    WaveFilter,
-)
-from trustlab.teleoperation.ports.waves import READ_OUTS, accounts
-from trustlab.teleoperation.records import robot_numbers, signal
+from trustlab.models.trust import trust_step
+from trustlab.teleoperation.delays import both_ways, coloured, delays_in_samples
+from trustlab.teleoperation.filters import corrected_filter
+from trustlab.teleoperation.ports.waves import accounts
+from trustlab.teleoperation.records import signal
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.decisions import (
     SLACK,
     LeaderPolicy,
-    Motion,
     TeamSituation,
-    TeamTrust,
-    measure_named,
     policy_named,
 )
 from trustlab.teleoperation.team.graphs import formation_on, graphs_in_time
-from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, TeamTrial
+from trustlab.teleoperation.team.settings import FILTERS, TeamOperator, TeamSettings, TeamTrial
 from trustlab.testbeds.team_run import TeamRun
-from trustlab.trust.driving import TrustInLoop
+from trustlab.trust.driving import TrustCourse, TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
 NOTE = "simulated team and operator"
@@ -46,12 +42,8 @@ DECISION = 0.1
 DRIFT_TIME = 5.0
 # A run of as many samples takes some 3 GB.
 MOST_SAMPLES = 1e7
-# What the filters F1 and F2 of Fig. 4.1 are, by their class.
-FILTERING: dict[type, int] = {
-    type(None): kernel.NO_FILTER,
-    WaveFilter: kernel.WAVES,
-    TwoPortFilter: kernel.TWO_PORT,
-}
+# Of the filters F1 and F2 of Fig. 4.1 [rad/s].
+CUTOFF = 10.0
 
 
 def simulate_team(
@@ -141,13 +133,10 @@ class TeamLoop(Loop):
         Device, scattering, trust and gains, the channel with its delays and filters, and τ_min.
     trial : TeamTrial, optional
         Time steps, start, a force added to the hand's, and what is recorded.
-    performance : {"motion", "tracking", "cohesion", "packets", "random"} or callable
-        What trust (4.1) in a robot comes from, at every decision. "tracking": how well it moves as
-        (4.22) asks. "motion": likewise, the leader's times the packets that arrived. "cohesion":
-        how near it is to the mean of those it sees. "packets": those of the leader that arrived.
-        "random": drawn, which says nothing of the robot, for tests of what holds whoever leads. Or
-        f(motion) → one number from 0 to 1 per robot, NaN where there is nothing to judge by, so
-        that trust stays; see `Motion`.
+    performance : {"motion", "random"}
+        What trust (4.1) in a robot comes from, at every decision. "motion": how well it moves as
+        (4.22) asks, the leader's times the packets that arrived. "random": drawn, which says
+        nothing of the robot, for tests of what holds whoever leads.
     trust : TrustDynamics or TrustInLoop, optional
         A model of `trustlab.trust` in place of (4.1), of each robot by itself, one trial a second;
         `trust.TrustInLoop` sets how long a trial is and where trust starts.
@@ -158,8 +147,6 @@ class TeamLoop(Loop):
         The state after the last sample: every signal and energy of `TeamRun.table()`, by name.
     robots : tuple
         Names.
-    human_trust : TeamTrust
-        Human-to-robot trust (4.1), and what changes it.
     simulation : Simulation
         The kernel with its records.
 
@@ -190,37 +177,45 @@ class TeamLoop(Loop):
         operator: TeamOperator | None = None,
         settings: TeamSettings | None = None,
         trial: TeamTrial | None = None,
-        performance: str | Callable = "motion",
+        performance: str = "motion",
         trust: TrustDynamics | TrustInLoop | None = None,
     ):
         self.seed = seed
-        self.duration = duration
         self.remedy = (
             "push less, switch the scattering with the leader, or use a filter that is passive"
         )
         self._policy = policy_named(policy)
-        self._measure = measure_named(performance)
-        self._measure_name = getattr(performance, "__name__", str(performance))
-        self._settings = _settings_of("settings", settings, TeamSettings)
-        self._trial = _settings_of("trial", trial, TeamTrial)
-        operator = _settings_of("operator", operator, TeamOperator)
+        self._performance = one_of("performance", performance, ("motion", "random"))
+        operator, self._settings, self._trial = (
+            kind() if value is None else of_class(name, value, kind)
+            for name, value, kind in (
+                ("operator", operator, TeamOperator),
+                ("settings", settings, TeamSettings),
+                ("trial", trial, TeamTrial),
+            )
+        )
         driver = None
         if trust is not None:
             driver = of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trust.MODELS")
         self.robots, self._graphs = graphs_in_time(graph, self._trial.require_connected)
         self._goal = finite_array("goal", goal, length=3)
         begins, drawn, self._rng, faults = map(np.random.default_rng, spawned(seed, 4))
-        per_decision = max(round(DECISION / self._trial.sample_time), 1)
-        self._step = per_decision * self._trial.sample_time
+        T = self._trial.sample_time
+        self.count = round(between("duration", duration, 10.0 * T, MOST_SAMPLES * T) / T)
+        per_decision = max(round(DECISION / T), 1)
+        self._step = per_decision * T
+        self._decisions = int(np.ceil(duration / self._step)) + 1
         self.simulation = self._begin(operator, per_decision, begins, faults)
         self.state = View(self.simulation.state.now)
-        setup = self.simulation.setup
-        self.human_trust = TeamTrust(setup.robots, driver, self._step)
-        if self._measure is None:
+        # Human-to-robot trust, as a share of its range.
+        self._share = np.full(len(self.robots), driver.start if driver else 0.5)
+        self._courses = [TrustCourse(driver, self._step) for _ in self.robots] if driver else []
+        self._trust_title = driver.model.name if driver else "(4.1)"
+        if performance == "random":
             rate = min(self._step / self._settings.performance_time, 1.0)
-            self._drawn, start = _drawn(len(setup.drift), len(self.robots), rate, drawn)
+            self._drawn, start = _drawn(self._decisions, len(self.robots), rate, drawn)
             if driver is None:
-                self.human_trust.share = start
+                self._share = start
         self._graph = self._graphs[0]
         self._levels: list[np.ndarray] = []  # of trust, at every decision
         self._leader: int | None = None
@@ -231,49 +226,34 @@ class TeamLoop(Loop):
 
     def _begin(self, operator: TeamOperator, per_decision: int, begins, faults) -> Simulation:
         """Return the simulation at its start."""
-        settings, trial = self._settings, self._trial
+        settings, trial, count = self._settings, self._trial, self.count
         channel, T = settings.channel, trial.sample_time
-        count = round(between("duration", self.duration, 10.0 * T, MOST_SAMPLES * T) / T)
-        self.count = count
         robots = self._constants()
         root, rate = robots["root"][:, None], robots["max_delay_rate"].max()
+        delays = delays_in_samples(both_ways(channel.delay), rate, count, T)
+        self._delay, self._dwell = _times(settings, float(delays.max() * T))
         shape = robots.size, 3
-        back = channel.delay if channel.delay_back is None else channel.delay_back
-        pair = {"delay": channel.delay, "delay_back": back}
-        delays = delays_in_samples(pair, rate, channel.read_out, count, T)
-        times = self._times = _times(settings, float(delays.max() * T), T)
-        start, inner = begins.uniform(-5.0, 5.0, shape), np.zeros(shape)
+        start = begins.uniform(-5.0, 5.0, shape)
         if trial.start is not None:
             start = signal("start", trial.start, *shape)
-        if trial.inner is not None:
-            inner = signal("inner", trial.inner, *shape)
-        inputs = np.zeros(count, kernel.INPUT)
-        inputs["hand"] = np.nan
-        if trial.push is not None:
-            inputs["pushed"] = signal("push", trial.push, count, 3)
         distance = start - self._goal
-        budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2) + np.sum(inner**2)))
-        # by these numbers packets are lost
-        lossy = robots["loss"].any() or robots["drift"].any()
-        draws = faults.random((2, count)) if lossy else np.ones((2, count))
-        decisions = int(np.ceil(self.duration / self._step)) + 1
-        drift = 0.5 * T * _drifts(robots, decisions, self._step, faults) / root
-        filters = channel.filter_at(robots["b"].mean().item())
-        self._filter = "no filter" if filters is None else filters.title
+        budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2)))
+        draws = faults.random((2, count))  # by these numbers packets are lost
+        drift = 0.5 * T * _drifts(robots, self._decisions, self._step, faults) / root
+        corrected = corrected_filter(CUTOFF, robots["b"].mean().item())
         numbers = filled(
             kernel.NUMBERS,
             settings,
             trial,
             operator,
-            filters,
-            filtering=FILTERING[type(filters)],
-            cutoff=getattr(filters, "cutoff", 1.0),
-            read_out=READ_OUTS[channel.read_out],
+            corrected if channel.filters == "corrected" else None,
+            filtering=FILTERS[channel.filters],
+            cutoff=CUTOFF,
             gain=np.sqrt(1.0 - rate),
-            push=operator.stiffness(times["vision_delay"]),
+            push=operator.stiffness(self._delay),
             budget=budget,
             reserve=operator.reserve * budget,
-            vision=round(times["vision_delay"] / T),
+            vision=round(self._delay / T),
             error_range=max(np.linalg.norm(distance, axis=1).max(), trial.tolerance),
             per_decision=per_decision,
             per_row=trial.samples_per_row,
@@ -289,11 +269,18 @@ class TeamLoop(Loop):
         setup = kernel.TeamSetup(
             np.atleast_1d(numbers), robots, matrices, stiffness, storing, delays, draws, drift
         )
+        inputs = np.zeros(count, kernel.INPUT)
+        inputs["hand"] = np.nan
         rows = -(-count // trial.samples_per_row)
         log = kernel.TeamLog(
             np.zeros(count, kernel.SAMPLE), np.empty(rows, kernel.STATE), np.empty((rows, *shape))
         )
-        records = setup, _state(distance / root, inner / root, count), inputs, log
+        middle, zeta = np.zeros((2, *shape))
+        rated, level = np.zeros(robots.size), np.full(robots.size, 0.5)
+        waves = np.ones((2, count), bool), *np.zeros((2, count, 3)), accounts()
+        now = np.zeros(1, kernel.STATE)
+        state = kernel.TeamState(now, distance / root, zeta, middle, rated, level, *waves)
+        records = setup, state, inputs, log
         return Simulation(kernel.lead_team, *records, self._decide, per_decision, kernel.BLOCKS, T)
 
     def _constants(self) -> np.ndarray:
@@ -318,12 +305,15 @@ class TeamLoop(Loop):
     @property
     def trust(self) -> np.ndarray:
         """Human-to-robot trust (4.1) in every robot at the last decision, shape (N,)."""
-        return self.human_trust.trust
+        robots = self.simulation.setup.robots
+        return robots["low"] + robots["span"] * self._share
 
     @property
     def positions(self) -> np.ndarray:
         """Where the robots are [m], shape (N, 3); NaN where they are not in the team."""
-        return np.where(self._graph.present[:, None], self._read("positions"), np.nan)
+        run = self.simulation
+        places = run.state.q * run.setup.robots["root"][:, None] + self._goal
+        return np.where(self._graph.present[:, None], places, np.nan)
 
     def step(self, hand=None, leader: Hashable = None, samples: int = 1) -> View:
         """
@@ -366,32 +356,37 @@ class TeamLoop(Loop):
     def _decide(self, state: kernel.TeamState, inputs: np.ndarray) -> None:
         """Judge the robots, take the graph of the time, and choose who leads."""
         run = self.simulation
-        d = run.done // run.every
-        t = d * self._step
-        if d > 0:
-            drawn = self._measure is None
-            self.human_trust.judge(self._drawn[d - 1] if drawn else self._performance(t, state))
-        self._levels.append(self.human_trust.trust)
+        decision = run.done // run.every
+        t = decision * self._step
+        if decision > 0:
+            drawn = self._performance == "random"
+            self._judge(self._drawn[decision - 1] if drawn else self._rated(state))
+        self._levels.append(self.trust)
         number = sum([graph.since <= t + SLACK for graph in self._graphs]) - 1
         self._graph = self._graphs[number]
         inputs["graph"], inputs["lead"] = number, self._choose(t)
 
-    def _performance(self, t: float, state: kernel.TeamState) -> np.ndarray:
-        """Return what is measured of every robot's performance since the decision before."""
-        run, graph = self.simulation, self._graph
-        packets = state.arrives[0, run.done - run.every : run.done]
-        received = np.count_nonzero(packets) / packets.size
-        motion = Motion(t, self._leader, graph.present, graph.adjacency, received, self._read)
-        return np.where(graph.present, self._measure(motion), np.nan)
+    def _rated(self, state: kernel.TeamState) -> np.ndarray:
+        """
+        Return how well robots moved; the leader's counts times the share of the packets that it
+        received, where it rests the share alone. NaN where there is nothing to judge by.
+        """
+        run, leader = self.simulation, self._leader
+        received = state.arrives[0, run.done - run.every : run.done].mean()
+        rated = state.rated.copy()
+        rated[leader] = received * (1.0 if np.isnan(rated[leader]) else rated[leader])
+        return np.where(self._graph.present, rated, np.nan)
 
-    def _read(self, name: str) -> np.ndarray:
-        """Return what is measured of the robots' motion by name."""
-        run = self.simulation
-        if name == "positions":
-            return run.state.q * run.setup.robots["root"][:, None] + self._goal
-        if name == "command":
-            return self._settings.lead_gain * run.log.samples["sent"][run.done - 1]
-        return getattr(run.state, name)
+    def _judge(self, performance: np.ndarray) -> None:
+        """Step trust in every robot; it stays where none was judged."""
+        if self._courses:
+            judged = zip(self._courses, performance, strict=True)
+            self._share = np.array([course.step(value) for course, value in judged])
+        else:
+            robots = self.simulation.setup.robots
+            rates = robots["hr_decay"], robots["hr_gain"]
+            after = trust_step.py_func(self._share, performance, *rates)  # (4.1)
+            self._share = np.where(np.isnan(performance), self._share, after)
 
     def _able(self) -> list:
         """Return the names of the robots that can lead."""
@@ -407,10 +402,10 @@ class TeamLoop(Loop):
             np.where(graph.present, self._levels[-1], -np.inf),
             leader,
             self._since,
-            self._times["min_dwell"],
+            self._dwell,
             self._rng,
             self._memory,
-            self._read,
+            self.positions,
         )
         if self._named is not None and not graph.may_lead[self._named]:
             self._named = None
@@ -438,72 +433,67 @@ class TeamLoop(Loop):
                 f"the leader policy {self._policy.title!r} raised {type(error).__name__}: {error}, "
                 f"at t = {now.t:g} s"
             ) from error
-        if type(pick) is int and 0 <= pick < len(self.robots):
-            return pick
-        name = f"the policy's answer at t = {now.t:g} s"
-        return robot_numbers(name, [pick], 1, len(self.robots)).item()
+        return whole_number(
+            f"the policy's answer at t = {now.t:g} s", pick, least=0, most=len(self.robots) - 1
+        )
 
     # --- the run ----------------------------------------------------------------------------------
 
     def so_far(self) -> TeamRun:
         """Return the run so far."""
         run, T = self.simulation, self._trial.sample_time
-        every, (numbers,) = self._trial.samples_per_row, run.setup.numbers
-        rows = np.arange(0, run.done, every)
-        graphs = run.inputs["graph"][: run.done]
-        changes = np.flatnonzero(np.diff(graphs, prepend=0))
+        rows = np.arange(0, run.done, self._trial.samples_per_row)
+        graphs = run.inputs["graph"][rows]
         states = run.log.table[: rows.size].view(float).reshape(rows.size, -1)
         table = states[:, : len(kernel.COLUMNS)].copy()
         table[:, :3] += self._goal  # where the leader is
         t = pd.Index(np.round(T * rows, 9), name="t")
         places = run.log.places[: rows.size] * run.setup.robots["root"][:, None] + self._goal
         present = np.array([graph.present for graph in self._graphs])
-        places[~present[graphs[rows]]] = np.nan  # not in the team, nowhere
-        facts = {"policy": self._policy.title, "filter": self._filter, "seed": str(self.seed)}
-        facts |= {"read_out": self._settings.channel.read_out} | self._times
-        facts |= {name: numbers[name].item() for name in ("k12", "k21", "sample_time", "push")}
-        facts |= {"note": NOTE, "performance": self._measure_name, "waits": self._waits}
+        places[~present[graphs]] = np.nan  # not in the team, nowhere
+        facts = {
+            "policy": self._policy.title,
+            "filter": self._settings.channel.filters,
+            "seed": str(self.seed),
+            "delay": self._delay,
+            "min_dwell": self._dwell,
+            "sample_time": T,
+            "note": NOTE,
+            "performance": self._performance,
+            "trust": self._trust_title,
+            "waits": self._waits,
+        }
         return TeamRun(
             self.robots,
-            self._graphs[0].adjacency,
+            tuple((graph.since, graph.adjacency) for graph in self._graphs),
             self._goal,
             pd.DataFrame(table, t, list(kernel.COLUMNS)),
             places,
             np.array(self._levels)[rows // run.every],
-            numbers["budget"].item(),
+            run.setup.numbers["budget"].item(),
             self._trial.tolerance,
-            facts | {"trust": self.human_trust.title},
-            tuple((round(T * k, 9), self._graphs[graphs[k]].adjacency) for k in changes),
+            facts,
         )
 
 
-def _settings_of(name: str, value, kind):
-    """Return settings of a class, the usual ones where there are none."""
-    return kind() if value is None else of_class(name, value, kind)
-
-
-def _times(settings: TeamSettings, delay: float, T: float) -> dict[str, float]:
-    """Return the greatest delay, how old the operator's picture is, and τ_min [s]."""
-    vision, dwell = settings.channel.vision_delay, settings.min_dwell
-    vision = delay if vision is None else vision
-    if not T * (1.0 - 1e-9) <= vision <= 1e4:
-        raise ValueError(f"vision_delay must be at least one sample, {T:g} s, got {vision}")
-    dwell = max(5.0 * delay, 5.0) if dwell is None else dwell
+def _times(settings: TeamSettings, delay: float) -> tuple[float, float]:
+    """Return the greatest delay and τ_min [s]."""
+    dwell = max(5.0 * delay, 5.0) if settings.min_dwell is None else settings.min_dwell
     if not dwell > delay:
         raise ValueError(
             f"min_dwell = {dwell:g} s must be greater than the delay, {delay:g} s: waves of one "
             "leader would arrive at the one after the next (Section 4.2 asks for τ_min ≫ T)"
         )
-    return {"delay": delay, "vision_delay": vision, "min_dwell": dwell}
+    return delay, dwell
 
 
 def _drifts(robots: np.ndarray, decisions: int, step: float, rng) -> np.ndarray:
     """Return velocities by which robots drift, drawn, shape (M, N, 3)."""
-    velocities = np.zeros((decisions, 3, robots.size))
+    velocities = np.zeros((decisions, robots.size, 3))
     drifts = robots["drift"] > 0.0
     noise = coloured(decisions, 3 * drifts.sum(), DRIFT_TIME, step, rng)
-    velocities[:, :, drifts] = noise.reshape(decisions, 3, drifts.sum())
-    return (velocities * robots["drift"]).transpose(0, 2, 1)
+    velocities[:, drifts] = noise.reshape(decisions, 3, drifts.sum()).transpose(0, 2, 1)
+    return velocities * robots["drift"][:, None]
 
 
 def _drawn(decisions: int, robots: int, rate: float, rng) -> tuple[np.ndarray, np.ndarray]:
@@ -517,11 +507,3 @@ def _drawn(decisions: int, robots: int, rate: float, rng) -> tuple[np.ndarray, n
         performance[:, robot] = stream.random(decisions + 1)[np.cumsum(anew)]
         start[robot] = stream.random()
     return performance, start
-
-
-def _state(q: np.ndarray, zeta: np.ndarray, count: int) -> kernel.TeamState:
-    """Return what samples hand on, at the start."""
-    now, (u_l, u_r) = np.zeros(1, kernel.STATE), np.zeros((2, count, 3))
-    middle, velocity, asked = np.zeros((3, *q.shape))
-    robots = q, zeta, middle, velocity, asked, np.full(len(q), 0.5)
-    return kernel.TeamState(now, *robots, np.ones((2, count), bool), u_l, u_r, accounts())

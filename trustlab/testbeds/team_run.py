@@ -43,14 +43,14 @@ class TeamRun(Result):
     ----------
     robots : tuple
         Names.
-    adjacency : numpy.ndarray, shape (N, N)
-        a_ij.
+    graphs : tuple of (float, numpy.ndarray)
+        When each graph began [s], and its a_ij, shape (N, N).
     goal : numpy.ndarray, shape (3,)
         r_q [m].
     data : pandas.DataFrame
         Signals by time; see `table`.
     positions : numpy.ndarray, shape (K, N, 3)
-        q_i at the recorded times [m].
+        q_i at the recorded times [m]; NaN while a robot is not in the team.
     trust : numpy.ndarray, shape (K, N)
         Human-to-robot trust (4.1) in every robot.
     budget : float
@@ -59,13 +59,10 @@ class TeamRun(Result):
         Distance to the goal that counts as arrived [m].
     facts : dict
         How the run was made.
-    changes : tuple
-        Later graphs: when each began [s], and its a_ij. Robots that are not in the team have
-        positions of NaN.
     """
 
     robots: tuple
-    adjacency: np.ndarray
+    graphs: tuple[tuple[float, np.ndarray], ...]
     goal: np.ndarray
     data: pd.DataFrame
     positions: np.ndarray
@@ -73,7 +70,6 @@ class TeamRun(Result):
     budget: float
     tolerance: float
     facts: dict
-    changes: tuple = ()
 
     @property
     def t(self) -> np.ndarray:
@@ -95,12 +91,6 @@ class TeamRun(Result):
     def farthest(self) -> np.ndarray:
         """Distance to the goal of the robot farthest from it [m], shape (K,)."""
         return np.nanmax(self.distances, axis=1)
-
-    @cached_property
-    def links(self) -> list[tuple[float, np.ndarray]]:
-        """When each graph began [s], and which robots it links, shape (E, 2)."""
-        graphs = ((0.0, self.adjacency), *self.changes)
-        return [(since, np.argwhere(np.triu(graph + graph.T))) for since, graph in graphs]
 
     @property
     def converged(self) -> bool:
@@ -157,10 +147,11 @@ class TeamRun(Result):
         """
         return self.data.copy()
 
+    @cached_property
     def session(self) -> Session:
         """
-        Return what the operator and the leader of the moment did, as a session: robot_x … is the
-        leader, reference_x … the goal.
+        What the operator and the leader of the moment did: robot_x … is the leader, reference_x …
+        the goal.
         """
         number, leader = self.data["number"].to_numpy().astype(int), self.data[LEADER]
         columns = self.data[[*RENAMED, *SIGNALS]].rename(columns=RENAMED)
@@ -171,6 +162,27 @@ class TeamRun(Result):
             "simulated", self.facts["policy"], "trustlab.testbeds.robot_team", True, self.facts
         )
         return Session(columns, about)
+
+    @property
+    def measures(self) -> dict[str, float]:
+        """
+        The outcome measures by name.
+
+        time: until all robots are at the goal for good, or the whole run where they never are [s];
+        arrived: 1 or 0; distance: of the farthest robot to the goal, mean [m]; force: that the
+        operator feels, root mean square [N]; work: of the operator [J]; trust: in the robot that
+        leads, mean; switches.
+        """
+        force = self.data[FORCE].to_numpy()
+        return {
+            "time": self.time_to_goal if self.converged else float(self.t[-1]),
+            "arrived": float(self.converged),
+            "distance": float(self.farthest.mean()),
+            "force": float(np.sqrt((force**2).sum(axis=1).mean())),
+            "work": float(self.data["supply_hand"].iloc[-1]),
+            "trust": float(self.session["trust_hr"].mean()),
+            "switches": float(len(self.switches)),
+        }
 
     def summary(self) -> pd.DataFrame:
         """Return one row: whether and when the team arrived, and what held on the way."""
@@ -218,8 +230,7 @@ class TeamRun(Result):
         axes = axes_or_new(
             axes, 4, title=self.title, sharex=True, figsize=(8.0, 8.4), height_ratios=heights
         )
-        axes = np.ravel(axes)
-        if axes.size != 4 or not all(hasattr(axis, "plot") for axis in axes):
+        if np.size(axes) != 4:
             raise ValueError(
                 "axes must be four Matplotlib axes: distances, leader, force, energies"
             )

@@ -8,20 +8,18 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import (
-    finite_array,
     of_class,
     one_of,
     positive,
     set_checked,
     spawned,
 )
-from trustlab.sessions.session import Session
 from trustlab.teleoperation.team.decisions import POLICIES, policy_named
 from trustlab.teleoperation.team.settings import TeamOperator, TeamRobot, TeamSettings, TeamTrial
 from trustlab.testbeds.deciding import check_rules
 from trustlab.testbeds.populations import drawn_people
 from trustlab.testbeds.robot_team import simulate_team
-from trustlab.testbeds.team_run import FORCE, TeamRun
+from trustlab.testbeds.team_run import TeamRun
 
 # Mixed into the seed, so that people and their runs have different streams.
 LEADERS_OF_TEAMS = 0x7465616D
@@ -29,50 +27,12 @@ LEADERS_OF_TEAMS = 0x7465616D
 # A faultless robot, a slow one, one that loses every second packet, and one that drifts.
 ABILITIES = (TeamRobot(), TeamRobot(speed=0.4), TeamRobot(loss=0.5), TeamRobot(drift=0.02))
 
+# Distance to the goal that counts as arrived [m].
+ARRIVED = 0.1
+
 # By how much, as a share, operators' hands differ from those of a `TeamOperator`.
 SPREAD = 0.3
 HAND = ("push", "reach", "drag")
-
-
-@dataclass(frozen=True, eq=False)
-class TeamSession:
-    """
-    One run of a team in a study.
-
-    Parameters
-    ----------
-    run : TeamRun
-        What the team did.
-    """
-
-    run: TeamRun
-
-    @property
-    def session(self) -> Session:
-        """What the operator and the leader of the moment did."""
-        return self.run.session()
-
-    @property
-    def measures(self) -> dict[str, float]:
-        """
-        The outcome measures by name.
-
-        time: until all robots are at the goal for good, or the whole run where they never are [s];
-        arrived: 1 or 0; distance: of the farthest robot to the goal, mean [m]; force: that the
-        operator feels, root mean square [N]; work: of the operator [J]; trust: in the robot that
-        leads, mean; switches.
-        """
-        run, data = self.run, self.run.data
-        force = data[FORCE].to_numpy()
-        return {
-            "time": run.time_to_goal if run.converged else float(run.t[-1]),
-            "arrived": float(run.converged),
-            "distance": float(run.farthest.mean()),
-            "force": float(np.sqrt((force**2).sum(axis=1).mean())),
-            "work": float(data["supply_hand"].iloc[-1]),
-            "trust": float(self.session["trust_hr"].mean()),
-            "switches": float(len(run.switches)),
-        }
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,12 +50,8 @@ class RobotTeam:
         Who sees whom; a ring of as many as `robots` when not given.
     robots : sequence of TeamRobot
         What robots make of (4.22).
-    goal : (float, float, float)
-        r_q [m].
     duration : float
         Length of each run [s].
-    tolerance : float
-        Distance to the goal that counts as arrived [m].
     blocks : TeamSettings, optional
         Device, channel, trust and gains; gains with which such a team arrives within some 40 s when
         not given.
@@ -126,15 +82,12 @@ class RobotTeam:
 
     graph: Any = None
     robots: tuple[TeamRobot, ...] = ABILITIES
-    goal: tuple[float, float, float] = (1.0, 2.0, 0.5)
     duration: float = 120.0
-    tolerance: float = 0.1
     blocks: TeamSettings | None = None
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
-        set_checked(self, positive, "duration", "tolerance")
-        finite_array("goal", self.goal, length=3)
+        set_checked(self, positive, "duration")
         if isinstance(self.robots, TeamRobot):
             raise ValueError("robots must be a sequence of TeamRobot, one for each robot")
         robots: Any = TeamSettings(robots=self.robots).robots
@@ -202,7 +155,7 @@ class RobotTeam:
 
     def run(
         self, condition: str, person: Mapping[str, Any], seed: int | np.random.SeedSequence
-    ) -> TeamSession:
+    ) -> TeamRun:
         """
         Run one session.
 
@@ -219,19 +172,17 @@ class RobotTeam:
         faults, rest = spawned(seed, 2)
         order = np.random.default_rng(faults).permutation(len(self.robots))
         robots = tuple(self.robots[i] for i in order)
-        run = simulate_team(
+        return simulate_team(
             self.graph,
             policy,
-            self.goal,
-            rest,
-            self.duration,
+            seed=rest,
+            duration=self.duration,
             operator=TeamOperator(**{name: person[name] for name in HAND}),
             settings=replace(self.blocks, robots=robots),
-            trial=TeamTrial(0.01, record_every=0.1, tolerance=self.tolerance),
+            trial=TeamTrial(0.01, record_every=0.1, tolerance=ARRIVED),
         )
-        return TeamSession(run)
 
-    def next_session(self, person: Mapping[str, Any], run: TeamSession) -> Mapping[str, Any]:
+    def next_session(self, person: Mapping[str, Any], run: TeamRun) -> Mapping[str, Any]:
         """
         Return the same operator: nothing is carried from session to session.
 
@@ -239,7 +190,7 @@ class RobotTeam:
         ----------
         person : mapping
             As for `run`.
-        run : TeamSession
+        run : TeamRun
             The run.
         """
         return person

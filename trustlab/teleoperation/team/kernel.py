@@ -17,7 +17,7 @@ import numpy as np
 from trustlab.models.compiled import inner, njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
-from trustlab.teleoperation.ports.waves import dot, read_waves
+from trustlab.teleoperation.ports.waves import LEDGER, dot, read_waves
 from trustlab.teleoperation.records import columns_of, record
 
 # What only the kernel calls, compiled into it.
@@ -27,6 +27,9 @@ NO_FILTER = 0
 TWO_PORT = 1
 WAVES = 2
 BLOCKS = ("the haptic device", "the channel", "the team")
+
+# Below this, motion [m/s] is rounding, and there is nothing to judge by.
+LEAST_SPEED = 1e-6
 
 # A row of the log: storages before the sample and the signals of the sample.
 LOG = record(
@@ -46,9 +49,8 @@ CARRIED = (
     "device_velocity middle near_velocity near_force far_velocity far_force filtered_l filtered_r"
 )
 # Looked up or worked out before each end is solved: error as the operator sees it, the way along
-# which the hand pulls (this error, or the way to where a live hand is), added force, waves, force
-# at rest.
-ARRIVED = "error way pushed v_l v_r open_force"
+# which the hand pulls (this error, or the way to where a live hand is), waves, force at rest.
+ARRIVED = "error way v_l v_r open_force"
 # Force of the channel at the operator's end before the device moves, force of a whole push, and
 # what a robot's neighbours pull it by.
 SIGNALS = "channel_force aim pulled"
@@ -80,14 +82,14 @@ NUMBERS = record(
         "sample_time mass damping stiffness weight gain cutoff k12 k21 push grip reach drag budget "
         "reserve error_range steepness lead_gain force_gain"
     ),
-    counts="read_out filtering vision per_decision per_row",
+    counts="filtering vision per_decision per_row",
     flags="guarded drifting switching",
 )
 
 
-# What comes from outside in each sample: force added to the hand's, where a live hand wants the
-# device to be (NaN without one), who leads, and the number of the graph.
-INPUT = record(vectors="pushed hand", counts="lead graph")
+# What comes from outside in each sample: where a live hand wants the device to be (NaN without
+# one), who leads, and the number of the graph.
+INPUT = record(vectors="hand", counts="lead graph")
 
 
 # What later samples look up of each sample: the velocity sent to the leader and its distance to the
@@ -108,15 +110,12 @@ TeamSetup = namedtuple(
     "TeamSetup", "numbers robots formations stiffness storing delays draws drift"
 )
 
-# What samples hand on; changed in place. now, shape (1,): a record of STATE. q,
-# zeta, shape (N, 3): distance to the goal and ζ, over √s. middle, shape (N, 3): q in the
-# middle of the sample, first as if the leader were not driven. velocity, asked, shape (N, 3): how
-# robots moved in the last sample before a decision [m/s], and how faultless ones would have in
-# their places. trust, shape (N,): in the operator, (4.2). arrives, shape (2, K): whether waves
-# arrive. u_l, u_r, shape (K, 3): waves. accounts: `ledger.accounts()`.
-TeamState = namedtuple(
-    "TeamState", "now q zeta middle velocity asked trust arrives u_l u_r accounts"
-)
+# What samples hand on; changed in place. now, shape (1,): a record of STATE. q, zeta, shape (N, 3):
+# distance to the goal and ζ, over √s. middle, shape (N, 3): q in the middle of the sample, first as
+# if the leader were not driven. rated, shape (N,): how well robots moved in the last sample before
+# a decision. trust, shape (N,): in the operator, (4.2). arrives, shape (2, K): whether waves do.
+# u_l, u_r, shape (K, 3): waves. accounts: `waves.accounts()`.
+TeamState = namedtuple("TeamState", "now q zeta middle rated trust arrives u_l u_r accounts")
 
 # samples, shape (K,): records of SAMPLE. table, shape (rows,): records of STATE, every `per_row`
 # samples. places, shape (rows, N, 3): distances to the goal over √s.
@@ -186,7 +185,6 @@ def look_up_past(n, k, given, past, state):
     for i in range(3):
         state.error[i] = -past.seen[i] if in_sight else 0.0  # r_q − y_h(t − T), (4.26)
         state.way[i] = given.hand[i] - state.device[i] if live else state.error[i]
-        state.pushed[i] = given.pushed[i]
     state.seen_power = dot(past.sent, state.error) if in_sight else 0.0
     if in_sight and n.push > 0.0:
         return max(1.0 - np.sqrt(dot(state.error, state.error)) / n.error_range, 0.0)
@@ -212,7 +210,7 @@ def receive(n, setup, lead, k, low_pass, state, now):
     for way in range(2):
         state.arrives[way, k] = setup.draws[way, k] >= setup.robots[lead].loss
     waves_there = state.u_l, state.u_r, state.arrives
-    how = n.gain, n.read_out, n.sample_time
+    how = n.gain, LEDGER, n.sample_time
     read_waves(*waves_there, k, setup.delays, *how, state.accounts, now.v_l, now.v_r)
     if n.filtering == WAVES:
         filter_wave(low_pass, now.v_r, now.filtered_r)
@@ -254,10 +252,8 @@ def operator_side(n, device, filters, end, spendable, state, u_l):
         held = waves.operator_force(end, filters.decay * state.near_velocity[i], state.v_l[i])
         state.channel_force[i] = state.beta * held / loaded  # (3.22), (3.12)
         state.f_m[i] = middle_of(filters, state.channel_force[i], state.near_force[i])
-        loose = state.pushed[i] - state.f_m[i]
-        state.r_m[i] = (
-            haptic.free_output(device, state.device[i], state.device_velocity[i], loose) / under
-        )
+        x, v = state.device[i], state.device_velocity[i]
+        state.r_m[i] = haptic.free_output(device, x, v, -state.f_m[i]) / under
         state.aim[i] = spring * state.way[i]
     state.push = 1.0
     if n.guarded:
@@ -270,7 +266,7 @@ def operator_side(n, device, filters, end, spendable, state, u_l):
     for i in range(3):
         state.r_m[i] += mobility * state.push * state.aim[i]
         state.f_m[i] += resistance * state.r_m[i]
-        state.f_h[i] = state.push * state.aim[i] - n.drag * state.r_m[i] + state.pushed[i]
+        state.f_h[i] = state.push * state.aim[i] - n.drag * state.r_m[i]
         # the filter's far side, (4.16)-(4.17)
         force = state.channel_force[i] + echo * state.r_m[i]
         passed = middle_of(filters, state.r_m[i], state.near_velocity[i])
@@ -372,14 +368,25 @@ def move(n, matrices, leader, lead, drift, state, now):
 
 
 @part
-def measure_motion(n, robots, drift, state):
-    """Set how robots moved in this sample, and how (4.22) asks faultless ones to."""
+def rate_motion(n, robots, drift, state):
+    """
+    Rate how each robot moved, v, against how (4.22) asks a faultless one in its place to, v̂:
+    1 − ‖v − v̂‖/(‖v‖ + ‖v̂‖), which is 2 s/(1 + s) for one of speed s; NaN where nothing moves. In
+    steps of 0.001, so that no two faultless robots differ by their rounding.
+    """
     h = 0.5 * n.sample_time
     for j in range(robots.size):
+        off = moved = asked = 0.0
         for i in range(3):
             way = state.q[j, i] - state.middle[j, i]  # in half a sample, over √s
-            state.velocity[j, i] = robots[j].root * way / h
-            state.asked[j, i] = (way - drift[j, i]) / (robots[j].root * h)
+            velocity = robots[j].root * way / h
+            faultless = (way - drift[j, i]) / (robots[j].root * h)
+            off += (velocity - faultless) ** 2
+            moved += velocity**2
+            asked += faultless**2
+        moving, state.rated[j] = np.sqrt(moved) + np.sqrt(asked), np.nan
+        if moving > LEAST_SPEED:
+            state.rated[j] = np.rint(1000.0 * (1.0 - np.sqrt(off) / moving)) / 1000.0
 
 
 @part
@@ -474,7 +481,7 @@ def lead_team(first, stop, setup, state, inputs, log):
             now.v_t = stored + now.v_e_delayed + now.v_filter  # (4.32)
             log.table[at] = now
         if (k + 1) % n.per_decision == 0:
-            measure_motion(n, robots, drift, state)
+            rate_motion(n, robots, drift, state)
         account_energy(n, past.lost if k >= n.vision else 0.0, now)
         block = diverged(now)
         if block >= 0:

@@ -3,7 +3,7 @@ Settings of a team under one operator: its blocks, its channel, how a run is mad
 operator of (4.30).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,24 +19,13 @@ from trustlab.models.checks import (
     set_checked,
 )
 from trustlab.models.trust import TrustModel
-from trustlab.teleoperation.filters import (
-    TwoPortFilter,
-    WaveFilter,
-    corrected_filter,
-    printed_filter,
-)
 from trustlab.teleoperation.ports.device import HapticDevice
-from trustlab.teleoperation.ports.waves import READ_OUTS, Scattering
+from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.teleoperation.team.graphs import GraphError, laplacian, team_graph
+from trustlab.teleoperation.team.kernel import NO_FILTER, TWO_PORT, WAVES
 
-# Filters by name, of a cutoff [rad/s] and an impedance b [N s/m].
-FILTERS: dict[str, Any] = {
-    "none": lambda cutoff, b: None,
-    "corrected": corrected_filter,
-    "waves": lambda cutoff, b: WaveFilter(cutoff),
-    "printed": lambda cutoff, b: printed_filter(cutoff),
-}
-CUTOFF = 10.0
+# What the filters F1 and F2 of Fig. 4.1 are, by name.
+FILTERS = {"none": NO_FILTER, "corrected": TWO_PORT, "waves": WAVES, "printed": TWO_PORT}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,16 +35,11 @@ class TeamChannel:
 
     Parameters
     ----------
-    delay, delay_back : float, callable or Delay
-        Delay to the robots and back [s], at least one sample; the same both ways when `delay_back`
-        is not given.
-    vision_delay : float, optional
-        How old the operator's picture is [s]; the greatest delay when not given.
-    filters : {"corrected", "waves", "printed", "none"}, TwoPortFilter or WaveFilter
-        F1 and F2 of Fig. 4.1. By name with a cutoff of 10 rad/s, and the mean b for the corrected
-        gains.
-    read_out : {"ledger", "interpolated", "hold"}
-        How delayed waves are read, see `channel_run`.
+    delay : float, callable, Delay, or a pair of these
+        Delay both ways [s], or (to the robots, back); at least one sample. The operator's picture
+        is as old as the greatest delay.
+    filters : {"corrected", "waves", "printed", "none"}
+        F1 and F2 of Fig. 4.1, with a cutoff of 10 rad/s, and the mean b for the corrected gains.
     switch_scattering : bool
         Whether the operator's end is switched with the leader, (4.7); False shows what that is for.
 
@@ -66,32 +50,12 @@ class TeamChannel:
     """
 
     delay: Any = 0.2
-    delay_back: Any = None
-    vision_delay: float | None = None
-    filters: str | TwoPortFilter | WaveFilter = "corrected"
-    read_out: str = "ledger"
+    filters: str = "corrected"
     switch_scattering: bool = True
 
     def __post_init__(self):
-        one_of("read_out", self.read_out, READ_OUTS)
         set_checked(self, flag, "switch_scattering")
-        if self.vision_delay is not None:
-            set_checked(self, finite_number, "vision_delay")
-        if not isinstance(self.filters, TwoPortFilter | WaveFilter):
-            one_of("filters", self.filters, FILTERS, also="a TwoPortFilter or a WaveFilter")
-
-    def filter_at(self, impedance: float) -> TwoPortFilter | WaveFilter | None:
-        """
-        Return the filter; None where there is none.
-
-        Parameters
-        ----------
-        impedance : float
-            b [N s/m], for the corrected gains.
-        """
-        if isinstance(self.filters, str):
-            return FILTERS[self.filters](CUTOFF, impedance)
-        return self.filters
+        one_of("filters", self.filters, FILTERS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,11 +74,6 @@ class TeamTrial:
         Distance to the goal that counts as arrived [m].
     start : array_like, shape (N, 3), optional
         Where robots begin [m]; drawn within 5 m of the origin when not given.
-    inner : array_like, shape (N, 3), optional
-        ζ at the start; zero when not given.
-    push : array_like, shape (K, 3), optional
-        Force [N] added to the hand's in every sample; V_h counts it, the operator's budget does not
-        foresee it.
     require_connected : bool
         Refuse a graph in several parts, or without a spanning tree.
 
@@ -128,8 +87,6 @@ class TeamTrial:
     record_every: float | None = None
     tolerance: float = 1e-3
     start: np.ndarray | None = None
-    inner: np.ndarray | None = None
-    push: np.ndarray | None = None
     require_connected: bool = True
 
     def __post_init__(self):
@@ -237,7 +194,7 @@ class TeamSettings:
     coupling : float
         c, by which every a_ij is multiplied; 1 as printed.
     channel : TeamChannel
-        Delays, filters and how delayed waves are read.
+        Delays and filters.
     min_dwell : float, optional
         τ_min [s], how long every leader leads at least, greater than the delay; 5 T, at least 5 s,
         when not given.
@@ -276,18 +233,15 @@ class TeamSettings:
             raise ValueError(f"steepness must be at least 10 (3.5), got {self.steepness}")
         for name, kind in PER_ROBOT.items():
             value = getattr(self, name)
-            entries = tuple(value) if np.iterable(value) else (value,)
-            if not entries:
-                raise ValueError(f"{name} is empty")
-            for place, entry in enumerate(entries):
-                _check_range(f"{name}[{place}]", of_class(f"{name}[{place}]", entry, kind))
-            object.__setattr__(self, name, entries if np.iterable(value) else value)
+            if np.iterable(value):
+                value = tuple(value)
+                object.__setattr__(self, name, value)
+            for entry in value if isinstance(value, tuple) else [value]:
+                _check_range(name, of_class(name, entry, kind))
         HapticDevice(self.mass, self.damping, self.stiffness, self.weight)  # refused if not passive
 
     @classmethod
-    def scaled(
-        cls, graph, within: float = 200.0, settings: "TeamSettings | None" = None
-    ) -> "TeamSettings":
+    def scaled(cls, graph, within: float = 200.0) -> "TeamSettings":
         """
         Return settings whose gains bring a team to its goal within a given time, whatever its size.
 
@@ -307,8 +261,6 @@ class TeamSettings:
             As in `team_graph`, undirected and connected.
         within : float
             Time to the goal [s].
-        settings : TeamSettings, optional
-            Settings from which the others are taken.
 
         Raises
         ------
@@ -326,7 +278,7 @@ class TeamSettings:
         slowest = size * inverse.diagonal().max() + np.trace(inverse)
         coupling = 12.0 / within * slowest
         gain = min(float(size), 2.0 * coupling * adjacency.sum(axis=1).min())
-        return replace(settings or cls(), coupling=coupling, lead_gain=gain, force_gain=1.0 / gain)
+        return cls(coupling=coupling, lead_gain=gain, force_gain=1.0 / gain)
 
     def per_robot(self, count: int) -> list[tuple]:
         """
