@@ -49,8 +49,7 @@ def experience(session: Session, study: str | LoopSettings = "main") -> dict[str
     session.require("path_error", "f_h_x", "f_h_y", "f_h_z", "alpha", "p_r", "p_h")
     ends = settings.scattering
     force = np.sqrt(sum(session[f"f_h_{axis}"] ** 2 for axis in "xyz")).mean()
-    spring = np.mean(np.divide(settings.stiffness, settings.weight))
-    holding = spring + ends.beta_max * ends.b
+    holding = settings.stiffness / settings.weight + ends.beta_max * ends.b
     share = (session["alpha"] - ends.alpha_min) / max(ends.alpha_max - ends.alpha_min, 1e-12)
     p_h, total = session["p_h"], session["p_h"] + session["p_r"]
     skill = np.divide(p_h, total, out=np.full(len(session), 0.5), where=total > 0.0)

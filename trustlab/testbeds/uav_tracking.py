@@ -17,7 +17,6 @@ import pandas as pd
 
 from trustlab.models.checks import (
     between,
-    finite_number,
     not_negative,
     of_class,
     one_of,
@@ -29,15 +28,22 @@ from trustlab.models.simulation import Loop, Simulation, View, compiled_for, fil
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
-from trustlab.teleoperation.delays import coloured, delays_in_samples, random_walk_delay
+from trustlab.teleoperation.delays import (
+    both_ways,
+    coloured,
+    delays_in_samples,
+    random_walk_delay,
+)
 from trustlab.teleoperation.loop.hooks import asking, is_state_space, state_space
-from trustlab.teleoperation.loop.kernel import BLOCKS, DIRECT, LAWS, SIGNALS, WAVES, teleoperate
+from trustlab.teleoperation.loop.kernel import BLOCKS, GUIDANCE, LAWS, NOWHERE, teleoperate
 from trustlab.teleoperation.loop.records import (
     AUTONOMY,
     COLUMNS,
     DECIDED,
     INPUT,
+    NUMBERS,
     SAMPLE,
+    TRUST,
     LoopSetup,
     LoopState,
 )
@@ -48,13 +54,14 @@ from trustlab.teleoperation.loop.settings import (
     Scheme,
     blending_cost,
     guidance_named,
-    numbers_of,
     optimal_share,
     scheme_named,
     state_of,
     study_named,
     vehicle_matrices,
 )
+from trustlab.teleoperation.ports import device as haptic
+from trustlab.teleoperation.ports.device import METHODS
 from trustlab.teleoperation.ports.waves import Scattering, accounts
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
@@ -166,18 +173,6 @@ class TrackingTask:
         elif not (self.vehicle is None or callable(self.vehicle)):
             three_axes(self.vehicle)
 
-    def controller(self, sample_time: float) -> np.void:
-        """
-        Return the autonomous controller as the compiled loop takes it.
-
-        Parameters
-        ----------
-        sample_time : float
-            T [s].
-        """
-        late = max(round(self.camera_delay / sample_time), 1)
-        return filled(AUTONOMY, self, picture=self.view, delay=late)
-
     def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """
         Return where the UAV should be and how fast that moves: a figure of eight at a height above
@@ -236,8 +231,8 @@ class TeleoperationLoop(Loop):
     task : TrackingTask, optional
         The target, the controller that follows it and the vehicle; the study's own when not given.
     delay : float, callable, Delay, or a pair of these, optional
-        Delay both ways [s], or (to the robot, back); random walks of the study where None. Zero: no
-        channel in between. `packet_delay(sent, received)` is that of a recorded network.
+        Delay both ways [s], or (to the robot, back), at least one sample; random walks of the study
+        where None. `packet_delay(sent, received)` is that of a recorded network.
     guidance : {"at_operator", "through_channel"} or Guidance
         How the guiding force reaches the operator, and what keeps it passive.
     trust : callable, TrustDynamics or TrustInLoop, optional
@@ -294,15 +289,18 @@ class TeleoperationLoop(Loop):
         self.seed, self.guidance = seed, guidance_named(guidance)
         self.remedy = "lower k_ffa, the hand's gains or the sample time, or see which guard is off"
         study = self.settings.study
-        self.operator = operator_named(operator, REACH[study])
+        if operator is None or callable(operator):
+            operator = Teleoperator(reach=REACH[study], law=operator or "proportional")
+        self.operator = of_class("operator", operator, Teleoperator)
         self.task = of_class("task", TASKS[study] if task is None else task, TrackingTask)
         hooks = self._functions(trust)
         self._asked = ", ".join(hooks) or "built-in"
         ends, T = self.settings.scattering, self.settings.sample_time
-        self.count = count = samples(duration, T)
+        duration = between("duration", duration, 10.0 * T, min(1e5, 5e6 * T))
+        self.count = count = round(duration / T)
         start, losses, noise, *ways = spawned(seed, 5)
         delays = delays_of(self.settings, delay, count, ways)
-        numbers = self._constants(hooks, bool(delays.any()))
+        numbers = self._constants(hooks)
         whole = state_of(self.settings, self.guidance)
         self.state = View(whole)
         if self.scheme.shares == "optimal":
@@ -351,14 +349,14 @@ class TeleoperationLoop(Loop):
         }
         return {part: hook for part, hook in hooks.items() if callable(hook)}
 
-    def _constants(self, hooks: Mapping[str, Callable], delayed: bool) -> np.ndarray:
+    def _constants(self, hooks: Mapping[str, Callable]) -> np.ndarray:
         """Return the constants, a record of NUMBERS."""
-        task, ends = self.task, self.settings.scattering
-        shares, law = self.scheme.shares, self.operator.law
-        T, bilateral = self.settings.sample_time, self.scheme.bilateral
-        hand = self.operator.numbers(T, task.camera_delay)
+        task, settings, guidance, person = self.task, self.settings, self.guidance, self.operator
+        ends, shares, T = settings.scattering, self.scheme.shares, settings.sample_time
+        hand = person.numbers(T, task.camera_delay)
         if shares == "by hand":
-            hand["compensation"] *= 1.0 - self.operator.allocation_cost
+            hand["compensation"] *= 1.0 - person.allocation_cost
+        late = max(round(task.camera_delay / T), 1)
         flies: dict[str, Any] = {}
         if "vehicle" not in hooks:
             axes = usual_vehicle() if task.vehicle is None else three_axes(task.vehicle)
@@ -370,20 +368,37 @@ class TeleoperationLoop(Loop):
                 )
             gains = (task.proportional, task.derivative)
             flies["blend"] = blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
-        carried = WAVES if bilateral else SIGNALS
-        return numbers_of(
-            self.settings,
-            self.guidance,
-            bilateral,
-            hand,
-            auto=task.controller(T),
+        for name, model in (
+            ("trust_hr", settings.human_to_robot),
+            ("trust_rh", settings.robot_to_human),
+        ):
+            flies[name] = filled(TRUST, model, decay=model.decay(T), gain=model.b / model.a)
+        arm = haptic.Arm(person.mass, person.stiffness, person.damping)
+        device = haptic.held_device.py_func(settings, arm, T)
+        where, budget = GUIDANCE.index(guidance.where), guidance.budget
+        numbers = filled(
+            NUMBERS,
+            settings,
+            gain=ends.gain,
+            guidance=-settings.k_ffa if settings.printed_sign else settings.k_ffa,
+            window=max(round(settings.window / T), 1),
             rule=RULES["manual" if callable(shares) else shares],
-            law=0 if callable(law) else LAWS.index(law),
-            carried=carried if delayed else DIRECT,
+            law=0 if callable(person.law) else LAWS.index(person.law),
+            guard=METHODS[guidance.guard],
+            guided_at=where if self.scheme.bilateral else NOWHERE,
+            budget_energy=budget.energy if budget else np.inf,
+            budget_power=budget.power if budget else 0.0,
+            near=ends.at_operator,
+            far=ends.at_robot,
+            hand=hand,
+            auto=filled(AUTONOMY, task, picture=task.view, delay=late),
+            device=device,
+            admittance=settings.force_scaling * device.lever / device.inertia,
             asks_trust="trust" in hooks,
             asks_vehicle="vehicle" in hooks,
             **flies,
         )
+        return np.atleast_1d(numbers)
 
     def step(self, hand: np.ndarray | None = None, alpha: float | None = None) -> View:
         """
@@ -520,24 +535,6 @@ def simulate_teleoperation(
     return TeleoperationLoop(scheme, operator, study, seed, duration, **options).run()
 
 
-def samples(duration: float, sample_time: float) -> int:
-    """Return the number of samples of a run, checked."""
-    duration = finite_number("duration", duration)
-    if not 10.0 * sample_time <= duration <= min(1e5, 5e6 * sample_time):
-        raise ValueError(
-            f"duration must be ten to five million samples of {sample_time:g} s and at most 1e5 "
-            f"s, got {duration}"
-        )
-    return round(duration / sample_time)
-
-
-def operator_named(operator: Any, reach: float) -> Teleoperator:
-    """Return an operator: an average one where none is given, or one with a law."""
-    if operator is None or callable(operator):
-        return Teleoperator(reach=reach, law=operator or "proportional")
-    return of_class("operator", operator, Teleoperator)
-
-
 def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.ndarray]:
     """Return what comes from outside as arrays by name, checked."""
     if not isinstance(signals, Mapping | None):
@@ -612,14 +609,10 @@ def _losses(task: TrackingTask, count: int, sample_time: float, rng) -> np.ndarr
 
 def delays_of(settings: LoopSettings, delay: Any, count: int, seeds) -> np.ndarray:
     """Return the delays both ways in samples; random walks of the study where none is given."""
-    pair = delay if isinstance(delay, tuple) else (delay, delay)
-    if len(pair) != 2:
-        raise ValueError(f"delay must be one for both ways, or (to the robot, back), got {pair}")
     rate, (low, high) = settings.scattering.max_delay_rate, DELAYS[settings.study]
-    ways, T = {}, settings.sample_time
-    for name, way, child in zip(("delay to the robot", "delay back"), pair, seeds, strict=True):
-        if way is None:
+    ways, T = both_ways(delay), settings.sample_time
+    for name, child in zip(ways, seeds, strict=True):
+        if ways[name] is None:
             seed = np.random.SeedSequence(int(np.random.default_rng(child).integers(1 << 62)))
-            way = random_walk_delay(max(low, T), high, rate, seed)
-        ways[name] = way
-    return delays_in_samples(ways, rate, "ledger", count, T, zero=True)
+            ways[name] = random_walk_delay(max(low, T), high, rate, seed)
+    return delays_in_samples(ways, rate, count, T)

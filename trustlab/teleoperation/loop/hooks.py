@@ -47,8 +47,8 @@ def asking(
     """
     row = records["now"]
     bounds = {
-        name: (getattr(ends, f"{name}_min"), getattr(ends, f"{name}_max"))
-        for name in ("alpha", "beta")
+        "alpha": (ends.alpha_min, ends.alpha_max),
+        "beta": (ends.beta_min, ends.beta_max),
     }
     fields = {
         name: (row if name in row.dtype.names else records)[name]
@@ -119,25 +119,21 @@ def state_space(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Callable:
     """
     Return a vehicle that steps x' = A x + B u, x = 0 at the start, and moves from there by C x'.
     """
-    matrices = {
-        name: np.asarray(matrix, float) for name, matrix in zip("ABC", (a, b, c), strict=True)
-    }
-    n = len(matrices["A"])
-    for (name, matrix), shape in zip(matrices.items(), ((n, n), (n, 3), (6, n)), strict=True):
-        if matrix.shape != shape:
-            raise ValueError(
-                f"vehicle: {name} must have shape {shape}, got {matrix.shape}: A (n, n), B (n, 3) "
-                "for the commands on x, y and z, C (6, n) for position and velocity"
-            )
-        if not np.isfinite(matrix).all():
-            raise ValueError(f"vehicle: {name} must be finite")
+    a, b, c = (np.asarray(matrix, float) for matrix in (a, b, c))
+    n = len(a)
+    fits = [a.shape, b.shape, c.shape] == [(n, n), (n, 3), (6, n)]
+    if not fits or not all(np.isfinite(matrix).all() for matrix in (a, b, c)):
+        raise ValueError(
+            "vehicle must be finite matrices A (n, n), B (n, 3) for commands on x, y and z, and C "
+            f"(6, n) for position and velocity, got shapes {a.shape}, {b.shape} and {c.shape}"
+        )
 
     def step(state: View) -> tuple[np.ndarray, np.ndarray]:
         memory = state.memory
         if "x" not in memory:
             memory["x"], memory["start"] = np.zeros(n), state.robot.copy()
-        memory["x"] = matrices["A"] @ memory["x"] + matrices["B"] @ state.command
-        moved = matrices["C"] @ memory["x"]
+        memory["x"] = a @ memory["x"] + b @ state.command
+        moved = c @ memory["x"]
         return memory["start"] + moved[:3], moved[3:]
 
     return step

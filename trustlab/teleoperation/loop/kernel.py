@@ -30,9 +30,7 @@ MANUAL, LOGISTIC, STEPS, BY_HAND = range(4)
 # How operators act on the error that they see.
 LAWS = ("proportional", "crossover")
 CROSSOVER = 1
-# What the channel carries: nothing between the ends, waves, or the device's output alone.
-DIRECT, WAVES, SIGNALS = range(3)
-# Where the guiding force is rendered.
+# Where the guiding force is rendered; nowhere, if the channel carries the device's output alone.
 GUIDANCE = ("at_operator", "through_channel")
 AT_OPERATOR, THROUGH_CHANNEL, NOWHERE = range(3)
 
@@ -82,12 +80,12 @@ def look(k, c, s, inputs, log):
 @step
 def receive(k, setup, c, s, state, log):
     """Set what comes out of the channel."""
-    if c.carried == WAVES:
+    if c.guided_at != NOWHERE:
         sent, delays = state.sent, setup.delays
         arrives = setup.arrives
         how = c.gain, LEDGER, c.sample_time
         read_waves(sent[0], sent[1], arrives, k, delays, *how, state.accounts, s.v_l, s.v_r)
-    elif c.carried == SIGNALS:
+    else:
         where = k - setup.delays[0, k]
         first = int(np.floor(where))
         if first >= 0:
@@ -233,11 +231,10 @@ def distance(now):
 @step
 def push(c, s, external):
     """Set the hand's force, and the output that the device would have without feedback."""
-    hand, now = c.hand, s.now
+    hand, device, now = c.hand, c.device, s.now
     if hand.fatigue > 0.0:  # weakened by what the hand has pushed so far [N s]
         s.effort += c.sample_time * np.sqrt(dot(now.f_h, now.f_h))
     for i in range(3):
-        device = c.device[i]
         if np.isnan(external.hand[i]):
             wanted = s.wanted[i] / (1.0 + hand.fatigue * s.effort)
             s.wish[i] = hand.decay * s.wish[i] + (1.0 - hand.decay) * wanted
@@ -271,60 +268,19 @@ def passivity_share(guard, energy, velocity, force, gain, sample_time):
 
 
 @step
-def loading_and_echo(c, beta, i):
-    """
-    Return how the channel loads the device, L, and what of a wave sent back comes again without a
-    channel in between, E.
-
-    Without a channel four equations hold at once on an axis, Y being the device's admittance:
-
-    r_m = free − Y f_m, the device; f_m = β (b r_m + arriving v_l), (3.22) and (3.12);
-    v_r = u_l = sent r_m + reflected v_l, (3.22); v_l = u_r = sent' f_s − reflected' v_r, (3.22).
-
-    The first two give r_m = (free − Y β arriving v_l)/L with L = 1 + Y β b, the third then
-    v_r = sent free/L + E v_l with E = reflected − sent Y β arriving/L, and the fourth
-    v_r (1 + reflected' E) = sent free/L + E sent' f_s.
-    """
-    near, admittance = c.near, c.admittance[i]
-    loaded = 1.0 + admittance * beta * near.b
-    return loaded, near.reflected - near.sent * (admittance * beta * near.arriving / loaded)
-
-
-@step
-def solve_robot_end(c, s):
-    """
-    Set the robot's velocity r_s = α (free − compliance f_s): the free part arrives, and the port
-    yields to the force.
-    """
-    near, far = c.near, c.far
-    for i in range(3):
-        s.compliance[i] = 1.0 / far.b
-        s.free_velocity[i] = far.arriving * s.v_r[i] / far.b
-        if c.carried == DIRECT:
-            loaded, echo = loading_and_echo(c, s.now.beta, i)
-            s.compliance[i] = (
-                1.0 - far.arriving * echo * far.sent / (1.0 + far.reflected * echo)
-            ) / far.b
-            straight = far.arriving * near.sent * s.free_output[i] / loaded
-            s.free_velocity[i] = straight / (far.b * (1.0 + far.reflected * echo))
-
-
-@step
 def solve_operator_end(c, s):
     """
-    Set the operator's end for the force at the robot's and what guides there: r_m = free − Y f_m.
+    Set the operator's end of the channel, the guiding force there included.
+
+    Two equations hold at once on an axis, Y being the device's admittance: r_m = free − Y f_m, the
+    device; f_m = guiding + β (b r_m + arriving v_l), (3.12) and (3.22).
     """
-    near, far = c.near, c.far
-    now = s.now
+    near, now = c.near, s.now
+    loaded = 1.0 + c.admittance * now.beta * near.b
+    through = c.admittance * now.beta * near.arriving / loaded
     for i in range(3):
-        loaded, echo = loading_and_echo(c, now.beta, i)
-        through = c.admittance[i] * now.beta * near.arriving / loaded
         guiding = s.pull[i] if c.guided_at == AT_OPERATOR else 0.0
-        free = s.free_output[i] - c.admittance[i] * guiding
-        if c.carried == DIRECT:
-            straight = near.sent * free / loaded + echo * far.sent * now.f_s[i]
-            s.v_r[i] = straight / (1.0 + far.reflected * echo)
-            s.v_l[i] = waves.robot_wave(far, now.f_s[i], s.v_r[i])
+        free = s.free_output[i] - c.admittance * guiding
         now.r_m[i] = free / loaded - through * s.v_l[i]
         # (3.12), (3.22)
         now.f_m[i] = guiding + now.beta * waves.operator_force(near, now.r_m[i], s.v_l[i])
@@ -335,19 +291,20 @@ def guide_through_channel(c, s):
     """
     The guiding force at the robot's port, under the controller of Theorem 4: Chapter 3 as printed.
     """
-    now, square = s.now, 0.0
-    solve_robot_end(c, s)
+    now, far, square = s.now, c.far, 0.0
+    compliance = 1.0 / far.b
     for i in range(3):
         s.pull[i] = now.f_s[i] = s.guiding[i]
-        # (3.12), (3.22)
-        now.r_s[i] = now.alpha * (s.free_velocity[i] - s.compliance[i] * now.f_s[i])
-        square += now.r_s[i] ** 2 * (s.compliance[0] / s.compliance[i])
-    gain = square / (now.alpha * s.compliance[0])
+        free = far.arriving * s.v_r[i] / far.b
+        now.r_s[i] = now.alpha * (free - compliance * now.f_s[i])  # (3.12), (3.22)
+        square += now.r_s[i] ** 2
+    gain = square / (now.alpha * compliance)
     share = passivity_share(c.guard, now.energy_robot, now.r_s, now.f_s, gain, c.sample_time)
     if share < 1.0:
         for i in range(3):
             now.r_s[i] = share * now.r_s[i]
-            now.f_s[i] = (s.free_velocity[i] - now.r_s[i] / now.alpha) / s.compliance[i]
+            free = far.arriving * s.v_r[i] / far.b
+            now.f_s[i] = (free - now.r_s[i] / now.alpha) / compliance
     solve_operator_end(c, s)
     now.port_share = share
 
@@ -361,22 +318,18 @@ def guide_at_operator(c, s):
     The controller works on (r_m, f_m), of which the guiding force is a part: guidance spends what
     the operator's port has earned, or its budget.
     """
-    near, far = c.near, c.far
     now, gain = s.now, 0.0
     for i in range(3):
         s.pull[i], now.f_s[i] = now.beta * s.guiding[i], 0.0
     solve_operator_end(c, s)
     for i in range(3):
-        gain += now.r_m[i] ** 2 / c.admittance[i]
+        gain += now.r_m[i] ** 2 / c.admittance
     share = passivity_share(c.guard, s.account, now.r_m, now.f_m, gain, c.sample_time)
     for i in range(3):
         if share < 1.0:
             now.r_m[i] = share * now.r_m[i]
-            now.f_m[i] = (s.free_output[i] - now.r_m[i]) / c.admittance[i]
-            if c.carried == DIRECT:  # what the slower device sends returns at once
-                s.v_r[i] = near.sent * now.r_m[i] / (1.0 + near.reflected * far.reflected)
-                s.v_l[i] = waves.robot_wave(far, now.f_s[i], s.v_r[i])
-        now.r_s[i] = now.alpha * waves.robot_velocity(far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
+            now.f_m[i] = (s.free_output[i] - now.r_m[i]) / c.admittance
+        now.r_s[i] = now.alpha * waves.robot_velocity(c.far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
     now.port_share = share
 
 
@@ -386,7 +339,7 @@ def send_output(c, s):
     now = s.now
     for i in range(3):
         now.r_m[i] = s.free_output[i]
-        now.r_s[i] = now.alpha * (now.r_m[i] if c.carried == DIRECT else s.arrived[i])
+        now.r_s[i] = now.alpha * s.arrived[i]
         now.f_m[i] = now.f_s[i] = s.pull[i] = 0.0
     now.port_share = 1.0
 
@@ -402,13 +355,12 @@ def account(c, s, external):
     """
     T = c.sample_time
     scaling = c.force_scaling
-    hand = c.hand
+    hand, device = c.hand, c.device
     now = s.now
     bilateral = c.guided_at != NOWHERE
     magnitude = now.energy_device = 0.0
     for i in range(3):
-        device, x = c.device[i], now.device[i]
-        v = now.device_velocity[i]
+        x, v = now.device[i], now.device_velocity[i]
         r_m, f_m = now.r_m[i], now.f_m[i]
         r_s, f_s = now.r_s[i], now.f_s[i]
         # (3.8)

@@ -36,7 +36,7 @@ STATE = np.dtype(
         *record(
             vectors="reference_velocity acceleration wish integral picture picture_before seen "
             "seen_before v_l v_r arrived wanted force free_output stretch guiding pull "
-            "free_velocity compliance middle command",
+            "middle command",
             numbers="t sample_time alpha_min alpha_max beta_min beta_max account effort square_m "
             "square_s sum_r sum_h",
             counts="waited",
@@ -87,16 +87,15 @@ NUMBERS = np.dtype(
     [
         *record(
             numbers="sample_time force_scaling gain guidance steepness command_range error_range "
-            "budget_energy budget_power",
-            counts="window rule law guard carried guided_at",
+            "budget_energy budget_power admittance",
+            counts="window rule law guard guided_at",
             flags="asks_vehicle asks_trust",
         ).descr,
         ("trust_hr", TRUST),
         ("trust_rh", TRUST),
         ("hand", HAND),
         ("auto", AUTONOMY),
-        ("device", DEVICE, 3),
-        ("admittance", float, 3),
+        ("device", DEVICE),
         ("near", END),
         ("far", END),
         # exact one-sample matrices of (position, velocity, acceleration) per axis

@@ -12,7 +12,6 @@ import numpy as np
 from trustlab.allocation.blending import OptimalBlending, best_share
 from trustlab.models.checks import (
     between,
-    finite_array,
     finite_number,
     flag,
     of_class,
@@ -25,21 +24,11 @@ from trustlab.models.compiled import njit
 from trustlab.models.simulation import filled
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
 from trustlab.models.uav import held_over
-from trustlab.teleoperation.loop.kernel import (
-    BY_HAND,
-    GUIDANCE,
-    LOGISTIC,
-    MANUAL,
-    NOWHERE,
-    STEPS,
-)
-from trustlab.teleoperation.loop.records import DEVICE, NUMBERS, SAMPLE, STATE, TRUST
-from trustlab.teleoperation.ports import device as haptic
+from trustlab.teleoperation.loop.kernel import BY_HAND, GUIDANCE, LOGISTIC, MANUAL, STEPS
+from trustlab.teleoperation.loop.records import SAMPLE, STATE
 from trustlab.teleoperation.ports.budget import GuidanceBudget
-from trustlab.teleoperation.ports.device import METHODS, HapticDevice
+from trustlab.teleoperation.ports.device import GAINS, METHODS, HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
-
-STUDY_NAMES = ("preliminary", "main")
 
 
 @dataclass(frozen=True)
@@ -49,9 +38,8 @@ class LoopSettings:
 
     Parameters
     ----------
-    mass, damping, stiffness, weight : float or three floats
-        M [kg], B [N s/m], K [N/m] and Λ [1/s] of the haptic device, the same on all axes or axis by
-        axis.
+    mass, damping, stiffness, weight : float
+        M [kg], B [N s/m], K [N/m] and Λ [1/s] of the haptic device, the same on all axes.
     scattering : Scattering
         Impedance b, bounds of α and β, and Ṫ_max.
     k_ffa : float
@@ -87,10 +75,10 @@ class LoopSettings:
         If a value is out of range; `PassivityError` if the device is too heavy for its gains.
     """
 
-    mass: float | tuple[float, float, float]
-    damping: float | tuple[float, float, float]
-    stiffness: float | tuple[float, float, float]
-    weight: float | tuple[float, float, float]
+    mass: float
+    damping: float
+    stiffness: float
+    weight: float
     scattering: Scattering
     k_ffa: float
     height: float
@@ -108,16 +96,12 @@ class LoopSettings:
     sample_time: float = 0.01
 
     def __post_init__(self):
-        for name in ("mass", "damping", "stiffness", "weight"):
-            value = getattr(self, name)
-            each = np.ndim(value) and tuple(finite_array(name, value, length=3).tolist())
-            object.__setattr__(self, name, each or finite_number(name, value))
-        set_checked(self, finite_number, "height", "k_ffa")
+        set_checked(self, finite_number, *GAINS, "height", "k_ffa")
         set_checked(self, positive, "window", "command_range", "error_range")
         of_class("scattering", self.scattering, Scattering)
-        of_class("human_to_robot", self.human_to_robot, TrustModel)
-        of_class("robot_to_human", self.robot_to_human, TrustModel)
-        one_of("study", self.study, STUDY_NAMES)
+        for name in ("human_to_robot", "robot_to_human"):
+            of_class(name, getattr(self, name), TrustModel)
+        one_of("study", self.study, ("preliminary", "main"))
         between("sample_time", self.sample_time, 1e-5, 0.1)
         if self.k_ffa < 0.0:
             raise ValueError(
@@ -125,17 +109,8 @@ class LoopSettings:
                 "printed direction"
             )
         self.scalings("logistic")
-        self.device()
-
-    def device(self) -> HapticDevice:
-        """
-        Return the haptic device, checked for r-passivity with the damping that its port always has.
-        """
-        return HapticDevice(
-            self.mass,
-            self.damping,
-            self.stiffness,
-            self.weight,
+        HapticDevice(  # refused if it is not r-passive with the damping that its port always has
+            *(getattr(self, name) for name in GAINS),
             force_scaling=self.force_scaling,
             port_damping=self.scattering.beta_min * self.scattering.b,
             require_passive=self.require_passive,
@@ -201,7 +176,7 @@ def study_named(study: str | LoopSettings) -> LoopSettings:
     """Return the printed settings of a study by name, or own ones as they are."""
     if isinstance(study, LoopSettings):
         return study
-    return STUDIES[one_of("study", study, STUDY_NAMES, also="LoopSettings")]
+    return STUDIES[one_of("study", study, STUDIES, also="LoopSettings")]
 
 
 # --- schemes ------------------------------------------------------------------------------------
@@ -291,46 +266,25 @@ class Scheme:
             one_of("shares", self.shares, RULES, also="a function of the state")
 
 
+_TRUST = "mixed initiative by trust"
 SCHEMES = {
     scheme.name: scheme
     for scheme in (
         Scheme("M", "manual", "manual teleoperation with force feedback"),
-        Scheme(
-            "MI",
-            "logistic",
-            "mixed initiative by trust (3.5), without force feedback",
-            bilateral=False,
-        ),
+        Scheme("MI", "logistic", f"{_TRUST} (3.5), without force feedback", bilateral=False),
         Scheme("MMI", "by hand", "mixed initiative, allocated by hand, with force feedback"),
-        Scheme(
-            "TMIG",
-            "logistic",
-            "mixed initiative by trust, logistic scales (3.5), with force feedback",
-        ),
-        Scheme(
-            "TMIS",
-            "steps",
-            "mixed initiative by trust, step scales (3.6), with force feedback",
-        ),
-        Scheme(
-            "OMI",
-            "optimal",
-            "mixed initiative, optimal allocation (Appendix A), with force feedback",
-        ),
+        Scheme("TMIG", "logistic", f"{_TRUST}, logistic scales (3.5), with force feedback"),
+        Scheme("TMIS", "steps", f"{_TRUST}, step scales (3.6), with force feedback"),
+        Scheme("OMI", "optimal", "optimal allocation (Appendix A), with force feedback"),
     )
 }
 
 
 def scheme_named(name: str | Scheme) -> Scheme:
-    """
-    Return the scheme of this name, or one's own as it is; an unknown name is refused with the
-    nearest.
-    """
-    return (
-        name
-        if isinstance(name, Scheme)
-        else SCHEMES[one_of("scheme", name, SCHEMES, also="a trustlab.Scheme")]
-    )
+    """Return the scheme of this name, or one's own as it is."""
+    if isinstance(name, Scheme):
+        return name
+    return SCHEMES[one_of("scheme", name, SCHEMES, also="a trustlab.Scheme")]
 
 
 # --- guidance -----------------------------------------------------------------------------------
@@ -396,47 +350,6 @@ def guidance_named(guidance: str | Guidance) -> Guidance:
     return Guidance(one_of("guidance", guidance, GUIDANCE, also="trustlab.teleoperation.Guidance"))
 
 
-def numbers_of(
-    settings: LoopSettings, guidance: Guidance, bilateral: bool, hand: np.void, **rest
-) -> np.ndarray:
-    """
-    Return the constants of a loop, a record of NUMBERS.
-
-    hand: the operator, a record of HAND. rest: what sees, flies and sets the scales there.
-    """
-    T, ends = settings.sample_time, settings.scattering
-    budget = guidance.budget
-    arm = haptic.Arm(hand["mass"], hand["stiffness"], hand["damping"])
-    axes = haptic.held_device.py_func(settings.device(), arm, T)
-    device = np.zeros(3, DEVICE)
-    for name, value in axes._asdict().items():
-        device[name] = value
-    models = {"trust_hr": settings.human_to_robot, "trust_rh": settings.robot_to_human}
-    trust = {
-        name: filled(TRUST, model, decay=model.decay(T), gain=model.b / model.a)
-        for name, model in models.items()
-    }
-    numbers = filled(
-        NUMBERS,
-        settings,
-        gain=ends.gain,
-        guidance=-settings.k_ffa if settings.printed_sign else settings.k_ffa,
-        window=max(round(settings.window / T), 1),
-        guard=METHODS[guidance.guard],
-        guided_at=GUIDANCE.index(guidance.where) if bilateral else NOWHERE,
-        budget_energy=budget.energy if budget else np.inf,
-        budget_power=budget.power if budget else 0.0,
-        near=ends.at_operator,
-        far=ends.at_robot,
-        hand=hand,
-        device=device,
-        admittance=settings.force_scaling * axes.lever / axes.inertia,
-        **trust,
-        **rest,
-    )
-    return np.atleast_1d(numbers)
-
-
 def state_of(settings: LoopSettings, guidance: Guidance) -> np.ndarray:
     """
     Return the state before the first sample, a record of STATE: scales at their upper bounds, trust
@@ -444,8 +357,7 @@ def state_of(settings: LoopSettings, guidance: Guidance) -> np.ndarray:
     """
     ends, models = settings.scattering, (settings.human_to_robot, settings.robot_to_human)
     hr, rh = (model.t_min + (model.t_max - model.t_min) * 0.5 for model in models)
-    scales = {"alpha": ends.alpha_max, "beta": ends.beta_max}
-    now = filled(SAMPLE, trust_hr=hr, trust_rh=rh, **scales)
+    now = filled(SAMPLE, trust_hr=hr, trust_rh=rh, alpha=ends.alpha_max, beta=ends.beta_max)
     account = guidance.budget.energy if guidance.budget else 0.0
     return np.atleast_1d(filled(STATE, settings, ends, now=now, account=account))
 
