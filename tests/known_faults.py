@@ -365,11 +365,6 @@ KNOWN = {
     "teleoperation.packet_delay": {
         "received": "foreign errors",
     },
-    "teleoperation.rendered_impedance": {
-        "environment": "foreign errors",
-        "alpha": "no difference",
-        "beta": "no difference",
-    },
     "teleoperation.team_graph": {
         "require_connected": "foreign errors, anything is taken, no difference",
     },

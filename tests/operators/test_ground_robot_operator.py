@@ -8,7 +8,7 @@ import pytest
 import trustlab as tl
 from trustlab.operators import operator
 from trustlab.operators.ground_robot import OperatorNumbers, driving_style, joystick
-from trustlab.testbeds import drive_modes
+from trustlab.testbeds.ground_robot.conditions import drive_modes
 
 
 def test_numbers_are_the_operators_own(operators):

@@ -132,13 +132,13 @@ class TestSight:
 class TestCompensation:
     def test_it_scales_what_the_hand_does(self):
         """
-        Oracle: without noise, force or delay of the channel the device is linear in what is wanted.
+        Oracle: without noise and force the device is linear in what is wanted.
         """
         wanted = []
         for factor in (1.0, 1.5):
             who = Teleoperator(compensation=factor, noise=0.0)
             task = TrackingTask(failure_every=1e9)
-            loop = tl.TeleoperationLoop("M", who, seed=2, delay=0.0, task=task, guidance=FREE)
+            loop = tl.TeleoperationLoop("M", who, seed=2, delay=0.01, task=task, guidance=FREE)
             # the first pictures, of the same path
             wanted.append(np.array([state.wanted for state in stepped(loop, 38)[36:]]))
         np.testing.assert_allclose(wanted[1], 1.5 * wanted[0], rtol=1e-9)
@@ -156,7 +156,7 @@ class TestCompensation:
             person = Teleoperator(law=law, **laws, noise=0.0, reach=5.0)
             signals = {"alpha": np.full(11_000, alpha)}
             run = tl.simulate_teleoperation(
-                "M", person, seed=6, duration=110.0, delay=0.0, signals=signals, guidance=FREE
+                "M", person, seed=6, duration=110.0, delay=0.01, signals=signals, guidance=FREE
             )
             # what is seen is the error, late by 35 samples
             error = (columns(run, "reference") - columns(run, "robot"))[5965:-35, :2]

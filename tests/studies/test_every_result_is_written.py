@@ -59,7 +59,6 @@ RESULTS = {
     ),
     "SmallestN": lambda: studies.smallest_n(0.5, [0.0, 0.8, 1.2], COVARIANCE, simulation=QUICK),
     "VirtualStudy": lambda: tl.virtual_study(n=4, conditions=["C1", "C5"], laps=1),
-    "OperatorPopulation": lambda: tl.testbeds.OperatorPopulation.ground_robot(),
     "Questionnaire": lambda: tl.TRUST_CHECKLIST,
     "ScaleScores": lambda: tl.score(ANSWERS, tl.TRUST_CHECKLIST, subject="who"),
     "Reliability": lambda: studies.cronbach_alpha(ANSWERS.drop(columns="who")),

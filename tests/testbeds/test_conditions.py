@@ -14,8 +14,9 @@ import trustlab as tl
 from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.simulation import Simulation
 from trustlab.models.tsc import threshold_mode
-from trustlab.testbeds import drive_modes, published_operator, published_thresholds
+from trustlab.testbeds import published_operator, published_thresholds
 from trustlab.testbeds.deciding import CONDITIONS, SETTLING
+from trustlab.testbeds.ground_robot.conditions import drive_modes
 from trustlab.testbeds.uav_following import DURATION, E_MAX, U_MAX
 
 FLIGHT = {"measure": "uav_tracking", "e_max": E_MAX, "u_max": U_MAX, "axes": "xy"}

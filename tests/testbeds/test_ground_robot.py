@@ -19,11 +19,11 @@ from trustlab.operators import operator
 from trustlab.testbeds import (
     Course,
     Pioneer,
-    drive_modes,
     identification_session,
     run_condition,
 )
 from trustlab.testbeds.deciding import SETTLING
+from trustlab.testbeds.ground_robot.conditions import drive_modes
 from trustlab.testbeds.ground_robot.kernel import locate
 
 SEEDS = range(8)

@@ -5,12 +5,12 @@ import pytest
 
 import trustlab as tl
 from trustlab.testbeds import (
-    drive_modes,
     published_model,
     published_operator,
     published_thresholds,
     run_condition,
 )
+from trustlab.testbeds.ground_robot.conditions import drive_modes
 
 PEOPLE = ("1", "2", "3", "4", "5")
 

@@ -55,8 +55,8 @@ def test_teams(change, words):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"duration": -1.0}, "duration must be"),
-        ({"delay": (0.0, 0.1)}, "must both be zero"),
+        ({"duration": -1.0}, "duration must lie in"),
+        ({"delay": (0.0, 0.1)}, "delay to the robot.* at least one sample"),
         ({"signals": {"push": np.full((12000, 3), np.nan)}}, "push .* but sample 0 is"),
         (
             {"delay": (packet_delay([0.0, 0.1], [0.1, 0.2]), 0.1), "duration": 5.0},
@@ -73,16 +73,9 @@ def test_flights(arguments, words):
         tl.simulate_teleoperation(**arguments)
 
 
-@pytest.mark.parametrize(
-    ("matrices", "words"),
-    [
-        ((UNIT, NONE[:, :2], UNIT), r"B must have shape \(6, 3\), got \(6, 2\)"),
-        ((UNIT, NONE, UNIT[:3]), r"C must have shape \(6, 6\)"),
-        ((np.nan * UNIT, NONE, UNIT), "A must be finite"),
-    ],
-)
-def test_vehicles(matrices, words):
-    with pytest.raises(ValueError, match=words):
+@pytest.mark.parametrize("matrices", [(UNIT, NONE[:, :2], UNIT), (np.nan * UNIT, NONE, UNIT)])
+def test_vehicles(matrices):
+    with pytest.raises(ValueError, match="vehicle must be finite matrices"):
         tl.TrackingTask(vehicle=matrices)
 
 

@@ -89,7 +89,7 @@ def driven(sample_time, delay, settings=UNIT):
     ).data
 
 
-def test_without_delay_and_with_unit_scales_the_loop_is_the_continuous_one():
+def test_with_unit_scales_and_hardly_a_delay_the_loop_is_the_continuous_one():
     def closed(t, y):
         state = y.reshape(5, 3)
         force = -UNIT.k_ffa * error(t, state[2])
@@ -99,7 +99,7 @@ def test_without_delay_and_with_unit_scales_the_loop_is_the_continuous_one():
     solved = solve_ivp(closed, (0.0, 4.0), start, rtol=1e-10, atol=1e-12, dense_output=True)
     errors = []
     for sample_time in (0.004, 0.002, 0.001):
-        data = driven(sample_time, 0.0)
+        data = driven(sample_time, sample_time)
         device, _, robot, *_ = solved.sol(data.index.to_numpy()).T.reshape(-1, 5, 3).swapaxes(0, 1)
         errors.append(disagreement(data, device, robot))
     assert errors[-1] < 5e-3

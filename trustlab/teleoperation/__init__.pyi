@@ -53,8 +53,6 @@ from .team.settings import (
 from .transparency import (
     dominance as dominance,
     gains as gains,
-    ideal_distances as ideal_distances,
     plot_scales as plot_scales,
     plot_transparency as plot_transparency,
-    rendered_impedance as rendered_impedance,
 )

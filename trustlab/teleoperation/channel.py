@@ -3,18 +3,18 @@ The communication channel by itself, any signals at its ports: with scales (Theo
 between leaders (4.7).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from trustlab.models.checks import finite_numbers, of_class, one_of, positive
+from trustlab.models.checks import finite_numbers, of_class, one_of, positive, shown
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.ports import waves
 from trustlab.teleoperation.ports.waves import READ_OUTS, Scattering, accounts, read_waves
-from trustlab.teleoperation.records import record, robot_numbers, signals
+from trustlab.teleoperation.records import record, signals
 
 # One end of the channel: see `OperatorEnd` and `RobotEnd`.
 END = record(numbers=" ".join(waves.OperatorEnd._fields))
@@ -157,16 +157,19 @@ def channel_run(
     """
     r_m, f_s = signals(2, r_m=r_m, f_s=f_s)
     count, period = len(r_m), positive("sample_time", sample_time)
-    switched = leaders is not None
     one_of("read_out", read_out, READ_OUTS)
-    robots = list(scattering) if isinstance(scattering, Iterable) and switched else [scattering]
+    robots = [scattering] if leaders is None or not np.iterable(scattering) else scattering
     ends = [of_class("scattering", robot, Scattering) for robot in robots]
-    numbers = leaders if switched else np.zeros(count, int)
-    rows = numbers if np.shape(numbers) == (2, count) else (numbers, numbers)
-    near, far = (robot_numbers("leaders", row, count, len(ends)) for row in rows)
+    numbers = np.zeros(count, int) if leaders is None else np.asarray(leaders)
+    if numbers.shape not in ((count,), (2, count)) or not np.isin(numbers, range(len(ends))).all():
+        raise ValueError(
+            f"leaders must be {count} numbers of the {len(ends)} robots of scattering, or two rows "
+            f"of these, got {shown(leaders)}"
+        )
+    near, far = np.broadcast_to(numbers.astype(int), (2, count))
     alphas = _scale("alpha", alpha, np.array([end.alpha_max for end in ends])[far])
     betas = _scale("beta", beta, np.array([end.beta_max for end in ends])[near])
-    if not switched:
+    if leaders is None:
         ends[0].check_scales(alphas, betas)
     rate = max(end.max_delay_rate for end in ends)
     delays = {"delay_1": delay_1, "delay_2": delay_2}

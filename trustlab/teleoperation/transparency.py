@@ -6,23 +6,13 @@ figures.
 import math
 
 import numpy as np
-import pandas as pd
 
-from trustlab.models.checks import finite_array, finite_number, not_negative, of_class
+from trustlab.models.checks import finite_number, of_class
 from trustlab.models.display import axes_or_new
 from trustlab.teleoperation.loop.settings import STUDIES, LoopSettings
 from trustlab.teleoperation.ports.waves import Scattering
 
 COLORS = ("C0", "C1")
-
-# The relations of (3.22) by who should be passed on: names in `dominance`, index of
-# `ideal_distances`.
-RELATIONS = {
-    "force_operator": "f'_m = v_l",
-    "force_robot": "u_r = f_s",
-    "velocity_robot": "r'_s = v_r",
-    "velocity_operator": "u_l = r_m",
-}
 
 # Gains that are mapped over the ranges of both scales; of the leaks the drag, as with b = 1 the
 # drift is the same.
@@ -33,49 +23,16 @@ MAPS = {
 }
 
 
-def ideal_distances(scattering: Scattering):
-    """
-    Return by how much the four relations of (3.22) miss the ideal ones of (3.23).
-
-    Each relation mixes the wanted signal with another one: f'_m = b r_m + √(2b/β_max) v_l should be
-    v_l, u_r = √(2α_min/b) f_s − √(α_min/α_max) v_r should be f_s, and so on. All four cannot be met
-    at once.
-
-    Parameters
-    ----------
-    scattering : Scattering
-        Impedance and bounds of the scales.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Index `relation`; columns wanted, weight (of the wanted signal; ideal 1), other, leak
-        (weight of the other signal; ideal 0), distance = √((weight − 1)² + leak²), ratio =
-        weight/leak.
-    """
-    s = of_class("scattering", scattering, Scattering)
-    near, far = s.at_operator, s.at_robot
-    columns = {
-        "wanted": ("v_l", "f_s", "v_r", "r_m"),
-        "weight": (near.arriving, far.sent, far.arriving / s.b, near.sent),
-        "other": ("r_m", "v_r", "f_s", "v_l"),
-        "leak": (s.b, far.reflected, 1.0 / s.b, near.reflected),
-    }
-    frame = pd.DataFrame(columns, pd.Index(RELATIONS.values(), name="relation"))
-    frame["distance"] = np.hypot(frame["weight"] - 1.0, frame["leak"])
-    frame["ratio"] = frame["weight"] / frame["leak"]
-    return frame
-
-
 def dominance(scattering: Scattering) -> dict[str, float]:
     """
     Return how far the wanted signal outweighs the other one, for force and for velocity.
 
-    In u_r and f'_m the force dominates by √(2α_max/b) and √(2/(bβ_max)): it gains from smaller b
-    and β_max and larger α_max. In r'_s and u_l the velocity dominates by √(2b/α_max) and
-    √(2bβ_max): it gains from larger b, from smaller α_max in the first and larger β_max in the
-    second. Section 3.7.1 says that a smaller β helps velocity; it does not, whichever bar the text
-    has lost.
+    Each relation of (3.22) mixes the wanted signal with another one: f'_m = b r_m + √(2b/β_max) v_l
+    should be v_l, and so on, and all four cannot be met at once. In u_r and f'_m the force
+    dominates by √(2α_max/b) and √(2/(bβ_max)): it gains from smaller b and β_max and larger α_max.
+    In r'_s and u_l the velocity dominates by √(2b/α_max) and √(2bβ_max): it gains from larger b,
+    from smaller α_max in the first and larger β_max in the second. Section 3.7.1 says that a
+    smaller β helps velocity; it does not, whichever bar the text has lost.
 
     Parameters
     ----------
@@ -88,8 +45,14 @@ def dominance(scattering: Scattering) -> dict[str, float]:
         force_robot (f_s in u_r), force_operator (v_l in f'_m), velocity_robot (v_r in r'_s),
         velocity_operator (r_m in u_l).
     """
-    ratio = ideal_distances(scattering)["ratio"]
-    return {name: float(ratio[relation]) for name, relation in RELATIONS.items()}
+    s = of_class("scattering", scattering, Scattering)
+    near, far = s.at_operator, s.at_robot
+    return {
+        "force_operator": float(near.arriving / s.b),
+        "force_robot": float(far.sent / far.reflected),
+        "velocity_robot": float(far.arriving),
+        "velocity_operator": float(near.sent / near.reflected),
+    }
 
 
 def gains(
@@ -117,7 +80,9 @@ def gains(
         force, velocity, drag [N s/m], drift [m/s/N].
     """
     s = of_class("scattering", scattering, Scattering)
-    alpha, beta = _scales(s, alpha, beta)
+    alpha = s.alpha_max if alpha is None else finite_number("alpha", alpha)
+    beta = s.beta_max if beta is None else finite_number("beta", beta)
+    s.check_scales(alpha, beta)
     kappa = math.sqrt(s.alpha_min * s.beta_min / (s.alpha_max * s.beta_max))
     leaked = (1.0 - kappa) / (1.0 + kappa)
     return {
@@ -126,67 +91,6 @@ def gains(
         "drag": beta * s.b * leaked,
         "drift": alpha / s.b * leaked,
     }
-
-
-def rendered_impedance(
-    scattering: Scattering,
-    frequency: np.ndarray,
-    environment: complex | np.ndarray = 0.0,
-    delay_1: float = 0.0,
-    delay_2: float = 0.0,
-    alpha: float | None = None,
-    beta: float | None = None,
-) -> np.ndarray:
-    """
-    Return the impedance f_m/r_m that the operator feels through the channel, for constant delays
-    and scales.
-
-    Parameters
-    ----------
-    scattering : Scattering
-        Impedance, bounds of the scales, and the gain f_i.
-    frequency : array_like, shape (N,)
-        Angular frequencies [rad/s].
-    environment : complex or array_like, shape (N,)
-        f_s/r_s at the robot's port [N s/m]; k/(jω) for a spring of stiffness k.
-    delay_1, delay_2 : float
-        Constant delays to the robot and back [s].
-    alpha, beta : float, optional
-        The scales; their upper bounds when not given.
-
-    Returns
-    -------
-    numpy.ndarray of complex, shape (N,)
-        Its real part is never negative where the environment's is not: the channel is passive.
-
-    Raises
-    ------
-    ValueError
-        If an argument is not finite or out of range.
-    """
-    s, omega = of_class("scattering", scattering, Scattering), finite_array("frequency", frequency)
-    alpha, beta = _scales(s, alpha, beta)
-    there, back = not_negative("delay_1", delay_1), not_negative("delay_2", delay_2)
-    load = np.asarray(environment, dtype=complex)
-    if load.shape not in ((), omega.shape) or not np.isfinite(load).all():
-        raise ValueError(
-            f"environment must be a finite number or one per frequency, got shape {load.shape}"
-        )
-    loop = s.gain**2 * np.exp(-1j * omega * (there + back))
-    near, far = s.at_operator, s.at_robot
-    into = alpha * load * far.arriving / (s.b + alpha * load)
-    reflected = far.sent * into - far.reflected
-    arriving = loop * reflected * near.sent
-    arriving = arriving / (1.0 - near.reflected * loop * reflected)
-    return beta * (s.b + near.arriving * arriving)
-
-
-def _scales(scattering: Scattering, alpha, beta) -> tuple[float, float]:
-    """Return the scales, their upper bounds where not given, within their bounds."""
-    alpha = scattering.alpha_max if alpha is None else finite_number("alpha", alpha)
-    beta = scattering.beta_max if beta is None else finite_number("beta", beta)
-    scattering.check_scales(alpha, beta)
-    return alpha, beta
 
 
 def plot_scales(settings: LoopSettings, ax=None):

@@ -1,7 +1,6 @@
 from .condition_run import ConditionRun as ConditionRun
 from .ground_robot.conditions import (
     GroundRobotRun as GroundRobotRun,
-    drive_modes as drive_modes,
     identification_session as identification_session,
 )
 from .ground_robot.course import Course as Course

@@ -15,9 +15,6 @@ from scipy import linalg, special
 from trustlab.allocation.limits import threshold_limits
 from trustlab.identification.posterior.population import Population
 from trustlab.models.checks import (
-    finite_array,
-    finite_number,
-    finite_numbers,
     of_class,
     one_of,
     whole_number,
@@ -38,7 +35,6 @@ from trustlab.operators.teleoperator import (
     Teleoperator,
     assumed,
 )
-from trustlab.testbeds.covariance import checked_covariance
 from trustlab.testbeds.deciding import SAMPLE_TIME
 
 # Mixed into the seed, so that people and their runs have different streams.
@@ -54,11 +50,7 @@ PARTICIPANTS = 20
 # Means and standard deviations of what Section 2.4.2 does not print of anyone: of the size of its
 # means over people and conditions (P_r 0.55, P_h 0.81) and of its spreads. No difference between
 # conditions went into them.
-LEVELS = {
-    "p_h_max": (0.86, 0.04),
-    "ln (p_h_max - p_h_min)": (np.log(0.3), 0.2),
-    "p_r_max": (0.62, 0.05),
-}
+LEVELS = {"p_h_max": (0.86, 0.04), "p_h_min": (np.log(0.3), 0.2), "p_r_max": (0.62, 0.05)}
 P_R_MIN = 0.30
 # Means and standard deviations of the shares of suggestions followed, Section 2.4.2.4: by TSC and
 # by performance.
@@ -202,7 +194,6 @@ class PersonCoordinate(NamedTuple):
     a share of the way to `high`. tsc_lb and tsc_ub are the limits (2.9)-(2.10) at δ_Ph = 0.
     """
 
-    name: str
     quantity: str
     scale: tuple[Callable, Callable] = SAME
     low: str = ""
@@ -216,44 +207,43 @@ class PersonCoordinate(NamedTuple):
     def of(self, person: Mapping[str, Any]) -> Any:
         """Return the coordinate of a person, or of a table of people."""
         low, unit = self.range(person)
-        to, _ = self.scale
-        return to((person[self.quantity] - low) / unit)
+        return self.scale[0]((person[self.quantity] - low) / unit)
 
     def quantity_at(self, z: float, person: Mapping[str, Any]) -> float:
         """Return the quantity of the person, whose other quantities are known, by a coordinate."""
         low, unit = self.range(person)
-        _, back = self.scale
-        return float(low + back(z) * unit)
+        return float(low + self.scale[1](z) * unit)
 
 
+BETWEEN_LIMITS = SAME, "tsc_lb", "tsc_ub"
 COORDINATES = {
     "ground_robot": (
-        PersonCoordinate("ln tau_r", "a_r", LOG_TAU),
-        PersonCoordinate("logit beta", "beta", LOGIT),
-        PersonCoordinate("p_h_min", "p_h_min"),
-        PersonCoordinate("ln (p_h_max - p_h_min)", "p_h_max", LOG, "p_h_min"),
-        PersonCoordinate("ln tau_pr", "a_pr", LOG_TAU),
-        PersonCoordinate("ln (p_r_max - p_r_min)", "p_r_max", LOG, "p_r_min"),
-        PersonCoordinate("own lower", "lower"),
-        PersonCoordinate("ln (own upper - own lower)", "upper", LOG, "lower"),
-        PersonCoordinate("ln own lower spread", "lower_spread", LOG),
-        PersonCoordinate("ln own upper spread", "upper_spread", LOG),
-        PersonCoordinate("logit place of TSC_l", "tsc_l", LOGIT, "tsc_lb", "tsc_ub"),
-        PersonCoordinate("logit place of TSC_u", "tsc_u", LOGIT, "tsc_l", "tsc_ub"),
+        PersonCoordinate("a_r", LOG_TAU),
+        PersonCoordinate("beta", LOGIT),
+        PersonCoordinate("p_h_min"),
+        PersonCoordinate("p_h_max", LOG, "p_h_min"),
+        PersonCoordinate("a_pr", LOG_TAU),
+        PersonCoordinate("p_r_max", LOG, "p_r_min"),
+        PersonCoordinate("lower"),
+        PersonCoordinate("upper", LOG, "lower"),
+        PersonCoordinate("lower_spread", LOG),
+        PersonCoordinate("upper_spread", LOG),
+        PersonCoordinate("tsc_l", LOGIT, "tsc_lb", "tsc_ub"),
+        PersonCoordinate("tsc_u", LOGIT, "tsc_l", "tsc_ub"),
     ),
     "uav_following": (
-        PersonCoordinate("own lower", "lower", SAME, "tsc_lb", "tsc_ub"),
-        PersonCoordinate("own upper", "upper", SAME, "tsc_lb", "tsc_ub"),
-        PersonCoordinate("TSC_l", "tsc_l", SAME, "tsc_lb", "tsc_ub"),
-        PersonCoordinate("TSC_u", "tsc_u", SAME, "tsc_lb", "tsc_ub"),
-        PersonCoordinate("ln tau_r", "a_r", LOG_TAU),
-        PersonCoordinate("ln tau_pr", "a_pr", LOG_TAU),
-        PersonCoordinate("logit beta", "beta", LOGIT),
-        PersonCoordinate("ln lower spread", "lower_spread", LOG),
-        PersonCoordinate("ln upper spread", "upper_spread", LOG),
-        PersonCoordinate("p_h_max", "p_h_max"),
-        PersonCoordinate("ln (p_h_max - p_h_min)", "p_h_min", LOG_BELOW, "p_h_max"),
-        PersonCoordinate("p_r_max", "p_r_max"),
+        PersonCoordinate("lower", *BETWEEN_LIMITS),
+        PersonCoordinate("upper", *BETWEEN_LIMITS),
+        PersonCoordinate("tsc_l", *BETWEEN_LIMITS),
+        PersonCoordinate("tsc_u", *BETWEEN_LIMITS),
+        PersonCoordinate("a_r", LOG_TAU),
+        PersonCoordinate("a_pr", LOG_TAU),
+        PersonCoordinate("beta", LOGIT),
+        PersonCoordinate("lower_spread", LOG),
+        PersonCoordinate("upper_spread", LOG),
+        PersonCoordinate("p_h_max"),
+        PersonCoordinate("p_h_min", LOG_BELOW, "p_h_max"),
+        PersonCoordinate("p_r_max"),
     ),
 }
 
@@ -268,7 +258,7 @@ def printed_coordinates(testbed: str) -> pd.DataFrame:
     """Return the coordinates of the printed participants, a row for each."""
     people = printed_people().loc[PRINTED]
     people = people.join(pd.DataFrame(people.apply(_limits, axis=1).to_list(), people.index))
-    return pd.DataFrame({each.name: each.of(people) for each in COORDINATES[testbed]})
+    return pd.DataFrame({each.quantity: each.of(people) for each in COORDINATES[testbed]})
 
 
 def person_at(z: np.ndarray, testbed: str, p_r_min: float) -> dict[str, float]:
@@ -318,27 +308,23 @@ class OperatorPopulation:
     performance is the same for all. Thresholds of TSC come from the operator's own model:
     identification without error.
 
+    A population is made by `ground_robot`, `of_people` or `uav_following`.
+
     Parameters
     ----------
-    mean : array_like, shape (12,)
+    mean : numpy.ndarray, shape (12,)
         Of the coordinates.
-    covariance : array_like, shape (12, 12)
-        Of the coordinates; positive definite.
+    covariance : numpy.ndarray, shape (12, 12)
+        Of the coordinates.
     follow : ((float, float), (float, float))
         Mean and standard deviation of the shares of suggestions followed, by TSC and by
-        performance, in [0, 1].
+        performance.
     p_r_min : float
         Least robot performance.
     origin : str
         Where the numbers come from.
     testbed : {"ground_robot", "uav_following"}
         Whose coordinates these are.
-
-    Raises
-    ------
-    ValueError
-        If sizes differ, the covariance is not positive definite, or no beta distribution has such a
-        mean and spread.
 
     Notes
     -----
@@ -348,30 +334,10 @@ class OperatorPopulation:
 
     mean: np.ndarray
     covariance: np.ndarray
-    follow: tuple[tuple[float, float], tuple[float, float]]
-    p_r_min: float = 0.24
-    origin: str = "own numbers"
+    follow: Any
+    p_r_min: float
+    origin: str
     testbed: str = "ground_robot"
-
-    def __post_init__(self):
-        size = len(COORDINATES[one_of("testbed", self.testbed, COORDINATES)])
-        follow = finite_numbers("follow", self.follow)
-        if follow.shape != (2, 2):
-            raise ValueError(
-                f"follow must be two pairs of numbers (mean, SD), got {self.follow!r:.100}"
-            )
-        mean, sd = follow.T
-        if not ((sd > 0.0) & (sd**2 < mean * (1.0 - mean))).all():
-            raise ValueError(
-                f"follow: shares with means {mean} and SDs {sd} have no beta distribution: the "
-                "means must lie in (0, 1) and the SDs below √(mean (1 − mean))"
-            )
-        self.__dict__.update(
-            mean=finite_array("mean", self.mean, length=size),
-            covariance=checked_covariance("covariance", self.covariance, size),
-            follow=tuple(map(tuple, follow.tolist())),
-            p_r_min=finite_number("p_r_min", self.p_r_min),
-        )
 
     @classmethod
     def ground_robot(cls) -> "OperatorPopulation":
@@ -430,23 +396,6 @@ class OperatorPopulation:
         origin = "Tables 2.1-2.3 and Section 2.4.2.4; ranges of performance plausible, not measured"
         return cls(mean, np.diag(sd**2), FOLLOWED, P_R_MIN, origin, "uav_following")
 
-    def table(self) -> pd.DataFrame:
-        """
-        Return the distribution: columns quantity, distribution, mean, sd, of the coordinate as
-        named.
-        """
-        mean, sd = np.transpose(self.follow)
-        normal = [coordinate.name for coordinate in COORDINATES[self.testbed]]
-        words = ["normal, truncated to valid models"] * len(normal) + ["beta", "beta"]
-        return pd.DataFrame(
-            {
-                "quantity": normal + FOLLOW,
-                "distribution": words,
-                "mean": np.r_[self.mean, mean],
-                "sd": np.r_[np.sqrt(np.diag(self.covariance)), sd],
-            }
-        )
-
     def plot(self, n: int = 400, seed: int = 0) -> np.ndarray:
         """
         Plot operators drawn from the population; of the ground robot beside the participants of
@@ -464,16 +413,14 @@ class OperatorPopulation:
         numpy.ndarray of matplotlib.axes.Axes, shape (3,)
         """
         axes = axes_or_new(columns=len(PANELS), figsize=(8.2, 3.2))
-        layers = [(self.draw(n, seed), ".", "drawn")]
+        layers = {"drawn": (self.draw(n, seed), ".")}
         if self.testbed == "ground_robot":
-            layers += [(printed_people().loc[PRINTED], "kx", "the five printed")]
+            layers["the five printed"] = (printed_people().loc[PRINTED], "kx")
         for panel, (x, y) in zip(axes, PANELS, strict=True):
-            for people, marks, label in layers:
+            for label, (people, marks) in layers.items():
                 shown = people.assign(**SAMPLE_TIME / (1.0 - people[["a_r", "a_pr"]]))
                 panel.plot(shown[x], shown[y], marks, alpha=0.6, label=label)
             panel.set(xlabel=QUANTITIES[x], ylabel=QUANTITIES[y])
-        if self.testbed == "ground_robot":
-            axes[0].set_ylabel(f"{QUANTITIES['p_h_max']} [m/s]")
         axes[0].legend()
         return axes
 
@@ -546,9 +493,10 @@ def following_operator(participant: int | str) -> tuple[Operator, TscModel, tupl
     ValueError
         If there is no such participant.
     """
-    if isinstance(participant, str) and participant.removesuffix(".0").isdecimal():
-        participant = int(float(participant))
-    number = whole_number("participant", participant, most=PARTICIPANTS)
+    name = str(participant).removesuffix(".0")
+    number = whole_number(
+        "participant", int(name) if name.isdecimal() else participant, most=PARTICIPANTS
+    )
     rows = OperatorPopulation.uav_following().draw(number, seed=0).to_dict("records")
     return person_of(rows[-1])
 

@@ -12,6 +12,7 @@ import pandas as pd
 from trustlab.models.checks import (
     between,
     finite_array,
+    finite_numbers,
     of_class,
     one_of,
     spawned,
@@ -22,7 +23,6 @@ from trustlab.models.trust import trust_step
 from trustlab.teleoperation.delays import both_ways, coloured, delays_in_samples
 from trustlab.teleoperation.filters import corrected_filter
 from trustlab.teleoperation.ports.waves import accounts
-from trustlab.teleoperation.records import signal
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.decisions import (
     SLACK,
@@ -235,7 +235,9 @@ class TeamLoop(Loop):
         shape = robots.size, 3
         start = begins.uniform(-5.0, 5.0, shape)
         if trial.start is not None:
-            start = signal("start", trial.start, *shape)
+            start = finite_numbers("start", trial.start)
+            if start.shape != shape:
+                raise ValueError(f"start must have shape {shape}, got {start.shape}")
         distance = start - self._goal
         budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2)))
         draws = faults.random((2, count))  # by these numbers packets are lost

@@ -8,14 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import (
-    between,
-    finite_array,
-    finite_number,
-    of_class,
-    spawned,
-    whole_number,
-)
+from trustlab.models.checks import finite_number, of_class, spawned
 from trustlab.models.display import axes_or_new
 from trustlab.models.simulation import Simulation
 from trustlab.operators.ground_robot import Operator
@@ -28,9 +21,9 @@ from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
 E_MAX = 2.0
 SLOWEST = 0.15
-# Largest runs that are made: ten million samples, 1.2 GB, are nearly twelve days of driving.
+# Largest runs that are made: 1.2 GB are nearly twelve days of driving [s].
 MOST_LAPS = 1000
-MOST_STEPS = 10_000_000
+MOST_SECONDS = 1e6
 
 MAKE_OPERATOR = (
     "make one with trustlab.operators.operator(participant, model) or "
@@ -87,68 +80,25 @@ def drive_modes(
     operator: Operator,
     seed: int | np.random.SeedSequence = 0,
     robot: Pioneer | None = None,
-    course: Course | None = None,
     r0: float = 0.0,
     condition: str = "given modes",
 ) -> Session:
     """
-    Drive with a given sequence of modes.
-
-    Parameters
-    ----------
-    mode : array_like, shape (N,)
-        1 manual or 0 autonomous, every 0.1 s; at least two samples.
-    operator : Operator
-        Who drives.
-    seed : int or numpy.random.SeedSequence
-        As for `run_condition`.
-    robot : Pioneer, optional
-        The robot, if not the calibrated one.
-    course : Course, optional
-        The course, if not the default one.
-    r0 : float
-        Utilization at the beginning, in [0, 1].
-    condition : str
-        What the session's metadata call this.
-
-    Returns
-    -------
-    Session
-        At 10 Hz, without tsc and suggested_mode.
-
-    Raises
-    ------
-    ValueError
-        If a mode is neither 0 nor 1, or another argument is not understood.
+    Return the session of a drive with these modes, 1 manual or 0 autonomous, every 0.1 s, without
+    tsc and suggested_mode; it begins at the utilization r0.
     """
     of_class("operator", operator, Operator, MAKE_OPERATOR)
-    of_class("condition", condition, str)
-    modes = finite_array("mode", mode)
-    odd = ~np.isin(modes, (0.0, 1.0))
-    if odd.any():
-        k = int(np.argmax(odd))
-        raise ValueError(f"mode must be zeros and ones, but sample {k} is {modes[k]:g}")
-    whole_number("mode: the number of zeros and ones", modes.size, least=2, most=MOST_STEPS)
-    r0 = between("r0", r0, 0.0, 1.0)
-    task = deciding.Task(deciding.SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
-    log, _ = driven(task, *equipment(robot, course), operator, seed, modes)
+    task = deciding.Task(deciding.SCHEDULE, E_MAX, first_mode=int(mode[0]), r0=r0)
+    log, _ = driven(task, *equipment(robot, None), operator, seed, mode)
     metadata = deciding.metadata_of("ground_robot", operator, condition, seed, NOTE, MEASURED)
     return Session(deciding.framed(log).drop(columns=["tsc", "suggested_mode"]), metadata)
 
 
-def identification_session(
-    operator: Operator,
-    seed: int | np.random.SeedSequence = 0,
-    manual: float = 800.0,
-    autonomous: float = 800.0,
-    mixed: int = 4,
-    phase: tuple[float, float] = (300.0, 500.0),
-    robot: Pioneer | None = None,
-    course: Course | None = None,
-) -> Session:
+def identification_session(operator: Operator, seed: int | np.random.SeedSequence = 0) -> Session:
     """
-    Drive what Section 2.2.2 identifies a model from: manual up to the maximum, autonomous down to
-    the minimum, mixed.
+    Drive what Section 2.2.2 identifies a model from: manual up to the maximum and autonomous down
+    to the minimum, 800 s each, then four mixed phases of 300 to 500 s, manual and autonomous in
+    turn.
 
     Parameters
     ----------
@@ -156,56 +106,22 @@ def identification_session(
         Who drives.
     seed : int or numpy.random.SeedSequence
         As for `run_condition`; the lengths of the mixed phases are drawn from a fourth stream.
-    manual, autonomous : float
-        Lengths of the first two phases [s].
-    mixed : int
-        Number of phases after them, manual and autonomous in turn.
-    phase : (float, float)
-        Shortest and longest mixed phase [s]. Phases shorter than the window of (2.4), 100 s, blur
-        into each other.
-    robot : Pioneer, optional
-        The robot, if not the calibrated one.
-    course : Course, optional
-        The course, if not the default one.
 
     Returns
     -------
     Session
-        For `fit_robot`, `fit_human` and `fit_tsc`.
+        At 10 Hz, for `fit_robot`, `fit_human` and `fit_tsc`.
 
     Raises
     ------
     ValueError
-        If a length is not positive, or another argument is not understood.
+        If an argument is not understood.
     """
-    shortest, longest = finite_array("phase", phase, length=2)
-    first = [finite_number("manual", manual), finite_number("autonomous", autonomous)]
-    least = min(*first, shortest)
-    if least < deciding.SAMPLE_TIME:
-        raise ValueError(
-            f"manual, autonomous and phase must be at least {deciding.SAMPLE_TIME} s, got {least:g}"
-        )
-    if shortest > longest:
-        raise ValueError(f"phase must be (shortest, longest), got {phase!r:.60}")
-    mixed = whole_number("mixed", mixed, least=0, most=MOST_STEPS)
-    most_samples(sum(first) + mixed * longest, "manual, autonomous and mixed phases together")
     stream = np.random.default_rng(spawned(seed, 4)[3])
-    lengths = np.r_[first, stream.uniform(shortest, longest, size=mixed)]
-    samples = np.maximum(np.round(lengths / deciding.SAMPLE_TIME).astype(int), 1)
+    lengths = np.r_[800.0, 800.0, stream.uniform(300.0, 500.0, size=4)]
+    samples = np.round(lengths / deciding.SAMPLE_TIME).astype(int)
     mode = np.repeat(1 - np.arange(samples.size) % 2, samples)
-    return drive_modes(mode, operator, seed, robot, course, condition="identification")
-
-
-def most_samples(seconds: float, what: str) -> int:
-    """Return how many samples so many seconds are, unless they are too many for one run."""
-    samples = seconds / deciding.SAMPLE_TIME
-    if samples > MOST_STEPS:
-        raise ValueError(
-            f"{what} would take up to {seconds:.3g} s, more than the "
-            f"{MOST_STEPS * deciding.SAMPLE_TIME:.0f} s that one run may last; split it into "
-            "several runs"
-        )
-    return int(np.ceil(samples))
+    return drive_modes(mode, operator, seed, condition="identification")
 
 
 def equipment(robot: Pioneer | None, course: Course | None) -> tuple[Pioneer, Course]:
@@ -230,8 +146,13 @@ def driven(
     Without laps a run has as many samples as `modes`.
     """
     if modes is None:
-        laps = f"{task.laps} laps of {course.length:.3g} m"
-        size = most_samples(task.laps * course.length / SLOWEST, laps) + 1
+        seconds = task.laps * course.length / SLOWEST
+        if seconds > MOST_SECONDS:
+            raise ValueError(
+                f"{task.laps} laps of {course.length:.3g} m would take up to {seconds:.3g} s, more "
+                f"than the {MOST_SECONDS:g} s that one run may last; split it into several runs"
+            )
+        size = int(np.ceil(seconds / deciding.SAMPLE_TIME)) + 1
         inputs = deciding.no_inputs(size)
     else:
         size = modes.size

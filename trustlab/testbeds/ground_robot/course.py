@@ -6,14 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import (
-    not_negative,
-    positive,
-    rounded_up,
-    set_checked,
-)
+from trustlab.models.checks import finite_numbers, not_negative, positive, set_checked, shown
 from trustlab.models.compiled import inner, njit
-from trustlab.teleoperation.records import signal
 
 CORNERS = (
     (0.0, 0.0),
@@ -155,21 +149,20 @@ class Course:
     _posts: np.ndarray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
-        corners = signal("corners", self.corners, columns=2, least=3)
-        if np.abs(corners).max() > FARTHEST:
+        corners = finite_numbers("corners", self.corners)
+        if corners.shape[1:] != (2,) or len(corners) < 3 or np.abs(corners).max() > FARTHEST:
             raise ValueError(
-                f"corners must lie within {FARTHEST:g} m of the origin, got "
-                f"{np.abs(corners).max():g}"
+                f"corners must be three pairs (x, y) or more, within {FARTHEST:g} m of the origin, "
+                f"got {shown(self.corners)}"
             )
         set_checked(self, not_negative, "radius")
         set_checked(self, positive, "post_spacing", "half_width", "resolution")
         around = float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
-        for name, most in (("resolution", 100_000), ("post_spacing", 10_000)):
-            if around / getattr(self, name) > most:
-                raise ValueError(
-                    f"{name} = {getattr(self, name):g} m is too fine for a course of about "
-                    f"{around:.4g} m; it must be at least {rounded_up(around / most):g} m"
-                )
+        if around > 10_000 * min(self.post_spacing, 10.0 * self.resolution):
+            raise ValueError(
+                f"resolution or post_spacing is too fine for a course of about {around:.4g} m, of "
+                "which 1e-5 and 1e-4 are the least"
+            )
         object.__setattr__(self, "corners", tuple(map(tuple, corners.tolist())))
         object.__setattr__(self, "_path", self._rounded(corners))
         object.__setattr__(self, "_posts", self._post_rows())
