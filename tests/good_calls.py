@@ -146,8 +146,6 @@ CALLS = {
     },
     "RobotModel.steady_state": lambda: {"mode": 1.0, "p_h": 0.4},
     "Scattering.check_scales": lambda: {"alpha": np.array([0.5]), "beta": np.array([0.5])},
-    "Scattering.master": lambda: {"r_m": np.ones(3), "v_l": np.ones(3)},
-    "Scattering.slave": lambda: {"f_s": np.ones(3), "v_r": np.ones(3)},
     "Session.between": lambda: {"start": 0.0, "stop": 0.1},
     "StudyReport.write": lambda: {"path": "report.html"},
     "TeamRun.animate": lambda: {"path": "team.gif"},

@@ -102,14 +102,6 @@ KNOWN = {
         "alpha": "foreign errors",
         "beta": "foreign errors",
     },
-    "Scattering.master": {
-        "r_m": "foreign errors, NaN is taken",
-        "v_l": "foreign errors, NaN is taken",
-    },
-    "Scattering.slave": {
-        "f_s": "foreign errors, NaN is taken",
-        "v_r": "foreign errors, NaN is taken",
-    },
     "Scheme": {
         "title": "anything is taken",
     },
@@ -230,9 +222,6 @@ KNOWN = {
     },
     "StudyReport.write": {
         "path": "foreign errors, no argument named",
-    },
-    "GroundRobotRun.plot_path": {
-        "axes": "foreign errors",
     },
     "CorrectionRun.plot": {
         "target": "foreign errors",

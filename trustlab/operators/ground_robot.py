@@ -232,9 +232,9 @@ class Operator:
     @property
     def numbers(self) -> Any:
         """The operator as plain numbers, `OperatorNumbers`."""
-        human = (self.human.a, self.human.beta, self.human.p_min, self.human.p_max)
-        rest = (getattr(self, name) for name in OperatorNumbers._fields[len(human) :])
-        return OperatorNumbers._make((*human, *rest))
+        human = self.human
+        rest = (getattr(self, name) for name in (*READ, "skill"))
+        return OperatorNumbers(human.a, human.beta, human.p_min, human.p_max, *rest)
 
 
 # Settled before or after a run; the loop reads all else.
@@ -286,10 +286,8 @@ def operator(participant: str | int, model: TscModel | HumanModel, **more: Any) 
     Raises
     ------
     ValueError
-        If an argument is not one of an `Operator`, or out of range.
+        If an argument is out of range.
     """
-    for name in more:
-        one_of("an argument of an operator", name, FIELDS[2:])
     if isinstance(model, TscModel):
         robot = model.robot
         more = {"robot_floor": robot.p_min, "robot_gain": robot.b / (1.0 - robot.a)} | more

@@ -9,9 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, in_order, not_negative, positive, whole_seed
+from trustlab.models.checks import (
+    between,
+    finite_array,
+    in_order,
+    not_negative,
+    positive,
+    whole_seed,
+)
 from trustlab.models.compiled import njit
-from trustlab.teleoperation.ports.waves import delay_rate
 
 SLACK = 1e-9
 
@@ -122,7 +128,7 @@ def random_walk_delay(
         If bounds, rate, seed or hold are out of range.
     """
     low, high = in_order("low", positive("low", low), "high", high)
-    hold, rate = positive("hold", hold), delay_rate("max_rate", max_rate)
+    hold, rate = positive("hold", hold), between("max_rate", max_rate, 0.0, 1.0)
     if not isinstance(seed, np.random.SeedSequence):
         seed = np.random.SeedSequence(whole_seed(seed))
 
@@ -159,22 +165,19 @@ def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
         If the trace runs backwards: a packet sent before the one before it, or received before it
         was sent.
     """
-    sent = finite_array("sent", sent)
-    received = np.asarray(received, dtype=float)
+    sent, received = finite_array("sent", sent), np.asarray(received, dtype=float)
     if received.shape != sent.shape:
         raise ValueError(
             f"sent and received need the same number of packets, got {sent.shape} and "
             f"{received.shape}"
         )
-    for bad, fault in (
-        (np.diff(sent, prepend=sent[0]) < 0.0, "sent before the packet before it"),
-        (received < sent, "received before it was sent"),
-    ):
-        if bad.any():
-            k = int(np.argmax(bad))
-            raise ValueError(
-                f"the trace runs backwards: packet {k}, sent at t = {sent[k]:g} s, was {fault}"
-            )
+    backwards = (np.diff(sent, prepend=sent[0]) < 0.0) | (received < sent)
+    if backwards.any():
+        k = int(np.argmax(backwards))
+        raise ValueError(
+            f"the trace runs backwards: packet {k}, sent at t = {sent[k]:g} s, was sent before the "
+            "one before it, or received before it was sent"
+        )
     arrived = received[np.isfinite(received)]
     if not arrived.size:
         raise ValueError("no packet of the trace was ever received")

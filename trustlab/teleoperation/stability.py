@@ -54,20 +54,16 @@ class Passivity(Result):
         """Whether the run was passive and bounded, in a sentence."""
         least = self.least_energy
         port = str(least.idxmin())
-        told = "Passive: neither port gave out more energy than it had taken"
+        verdict = "Passive: neither port gave out more energy than it had taken"
         if not self.passive:
-            told = (
+            verdict = (
                 f"Not passive: at t = {self.energies[port].idxmin():g} s the {port}'s port had "
                 f"given out {-least[port]:.3g} J more than it had taken"
             )
-        kept = "velocities and forces stayed bounded"
+        bounds = "stayed bounded"
         if not self.bounded:
-            kept = (
-                f"velocities and forces grew {self.growth:.3g}-fold in the last third of the run"
-                if np.isfinite(self.growth)
-                else "velocities and forces are not finite"
-            )
-        return f"{told}; {kept}."
+            bounds = f"grew {self.growth:.3g}-fold in the last third of the run"
+        return f"{verdict}; velocities and forces {bounds}."
 
     def table(self) -> pd.DataFrame:
         """

@@ -188,8 +188,5 @@ class ConditionRun(Result):
             panel.set_ylabel(label + unit * name.startswith("p_"))
             shade_manual(panel, session.t, session["mode"])
         axes[-1].set(xlabel="time [s]", xlim=(session.t[0], session.t[-1]))
-        words = "thresholds" if list(lines) == ["tsc"] else "bounds"
-        dashed = f"; dashed: {words}" if lines else ""
-        title = f"{session.label} (manual phases shaded{dashed})"
-        axes[0].figure.suptitle(title, fontsize="medium")
+        axes[0].set_title(f"{session.label} (manual phases shaded)", fontsize="medium")
         return axes

@@ -115,24 +115,20 @@ def task_for(
     """
     condition = one_of("condition", condition, KNOWN, "rule=")
     scheme, forced = KNOWN[condition]
-    if thresholds is not None and not suggested_by_tsc(condition):
-        operators = "the operator's own thresholds, Operator(lower=, upper=), decide"
-        decides = {"C1": operators, "own": operators, "random": "chance decides"}.get(
-            condition, "Algorithm 2 decides"
-        )
-        raise ValueError(
-            f"thresholds have no effect in {condition}, where {decides}; leave them out"
-        )
-    if suggested_by_tsc(condition):
-        thresholds = default if thresholds is None else thresholds
-        if thresholds is None:
+    if not suggested_by_tsc(condition):
+        if thresholds is not None:
             raise ValueError(
-                f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and "
-                ".upper of trustlab.choose_thresholds(model), or those of Table 2.2"
+                f"thresholds have no effect in {condition}, where the operator's own, "
+                "Operator(lower=, upper=), Algorithm 2 or chance decide; leave them out"
             )
-        thresholds = check_thresholds(
-            model, *threshold_pair("threshold", thresholds), threshold_limits(model)
+    elif thresholds is None and default is None:
+        raise ValueError(
+            f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and "
+            ".upper of trustlab.choose_thresholds(model), or those of Table 2.2"
         )
+    else:
+        pair = threshold_pair("threshold", default if thresholds is None else thresholds)
+        thresholds = check_thresholds(model, *pair, threshold_limits(model))
     lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
     if condition == "own":  # switches in C1 come at these values of measured TSC
         lower, upper = operator.lower - operator.trust_bias, operator.upper - operator.trust_bias

@@ -207,6 +207,10 @@ class TeamLoop(Loop):
         self._decisions = int(np.ceil(duration / self._step)) + 1
         self.simulation = self._begin(operator, per_decision, begins, faults)
         self.state = View(self.simulation.state.now)
+        robots = self.simulation.setup.robots
+        self._range = robots["low"], robots["span"]
+        model = self._settings.human_to_robot
+        self._rates = model.decay(self._step), model.b / model.a
         # Human-to-robot trust, as a share of its range.
         self._share = np.full(len(self.robots), driver.start if driver else 0.5)
         self._courses = [TrustCourse(driver, self._step) for _ in self.robots] if driver else []
@@ -287,15 +291,19 @@ class TeamLoop(Loop):
 
     def _constants(self) -> np.ndarray:
         """Return what is constant of every robot, records of ROBOT."""
-        T = self._trial.sample_time
+        T, hr, rh = (
+            self._trial.sample_time,
+            self._settings.human_to_robot,
+            self._settings.robot_to_human,
+        )
+        trust = rh.decay(T), rh.b / rh.a, rh.t_min, rh.t_max, hr.t_min, hr.t_max - hr.t_min
         robots = [
             (
                 *(np.sqrt(kind.speed), kind.drift, kind.loss),
                 *(end.b, end.beta_min, end.beta_max, end.max_delay_rate),
-                *(rh.decay(T), rh.b / rh.a, rh.t_min, rh.t_max),
-                *(hr.t_min, hr.t_max - hr.t_min, hr.decay(self._step), hr.b / hr.a),
+                *trust,
             )
-            for kind, end, hr, rh in self._settings.per_robot(len(self.robots))
+            for kind, end in self._settings.per_robot(len(self.robots))
         ]
         return np.array(robots, kernel.ROBOT)
 
@@ -307,8 +315,8 @@ class TeamLoop(Loop):
     @property
     def trust(self) -> np.ndarray:
         """Human-to-robot trust (4.1) in every robot at the last decision, shape (N,)."""
-        robots = self.simulation.setup.robots
-        return robots["low"] + robots["span"] * self._share
+        low, span = self._range
+        return low + span * self._share
 
     @property
     def positions(self) -> np.ndarray:
@@ -374,7 +382,8 @@ class TeamLoop(Loop):
         received, where it rests the share alone. NaN where there is nothing to judge by.
         """
         run, leader = self.simulation, self._leader
-        received = state.arrives[0, run.done - run.every : run.done].mean()
+        packets = state.arrives[0, run.done - run.every : run.done]
+        received = np.count_nonzero(packets) / packets.size
         rated = state.rated.copy()
         rated[leader] = received * (1.0 if np.isnan(rated[leader]) else rated[leader])
         return np.where(self._graph.present, rated, np.nan)
@@ -385,9 +394,7 @@ class TeamLoop(Loop):
             judged = zip(self._courses, performance, strict=True)
             self._share = np.array([course.step(value) for course, value in judged])
         else:
-            robots = self.simulation.setup.robots
-            rates = robots["hr_decay"], robots["hr_gain"]
-            after = trust_step.py_func(self._share, performance, *rates)  # (4.1)
+            after = trust_step.py_func(self._share, performance, *self._rates)  # (4.1)
             self._share = np.where(np.isnan(performance), self._share, after)
 
     def _able(self) -> list:
@@ -407,7 +414,7 @@ class TeamLoop(Loop):
             self._dwell,
             self._rng,
             self._memory,
-            self.positions,
+            self,
         )
         if self._named is not None and not graph.may_lead[self._named]:
             self._named = None

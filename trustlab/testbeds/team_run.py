@@ -131,8 +131,8 @@ class TeamRun(Result):
     @property
     def message(self) -> str:
         """Whether and when the team arrived."""
-        arrived = f"all at the goal after {self.time_to_goal:.1f} s"
-        arrived = arrived if self.converged else "not all at the goal"
+        when = f"all at the goal after {self.time_to_goal:.1f} s"
+        arrived = when if self.converged else "not all at the goal"
         return f"{arrived}, {len(self.switches)} switches in {self.t[-1]:.0f} s"
 
     def table(self) -> pd.DataFrame:
@@ -226,10 +226,7 @@ class TeamRun(Result):
         ValueError
             If there are not four axes.
         """
-        heights = (3, 1.6, 2, 3)
-        axes = axes_or_new(
-            axes, 4, title=self.title, sharex=True, figsize=(8.0, 8.4), height_ratios=heights
-        )
+        axes = axes_or_new(axes, 4, title=self.title, sharex=True, figsize=(8.0, 8.4))
         if np.size(axes) != 4:
             raise ValueError(
                 "axes must be four Matplotlib axes: distances, leader, force, energies"
@@ -240,7 +237,7 @@ class TeamRun(Result):
         distance.axhline(self.tolerance, color="0.4", ls="--", lw=0.8)
         distance.set(ylabel="distance to\nthe goal [m]", ylim=(0.1 * self.tolerance, None))
         leader.step(t, data["number"], where="post", color="0.3")
-        leader.set(ylabel="leader", ylim=(-0.5, len(self.robots) - 0.5))
+        leader.set(ylabel="leader")
         force.plot(t, data[FORCE], label=["$f_m$, x", "$f_m$, y", "$f_m$, z"])
         force.set_ylabel("force\nfeedback [N]")
         energy.plot(t, data[list(ENERGIES)], label=list(ENERGIES.values()))
@@ -250,9 +247,6 @@ class TeamRun(Result):
         energy.set(ylabel="energy [J]", xlabel="time [s], logarithmic from 2 s on", xlim=t[[0, -1]])
         for axis in (force, energy):
             axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-        for axis in axes:
-            for at in self.switches:
-                axis.axvline(at, color="0.85", lw=0.6, zorder=0)
         return axes
 
     def animate(self, path: str | Path, rate: float = 5.0) -> Path:
@@ -279,15 +273,12 @@ class TeamRun(Result):
         ValueError
             If the file is no .gif, its folder does not exist, or the rate is not positive.
         """
-        from trustlab.testbeds.team_animation import pictures, samples_shown
+        from trustlab.testbeds.team_animation import save_film
 
         target, rate = path_of("path", path), positive("rate", rate)
         if target.suffix != ".gif":
             raise ValueError(f'path must be a file such as "team.gif", got {str(target)!r}')
         if not target.parent.is_dir():
             raise ValueError(f"there is no folder {target.parent} to write the animation to")
-        samples = samples_shown(self, rate)
-        first, *others = pictures(self, samples)
-        pause = 1000.0 * float(self.t[samples[-1]] - self.t[0]) / rate / samples.size  # [ms]
-        first.save(target, save_all=True, append_images=others, duration=pause, loop=0)
+        save_film(self, target, rate)
         return target

@@ -121,14 +121,15 @@ class RobotTeam:
         seed : int
             Seed of the draws.
         """
-        assumed: dict[str, Any] = dict(assumptions or {})
+        assumed = dict(assumptions or {})
         for name in assumed:
             one_of("an assumption", name, HAND)
-        TeamOperator(**assumed)
-        low, high = 1.0 - SPREAD, 1.0 + SPREAD
 
         def draw(number: int, rng: np.random.Generator) -> dict[str, float]:
-            return {name: getattr(TeamOperator, name) * rng.uniform(low, high) for name in HAND}
+            shares = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(HAND))
+            return {
+                n: getattr(TeamOperator, n) * share for n, share in zip(HAND, shares, strict=True)
+            }
 
         return drawn_people(n, seed, LEADERS_OF_TEAMS, draw).assign(**assumed)
 

@@ -35,8 +35,8 @@ ENERGIES = (
         "energy_target": "given by the moving target, least {:z.3f} J",
     },
 )
-# One for each energy of a panel.
-STYLES = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
+# Each energy of a panel is drawn narrower than the one before, which shows on both sides of it.
+WIDTHS = (6.0, 4.5, 3.0, 2.0, 1.0)
 # Legends stand outside of the axes.
 OUTSIDE = {"fontsize": "small", "frameon": False}
 
@@ -189,8 +189,7 @@ def plot_energies(session: Session, axes=None):
     """
     Plot the energies of all ports over time: operator, device, channel, robot, target.
 
-    Of channel, both ports and target the legend has the least energy. Energies that agree to 1 % of
-    their panel's range are one line, with both names.
+    Of channel, both ports and target the legend has the least energy.
 
     Parameters
     ----------
@@ -212,17 +211,9 @@ def plot_energies(session: Session, axes=None):
     of_class("session", session, Session).require(*ENERGIES[0], *ENERGIES[1])
     axes = axes_or_new(axes, columns=2, title=session.label, figsize=(8.6, 4.2))
     for panel, names in zip(axes, ENERGIES, strict=True):
-        values = np.array([session[name] for name in names])
-        apart = np.abs(values[:, None] - values).max(axis=2)
-        # the first energy that each lies on
-        first = np.argmax(apart <= 0.01 * np.ptp(values) + 1e-12, axis=1)
-        for style, k in zip(STYLES, np.unique(first), strict=False):
-            shared = [
-                label.format(energy.min())
-                for label, energy, shown in zip(names.values(), values, first == k, strict=True)
-                if shown
-            ]
-            panel.plot(session.t, values[k], linestyle=style, lw=1.6, label=",\n".join(shared))
+        for width, (name, label) in zip(WIDTHS, names.items(), strict=False):
+            energy = session[name]
+            panel.plot(session.t, energy, lw=width, label=label.format(energy.min()))
         panel.axhline(0.0, color="0.6", lw=0.8, zorder=0)
         panel.set(xlabel="time [s]", ylabel="energy [J]")
         panel.legend(loc="upper left", bbox_to_anchor=(0.0, -0.18), **OUTSIDE)
@@ -252,8 +243,6 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
     runs = _runs(sessions)
     size = (7.2, 1.2 + 1.5 * len(runs))
     axes = np.atleast_1d(axes_or_new(axes, len(runs), sharex=True, figsize=size))
-    if axes.size != len(runs):
-        raise ValueError(f"there are {len(runs)} runs and {axes.size} axes; give one per run")
     for panel, run in zip(axes, runs, strict=True):
         panel.plot(run.t, run["alpha"], lw=1.0)
         panel.set(ylabel="operator's\nshare $α$", ylim=(-0.05, 1.05))

@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -21,7 +22,6 @@ from trustlab.models.checks import (
 )
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, person_of
-from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.settings import SCHEMES
 from trustlab.testbeds import deciding, uav_following as flight
 from trustlab.testbeds.condition_run import ConditionRun
@@ -265,23 +265,10 @@ class ConditionTestbed(Testbed):
             self.name, operator, condition, seed, self.note, self.measured, **facts
         )
         who = {"operator": operator, "model": model, "thresholds": thresholds}
-        return self.simulated(task, decide, seed, metadata=metadata, **who)
+        return self._simulated(task, decide, seed, metadata=metadata, **who)
 
-    def simulated(self, task: Task, decide: Callable | None, seed: Seed, **facts: Any):
-        """
-        Return the run of a task.
-
-        Parameters
-        ----------
-        task : trustlab.testbeds.deciding.Task
-            What is to be done, and who decides.
-        decide : callable or None
-            What decides in place of the task.
-        seed : int or numpy.random.SeedSequence
-            Of the noise.
-        **facts : object
-            Operator, model, thresholds and metadata.
-        """
+    def _simulated(self, task: Task, decide: Callable | None, seed: Seed, **facts: Any) -> Any:
+        """Return the run of a task; facts: operator, model, thresholds and metadata."""
         raise NotImplementedError
 
     def identified(
@@ -300,14 +287,12 @@ class ConditionTestbed(Testbed):
                 "who drives? give either participant= or operator=, not both, and model= for an "
                 "Operator"
             )
-        person = participant
         if operator is not None:
-            person = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
-        if isinstance(person, Operator):
-            return person, of_class("model", model, TscModel), None
-        operator, known, thresholds = self.participant(str(person))
-        model = known if model is None else of_class("model", model, TscModel)
-        return operator, model, thresholds
+            participant = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
+        if isinstance(participant, Operator):
+            return participant, of_class("model", model, TscModel), None
+        operator, known, thresholds = self.participant(str(participant))
+        return operator, known if model is None else of_class("model", model, TscModel), thresholds
 
     def next_session(self, person: Person, run: ConditionRun) -> Person:
         """
@@ -371,18 +356,9 @@ class GroundRobot(ConditionTestbed):
         """Settings of all runs, by name."""
         return {"laps": self.laps} | super().settings
 
-    def simulated(self, task, decide, seed, **facts):
-        """
-        Return the run of a task.
-
-        Parameters
-        ----------
-        task, decide, seed, **facts : object
-            As for a `ConditionTestbed`.
-        """
+    def _simulated(self, task, decide, seed, **facts):
         robot, course = ground.equipment(self.robot, self.course)
-        operator = facts["operator"]
-        log, lap_times = ground.driven(task, robot, course, operator, seed, decide=decide)
+        log, lap_times = ground.driven(task, robot, course, facts["operator"], seed, decide=decide)
         return ground.GroundRobotRun(
             log=log, course=course, robot=robot, lap_times=lap_times, **facts
         )
@@ -413,36 +389,8 @@ class UavFollowing(ConditionTestbed):
     note: ClassVar[str] = flight.NOTE
     measured: ClassVar[str] = flight.MEASURED
 
-    def simulated(self, task, decide, seed, **facts):
-        """
-        Return the run of a task.
-
-        Parameters
-        ----------
-        task, decide, seed, **facts : object
-            As for a `ConditionTestbed`.
-        """
+    def _simulated(self, task, decide, seed, **facts):
         return ConditionRun(log=flight.flown(task, facts["operator"], seed, decide), **facts)
-
-
-@dataclass(frozen=True, eq=False)
-class TeleoperationRun:
-    """
-    One session of teleoperation.
-
-    Parameters
-    ----------
-    session : Session
-        What was logged.
-    """
-
-    session: Session
-
-    @property
-    def measures(self) -> dict[str, float]:
-        """The outcome measures by name, as `teleoperation_measures` has them."""
-        row = teleoperation_measures(self.session).iloc[0]
-        return row.drop(["participant", "scheme", "synthetic"]).to_dict()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -488,7 +436,7 @@ class UavTracking(Testbed):
         """Settings of all runs, by name."""
         return {"duration": self.duration}
 
-    def run(self, condition: str, person: Person, seed: Seed) -> TeleoperationRun:
+    def run(self, condition: str, person: Person, seed: Seed) -> SimpleNamespace:
         """
         Run one session with the operator of a row of `people`.
 
@@ -502,9 +450,10 @@ class UavTracking(Testbed):
             As for `simulate_teleoperation`.
         """
         operator, study = self.population.person(person), self.population.study
-        return TeleoperationRun(
-            simulate_teleoperation(condition, operator, study, seed=seed, duration=self.duration)
-        )
+        session = simulate_teleoperation(condition, operator, study, seed, self.duration)
+        row = teleoperation_measures(session).iloc[0]
+        measures = row.drop(["participant", "scheme", "synthetic"]).to_dict()
+        return SimpleNamespace(session=session, measures=measures)
 
 
 TESTBEDS: dict[str, Callable[..., Any]] = {
@@ -584,7 +533,7 @@ def run_condition(
     -------
     ConditionRun
         With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot a
-        `GroundRobotRun`, which has `.lap_times` and `.plot_path()` besides.
+        `GroundRobotRun`, which has `.lap_times` besides.
 
     Raises
     ------

@@ -17,6 +17,7 @@ import pandas as pd
 
 from trustlab.models.checks import (
     between,
+    finite_numbers,
     not_negative,
     of_class,
     one_of,
@@ -330,14 +331,13 @@ class TeleoperationLoop(Loop):
     def _functions(self, trust: Any) -> dict[str, Callable]:
         """Return the functions of a user's in this loop."""
         settings, vehicle = self.settings, self.task.vehicle
-        if vehicle is not None and is_state_space(vehicle):
+        if is_state_space(vehicle):
             vehicle = state_space(*vehicle)
-        if trust is not None:
-            trust = TrustInLoop.of(trust)
+        trust = TrustInLoop.of(trust)
         if isinstance(trust, TrustInLoop):
             ranges = settings.human_to_robot, settings.robot_to_human
             trust = trust.part(*ranges, settings.sample_time)
-        elif trust is not None and not callable(trust):
+        if not (trust is None or callable(trust)):
             raise ValueError(f"trust must be a function of the state, got {shown(trust)}")
         hooks = {
             "vehicle": vehicle,
@@ -453,12 +453,8 @@ class TeleoperationLoop(Loop):
         """The run so far: every signal and every port's energy, labelled synthetic."""
         done = self.simulation.done  # once: another thread may step meanwhile, as in a notebook
         rows = self.simulation.log[:done].view(float).reshape(done, -1)
-        table = np.empty((done, len(COLUMNS)), order="F")
-        # rows become columns a stretch at a time, which the cache holds
-        for first in range(0, done, 512):
-            table[first : first + 512] = rows[first : first + 512, : len(COLUMNS)]
-        t = np.round(self.settings.sample_time * np.arange(done), 9)
-        data = pd.DataFrame(table, index=pd.Index(t, name="t"), columns=COLUMNS, copy=False)
+        t = pd.Index(np.round(self.settings.sample_time * np.arange(done), 9), name="t")
+        data = pd.DataFrame(rows[:, : len(COLUMNS)].copy(), t, COLUMNS)
         guidance = self.guidance
         facts = {
             "study": self.settings.title,
@@ -543,20 +539,14 @@ def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.
     checked = {}
     for name, values in (signals or {}).items():
         shape = (count, *shapes[one_of("a name in signals", name, shapes)])
-        try:
-            array = np.asarray(values, bool if name == "arrives" else float)
-        except (TypeError, ValueError, OverflowError):
-            raise ValueError(f"{name} must be an array of numbers, got {shown(values)}") from None
-        if array.shape != shape:
-            raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
-        rows = array.reshape(count, -1)
-        none, some = np.isnan(rows).all(axis=1), np.isnan(rows).any(axis=1)
-        bad = np.isinf(rows).any(axis=1) | (some if name == "push" else some != none)
-        if bad.any():
-            k = int(np.argmax(bad))
-            allowed = "finite" if name == "push" else "finite, or NaN throughout"
-            raise ValueError(f"{name} must be {allowed}, but sample {k} is {array[k]}")
-        checked[name] = array
+        array = np.asarray(values)
+        if array.dtype.kind not in "biuf" or array.shape != shape:
+            raise ValueError(f"{name} must be numbers of shape {shape}, got {shown(values)}")
+        checked[name] = array.astype(float)
+        rows = checked[name].reshape(count, -1)
+        if name in DECIDED.names:  # where nothing is decided all of a row is NaN
+            rows = rows[~np.isnan(rows).all(axis=1)]
+        finite_numbers(name, rows)
     alpha, beta = (checked.get(name, np.full(1, np.nan)) for name in ("alpha", "beta"))
     ends.check_scales(alpha[~np.isnan(alpha)], beta[~np.isnan(beta)])
     return checked

@@ -25,9 +25,9 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.studies.anova import Design, orthonormal_contrasts, sphericity
+from trustlab.studies.planning.covariance import checked_covariance
 from trustlab.studies.repeated_measures import repeated_measures
 from trustlab.studies.table import labels_of, names_of
-from trustlab.testbeds.covariance import checked_covariance
 
 # --- settings -------------------------------------------------------------------------------------
 

@@ -92,12 +92,10 @@ def checked(name: str, value: Any, bounds: Mapping[str, tuple[float, float]]) ->
     """Return what a function decided: finite, three numbers for a vector, a scale within (3.1)."""
     if name in VECTORS:
         value = np.asarray(value, float)
-        if value.shape != (3,):
+        if value.shape != (3,) or not np.isfinite(value).all():
             raise ReturnedError(
-                f"returned {name} of shape {value.shape}; three numbers are wanted, for x, y and z"
+                f"returned {name} = {value}; three finite numbers are wanted, for x, y and z"
             )
-        if not np.isfinite(value).all():
-            raise ReturnedError(f"returned {name} = {value}; finite numbers are wanted")
     elif name in bounds:
         low, high = bounds[name]
         if not low * (1.0 - SLACK) <= value <= high * (1.0 + SLACK):

@@ -1,7 +1,7 @@
 """The haptic device with its passivating loop, (3.8)-(3.11), and static force scaling (3.25)."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -126,10 +126,9 @@ class HapticDevice:
 
     Parameters
     ----------
-    mass, damping, weight : float or array_like, shape (n,)
-        M [kg], B [N s/m] and Λ [1/s], positive: a number, or one per axis; three axes where all
-        gains are numbers.
-    stiffness : float or array_like, shape (n,)
+    mass, damping, weight : float
+        M [kg], B [N s/m] and Λ [1/s], positive; the same on all axes.
+    stiffness : float
         K [N/m], 0 or more.
     force_scaling : float
         γ of (3.25), static scaling of the force feedback; positive.
@@ -139,17 +138,12 @@ class HapticDevice:
     require_passive : bool
         Refuse gains that are not r-passive.
 
-    Attributes
-    ----------
-    mass, damping, stiffness, weight : numpy.ndarray, shape (n,)
-        The gains by axis.
-
     Raises
     ------
     PassivityError
         If the device is too heavy to be r-passive; the largest admissible mass is quoted.
     ValueError
-        If a gain is not finite, has the wrong shape or sign.
+        If a gain is not finite or has the wrong sign.
 
     Notes
     -----
@@ -163,52 +157,36 @@ class HapticDevice:
     0.00917
     """
 
-    mass: Any
-    damping: Any
-    stiffness: Any
-    weight: Any
+    mass: float
+    damping: float
+    stiffness: float
+    weight: float
     force_scaling: float = 1.0
     port_damping: float = 0.0
     require_passive: bool = True
 
     def __post_init__(self):
-        gains = [getattr(self, name) for name in GAINS]
-        sizes = {np.size(gain) for gain in gains if np.ndim(gain)} or {3}
-        if len(sizes) > 1 or 0 in sizes:
-            raise ValueError(
-                "mass, damping, stiffness and weight must be numbers or have one for each axis, "
-                f"got lengths {sizes}"
-            )
+        set_checked(self, positive, "mass", "damping", "weight", "force_scaling")
+        set_checked(self, not_negative, "stiffness", "port_damping")
         set_checked(self, flag, "require_passive")
-        set_checked(self, positive, "force_scaling")
-        set_checked(self, not_negative, "port_damping")
-        for name, gain in zip(GAINS, gains, strict=True):
-            check = not_negative if name == "stiffness" else positive
-            values = [check(name, value) for value in np.atleast_1d(gain)]
-            self.__dict__[name] = np.full(max(sizes), values)
         if self.require_passive and not self.is_passive:
-            most = rounded_down(self.largest_mass(), 4)
-            at_port = self.force_scaling * self.port_damping
-            damping = rounded_up((self.mass * self.weight).max() - at_port, 4)
+            damping = self.mass * self.weight - self.force_scaling * self.port_damping
             raise PassivityError(
                 "the device is not r-passive: B ≥ MΛ and K + ΛB ≥ ΛMΛ (3.9)-(3.10) hold up to "
-                f"{most:g} kg only, and it has {self.mass.max():.4g} kg; raise damping to "
-                f"{damping:g} N s/m, lower weight, or pass require_passive=False to see it fail"
+                f"{rounded_down(self.largest_mass(), 4):g} kg only, and it has {self.mass:.4g} kg; "
+                f"raise damping to {rounded_up(damping, 4):g} N s/m, lower weight, or pass "
+                "require_passive=False to see it fail"
             )
 
     @property
     def is_passive(self) -> bool:
-        """Whether B ≥ MΛ and K + ΛB ≥ ΛMΛ on every axis, up to rounding."""
-        return bool(self.largest_mass() >= self.mass.max() * (1.0 - ROUNDING))
+        """Whether B ≥ MΛ and K + ΛB ≥ ΛMΛ, up to rounding."""
+        return self.largest_mass() >= self.mass * (1.0 - ROUNDING)
 
     def largest_mass(self) -> float:
-        """
-        Return the largest mass [kg] (of the heaviest axis, M scaled as a whole) that is r-passive
-        with these gains.
-        """
+        """Return the largest mass [kg] that is r-passive with these gains."""
         # From B ≥ MΛ follows K + ΛB ≥ ΛMΛ, for K is not negative.
-        damping = self.damping + self.force_scaling * self.port_damping
-        return float((damping / (self.mass * self.weight)).min() * self.mass.max())
+        return (self.damping + self.force_scaling * self.port_damping) / self.weight
 
     def output(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """
@@ -288,8 +266,9 @@ class HapticDevice:
         return x + T * middle, 2.0 * middle - v, supply
 
     def _vectors(self, **vectors) -> list[np.ndarray]:
-        """Return the arguments as finite vectors of the device's dimension."""
-        return [finite_array(name, x, length=self.mass.size) for name, x in vectors.items()]
+        """Return the arguments as finite vectors of the same length."""
+        length = np.size(vectors["x"])
+        return [finite_array(name, values, length=length) for name, values in vectors.items()]
 
 
 # --- the passivity controller of a port, (3.19)-(3.20) ------------------------------------------
@@ -313,16 +292,15 @@ def demanded(method, energy, power, sample_time):
 
 
 @njit(error_model="numpy", forceinline=True)
-def activation(power, square, compliance, demand):
+def activation(power, gain, demand):
     """
     Return w ≥ 0 of the damping that makes a port take the power `demand`, and whether it can.
 
     The port's velocity yields to the force, v = v0/(1 + w) with w = compliance z. With power =
-    v0ᵀf' and square = v0ᵀv0 the port takes [(1 + w) power + (w/compliance) square]/(1 + w)². The
-    least w is returned; infinity stops the port, as is done with every port whose power stays
+    v0ᵀf' and gain = v0ᵀv0/compliance the port takes [(1 + w) power + w gain]/(1 + w)². The least w
+    is returned; infinity stops the port, as is done with every port whose power stays
     negative however large w is.
     """
-    gain = square / compliance
     if power >= demand:
         return 0.0, True
     if power + gain <= 0.0:

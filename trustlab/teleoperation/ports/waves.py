@@ -9,7 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, positive, set_checked, whole_number
+from trustlab.models.checks import (
+    between,
+    finite_array,
+    finite_number,
+    positive,
+    set_checked,
+    whole_number,
+)
 from trustlab.models.compiled import njit
 
 
@@ -43,8 +50,7 @@ def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-# These six functions are the only place where the wave equations stand. Kernels call them compiled;
-# `Scattering` calls their Python originals (`.py_func`) on whole arrays.
+# These six functions are the only place where the wave equations stand.
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -88,17 +94,6 @@ def robot_velocity(end, f_s, v_r):
 def robot_wave(end, f_s, v_r):
     """Return the wave u_r that leaves the robot's end."""
     return end.sent * f_s - end.reflected * v_r
-
-
-def delay_rate(name: str, value) -> float:
-    """Return how fast a delay grows at most [s/s], in [0, 1]."""
-    rate = finite_number(name, value)
-    if not 0.0 <= rate <= 1.0:
-        raise ValueError(
-            f"{name} must lie in [0, 1], got {rate}: a delay that grows faster than time lets "
-            "nothing arrive (Theorem 3)"
-        )
-    return rate
 
 
 @dataclass(frozen=True)
@@ -147,7 +142,7 @@ class Scattering:
 
     def __post_init__(self):
         set_checked(self, positive, "b")
-        set_checked(self, delay_rate, "max_delay_rate")
+        between("max_delay_rate", self.max_delay_rate, 0.0, 1.0)  # else nothing arrives (Theorem 3)
         set_checked(self, finite_number, "alpha_min", "alpha_max", "beta_min", "beta_max")
         for name in ("alpha", "beta"):
             low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
@@ -175,36 +170,6 @@ class Scattering:
     def at_robot(self) -> RobotEnd:
         """Coefficients of the wave equations at the robot's end."""
         return robot_end.py_func(self.b, self.alpha_min, self.alpha_max)
-
-    def master(self, r_m: np.ndarray, v_l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return f'_m [N] and u_l [√W] at the operator's end.
-
-        Parameters
-        ----------
-        r_m : array_like
-            Output of the haptic device [m/s].
-        v_l : array_like
-            Wave that arrives from the robot [√W], of the same shape.
-        """
-        r_m, v_l = np.asarray(r_m, dtype=float), np.asarray(v_l, dtype=float)
-        end = self.at_operator
-        return operator_force.py_func(end, r_m, v_l), operator_wave.py_func(end, r_m, v_l)
-
-    def slave(self, f_s: np.ndarray, v_r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return r'_s [m/s] and u_r [√W] at the robot's end.
-
-        Parameters
-        ----------
-        f_s : array_like
-            Force feedback at the robot's port [N].
-        v_r : array_like
-            Wave that arrives from the operator [√W], of the same shape.
-        """
-        f_s, v_r = np.asarray(f_s, dtype=float), np.asarray(v_r, dtype=float)
-        end = self.at_robot
-        return robot_velocity.py_func(end, f_s, v_r), robot_wave.py_func(end, f_s, v_r)
 
     def check_scales(self, alpha: np.ndarray, beta: np.ndarray) -> None:
         """

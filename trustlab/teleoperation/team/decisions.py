@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -38,8 +38,8 @@ class TeamSituation:
         The run's own stream for policies.
     memory : dict
         State of the policy: empty at the start, kept from one decision of a run to the next.
-    positions : numpy.ndarray, shape (N, 3)
-        Where the robots are [m].
+    loop : TeamLoop
+        Whose positions are worked out only when asked for.
     """
 
     t: float
@@ -51,7 +51,12 @@ class TeamSituation:
     dwell: float
     rng: np.random.Generator
     memory: dict
-    positions: np.ndarray
+    loop: Any = field(repr=False)
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Where the robots are [m], shape (N, 3)."""
+        return self.loop.positions
 
     @property
     def free(self) -> bool:

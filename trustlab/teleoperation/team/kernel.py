@@ -69,10 +69,7 @@ STATE = np.dtype([*LOG.descr, *WITHIN.descr])
 # packet, its end of the channel, its trust in the operator, and the operator's trust in it, from
 # one decision to the next.
 ROBOT = record(
-    numbers=(
-        "root drift loss b beta_min beta_max max_delay_rate decay gain t_min t_max low span "
-        "hr_decay hr_gain"
-    )
+    numbers=("root drift loss b beta_min beta_max max_delay_rate decay gain t_min t_max low span")
 )
 
 

@@ -149,12 +149,7 @@ class TeamRobot:
 SCATTERING = Scattering(2.0, beta_min=0.5, beta_max=1.0)
 TRUST = TrustModel(0.1, 0.1)
 # Settings that may differ from robot to robot, and their classes.
-PER_ROBOT: dict[str, Any] = {
-    "robots": TeamRobot,
-    "scattering": Scattering,
-    "human_to_robot": TrustModel,
-    "robot_to_human": TrustModel,
-}
+PER_ROBOT: dict[str, Any] = {"robots": TeamRobot, "scattering": Scattering}
 
 
 @dataclass(frozen=True)
@@ -176,10 +171,8 @@ class TeamSettings:
         M [kg], B [N s/m], K [N/m] and Λ [1/s] of the haptic device, the same on all axes (4.6).
     scattering : Scattering or sequence of Scattering
         b and the bounds of β (4.3), one for all robots or one per robot; α is 1 in Chapter 4.
-    human_to_robot : TrustModel or sequence of TrustModel
-        (4.1), one for all robots or one per robot; performance between 0 and 1.
-    robot_to_human : TrustModel or sequence of TrustModel
-        (4.2), likewise.
+    human_to_robot, robot_to_human : TrustModel
+        (4.1) and (4.2), the same for all robots; performance between 0 and 1.
     robots : TeamRobot or sequence of TeamRobot
         How well robots do what they should, one for all or one per robot.
     steepness : float
@@ -212,8 +205,8 @@ class TeamSettings:
     stiffness: float = 20.0
     weight: float = 10.0
     scattering: Scattering | tuple[Scattering, ...] = SCATTERING
-    human_to_robot: TrustModel | tuple[TrustModel, ...] = TRUST
-    robot_to_human: TrustModel | tuple[TrustModel, ...] = TRUST
+    human_to_robot: TrustModel = TRUST
+    robot_to_human: TrustModel = TRUST
     robots: TeamRobot | tuple[TeamRobot, ...] = TeamRobot()
     steepness: float = 10.0
     performance_time: float = 15.0
@@ -237,7 +230,13 @@ class TeamSettings:
                 value = tuple(value)
                 object.__setattr__(self, name, value)
             for entry in value if isinstance(value, tuple) else [value]:
-                _check_range(name, of_class(name, entry, kind))
+                of_class(name, entry, kind)
+                if kind is Scattering and (entry.alpha_min, entry.alpha_max) != (1.0, 1.0):
+                    raise ValueError(f"{name}: α is 1 in Chapter 4, got {entry}")
+        for name in ("human_to_robot", "robot_to_human"):
+            model = of_class(name, getattr(self, name), TrustModel)
+            if (model.p_min, model.p_max) != (0.0, 1.0):
+                raise ValueError(f"{name}: performance lies between 0 and 1 here, got {model}")
         HapticDevice(self.mass, self.damping, self.stiffness, self.weight)  # refused if not passive
 
     @classmethod
@@ -282,8 +281,7 @@ class TeamSettings:
 
     def per_robot(self, count: int) -> list[tuple]:
         """
-        Return what may differ of each robot: what it makes of (4.22), scattering, human-to-robot
-        trust and robot-to-human trust.
+        Return what may differ of each robot: what it makes of (4.22), and scattering.
 
         Parameters
         ----------
@@ -303,14 +301,6 @@ class TeamSettings:
                 raise ValueError(f"{name} has {len(entries)} entries for {count} robots")
             columns.append(entries)
         return list(zip(*columns, strict=True))
-
-
-def _check_range(name: str, entry: Any) -> None:
-    """Refuse ranges of performance and α that Chapter 4 does not have."""
-    if isinstance(entry, TrustModel) and (entry.p_min, entry.p_max) != (0.0, 1.0):
-        raise ValueError(f"{name}: performance lies between 0 and 1 here, set p_min=0, p_max=1")
-    if isinstance(entry, Scattering) and (entry.alpha_min, entry.alpha_max) != (1.0, 1.0):
-        raise ValueError(f"{name}: α is 1 in Chapter 4, got [{entry.alpha_min}, {entry.alpha_max}]")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import finite_number, of_class, spawned
+from trustlab.models.checks import of_class, spawned
 from trustlab.models.display import axes_or_new
 from trustlab.models.simulation import Simulation
 from trustlab.operators.ground_robot import Operator
@@ -55,24 +55,6 @@ class GroundRobotRun(ConditionRun):
     course: Course
     robot: Pioneer
     lap_times: np.ndarray
-
-    def plot_path(self, start: float = 0.0, stop: float | None = None, axes=None):
-        """
-        Plot the desired path and where the robot went under manual and autonomous control, as Fig.
-        2.2 does.
-
-        Parameters
-        ----------
-        start, stop : float, optional
-            The part of the run to show [s]; to its end when `stop` is not given.
-        axes : matplotlib.axes.Axes, optional
-            Where to plot; a new figure when not given.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-        """
-        return plot_path(self.session, self.course, start, stop, axes)
 
 
 def drive_modes(
@@ -177,12 +159,10 @@ def driven(
     return log[: run.done], lap_times
 
 
-def plot_path(
-    session: Session, course: Course, start: float = 0.0, stop: float | None = None, axes=None
-):
+def plot_path(session: Session, course: Course, axes=None):
     """
     Plot the desired path, the guide posts, and the robot's track under manual and autonomous
-    control.
+    control, as Fig. 2.2 does.
 
     Parameters
     ----------
@@ -190,8 +170,6 @@ def plot_path(
         With columns robot_x, robot_y and mode.
     course : Course
         The course.
-    start, stop : float, optional
-        The part of the session to show [s]; to its end when `stop` is not given.
     axes : matplotlib.axes.Axes, optional
         Where to plot; a new figure when not given.
 
@@ -208,17 +186,11 @@ def plot_path(
     """
     of_class("session", session, Session)
     of_class("course", course, Course)
-    stop = session.t[-1] if stop is None else finite_number("stop", stop)
-    part = session.between(finite_number("start", start), stop)
-    mode, x, y = (part[name] for name in ("mode", "robot_x", "robot_y"))
+    mode, x, y = (session[name] for name in ("mode", "robot_x", "robot_y"))
     axes = axes_or_new(axes, figsize=(8.0, 5.6))
     axes.plot(*course.posts.T, "o", ms=4, mfc="none", color="0.55", label="guide posts")
     for driver, style, label in ((1, "k-", "manual"), (0, "C0:", "autonomous")):
-        here = mode == driver
-        if here.any():
-            shown = here | np.r_[False, here[:-1]]
-            track = np.where(shown, [x, y], np.nan)
-            axes.plot(*track, style, lw=1.2, label=label)
+        axes.plot(*np.where(mode == driver, [x, y], np.nan), style, lw=1.2, label=label)
     axes.plot(*course.path[:, :2].T, "--", lw=2.0, color="#d62728", label="desired")
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
     axes.set_title(session.label, fontsize="medium")
