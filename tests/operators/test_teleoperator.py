@@ -10,7 +10,7 @@ import pytest
 import trustlab as tl
 from tests.flights import columns
 from trustlab.operators.answers import experience, simulated_answers
-from trustlab.operators.teleoperator import RANGES, Teleoperator
+from trustlab.operators.teleoperator import Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation import Guidance
 from trustlab.testbeds import TeleoperatorPopulation
@@ -19,18 +19,6 @@ from trustlab.testbeds.uav_tracking import TrackingTask
 RUN = tl.simulate_teleoperation("TMIG", seed=1, duration=20.0)
 # No force on the hand, and nothing that guards it.
 FREE = Guidance(guard="off", force=lambda state: (0.0, 0.0, 0.0))
-
-
-def test_defaults_are_the_middle_of_the_ranges():
-    average = Teleoperator()
-    for name, ends in RANGES.items():
-        assert getattr(average, name) == pytest.approx(np.mean(ends)), name
-
-
-def test_numbers_are_the_operators_own():
-    numbers = Teleoperator(reaction=0.3, lag=0.2, patience=2.0).numbers(0.01, 0.1)
-    assert (numbers["delay"], numbers["patience"]) == (40, 200)
-    assert numbers["decay"] == pytest.approx(np.exp(-0.05))
 
 
 def test_allocating_by_hand_costs_a_share_of_the_command_in_mmi_alone():
@@ -99,16 +87,6 @@ class TestSight:
     TASK = TrackingTask(failure_every=1e9)
     LATE = 35
 
-    @pytest.mark.parametrize("preview", [0.0, 0.35, 1.0])
-    def test_preview_shows_the_path_ahead(self, preview):
-        loop = tl.TeleoperationLoop("M", Teleoperator(preview=preview), seed=4, task=self.TASK)
-        states, run = stepped(loop, 300), loop.session
-        ahead = round(preview / 0.01)
-        for k in (100, 180):
-            path, robot = columns(run, "reference"), columns(run, "robot")
-            expected = path[k - self.LATE + ahead] - robot[k - self.LATE]
-            np.testing.assert_allclose(states[k].seen, expected, atol=1e-12)
-
     def test_a_target_that_leaves_the_picture_is_lost_to_eye_and_controller(self):
         task = TrackingTask(failure_every=1e9, view=0.1, integral=0.0)
         push = np.full((1500, 3), 2.0)
@@ -164,21 +142,6 @@ class TestCompensation:
             gains[law] = np.sqrt(np.mean(told**2) / np.mean(error**2))
         assert gains["crossover"] == pytest.approx(0.8, rel=0.15)  # less what lag and device take
         assert gains["proportional"] < 0.7 * gains["crossover"]
-
-
-def test_skill_makes_a_difference_to_who_adapts():
-    """
-    Mean error of the third of least and of most skill; with fixed gains reaction and lag alone
-    change next to nothing.
-    """
-    population = TeleoperatorPopulation("main")
-    drawn = population.draw(16, seed=1, assumptions={"adapting": 1.0}).sort_values("skill")
-    assert set(drawn["law"]) == {"crossover"}
-    errors = [
-        tl.simulate_teleoperation("M", population.person(one), seed=i, duration=60.0)["path_error"]
-        for i, one in enumerate(drawn.to_dict("records"))
-    ]
-    assert np.mean(errors[-4:]) < 0.9 * np.mean(errors[:4])
 
 
 def made(error, force, alpha, p_h, p_r):

@@ -3,10 +3,6 @@ Theorems 3 and 5, (3.12)-(3.22) and (4.5)-(4.15): wave identities, passivity und
 and leader, and guards that fail when removed.
 """
 
-import itertools
-import math
-from fractions import Fraction
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -16,7 +12,6 @@ from tests.signals import random_signals
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import (
     Delay,
-    delays_in_samples,
     packet_delay,
     random_walk_delay,
 )
@@ -174,43 +169,6 @@ def test_which_read_outs_keep_their_margin_while_a_delay_grows(read_out, kind, l
     assert low <= min(one_way(seed, read_out, kind) for seed in range(200)) <= high
 
 
-def greatest_gain(rate):
-    """
-    Greatest energy that waves of any form gain by interpolation, for a delay that grows at a rate
-    p/q: of q outputs for each q − p inputs, by a matrix for each frequency (Floquet).
-    """
-    inputs, gains = rate.denominator - rate.numerator, []
-    for offset, angle in itertools.product(np.arange(4) / 4, np.linspace(0.0, np.pi, 33)):
-        matrix = np.zeros((rate.denominator, inputs), complex)
-        for k in range(rate.denominator):
-            place = float((1 - rate) * k) + offset / rate.denominator
-            first = math.floor(place + 1e-12)
-            for j, share in ((first, 1.0 - place + first), (first + 1, place - first)):
-                matrix[k, j % inputs] += share * np.exp(1j * angle * (j // inputs))
-        gains.append(float(1 - rate) * np.linalg.norm(matrix, 2) ** 2)
-    return max(gains)
-
-
-def test_interpolation_gains_at_most_two_per_cent_and_alternating_waves_gain():
-    rates = {Fraction(p, q) for q in range(2, 9) for p in range(1, q)}
-    gains = {rate: greatest_gain(rate) for rate in rates}
-    assert max(gains, key=gains.get) == Fraction(1, 4)
-    assert 0.020 < max(gains.values()) - 1.0 < INTERPOLATION
-    assert gains[Fraction(1, 2)] == pytest.approx(1.0, abs=1e-12)  # as printed: nothing
-    # A wave that gains: the more of it is sent, the more is given out beyond it.
-    scattering = Scattering(1.0, 1e-9, 1.0, max_delay_rate=1 / 3)
-    delay = Delay(lambda t: 0.03 + t / 3, 1 / 3, "ramp")
-    deficits = []
-    for length in (100, 300):
-        wave = np.resize([0.693, 1.0], 600) * (np.arange(600) < length)
-        run = channel_run(
-            wave[:, None], np.zeros((600, 1)), scattering, T, delay, 0.05, read_out="interpolated"
-        )
-        deficits.append(-run.wave_energy.min() / (T * run.u_l.max() ** 2))
-    assert deficits[0] > 0.3
-    assert deficits[1] > 2.5 * deficits[0]
-
-
 # Leaders of a team
 
 
@@ -298,20 +256,6 @@ def test_a_ledger_books_a_packet_once():
     assert ledger.receive(1, [5.0, 0.0])  # late: its energy counts, its wave is old
     assert ledger.read().tolist() == [1.0, 0.0]
     assert ledger.received == pytest.approx(T * 26.0)
-
-
-def test_random_walk_keeps_bounds_rate_and_seed():
-    values, again = (random_walk_delay(0.05, 0.8, 0.6, seed=4).samples(5000, T) for _ in range(2))
-    assert 0.05 <= values.min() <= values.max() <= 0.8
-    assert 0.5 < (np.diff(values) / T).max() <= 0.6 + 1e-9
-    np.testing.assert_array_equal(values, again)
-
-
-def test_numbers_and_functions_as_delays():
-    pair = {"delay_1": lambda t: 0.1 + 0.05 * math.sin(t), "delay_2": 0.3}
-    delays = delays_in_samples(pair, 0.05, 50, T, "interpolated")
-    np.testing.assert_allclose(delays[0], 10.0 + 5.0 * np.sin(T * np.arange(50)))
-    np.testing.assert_array_equal(delays[1], 30.0)
 
 
 def test_a_trace_of_packets_is_read_at_the_newest_that_arrived():

@@ -3,7 +3,6 @@ Claim 2: what makes the two-port of Proposition 3 passive, found from H alone, o
 guards removed.
 """
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -16,7 +15,6 @@ from trustlab.teleoperation.filters import (
     printed_filter,
     sinusoid_energy,
 )
-from trustlab.teleoperation.team.kernel import LowPass, filter_wave
 
 T = 1e-3
 
@@ -96,38 +94,6 @@ def test_less_than_a_quarter_generates(product):
     two_port = TwoPortFilter(5.0, root, root, require_passive=False)
     assert sinusoid_energy(two_port, 60.0).generated[-1] > 1.0
     assert sinusoid_energy(corrected_filter(5.0, 1.0), 60.0).generated.max() <= 0.0
-
-
-@numba.njit
-def step_of_the_loop(low_pass, wave, level):
-    """What only compiled functions may call, for a test."""
-    filter_wave(low_pass, wave, level)
-
-
-def filtered(wave, cutoff):
-    """Return a wave filtered as the team's loop does it, and the energy held [J]."""
-    pole = 0.5 * T * cutoff
-    low_pass = LowPass(1.0 / (1.0 + pole), pole / (1.0 + pole), 0.0, 0.0)
-    out, level, held = wave.copy(), np.zeros(3), []
-    for row in out:
-        step_of_the_loop(low_pass, row, level)
-        held.append(level @ level / (2.0 * cutoff))
-    return out, np.array(held)
-
-
-@given(st.integers(0, 10_000), st.floats(-1.0, 3.0))
-@settings(max_examples=50, deadline=None)
-def test_filtered_waves_carry_no_more_than_came(seed, cutoff):
-    wave, _ = signals(seed, count=500)
-    out, held = filtered(wave, 10**cutoff)
-    energy = 0.5 * T * np.cumsum((wave**2).sum(axis=1) - (out**2).sum(axis=1)) - held
-    assert np.diff(energy, prepend=0.0).min() >= -1e-13 * max(np.abs(energy).max(), 1e-300)
-
-
-def test_the_filter_of_waves_is_a_low_pass():
-    out, _ = filtered(np.ones((20_000, 3)), 2.0)
-    assert out[-1, 0] == pytest.approx(1.0, abs=1e-12)
-    assert out[499, 0] == pytest.approx(1.0 - np.exp(-1.0), abs=1e-3)
 
 
 def test_signals_and_storage_of_one_sample():

@@ -137,16 +137,6 @@ def test_a_rule_decides_from_what_is_measured(bed):
             np.testing.assert_array_equal(again[name], log[name])
 
 
-def test_a_rule_that_says_what_suggestions_say_gives_the_modes_of_2_8(bed):
-    thresholds = bed.runs["C3"].thresholds
-    rule = tl.ThresholdRule(*thresholds)
-    log = tl.run_condition(rule=rule, participant=2, testbed=bed.name, seed=3).session
-    mode = 1
-    for tsc, driven in log.data.loc[log.t > SETTLING - 0.05, ["tsc", "mode"]].to_numpy():
-        mode = threshold_mode(tsc, *thresholds, mode)
-        assert driven == mode
-
-
 def test_a_rule_that_switches_often_is_driven_once(monkeypatch):
     class Restless:
         calls = 0

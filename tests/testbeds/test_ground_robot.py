@@ -9,12 +9,10 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import trustlab as tl
 from tests.cases import distance
-from trustlab.allocation import followed_suggestions
 from trustlab.operators import operator
 from trustlab.testbeds import (
     Course,
@@ -185,21 +183,3 @@ def test_free_choice_switches_at_the_operators_own_thresholds(one, model):
         steps.append(2.0 * np.abs(np.diff(tsc[200:])).max())
     assert away[0] <= steps[0]
     assert away[1] > steps[1]
-
-
-def test_followed_suggestions_by_hand():
-    mode, suggested = np.ones(1000), np.full(1000, -1.0)
-    suggested[100:150] = mode[150:] = 0.0  # shown at 10 s, followed at 15 s
-    suggested[300:310] = 1.0  # shown at 30 s, gone after 1 s,
-    suggested[350:600] = mode[600:] = 1.0  # back at 35 s, the same, followed at 60 s: late
-    suggested[700:720] = 0.0  # shown for 2 s and withdrawn
-    suggested[950:] = 0.0  # the session ends
-    frame = pd.DataFrame({"mode": mode, "suggested_mode": suggested})
-    frame.index = np.round(0.1 * frame.index, 1)
-    episodes = followed_suggestions(tl.Session(frame))
-    assert episodes["start"].tolist() == [10.0, 30.0, 70.0, 95.0]
-    assert episodes["state"].tolist() == ["followed", "not followed", "withdrawn", "open"]
-    np.testing.assert_allclose(episodes["delay"], [5.0, 30.0, np.nan, np.nan])
-    # agreement and disagreement by turns, of a second each
-    turns = frame.assign(mode=1.0, suggested_mode=np.tile(np.repeat([1.0, 0.0], 10), 50))
-    assert len(followed_suggestions(tl.Session(turns))) == 50

@@ -59,6 +59,8 @@ def taken_at_random(guidance, seed, seconds):
     given = T * power(run, "r_m", "f_m")
     rounding = 1e-9 * np.abs(given).sum() + 1e-14
     np.testing.assert_allclose(run["energy_port"], given.cumsum(), rtol=1e-9, atol=rounding)
+    exchanged = T * np.abs(columns(run, "r_m") * columns(run, "f_m")).sum(axis=1).cumsum()
+    assert (run["energy_channel"] >= -1e-9 * exchanged - 1e-12).all()
     return given.cumsum()
 
 

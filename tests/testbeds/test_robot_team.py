@@ -393,17 +393,6 @@ def test_active_operator():
     assert passive.distances[-1].max() < 0.01 < active.distances[-1].max()
 
 
-def test_a_run_is_a_session(tmp_path):
-    run = simulate_team(nx.path_graph(3), duration=5.0)
-    session = run.session
-    assert session.metadata.synthetic
-    tl.write_session(session, tmp_path / "team.csv")
-    again = tl.read_session(tmp_path / "team.csv")
-    np.testing.assert_allclose(again["f_m_x"], run.data["f_m_x"])
-    k = 100
-    assert session["trust_hr"][k] == run.trust[k, int(run.data["number"].iloc[k])]
-
-
 def test_a_run_is_repeated_from_its_inputs_without_python():
     """Packets that get lost and robots that drift included; another leader makes another run."""
     robots = (TeamRobot(), TeamRobot(speed=0.4), TeamRobot(loss=0.5), TeamRobot(drift=0.05))

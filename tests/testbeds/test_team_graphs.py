@@ -11,7 +11,6 @@ from PIL import Image
 from tests.teams import simulate_team
 from trustlab.teleoperation import (
     GivenSequence,
-    MostTrusted,
     TeamSettings,
 )
 
@@ -101,38 +100,6 @@ class TestDirected:
             run.data["v_e"] - run.data["supply_error"] + run.data["lost_error"]
         )  # an identity on any graph
         assert np.ptp(error) <= 1e-11 * run.data["v_e"].max()
-
-
-class Patient:
-    """
-    The most trusted robot, decided while the run goes on; counts its decisions in the run's memory.
-    """
-
-    title = "patient"
-
-    def __init__(self):
-        self.seen = []
-
-    def leader(self, now):
-        now.memory["decisions"] = now.memory.get("decisions", 0) + 1
-        self.seen.append((now.t, now.memory["decisions"], now.positions.shape))
-        return int(np.argmax(now.trust)) if now.free else now.leader
-
-
-class TestLivePolicies:
-    def test_the_same_run_as_the_policy_known_before(self):
-        """Bit for bit, through a change of the graph; the memory is the run's own."""
-        graph, arguments = changing_team(1)
-        arguments |= {"duration": 50.0, "record_every": 0.02}
-        policy = Patient()
-        live = simulate_team(graph, **(arguments | {"policy": policy}))
-        known = simulate_team(graph, **(arguments | {"policy": MostTrusted()}))
-        assert live.data.equals(known.data)
-        np.testing.assert_array_equal(live.positions, known.positions)
-        assert [count for _, count, _ in policy.seen] == list(range(1, 501))
-        np.testing.assert_allclose([t for t, _, _ in policy.seen], 0.1 * np.arange(500), atol=1e-9)
-        simulate_team(graph, **(arguments | {"policy": policy, "duration": 5.0}))
-        assert policy.seen[500][1] == 1
 
 
 class TestLargeTeams:

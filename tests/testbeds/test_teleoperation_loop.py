@@ -220,32 +220,15 @@ def failing(state):
             r"scheme .* alpha = nan; it must lie in \[0.2, 1\]",
         ),
         (
-            {"scheme": tl.Scheme("s", lambda s: (0.5, -0.1 * s.t + 0.1))},
-            r"beta = 0\.049.*; it must lie in \[0.05, 0.5\]",
-        ),
-        ({"scheme": tl.Scheme("s", lambda s: 1.0 / (s.t - 1.0))}, "scheme .* raised TypeError"),
-        (
             {"scheme": tl.Scheme("s", lambda s: (s.robot_x, 0.3))},
             "raised AttributeError: the state has no 'robot_x'",
         ),
-        ({"operator": failing}, "operator .* raised RuntimeError: the hand slipped"),
         ({"operator": partial(failing)}, "operator .* raised RuntimeError: the hand slipped"),
-        (
-            flying(lambda s: (s.robot, 0.0 / (1.0 - s.t) + s.velocity)),
-            "vehicle .* raised ZeroDivisionError",
-        ),
-        (
-            flying(lambda s: (np.nan * s.robot, s.velocity)),
-            "vehicle .* returned robot = .*nan",
-        ),
+        (flying(lambda s: (np.nan * s.robot, s.velocity)), "vehicle .* returned robot = .*nan"),
         ({"trust": lambda s: (np.nan, 0.5)}, "trust .* trust_hr = nan"),
         (
-            {"guidance": Guidance(force=lambda s: np.full(3, np.inf))},
-            r"guiding force .* guiding = \[inf inf inf\]",
-        ),
-        (
             {"task": tl.TrackingTask(autonomy=lambda s: s.picture[:2])},
-            r"autonomy .* u_a of shape \(2,\); three numbers are wanted",
+            "autonomy .* three finite numbers are wanted",
         ),
     ],
 )

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from tests.flights import assert_device_balances, columns, phase, power
 from trustlab.allocation.blending import OptimalBlending
@@ -87,24 +86,6 @@ def driven(sample_time, delay, settings=UNIT):
         guidance=Guidance("through_channel", "off"),
         signals={"push": push(t)},
     ).data
-
-
-def test_with_unit_scales_and_hardly_a_delay_the_loop_is_the_continuous_one():
-    def closed(t, y):
-        state = y.reshape(5, 3)
-        force = -UNIT.k_ffa * error(t, state[2])
-        return rates(t, state, force, state[1] + UNIT.weight * state[0]).ravel()
-
-    start = at_rest().ravel()
-    solved = solve_ivp(closed, (0.0, 4.0), start, rtol=1e-10, atol=1e-12, dense_output=True)
-    errors = []
-    for sample_time in (0.004, 0.002, 0.001):
-        data = driven(sample_time, sample_time)
-        device, _, robot, *_ = solved.sol(data.index.to_numpy()).T.reshape(-1, 5, 3).swapaxes(0, 1)
-        errors.append(disagreement(data, device, robot))
-    assert errors[-1] < 5e-3
-    assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.25)  # first order in the sample time
-    assert errors[1] / errors[2] == pytest.approx(2.0, abs=0.25)
 
 
 def second_integrator(ends, delay, step):
@@ -273,22 +254,7 @@ def test_settings_are_those_printed(name, loop, scattering):
     assert ends.gain == pytest.approx(0.7, abs=0.01)
 
 
-def test_scales_without_trust():
-    for scheme in ("M", "MMI"):
-        assert (simulate_teleoperation(scheme, duration=5.0).data["beta"] == 0.5).all()
-    assert not columns(simulate_teleoperation("MI", duration=5.0), "f_m").any()
-
-
 # Settings of a study
-
-
-@pytest.mark.parametrize("study", STUDIES)
-def test_settings_fly_the_task_delays_and_reach_of_their_study(study):
-    by_name = simulate_teleoperation("M", study=study, seed=5, duration=20.0)
-    assert simulate_teleoperation("M", study=STUDIES[study], seed=5, duration=20.0) == by_name
-    changed = replace(STUDIES[study], window=9.0, title="window of 9 s")
-    data = simulate_teleoperation("M", study=changed, seed=5, duration=20.0).data
-    np.testing.assert_array_equal(data["reference_x"], by_name.data["reference_x"])
 
 
 OWN_TRUST = replace(

@@ -234,7 +234,7 @@ class Operator:
         """The operator as plain numbers, `OperatorNumbers`."""
         human = self.human
         rest = (getattr(self, name) for name in (*READ, "skill"))
-        return OperatorNumbers(human.a, human.beta, human.p_min, human.p_max, *rest)
+        return OperatorNumbers._make((human.a, human.beta, human.p_min, human.p_max, *rest))
 
 
 # Settled before or after a run; the loop reads all else.

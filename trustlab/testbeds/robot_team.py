@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import (
+    Kind,
     between,
     finite_array,
     finite_numbers,
@@ -186,14 +187,9 @@ class TeamLoop(Loop):
         )
         self._policy = policy_named(policy)
         self._performance = one_of("performance", performance, ("motion", "random"))
-        operator, self._settings, self._trial = (
-            kind() if value is None else of_class(name, value, kind)
-            for name, value, kind in (
-                ("operator", operator, TeamOperator),
-                ("settings", settings, TeamSettings),
-                ("trial", trial, TeamTrial),
-            )
-        )
+        self._settings = _settings_of("settings", settings, TeamSettings)
+        self._trial = _settings_of("trial", trial, TeamTrial)
+        operator = _settings_of("operator", operator, TeamOperator)
         driver = None
         if trust is not None:
             driver = of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trust.MODELS")
@@ -483,6 +479,11 @@ class TeamLoop(Loop):
             self._trial.tolerance,
             facts,
         )
+
+
+def _settings_of(name: str, value: Any, kind: type[Kind]) -> Kind:
+    """Return settings of a class, the usual ones where there are none."""
+    return kind() if value is None else of_class(name, value, kind)
 
 
 def _times(settings: TeamSettings, delay: float) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from trustlab.testbeds import deciding, uav_following as flight
 from trustlab.testbeds.condition_run import ConditionRun
 from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task, check_rules
 from trustlab.testbeds.ground_robot import conditions as ground
-from trustlab.testbeds.ground_robot.course import Course
+from trustlab.testbeds.ground_robot.course import Course, default_course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 from trustlab.testbeds.populations import (
     OperatorPopulation,
@@ -152,12 +152,10 @@ class ConditionTestbed(Testbed):
 
     name: ClassVar[str]
     title: ClassVar[str]
-    e_max: ClassVar[float]
+    module: ClassVar[Any]  # with E_MAX, NOTE and MEASURED
     laps: ClassVar[int] = 0
     extent: ClassVar[str]
     participant: ClassVar[Callable]
-    note: ClassVar[str]
-    measured: ClassVar[str]
     conditions: ClassVar[tuple[str, ...]] = tuple(KNOWN)
     printed_conditions: ClassVar[tuple[str, ...]] = tuple(CONDITIONS)
     printed_n: ClassVar[int] = 20
@@ -250,19 +248,23 @@ class ConditionTestbed(Testbed):
         decide = None
         if rule is None:
             task, thresholds = deciding.task_for(
-                condition, operator, model, thresholds, usual, self.e_max, self.laps
+                condition, operator, model, thresholds, usual, self.module.E_MAX, self.laps
             )
         else:
             rule, mode = prepared_rule(rule, None)
             decide = deciding.obeying(rule)
             task = Task(
-                deciding.SCHEDULE, self.e_max, laps=self.laps, first_mode=mode, r0=operator.r0
+                deciding.SCHEDULE,
+                self.module.E_MAX,
+                laps=self.laps,
+                first_mode=mode,
+                r0=operator.r0,
             ).suggesting(model)
         facts = {self.extent: getattr(self, self.extent), "settling": deciding.SETTLING}
         if thresholds is not None:
             facts |= zip(("TSC_l", "TSC_u"), thresholds, strict=True)
         metadata = deciding.metadata_of(
-            self.name, operator, condition, seed, self.note, self.measured, **facts
+            self.name, operator, condition, seed, self.module.NOTE, self.module.MEASURED, **facts
         )
         who = {"operator": operator, "model": model, "thresholds": thresholds}
         return self._simulated(task, decide, seed, metadata=metadata, **who)
@@ -336,20 +338,19 @@ class GroundRobot(ConditionTestbed):
 
     name: ClassVar[str] = "ground_robot"
     title: ClassVar[str] = "the ground-robot testbed"
-    e_max: ClassVar[float] = ground.E_MAX
+    module: ClassVar[Any] = ground
     extent: ClassVar[str] = "laps"
     participant: ClassVar[Callable] = staticmethod(printed_person)
-    note: ClassVar[str] = ground.NOTE
-    measured: ClassVar[str] = ground.MEASURED
 
     laps: int = 8  # type: ignore[misc]  # of other testbeds a constant
-    robot: Pioneer | None = None
-    course: Course | None = None
+    robot: Pioneer = field(default_factory=Pioneer)
+    course: Course = field(default_factory=default_course)
 
     def __post_init__(self):
         super().__post_init__()
         whole_number("laps", self.laps, most=ground.MOST_LAPS)
-        ground.equipment(self.robot, self.course)
+        of_class("robot", self.robot, Pioneer)
+        of_class("course", self.course, Course)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -357,11 +358,11 @@ class GroundRobot(ConditionTestbed):
         return {"laps": self.laps} | super().settings
 
     def _simulated(self, task, decide, seed, **facts):
-        robot, course = ground.equipment(self.robot, self.course)
-        log, lap_times = ground.driven(task, robot, course, facts["operator"], seed, decide=decide)
-        return ground.GroundRobotRun(
-            log=log, course=course, robot=robot, lap_times=lap_times, **facts
+        place: dict[str, Any] = {"robot": self.robot, "course": self.course}
+        log, lap_times = ground.driven(
+            task, **place, operator=facts["operator"], seed=seed, decide=decide
         )
+        return ground.GroundRobotRun(log=log, lap_times=lap_times, **place, **facts)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -382,12 +383,10 @@ class UavFollowing(ConditionTestbed):
 
     name: ClassVar[str] = "uav_following"
     title: ClassVar[str] = "the testbed of the UAV that follows a leader"
-    e_max: ClassVar[float] = flight.E_MAX
+    module: ClassVar[Any] = flight
     extent: ClassVar[str] = "duration"
     duration: ClassVar[float] = flight.DURATION
     participant: ClassVar[Callable] = staticmethod(following_operator)
-    note: ClassVar[str] = flight.NOTE
-    measured: ClassVar[str] = flight.MEASURED
 
     def _simulated(self, task, decide, seed, **facts):
         return ConditionRun(log=flight.flown(task, facts["operator"], seed, decide), **facts)

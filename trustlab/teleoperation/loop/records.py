@@ -6,7 +6,7 @@ import numpy as np
 
 from trustlab.allocation.blending import DEGREE
 from trustlab.teleoperation.ports.device import Device
-from trustlab.teleoperation.ports.waves import OperatorEnd
+from trustlab.teleoperation.ports.waves import End
 from trustlab.teleoperation.records import columns_of, record
 
 # A row of the log: the state before the sample and the signals of the sample.
@@ -76,9 +76,8 @@ HAND = record(
 # width.
 AUTONOMY = record(numbers="proportional integral derivative reach picture", counts="delay")
 
-# One end of the channel: what multiplies velocity or force and waves, see `OperatorEnd` and
-# `RobotEnd`.
-END = record(numbers=" ".join(OperatorEnd._fields))
+# One end of the channel: what multiplies velocity or force and waves, see `waves.End`.
+END = record(numbers=" ".join(End._fields))
 
 # One axis of the haptic device in its hand.
 DEVICE = record(numbers=" ".join(Device._fields))

@@ -110,7 +110,10 @@ class LoopSettings:
             )
         self.scalings("logistic")
         HapticDevice(  # refused if it is not r-passive with the damping that its port always has
-            *(getattr(self, name) for name in GAINS),
+            self.mass,
+            self.damping,
+            self.stiffness,
+            self.weight,
             force_scaling=self.force_scaling,
             port_damping=self.scattering.beta_min * self.scattering.b,
             require_passive=self.require_passive,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from trustlab.models.checks import (
     between,
@@ -20,22 +21,10 @@ from trustlab.models.checks import (
 from trustlab.models.compiled import njit
 
 
-class OperatorEnd(NamedTuple):
+class End(NamedTuple):
     """
-    Coefficients of (3.22) at the operator's end: f'_m = b r_m + arriving v_l, u_l = sent r_m +
-    reflected v_l.
-    """
-
-    b: float
-    arriving: float
-    sent: float
-    reflected: float
-
-
-class RobotEnd(NamedTuple):
-    """
-    Coefficients of (3.22) at the robot's end: r'_s = (arriving v_r − f_s)/b, u_r = sent f_s −
-    reflected v_r.
+    Coefficients of (3.22) at one end. At the operator's f'_m = b r_m + arriving v_l, u_l = sent r_m
+    + reflected v_l; at the robot's r'_s = (arriving v_r − f_s)/b, u_r = sent f_s − reflected v_r.
     """
 
     b: float
@@ -56,7 +45,7 @@ def dot(a, b):
 @njit(error_model="numpy", forceinline=True)
 def operator_end(b, beta_min, beta_max):
     """Return the coefficients at the operator's end for an impedance and the bounds of β."""
-    return OperatorEnd(
+    return End(
         b, np.sqrt(2.0 * b / beta_max), np.sqrt(2.0 * b * beta_min), np.sqrt(beta_min / beta_max)
     )
 
@@ -64,7 +53,7 @@ def operator_end(b, beta_min, beta_max):
 @njit(error_model="numpy", forceinline=True)
 def robot_end(b, alpha_min, alpha_max):
     """Return the coefficients at the robot's end for an impedance and the bounds of α."""
-    return RobotEnd(
+    return End(
         b,
         np.sqrt(2.0 * b / alpha_max),
         np.sqrt(2.0 * alpha_min / b),
@@ -162,16 +151,16 @@ class Scattering:
         return math.sqrt(1.0 - self.max_delay_rate)
 
     @property
-    def at_operator(self) -> OperatorEnd:
+    def at_operator(self) -> End:
         """Coefficients of the wave equations at the operator's end."""
         return operator_end.py_func(self.b, self.beta_min, self.beta_max)
 
     @property
-    def at_robot(self) -> RobotEnd:
+    def at_robot(self) -> End:
         """Coefficients of the wave equations at the robot's end."""
         return robot_end.py_func(self.b, self.alpha_min, self.alpha_max)
 
-    def check_scales(self, alpha: np.ndarray, beta: np.ndarray) -> None:
+    def check_scales(self, alpha: ArrayLike, beta: ArrayLike) -> None:
         """
         Refuse scales outside their bounds.
 

@@ -153,7 +153,7 @@ class GivenSequence:
     title: ClassVar[str] = "given sequence"
 
     def __post_init__(self):
-        names = self.robots
+        names: Any = self.robots
         if names is not None and (isinstance(names, str) or not np.size(names)):
             raise ValueError(f"robots must be a list of names, at least one, got {names!r:.60}")
         if self.times is not None:

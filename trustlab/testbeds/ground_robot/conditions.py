@@ -71,7 +71,7 @@ def drive_modes(
     """
     of_class("operator", operator, Operator, MAKE_OPERATOR)
     task = deciding.Task(deciding.SCHEDULE, E_MAX, first_mode=int(mode[0]), r0=r0)
-    log, _ = driven(task, *equipment(robot, None), operator, seed, mode)
+    log, _ = driven(task, robot or Pioneer(), default_course(), operator, seed, mode)
     metadata = deciding.metadata_of("ground_robot", operator, condition, seed, NOTE, MEASURED)
     return Session(deciding.framed(log).drop(columns=["tsc", "suggested_mode"]), metadata)
 
@@ -104,13 +104,6 @@ def identification_session(operator: Operator, seed: int | np.random.SeedSequenc
     samples = np.round(lengths / deciding.SAMPLE_TIME).astype(int)
     mode = np.repeat(1 - np.arange(samples.size) % 2, samples)
     return drive_modes(mode, operator, seed, condition="identification")
-
-
-def equipment(robot: Pioneer | None, course: Course | None) -> tuple[Pioneer, Course]:
-    """Return robot and course, checked; the usual ones where they are None."""
-    robot = Pioneer() if robot is None else of_class("robot", robot, Pioneer)
-    course = default_course() if course is None else of_class("course", course, Course)
-    return robot, course
 
 
 def driven(
