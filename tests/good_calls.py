@@ -74,7 +74,6 @@ CALLS = {
     "studies.williams_square": lambda: {"n": 4},
     "teleoperation.corrected_filter": lambda: {"cutoff": 5.0, "impedance": 1.0},
     "teleoperation.dominance": lambda: {"scattering": cases.scattering()},
-    "teleoperation.gains": lambda: {"scattering": cases.scattering()},
     "teleoperation.packet_delay": lambda: {
         "sent": np.array([0.0, 0.1, 0.2]),
         "received": np.array([0.1, 0.2, 0.35]),

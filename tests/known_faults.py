@@ -348,9 +348,6 @@ KNOWN = {
     "teleoperation.TeamTrial": {
         "start": "anything is taken",
     },
-    "teleoperation.gains": {
-        "beta": "no difference",
-    },
     "teleoperation.packet_delay": {
         "received": "foreign errors",
     },

@@ -21,6 +21,12 @@ RUN = tl.simulate_teleoperation("TMIG", seed=1, duration=20.0)
 FREE = Guidance(guard="off", force=lambda state: (0.0, 0.0, 0.0))
 
 
+def test_numbers_are_the_operators_own():
+    numbers = Teleoperator(reaction=0.3, lag=0.2, patience=2.0).numbers(0.01, 0.1)
+    assert (numbers["delay"], numbers["patience"]) == (40, 200)
+    assert numbers["decay"] == pytest.approx(np.exp(-0.05))
+
+
 def test_allocating_by_hand_costs_a_share_of_the_command_in_mmi_alone():
     costly = Teleoperator(allocation_cost=0.25)
     for scheme, same in (("MMI", Teleoperator(compensation=0.75)), ("M", Teleoperator())):
@@ -61,12 +67,6 @@ def test_assumptions_about_teleoperators():
     np.testing.assert_allclose(changed["lag"], plain["lag"] + 0.1, rtol=1e-12)
     person = population.person(changed.iloc[5].to_dict())
     assert (person.compensation, person.allocation_cost, person.fatigue) == (2.0, 0.3, 0.2)
-    # who adapts at a lower share does so at a higher one
-    fewer = population.draw(60, seed=1, assumptions={"adapting": 0.2})["law"] == "crossover"
-    assert adapts[fewer].all()
-    for name, words in (("attention_cost", "must be one of 'adapting'"), ("gain", "gain")):
-        with pytest.raises(ValueError, match=words):
-            population.draw(2, assumptions={name: 9.0})
 
 
 def stepped(loop, count):
@@ -86,6 +86,16 @@ class TestSight:
 
     TASK = TrackingTask(failure_every=1e9)
     LATE = 35
+
+    @pytest.mark.parametrize("preview", [0.0, 0.35, 1.0])
+    def test_preview_shows_the_path_ahead(self, preview):
+        loop = tl.TeleoperationLoop("M", Teleoperator(preview=preview), seed=4, task=self.TASK)
+        states, run = stepped(loop, 300), loop.session
+        ahead = round(preview / 0.01)
+        for k in (100, 180):
+            path, robot = columns(run, "reference"), columns(run, "robot")
+            expected = path[k - self.LATE + ahead] - robot[k - self.LATE]
+            np.testing.assert_allclose(states[k].seen, expected, atol=1e-12)
 
     def test_a_target_that_leaves_the_picture_is_lost_to_eye_and_controller(self):
         task = TrackingTask(failure_every=1e9, view=0.1, integral=0.0)

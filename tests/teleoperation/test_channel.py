@@ -12,6 +12,7 @@ from tests.signals import random_signals
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import (
     Delay,
+    delays_in_samples,
     packet_delay,
     random_walk_delay,
 )
@@ -223,16 +224,6 @@ def test_bounds_not_switched_with_the_leader_give_energy():
     assert given < -0.5 * exchanged(wrong)[-1]
 
 
-def test_one_leader_is_the_channel_of_one_robot():
-    """Oracle: the run without leaders; defaults are the upper bounds of the robot that leads."""
-    signals = np.random.default_rng(77).normal(size=(2, 300, 2))
-    ends = [Scattering(1.0), Scattering(2.0, 0.3, 0.8, 0.2, 1.7)]
-    alone = channel_run(*signals, ends[1], T)
-    led = channel_run(*signals, ends, T, leaders=np.ones(300, int))
-    for name in ("f_m", "r_s", "u_l", "v_l", "u_r", "v_r", "energy"):
-        np.testing.assert_array_equal(getattr(led, name), getattr(alone, name))
-
-
 # Ledgers and delays
 
 
@@ -269,3 +260,17 @@ def test_a_trace_of_packets_is_read_at_the_newest_that_arrived():
     for k in range(0, 1900, 37):
         newest = max(sent[received <= T * k + 1e-9], default=-T)
         assert late[k] == pytest.approx(max(T * k - newest, T), abs=1e-12)
+
+
+def test_random_walk_keeps_bounds_rate_and_seed():
+    values, again = (random_walk_delay(0.05, 0.8, 0.6, seed=4).samples(5000, T) for _ in range(2))
+    assert 0.05 <= values.min() <= values.max() <= 0.8
+    assert 0.5 < (np.diff(values) / T).max() <= 0.6 + 1e-9
+    np.testing.assert_array_equal(values, again)
+
+
+def test_numbers_and_functions_as_delays():
+    pair = {"delay_1": lambda t: 0.1 + 0.05 * np.sin(t), "delay_2": 0.3}
+    delays = delays_in_samples(pair, 0.05, 50, T)
+    np.testing.assert_allclose(delays[0], 10.0 + 5.0 * np.sin(T * np.arange(50)))
+    np.testing.assert_array_equal(delays[1], 30.0)

@@ -9,12 +9,8 @@ from hypothesis import given, settings, strategies as st
 from scipy.optimize import minimize_scalar
 
 from trustlab.teleoperation.ports.device import (
-    CANCEL,
-    OFF,
-    REPAY,
     PassivityController,
     activation,
-    demanded,
 )
 
 T = 0.01
@@ -77,37 +73,6 @@ def test_damping_of_a_yielding_port_takes_the_power_demanded(power, gain, demand
         most = max(-best.fun, taken(0.0))
         assert most <= demand + 1e-9
         assert taken(w) >= most - 1e-6 * size
-
-
-@pytest.mark.parametrize(
-    ("method", "energy", "power", "demand"),
-    [
-        (OFF, -1.0, -1.0, None),
-        (CANCEL, -1.0, -1.0, 0.0),
-        (CANCEL, 0.0, -1.0, 0.0),  # printed: for ≤ 0
-        (CANCEL, 0.5, -100.0, None),  # what is in hand may be spent, even in one sample
-        (REPAY, -1.0, -1.0, 100.0),
-        (REPAY, -1.0, 101.0, None),
-        (REPAY, 0.5, -60.0, -50.0),  # all that is in hand, in this sample
-    ],
-)
-def test_when_a_controller_acts_and_what_it_demands(method, energy, power, demand):
-    assert demanded(method, energy, power, T) == pytest.approx(
-        np.nan if demand is None else demand, nan_ok=True
-    )
-
-
-@pytest.mark.parametrize(
-    ("power", "demand", "expected"),
-    [
-        (-2.0, -2.0, (0.0, True)),  # as it is, although a stop would not do
-        (-2.0, 0.0, (np.inf, True)),  # stopped, it takes nothing
-        (-2.0, 0.5, (np.inf, False)),
-        (1.0, 5.0, (0.0, False)),  # no damping takes more
-    ],
-)
-def test_ports_that_cannot_take_what_is_demanded_are_stopped(power, demand, expected):
-    assert activation(power, 1.0, demand) == expected
 
 
 @pytest.mark.parametrize("method", ["cancel", "repay"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from trustlab.teleoperation import STUDIES, plot_scales, plot_transparency
+from trustlab.teleoperation import STUDIES, plot_scales
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.teleoperation.transparency import dominance, gains
@@ -43,19 +43,16 @@ def test_gains_are_what_slow_signals_become(seed):
     rng = np.random.default_rng([46, seed])
     alphas, betas = np.sort(rng.uniform(0.05, 1.0, (2, 2)))
     channel = Scattering(rng.uniform(0.3, 4.0), *alphas, *betas)
-    scales = rng.uniform(*alphas), rng.uniform(*betas)
     step, none = np.ones((6000, 1)), np.zeros((6000, 1))
-    still = channel_run(none, step, channel, 0.01, 0.02, 0.02, *scales)
-    free = channel_run(step, none, channel, 0.01, 0.02, 0.02, *scales)
+    still = channel_run(none, step, channel, 0.01, 0.02, 0.02)
+    free = channel_run(step, none, channel, 0.01, 0.02, 0.02)
     expected = {
         "force": still.f_m[-1, 0],
         "drift": -still.r_s[-1, 0],
         "velocity": free.r_s[-1, 0],
         "drag": free.f_m[-1, 0],
     }
-    assert {name: gains(channel, *scales)[name] for name in expected} == pytest.approx(
-        expected, rel=1e-9
-    )
+    assert {name: gains(channel)[name] for name in expected} == pytest.approx(expected, rel=1e-9)
 
 
 # Figures
@@ -73,13 +70,3 @@ def test_scales_are_those_of_the_settings():
         expected = high + (low - high) / (1.0 + np.exp(-10.0 * (trust - 0.5)))
         np.testing.assert_allclose(scale, expected, rtol=1e-12)
         assert set(lines[f"{symbol}, step"].get_ydata()) == {low, high}
-
-
-def test_maps_mark_both_studies():
-    axes = plot_transparency()
-    ends = STUDIES["main"].scattering
-    assert len(axes) == 3
-    assert [line.get_label() for line in axes[0].lines] == list(STUDIES)
-    assert axes[0].lines[1].get_xydata().tolist() == [
-        [ends.beta_min / ends.beta_max, ends.alpha_min / ends.alpha_max]
-    ]

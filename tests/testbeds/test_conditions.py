@@ -77,16 +77,12 @@ def test_measures(bed):
         assert measures["p_r"] == session["p_r"].mean()
         assert measures["switches"] == np.abs(np.diff(session["mode"])).sum()
         assert np.isnan(measures["followed_percent"]) == (name == "C1")
-        row = run.table().iloc[0]
-        assert (str(row["participant"]), row["condition"], row["synthetic"]) == ("2", name, True)
         if bed.name == "uav_following":
             assert len(session) == 10 * DURATION
             continue
         laps = np.diff(run.lap_times, prepend=0.0)
         assert measures["laps"] == laps.size == 8
         assert measures["duration"] == pytest.approx(run.lap_times[-1])
-        assert laps.min() > 60.0
-        assert laps.max() < 130.0
         assert measures["lap_time"] == pytest.approx(laps.mean())
 
 

@@ -99,18 +99,6 @@ def test_the_models_fit_its_sessions(operators):
 # Geometry and limits
 
 
-def test_path_error_is_the_distance_to_the_course(sessions):
-    course = Course()
-    for session in sessions[:2]:
-        data = session.data[::97]
-        at, reference = data[["robot_x", "robot_y"]], data[["reference_x", "reference_y"]]
-        error = data["path_error"]
-        np.testing.assert_allclose(distance(course, *at.to_numpy().T), error, atol=1e-12)
-        away = np.hypot(*(at.to_numpy() - reference.to_numpy()).T)
-        np.testing.assert_allclose(away, error, atol=1e-12)
-        assert distance(course, *reference.to_numpy().T).max() < 1e-9
-
-
 @pytest.mark.parametrize(("short", "ends"), [(1e-12, True), (1e-3, False)])
 def test_rounding_does_not_decide_when_a_lap_ends(short, ends):
     """Where the path closes its corner can stay the nearest point, a lap but for rounding away."""

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.flights import T, columns, jitter, phase, power
+from tests.flights import T, columns, jitter, power
 from trustlab.teleoperation import STUDIES, DivergenceError, Guidance, GuidanceBudget
 from trustlab.teleoperation.loop.kernel import GUIDANCE
-from trustlab.testbeds.uav_tracking import TASKS, TrackingTask
+from trustlab.testbeds.uav_tracking import TrackingTask
 
 IDLE = tl.Teleoperator(proportional=0.0, derivative=0.0, noise=0.0, stiffness=0.0, damping=0.0)
 
@@ -154,14 +154,6 @@ def test_the_exception_is_the_printed_guidance_without_its_guard_a_hidden_autopi
     # nothing arriving
     b = STUDIES["main"].scattering.b
     np.testing.assert_allclose(columns(run, "r_s")[:3], -columns(run, "f_s")[:3] / b, atol=1e-12)
-
-
-def test_the_target_feeds_the_spring_with_force_times_velocity():
-    unguarded = Guidance("through_channel", "off")
-    run = tl.simulate_teleoperation("M", seed=3, duration=20.0, guidance=unguarded)
-    moving = TASKS["main"].path(run.t, 1.5, phase(3))[1]
-    fed = -T * np.cumsum((columns(run, "f_s") * moving).sum(axis=1))
-    np.testing.assert_allclose(run["energy_target"], fed, atol=1e-9)
 
 
 def guided(stiffness, guard):

@@ -62,12 +62,9 @@ def test_energy_balances_through_changes(seed):
     assert np.ptp(team) <= 1e-11 * max(data["v_fs"].max(), data["lost_team"].max())
     assert np.ptp(error) <= 1e-11 * max(data["v_e"].max(), data["lost_error"].max())
     assert np.diff(data["v_t"] - data["supply_links"]).max() <= 1e-11 * data["v_t"].max()
-    assert (
-        data["supply_links"].abs().max() > 0.0
-    )  # else nothing changed, and the bookkeeping would not be tried
-    assert (
-        np.diff(data["v_t"]).max() > 1e-6 or data["supply_links"].max() <= 0.0
-    )  # negative control: links that appear
+    assert data["supply_links"].any()  # else the bookkeeping would not be tried
+    # negative control: links that appear
+    assert np.diff(data["v_t"]).max() > 1e-6 or data["supply_links"].max() <= 0.0
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -40,7 +40,6 @@ def test_a_session_is_a_run_of_the_team():
     measures = session.measures
     assert measures["switches"] == len(run.switches)
     assert measures["work"] == run.data["supply_hand"].iloc[-1]
-    assert measures["arrived"] == float(run.converged)
     assert session.session.metadata.synthetic
     assert bed.next_session(person, session) is person
 

@@ -276,3 +276,9 @@ def test_each_trust_follows_its_own_model_in_its_own_units_and_scales_follow_tru
         expected = model.simulate(performance.to_numpy(), 0.01, 0.5 * (model.t_min + model.t_max))
         np.testing.assert_allclose(trust, expected, atol=1e-9)
         np.testing.assert_allclose(data[scale], scalings[scale].value(trust), atol=1e-12)
+
+
+def test_scales_without_trust():
+    for scheme in ("M", "MMI"):
+        assert (simulate_teleoperation(scheme, duration=5.0).data["beta"] == 0.5).all()
+    assert not columns(simulate_teleoperation("MI", duration=5.0), "f_m").any()

@@ -52,7 +52,6 @@ from .team.settings import (
 )
 from .transparency import (
     dominance as dominance,
-    gains as gains,
     plot_scales as plot_scales,
     plot_transparency as plot_transparency,
 )

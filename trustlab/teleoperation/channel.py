@@ -4,8 +4,7 @@ between leaders (4.7).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,8 +17,7 @@ from trustlab.teleoperation.ports.waves import READ_OUTS, Scattering, accounts, 
 from trustlab.teleoperation.records import signals
 
 
-@dataclass(frozen=True, eq=False)
-class ChannelRun:
+class ChannelRun(NamedTuple):
     """
     Signals of a channel, one row per sample.
 
@@ -46,7 +44,7 @@ class ChannelRun:
     v_r: np.ndarray
     sample_time: float
 
-    @cached_property
+    @property
     def energy(self) -> np.ndarray:
         """
         ∫ r_mᵀf_m − r_sᵀf_s dτ up to and with each sample [J], shape (N,): energy in the channel,
@@ -54,7 +52,7 @@ class ChannelRun:
         """
         return self._since_start(self.r_m * self.f_m - self.r_s * self.f_s)
 
-    @cached_property
+    @property
     def wave_energy(self) -> np.ndarray:
         """
         ½ ∫ ‖u_l‖² − ‖v_l‖² + ‖u_r‖² − ‖v_r‖² dτ [J], shape (N,): the lower bound of the proof of

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from trustlab.models.checks import finite_number, of_class
+from trustlab.models.checks import of_class
 from trustlab.models.display import axes_or_new
 from trustlab.teleoperation.loop.settings import STUDIES, LoopSettings
 from trustlab.teleoperation.ports.waves import Scattering
@@ -55,41 +55,25 @@ def dominance(scattering: Scattering) -> dict[str, float]:
     }
 
 
-def gains(
-    scattering: Scattering, alpha: float | None = None, beta: float | None = None
-) -> dict[str, float]:
+def gains(scattering: Scattering) -> dict[str, float]:
     """
-    Return what a slow signal becomes on its way, all delays having passed.
+    Return what a slow signal becomes on its way, all delays having passed, the scales α and β at
+    their upper bounds.
 
     force = f_m/f_s with the hand held still, 2β√(α_min/β_max)/(1 + κ); velocity = r_s/r_m with no
     force at the robot, 2α√(β_min/α_max)/(1 + κ), κ = √(α_minβ_min/(α_maxβ_max)). Neither depends on
     b, which sets what leaks across: drag = f_m/r_m felt without a force at the robot, βb(1 − κ)/(1
     + κ), and drift = −r_s/f_s, how the robot moves under its own force while the hand is still,
-    (α/b)(1 − κ)/(1 + κ). The ideal is force = β, velocity = α, drag = drift = 0.
-
-    Parameters
-    ----------
-    scattering : Scattering
-        Impedance and bounds of the scales.
-    alpha, beta : float, optional
-        The scales; their upper bounds when not given.
-
-    Returns
-    -------
-    dict of str to float
-        force, velocity, drag [N s/m], drift [m/s/N].
+    (α/b)(1 − κ)/(1 + κ), all in SI units. The ideal is force = β, velocity = α, drag = drift = 0.
     """
-    s = of_class("scattering", scattering, Scattering)
-    alpha = s.alpha_max if alpha is None else finite_number("alpha", alpha)
-    beta = s.beta_max if beta is None else finite_number("beta", beta)
-    s.check_scales(alpha, beta)
+    s = scattering
     kappa = math.sqrt(s.alpha_min * s.beta_min / (s.alpha_max * s.beta_max))
     leaked = (1.0 - kappa) / (1.0 + kappa)
     return {
-        "force": 2.0 * beta * math.sqrt(s.alpha_min / s.beta_max) / (1.0 + kappa),
-        "velocity": 2.0 * alpha * math.sqrt(s.beta_min / s.alpha_max) / (1.0 + kappa),
-        "drag": beta * s.b * leaked,
-        "drift": alpha / s.b * leaked,
+        "force": 2.0 * s.beta_max * math.sqrt(s.alpha_min / s.beta_max) / (1.0 + kappa),
+        "velocity": 2.0 * s.alpha_max * math.sqrt(s.beta_min / s.alpha_max) / (1.0 + kappa),
+        "drag": s.beta_max * s.b * leaked,
+        "drift": s.alpha_max / s.b * leaked,
     }
 
 

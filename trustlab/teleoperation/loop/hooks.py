@@ -55,16 +55,14 @@ def asking(
         for names in HOOKS.values()
         for name in names
     }
-    asked = [(part, names, hooks[part]) for part, names in HOOKS.items() if part in hooks]
 
     def decide(_: Any, inputs: np.ndarray) -> None:
-        for part, names, hook in asked:
-            if part in FOLLOWING and view.t == 0.0:
+        for part, names in HOOKS.items():
+            if part not in hooks or (part in FOLLOWING and view.t == 0.0):
                 continue
             try:
-                values = hook(view)
-                if not names[1:]:
-                    values = (values,)
+                values = hooks[part](view)
+                values = values if len(names) > 1 else (values,)
                 for name, value in zip(names, values, strict=True):
                     value = checked(name, value, bounds)
                     if math.isnan(inputs[name].item(0)):
