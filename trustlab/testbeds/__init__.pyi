@@ -1,6 +1,5 @@
 from .condition_run import ConditionRun as ConditionRun
 from .ground_robot.conditions import (
-    GroundRobotRun as GroundRobotRun,
     identification_session as identification_session,
 )
 from .ground_robot.course import Course as Course

@@ -99,15 +99,21 @@ class ConditionRun(Result):
         The model behind TSC and the suggestions.
     thresholds : (float, float) or None
         TSC_l and TSC_u, where given.
+    lap_times : numpy.ndarray, shape (laps,), or None
+        When each lap of the ground robot ended [s].
     """
-
-    title = "UAV that follows a leader"
 
     log: np.ndarray
     metadata: Metadata
     operator: Operator
     model: TscModel
     thresholds: tuple[float, float] | None
+    lap_times: np.ndarray | None = None
+
+    @property
+    def title(self) -> str:
+        """Which testbed."""
+        return "UAV that follows a leader" if self.lap_times is None else "Ground-robot run"
 
     @cached_property
     def session(self) -> Session:
@@ -138,7 +144,7 @@ class ConditionRun(Result):
             str(self.metadata.condition),
             self.operator,
             self.model,
-            getattr(self, "lap_times", None),
+            self.lap_times,
         )
 
     @property

@@ -358,11 +358,10 @@ class GroundRobot(ConditionTestbed):
         return {"laps": self.laps} | super().settings
 
     def _simulated(self, task, decide, seed, **facts):
-        place: dict[str, Any] = {"robot": self.robot, "course": self.course}
         log, lap_times = ground.driven(
-            task, **place, operator=facts["operator"], seed=seed, decide=decide
+            task, self.robot, self.course, facts["operator"], seed, decide=decide
         )
-        return ground.GroundRobotRun(log=log, lap_times=lap_times, **place, **facts)
+        return ConditionRun(log=log, lap_times=lap_times, **facts)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -531,8 +530,8 @@ def run_condition(
     Returns
     -------
     ConditionRun
-        With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot a
-        `GroundRobotRun`, which has `.lap_times` besides.
+        With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot with
+        `.lap_times` besides.
 
     Raises
     ------

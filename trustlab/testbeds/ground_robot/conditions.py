@@ -4,7 +4,6 @@ A robot on a course, an operator, and who drives: a simulated stand-in for the S
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from trustlab.models.simulation import Simulation
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
 from trustlab.testbeds import deciding
-from trustlab.testbeds.condition_run import ConditionRun
 from trustlab.testbeds.ground_robot import kernel
 from trustlab.testbeds.ground_robot.course import Course, default_course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
@@ -31,30 +29,6 @@ MAKE_OPERATOR = (
 )
 NOTE = "simulated stand-in for the Stage testbed of Fig. 2.1"
 MEASURED = "(2.4), (2.7)"
-
-
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class GroundRobotRun(ConditionRun):
-    """
-    One simulated run on the ground-robot testbed.
-
-    Parameters
-    ----------
-    log, metadata, operator, model, thresholds : object
-        As for a `ConditionRun`.
-    course : Course
-        Where.
-    robot : Pioneer
-        What.
-    lap_times : numpy.ndarray, shape (laps,)
-        When each lap ended [s].
-    """
-
-    title = "Ground-robot run"
-
-    course: Course
-    robot: Pioneer
-    lap_times: np.ndarray
 
 
 def drive_modes(
