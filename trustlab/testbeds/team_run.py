@@ -273,12 +273,15 @@ class TeamRun(Result):
         ValueError
             If the file is no .gif, its folder does not exist, or the rate is not positive.
         """
-        from trustlab.testbeds.team_animation import save_film
+        from trustlab.testbeds.team_animation import pictures, samples_shown
 
         target, rate = path_of("path", path), positive("rate", rate)
         if target.suffix != ".gif":
             raise ValueError(f'path must be a file such as "team.gif", got {str(target)!r}')
         if not target.parent.is_dir():
             raise ValueError(f"there is no folder {target.parent} to write the animation to")
-        save_film(self, target, rate)
+        samples = samples_shown(self, rate)
+        first, *others = pictures(self, samples)
+        pause = 1000.0 * float(self.t[samples[-1]] - self.t[0]) / rate / samples.size  # [ms]
+        first.save(target, save_all=True, append_images=others, duration=pause, loop=0)
         return target
