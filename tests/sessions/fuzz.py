@@ -29,7 +29,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tests.sessions.logs import HAND, NUMBER, TEXT, Bag, hands, stamped, write_table
+from tests.sessions.logs import NUMBER, TEXT, Bag, stamped, write_table
 from trustlab.sessions import (
     Metadata,
     Session,
@@ -62,7 +62,7 @@ repeated = "mean"
 gap = 5.0
 [columns]
 p_r = { column = "p_r", blank = "hold" }
-robot_x = { column = "pos", item = 0, unit = "m" }
+robot_x = { column = "pos", unit = "m" }
 mode = { column = "mode", above = 0.5 }
 """)
 TF = Recipe.from_toml("""
@@ -110,9 +110,8 @@ def originals(folder):
     """Write a valid log of each format; return what is read, and the file of it that is damaged."""
     table = session().table()
     dates = pd.Timestamp("2026-03-01") + pd.to_timedelta(table["t"], unit="s")
-    cells = [f"({x}, 0, 1)" for x in table["robot_x"]]
     blanks = table["p_r"].where(table.index % 3 == 0)
-    ruled = table.assign(t=dates.astype(str), pos=cells, p_r=blanks)
+    ruled = table.assign(t=dates.astype(str), pos=table["robot_x"], p_r=blanks)
     logs = {
         name: write_session(session(), folder / f"a.{name}") for name in ("csv", "parquet", "mcap")
     }
@@ -204,7 +203,6 @@ TOPICS = {
         "position[0]",
         "header.stamp.sec",
     ],
-    "/hand": ["grip", "header.stamp.nanosec"],
 }
 PATHS = [
     OTHER,
@@ -235,7 +233,6 @@ DISTANCES = [
     {"travelled": (["robot"], ["none"])},
 ]
 OF_CELL = {
-    "pos": {"item": ([0, 1, 2], [7, -1])},
     "pedal": {"above": NUMBERS},
     "mode": {"map": ([{"MANUAL": 1, "AUTO": 0, "1": 0.5, "0": 0}], [{"MANUAL": 1}])},
 }
@@ -290,7 +287,7 @@ def random_column(rng, name, topics):
         own = ["mode", "pedal"] if name == "mode" else ["pedal", "speed", "err", "pos"]
         rule = {"column": mostly(rng, own, [*CELLS, 0, 3, 99])}
         rule |= some(rng, 0.6, {"blank": (["hold", "linear"], ["drop"])})
-        if name == "mode" or rule["column"] == "pos":
+        if name == "mode":
             rule |= some(rng, 0.8, OF_CELL.get(rule["column"], {}))
     rule |= length | some(rng, 0.05, ANY_COLUMN)
     return rule | some(rng, 0.1, {"absolute": FLAGS, "resample": METHODS})
@@ -300,10 +297,7 @@ def bag_tables(rng, topics):
     """Return the tables of a recipe that say how a bag with these topics is read."""
     stamps = {"stamp": (["receive"], ["header", "x"]), **REPEATS}
     topic = {"topics": ([{"/joint_states": "header"}], [{"/none": "header"}])}
-    tables = {"time": some(rng, 0.3, stamps) | some(rng, 0.2, topic)}
-    if rng.random() < (0.95 if topics == ["/hand"] else 0.05):
-        tables["messages"] = some(rng, 1, {"folder": (["."], ["none", ".."])})
-    return tables
+    return {"time": some(rng, 0.3, stamps) | some(rng, 0.2, topic)}
 
 
 def text_tables(rng, unit):
@@ -386,7 +380,7 @@ def random_table(rng, unit):
             "pedal": rng.random(rows),
             "speed": np.where(rng.random(rows) < 0.3, np.nan, rng.random(rows)),
             "err": mostly(rng, [rng.random(rows)], odd_errors),
-            "pos": [f"({x:.3f}, {y:.3f}, 0)" for x, y in rng.random((rows, 2))],
+            "pos": rng.random(rows),
             "who": "a",
         }
     )
@@ -406,9 +400,9 @@ def random_file(rng, folder, unit):
     return write_table(frame, path)
 
 
-def read_by_random_recipe(name, folder, bags, rng):
+def read_by_random_recipe(name, folder, bag, rng):
     """Write a recipe and something to read by it; return the sessions."""
-    bag, topics = one_of(rng, bags) if name == "bags" else ("", [])
+    topics = ["/tf", "/joint_states"] if name == "bags" else []
     unit = one_of(rng, ["s", "s", "ms", "iso", "clock"])
     recipe = folder / "lab.toml"
     recipe.write_bytes(random_recipe(rng, topics, unit).encode())
@@ -416,8 +410,6 @@ def read_by_random_recipe(name, folder, bags, rng):
     if rng.random() < 0.2:
         options |= {"resample": "linear", "sample_time": mostly(rng, [0.1], [1e-7, 1e9])}
     if name == "bags":
-        definition = damaged(HAND.encode(), rng) if rng.random() < 0.3 else HAND.encode()
-        (folder / "lab_msgs" / "Hand.msg").write_bytes(definition)
         return [read_session(bag, **options)]
     if name == "frame":
         return [read_frame(random_table(rng, unit), **options)]
@@ -457,12 +449,8 @@ def reading(name, folder):
     """
     files = originals(folder)
     if name in READS:
-        (folder / "read" / "lab_msgs").mkdir(parents=True)
-        bags = [
-            (files["tf"][0], ["/tf", "/joint_states"]),
-            (hands(folder / "hand"), ["/hand"]),
-        ]
-        return partial(read_by_random_recipe, name, folder / "read", bags)
+        (folder / "read").mkdir()
+        return partial(read_by_random_recipe, name, folder / "read", files["tf"][0])
     path, file = files[name]
     options = {"recipe": RECIPES[name]} if name in RECIPES else {}
     data = file.read_bytes()

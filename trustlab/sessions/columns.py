@@ -95,9 +95,9 @@ def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
     """Return the numbers of a column, or of times where there is no rule; NaN for blank cells."""
     values = table.frame[rule.name if rule else "t"]
     label = rule.label if rule else "column t"
-    special = rule if rule and rule.special else None
+    mapped = rule if rule and rule.map else None
     kind = values.dtype.kind
-    if special is None:
+    if mapped is None:
         if kind in "iufb":
             if not isinstance(values.dtype, np.dtype):  # a column of pandas' own, with a mask
                 return values.to_numpy(dtype=float, na_value=np.nan).copy()
@@ -111,21 +111,19 @@ def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
     known = np.full(len(words) + 1, np.nan)  # the last is for cells that are missing
     for k, word in enumerate(words):
         try:
-            known[k] = _number(word, special, table.decimal)
+            known[k] = _number(word, mapped, table.decimal)
         except ValueError as error:
             raise table.error(int(np.argmax(codes == k)), label, error) from None
     return known[codes]
 
 
-def _number(cell: object, special: ColumnRule | None, decimal: str) -> float:
-    """Return the number of a cell as it is written, or by the map or the item of a rule."""
+def _number(cell: object, mapped: ColumnRule | None, decimal: str) -> float:
+    """Return the number of a cell as it is written, or by the map of a rule."""
     written = str(cell).strip()
-    if written in BLANKS and (special is None or special.blank):
+    if written in BLANKS and (mapped is None or mapped.blank):
         return math.nan
-    if special and special.map:
-        return looked_up(special.map, cell)
-    if special:
-        return _item(written, special.item, decimal)
+    if mapped and mapped.map:
+        return looked_up(mapped.map, cell)
     # With a decimal comma a point has no meaning: "!" makes such a number fail.
     text = written if decimal == "." else written.replace(".", "!").replace(",", ".")
     if NUMBER.fullmatch(text):
@@ -137,18 +135,6 @@ def _number(cell: object, special: ColumnRule | None, decimal: str) -> float:
     if decimal == "." and re.fullmatch(r"[+-]?\d+,\d+", written):
         remedy = 'read the file with decimal=",", or set it in a recipe'
     raise ValueError(f"{written[:60]!r} is not a number; {remedy}")
-
-
-def _item(cell: str, item: int, decimal: str) -> float:
-    """Return one number of a cell such as "(x, y, z)", or "(x; y; z)" with decimal commas."""
-    text = cell.strip(" ()[]{}")
-    if decimal == "," and "." not in text:
-        text = re.sub(r"(?<=\d),(?=\d)", ".", text)
-    parts = re.split(r"\s*[,;]\s*|\s+", text)
-    counted = all(NUMBER.fullmatch(part) or part in BLANKS for part in parts)
-    if not counted or item >= len(parts) or parts[item] in BLANKS:
-        raise ValueError(f"{cell[:60]!r} has no number {item} (from 0)")
-    return float(parts[item])
 
 
 # --- times --------------------------------------------------------------------------------------

@@ -25,7 +25,6 @@ from trustlab.sessions.errors import (
     SessionError,
     alternatives,
     name_source,
-    nearest_file,
     source_named,
 )
 from trustlab.sessions.folders import Header, logs_in, matching
@@ -439,7 +438,7 @@ class Reader:
         if self.plain:
             return set()
         times = {"t"} if self.recipe.time.unit in ("iso", "clock") else set()
-        return times | {rule.name for rule in self._measured(self.recipe) if rule.special}
+        return times | {rule.name for rule in self._measured(self.recipe) if rule.map}
 
     def _of_table(self, table: Table, source: str, values: Mapping) -> list[Session]:
         """Return the sessions of a table."""
@@ -483,7 +482,7 @@ def existing(path: Path) -> Path:
     """Return the path when something that can be read is there."""
     if not path.exists():
         looked = "" if path.is_absolute() else f" (looked in {path.parent.absolute()})"
-        raise SessionError(f"there is no file at this path{looked}{nearest_file(path)}")
+        raise SessionError(f"there is no file at this path{looked}")
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         remedy = "use read_sessions for a folder of sessions, `ros2 bag reindex` for a recording"
         raise SessionError(f"a folder without metadata.yaml is not a rosbag2 recording; {remedy}")
