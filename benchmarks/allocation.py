@@ -79,7 +79,7 @@ def rows() -> Iterator[Row]:
         yield compared(name, states, "CasADi Opti with IPOPT", turns, turns)
     with Worker("do_mpc_steps", data) as worker:
         for name, states in loops.items():
-            result = lambda n=name: worker.ask(n)["result"]  # noqa: E731
+            result = lambda n=name: worker.ask(n)[1]  # noqa: E731
             yield compared(name, states, "do-mpc with IPOPT", result, worker.timed(name))
     yield growth(loops["far"])
     steps = 200_000

@@ -3,7 +3,7 @@
 import tomllib
 from pathlib import Path
 
-from tests.mutation.run import MODULES, is_known, lines_left_out
+from tests.mutation.run import MODULES, is_known
 
 ROOT = Path(__file__).parents[2]
 SURVIVORS = tomllib.loads((ROOT / "tests" / "mutation" / "survivors.toml").read_text())
@@ -33,12 +33,3 @@ def test_a_listed_change_is_known_and_its_neighbour_is_not():
     assert not is_known(diff.format("if gap > 0.0:", "if gap < 0.0:"), entries)
     assert not is_known(diff.format("if gaps > 0.0:", "if gap >= 0.0:"), entries)
     assert is_known(diff.format("n = 5", "n = 6"), entries)
-
-
-def test_plots_decorators_and_types_are_left_out(tmp_path):
-    file = tmp_path / "module.py"
-    file.write_text(
-        "if TYPE_CHECKING:\n    import a\n\n@njit(inline=True)\ndef f(x):\n    return x + 1\n\n"
-        "def plot(x):\n    return x - 1\n"
-    )
-    assert lines_left_out(file) == {1, 2, 4, 8, 9}

@@ -64,16 +64,6 @@ def test_documentation_is_short():
     assert len(words_of(ROOT / "CONTRIBUTING.md")) <= 600
 
 
-def test_blocks_of_the_documentation_fit_a_page_of_1280_pixels():
-    lines = [
-        (name_of(path), line)
-        for path in DOCUMENTS[1:]
-        for *_, code in blocks(path)
-        for line in code.splitlines()
-    ]
-    assert [(name, line) for name, line in lines if len(line) > 98] == []
-
-
 @pytest.fixture(scope="module")
 def scheme_page():
     """What the code of the page about one's own scheme and trust defines."""
@@ -99,19 +89,6 @@ def test_trust_of_the_example_sets_its_scales(scheme_page):
     constant = tl.simulate_teleoperation(scheme, trust=lambda state: (0.5, 0.5), **others).data
     assert np.ptp(constant["alpha"]) == np.ptp(constant["beta"]) == 0.0  # negative control
     assert (run["robot_x"] != constant["robot_x"]).any()
-
-
-@pytest.mark.xdist_group("docs")
-def test_memory_of_the_example_matters(scheme_page):
-    def forgetful(state):
-        state.memory.clear()
-        return scheme_page["trust"](state)
-
-    run, scheme = scheme_page["run"].data, tl.Scheme("mine", scheme_page["shares"])
-    without = tl.simulate_teleoperation(
-        scheme, trust=forgetful, task=scheme_page["task"], duration=60.0
-    )
-    assert np.ptp(run["trust_hr"] - without["trust_hr"]) > 0.01
 
 
 def test_names_of_the_state_on_the_page_are_its_own():

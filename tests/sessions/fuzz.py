@@ -72,7 +72,7 @@ topic = "/tf"
 field = 'transforms[child_frame_id="b"].transform.translation.x'
 unit = "m"
 """)
-FILES = ["csv", "tsv", "txt", "csv.gz", "parquet", "feather"]
+FILES = ["csv", "tsv", "txt", "csv.gz", "parquet"]
 RECIPES = {"rules": RULES, "tf": TF}
 
 
@@ -115,9 +115,7 @@ def originals(folder):
     logs = {
         name: write_session(session(), folder / f"a.{name}") for name in ("csv", "parquet", "mcap")
     }
-    logs |= {
-        name: write_table(table, folder / f"a.{name}") for name in ("feather", "tsv", "csv.gz")
-    }
+    logs |= {name: write_table(table, folder / f"a.{name}") for name in ("tsv", "csv.gz")}
     logs |= {"bag": recording(folder / "a.bag"), "rules": write_table(ruled, folder / "rules.csv")}
     folders = {name: recording(folder / name) for name in ("db3", "yaml")}
     folders["tf"] = transforms(folder / "tf")
@@ -395,7 +393,7 @@ def random_table(rng, unit):
 def random_file(rng, folder, unit):
     """Write a random table in one of the formats for tables."""
     frame, path = random_table(rng, unit), folder / f"a.{one_of(rng, FILES)}"
-    if path.suffix in (".parquet", ".feather"):  # a column of theirs holds one type
+    if path.suffix == ".parquet":  # a column of theirs holds one type
         frame = frame.apply(lambda cells: cells.astype(str) if cells.dtype == object else cells)
     return write_table(frame, path)
 

@@ -84,8 +84,8 @@ class Bag:
 
 def write_table(table, path):
     """Write a table as pandas writes the format that the path's end names; return the path."""
-    if path.suffix in (".parquet", ".feather"):
-        getattr(table, f"to_{path.suffix[1:]}")(path)
+    if path.suffix == ".parquet":
+        table.to_parquet(path)
     else:
         table.to_csv(path, sep="\t" if ".tsv" in path.name else ",", index=False)
     return path

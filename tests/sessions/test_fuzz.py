@@ -25,7 +25,7 @@ deterministic = settings(
     deadline=10_000,
     database=None,  # [ms]
 )
-SUFFIXES = [".csv", ".csv.gz", ".tsv", ".parquet", ".feather", ".bag", ".mcap", ".db3"]
+SUFFIXES = [".csv", ".csv.gz", ".tsv", ".parquet", ".bag", ".mcap", ".db3"]
 
 
 def read_or_refuse(path, **options):

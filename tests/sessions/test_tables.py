@@ -1,4 +1,4 @@
-"""Tables of text, Parquet and Feather. Oracle: pandas, and plain Python on the lines of a file."""
+"""Tables of text and Parquet. Oracle: pandas, and plain Python on the lines of a file."""
 
 import io
 import warnings
@@ -21,7 +21,7 @@ p_r = { topic = "/p_r", field = "data" }
 mode = { topic = "/mode", field = "data" }"""
 
 
-SUFFIXES = [".csv", ".CSV", ".csv.gz", ".tsv", ".tsv.gz", ".txt", ".parquet", ".feather"]
+SUFFIXES = [".csv", ".CSV", ".csv.gz", ".tsv", ".tsv.gz", ".txt", ".parquet"]
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_a_last_line_that_was_cut_is_noted_and_warned_of(read):
     assert session["p_r"].tolist() == [0.31, 0.32, 0.3]
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.parquet", "a.feather", "frame"])
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet", "frame"])
 def test_the_columns_of_a_session_are_its_own(tmp_path, name):
     """Neither the file nor the frame that it came from can change it, and it can be changed."""
     frame = TABLE.astype({"mode": float}).copy()

@@ -36,20 +36,15 @@ class RecipeError(SessionError):
     """A recipe that does not exist or cannot be followed; arguments as for SessionError."""
 
 
-def name_source(error: SessionError, source: str | None) -> None:
-    """Put the name of the file in front of an error's message, unless one is there already."""
-    if source and error.source is None:
-        error.source = source
-        error.args = (f"{source}: {error}",)
-
-
 @contextmanager
 def source_named(source: str | None) -> Iterator[None]:
     """Put the name of the file in front of every error raised inside that names no file yet."""
     try:
         yield
     except SessionError as error:
-        name_source(error, source)
+        if source and error.source is None:
+            error.source = source
+            error.args = (f"{source}: {error}",)
         raise
 
 

@@ -24,7 +24,6 @@ from trustlab.sessions.errors import (
     RecipeError,
     SessionError,
     alternatives,
-    name_source,
     source_named,
 )
 from trustlab.sessions.folders import Header, logs_in, matching
@@ -47,8 +46,8 @@ from trustlab.sessions.tables import (
     TEXTS,
     Chosen,
     frame_table,
-    read_arrow,
     read_csv,
+    read_parquet,
     suffix_of,
 )
 from trustlab.sessions.vocabulary import known_column
@@ -69,8 +68,8 @@ def read_session(
     Parameters
     ----------
     path : path-like
-        A ``.csv``, ``.csv.gz``, ``.tsv`` or ``.txt`` table, a ``.parquet``, ``.feather``, ``.bag``
-        (ROS 1), ``.mcap`` or ``.db3`` file, or a rosbag2 folder.
+        A ``.csv``, ``.csv.gz``, ``.tsv`` or ``.txt`` table, a ``.parquet``, ``.bag`` (ROS 1),
+        ``.mcap`` or ``.db3`` file, or a rosbag2 folder.
     recipe : str, path-like or Recipe, optional
         How the log's columns become ours: a name from `list_recipes()`, the path of a TOML file, or
         a Recipe. A table with the vocabulary's names in SI units, and t in seconds, needs none; nor
@@ -359,13 +358,11 @@ class Reader:
     def read(self, path: str | os.PathLike) -> list[Session]:
         """Return the sessions of one file or rosbag2 folder: one, unless the recipe splits it."""
         source = str(path_of("path", path))
-        try:
-            return self._read(existing(Path(source)), source)
-        except SessionError as error:
-            name_source(error, source)
-            raise
-        except OSError as error:
-            raise SessionError(f"cannot be read ({error.strerror or error})", source) from error
+        with source_named(source):
+            try:
+                return self._read(existing(Path(source)), source)
+            except OSError as error:
+                raise SessionError(f"cannot be read ({error.strerror or error})") from error
 
     def _read(self, path: Path, source: str) -> list[Session]:
         """Check that recipe and file go together; read the file; make sessions of what it holds."""
@@ -383,7 +380,7 @@ class Reader:
         elif suffix in TEXTS:
             table = read_csv(path, self._chosen(), self.layout, self._texts())
         else:
-            table = read_arrow(path, self._chosen(), self.layout)
+            table = read_parquet(path, self._chosen(), self.layout)
         return self._of_table(table, source, values)
 
     def read_frame(self, frame: pd.DataFrame, metadata: Mapping[str, object]) -> list[Session]:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Real
-from types import MappingProxyType, NoneType
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -67,7 +67,7 @@ class Metadata:
     >>> import trustlab as tl
     >>> metadata = tl.Metadata(participant=3, condition="C1", more={"trial": 2})
     >>> metadata.changed(condition="C2", site="north wing").more
-    mappingproxy({'trial': 2, 'site': 'north wing'})
+    {'trial': 2, 'site': 'north wing'}
     """
 
     participant: str | int | None = None
@@ -86,14 +86,7 @@ class Metadata:
             object.__setattr__(self, name, value)
         if not isinstance(self.more, Mapping):
             raise SessionError(f"more must be a mapping of names to values, got {shown(self.more)}")
-        object.__setattr__(self, "more", MappingProxyType(dict(self.more)))
-
-    def __reduce__(self):
-        # A MappingProxyType cannot be pickled; the constructor makes it again from a dictionary.
-        return (
-            Metadata,
-            (self.participant, self.condition, self.source, self.synthetic, dict(self.more)),
-        )
+        object.__setattr__(self, "more", dict(self.more))
 
     def changed(self, **changes: Any) -> Metadata:
         """
@@ -109,14 +102,7 @@ class Metadata:
 
     def as_dict(self) -> dict[str, object]:
         """Return everything in one flat dictionary."""
-        return {name: getattr(self, name) for name in FIELDS} | dict(self.more)
-
-
-def _plain(value: object) -> object:
-    """Return a NumPy number as Python's own, for JSON."""
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value).__name__} is not a plain value")
+        return {name: getattr(self, name) for name in FIELDS} | self.more
 
 
 def metadata_to_json(metadata: Metadata, **extra: object) -> str:
@@ -124,7 +110,7 @@ def metadata_to_json(metadata: Metadata, **extra: object) -> str:
     content = {name: getattr(metadata, name) for name in FIELDS if name != "source"}
     for name, value in [*content.items(), *metadata.more.items()]:
         try:
-            same = bool(json.loads(json.dumps(value, default=_plain)) == value)
+            same = bool(json.loads(json.dumps(value, default=np.generic.item)) == value)
         except (TypeError, ValueError, RecursionError):  # ValueError also where == gives an array
             same = False
         if not same:
@@ -132,7 +118,7 @@ def metadata_to_json(metadata: Metadata, **extra: object) -> str:
                 f"metadata {name!r} would not read back the same: {shown(value)}; use plain "
                 "numbers, texts, lists or dictionaries with text keys"
             )
-    return json.dumps(content | {"more": dict(metadata.more)} | extra, default=_plain)
+    return json.dumps(content | {"more": metadata.more} | extra, default=np.generic.item)
 
 
 def metadata_from_json(text: str) -> tuple[Metadata, dict]:
