@@ -200,13 +200,13 @@ def _parsed(
                 return pd.DataFrame(columns=list(places))
             _refuse_encoding(source, layout.encoding)
             raise SessionError(_ragged(fault)) from error
-    columns = {}
-    for title in table.column_names:
-        cells = table.column(title)
-        text = int(title) in texts
+
+    def column(k: int) -> Any:
+        cells = table.column(str(k))
         # What Arrow holds itself is read-only.
-        columns[int(title)] = cells.to_pandas() if text else np.require(cells.to_numpy(), None, "W")
-    return pd.DataFrame({name: columns[k] for name, k in places.items()}, copy=False)
+        return cells.to_pandas() if k in texts else np.require(cells.to_numpy(), None, "W")
+
+    return pd.DataFrame({name: column(k) for name, k in places.items()}, copy=False)
 
 
 def _ragged(fault: str) -> str:
