@@ -70,7 +70,7 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> RawLog:
         t = (np.array(stamps, dtype=np.int64) - start) / 1e9
         frame = pd.DataFrame({rule.name: each for rule, each in zip(members, values, strict=True)})
         table = Table(frame, _place(topic, numbers), notes=log.notes)
-        log.streams.append(stream_of(table, t, members, topic + entry))
+        log.streams.append(stream_of(table, t, members, recipe.time, topic + entry))
     return log
 
 

@@ -444,7 +444,8 @@ class Reader:
         recipe = self.recipe
         if self.plain:
             recipe = plain_recipe([name for name in table.frame if name != "t"])
-        stream = stream_of(table, times_of(table, recipe.time), self._measured(recipe))
+        t = times_of(table, recipe.time)
+        stream = stream_of(table, t, self._measured(recipe), recipe.time)
         return self._sessions(RawLog(source, [stream], table.metadata, table.notes), recipe, values)
 
     def _sessions(self, log: RawLog, recipe: Recipe, values: Mapping[str, Any]) -> list[Session]:
