@@ -7,7 +7,6 @@ import re
 import tomllib
 
 import matplotlib as mpl
-import numpy as np
 import pytest
 from matplotlib import pyplot as plt
 
@@ -62,33 +61,6 @@ def words_of(path):
 def test_documentation_is_short():
     assert sum(len(words_of(path)) for path in DOCUMENTS[1:]) <= 10_000
     assert len(words_of(ROOT / "CONTRIBUTING.md")) <= 600
-
-
-@pytest.fixture(scope="module")
-def scheme_page():
-    """What the code of the page about one's own scheme and trust defines."""
-    found = {}
-    exec(python(ROOT / "docs" / "how_to" / "own_parts.md"), found)
-    return found
-
-
-@pytest.mark.xdist_group("docs")
-def test_trust_of_the_example_sets_its_scales(scheme_page):
-    run, scheme = scheme_page["run"].data, tl.Scheme("mine", scheme_page["shares"])
-    # T_hr sets α and T_rh sets β, on a falling straight line
-    for scale, trust in (("alpha", "trust_hr"), ("beta", "trust_rh")):
-        slope, at_zero = np.polyfit(run[trust], run[scale], 1)
-        assert np.ptp(run[scale]) > 0.05
-        assert slope < 0
-        assert np.allclose(at_zero + slope * run[trust], run[scale], rtol=0, atol=1e-12)
-    others = {
-        "task": scheme_page["task"],
-        "seed": 0,
-        "duration": 60.0,
-    }
-    constant = tl.simulate_teleoperation(scheme, trust=lambda state: (0.5, 0.5), **others).data
-    assert np.ptp(constant["alpha"]) == np.ptp(constant["beta"]) == 0.0  # negative control
-    assert (run["robot_x"] != constant["robot_x"]).any()
 
 
 def test_names_of_the_state_on_the_page_are_its_own():

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import pandas as pd
+
 from trustlab.models.display import Result, as_html
 
 
