@@ -24,8 +24,6 @@ GRID = '[resampling]\nmethod = "linear"\nsample_time = 1\n'
 BACK = HEAD + "0,1,1\n1,1,1\n2,0,1\n0.5,0,1\n1.5,1,1\n2.5,1,1\n"
 LOGS = {
     "empty": ("", None, ["the file is empty"], None),
-    "blank": (" \n\n", None, ["line 1: is empty; the names of the columns"], None),
-    "one row": (HEAD + "0,1,1\n", None, ["at least two samples, found 1"], None),
     "misspelt": (
         GOOD.replace("p_r", "p_rr"),
         None,
@@ -37,12 +35,6 @@ LOGS = {
         PLAIN,
         ["line 1: column 't' is missing; time needs the name t"],
         f'[time]\ncolumn = "time"\nunit = "s"\n{PLAIN}',
-    ),
-    "twice": (
-        "t,mode,mode\n0,1,1\n1,1,1\n",
-        None,
-        ["line 1: column 'mode' occurs twice; rename or remove one"],
-        None,
     ),
     "no names": (
         "0,1,1\n1,1,1\n",
@@ -71,12 +63,6 @@ LOGS = {
             "map",
         ],
         '[columns]\nmode = { column = "m", map = { on = 1, off = 0 } }',
-    ),
-    "word": (
-        "t,m\n0,on\n1,of\n",
-        '[columns]\nmode = { column = "m", map = { on = 1, off = 0 } }',
-        ["line 3, column 'm' (mode): 'of' is not in the recipe's map; did you mean 'off'?"],
-        None,
     ),
     "no word": (
         "t,m\n0,on\n1,\n",
@@ -108,12 +94,6 @@ LOGS = {
         ["line 5, column t: time runs backwards", "[time] sort = true", '[time] jumps = "split"'],
         TIME + "sort = true\n" + PLAIN,
     ),
-    "split": (
-        BACK,
-        TIME + 'jumps = "split"\n' + PLAIN,
-        ["splits the log into 2 sessions; read_sessions"],
-        None,
-    ),
     "irregular": (
         GOOD + "3,0,1\n4,0,1\n",
         None,
@@ -140,12 +120,6 @@ LOGS = {
         "[table]\nskip_lines = 1\n" + PLAIN,
     ),
     "metadata": ("# trustlab {broken\n" + GOOD, None, ["the trustlab metadata are damaged"], None),
-    "metadata type": (
-        '# trustlab {"synthetic": "no"}\n' + GOOD,
-        None,
-        ["synthetic must be bool, got 'no'"],
-        None,
-    ),
 }
 
 

@@ -104,13 +104,13 @@ def _filled(t: np.ndarray, values: np.ndarray, way: str, jumps: str | None) -> n
         return pd.Series(values).ffill().to_numpy()
     # Neighbours on either side of a jump of time are those of two sessions.
     back = np.flatnonzero(np.diff(t) < 0.0) + 1 if jumps else []
-    parts = []
-    for times, part in zip(np.split(t, back), np.split(values, back), strict=True):
-        known = ~np.isnan(part)
-        if known.any():
-            part = np.interp(times, times[known], part[known], np.nan, np.nan)
-        parts.append(part)
-    return np.concatenate(parts)
+    filled = np.full_like(values, np.nan)
+    for rows in np.split(np.arange(t.size), back):
+        known = rows[~np.isnan(values[rows])]
+        if known.size:
+            inside = slice(known[0], known[-1] + 1)
+            filled[inside] = np.interp(t[inside], t[known], values[known])
+    return filled
 
 
 # --- cells to numbers ---------------------------------------------------------------------------
