@@ -23,7 +23,7 @@ TIME = '[time]\nunit = "s"\n'
 GRID = '[resampling]\nmethod = "linear"\nsample_time = 1\n'
 BACK = HEAD + "0,1,1\n1,1,1\n2,0,1\n0.5,0,1\n1.5,1,1\n2.5,1,1\n"
 LOGS = {
-    "empty": ("", None, ["the file is empty"], None),
+    "empty": ("", None, ["line 1: is empty; the names of the columns"], None),
     "misspelt": (
         GOOD.replace("p_r", "p_rr"),
         None,

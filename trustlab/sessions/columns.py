@@ -352,8 +352,10 @@ def _derived(rule: MetadataRule | ColumnRule, values: Mapping[str, object], wher
     """Return what comes from a value known already."""
     value = values.get(rule.origin, "")
     if value == "":
-        listing = ", ".join(values) or "nothing; fields of the path come from [files] pattern"
-        raise SessionError(f"{where}: there is no {rule.origin}, or it is empty (known: {listing})")
+        listing = ", ".join(values) or "nothing"
+        remedy = "fields come from a path that fits [files] pattern, or from read_frame(…, name=…)"
+        fault = f"there is no {rule.origin}, or it is empty (known: {listing})"
+        raise SessionError(f"{where}: {fault}; {remedy}")
     if rule.map is None:
         return value
     try:

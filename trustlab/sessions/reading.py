@@ -388,10 +388,6 @@ class Reader:
         fields = self.pattern.types if self.pattern else {}
         with source_named("data frame"):
             self._check_kind("table")
-            for name, rule in self.recipe.metadata.items():
-                if rule.origin in fields and not {name, rule.origin} & metadata.keys():
-                    fault = f"the recipe takes {name} from the path of a file"
-                    raise SessionError(f"{fault}: give it as read_frame(…, {rule.origin}=…)")
             table = frame_table(frame, self._chosen(), self.layout)
             sessions = self._of_table(table, "data frame", metadata)
         more = {name: value for name, value in metadata.items() if name not in fields}
@@ -404,17 +400,10 @@ class Reader:
 
     def _values_of(self, source: str) -> dict[str, object]:
         """Return what the path of a file and the header say of its session."""
-        if self.pattern is None:
+        match = self.pattern.match(source) if self.pattern else None
+        if match is None:
             return {}
-        if match := self.pattern.match(source):
-            return {**match.fields, **(self.header.row(match) if self.header else {})}
-        rules: list[Any] = [*self.recipe.metadata.values(), *self.recipe.columns.values()]
-        origins = [rule.origin for rule in rules]
-        if any(name in self.pattern.types or name.startswith("header.") for name in origins):
-            fault = f"the path does not fit the recipe's pattern {self.pattern.text!r}"
-            remedy = "rename the file or its folder, or take nothing from the path"
-            raise SessionError(f"{fault}; {remedy}")
-        return {}
+        return {**match.fields, **(self.header.row(match) if self.header else {})}
 
     def _measured(self, recipe: Recipe) -> list[ColumnRule]:
         """Return the rules of the columns that come from the log, and of those these need."""
@@ -488,8 +477,6 @@ def existing(path: Path) -> Path:
         hint = alternatives(path.suffix, [*SUFFIXES, "rosbag2 folders"])
         way = "read the file into a data frame, then trustlab.read_frame(frame)"
         raise SessionError(f"cannot read {path.suffix or 'files without a suffix'}{hint}; {way}")
-    if path.is_file() and path.stat().st_size == 0:
-        raise SessionError("the file is empty")
     return path
 
 

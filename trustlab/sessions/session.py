@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import shown
+from trustlab.models.checks import of_class, shown
 from trustlab.models.display import Result, as_html
 from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.vocabulary import known_column
@@ -167,10 +167,8 @@ class Session(Result):
     metadata: Metadata = field(default_factory=Metadata)
 
     def __post_init__(self):
-        if not isinstance(self.metadata, Metadata):
-            example = "trustlab.Metadata(participant=3, condition='C1', more={'trial': 2})"
-            kind = type(self.metadata).__name__
-            raise SessionError(f"metadata must be a Metadata, for example {example}, got {kind}")
+        example = "for example trustlab.Metadata(participant=3, condition='C1', more={'trial': 2})"
+        of_class("metadata", self.metadata, Metadata, example)
         with source_named(self.metadata.source):
             t, columns = _checked(self.data)
         object.__setattr__(
@@ -206,10 +204,6 @@ class Session(Result):
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return one column, or "t", as an array of shape (N,)."""
-        if not isinstance(name, str):
-            raise SessionError(
-                f"a session is indexed by a column's name, got {name!r}; its table is .data"
-            )
         if name == "t":
             return self.t
         self.require(name)
@@ -261,12 +255,15 @@ class Session(Result):
         SessionError
             It names the missing column, the nearest existing one, and all columns of the session.
         """
-        missing = [name for name in names if name != "t" and name not in self.data]
+        missing = [str(name) for name in names if name != "t" and name not in self.data]
         if missing:
             name = self.label if self.label != self.metadata.source else "the session"
-            hint = alternatives(missing[0], self.columns, f"needed: {', '.join(names)}; it has")
+            hint = alternatives(
+                missing[0], self.columns, f"needed: {', '.join(map(str, names))}; it has"
+            )
             remedy = next(
-                (words for start, words in REMEDIES.items() if missing[0].startswith(start)), ""
+                (words for start, words in REMEDIES.items() if missing[0].startswith(start)),
+                "",
             )
             raise SessionError(
                 f"{name} has no column {missing[0]!r}{hint}{remedy}", self.metadata.source
@@ -422,10 +419,7 @@ def keep_table(data: pd.DataFrame, metadata: Metadata, place: Place = ROW) -> Se
 
 def _checked(data: pd.DataFrame, place: Place = ROW) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the times and the columns of a session's table, every value checked."""
-    if not isinstance(data, pd.DataFrame):
-        raise SessionError(
-            f"data must be a pandas DataFrame indexed by time, got {type(data).__name__}"
-        )
+    of_class("data", data, pd.DataFrame)
     if data.index.name != "t" and "t" in data.columns:
         data = data.set_index("t")
     if isinstance(data.index, pd.RangeIndex) and data.index.name != "t":
