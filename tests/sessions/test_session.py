@@ -29,7 +29,7 @@ def test_a_session_knows_its_time_and_names():
     again = tl.Session(table)
     table.loc[:, "mode"] = 0.0
     assert again == session
-    with pytest.raises(tl.SessionError, match="has no column .0."):
+    with pytest.raises(tl.SessionError, match=r"has no column .0."):
         session[0]
 
 

@@ -102,7 +102,7 @@ class Metadata:
 
     def as_dict(self) -> dict[str, object]:
         """Return everything in one flat dictionary."""
-        return {name: getattr(self, name) for name in FIELDS} | self.more
+        return {name: getattr(self, name) for name in FIELDS} | dict(self.more)
 
 
 def metadata_to_json(metadata: Metadata, **extra: object) -> str:
