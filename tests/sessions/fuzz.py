@@ -1,28 +1,18 @@
 """
-Damage logs of every format at random and read them: only our errors may come out, soon, and in
-little memory.
+Damage logs of every format at random and read them: only our errors may come out, and soon.
 
 Times are the processor's, so that a busy machine does not make a log look slow.
 
-Run it by hand: `python -m tests.sessions.fuzz --logs 100000`. Each format has a process of its own,
-one after the other; what fails is printed with its seed, and `--only FORMAT --first SEED --logs 1`
-repeats it. The last formats, `READS`, damage what recipes say and the cells of the tables that they
-read: rules of every kind put together at random, selectors, splitting at gaps, sorting, data
-frames, folders.
+What fails is printed with its seed, and `fuzz(FORMAT, SEED, 1)` repeats it. The last formats,
+`READS`, damage what recipes say and the cells of the tables that they read: rules of every kind put
+together at random, selectors, splitting at gaps, sorting, data frames, folders.
 """
 
-import argparse
 import json
-import logging
-import multiprocessing
-import resource
-import sys
 import tempfile
 import time
 import traceback
 import warnings
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 
@@ -41,7 +31,7 @@ from trustlab.sessions import (
 )
 from trustlab.sessions.recipe import Recipe
 
-MOST_SECONDS, MOST_BYTES = 5.0, 2**30
+MOST_SECONDS = 5.0
 
 
 def session():
@@ -427,19 +417,6 @@ def read_by_random_recipe(name, folder, bag, rng):
 READS = ("file", "frame", "folder", "bags")
 
 
-def fuzz_alone(name, first, logs):
-    """
-    Fuzz in a process of its own, in which too much memory is a MemoryError and not the end of the
-    machine.
-    """
-    logging.disable()  # libraries report what they find damaged
-    resource.setrlimit(resource.RLIMIT_AS, (6 * MOST_BYTES, resource.RLIM_INFINITY))
-    _, failures = fuzz(name, first, logs)
-    memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(f"{name}: at most {memory / 1e6:.0f} MB", flush=True)
-    return failures + ["too much memory"] * (memory > MOST_BYTES)
-
-
 def reading(name, folder):
     """
     Return what writes something damaged and reads it: a log of the format, or one by a recipe at
@@ -496,27 +473,3 @@ def fuzz(name, first, logs):
                 print("FAILED", name, seed, failure, flush=True)
     print(f"{name}: {logs} logs, {good} of them read, the slowest {slowest:.2f} s", flush=True)
     return good, failures
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--logs", type=int, default=1000)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--only")
-    arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        names = [arguments.only] if arguments.only else [*originals(Path(folder)), *READS]
-    count = -(-arguments.logs // len(names))
-    failures = []
-    for name in names:
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-            try:
-                failures += pool.submit(fuzz_alone, name, arguments.first, count).result()
-            except BrokenProcessPool as error:
-                failures.append(f"{name}: {error}")
-    print(*failures, f"{len(failures)} failures", sep="\n")
-    sys.exit(bool(failures))
-
-
-if __name__ == "__main__":
-    main()
