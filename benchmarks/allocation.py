@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 
 import trustlab as tl
-from benchmarks.peers.correction_problem import Turns
+from benchmarks.peers.correction_problem import in_turns
 from benchmarks.peers.opti_steps import OptiShooting
 from benchmarks.peers.worker import Worker
 from benchmarks.timing import Row, beside, same, within
@@ -75,11 +75,11 @@ def rows() -> Iterator[Row]:
         yield from alone(name, loops[name])
     for name, states in loops.items():
         opti = OptiShooting(data, HORIZON)
-        turns = Turns(data[f"{name}_states"], data[f"{name}_modes"], opti.solve)
+        turns = in_turns(data, name, opti.solve)
         yield compared(name, states, "CasADi Opti with IPOPT", turns, turns)
     with Worker("do_mpc_steps", data) as worker:
         for name, states in loops.items():
-            result = lambda n=name: worker.ask(n)["result"]  # noqa: E731
+            result = lambda n=name: worker.ask(n)[1]  # noqa: E731
             yield compared(name, states, "do-mpc with IPOPT", result, worker.timed(name))
     yield growth(loops["far"])
     steps = 200_000

@@ -21,12 +21,10 @@ import numpy as np
 
 from benchmarks.timing import NotComparedError, Row
 
-TITLE = "Live study"
+# Scripted people without a browser, and for how long they send commands [s].
 PEOPLE, SECONDS = 100, 20.0
-"""Scripted people without a browser, and for how long they send commands [s]."""
-
+# Scripted people at full rate beside one page in Chromium, and the length of its drive [s].
 CLIENTS, DRIVE = 9, 30.0
-"""Scripted people at full rate beside one page in Chromium, and the length of its drive [s]."""
 
 
 def rows() -> Iterator[Row]:

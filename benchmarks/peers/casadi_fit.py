@@ -3,8 +3,8 @@ The joint fit the way CasADi's system-identification example goes about it
 (docs/examples/python/sysid.py, single shooting).
 
 One sample as a Function expanded to scalars, accumulated over all samples; parameters scaled to
-order one; ½ eᵀe minimised by IPOPT with the Gauss–Newton matrix in place of the Hessian; with
-generated C code if asked for. Same parameters and weights as scipy_fit.py.
+order one; ½ eᵀe minimised by IPOPT with the Gauss–Newton matrix in place of the Hessian. Same
+parameters and weights as scipy_fit.py.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 class SingleShooting:
     """The expressions for one data set, which are constants of them, and a solver."""
 
-    def __init__(self, mode, p_h, p_r, sd_h, sd_r, scale, compiled=False):
+    def __init__(self, mode, p_h, p_r, sd_h, sd_r, scale):
         import casadi as ca
 
         samples, self.scale = mode.size, np.array(scale, dtype=float)
@@ -42,17 +42,15 @@ class SingleShooting:
         )
         error = ca.vertcat((out[0, :].T - ca.DM(p_h)) / sd_h, (out[1, :].T - ca.DM(p_r)) / sd_r)
         by_x, sigma = ca.jacobian(error, x), ca.MX.sym("sigma")
-        code = {"jit": True, "compiler": "shell"} if compiled else {}
         hessian = ca.Function(
             "nlp_hess_l",
             {"x": x, "lam_f": sigma, "hess_gamma_x_x": sigma * ca.triu(by_x.T @ by_x)},
             ["x", "p", "lam_f", "lam_g"],
             ["hess_gamma_x_x"],
-            code,
         )
         quiet = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False}
         nlp = {"x": x, "f": 0.5 * ca.dot(error, error)}
-        self.solver = ca.nlpsol("solver", "ipopt", nlp, {"hess_lag": hessian, **quiet, **code})
+        self.solver = ca.nlpsol("solver", "ipopt", nlp, {"hess_lag": hessian, **quiet})
 
     def solve(self, start):
         """Return the optimum."""

@@ -5,6 +5,8 @@ c/c_b + s lies in [0, 1].
 
 from __future__ import annotations
 
+import itertools
+
 
 def constants(data):
     """
@@ -50,27 +52,19 @@ def after(c, r, q, z_u, z_l, w_u, w_l, mode, exp, log):
     )
 
 
-class Turns:
+def in_turns(data, name, solve):
     """
-    Solve one state after the other, in the order of the closed loop.
+    Return a call that solves one state after the other, in the order of the closed loop.
 
     Parameters
     ----------
-    states : numpy.ndarray, shape (steps, 4)
-        r, q, z_u, z_l at each step.
-    modes : numpy.ndarray, shape (steps, N)
-        Sequence of modes at each step.
+    data : mapping of str to numpy.ndarray
+        Keys `<name>_states`, shape (steps, 4), r, q, z_u, z_l at each step, and `<name>_modes`,
+        shape (steps, N), the sequence of modes.
+    name : str
+        The loop.
     solve : callable
         Takes both at one step and returns w of the whole horizon, shape (2, N).
     """
-
-    def __init__(self, states, modes, solve):
-        self.states = states
-        self.modes = modes
-        self.solve = solve
-        self.at = 0
-
-    def __call__(self):
-        """Solve for the next state and return the inputs, flattened."""
-        k, self.at = self.at, (self.at + 1) % len(self.states)
-        return self.solve(self.states[k], self.modes[k]).ravel()
+    steps = itertools.cycle(zip(data[f"{name}_states"], data[f"{name}_modes"], strict=True))
+    return lambda: solve(*next(steps)).ravel()

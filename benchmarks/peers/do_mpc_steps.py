@@ -4,7 +4,7 @@ do-mpc on the correction: a discrete model, the mode as a time-varying parameter
 
 import warnings
 
-from correction_problem import Turns, after, constants
+from correction_problem import after, constants, in_turns
 
 
 def ways(data):
@@ -67,7 +67,4 @@ def ways(data):
 
         return solve
 
-    return {
-        name: Turns(data[f"{name}_states"], data[f"{name}_modes"], controller())
-        for name in ("far", "near")
-    }
+    return {name: in_turns(data, name, controller()) for name in ("far", "near")}

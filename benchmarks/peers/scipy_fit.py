@@ -70,7 +70,7 @@ def residuals(x, mode, p_h, p_r, sd_h, sd_r, out, by_x):
         r = a_h * r + (1.0 - a_h) * m
 
 
-def fit(start, mode, p_h, p_r, sd_h, sd_r, tr_solver="exact"):
+def fit(start, mode, p_h, p_r, sd_h, sd_r):
     """Return the optimum; the covariance is computed, as a user needs it."""
     by_x = np.zeros((8, 2 * mode.size))
 
@@ -83,6 +83,6 @@ def fit(start, mode, p_h, p_r, sd_h, sd_r, tr_solver="exact"):
         # SciPy asks for it where the last error was computed.
         return by_x.T
 
-    end = least_squares(error, start, jac=slope, method="trf", x_scale="jac", tr_solver=tr_solver)
+    end = least_squares(error, start, jac=slope, method="trf", x_scale="jac")
     np.linalg.inv(end.jac.T @ end.jac)
     return end.x

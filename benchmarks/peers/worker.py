@@ -1,91 +1,77 @@
 """
 Peers in an environment of their own: the process that asks, and the loop of the one that answers.
 
-Run as a script, by the peers' interpreter: ``worker.py <peer> <arrays.npz>``, where the peer is a
+Run as a script, by the peers' interpreter: ``worker.py <peer> <descriptor>``, where the peer is a
 module beside this one whose ``ways(arrays)`` returns named calls.
 """
 
 import gc
 import importlib
-import json
-import os
 import subprocess
 import sys
-import tempfile
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from time import perf_counter
 
-FOLDER = Path(__file__).parent
-PYTHON = FOLDER.parent / ".venv" / "bin" / "python"
+PYTHON = Path(__file__).parents[1] / ".venv" / "bin" / "python"
 
 
 class Worker:
-    """A peer's process: names of calls in, results and seconds out, as lines of JSON."""
+    """A peer's process: names of calls in, seconds and results out."""
 
     def __init__(self, peer: str, arrays: dict):
-        import numpy as np
-
         if not PYTHON.exists():
             raise RuntimeError("the peers are not installed; `make bench` does it")
-        self.folder = tempfile.TemporaryDirectory()
-        path = Path(self.folder.name) / "arrays.npz"
-        np.savez(path, **arrays)
+        self.connection, theirs = Pipe()
         self.process = subprocess.Popen(
-            [str(PYTHON), __file__, peer, str(path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            [str(PYTHON), __file__, peer, str(theirs.fileno())],
+            pass_fds=[theirs.fileno()],
+            stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            text=True,
         )
+        theirs.close()  # so that its end is heard here
+        self.connection.send(arrays)
 
-    def ask(self, way: str) -> dict:
-        """Return what a call gives and how long it took."""
-        self.process.stdin.write(way + "\n")
-        self.process.stdin.flush()
-        answer = json.loads(self.process.stdout.readline() or '{"error": "its process ended"}')
-        if "error" in answer:
-            raise RuntimeError(answer["error"])
+    def ask(self, way: str) -> tuple[float, list[float]]:
+        """Return how long a call took, and what it gives."""
+        self.connection.send(way)
+        answer = self.connection.recv()
+        if isinstance(answer, str):
+            raise RuntimeError(answer)
         return answer
 
     def timed(self, way: str):
         """Return a call that returns its seconds in the peer's process."""
-        return lambda: self.ask(way)["seconds"]
+        return lambda: self.ask(way)[0]
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
         self.process.kill()
-        self.process.communicate()
-        self.folder.cleanup()
+        self.process.wait()
 
 
-def answer(peer: str, arrays: str) -> None:
-    """Answer until the input closes."""
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what the peer prints must not end up among the answers
+def main(peer: str, descriptor: str) -> None:
+    """Answer until nobody asks."""
     import numpy as np
 
+    connection = Connection(int(descriptor))
     try:
-        with np.load(arrays) as data:
-            ways = importlib.import_module(peer).ways({name: data[name] for name in data.files})
+        ways = importlib.import_module(peer).ways(connection.recv())
+        while True:
+            way = ways[connection.recv()]
+            gc.collect()
+            gc.disable()
+            began = perf_counter()
+            result = way()
+            seconds = perf_counter() - began
+            gc.enable()
+            connection.send((seconds, np.ravel(result).tolist()))
     except Exception as error:
-        answers.write(json.dumps({"error": f"{type(error).__name__}: {error}"}) + "\n")
-        answers.flush()
-        return
-    for line in sys.stdin:
-        gc.collect()
-        gc.disable()
-        began = perf_counter()
-        try:
-            result = ways[line.strip()]()
-            reply = {"seconds": perf_counter() - began, "result": np.ravel(result).tolist()}
-        except Exception as error:
-            reply = {"error": f"{type(error).__name__}: {error}"}
-        gc.enable()
-        answers.write(json.dumps(reply) + "\n")
-        answers.flush()
+        connection.send(f"{type(error).__name__}: {error}")
 
 
 if __name__ == "__main__":
-    answer(*sys.argv[1:])
+    main(*sys.argv[1:])

@@ -189,20 +189,6 @@ def test_what_cannot_be_sent_is_refused_before_anything_runs(tmp_path):
     assert tl.run_campaign(locked, runs, n_jobs=1)["y"].tolist() == [False, False]
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"task": lambda n: {}}, "called with n, seed by name.*unexpected keyword argument 'seed'"),
-        ({"parameters": [{"n": 1}, {"m": 1}]}, r"run 0 has \{'n': 1\} and run 1 has \{'m': 1\}"),
-        ({"parameters": [{"seed": 1}]}, "a parameter cannot be called 'seed'"),
-    ],
-)
-def test_remedies(change, said):
-    arguments = {"task": lambda n, seed: {"y": n}, "parameters": [{"n": 1}]} | change
-    with pytest.raises(ValueError, match=said):
-        tl.run_campaign(**arguments, n_jobs=1)
-
-
 def test_draws_follow_their_distributions_and_their_names():
     draws = tl.parameter_draws(4000, seed=1, a=(2.0, 4.0), b=stats.norm(1.0, 0.5), c=["x", "y"])
     a, b = np.array([d["a"] for d in draws]), np.array([d["b"] for d in draws])

@@ -101,19 +101,3 @@ def test_estimates_are_told_by_their_standard_errors_and_decisions_exactly(diges
     assert told("determined", 1)
     fewer = {column: cells for column, cells in expected.items() if column != "determined"}
     assert ("determined", "0", "nothing", True) in list(digests.differences(fewer, expected))
-
-
-def test_a_difference_names_case_place_and_both_values(digests, tmp_path, monkeypatch, capsys):
-    stored = json.loads(digests.EXPECTED.read_text())
-    right = stored["threshold_limits"]["value"]["1"]
-    stored["threshold_limits"]["value"]["1"] = moved = right * (1.0 + 1e-6)
-    monkeypatch.setattr(digests, "EXPECTED", tmp_path / "expected.json")
-    digests.EXPECTED.write_text(json.dumps(stored))
-    monkeypatch.setattr(sys, "argv", ["make_digests.py", "threshold_limits", "incentive_bounds"])
-    assert digests.main() == 1
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert lines[0] == ["threshold_limits", "DIFFERS"]
-    assert lines[1][:3] == ["value,", "row", "1:"]
-    assert float(lines[1][3]) == pytest.approx(right, rel=1e-9)
-    assert lines[1][4:] == ["here,", str(moved), "expected"]
-    assert lines[2] == ["incentive_bounds", "agrees"]

@@ -1,12 +1,10 @@
-"""Rooms import only rooms above them, without circles; importing trustlab loads nothing heavy."""
+"""Rooms import only rooms above them; importing trustlab loads nothing heavy."""
 
 import ast
 import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
-
-import networkx as nx
 
 import trustlab as tl
 from trustlab.models.digest import ROOMS
@@ -59,36 +57,6 @@ def faults(room, source):
     ]
 
 
-def modules():
-    """Name and source of every module of the package."""
-    for path in PACKAGE.rglob("*.py"):
-        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
-        yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), path.read_text()
-
-
-def imported_modules(source):
-    """Names that may be modules, from every import statement: those for type checking too."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.ImportFrom):
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-
-
-def circles(sources):
-    """Groups of modules that import each other, directly or by way of others."""
-    graph = nx.DiGraph()
-    for name, source in sources.items():
-        targets = set(imported_modules(source)) & set(sources) - {name}
-        graph.add_edges_from((name, target) for target in targets)
-    return [sorted(group) for group in nx.strongly_connected_components(graph) if len(group) > 1]
-
-
-def test_no_circle_of_imports():
-    assert circles(dict(modules())) == []
-
-
 def test_rooms_import_upwards_only():
     found = []
     for path in PACKAGE.rglob("*.py"):
@@ -104,13 +72,6 @@ def test_the_check_sees_what_it_should():
     assert faults("models", "from trustlab import sessions") == ["models imports sessions"]
     assert faults("helpers", "") == ["helpers is no room"]
     assert faults("sessions", "import trustlab.models.tsc") == []
-
-
-def test_the_check_sees_circles_for_types_too():
-    hidden = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from trustlab.a import f"
-    sources = {"trustlab.a": "def g():\n    import trustlab.b", "trustlab.b": hidden}
-    assert circles(sources) == [["trustlab.a", "trustlab.b"]]
-    assert circles(sources | {"trustlab.b": ""}) == []
 
 
 def test_import_is_light():

@@ -7,7 +7,6 @@ import re
 import tomllib
 
 import matplotlib as mpl
-import numpy as np
 import pytest
 from matplotlib import pyplot as plt
 
@@ -62,56 +61,6 @@ def words_of(path):
 def test_documentation_is_short():
     assert sum(len(words_of(path)) for path in DOCUMENTS[1:]) <= 10_000
     assert len(words_of(ROOT / "CONTRIBUTING.md")) <= 600
-
-
-def test_blocks_of_the_documentation_fit_a_page_of_1280_pixels():
-    lines = [
-        (name_of(path), line)
-        for path in DOCUMENTS[1:]
-        for *_, code in blocks(path)
-        for line in code.splitlines()
-    ]
-    assert [(name, line) for name, line in lines if len(line) > 98] == []
-
-
-@pytest.fixture(scope="module")
-def scheme_page():
-    """What the code of the page about one's own scheme and trust defines."""
-    found = {}
-    exec(python(ROOT / "docs" / "how_to" / "own_parts.md"), found)
-    return found
-
-
-@pytest.mark.xdist_group("docs")
-def test_trust_of_the_example_sets_its_scales(scheme_page):
-    run, scheme = scheme_page["run"].data, tl.Scheme("mine", scheme_page["shares"])
-    # T_hr sets α and T_rh sets β, on a falling straight line
-    for scale, trust in (("alpha", "trust_hr"), ("beta", "trust_rh")):
-        slope, at_zero = np.polyfit(run[trust], run[scale], 1)
-        assert np.ptp(run[scale]) > 0.05
-        assert slope < 0
-        assert np.allclose(at_zero + slope * run[trust], run[scale], rtol=0, atol=1e-12)
-    others = {
-        "task": scheme_page["task"],
-        "seed": 0,
-        "duration": 60.0,
-    }
-    constant = tl.simulate_teleoperation(scheme, trust=lambda state: (0.5, 0.5), **others).data
-    assert np.ptp(constant["alpha"]) == np.ptp(constant["beta"]) == 0.0  # negative control
-    assert (run["robot_x"] != constant["robot_x"]).any()
-
-
-@pytest.mark.xdist_group("docs")
-def test_memory_of_the_example_matters(scheme_page):
-    def forgetful(state):
-        state.memory.clear()
-        return scheme_page["trust"](state)
-
-    run, scheme = scheme_page["run"].data, tl.Scheme("mine", scheme_page["shares"])
-    without = tl.simulate_teleoperation(
-        scheme, trust=forgetful, task=scheme_page["task"], duration=60.0
-    )
-    assert np.ptp(run["trust_hr"] - without["trust_hr"]) > 0.01
 
 
 def test_names_of_the_state_on_the_page_are_its_own():

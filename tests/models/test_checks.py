@@ -13,13 +13,11 @@ import pytest
 import trustlab as tl
 from trustlab.models.checks import (
     between,
-    did_you_mean,
     finite_array,
     finite_number,
     in_order,
     not_negative,
     of_class,
-    one_of,
     open_unit,
     positive,
     spawned,
@@ -79,12 +77,6 @@ def test_arrays_are_floats_in_one_piece():
         finite_array("x", [1, None])
     with pytest.raises(ValueError, match="one-dimensional with at least one sample, got shape"):
         finite_array("x", [[1.0]])
-
-
-def test_a_misspelt_name_is_put_right():
-    with pytest.raises(ValueError, match=r"'mode', or a model, got 'Moed'; did you mean 'mode'\?"):
-        one_of("by", "Moed", ["mode"], also="a model")
-    assert did_you_mean("nothing like it", ["mode"]) == ""
 
 
 def test_the_class_and_a_remedy_are_named():

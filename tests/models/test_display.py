@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import pandas as pd
-import pytest
 
-from trustlab.models.display import Result, as_html, axes_or_new
+from trustlab.models.display import Result, as_html
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,15 +47,3 @@ def test_a_single_row_that_is_wider_than_a_page_stands_upright():
     assert "<td>0.333333</td>" in shown
     assert "<td>of it</td>" in shown
     assert as_html("", row.iloc[:, :12]).count("<tr") == 2
-
-
-def test_axes_are_those_handed_over_or_of_a_new_figure():
-    axes = axes_or_new(None, 2, title="both", sharex=True)
-    assert len(axes) == 2
-    assert axes[0].figure.get_suptitle() == "both"
-    assert axes_or_new(axes) is axes
-
-
-def test_a_result_without_a_table_is_not_finished():
-    with pytest.raises(NotImplementedError):
-        Result().table()

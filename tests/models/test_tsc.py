@@ -54,14 +54,6 @@ def test_human_performance_is_greatest_at_beta_and_least_at_the_ends(beta):
     assert [yerkes_dodson(beyond, beta) for beyond in (-0.5, 0.0, 1.0, 1.5)] == [0.0] * 4
 
 
-def test_performance_has_the_shape_of_utilization_which_lies_in_the_unit_interval():
-    human = tl.HumanModel(0.9991, 0.74, 0.391, 0.4602)
-    assert type(human.performance(0.7)) is float
-    assert human.performance([[0.7, 0.2, 0.1]]).shape == (1, 3)
-    with pytest.raises(ValueError, match=r"utilization r must lie in \[0, 1\], got 1\.25$"):
-        human.performance([0.5, 1.25, -3.0])
-
-
 @given(
     st.floats(0.0, 1.0, exclude_min=True, exclude_max=True),
     st.lists(shares, min_size=20, max_size=20),
@@ -103,12 +95,6 @@ def test_gains_are_those_printed(operators, name):
 def test_the_step_bound_of_the_pilot_is_the_printed_one(operators):
     """Remark 3: δ_Pr = 0.00069 and δ_Ph = 0.00021 give 0.0084."""
     assert round(operators["pilot"].delta(0.00069, 0.00021), 4) == 0.0084
-
-
-def test_time_constants_share_one_definition(operators):
-    human = operators["pilot"].human
-    assert human.a**human.time_constant == pytest.approx(np.exp(-1.0), rel=1e-12)
-    assert tl.RobotModel(human.a, 0.24, 0.39, 0.4602).time_constant == human.time_constant
 
 
 @given(models)

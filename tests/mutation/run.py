@@ -51,8 +51,7 @@ MODULES = {
 
 # Kinds of changes: a sum becomes a difference, a product a quotient, a bound open or closed, a
 # number one more or less. Left out are changes that say nothing: of types (`X | None`), of names of
-# errors, exotic operators, and decorators, which say how to compile (that dataclasses are frozen,
-# tests/house/test_layout.py checks).
+# errors, exotic operators, and decorators, which say how to compile.
 KINDS = (
     r"core/(ReplaceBinaryOperator_(Add_Sub|Sub_Add|Mul_Div|Div_Mul|Pow_Mul)"
     r"|ReplaceComparisonOperator_(Lt_LtE|LtE_Lt|Gt_GtE|GtE_Gt|Lt_Gt|Gt_Lt|Eq_NotEq|NotEq_Eq)"

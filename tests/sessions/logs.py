@@ -1,13 +1,12 @@
 """Recipes and bags that tests of sessions share; bags are written by rosbags alone."""
 
 import shutil
-import sqlite3
 
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer as Writer2
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from trustlab.sessions import Recipe
 
@@ -33,9 +32,9 @@ def stamped(stamp: int) -> dict:
 class Bag:
     """Messages by topic, for a ROS 1 bag (.bag), an .mcap file or a rosbag2 folder."""
 
-    def __init__(self, path, store=None):
+    def __init__(self, path):
         self.path, self.ros1 = path, path.suffix == ".bag"
-        self.store = store or get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
+        self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
         self.entries = []
 
     def make(self, kind: str, values: dict):
@@ -85,8 +84,8 @@ class Bag:
 
 def write_table(table, path):
     """Write a table as pandas writes the format that the path's end names; return the path."""
-    if path.suffix in (".parquet", ".feather"):
-        getattr(table, f"to_{path.suffix[1:]}")(path)
+    if path.suffix == ".parquet":
+        table.to_parquet(path)
     else:
         table.to_csv(path, sep="\t" if ".tsv" in path.name else ",", index=False)
     return path
@@ -99,18 +98,3 @@ def bag_of_numbers(path, times, topic="/e", **columns):
         for t, value in zip(times, values, strict=True):
             bag.add(topic if name == "values" else f"/{name}", t, NUMBER, data=float(value))
     return bag.write()
-
-
-HAND = "std_msgs/Header header\nfloat64 grip\n"
-
-
-def hands(path):
-    """Write a bag as ROS 2 before Iron wrote it, which does not define its messages."""
-    bag = Bag(path)
-    bag.store.register(get_types_from_msg(HAND, "lab_msgs/msg/Hand"))
-    for k in range(20):
-        bag.add("/hand", k, "lab_msgs/msg/Hand", grip=0.05 * k)
-    bag.write()
-    with sqlite3.connect(next(path.glob("*.db3"))) as database:
-        database.execute("DELETE FROM message_definitions")
-    return path

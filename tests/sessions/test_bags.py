@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from tests.sessions.logs import (
-    HAND,
     NUMBER,
     START,
     TEXT,
     Bag,
     bag_of_numbers,
     bag_recipe,
-    hands,
     stamped,
 )
 from trustlab.sessions import RecipeError, SessionError, read_session, read_sessions
@@ -169,20 +167,6 @@ def test_one_robot_of_two_on_tf(turtles):
     np.testing.assert_allclose(session.t, 0.2 * np.arange(10), atol=1e-9)
     notes = [text for name, text in session.metadata.more.items() if name.startswith("selected")]
     assert notes == ["10 of 20 messages have the entry"]
-
-
-def test_definitions_beside_a_bag_without(tmp_path):
-    path, recipe = hands(tmp_path / "bag"), tmp_path / "lab.toml"
-    text = 'kind = "bag"\n[columns]\np_r = { topic = "/hand", field = "grip" }\n'
-    recipe.write_text(text)
-    with pytest.raises(SessionError, match=r"no definition of lab_msgs/msg/Hand; put its \.msg"):
-        read_session(path, recipe)
-    recipe.write_text(text + '[messages]\nfolder = "msgs"\n')
-    with pytest.raises(RecipeError, match=r"no \.msg files"):
-        read_session(path, recipe)
-    (tmp_path / "msgs" / "lab_msgs" / "msg").mkdir(parents=True)
-    (tmp_path / "msgs" / "lab_msgs" / "msg" / "Hand.msg").write_text(HAND)
-    assert read_session(path, recipe)["p_r"].tolist() == [0.05 * k for k in range(20)]
 
 
 ERROR = '[columns]\npath_error = { topic = "/e", field = "data", unit = "m" }\n'

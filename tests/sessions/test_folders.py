@@ -76,14 +76,10 @@ def test_headers_and_files_correspond(tmp_path, header, words):
         read_sessions(tmp_path, table_recipe(INDEXED))
 
 
-@pytest.mark.parametrize(
-    ("name", "remedy"),
-    [("vpA.csv", "; vpA.csv would, if its fields were not numbers"), ("notes.md", r" \(there are")],
-)
-def test_a_pattern_that_nothing_fits_names_what_is_near(tmp_path, name, remedy):
-    (tmp_path / name).write_text(TABLE)
+def test_a_pattern_that_nothing_fits_names_what_is_there(tmp_path):
+    (tmp_path / "vpA.csv").write_text(TABLE)
     recipe = table_recipe(f'[files]\npattern = "vp{{participant:int}}.csv"\n{COLUMNS}')
-    with pytest.raises(SessionError, match=r"fits the recipe's pattern '[^']*'" + remedy):
+    with pytest.raises(SessionError, match=r"pattern '[^']*' \(there are .*vpA\.csv"):
         read_sessions(tmp_path, recipe)
 
 

@@ -11,7 +11,6 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from rosbags.highlevel import AnyReader
 
@@ -43,45 +42,12 @@ topic = "/tf"
 field = 'transforms[child_frame_id="turtle1"].transform.translation.y'
 unit = "m"
 """
-# One of several automated vehicles that a remote operator leads past road works (Colley et al., CHI
-# 2025). mode says whether the operator had this vehicle in the main view; lengths are as logged.
-REMOTE = """
-kind = "table"
-[files]
-pattern = "log_{participant}_{trial:int}_{vehicle:int}.csv"
-[table]
-delimiter = ";"
-decimal = ","
-[time]
-column = "elapsedTimeSinceAccess"
-unit = "s"
-repeated = "first"
-[columns]
-mode = { column = "isMainRequest", map = { True = 1, False = 0 } }
-robot_x = { column = "vehiclePosition", item = 0, unit = "m" }
-robot_z = { column = "vehiclePosition", item = 2, unit = "m" }
-path_error = { column = "currentLaneDeviation", unit = "m", absolute = true }
-step_distance = { travelled = "robot", axes = ["x", "z"] }
-[metadata]
-participant = { from = "participant" }
-trial = { from = "trial" }
-vehicle = { from = "vehicle" }
-"""
-
-
 # By name: the SHA-256 and our recipe.
 LOGS = {
     # https://github.com/facontidavide/PlotJuggler at ddcbd05b: datasamples/example.bag; MPL-2.0.
     "example.bag": (
         "6f8b495a7215a03099836955e1ffbf80f2abaff7f8bd65a1bdf9e52c809cef5d",
         TURTLES,
-    ),
-    # https://github.com/M-Colley/roads-chi25-data at 7e0c504:
-    # ClearedLogs/ClearedLogs/LogsDay4/CT19/10/log_CT19_10_3.csv; MIT (its LICENSE), CC BY 4.0 (its
-    # README).
-    "log_CT19_10_3.csv": (
-        "897b7e9e3ba054eca0977c2c6e69c5a72abb70ca1446d514c18d50758212ef40",
-        REMOTE,
     ),
 }
 
@@ -113,19 +79,3 @@ def test_a_turtle_that_follows_another():
     places = session.data[["robot_x", "robot_y", "human_x", "human_y"]].to_numpy()
     assert places.min() >= 0.0
     assert places.max() < 11.1
-
-
-def test_a_vehicle_led_by_a_remote_operator():
-    path, recipe = public("log_CT19_10_3.csv")
-    session = read_session(path, recipe=recipe)
-    frame = pd.read_csv(path, sep=";", decimal=",").drop_duplicates("elapsedTimeSinceAccess")
-    places = frame["vehiclePosition"].str.strip("()").str.split(", ", expand=True).astype(float)
-    np.testing.assert_array_equal(session["robot_x"], places[0])
-    np.testing.assert_array_equal(session["robot_z"], places[2])
-    np.testing.assert_array_equal(session["path_error"], frame["currentLaneDeviation"].abs())
-    np.testing.assert_array_equal(session["mode"], frame["isMainRequest"])
-    assert session.metadata.more["repeated times"] == "1 of 1202 samples merged by 'first'"
-    assert (session.metadata.participant, session.metadata.more["vehicle"]) == ("CT19", 3)
-    # Distance is the integral of the speed that the vehicle reports [km/h].
-    travelled = frame["vehicleSpeed"].sum() / 3.6 * session.sample_time
-    assert session["step_distance"][1:].sum() == pytest.approx(travelled, rel=0.005)

@@ -117,7 +117,7 @@ participant = { from = "participant" }"""
     in_file = read(frame.to_csv(index=False), text, name="p3.csv")
     assert in_file.with_metadata(condition="C1") == session
     assert dict(session.metadata.more) == {}
-    with pytest.raises(SessionError, match=r"give it as read_frame\(…, participant=…\)"):
+    with pytest.raises(SessionError, match=r"no participant, .*; .* read_frame\(…"):
         read_frame(frame, table_recipe(text))
     assert read_frame(frame.rename(columns={"a": "p_r"}), participant=3).label == "participant 3"
 

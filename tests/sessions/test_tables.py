@@ -1,4 +1,4 @@
-"""Tables of text, Parquet and Feather. Oracle: pandas, and plain Python on the lines of a file."""
+"""Tables of text and Parquet. Oracle: pandas, and plain Python on the lines of a file."""
 
 import io
 import warnings
@@ -21,7 +21,7 @@ p_r = { topic = "/p_r", field = "data" }
 mode = { topic = "/mode", field = "data" }"""
 
 
-SUFFIXES = [".csv", ".CSV", ".csv.gz", ".tsv", ".tsv.gz", ".txt", ".parquet", ".feather"]
+SUFFIXES = [".csv", ".CSV", ".csv.gz", ".tsv", ".tsv.gz", ".txt", ".parquet"]
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_a_last_line_that_was_cut_is_noted_and_warned_of(read):
     assert session["p_r"].tolist() == [0.31, 0.32, 0.3]
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.parquet", "a.feather", "frame"])
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet", "frame"])
 def test_the_columns_of_a_session_are_its_own(tmp_path, name):
     """Neither the file nor the frame that it came from can change it, and it can be changed."""
     frame = TABLE.astype({"mode": float}).copy()
@@ -180,30 +180,3 @@ robot_x = { column = "x", unit = "cm" }""")
     frame.loc[1, "who"] = "RR"
     with pytest.raises(SessionError, match=r"row 1 \(from 0\), column 'who' \(mode\): 'RR' is not"):
         read_frame(frame, recipe)
-
-
-@pytest.mark.parametrize(
-    ("cells", "decimal", "numbers"),
-    [
-        (["(1,5; 2,5; 3)", "(1,5; -3,5; 3)"], ",", [2.5, -3.5]),
-        (["1,5 2,5 3", "1,5 3,5 3"], ",", [2.5, 3.5]),
-        (["(0.00, -0.44, 3)", "(1.00, 2.44, 3)"], ",", [-0.44, 2.44]),
-        (["{1.5, 2.5}", "[1.5,3.5]"], ".", [2.5, 3.5]),
-        (["(1, nan, 3)"], ".", None),
-        (["(1,,3)"], ".", None),
-        (["x: 1.5, y: 2.5"], ".", None),
-        (["(1,2,3)"], ",", None),
-    ],
-)
-def test_the_second_number_of_a_cell_or_none(read, cells, decimal, numbers):
-    lines = "".join(f"{k}|{cell}\n" for k, cell in enumerate(cells))
-    recipe = f"""[table]
-delimiter = "|"
-decimal = "{decimal}"
-[columns]
-robot_x = {{ column = "pos", item = 1, unit = "m" }}"""
-    if numbers:
-        assert read("t|pos\n" + lines, recipe)["robot_x"].tolist() == numbers
-    else:
-        with pytest.raises(SessionError, match=r"line 2, column 'pos' \(robot_x\): .* number 1 \("):
-            read("t|pos\n" + lines, recipe)

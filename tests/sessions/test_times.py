@@ -142,6 +142,36 @@ def test_blanks_are_filled_as_pandas_fills_them(cells, row):
     assert note.startswith(f"{cut} ")
 
 
+@given(steps=st.lists(st.sampled_from([1, 1, 2, -5]), min_size=4, max_size=12), data=st.data())
+@pytest.mark.parametrize("way", ["sort", "jumps"])
+def test_blanks_lie_on_a_line_between_neighbours_in_time_and_of_their_session(
+    tmp_path_factory, way, steps, data
+):
+    """Values are their times, so that a line keeps them; each session begins at another value."""
+    t = np.cumsum([0, *steps])
+    t += np.arange(t.size) * (way == "sort")  # no two are the same
+    session = np.cumsum(np.diff(t, prepend=0) < 0) * (way == "jumps")
+    values = t + 100.0 * session
+    blank = data.draw(st.lists(st.booleans(), min_size=t.size, max_size=t.size))
+    frame = pd.DataFrame({"t": t, "a": np.where(blank, np.nan, values)})
+    folder = tmp_path_factory.mktemp("blanks")
+    frame.to_csv(folder / "run.csv", index=False)
+    rule = {"sort": "sort = true", "jumps": 'jumps = "split"'}[way]
+    recipe = table_recipe(
+        f'[files]\npattern = "run.csv"\n[time]\nunit = "s"\n{rule}\n'
+        + RESAMPLED.format("linear", 1.0)
+        + '[columns]\npath_error = { column = "a", blank = "linear", unit = "m" }\n'
+    )
+    try:
+        sessions = read_sessions(folder, recipe)
+    except SessionError:  # no neighbour at the end of a session, or no two samples
+        sessions = []
+    for each in sessions:
+        (start,) = {round(value) for value in each["path_error"] - each.t}
+        assert start % 100 == 0
+        np.testing.assert_allclose(each["path_error"], each.t + start, atol=1e-9)
+
+
 # --- resampling ---------------------------------------------------------------------------------
 
 

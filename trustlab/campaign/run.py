@@ -135,8 +135,6 @@ def run_campaign(
     _check_task(task, [*parameters[0], "seed"])
     seed = seed_sequence(seed)
     n_jobs = whole_number("n_jobs", n_jobs, least=-cpu_count())
-    if n_jobs == 0:
-        raise ValueError("n_jobs must be a whole number of processes, or -1 for all cores, got 0")
     hidden = None if progress is None else not flag("progress", progress)
     rows: dict[int, dict] = {}
     if out is not None:

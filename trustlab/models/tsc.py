@@ -16,6 +16,7 @@ from trustlab.models.checks import (
     finite_numbers,
     mode_array,
     not_negative,
+    of_class,
     open_unit,
     positive,
     set_checked,
@@ -408,11 +409,8 @@ class TscModel:
 
     def __post_init__(self):
         robot, human = self.robot, self.human
-        if not isinstance(robot, RobotModel) or not isinstance(human, HumanModel):
-            raise ValueError(
-                "TscModel takes a RobotModel and a HumanModel, in this order; "
-                f"got {type(robot).__name__} and {type(human).__name__}"
-            )
+        of_class("robot", robot, RobotModel)
+        of_class("human", human, HumanModel)
         # Then P_max > |P_min| for both, so that the denominator of (2.2) is positive as well.
         if not (robot.p_min + robot.p_max > 0.0 and human.p_min + human.p_max > 0.0):
             raise ValueError(

@@ -43,8 +43,6 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> RawLog:
     count: Counter[str] = Counter()
     frames: dict[str, object] = {}
     with _open(path) as reader:
-        if recipe.messages is not None:
-            _define(reader, Path(recipe.source).parent / recipe.messages.folder)
         _check_topics(reader, rules)
         for topic, row, stamp, message in _messages(reader, {topic for topic, _ in groups}):
             count[topic] = row + 1
@@ -72,7 +70,7 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> RawLog:
         t = (np.array(stamps, dtype=np.int64) - start) / 1e9
         frame = pd.DataFrame({rule.name: each for rule, each in zip(members, values, strict=True)})
         table = Table(frame, _place(topic, numbers), notes=log.notes)
-        log.streams.append(stream_of(table, t, members, topic + entry))
+        log.streams.append(stream_of(table, t, members, recipe.time, topic + entry))
     return log
 
 
@@ -91,8 +89,8 @@ def _check_topics(reader, rules: Sequence[ColumnRule]) -> None:
             raise SessionError(f"topic {topic!r} has messages of two types: {types[topic]}")
         if types[topic] not in reader.typestore.fielddefs:
             raise SessionError(
-                f"topic {topic!r}: the bag has no definition of {types[topic]}; put its .msg files "
-                'in a folder package/msg/ and name the folder above: [messages] folder = "…"'
+                f"topic {topic!r}: the bag has no definition of {types[topic]}; record or "
+                "convert it (`ros2 bag convert`) as MCAP, which keeps definitions"
             )
 
 
@@ -116,25 +114,6 @@ def read_written(path: Path, chosen: Chosen) -> Table:
         fault = f"has {len(frame)} samples where its metadata say {more.get('samples')}"
         raise SessionError(f"{DAMAGED} (it {fault}); write it again")
     return Table(frame, "message {} (from 0)".format, metadata)
-
-
-def _define(reader, folder: Path) -> None:
-    """Add the message definitions in .msg files of a folder; those of the bag come first."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    files = sorted(folder.rglob("*.msg"))
-    if not files:
-        raise RecipeError(f"[messages] folder: there are no .msg files in {folder}")
-    types = dict(get_typestore(Stores.ROS2_HUMBLE).fielddefs)
-    for file in files:
-        package = file.parent.parent.name if file.parent.name == "msg" else file.parent.name
-        with damage_named(f"{file} is not a message definition", "correct it"):
-            types |= get_types_from_msg(
-                file.read_text(encoding="utf-8"), f"{package}/msg/{file.stem}"
-            )
-    with damage_named(f"the message definitions in {folder} do not go together", "correct them"):
-        known = reader.typestore.fielddefs
-        reader.typestore.register({name: type for name, type in types.items() if name not in known})
 
 
 def _types(reader) -> dict[str, str]:

@@ -14,6 +14,7 @@ from trustlab.sessions.errors import RecipeError, SessionError
 from trustlab.sessions.recipe import (
     NUMBER,
     STATES,
+    BagTime,
     ColumnRule,
     MetadataRule,
     Recipe,
@@ -55,37 +56,61 @@ class Table:
         return SessionError(f"{self.place(row)}, {label}: {words}")
 
 
-def stream_of(table: Table, t: np.ndarray, rules: Sequence[ColumnRule], topic: str = "") -> Stream:
+def stream_of(
+    table: Table,
+    t: np.ndarray,
+    rules: Sequence[ColumnRule],
+    time: TableTime | BagTime,
+    topic: str = "",
+) -> Stream:
     """Return the columns of a table that rules name, in SI units, at times in seconds."""
-    columns = {}
-    first, stop = 0, t.size  # the rows whose blanks have a neighbour to be filled from
-    for rule in rules:
-        values = columns[rule.name] = numbers(table, rule)
-        known = np.flatnonzero(~np.isnan(values)) if rule.blank else t[:0]
-        if not known.size:  # where all cells are blank, the check of the column says so
-            continue
-        blanks = f"{t.size - known.size} of {t.size} cells, filled by {rule.blank!r}"
-        table.notes[f"blanks of {rule.name}"] = blanks
-        first = max(first, int(known[0]))
-        if rule.blank == "hold":
-            held = np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(t.size)))
-            columns[rule.name] = values[held]
-        else:
-            stop = min(stop, int(known[-1]) + 1)
-            columns[rule.name] = np.interp(t, t[known], values[known])
-    if first >= stop:
-        raise SessionError("no row has a value, or blanks to be filled, in every column")
+    values = {rule.name: numbers(table, rule) for rule in rules}
     place = table.place
-    if stop - first < t.size:
+    late = np.count_nonzero(np.diff(t) < 0.0)
+    if time.sort and late:
+        order = np.argsort(t, kind="stable")
+        t, place = t[order], lambda row: table.place(order[row])
+        values = {name: column[order] for name, column in values.items()}
+        table.notes[f"sorted {topic}".strip()] = f"{late} samples stood after a later one"
+    whole = np.True_  # the rows whose blanks have a neighbour to be filled from
+    for rule in rules:
+        blank = np.isnan(values[rule.name]) if rule.blank else np.True_
+        if blank.all():  # of a column of blanks alone its check says so
+            continue
+        note = f"{blank.sum()} of {t.size} cells, filled by {rule.blank!r}"
+        table.notes[f"blanks of {rule.name}"] = note
+        values[rule.name] = _filled(t, values[rule.name], rule.blank, time.jumps)
+        whole = whole & ~np.isnan(values[rule.name])
+    if not whole.all():
+        rows = np.flatnonzero(whole)
+        if not rows.size:
+            raise SessionError("no row has a value, or blanks to be filled, in every column")
+        first, stop = rows[0], rows[-1] + 1
         cut = f"{first} at the start and {t.size - stop} at the end"
         table.notes["rows cut"] = f"{cut}, where blanks have no neighbour"
-        place = lambda row: table.place(first + row)  # noqa: E731
-    t = t[first:stop]
+        of_all = place
+        t, place = t[first:stop], lambda row: of_all(first + row)
+        values = {name: column[first:stop] for name, column in values.items()}
     for rule in rules:
-        values = rule.convert(columns[rule.name][first:stop])
-        columns[rule.name] = check_column(rule.name, values, t, place)
-    frame = pd.DataFrame(columns, index=pd.Index(t, copy=False), copy=False)
+        column = rule.convert(values[rule.name])
+        values[rule.name] = check_column(rule.name, column, t, place)
+    frame = pd.DataFrame(values, index=pd.Index(t, copy=False), copy=False)
     return Stream(frame, place, topic, any(rule.hold for rule in rules))
+
+
+def _filled(t: np.ndarray, values: np.ndarray, way: str, jumps: str | None) -> np.ndarray:
+    """Return a column whose blanks hold the value before, or lie on a line between neighbours."""
+    if way == "hold":
+        return pd.Series(values).ffill().to_numpy()
+    # Neighbours on either side of a jump of time are those of two sessions.
+    back = np.flatnonzero(np.diff(t) < 0.0) + 1 if jumps else []
+    filled = np.full_like(values, np.nan)
+    for rows in np.split(np.arange(t.size), back):
+        known = rows[~np.isnan(values[rows])]
+        if known.size:
+            inside = slice(known[0], known[-1] + 1)
+            filled[inside] = np.interp(t[inside], t[known], values[known])
+    return filled
 
 
 # --- cells to numbers ---------------------------------------------------------------------------
@@ -95,9 +120,9 @@ def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
     """Return the numbers of a column, or of times where there is no rule; NaN for blank cells."""
     values = table.frame[rule.name if rule else "t"]
     label = rule.label if rule else "column t"
-    special = rule if rule and rule.special else None
+    mapped = rule if rule and rule.map else None
     kind = values.dtype.kind
-    if special is None:
+    if mapped is None:
         if kind in "iufb":
             if not isinstance(values.dtype, np.dtype):  # a column of pandas' own, with a mask
                 return values.to_numpy(dtype=float, na_value=np.nan).copy()
@@ -111,21 +136,19 @@ def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
     known = np.full(len(words) + 1, np.nan)  # the last is for cells that are missing
     for k, word in enumerate(words):
         try:
-            known[k] = _number(word, special, table.decimal)
+            known[k] = _number(word, mapped, table.decimal)
         except ValueError as error:
             raise table.error(int(np.argmax(codes == k)), label, error) from None
     return known[codes]
 
 
-def _number(cell: object, special: ColumnRule | None, decimal: str) -> float:
-    """Return the number of a cell as it is written, or by the map or the item of a rule."""
+def _number(cell: object, mapped: ColumnRule | None, decimal: str) -> float:
+    """Return the number of a cell as it is written, or by the map of a rule."""
     written = str(cell).strip()
-    if written in BLANKS and (special is None or special.blank):
+    if written in BLANKS and (mapped is None or mapped.blank):
         return math.nan
-    if special and special.map:
-        return looked_up(special.map, cell)
-    if special:
-        return _item(written, special.item, decimal)
+    if mapped and mapped.map:
+        return looked_up(mapped.map, cell)
     # With a decimal comma a point has no meaning: "!" makes such a number fail.
     text = written if decimal == "." else written.replace(".", "!").replace(",", ".")
     if NUMBER.fullmatch(text):
@@ -137,18 +160,6 @@ def _number(cell: object, special: ColumnRule | None, decimal: str) -> float:
     if decimal == "." and re.fullmatch(r"[+-]?\d+,\d+", written):
         remedy = 'read the file with decimal=",", or set it in a recipe'
     raise ValueError(f"{written[:60]!r} is not a number; {remedy}")
-
-
-def _item(cell: str, item: int, decimal: str) -> float:
-    """Return one number of a cell such as "(x, y, z)", or "(x; y; z)" with decimal commas."""
-    text = cell.strip(" ()[]{}")
-    if decimal == "," and "." not in text:
-        text = re.sub(r"(?<=\d),(?=\d)", ".", text)
-    parts = re.split(r"\s*[,;]\s*|\s+", text)
-    counted = all(NUMBER.fullmatch(part) or part in BLANKS for part in parts)
-    if not counted or item >= len(parts) or parts[item] in BLANKS:
-        raise ValueError(f"{cell[:60]!r} has no number {item} (from 0)")
-    return float(parts[item])
 
 
 # --- times --------------------------------------------------------------------------------------
@@ -207,8 +218,6 @@ def parts_of(log: RawLog, recipe: Recipe) -> list[RawLog]:
     """Return the parts of a log that make a session each: all of it, or what the recipe splits."""
     time, gap = recipe.time, recipe.splitting.gap if recipe.splitting else np.inf
     streams = log.streams
-    if time.sort:
-        streams = [_sorted(stream, log.notes) for stream in streams]
     if time.repeated:
         streams = [_merged(stream, time.repeated, log.notes) for stream in streams]
     parts, reasons = [streams], []
@@ -236,15 +245,6 @@ def parts_of(log: RawLog, recipe: Recipe) -> list[RawLog]:
         )
         for k, part in enumerate(whole)
     ]
-
-
-def _sorted(stream: Stream, notes: dict) -> Stream:
-    """Return a stream in the order of time; note how many samples were out of it."""
-    count = int((np.diff(stream.t) < 0.0).sum())
-    if not count:
-        return stream
-    notes[f"sorted {stream.topic}".strip()] = f"{count} samples stood after a later one"
-    return stream.of(stream.frame.sort_index(kind="stable"))
 
 
 def _merged(stream: Stream, rule: str, notes: dict) -> Stream:
@@ -352,8 +352,10 @@ def _derived(rule: MetadataRule | ColumnRule, values: Mapping[str, object], wher
     """Return what comes from a value known already."""
     value = values.get(rule.origin, "")
     if value == "":
-        listing = ", ".join(values) or "nothing; fields of the path come from [files] pattern"
-        raise SessionError(f"{where}: there is no {rule.origin}, or it is empty (known: {listing})")
+        listing = ", ".join(values) or "nothing"
+        remedy = "fields come from a path that fits [files] pattern, or from read_frame(…, name=…)"
+        fault = f"there is no {rule.origin}, or it is empty (known: {listing})"
+        raise SessionError(f"{where}: {fault}; {remedy}")
     if rule.map is None:
         return value
     try:

@@ -1,4 +1,4 @@
-"""A recipe drafted from a table: what its names and values suggest, and what to fill in."""
+"""A recipe drafted from a table: what its names and words suggest, and what to fill in."""
 
 from __future__ import annotations
 
@@ -16,14 +16,11 @@ import pandas as pd
 from trustlab.models.files import path_of
 from trustlab.sessions.columns import BLANKS
 from trustlab.sessions.errors import SessionError, damage_named, source_named
-from trustlab.sessions.reading import MOST_PERFORMANCE, existing
+from trustlab.sessions.reading import existing
 from trustlab.sessions.recipe import NUMBER
 from trustlab.sessions.tables import HEAD, TEXTS, suffix_of
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY
 
-ROWS = 20_000
-PERFORMANCE = '# {} = {{ column = "..." }}   # performance, if it is logged; else with_performance'
-UNUSED = "# not used; what a column may be called: trustlab.sessions.vocabulary()"
 TIME = r"t|(time|stamp|timestamp|secs?|clock|zeit\w*)\b.*|.*_?time(stamp)?"
 # What labs call the columns that models need, without a unit behind it.
 NAMES = {
@@ -49,9 +46,10 @@ STEPS = {"s": 5.0, "ms": 5e3, "us": 5e6}  # the longest step between rows that l
 
 def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) -> Path:
     """
-    Write a recipe for a table, with what its names and values suggest and "?" where you know more.
+    Write a recipe for a table, with what its names and words suggest and "?" where you know more.
 
-    Every guess carries a comment. Reading with the draft names the first thing that is missing.
+    Every guess carries a comment. Reading with the draft names the first thing that is missing:
+    blank cells, signs, stamps that are not even.
 
     Parameters
     ----------
@@ -98,8 +96,7 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
             else:
                 import pyarrow.parquet as pq
 
-                batch = next(pq.ParquetFile(source).iter_batches(ROWS))
-                layout, frame = [], batch.to_pandas(ignore_metadata=True)
+                layout, frame = [], pq.read_table(source).to_pandas(ignore_metadata=True)
     target.write_text(_recipe(source.name, layout, frame), encoding="utf-8")
     return target
 
@@ -152,45 +149,44 @@ def _recipe(title: str, layout: list[str], frame: pd.DataFrame) -> str:
     time = (named or rising or [frame.columns[0]])[0]
     unit, remark = _time_unit(time, frame[time])
     rules: dict[str, str] = {}
-    rest = {}
+    rest = []
     for name, values in frame.drop(columns=time).items():
         ours = _ours(name)
         if ours and ours not in rules:
             rules[ours] = _rule(ours, name, values, "name")
         else:
-            rest[name] = values
+            rest.append(name)
     if "mode" not in rules:
         rules["mode"] = (
             'mode = { value = "?" }  # who drives: 1 manual, 0 autonomous; or { column = "...", '
             "map = { ... } }"
         )
-        words = [name for name in rest if not _is_number(rest[name]) and rest[name].nunique() == 2]
+        words = [
+            name for name in rest if not _is_number(frame[name]) and frame[name].nunique() == 2
+        ]
         if words:
-            rules["mode"] = _rule("mode", words[0], rest.pop(words[0]), "values")
-    sections = [
+            rest.remove(words[0])
+            rules["mode"] = _rule("mode", words[0], frame[words[0]], "values")
+    return "\n".join(
         [
             f"# Drafted from {title}: fill in what is marked ?, check what is guessed.",
             f"name = {_quoted(title.split('.')[0])}",
             'kind = "table"',
             "# performance_window = 100   # if p_r and p_h are moving means: over how many seconds",
-        ],
-        ["[table]", *layout] if layout else [],
-        [
+            *(["", "[table]", *layout] if layout else []),
+            "",
             "[time]",
             f"column = {_quoted(time)}",
             f'unit = "{unit}"{remark}',
             "from_zero = true   # counts from the first sample",
-        ],
-        _resampling(unit, frame[time]),
-        [
+            "",
             "[columns]",
             *rules.values(),
-            *[PERFORMANCE.format(name) for name in ("p_r", "p_h") if name not in rules],
-            *([UNUSED] if rest else []),
-            *[f"#   {name}: {_range(values)}" for name, values in rest.items()],
-        ],
-    ]
-    return "\n\n".join("\n".join(lines) for lines in sections if lines) + "\n"
+            "# What a column may be called: trustlab.sessions.vocabulary(). Not used:",
+            *[f"#   {name}" for name in rest],
+            "",
+        ]
+    )
 
 
 def _quoted(name: Any) -> str:
@@ -215,28 +211,17 @@ def _ours(name: Any) -> str:
 def _rule(ours: str, name: Any, values: pd.Series, reason: str) -> str:
     """Return the line of one column; `reason` is what it was guessed by."""
     needed = VOCABULARY[ours].unit
-    same, number = name == ours, _is_number(values)
+    same = name == ours
     written = "" if same else _parts(name)[1]
     keys = {"column": _quoted(name)}
     remarks = [] if same else [f"guessed by its {reason}"]
     if written or needed not in ("1", "measure"):
         keys["unit"] = f'"{written or (needed if same else "?")}"'
-    elif number and ours != "mode" and values.min() >= 0.0:
-        most = MOST_PERFORMANCE if needed == "measure" else VOCABULARY[ours].high
-        if most in (1.0, MOST_PERFORMANCE) and most < values.max() <= 100.0:
-            keys["unit"] = '"%"'
-            remarks.append(f"values reach {values.max():.4g}")
     codes = values.dropna().unique()
-    if not number or (ours == "mode" and not set(codes) <= {0, 1}):
+    if not _is_number(values) or (ours == "mode" and not {*codes} <= {0, 1}):
         keys["map"] = f"{{ {', '.join(map(_entry, codes[:10]))} }}"
     elif ours == "mode":
         remarks.append("check that 1 is manual")
-    elif ours == "path_error" and (values < 0.0).any():
-        keys["absolute"] = "true"
-        remarks.append("a signed deviation becomes a distance")
-    if values.hasnans:
-        keys["blank"] = '"hold"'
-        remarks.append(f"{values.isna().sum()} blank cells repeat the value before")
     comment = f"  # {'; '.join(remarks)}" if remarks else ""
     return f"{ours} = {{ {', '.join(map(' = '.join, keys.items()))} }}{comment}"
 
@@ -266,21 +251,3 @@ def _time_unit(name: Any, values: pd.Series) -> tuple[str, str]:
     if re.match(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}", first):
         return "iso", ""
     return "?", '   # "iso" for 2026-03-01T12:00:00, "clock" for 12:00:00.5'
-
-
-def _resampling(unit: str, values: pd.Series) -> list[str]:
-    """Return the section that makes an even grid of stamps that jitter; none for even ones."""
-    steps = values.diff().dropna() if _is_number(values) else pd.Series(dtype=float)
-    step = float(steps.median())
-    if not step > 0.0 or ((steps - step).abs() < 0.01 * step).all():
-        return []
-    grid = f"sample_time = {step * UNITS[unit][1]:.3g}   # s; stamps are not even"
-    return ["[resampling]", 'method = "linear"', grid]
-
-
-def _range(values: pd.Series) -> str:
-    """Say in few words what a column holds."""
-    known = values.dropna()
-    if _is_number(known) and len(known):
-        return f"{known.min():.4g} to {known.max():.4g}"
-    return ", ".join(map(str, known.unique()[:5])) or "blank"

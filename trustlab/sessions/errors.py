@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from trustlab.models.checks import did_you_mean
 
@@ -37,20 +36,15 @@ class RecipeError(SessionError):
     """A recipe that does not exist or cannot be followed; arguments as for SessionError."""
 
 
-def name_source(error: SessionError, source: str | None) -> None:
-    """Put the name of the file in front of an error's message, unless one is there already."""
-    if source and error.source is None:
-        error.source = source
-        error.args = (f"{source}: {error}",)
-
-
 @contextmanager
 def source_named(source: str | None) -> Iterator[None]:
     """Put the name of the file in front of every error raised inside that names no file yet."""
     try:
         yield
     except SessionError as error:
-        name_source(error, source)
+        if source and error.source is None:
+            error.source = source
+            error.args = (f"{source}: {error}",)
         raise
 
 
@@ -75,12 +69,3 @@ def alternatives(name: object, known: Iterable[object], words: str = "known") ->
     listing = ", ".join(str(each)[:40] for each in known[:30])
     more = " …" if len(known) > 30 else ""
     return f"{did_you_mean(name, known)} ({words}: {listing}{more})"
-
-
-def nearest_file(path: Path, suffix: str = "") -> str:
-    """Return "; did you mean …?" for a missing file, from names beside it with this suffix."""
-    try:
-        beside = [each.name for each in path.parent.iterdir() if each.name.lower().endswith(suffix)]
-    except (OSError, ValueError):
-        beside = []
-    return did_you_mean(path.name, beside)

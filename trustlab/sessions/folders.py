@@ -105,10 +105,7 @@ def matching(folder: str, pattern: PathPattern, header: Header | None) -> list[s
     paths = list(_files(folder))
     matches = {path: match for path in paths if (match := pattern.match(path))}
     if not matches:
-        loose = pattern.of_texts()
-        near = [os.path.relpath(path, folder) for path in paths if loose.match(path)]
-        hint = f"; {near[0]} would, if its fields were not numbers" if near else ""
-        fault = f"no file in it fits the recipe's pattern {pattern.text!r}{hint}"
+        fault = f"no file in it fits the recipe's pattern {pattern.text!r}"
         raise SessionError(f"{fault} (there are {', '.join(paths[:3]) or 'none'} …)", folder)
     same: dict[tuple, str] = {}
     for path, match in matches.items():

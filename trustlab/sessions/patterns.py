@@ -3,7 +3,7 @@
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from string import Formatter
 
 from trustlab.models.checks import one_of, shown
@@ -35,7 +35,6 @@ class PathMatch:
     texts: Mapping[str, str]
 
 
-@dataclass(frozen=True)
 class PathPattern:
     """
     A pattern such as ``part{folder:int}/trial{trial:int}.csv`` for the end of a path.
@@ -45,21 +44,18 @@ class PathPattern:
     anything within one folder or file name.
     """
 
-    text: str
-    types: Mapping[str, str] = field(init=False, compare=False, repr=False)
-    regex: re.Pattern = field(init=False, compare=False, repr=False)
-
-    def __post_init__(self):
-        where = f"pattern {shown(self.text)}"
-        if not isinstance(self.text, str) or not self.text.strip("/ "):
+    def __init__(self, text: str):
+        where = f"pattern {shown(text)}"
+        if not isinstance(text, str) or not text.strip("/ "):
             raise ValueError(f"{where} must be like 'trial{{trial:int}}.csv'")
-        if {".", ".."} & set(self.text.split("/")):
+        if {".", ".."} & {*text.split("/")}:
             raise ValueError(f"{where}: leads from a folder down, so that it has no . or .. in it")
         try:
-            parts = list(Formatter().parse(self.text))
+            parts = list(Formatter().parse(text))
         except ValueError as error:
             raise ValueError(f"{where}: a brace is not closed, or not opened ({error})") from None
-        types: dict[str, str] = {}
+        self.text = text
+        self.types: dict[str, str] = {}
         regex = ""
         for literal, name, kind, _ in parts:
             regex += "[^/]*".join(map(re.escape, literal.split("*")))
@@ -68,10 +64,9 @@ class PathPattern:
             if not name.isidentifier():
                 raise ValueError(f"{where}: a field needs a name, got {name!r}")
             kind = one_of(f"{where}: the type of field {name!r}", kind or "str", TYPES)
-            regex += f"(?P={name})" if name in types else f"(?P<{name}>{TYPES[kind][0]})"
-            types.setdefault(name, kind)
-        object.__setattr__(self, "types", types)
-        object.__setattr__(self, "regex", re.compile(regex))
+            regex += f"(?P={name})" if name in self.types else f"(?P<{name}>{TYPES[kind][0]})"
+            self.types.setdefault(name, kind)
+        self.regex = re.compile(regex)
 
     def match(self, path: str | os.PathLike) -> PathMatch | None:
         """Return the fields of a path whose end fits the pattern, or None."""
@@ -83,10 +78,6 @@ class PathPattern:
         texts = match.groupdict()
         fields = {name: TYPES[self.types[name]][1](text) for name, text in texts.items()}
         return PathMatch("/".join(parts[:-depth]) or "/", fields, texts)
-
-    def of_texts(self) -> "PathPattern":
-        """Return the pattern whose fields may be any text."""
-        return PathPattern(re.sub(r":(int|float)}", "}", self.text))
 
     def fill(self, texts: Mapping[str, object]) -> str:
         """Return the pattern with its fields filled in."""
@@ -107,7 +98,6 @@ class Selector:
 STEP = re.compile(r"""(?:^|\.)([A-Za-z_]\w*)|\[(\d{1,9})\]|\[([A-Za-z_][\w.]*)=(["'])(.*?)\4\]""")
 
 
-@dataclass(frozen=True)
 class FieldPath:
     """
     Where a number stands in a message.
@@ -117,25 +107,19 @@ class FieldPath:
     ``position[name="wheel_left"]``.
     """
 
-    text: str
-    steps: tuple[str | int | Selector, ...] = field(init=False, compare=False, repr=False)
-    yaw: bool = field(init=False, compare=False, repr=False)
-
-    def __post_init__(self):
-        text = self.text if isinstance(self.text, str) else ""
-        heading = re.fullmatch(r"yaw\((.*)\)", text)
-        path = heading[1] if heading else text
+    def __init__(self, text: str):
+        path = text if isinstance(text, str) else ""
+        heading = re.fullmatch(r"yaw\((.*)\)", path)
+        path = heading[1] if heading else path
         matches = list(STEP.finditer(path))
         if not matches or not matches[0][1] or "".join(each[0] for each in matches) != path:
             example = "'twist.twist.linear.x', 'axes[1]' or 'position[name=\"left\"]'"
-            raise ValueError(
-                f"cannot read the field path {shown(self.text)}; write it like {example}"
-            )
-        steps: list[str | int | Selector] = []
+            raise ValueError(f"cannot read the field path {shown(text)}; write it like {example}")
+        self.text = text
+        self.yaw = heading is not None
+        self.steps: list[str | int | Selector] = []
         for name, index, key, _, value in (each.groups() for each in matches):
-            steps.append(name or (Selector(key, value) if key else int(index)))
-        object.__setattr__(self, "steps", tuple(steps))
-        object.__setattr__(self, "yaw", heading is not None)
+            self.steps.append(name or (Selector(key, value) if key else int(index)))
 
     @property
     def selectors(self) -> str:

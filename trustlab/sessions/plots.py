@@ -19,23 +19,12 @@ LABELS = {
 
 
 def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:
-    """Shade the manual phases, in proportion to the manual share while switches are few."""
-    edges = np.flatnonzero(np.diff(mode)) + 1
-    if edges.size > 200:
-        axes.fill_between(
-            t,
-            0,
-            1,
-            where=mode >= 0.5,
-            transform=axes.get_xaxis_transform(),
-            color="0.5",
-            alpha=0.15,
-            lw=0,
-        )
-        return
-    for start, stop in zip(np.r_[0, edges], np.r_[edges, mode.size - 1], strict=True):
-        if mode[start] > 0:
-            axes.axvspan(t[start], t[stop], color="0.5", alpha=0.2 * mode[start], lw=0)
+    """Shade the manual phases, in proportion to the manual share."""
+    starts = np.flatnonzero(np.diff(mode, prepend=np.nan))
+    spans = np.column_stack([t[starts], np.diff(t[starts], append=t[-1])])
+    shades = [("0.5", 0.2 * share) for share in mode[starts]]
+    whole = axes.get_xaxis_transform()
+    axes.broken_barh(spans, (0, 1), transform=whole, facecolors=shades, lw=0)
 
 
 def plot_session(session, columns: str | list[str] | None = None):

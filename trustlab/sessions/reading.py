@@ -24,8 +24,6 @@ from trustlab.sessions.errors import (
     RecipeError,
     SessionError,
     alternatives,
-    name_source,
-    nearest_file,
     source_named,
 )
 from trustlab.sessions.folders import Header, logs_in, matching
@@ -48,8 +46,8 @@ from trustlab.sessions.tables import (
     TEXTS,
     Chosen,
     frame_table,
-    read_arrow,
     read_csv,
+    read_parquet,
     suffix_of,
 )
 from trustlab.sessions.vocabulary import known_column
@@ -70,8 +68,8 @@ def read_session(
     Parameters
     ----------
     path : path-like
-        A ``.csv``, ``.csv.gz``, ``.tsv`` or ``.txt`` table, a ``.parquet``, ``.feather``, ``.bag``
-        (ROS 1), ``.mcap`` or ``.db3`` file, or a rosbag2 folder.
+        A ``.csv``, ``.csv.gz``, ``.tsv`` or ``.txt`` table, a ``.parquet``, ``.bag`` (ROS 1),
+        ``.mcap`` or ``.db3`` file, or a rosbag2 folder.
     recipe : str, path-like or Recipe, optional
         How the log's columns become ours: a name from `list_recipes()`, the path of a TOML file, or
         a Recipe. A table with the vocabulary's names in SI units, and t in seconds, needs none; nor
@@ -360,13 +358,11 @@ class Reader:
     def read(self, path: str | os.PathLike) -> list[Session]:
         """Return the sessions of one file or rosbag2 folder: one, unless the recipe splits it."""
         source = str(path_of("path", path))
-        try:
-            return self._read(existing(Path(source)), source)
-        except SessionError as error:
-            name_source(error, source)
-            raise
-        except OSError as error:
-            raise SessionError(f"cannot be read ({error.strerror or error})", source) from error
+        with source_named(source):
+            try:
+                return self._read(existing(Path(source)), source)
+            except OSError as error:
+                raise SessionError(f"cannot be read ({error.strerror or error})") from error
 
     def _read(self, path: Path, source: str) -> list[Session]:
         """Check that recipe and file go together; read the file; make sessions of what it holds."""
@@ -384,7 +380,7 @@ class Reader:
         elif suffix in TEXTS:
             table = read_csv(path, self._chosen(), self.layout, self._texts())
         else:
-            table = read_arrow(path, self._chosen(), self.layout)
+            table = read_parquet(path, self._chosen(), self.layout)
         return self._of_table(table, source, values)
 
     def read_frame(self, frame: pd.DataFrame, metadata: Mapping[str, object]) -> list[Session]:
@@ -392,10 +388,6 @@ class Reader:
         fields = self.pattern.types if self.pattern else {}
         with source_named("data frame"):
             self._check_kind("table")
-            for name, rule in self.recipe.metadata.items():
-                if rule.origin in fields and not {name, rule.origin} & metadata.keys():
-                    fault = f"the recipe takes {name} from the path of a file"
-                    raise SessionError(f"{fault}: give it as read_frame(…, {rule.origin}=…)")
             table = frame_table(frame, self._chosen(), self.layout)
             sessions = self._of_table(table, "data frame", metadata)
         more = {name: value for name, value in metadata.items() if name not in fields}
@@ -408,17 +400,10 @@ class Reader:
 
     def _values_of(self, source: str) -> dict[str, object]:
         """Return what the path of a file and the header say of its session."""
-        if self.pattern is None:
+        match = self.pattern.match(source) if self.pattern else None
+        if match is None:
             return {}
-        if match := self.pattern.match(source):
-            return {**match.fields, **(self.header.row(match) if self.header else {})}
-        rules: list[Any] = [*self.recipe.metadata.values(), *self.recipe.columns.values()]
-        origins = [rule.origin for rule in rules]
-        if any(name in self.pattern.types or name.startswith("header.") for name in origins):
-            fault = f"the path does not fit the recipe's pattern {self.pattern.text!r}"
-            remedy = "rename the file or its folder, or take nothing from the path"
-            raise SessionError(f"{fault}; {remedy}")
-        return {}
+        return {**match.fields, **(self.header.row(match) if self.header else {})}
 
     def _measured(self, recipe: Recipe) -> list[ColumnRule]:
         """Return the rules of the columns that come from the log, and of those these need."""
@@ -439,7 +424,7 @@ class Reader:
         if self.plain:
             return set()
         times = {"t"} if self.recipe.time.unit in ("iso", "clock") else set()
-        return times | {rule.name for rule in self._measured(self.recipe) if rule.special}
+        return times | {rule.name for rule in self._measured(self.recipe) if rule.map}
 
     def _of_table(self, table: Table, source: str, values: Mapping) -> list[Session]:
         """Return the sessions of a table."""
@@ -448,7 +433,8 @@ class Reader:
         recipe = self.recipe
         if self.plain:
             recipe = plain_recipe([name for name in table.frame if name != "t"])
-        stream = stream_of(table, times_of(table, recipe.time), self._measured(recipe))
+        t = times_of(table, recipe.time)
+        stream = stream_of(table, t, self._measured(recipe), recipe.time)
         return self._sessions(RawLog(source, [stream], table.metadata, table.notes), recipe, values)
 
     def _sessions(self, log: RawLog, recipe: Recipe, values: Mapping[str, Any]) -> list[Session]:
@@ -483,7 +469,7 @@ def existing(path: Path) -> Path:
     """Return the path when something that can be read is there."""
     if not path.exists():
         looked = "" if path.is_absolute() else f" (looked in {path.parent.absolute()})"
-        raise SessionError(f"there is no file at this path{looked}{nearest_file(path)}")
+        raise SessionError(f"there is no file at this path{looked}")
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         remedy = "use read_sessions for a folder of sessions, `ros2 bag reindex` for a recording"
         raise SessionError(f"a folder without metadata.yaml is not a rosbag2 recording; {remedy}")
@@ -491,8 +477,6 @@ def existing(path: Path) -> Path:
         hint = alternatives(path.suffix, [*SUFFIXES, "rosbag2 folders"])
         way = "read the file into a data frame, then trustlab.read_frame(frame)"
         raise SessionError(f"cannot read {path.suffix or 'files without a suffix'}{hint}; {way}")
-    if path.is_file() and path.stat().st_size == 0:
-        raise SessionError("the file is empty")
     return path
 
 

@@ -43,9 +43,6 @@ and resampling is asked for by name.
     [splitting]
     gap = 2.0                       # [s]: a longer gap begins a new session of read_sessions
 
-    [messages]                      # kind = "bag", for bags without definitions
-    folder = "my_robot_msgs"        # package/msg/Name.msg at any depth; relative to the recipe
-
     [resampling]                    # needed for topics with stamps of their own;
                                     # a caller's resample= overrides it
     method = "previous"             # or "linear", "nearest"
@@ -54,8 +51,6 @@ and resampling is asked for by name.
     [columns]                       # name of the vocabulary = exactly one of the following
     # a column of the table; also scale, offset, map, resample
     path_error = { column = "err", unit = "mm", absolute = true }
-    # one number, from 0, of cells such as "(x, y, z)" or "1,5; 2,5"
-    robot_y = { column = "pos", unit = "m", item = 1 }
     # blank cells (empty, NaN, NA or "-") repeat the value before; "linear" interpolates
     p_r = { column = "speed", blank = "hold" }
     # 1 above this value (in the column's unit of the session), else 0; also for topics
@@ -117,7 +112,7 @@ from trustlab.models.checks import (
     shown,
     whole_number,
 )
-from trustlab.sessions.errors import RecipeError, alternatives, nearest_file, source_named
+from trustlab.sessions.errors import RecipeError, alternatives, source_named
 from trustlab.sessions.patterns import FieldPath, PathPattern
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY, to_si
 
@@ -237,7 +232,7 @@ def looked_up(entries: Mapping[str, Any], value: object, default: object = None)
 # Where a column can come from, and which keys may stand beside the one that says it.
 SCALING = ("unit", "scale", "offset", "map", "above")
 COLUMN_KINDS = {
-    "column": (*SCALING, "absolute", "resample", "blank", "item"),
+    "column": (*SCALING, "absolute", "resample", "blank"),
     "topic": (*SCALING, "absolute", "resample", "field", "hold"),
     "value": ("unit",),
     "from": SCALING,
@@ -246,7 +241,7 @@ COLUMN_KINDS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class ColumnRule:
     """
     Where one column of the session comes from: `kind` is one of COLUMN_KINDS.
@@ -270,7 +265,6 @@ class ColumnRule:
     above: float | None = None
     resample: Method | None = None
     blank: Literal["hold", "linear"] | None = None
-    item: int | None = None
     path: FieldPath | None = None
     hold: bool = False
     axes: tuple[Axis, ...] = ()
@@ -287,8 +281,6 @@ class ColumnRule:
             raise ValueError("needs field, the place in the message, such as 'axes[1]'")
         if self.hold and self.resample not in (None, "previous"):
             raise ValueError(f"hold keeps the previous value, but resample is {self.resample!r}")
-        if self.item is not None and self.map is not None:
-            raise ValueError('item takes a number from a cell like "(x, y, z)", which has no map')
         if self.blank == "linear" and self.above is None and self.name in (*STATES, "yaw"):
             raise ValueError(
                 f'{self.name} has no value between two others; fill it with blank = "hold"'
@@ -298,12 +290,7 @@ class ColumnRule:
         if unit is None and needed not in ("1", "measure"):
             raise ValueError(f"needs its unit (the session holds {needed})")
         if unit not in (None, needed):
-            object.__setattr__(self, "size", to_si(unit, needed))
-
-    @property
-    def special(self) -> bool:
-        """Whether its cells are not written as numbers."""
-        return self.map is not None or self.item is not None
+            self.size = to_si(unit, needed)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -462,14 +449,7 @@ class Splitting:
         positive("gap", self.gap)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Messages:
-    """The folder of .msg files for bags without definitions, relative to the recipe."""
-
-    folder: str
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class Recipe:
     """
     A recipe, checked.
@@ -498,8 +478,6 @@ class Recipe:
         The table with one row per session.
     splitting : Splitting, optional
         The gap at which a log is split into several sessions.
-    messages : Messages, optional
-        Where definitions are that bags lack.
     source : str
         The file it was read from.
     """
@@ -516,22 +494,20 @@ class Recipe:
     performance_window: float | None = None
     header: HeaderRule | None = None
     splitting: Splitting | None = None
-    messages: Messages | None = None
     source: str = "recipe"
 
     def __post_init__(self):
         if self.kind == "bag" and self.table != TableRule():
             raise ValueError('[table] is for kind = "table"')
-        time = self.time
-        if time is None or isinstance(time, Mapping):
-            time = parse(TableTime if self.kind == "table" else BagTime, time or {}, "[time]")
-        metadata = dict(self.metadata)
+        if self.time is None or isinstance(self.time, Mapping):
+            kind = TableTime if self.kind == "table" else BagTime
+            self.time = parse(kind, self.time or {}, "[time]")
         if self.performance_window is not None:
             window = not_negative("performance_window", self.performance_window)
-            metadata["performance_window"] = MetadataRule(value=window)
-        if "source" in metadata:
+            self.metadata["performance_window"] = MetadataRule(value=window)
+        if "source" in self.metadata:
             raise ValueError("[metadata] source: this name is taken; choose another")
-        vars(self).update(time=time, metadata=metadata, name=self.name or self.source)
+        self.name = self.name or self.source
         foreign = "topic" if self.kind == "table" else "column"
         for title, rule in self.columns.items():
             where = f"[columns] {title}"
@@ -616,7 +592,7 @@ def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
     shipped = _shipped()
     path = shipped.get(str(recipe), Path(recipe)) if isinstance(recipe, str) else Path(recipe)
     if not os.path.isfile(path):
-        hint = did_you_mean(path.stem, shipped) or nearest_file(path, ".toml")
+        hint = did_you_mean(path.stem, shipped)
         fault = f"there is no recipe {str(recipe)!r}, neither as a file nor by name"
         raise RecipeError(f"{fault}{hint} (known: {', '.join(shipped)})")
     try:

@@ -6,13 +6,13 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Real
-from types import MappingProxyType, NoneType
+from types import NoneType
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import shown
+from trustlab.models.checks import of_class, shown
 from trustlab.models.display import Result, as_html
 from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.vocabulary import known_column
@@ -67,7 +67,7 @@ class Metadata:
     >>> import trustlab as tl
     >>> metadata = tl.Metadata(participant=3, condition="C1", more={"trial": 2})
     >>> metadata.changed(condition="C2", site="north wing").more
-    mappingproxy({'trial': 2, 'site': 'north wing'})
+    {'trial': 2, 'site': 'north wing'}
     """
 
     participant: str | int | None = None
@@ -86,14 +86,7 @@ class Metadata:
             object.__setattr__(self, name, value)
         if not isinstance(self.more, Mapping):
             raise SessionError(f"more must be a mapping of names to values, got {shown(self.more)}")
-        object.__setattr__(self, "more", MappingProxyType(dict(self.more)))
-
-    def __reduce__(self):
-        # A MappingProxyType cannot be pickled; the constructor makes it again from a dictionary.
-        return (
-            Metadata,
-            (self.participant, self.condition, self.source, self.synthetic, dict(self.more)),
-        )
+        object.__setattr__(self, "more", dict(self.more))
 
     def changed(self, **changes: Any) -> Metadata:
         """
@@ -112,19 +105,12 @@ class Metadata:
         return {name: getattr(self, name) for name in FIELDS} | dict(self.more)
 
 
-def _plain(value: object) -> object:
-    """Return a NumPy number as Python's own, for JSON."""
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value).__name__} is not a plain value")
-
-
 def metadata_to_json(metadata: Metadata, **extra: object) -> str:
     """Return metadata (but the source) and extra entries as JSON that reads back the same."""
     content = {name: getattr(metadata, name) for name in FIELDS if name != "source"}
     for name, value in [*content.items(), *metadata.more.items()]:
         try:
-            same = bool(json.loads(json.dumps(value, default=_plain)) == value)
+            same = bool(json.loads(json.dumps(value, default=np.generic.item)) == value)
         except (TypeError, ValueError, RecursionError):  # ValueError also where == gives an array
             same = False
         if not same:
@@ -132,7 +118,7 @@ def metadata_to_json(metadata: Metadata, **extra: object) -> str:
                 f"metadata {name!r} would not read back the same: {shown(value)}; use plain "
                 "numbers, texts, lists or dictionaries with text keys"
             )
-    return json.dumps(content | {"more": dict(metadata.more)} | extra, default=_plain)
+    return json.dumps(content | {"more": metadata.more} | extra, default=np.generic.item)
 
 
 def metadata_from_json(text: str) -> tuple[Metadata, dict]:
@@ -181,10 +167,8 @@ class Session(Result):
     metadata: Metadata = field(default_factory=Metadata)
 
     def __post_init__(self):
-        if not isinstance(self.metadata, Metadata):
-            example = "trustlab.Metadata(participant=3, condition='C1', more={'trial': 2})"
-            kind = type(self.metadata).__name__
-            raise SessionError(f"metadata must be a Metadata, for example {example}, got {kind}")
+        example = "for example trustlab.Metadata(participant=3, condition='C1', more={'trial': 2})"
+        of_class("metadata", self.metadata, Metadata, example)
         with source_named(self.metadata.source):
             t, columns = _checked(self.data)
         object.__setattr__(
@@ -220,10 +204,6 @@ class Session(Result):
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return one column, or "t", as an array of shape (N,)."""
-        if not isinstance(name, str):
-            raise SessionError(
-                f"a session is indexed by a column's name, got {name!r}; its table is .data"
-            )
         if name == "t":
             return self.t
         self.require(name)
@@ -275,12 +255,15 @@ class Session(Result):
         SessionError
             It names the missing column, the nearest existing one, and all columns of the session.
         """
-        missing = [name for name in names if name != "t" and name not in self.data]
+        missing = [str(name) for name in names if name != "t" and name not in self.data]
         if missing:
             name = self.label if self.label != self.metadata.source else "the session"
-            hint = alternatives(missing[0], self.columns, f"needed: {', '.join(names)}; it has")
+            hint = alternatives(
+                missing[0], self.columns, f"needed: {', '.join(map(str, names))}; it has"
+            )
             remedy = next(
-                (words for start, words in REMEDIES.items() if missing[0].startswith(start)), ""
+                (words for start, words in REMEDIES.items() if missing[0].startswith(start)),
+                "",
             )
             raise SessionError(
                 f"{name} has no column {missing[0]!r}{hint}{remedy}", self.metadata.source
@@ -436,10 +419,7 @@ def keep_table(data: pd.DataFrame, metadata: Metadata, place: Place = ROW) -> Se
 
 def _checked(data: pd.DataFrame, place: Place = ROW) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the times and the columns of a session's table, every value checked."""
-    if not isinstance(data, pd.DataFrame):
-        raise SessionError(
-            f"data must be a pandas DataFrame indexed by time, got {type(data).__name__}"
-        )
+    of_class("data", data, pd.DataFrame)
     if data.index.name != "t" and "t" in data.columns:
         data = data.set_index("t")
     if isinstance(data.index, pd.RangeIndex) and data.index.name != "t":

@@ -1,4 +1,4 @@
-"""Tables in CSV, Parquet and Feather files and data frames: columns as the file has them."""
+"""Tables in CSV and Parquet files and data frames: columns as the file has them."""
 
 import csv
 import gzip
@@ -21,7 +21,7 @@ from trustlab.sessions.vocabulary import known_column
 # Suffixes of the files that can be read; a rosbag2 recording may also be a folder.
 TEXTS = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
 BAGS = (".bag", ".mcap", ".db3")
-SUFFIXES = (*TEXTS, ".parquet", ".feather", *BAGS)
+SUFFIXES = (*TEXTS, ".parquet", *BAGS)
 
 # The start of the first line of a CSV file whose rest is metadata.
 COMMENT = "# trustlab "
@@ -65,19 +65,14 @@ def positions(chosen: Chosen, names: Sequence[str], header: bool = True) -> dict
     return places
 
 
-def read_arrow(path: Path, chosen: Chosen, layout: TableRule) -> Table:
-    """Return the table in a Parquet or Feather (Arrow IPC) file."""
-    import pyarrow as pa
-    import pyarrow.feather
-    import pyarrow.parquet
+def read_parquet(path: Path, chosen: Chosen, layout: TableRule) -> Table:
+    """Return the table in a Parquet file."""
+    import pyarrow.parquet as pq
 
     with damage_named("not a table of this format, or a damaged one", "copy or write it again"):
-        if path.suffix.lower() == ".parquet":
-            read, schema = pa.parquet.read_table, pa.parquet.read_schema(path)
-        else:
-            read, schema = pa.feather.read_table, pa.ipc.open_file(pa.memory_map(str(path))).schema
+        schema = pq.read_schema(path)
         places = positions(chosen, schema.names, layout.header)
-        content = read(path, columns=[*{schema.names[k]: k for k in places.values()}])
+        content = pq.read_table(path, columns=[*{schema.names[k]: k for k in places.values()}])
         content.validate(full=True)
         frame = content.to_pandas(ignore_metadata=True)
     frame = pd.DataFrame({name: frame[schema.names[k]] for name, k in places.items()}, copy=False)
@@ -172,47 +167,46 @@ def _parsed(
     import pyarrow as pa
     import pyarrow.csv
 
-    table = None
-    threads = True
-    while table is None:
+    def read(texts: Collection[int], threads: bool) -> pa.Table:
         kinds = {str(k): pa.string() if k in texts else pa.float64() for k in places.values()}
+        return pa.csv.read_csv(
+            _opened(source),
+            pa.csv.ReadOptions(
+                column_names=[*map(str, range(width))],
+                skip_rows=before,
+                encoding=layout.encoding,
+                use_threads=threads,
+            ),
+            pa.csv.ParseOptions(delimiter=layout.delimiter, ignore_empty_lines=False),
+            pa.csv.ConvertOptions(
+                include_columns=[*kinds],
+                column_types=kinds,
+                null_values=BLANKS,
+                strings_can_be_null=False,
+                decimal_point=layout.decimal,
+            ),
+        )
+
+    try:
+        table = read(texts, True)
+    except (pa.ArrowInvalid, UnicodeDecodeError):
+        # Cells as texts, so that the first odd one can be named; one thread alone counts the rows.
+        texts = {*places.values()}
         try:
-            table = pa.csv.read_csv(
-                _opened(source),
-                pa.csv.ReadOptions(
-                    column_names=[*map(str, range(width))],
-                    skip_rows=before,
-                    encoding=layout.encoding,
-                    use_threads=threads,
-                ),
-                pa.csv.ParseOptions(delimiter=layout.delimiter, ignore_empty_lines=False),
-                pa.csv.ConvertOptions(
-                    include_columns=[*kinds],
-                    column_types=kinds,
-                    null_values=BLANKS,
-                    strings_can_be_null=False,
-                    decimal_point=layout.decimal,
-                ),
-            )
+            table = read(texts, False)
         except (pa.ArrowInvalid, UnicodeDecodeError) as error:
             fault = str(error)
-            column = re.search(r"In CSV column #(\d+): .* conversion error to double", fault)
             if "Empty CSV" in fault or "Could not skip" in fault:
                 return pd.DataFrame(columns=list(places))
-            if column:  # read its cells as texts, so that the first odd one can be named
-                texts = {*texts, int(column[1])}
-            elif threads:  # one thread alone counts the rows
-                threads = False
-            else:
-                _refuse_encoding(source, layout.encoding)
-                raise SessionError(_ragged(fault)) from error
-    columns = {}
-    for title in table.column_names:
-        cells = table.column(title)
-        text = int(title) in texts
+            _refuse_encoding(source, layout.encoding)
+            raise SessionError(_ragged(fault)) from error
+
+    def column(k: int) -> Any:
+        cells = table.column(str(k))
         # What Arrow holds itself is read-only.
-        columns[int(title)] = cells.to_pandas() if text else np.require(cells.to_numpy(), None, "W")
-    return pd.DataFrame({name: columns[k] for name, k in places.items()}, copy=False)
+        return cells.to_pandas() if k in texts else np.require(cells.to_numpy(), None, "W")
+
+    return pd.DataFrame({name: column(k) for name, k in places.items()}, copy=False)
 
 
 def _ragged(fault: str) -> str:

@@ -62,8 +62,6 @@ def write_session(session: Session, path: str | os.PathLike) -> Path:
     path = path_of("path", path)
     suffix = one_of(f"the suffix of path {str(path)!r}", path.suffix.lower(), FORMATS)
     with source_named(str(path)):
-        if not path.parent.is_dir():
-            raise SessionError("its folder does not exist; create it first")
         try:
             if suffix == ".mcap":
                 write_recording(session, path)
