@@ -41,12 +41,6 @@ CHEAPER = {
 
 CALLS = {
     # Names of rooms.
-    "allocation.separation": lambda: {
-        "lower_mean": 0.0,
-        "lower_sd": 0.1,
-        "upper_mean": 0.4,
-        "upper_sd": 0.1,
-    },
     "allocation.step_bounds": lambda: {"tsc": cases.model()},
     "models.StepScaling": lambda: {"low": 0.2, "high": 0.8},
     "operators.operator": lambda: {"participant": 1, "model": cases.model()},
@@ -169,7 +163,6 @@ CALLS = {
     "TeamRun.animate": lambda: {"path": "team.gif"},
     "TeleoperationLoop.run": lambda: {"until": 0.5},
     "ThresholdLimits.contains": lambda: dict(THRESHOLDS),
-    "ThresholdRule.move": lambda: dict(THRESHOLDS),
     "TrackingTask.path": lambda: {"t": np.array([0.0, 1.0]), "height": 0.0, "phase": 0.0},
     "TransferFunction.discrete": lambda: {"sample_time": 0.1},
     "TrustModel.decay": lambda: {"sample_time": 0.1},
@@ -202,7 +195,6 @@ NOT_WALKED = {
     "Model.limits": "a part of fit",
     "Model.outputs_of": "a part of fit",
     "Model.useful": "a part of fit",
-    "OnlineCorrection.plot": "needs samples",
     "OptimalBlending.matrix": "a part of step",
     "Prior.vectors": "a part of sample_posterior",
     "PublishedStudy.from_toml": "needs a file",

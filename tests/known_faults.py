@@ -237,9 +237,6 @@ KNOWN = {
     "GroundRobotRun.plot_path": {
         "axes": "foreign errors",
     },
-    "CorrectionRun.plot": {
-        "target": "foreign errors",
-    },
     "Posterior.simulated": {
         "most": "foreign errors",
     },
@@ -265,9 +262,6 @@ KNOWN = {
     },
     "VirtualStudy.plot": {
         "measures": "foreign errors, no argument named",
-    },
-    "allocation.ModelTests": {
-        "p_r0": "anything is taken",
     },
     "reproduction.matching_digits": {
         "value": "foreign errors, NaN is taken",

@@ -25,7 +25,6 @@ import trustlab as tl
 from tests.publishing.walk import chromium
 from tests.publishing.world import ROOT, make, publish, write_book
 from trustlab.allocation.correction_run import CorrectionRun
-from trustlab.allocation.ranges import RangeIntervals
 from trustlab.identification.posterior.population import Population
 from trustlab.identification.posterior.result import MODEL as MODEL_NAMES
 from trustlab.identification.regression import ArxResult
@@ -315,7 +314,6 @@ def built():
         choice.limits,
         choice.cycle,
         choice.bounds,
-        RangeIntervals([choice.cycle] * 2, np.array([True, False])),
         tl.feasibility(dataclasses.replace(STUDY, name=NAME), explain=False),
         *of_trust(),
         tl.optimal_allocation(MODEL),

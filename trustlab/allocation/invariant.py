@@ -4,16 +4,14 @@ Bounds that hold for every trajectory: sets of states propagated round the cycle
 Interval arithmetic of our own, as compiled code takes no other.
 """
 
-import math
 from dataclasses import dataclass
-from typing import NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from trustlab.allocation.limits import check_thresholds
-from trustlab.allocation.ranges import RangeIntervals, SteadyRanges, over_draws
+from trustlab.allocation.ranges import SteadyRanges, ends
 from trustlab.allocation.steady import EFFORT, endless_phase
-from trustlab.identification.posterior.result import Posterior
 from trustlab.models.checks import whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, advance, human_at, human_range, tsc_at
@@ -33,9 +31,6 @@ STEEP = 1e-6
 
 # Width of bounds on utilization from which on they tell nothing.
 VACUOUS = 0.98
-
-# Cells for each draw of a posterior, whose spread outweighs what more of them would gain.
-CELLS_OF_DRAWS = 64
 
 
 class PhaseImage(NamedTuple):
@@ -297,26 +292,15 @@ class InvariantBounds(SteadyRanges):
         After how many returns to manual control the bounds hold.
     """
 
+    title = "Bounds for every trajectory"
+
     guaranteed: bool
     cycles: int
 
-    def _qualified(self) -> str:
-        return f"guaranteed={self.guaranteed}, cycles={self.cycles}"
 
-
-@overload
 def invariant_bounds(
-    tsc: TscModel, lower: float, upper: float, cells: int = ..., cycles: int = ...
-) -> InvariantBounds: ...
-
-
-@overload
-def invariant_bounds(
-    tsc: Posterior, lower: float, upper: float, cells: int = ..., cycles: int = ...
-) -> RangeIntervals: ...
-
-
-def invariant_bounds(tsc, lower, upper, cells=1024, cycles=200):
+    tsc: TscModel, lower: float, upper: float, cells: int = 1024, cycles: int = 200
+) -> InvariantBounds:
     """
     Bound utilization, robot performance and dwell times for every trajectory under rule (2.8).
 
@@ -329,9 +313,8 @@ def invariant_bounds(tsc, lower, upper, cells=1024, cycles=200):
 
     Parameters
     ----------
-    tsc : TscModel or Posterior
-        The model; or a posterior (`sample_posterior`), of which 200 draws are bounded, in at most
-        64 cells each.
+    tsc : TscModel
+        The model.
     lower, upper : float
         Thresholds TSC_l and TSC_u.
     cells : int
@@ -342,7 +325,7 @@ def invariant_bounds(tsc, lower, upper, cells=1024, cycles=200):
 
     Returns
     -------
-    InvariantBounds or, for a posterior, RangeIntervals
+    InvariantBounds
 
     Raises
     ------
@@ -363,35 +346,37 @@ def invariant_bounds(tsc, lower, upper, cells=1024, cycles=200):
     dwell time manual      217.000  219.000
     dwell time autonomous   65.000   65.000
     """
-    if isinstance(tsc, Posterior):
-        cells = min(whole_number("cells", cells), CELLS_OF_DRAWS)
-
-        def bounds_of(model):
-            return invariant_bounds(model, lower, upper, cells, cycles)
-
-        return over_draws(tsc.models, bounds_of, "guaranteed")
     lower, upper = check_thresholds(tsc, lower, upper)
     cells = whole_number("cells", cells)
     cycles = whole_number("cycles", cycles)
-    endless = endless_phase(tsc, lower, upper)
-    if endless:
-        return _trivial(tsc, lower, upper, endless)
     c = tsc.constants()
-    coarse = min(COARSE, cells)
-    most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
-    enclosure, settled = nest(lower, upper, c, cells, cycles, most)
-    done = enclosure.code
-    if done < 0:
-        phase = "a manual" if done == -1 else "an autonomous"
-        return _trivial(
-            tsc,
-            lower,
-            upper,
-            f"every phase ends, but {phase} phase from some utilization was not shown to do so "
-            f"within {most} samples; cells= below {coarse} allow longer phases",
+    pair: Any = {"model": tsc, "lower": lower, "upper": upper}
+    reason = endless_phase(tsc, lower, upper)
+    if not reason:
+        coarse = min(COARSE, cells)
+        most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
+        enclosure, settled = nest(lower, upper, c, cells, cycles, most)
+        done, manual, autonomous = enclosure.code, enclosure.manual, enclosure.autonomous
+        if done < 0:
+            phase = "a manual" if done == -1 else "an autonomous"
+            reason = (
+                f"{phase} phase from some utilization was not shown to end within {most} samples; "
+                f"cells= below {coarse} allow longer phases"
+            )
+    if reason:
+        return InvariantBounds(
+            guaranteed=False,
+            reason=reason,
+            cycles=0,
+            **pair,
+            **ends(
+                r=(0.0, 1.0),
+                p_r=(tsc.robot.p_min, tsc.robot.steady_state(1.0, tsc.human.p_max)),
+                tsc=(-np.inf, np.inf),
+                dwell_manual=(1.0, np.inf),
+                dwell_autonomous=(1.0, np.inf),
+            ),
         )
-    manual = enclosure.manual
-    autonomous = enclosure.autonomous
     # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per
     # sample is far more than that.
     slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
@@ -401,52 +386,28 @@ def invariant_bounds(tsc, lower, upper, cells=1024, cycles=200):
     r_high = min(enclosure.autonomous_high + slack, 1.0)
     reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
     if not settled:
-        more = (
-            "more cycles give" if done == cycles else f"more than {EFFORT:.0e} samples would give"
-        )
-        reason += f" and were still shrinking: {more} tighter bounds"
+        reason += " and were still shrinking, so that tighter bounds exist"
     if r_high - r_low > VACUOUS:
         reason += (
             f"; but the bounds on utilization, {r_low:.3g} to {r_high:.3g}, exclude next to "
             "nothing: more cells may narrow them, and limit_cycle shows the motion"
         )
     return InvariantBounds(
-        model=tsc,
-        lower=lower,
-        upper=upper,
         guaranteed=True,
         reason=reason,
         cycles=done + 1,
-        r_low=r_low,
-        r_high=r_high,
-        p_r_low=min(manual.p_r_low, autonomous.p_r_low) - slack,
-        p_r_high=max(manual.p_r_high, autonomous.p_r_high) + slack,
-        tsc_low=min(manual.tsc_low, lower - autonomous.overshoot) - slack,
-        tsc_high=max(autonomous.tsc_high, upper + manual.overshoot) + slack,
-        dwell_manual_low=manual.dwell_low,
-        dwell_manual_high=manual.dwell_high,
-        dwell_autonomous_low=autonomous.dwell_low,
-        dwell_autonomous_high=autonomous.dwell_high,
-    )
-
-
-def _trivial(tsc: TscModel, lower: float, upper: float, reason: str) -> InvariantBounds:
-    """Return the bounds that hold where phases are not known to end."""
-    return InvariantBounds(
-        model=tsc,
-        lower=lower,
-        upper=upper,
-        guaranteed=False,
-        reason=reason,
-        cycles=0,
-        r_low=0.0,
-        r_high=1.0,
-        p_r_low=tsc.robot.p_min,
-        p_r_high=float(tsc.robot.steady_state(1.0, tsc.human.p_max)),
-        tsc_low=-math.inf,
-        tsc_high=math.inf,
-        dwell_manual_low=1.0,
-        dwell_manual_high=math.inf,
-        dwell_autonomous_low=1.0,
-        dwell_autonomous_high=math.inf,
+        **pair,
+        **ends(
+            r=(r_low, r_high),
+            p_r=(
+                min(manual.p_r_low, autonomous.p_r_low) - slack,
+                max(manual.p_r_high, autonomous.p_r_high) + slack,
+            ),
+            tsc=(
+                min(manual.tsc_low, lower - autonomous.overshoot) - slack,
+                max(autonomous.tsc_high, upper + manual.overshoot) + slack,
+            ),
+            dwell_manual=(manual.dwell_low, manual.dwell_high),
+            dwell_autonomous=(autonomous.dwell_low, autonomous.dwell_high),
+        ),
     )

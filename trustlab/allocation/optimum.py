@@ -25,7 +25,7 @@ from trustlab.allocation.steady import (
 )
 from trustlab.models.checks import between, not_negative, of_class, open_unit, positive
 from trustlab.models.compiled import njit
-from trustlab.models.display import as_html
+from trustlab.models.display import Result
 from trustlab.models.tsc import HumanModel, TscModel, human_at
 
 # Utilizations at which the certificate is evaluated.
@@ -42,8 +42,8 @@ SCREENING = 1e5
 FOLLOWED = 25
 
 
-@dataclass(frozen=True, eq=False)
-class OptimalAllocation:
+@dataclass(frozen=True, eq=False, repr=False)
+class OptimalAllocation(Result):
     """
     The best pattern of switching, and how far any rule could exceed it.
 
@@ -71,6 +71,8 @@ class OptimalAllocation:
         Weight of robot performance.
     """
 
+    title = "Optimal allocation"
+
     value: float
     upper_bound: float
     r_star: float
@@ -87,6 +89,15 @@ class OptimalAllocation:
     def gap(self) -> float:
         """How far any rule could exceed the pattern, in points."""
         return self.upper_bound - self.value
+
+    @property
+    def message(self) -> str:
+        """The pattern, and what no rule exceeds."""
+        manual, autonomous = self.pattern
+        return (
+            f"{manual} samples manual and {autonomous} autonomous in turn earn {self.value:.2f} "
+            f"points; no rule exceeds {self.upper_bound:.2f}"
+        )
 
     def table(self) -> pd.DataFrame:
         """
@@ -108,17 +119,6 @@ class OptimalAllocation:
         }
         table = pd.DataFrame.from_dict(rows, orient="index", columns=["value"])
         return table.rename_axis("quantity")
-
-    def __repr__(self) -> str:
-        return (
-            f"OptimalAllocation(value={self.value:.2f}, upper_bound={self.upper_bound:.2f}, "
-            f"r_star={self.r_star:.3f}, pattern={self.pattern})"
-        )
-
-    def _repr_html_(self) -> str:
-        manual, autonomous = self.pattern
-        words = f"{manual} samples manual and {autonomous} autonomous in turn"
-        return as_html(words, self.table(), title="Optimal allocation")
 
 
 def optimal_allocation(
@@ -176,19 +176,18 @@ def optimal_allocation(
     least = max(1, round(between("min_dwell/sample_time", dwell, 0.0, MOST_SAMPLES)))
     limit = 1.0 if max_mean_r is None else open_unit("max_mean_r", max_mean_r)
     upper_bound, r_star = certificate(tsc, weight, limit)
-    pattern = _best_pattern(tsc, weight, least, limit)
-    manual, autonomous = pattern
-    value, mean_r, mean_p_r, low = _earned(tsc, weight, manual, autonomous)
+    manual, autonomous = _best_pattern(tsc, weight, least, limit)
+    value, driven, low = earn(tsc.constants(), manual, autonomous, *_scales(tsc, weight))
     thresholds, threshold_value = _best_thresholds(tsc, weight, least, limit)
     return OptimalAllocation(
-        value=value,
+        value=float(value),
         upper_bound=upper_bound,
         r_star=r_star,
-        pattern=pattern,
-        r_low=low,
-        r_high=1.0 - (1.0 - low) * tsc.human.a**manual,
-        mean_r=mean_r,
-        mean_p_r=mean_p_r,
+        pattern=(manual, autonomous),
+        r_low=float(low),
+        r_high=float(1.0 - (1.0 - low) * tsc.human.a**manual),
+        mean_r=manual / (manual + autonomous),
+        mean_p_r=float(tsc.robot.p_min + tsc.robot.b / (1.0 - tsc.robot.a) * driven),
         thresholds=thresholds,
         threshold_value=threshold_value,
         weight=weight,
@@ -354,38 +353,21 @@ def _all_between(dwells: np.ndarray) -> np.ndarray:
     return np.unique(np.round(np.geomspace(low, high, min(high - low + 1, 300))).astype(int))
 
 
-def _earned(
-    tsc: TscModel, weight: float, manual: int, autonomous: int
-) -> tuple[float, float, float, float]:
-    """Return points, mean r, mean P_r and the least r of a pattern."""
-    scales = _scales(tsc, weight)
-    value, driven, begin = earn(tsc.constants(), manual, autonomous, *scales)
-    mean_p_r = tsc.robot.p_min + tsc.robot.b / (1.0 - tsc.robot.a) * driven
-    return float(value), manual / (manual + autonomous), float(mean_p_r), float(begin)
-
-
 def _best_thresholds(
     tsc: TscModel, weight: float, least: int, limit: float
 ) -> tuple[tuple[float, float] | None, float]:
     """Return the best pair of thresholds on TSC that keeps dwell time and mean r."""
     limits = threshold_limits(tsc, 0.0)
-    low = min(limits.lower, limits.upper)
-    high = max(limits.lower, limits.upper)
-    span = max(high - low, 1e-6)
-    pairs = grid_of_pairs(low + 0.01 * span, high - 0.01 * span, 40)
+    low, high = sorted([limits.lower, limits.upper])
+    margin = 0.01 * max(high - low, 1e-6)
+    pairs = grid_of_pairs(low + margin, high - margin, 40)
     coarsely = points(survey([tsc], pairs, SCREENING), [tsc], weight)[0]
-    chosen = np.argsort(-np.nan_to_num(coarsely, nan=-np.inf), kind="stable")
-    best: tuple[tuple[float, float] | None, float] = (None, float("nan"))
-    followed = 0
-    for k in chosen:
+    followed = []
+    for k in np.argsort(-np.nan_to_num(coarsely, nan=-np.inf), kind="stable"):
         motion = survey([tsc], pairs[k : k + 1])
-        rows = motion[0, 0]
-        if not (rows[AUTONOMOUS:, LOW].min() >= least and rows[R, MEAN] <= limit):
-            continue
-        value = float(points(motion, [tsc], weight).item())
-        if best[0] is None or value > best[1]:
-            best = ((float(pairs[k, 0]), float(pairs[k, 1])), value)
-        followed += 1
-        if followed == FOLLOWED:
+        if motion[0, 0, AUTONOMOUS:, LOW].min() >= least and motion[0, 0, R, MEAN] <= limit:
+            followed.append((float(points(motion, [tsc], weight).item()), tuple(pairs[k].tolist())))
+        if len(followed) == FOLLOWED:
             break
-    return best
+    value, best = max(followed, key=lambda each: each[0], default=(np.nan, None))
+    return best, value
