@@ -9,7 +9,6 @@ import casadi
 import numpy as np
 import pytest
 
-import trustlab as tl
 from tests.allocation import cases
 from tests.allocation.cases import PILOT, SECOND, TARGET
 
@@ -60,7 +59,7 @@ def test_a_rate_penalty_for_one_step_is_the_minimum_of_a_parabola():
     assert (plan.c_l, plan.c_u) == pytest.approx((expected, expected), rel=1e-4)
     base = sum((off + c) ** 2 for c in (plan.c_l, plan.c_u))
     assert plan.cost == pytest.approx(base + weight * (plan.c_l**2 + plan.c_u**2), rel=1e-6)
-    assert plan.message.startswith("A local optimum")
+    assert "not proved optimal" in plan.message
 
 
 def test_a_cost_may_use_the_step_and_functions_of_matrices():
@@ -98,26 +97,6 @@ def test_own_incentives_bound_the_corrections():
     np.testing.assert_allclose(table["c_u"], 0.2 * C_B * (1.0 - table["r"]), rtol=1e-6)
 
 
-def test_the_smoothed_switch_becomes_the_hard_one():
-    """
-    m(k) of the documented recursion, run outside the engine, against (2.8) as the width goes to 0.
-    """
-    run = tl.simulate_allocation(PILOT, 0.02, 0.45, 4000, r0=0.5)
-    apart = []
-    for width in (1e-3, 1e-5, 1e-7):
-        m, memory = [], 1.0
-        for value in run["tsc"]:
-            up, down = (
-                1.0 / (1.0 + np.exp(np.clip(-y / width, -700, 700)))
-                for y in (value - 0.45, 0.02 - value)
-            )
-            memory = (1.0 - up) * (down + (1.0 - down) * memory)
-            m.append(memory)
-        apart.append(np.abs(np.array(m) - run["mode"]).mean())
-    assert apart[0] > apart[1] > apart[2]
-    assert apart[2] < 1e-3
-
-
 def test_a_state_from_which_a_step_never_returned_is_solved_or_held_in_time():
     ours = engine(
         60,
@@ -153,7 +132,6 @@ def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
     state = (0.5, 0.315, TARGET[0] + 1e-4, TARGET[1] + 1e-4, 1)
     plan = ours.step(*state)
     assert plan.cost == clipped(12).step(*state).cost
-    assert "costs more under the hard switch" in plan.message
 
 
 def test_at_rest_and_at_full_load_the_plan_is_finite():

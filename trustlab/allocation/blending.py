@@ -52,11 +52,6 @@ def best_share(weights, states, low, high, series, slope):
     cost = _chebyshev(series, 2.0 * high - 1.0)
     if cost < least:
         best, least = high, cost
-    varying = 0.0
-    for m in range(1, terms):
-        varying += abs(slope[m])
-    if abs(slope[0]) > varying:  # |T_m| ≤ 1: the derivative keeps its sign, and an end is best
-        return best, least
     count = 4 * terms
     left = low
     at_left = _chebyshev(slope, 2.0 * left - 1.0)

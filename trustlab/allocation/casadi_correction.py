@@ -23,8 +23,10 @@ from trustlab.models.tsc import TscModel, next_performance, next_utilization, ts
 STEEP = 1e-9
 
 UNSOLVED = "The thresholds are held, as the solver found no plan: {reason}."
-SOLVED = "A local optimum of the user's cost; not proved optimal."
-KEPT = "The solver's plan costs more under the hard switch than the plan that it began from: kept."
+SOLVED = (
+    "The cheapest, under the hard switch, of the solver's local optimum, the clipped plan and "
+    "holding; not proved optimal."
+)
 
 
 class CorrectionProgram:
@@ -167,22 +169,18 @@ class CorrectionProgram:
             Mode before now.
         """
         began = perf_counter()
-        clipped = self._judged(corrector, state, mode, np.full((2, self.horizon), np.nan))
-        held = self._judged(corrector, state, mode, np.zeros((2, self.horizon)))
-        best = min(clipped, held, key=lambda plan: plan[0])
-        corrections, reason = self._solved(state, mode, best[1])
+        simple = np.full((2, self.horizon), np.nan), np.zeros((2, self.horizon))
+        plans = [self._judged(corrector, state, mode, each) for each in simple]
+        cost, path = min(plans, key=lambda plan: plan[0])
+        corrections, reason = self._solved(state, mode, path)
         if perf_counter() - began > self.limit:
             reason = f"it takes longer than limit = {self.limit:g} s"
-        if not np.isfinite(best[0]):
+        if not np.isfinite(cost):
             reason = "no plan has a finite cost"
         if reason:
-            return np.nan, best[1], UNSOLVED.format(reason=reason)
-        solution = self._judged(corrector, state, mode, corrections)
-        if solution[0] <= best[0]:
-            return *solution, SOLVED
-        # The solver comes near an optimum, which the clipped plan may be exactly.
-        near = solution[0] <= best[0] + 1e-6 * abs(best[0])
-        return *best, SOLVED if near else KEPT
+            return np.nan, path, UNSOLVED.format(reason=reason)
+        plans.append(self._judged(corrector, state, mode, corrections))
+        return *min(plans, key=lambda plan: plan[0]), SOLVED
 
     def _judged(
         self, corrector: Any, state: np.ndarray, mode: int, corrections: np.ndarray

@@ -47,19 +47,6 @@ class PhaseImage(NamedTuple):
     tsc_high: float
 
 
-class Enclosure(NamedTuple):
-    """Bounds of a cycle: utilization and overshoot as phases begin, and images of both phases."""
-
-    # −1 or −2: a manual or an autonomous phase may never end; else how many cycles were followed
-    code: int
-    low: float
-    high: float
-    over: float
-    manual: PhaseImage
-    autonomous_high: float
-    autonomous: PhaseImage
-
-
 NO_IMAGE = PhaseImage(np.inf, -np.inf, 0.0, np.inf, 0.0, np.inf, -np.inf, np.inf, -np.inf)
 
 
@@ -216,20 +203,35 @@ def enclose(low, high, over, lower, upper, c, cells, most):
     """
     Propagate r in [low, high], as a manual phase begins, through one cycle.
 
-    TSC begins within `over` below TSC_l.
+    TSC begins within `over` below TSC_l. Returns whether all phases end within `most` samples, the
+    images of both phases, and the greatest r as the autonomous one begins.
     """
     first_phase = (
         cells > 0
     )  # no literals True and False: numba would compile `phase_image` once for each
     ends, manual = phase_image(first_phase, low, high, lower, over, upper, c, cells, most)
     if not ends:
-        return Enclosure(-1, low, high, over, NO_IMAGE, 1.0, NO_IMAGE)
+        return False, NO_IMAGE, NO_IMAGE, 1.0
     first = max(manual.r_low - ROUNDING, 0.0)
     last = min(manual.r_high + ROUNDING, 1.0)
     ends, autonomous = phase_image(
         not first_phase, first, last, upper, manual.overshoot, lower, c, cells, most
     )
-    return Enclosure(1 if ends else -2, low, high, over, manual, last, autonomous)
+    return ends, manual, autonomous, last
+
+
+class Nested(NamedTuple):
+    """
+    Bounds of a cycle: utilizations as manual and as autonomous phases begin, and the images of
+    both; after how many cycles, and whether they had settled.
+    """
+
+    low: float
+    high: float
+    manual: PhaseImage
+    autonomous: PhaseImage
+    cycles: int
+    settled: bool
 
 
 def nest(lower, upper, c, cells, cycles, most):
@@ -238,8 +240,8 @@ def nest(lower, upper, c, cells, cycles, most):
 
     What encloses every trajectory after k cycles encloses it after k + 1 as well as its image does:
     the intersection. Intervals are cut into COARSE cells at first, and into twice as many, up to
-    `cells`, whenever a cycle has shrunk them by less than SHRINK. Returns the enclosure, and
-    whether it had settled when the cycles or EFFORT ran out.
+    `cells`, whenever a cycle has shrunk them by less than SHRINK, until they have settled, or the
+    cycles or EFFORT run out. Returns `Nested`, or None where a phase was not shown to end.
     """
     low = 0.0
     high = 1.0
@@ -248,28 +250,25 @@ def nest(lower, upper, c, cells, cycles, most):
     effort = EFFORT
     settled = False
     done = 0
-    for _ in range(cycles):
-        cycle = enclose(low, high, over, lower, upper, c, count, most)
-        if cycle.code < 0:
-            return cycle, False
-        after = cycle.autonomous
-        next_low = max(low, after.r_low - ROUNDING)
-        next_high = min(high, after.r_high + ROUNDING)
+    while True:
+        ends, manual, autonomous, last = enclose(low, high, over, lower, upper, c, count, most)
+        if not ends:
+            return None
+        samples = manual.dwell_high + autonomous.dwell_high
+        # The image of the last utilizations is what is reported.
+        if done == cycles or settled or (done > 0 and effort < count * samples):
+            return Nested(low, last, manual, autonomous, done, settled)
+        next_low = max(low, autonomous.r_low - ROUNDING)
+        next_high = min(high, autonomous.r_high + ROUNDING)
         shrunk = 1.0 - (next_high - next_low) / (high - low)
         low = next_low
         high = next_high
-        over = min(over, after.overshoot)
-        samples = cycle.manual.dwell_high + after.dwell_high
+        over = min(over, autonomous.overshoot)
         effort -= count * samples
         done += 1
         settled = shrunk <= SETTLED and count == cells and done > 1
         if shrunk <= SHRINK:
             count = min(2 * count, cells)
-        if settled or effort < count * samples:
-            break
-    # Once more, so that all that is reported belongs to the last utilizations.
-    cycle = enclose(low, high, over, lower, upper, c, count, most)
-    return cycle._replace(code=done) if cycle.code > 0 else cycle, settled
 
 
 # --- for a user ----------------------------------------------------------------------------------
@@ -355,12 +354,10 @@ def invariant_bounds(
     if not reason:
         coarse = min(COARSE, cells)
         most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
-        enclosure, settled = nest(lower, upper, c, cells, cycles, most)
-        done, manual, autonomous = enclosure.code, enclosure.manual, enclosure.autonomous
-        if done < 0:
-            phase = "a manual" if done == -1 else "an autonomous"
+        nested = nest(lower, upper, c, cells, cycles, most)
+        if nested is None:
             reason = (
-                f"{phase} phase from some utilization was not shown to end within {most} samples; "
+                f"a phase from some utilization was not shown to end within {most} samples; "
                 f"cells= below {coarse} allow longer phases"
             )
     if reason:
@@ -377,13 +374,14 @@ def invariant_bounds(
                 dwell_autonomous=(1.0, np.inf),
             ),
         )
+    low, high, manual, autonomous, done, settled = nested
     # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per
     # sample is far more than that.
     slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
     # r falls in autonomous phases and rises in manual ones, so that its extremes are where these
     # begin.
-    r_low = max(enclosure.low - slack, 0.0)
-    r_high = min(enclosure.autonomous_high + slack, 1.0)
+    r_low = max(low - slack, 0.0)
+    r_high = min(high + slack, 1.0)
     reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
     if not settled:
         reason += " and were still shrinking, so that tighter bounds exist"

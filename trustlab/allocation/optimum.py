@@ -292,23 +292,14 @@ def earn(c, manual, autonomous, of_robot, of_human):
     return value, driven / samples, begin
 
 
-@njit
-def best_of(c, patterns, of_robot, of_human):
-    """Return the best of patterns, shape (N, 2)."""
-    best = -np.inf
-    chosen = 0
-    for k in range(len(patterns)):
-        value = earn(c, patterns[k, 0], patterns[k, 1], of_robot, of_human)[0]
-        if value > best:
-            best = value
-            chosen = k
-    return patterns[chosen]
-
-
 def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tuple[int, int]:
     """Return samples of manual and autonomous control: first coarsely, then to the sample."""
-    c = tsc.constants()
-    scales = _scales(tsc, weight)
+    c, scales = tsc.constants(), _scales(tsc, weight)
+
+    def best_of(manual: np.ndarray, autonomous: np.ndarray) -> np.ndarray:
+        patterns = _patterns(manual, autonomous, least, longest, limit)
+        return max(patterns, key=lambda pattern: earn(c, *pattern, *scales)[0])
+
     longest = 1000.0
     if least > 1:
         rest = LONGEST / (1.0 - tsc.human.a)
@@ -316,12 +307,11 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
     if limit < 1.0:  # whatever keeps the limit with the shortest phases
         longest = max(longest, least * (1.0 - limit) / limit, least * limit / (1.0 - limit)) + 1
     coarse = np.unique(np.round(np.geomspace(least, longest, 36)).astype(int))
-    best = best_of(c, _patterns(coarse, coarse, least, longest, limit), *scales)
+    best = best_of(coarse, coarse)
     reach = max(4, int(0.1 * best.max()))
     while reach > 0:
         offsets = np.unique(np.round(np.linspace(-reach, reach, 11)).astype(int))
-        manual, autonomous = (n + offsets for n in best)
-        best = best_of(c, _patterns(manual, autonomous, least, longest, limit), *scales)
+        best = best_of(best[0] + offsets, best[1] + offsets)
         reach //= 3
     return int(best[0]), int(best[1])
 
@@ -335,16 +325,15 @@ def _patterns(
 
     By (2.5) mean r is the share of manual samples.
     """
-    first, second = (each.ravel() for each in np.meshgrid(manual, autonomous))
+    pairs = np.array(np.meshgrid(manual, autonomous)).reshape(2, -1)
     if limit < 1.0:
         odds = limit / (1.0 - limit) * (1.0 + 1e-12)
         drive, rest = _all_between(manual), _all_between(autonomous)
-        first = np.r_[first, drive, np.floor(odds * rest).astype(int)]
-        second = np.r_[second, np.ceil(drive / odds).astype(int), rest]
-        kept = first <= odds * second
-        first, second = first[kept], second[kept]
-    able = (np.minimum(first, second) >= least) & (np.maximum(first, second) <= longest)
-    return np.unique(np.column_stack([first, second])[able], axis=0)
+        just = [drive, np.ceil(drive / odds)], [np.floor(odds * rest), rest]
+        pairs = np.hstack([pairs, *just]).astype(int)
+        pairs = pairs[:, pairs[0] <= odds * pairs[1]]
+    able = (pairs.min(axis=0) >= least) & (pairs.max(axis=0) <= longest)
+    return np.unique(pairs.T[able], axis=0)
 
 
 def _all_between(dwells: np.ndarray) -> np.ndarray:

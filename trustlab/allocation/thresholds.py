@@ -142,26 +142,21 @@ class ThresholdChoice(Result):
 
     def plot(self):
         """
-        Plot probability and mean performance of every pair, and the choice.
+        Plot probability and mean performance of every pair, and the choice, a star.
 
         Returns
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (2,)
         """
         axes = axes_or_new(columns=2, sharey=True, figsize=(7.8, 3.8))
-        panels = {
-            "p_encloses": "probability of switching around β",
-            "mean_p_r": "mean robot performance",
-        }
-        for axis, (name, title) in zip(axes, panels.items(), strict=True):
-            ends = (0.0, 1.0) if name == "p_encloses" else (None, None)
+        for axis, name, title, ends in (
+            (axes[0], "p_encloses", "probability of switching around β", (0.0, 1.0)),
+            (axes[1], "mean_p_r", "mean robot performance", (None, None)),
+        ):
             style = {"s": 14, "marker": "s", "vmin": ends[0], "vmax": ends[1]}
             shown = axis.scatter("lower", "upper", c=name, data=self.candidates, **style)
             axis.figure.colorbar(shown, ax=axis)
             axis.plot(self.lower, self.upper, "*", ms=14, color="C1", mec="k")
-            words = "choice" if self.offered else "nearest"
-            place = {"xytext": (0, 9), "textcoords": "offset points", "ha": "center"}
-            axis.annotate(words, (self.lower, self.upper), **place)
             axis.set(xlabel="lower threshold $TSC_l$", title=title)
             axis.margins(0.08)
         axes[0].set_ylabel("upper threshold $TSC_u$")
@@ -265,8 +260,8 @@ def choose_thresholds(
         message = f"No thresholds: {reason}"
         values = np.nan, np.nan, np.nan, False, message, reason, limits, nothing
         choice = ThresholdChoice(*values, tsc=source)
+    doubt = ""
     if isinstance(tsc, FitResult):
-        doubt = ""
         if not tsc.success:
             doubt = (
                 f"The fit has success = False: {tsc.message} With posterior = "
@@ -274,7 +269,7 @@ def choose_thresholds(
                 "thresholds with a probability, or says what to record. "
             )
         choice = replace(choice, probability=np.nan, message=doubt + choice.message)
-    if choice.reason or choice.message.startswith("The fit"):
+    if choice.reason or doubt:
         warn(choice.message)
     return choice
 
@@ -303,7 +298,9 @@ class _Search:
         self.best = OBJECTIVES.get(str(objective), "greatest weighted performance")
         some = models[:SCREENED]
         motions = survey(some, pairs, EFFORT)
-        self.share = self.holds(motions, some).mean(axis=0)
+        switches = ~np.isnan(motions[:, :, R, LOW])
+        around = encloses_beta(motions, some)
+        self.share = (around if enclose else switches).mean(axis=0)
         beta = np.array([tsc.human.beta for tsc in some])[:, None]
         apart = np.maximum(motions[:, :, R, LOW] - beta, beta - motions[:, :, R, HIGH])
         self.apart = _expected(np.maximum(apart, 0.0))
@@ -312,9 +309,9 @@ class _Search:
         if objective != "peak":
             weight = 1.0 if objective == "mean" else float(objective)
             value = _expected(points_of(motions, some, weight))
-        shares = (~np.isnan(motions[:, :, R, LOW])).mean(axis=0), encloses_beta(motions, some)
-        means = _expected(motions[:, :, R, MEAN]), peak, _expected(motions[:, :, P_R, MEAN]), value
-        columns = (*pairs.T, shares[0], shares[1].mean(axis=0), *means)
+        shares = [each.mean(axis=0) for each in (switches, around)]
+        means = [_expected(motions[:, :, row, MEAN]) for row in (R, P_R)]
+        columns = *pairs.T, *shares, means[0], peak, means[1], value
         self.table = pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
 
     @property
@@ -354,17 +351,18 @@ class _Search:
         else:
             low, high = self.pairs.min(), self.pairs.max()
             reason = f"no pair between {low:.3f} and {high:.3f} {self.condition}"
+            beta = self.models[0].human.beta
             if isinstance(tsc, Posterior):
                 reason += (
                     f" with probability {self.asked:g}; the nearest does with {probability:.2f}. "
                     + self._what_would_help(tsc)
                 )
-            elif self.enclose and not np.isnan(r_low):
-                beta = self.models[0].human.beta
+            elif self.enclose:
                 reason += (
                     f" = {beta:.3g}; under the nearest utilization stays within {r_low:.3f} to "
-                    f"{r_high:.3f}. A smaller margin may come nearer, and a wider range of robot "
-                    "performance moves the limits apart; enclose_beta=False asks for switching only"
+                    f"{r_high:.3f}. A smaller margin may come nearer, a wider range of robot "
+                    "performance moves the limits apart, and enclose_beta=False asks for "
+                    "switching only."
                 )
             message = f"No thresholds: {reason}"
         encloses = bool(around.mean() >= self.asked)
