@@ -320,7 +320,7 @@ def built():
         *posterior(),
         ordinal(),
         tl.steady_state_bounds(MODEL, choice.lower, choice.upper),
-        CorrectionRun(steps, (0.1, 0.2), (0.2, 0.3), NAME, NAME),
+        CorrectionRun(steps, (0.1, 0.2), (0.2, 0.3), NAME),
         dataclasses.replace(data, left_out=dict.fromkeys(data.table().index, NAME)),
         flight,
         *late(),

@@ -367,7 +367,7 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
     limits = threshold_limits(tsc, None)
     if limits.contains(lower, upper):
         return lower, upper
-    where = f"target ({lower:g}, {upper:g}) lies outside the limits of Theorem 1, {limits}"
+    where = f"target ({lower:g}, {upper:g}) lies outside the limits of Theorem 1, {limits.message}"
     cycle = limit_cycle(tsc, lower, upper)
     if not cycle.always:
         raise ValueError(

@@ -41,16 +41,6 @@ NEAREST = (
     "as requested. Identify the model anew if this happens often."
 )
 
-# Columns of the data, with their order.
-COLUMNS = [
-    *["test", "t", "r", "p_r", "p_h", "tsc", "mode", "suggestion"],
-    *["lower", "upper", "c_l", "c_u"],
-    *["cost", "cost_lower_bound", "status", "message", "latency"],
-]
-
-HABITS = ("following", "lagging", "ignoring")
-SOURCE = "simulated, model of (2.1)-(2.6)"
-
 
 # --- sample by sample -----------------------------------------------------------------------------
 
@@ -231,14 +221,12 @@ class CorrectionRun(Result):
     Parameters
     ----------
     data : pandas.DataFrame
-        One row per sample: test, t [s] from the start of its test, then r, p_r, p_h, tsc, mode,
-        suggestion, lower, upper, c_l, c_u, cost, cost_lower_bound, status, message, latency [s].
+        One row per sample: what `OnlineStep` has but for `sample`, then test, t [s] from the start
+        of its test, p_r, p_h and mode.
     start, target : (float, float)
         TSC_l and TSC_u at the beginning, and their targets.
     operator : str
         How the operator responds to suggestions.
-    source : str
-        Where the data come from.
     """
 
     title = "Correction run"
@@ -247,13 +235,12 @@ class CorrectionRun(Result):
     start: tuple[float, float]
     target: tuple[float, float]
     operator: str
-    source: str = SOURCE
 
     @property
     def message(self) -> str:
-        """How many tests, of which operator, and where the data come from."""
+        """How many tests, of which operator, and that they are simulated."""
         tests = self.data["test"].nunique()
-        return f"{tests} tests, operator {self.operator}; {self.source}"
+        return f"{tests} tests, operator {self.operator}; simulated, model of (2.1)-(2.6)"
 
     def table(self) -> pd.DataFrame:
         """
@@ -367,7 +354,7 @@ def run_correction(
     """
     of_class("corrector", corrector, ThresholdCorrector)
     start = threshold_pair("start", start)
-    one_of("habit", habit, HABITS)
+    one_of("habit", habit, ("following", "lagging", "ignoring"))
     tests = whole_number("tests", tests, most=1000)
     sample_time = positive("sample_time", sample_time)
     share = between("duration/sample_time", positive("duration", duration) / sample_time, 1.0, 1e7)
@@ -378,12 +365,12 @@ def run_correction(
     for number in range(1, tests + 1):
         online = OnlineCorrection(corrector, thresholds)
         decide = _deciding(online, habit, start, wait)
-        data = run_model(tsc, samples, (0.0, tsc.robot.p_min, 1), decide=decide)
+        run = run_model(tsc, samples, (0.0, tsc.robot.p_min, 1), decide=decide)
         clock = {"test": number, "t": np.arange(samples) * sample_time}
-        parts.append(online.table().assign(**clock, **data[["p_r", "p_h", "mode"]]))
+        parts.append(online.table().assign(**clock, **run[["p_r", "p_h", "mode"]]))
         thresholds = online.lower, online.upper
-    frame = pd.concat(parts, ignore_index=True)[COLUMNS]
-    return CorrectionRun(frame, start, corrector.target, habit)
+    data = pd.concat(parts, ignore_index=True).drop(columns="sample")
+    return CorrectionRun(data, start, corrector.target, habit)
 
 
 def _deciding(online: OnlineCorrection, habit: str, start: tuple[float, float], wait: float) -> Any:

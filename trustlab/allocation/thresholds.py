@@ -84,6 +84,8 @@ class ThresholdChoice(Result):
         What they were chosen for; of a fit its model.
     """
 
+    title = "Thresholds"
+
     lower: float
     upper: float
     probability: float
@@ -110,11 +112,6 @@ class ThresholdChoice(Result):
     def bounds(self) -> InvariantBounds:
         """Bounds for every trajectory of a model under the thresholds: `invariant_bounds`."""
         return invariant_bounds(self.tsc, self.lower, self.upper)
-
-    @property
-    def title(self) -> str:
-        """Whether thresholds are offered."""
-        return "Thresholds" if self.offered else "No thresholds offered"
 
     def table(self) -> pd.DataFrame:
         """
