@@ -102,16 +102,6 @@ def test_a_rule_that_stops_switching_is_an_answer(operators):
     assert np.isnan(stays.table().loc["r", "low"])
 
 
-def test_utilization_that_saturates_has_a_cycle_too():
-    model = tl.TscModel(
-        tl.RobotModel(0.999, 0.24, 0.39, 0.4602), tl.HumanModel(0.5, 0.5, 0.391, 0.4602)
-    )
-    cycle = limit_cycle(model, -0.4, 0.4)
-    assert cycle.exists
-    assert cycle.always
-    assert (cycle.r_low, cycle.r_high) == pytest.approx((0.0, 1.0), abs=1e-12)
-
-
 def test_the_plot_shows_rule_run_and_cycle(operators):
     axes = limit_cycle(operators["2"], 0.0, 0.35).plot()
     lower, upper, _, cycle = axes.lines

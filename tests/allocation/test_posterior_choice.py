@@ -143,6 +143,9 @@ def test_objectives_of_a_model(operators):
     assert choices["mean"].cycle.mean_p_r > choices["peak"].cycle.mean_p_r
     assert choices["peak"].cycle.p_r_high > choices["mean"].cycle.p_r_high
     assert choices["mean"].cycle.mean_p_r == choices[1.0].cycle.mean_p_r  # one question
+    robot, table = operators["2"].robot, choices[1.0].candidates
+    points = tl.relative_performance(table["mean_p_r"][:1], robot.p_min, robot.p_max)
+    assert table["objective"][0] == pytest.approx(points)
     for wrong in ("best", 1.5, None):
         with pytest.raises(ValueError, match="objective"):
             tl.choose_thresholds(operators["2"], objective=wrong)
