@@ -123,8 +123,8 @@ def test_a_rule_that_switches_at_every_sample(operators):
 
 def test_what_cannot_be_used_is_named(operators):
     for rule, says in (
-        (3, r"rule must be an object with a method step.*got 3"),
-        (Copied, r"rule must be an object"),
+        (3, r"rule must have a method step.*got 3"),
+        (Copied, r"as objects of .* have; got <class"),
         (Says(2), "from 0 to 1, got 2"),
         (Copied(0.0, 0.4, mode=-1), r"rule\.mode must be"),
     ):

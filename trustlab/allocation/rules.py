@@ -163,9 +163,9 @@ def prepared_rule(rule: object, mode: int | None) -> tuple[Any, int]:
     """
     if isinstance(rule, type) or not callable(getattr(rule, "step", None)):
         raise ValueError(
-            "rule must be an object with a method step(tsc=…, p_r=…) that returns 1 (manual), 0 "
-            "(autonomous) or None (keep the mode), as those of ThresholdRule and PerformanceRule; "
-            f"got {shown(rule)}"
+            "rule must have a method step(tsc=…, p_r=…) that returns 1 (manual), 0 (autonomous) or "
+            "None (keep the mode), as objects of ThresholdRule and PerformanceRule have; got "
+            f"{shown(rule)}"
         )
     rule = deepcopy(rule)
     own = whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
