@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import (
+    finite_array,
     finite_number,
-    finite_numbers,
     in_order,
     of_class,
     positive,
@@ -243,7 +243,7 @@ def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) ->
     75.0
     """
     low, high = in_order("p_min", p_min, "p_max", p_max)
-    values = finite_numbers("p_r", p_r)
+    values = np.array([finite_number("p_r", p_r)]) if np.isscalar(p_r) else finite_array("p_r", p_r)
     return 100.0 * (float(values.mean()) - low) / (high - low)
 
 

@@ -292,13 +292,22 @@ def earn(c, manual, autonomous, of_robot, of_human):
     return value, driven / samples, begin
 
 
+@njit
+def earned(c, patterns, of_robot, of_human):
+    """Return the points of patterns, shape (N, 2)."""
+    points = np.empty(len(patterns))
+    for k in range(len(patterns)):
+        points[k] = earn(c, patterns[k, 0], patterns[k, 1], of_robot, of_human)[0]
+    return points
+
+
 def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tuple[int, int]:
     """Return samples of manual and autonomous control: first coarsely, then to the sample."""
     c, scales = tsc.constants(), _scales(tsc, weight)
 
     def best_of(manual: np.ndarray, autonomous: np.ndarray) -> np.ndarray:
         patterns = _patterns(manual, autonomous, least, longest, limit)
-        return max(patterns, key=lambda pattern: earn(c, *pattern, *scales)[0])
+        return patterns[earned(c, patterns, *scales).argmax()]
 
     longest = 1000.0
     if least > 1:
