@@ -133,7 +133,7 @@ def cost_of(inputs: np.ndarray, state: tuple) -> float:
     # C = c_b (w − s) needs s, which needs the modes, which need c: the same after as many rounds as
     # switches.
     for _ in range(8):
-        cost, _, _, path = judge.followed(np.array(start), mode, actions)
+        cost, _, path = judge.followed(np.array(start), mode, actions)
         share = 0.5 * (path[0] + (path[1] - robot.p_min) / (robot.p_max - robot.p_min))[:-1]
         actions = (C_B * (inputs - share))[::-1]
     return cost

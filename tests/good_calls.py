@@ -41,12 +41,6 @@ CHEAPER = {
 
 CALLS = {
     # Names of rooms.
-    "allocation.separation": lambda: {
-        "lower_mean": 0.0,
-        "lower_sd": 0.1,
-        "upper_mean": 0.4,
-        "upper_sd": 0.1,
-    },
     "allocation.step_bounds": lambda: {"tsc": cases.model()},
     "models.StepScaling": lambda: {"low": 0.2, "high": 0.8},
     "operators.operator": lambda: {"participant": 1, "model": cases.model()},
@@ -118,14 +112,6 @@ CALLS = {
     },
     "HumanModel.performance": lambda: {"r": 0.5},
     "HumanModel.simulate": lambda: {"mode": np.array([1.0, 0.0, 1.0])},
-    "OptimalBlending.cost": lambda: {
-        "alpha": 0.5,
-        "u_h": [0.1, 0.0, 0.0],
-        "u_a": [0.3, 0.0, 0.0],
-        "e": [1.0, 0.0, 0.0],
-        "rate": [0.0, 0.0, 0.0],
-        "acceleration": [0.0, 0.0, 0.0],
-    },
     "Panel.event": lambda: {"k": 0},
     "Panel.of": lambda: {"rows": [0, 1]},
     "Panel.with_ratings": lambda: {"ratings": cases.panel().ratings},
@@ -150,7 +136,6 @@ CALLS = {
     "TeamRun.animate": lambda: {"path": "team.gif"},
     "TeleoperationLoop.run": lambda: {"until": 0.5},
     "ThresholdLimits.contains": lambda: dict(THRESHOLDS),
-    "ThresholdRule.move": lambda: dict(THRESHOLDS),
     "TrackingTask.path": lambda: {"t": np.array([0.0, 1.0]), "height": 0.0, "phase": 0.0},
     "TransferFunction.discrete": lambda: {"sample_time": 0.1},
     "TrustModel.decay": lambda: {"sample_time": 0.1},
@@ -183,8 +168,6 @@ NOT_WALKED = {
     "Model.limits": "a part of fit",
     "Model.outputs_of": "a part of fit",
     "Model.useful": "a part of fit",
-    "OnlineCorrection.plot": "needs samples",
-    "OptimalBlending.matrix": "a part of step",
     "Prior.vectors": "a part of sample_posterior",
     "PublishedStudy.from_toml": "needs a file",
     "Teleoperator.numbers": "a part of the loop",

@@ -223,9 +223,6 @@ KNOWN = {
     "StudyReport.write": {
         "path": "foreign errors, no argument named",
     },
-    "CorrectionRun.plot": {
-        "target": "foreign errors",
-    },
     "Posterior.simulated": {
         "most": "foreign errors",
     },
@@ -251,9 +248,6 @@ KNOWN = {
     },
     "VirtualStudy.plot": {
         "measures": "foreign errors, no argument named",
-    },
-    "allocation.ModelTests": {
-        "p_r0": "anything is taken",
     },
     "reproduction.matching_digits": {
         "value": "foreign errors, NaN is taken",

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, strategies as st
+from hypothesis import strategies as st
 
 import trustlab as tl
 from trustlab.allocation import threshold_limits
@@ -35,30 +35,8 @@ def random_model():
     return draw
 
 
-@st.composite
-def feasible_sets(draw_from):
-    """
-    The same sets as `draw`, for hypothesis: a model and thresholds between its limits at δ_Ph = 0.
-    """
-
-    def between(low, high):
-        return draw_from(st.floats(low, high))
-
-    h_min, r_min = between(0.2, 0.5), between(0.1, 0.4)
-    h_max, r_max = h_min * (1.0 + between(0.02, 0.5)), r_min * (1.0 + between(0.1, 1.0))
-    human = tl.HumanModel(1.0 - 10.0 ** between(-3.3, -1.7), between(0.3, 0.95), h_min, h_max)
-    model = tl.TscModel(
-        tl.RobotModel(1.0 - 10.0 ** between(-2.8, -1.3), r_min, r_max, h_max), human
-    )
-    limits = threshold_limits(model, 0.0)
-    span = limits.upper - limits.lower
-    assume(span > 0.05)
-    width = between(0.02, 0.98) * span
-    assume(width > 0.02)
-    lower = limits.lower + between(0.005, 0.995) * (span - width)
-    return model, lower, lower + width
-
-
 @pytest.fixture(scope="session")
 def sets():
-    return feasible_sets()
+    """Sets with slower models, for hypothesis."""
+    seeds = st.integers(0, 2**32 - 1)
+    return seeds.map(lambda seed: draw(np.random.default_rng(seed), quick=False))

@@ -9,7 +9,7 @@ import pytest
 
 from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
 from trustlab.allocation.limits import limits_as_printed
-from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
+from trustlab.models.tsc import TscConstants, performance_weights
 
 
 def gains(v):
@@ -111,14 +111,6 @@ def test_bounds_are_the_equations(parameters, with_gain):
         # more than a handful.
         assert close.mean() > 0.998
     assert (p.p_r_low < p.p_r_high).mean() > 0.9
-
-
-def test_the_gain_is_that_of_2_3(parameters):
-    v = parameters
-    found = gain_of_human_performance(v["a_pr"], v["P_r_min"], v["P_r_max"], v["P_h_max"])
-    np.testing.assert_allclose(
-        found, (1 - v["a_pr"]) * (v["P_r_max"] - v["P_r_min"]) / v["P_h_max"], rtol=1e-14
-    )
 
 
 def test_an_endless_dwell_time_stays_endless(parameters):

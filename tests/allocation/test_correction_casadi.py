@@ -4,35 +4,25 @@ one's own.
 """
 
 import time
-import warnings
 
 import casadi
 import numpy as np
 import pytest
 
-import trustlab as tl
-from trustlab.allocation import TargetWarning, incentive_box
-from trustlab.models.published import published_models
+from tests.allocation import cases
+from tests.allocation.cases import PILOT, SECOND, TARGET
 
-PILOT = published_models()["pilot"]
-TARGET = (0.15, 0.56)
 C_B = 1e-5
 FAR = (0.5, 0.315, 0.02, 0.45, 1)
 NEAR = (0.5, 0.315, TARGET[0] - 1.2e-4, TARGET[1] - 0.9e-4, 1)
 
 
-def engine(horizon=30, c_b=C_B, model=PILOT, target=TARGET, **options):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", TargetWarning)
-        return tl.ThresholdCorrector(
-            model, target, c_b=c_b, horizon=horizon, engine="casadi", **options
-        )
+def engine(horizon=30, c_b=C_B, **options):
+    return cases.corrector(c_b=c_b, horizon=horizon, engine="casadi", **options)
 
 
-def clipped(horizon=30, c_b=C_B):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", TargetWarning)
-        return tl.ThresholdCorrector(PILOT, TARGET, c_b=c_b, horizon=horizon)
+def clipped(horizon=30):
+    return cases.corrector(c_b=C_B, horizon=horizon)
 
 
 @pytest.mark.parametrize("width", [0.0, 1e-3])
@@ -46,7 +36,6 @@ def test_without_a_cost_of_ones_own_it_comes_to_the_clipped_plan(width):
             assert plan.status == "planned", plan.message
             assert plan.cost == pytest.approx(expected.cost, rel=1e-9)
             assert np.isnan(plan.cost_lower_bound)
-            ours.program.reset()
 
 
 def test_the_solver_itself_comes_to_the_clipped_plan():
@@ -70,14 +59,7 @@ def test_a_rate_penalty_for_one_step_is_the_minimum_of_a_parabola():
     assert (plan.c_l, plan.c_u) == pytest.approx((expected, expected), rel=1e-4)
     base = sum((off + c) ** 2 for c in (plan.c_l, plan.c_u))
     assert plan.cost == pytest.approx(base + weight * (plan.c_l**2 + plan.c_u**2), rel=1e-6)
-
-
-def test_a_rate_penalty_trades_cost_for_smaller_corrections():
-    plain = clipped().step(*NEAR).table().iloc[:-1]
-    slow = engine(extra_cost=lambda x, u, k: 30.0 * casadi.sumsqr(u)).step(*NEAR)
-    table = slow.table().iloc[:-1]
-    assert (table[["c_l", "c_u"]] ** 2).sum().sum() < (plain[["c_l", "c_u"]] ** 2).sum().sum()
-    assert slow.message.startswith("A local optimum")
+    assert "not proved optimal" in plan.message
 
 
 def test_a_cost_may_use_the_step_and_functions_of_matrices():
@@ -93,17 +75,18 @@ def test_a_cost_may_use_the_step_and_functions_of_matrices():
 
 def test_a_cost_of_utilization_is_judged_under_the_hard_switch():
     """The smoothed switch only suggests modes; no plan costs more than clipping or holding."""
-    price = {"extra_cost": lambda x, u, k: 0.1 * x[0] ** 2}
-    ours = engine(60, 1e-3, **price)
+    ours = engine(60, 1e-3, extra_cost=lambda x, u, k: 0.1 * x[0] ** 2)
     for p_r in np.linspace(0.33, 0.38, 6):
         state = (0.7, float(p_r), 0.02, 0.45, 1)
+
+        def cost(path):
+            base = ((path[2:4, 1:] - np.array(TARGET)[:, None]) ** 2).sum()
+            return base + 0.1 * (path[0, :-1] ** 2).sum()
+
         plan = ours.step(*state)
-        table = plan.table()
-        base = ((table[["lower", "upper"]].to_numpy() - TARGET) ** 2)[1:].sum()
-        assert plan.cost == pytest.approx(base + 0.1 * (table["r"][:-1] ** 2).sum(), rel=1e-9)
+        assert plan.cost == pytest.approx(cost(plan.path), rel=1e-9)
         for wish in (np.full((2, 60), np.nan), np.zeros((2, 60))):
-            other, _, _, path = ours.followed(np.array(state[:4]), 1, wish)
-            assert plan.cost <= ours.program.cost(other, path) * (1.0 + 1e-12)
+            assert plan.cost <= cost(ours.followed(np.array(state[:4]), 1, wish)[2]) * (1 + 1e-12)
 
 
 def test_own_incentives_bound_the_corrections():
@@ -114,32 +97,11 @@ def test_own_incentives_bound_the_corrections():
     np.testing.assert_allclose(table["c_u"], 0.2 * C_B * (1.0 - table["r"]), rtol=1e-6)
 
 
-def test_the_smoothed_switch_becomes_the_hard_one():
-    """
-    m(k) of the documented recursion, run outside the engine, against (2.8) as the width goes to 0.
-    """
-    run = tl.simulate_allocation(PILOT, 0.02, 0.45, 4000, r0=0.5)
-    tsc, apart = run["tsc"].to_numpy(), []
-    for width in (1e-3, 1e-5, 1e-7):
-        m, memory = [], 1.0
-        for value in tsc:
-            up, down = (
-                1.0 / (1.0 + np.exp(np.clip(-y / width, -700, 700)))
-                for y in (value - 0.45, 0.02 - value)
-            )
-            memory = (1.0 - up) * (down + (1.0 - down) * memory)
-            m.append(memory)
-        apart.append(np.abs(np.array(m) - run["mode"]).mean())
-    assert apart[0] > apart[1] > apart[2]
-    assert apart[2] < 1e-3
-
-
 def test_a_state_from_which_a_step_never_returned_is_solved_or_held_in_time():
-    model = published_models()["2"]
     ours = engine(
         60,
         1e-5 * 50,
-        model=model,
+        model=SECOND,
         target=(0.05, 0.35),
         extra_cost=lambda x, u, k: 0.1 * (x[0] - 0.6) ** 2 + 10.0 * casadi.sumsqr(u),
         limit=2.0,
@@ -150,19 +112,26 @@ def test_a_state_from_which_a_step_never_returned_is_solved_or_held_in_time():
     assert plan.status in ("planned", "held")
 
 
-def test_out_of_time_the_thresholds_are_held():
-    plan = engine(60, extra_cost=lambda x, u, k: casadi.sumsqr(u), limit=1e-6).step(*FAR)
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"limit": 1e-6}, "longer than limit = 1e-06 s"),
+        ({"extra_cost": lambda x, u, k: casadi.log(-x[0])}, "no plan has a finite cost"),
+    ],
+)
+def test_without_a_plan_the_thresholds_are_held(options, words):
+    plan = engine(60, **options).step(*FAR)
     assert (plan.status, plan.c_l, plan.c_u) == ("held", 0.0, 0.0)
-    assert "longer than limit = 1e-06 s" in plan.message
+    assert words in plan.message
     assert (plan.table()["lower"] == FAR[2]).all()
 
 
 def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
     ours = engine(12)
     monkeypatch.setattr(ours.program, "_solved", lambda *_: (np.full((2, 12), 1.0), ""))
-    plan = ours.step(0.5, 0.315, TARGET[0] + 1e-4, TARGET[1] + 1e-4, 1)
-    assert plan.cost == clipped(12).step(0.5, 0.315, TARGET[0] + 1e-4, TARGET[1] + 1e-4, 1).cost
-    assert "costs more under the hard switch than the clipped plan" in plan.message
+    state = (0.5, 0.315, TARGET[0] + 1e-4, TARGET[1] + 1e-4, 1)
+    plan = ours.step(*state)
+    assert plan.cost == clipped(12).step(*state).cost
 
 
 def test_at_rest_and_at_full_load_the_plan_is_finite():
@@ -177,15 +146,11 @@ def test_at_rest_and_at_full_load_the_plan_is_finite():
     [
         ({"switch_width": -1e-3}, "switch_width"),
         ({"incentive": None}, "function"),
-        ({"extra_cost": lambda x, u: 0.0}, "could not be called"),
-        ({"extra_cost": lambda x, u, k: casadi.log(-x[0])}, "finite"),
-        ({"incentive": lambda r, p_r, c_b, low, high: (-c_b, 2.0 * c_b)}, "c_b"),
+        ({"extra_cost": lambda x, u: 0.0}, "CasADi symbols"),
+        ({"extra_cost": lambda x, u, k: casadi.MX.sym("own")}, "their arguments alone"),
+        ({"extra_cost": lambda x, u, k: u}, "one number"),
     ],
 )
 def test_options_that_cannot_be_used_are_refused(options, words):
     with pytest.raises(ValueError, match=words):
         engine(4, **options)
-
-
-def test_the_printed_incentive_may_be_named():
-    assert engine(8, incentive=incentive_box).step(*FAR).status == "planned"

@@ -14,6 +14,7 @@ import casadi
 import numpy as np
 import pytest
 
+from tests.allocation.cases import shape
 from trustlab.allocation.correction_path import follow
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
@@ -41,11 +42,7 @@ def instance(rng):
 def curve(tsc, r):
     """(2.6), written out."""
     h = tsc.human
-    if r <= 0 or r >= 1:
-        return h.p_min
-    return h.p_min + (h.p_max - h.p_min) * (r / h.beta) ** h.beta * ((1 - r) / (1 - h.beta)) ** (
-        1 - h.beta
-    )
+    return h.p_min + (h.p_max - h.p_min) * (shape(r, h.beta) if 0 < r < 1 else 0.0)
 
 
 def exhaustive(case, n):
@@ -100,12 +97,7 @@ def exhaustive(case, n):
             "oracle",
             "qrqp",
             {"h": casadi.Sparsity.diag(size), "a": casadi.Sparsity.dense(*A.shape)},
-            {
-                "print_iter": False,
-                "print_header": False,
-                "print_info": False,
-                "error_on_fail": False,
-            },
+            dict.fromkeys(("print_iter", "print_header", "print_info", "error_on_fail"), False),
         )
         found = solver(
             h=casadi.DM(casadi.Sparsity.diag(size), 2.0),
@@ -130,7 +122,7 @@ def planned(case, n):
     path[:4, 0] = r, p_r, lower, upper
     clipped = np.full((2, n), np.nan)
     target, start = np.array([tl, tu]), np.array([lower, upper])
-    return follow(tsc.constants(), c_b, target, start, mode, clipped, path)[:2]
+    return follow(tsc.constants(), c_b, target, start, mode, clipped, path)
 
 
 @pytest.mark.parametrize("part", range(4))

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
+from tests.allocation.cases import shape
 from trustlab.allocation import invariant_bounds, limit_cycle
 
 STARTS = list(itertools.product((0.0, 1.0), (0.0, 1.0), (0.0, 1.0)))
@@ -51,37 +52,17 @@ def brute_force(cases):
     rows = []
     for model, lower, upper in cases:
         r, h = model.robot, model.human
-        rows.append(
-            (
-                r.a,
-                r.b,
-                r.p_min,
-                r.p_max,
-                h.a,
-                h.beta,
-                h.p_min,
-                h.p_max,
-                *weights(model),
-                lower,
-                upper,
-            )
-        )
+        robot, human = (r.a, r.b, r.p_min, r.p_max), (h.a, h.beta, h.p_min, h.p_max)
+        rows.append((*robot, *human, *weights(model), lower, upper))
     table = np.repeat(np.array(rows).T[:, :, None], len(STARTS), axis=2)
     a, b, p_low, p_high, a_r, beta, h_low, h_high, a_T, b_T, lower, upper = table
     load, share, mode = (
         np.broadcast_to(column, a.shape).copy() for column in np.array(STARTS).T[:, None, :]
     )
     p_r, last = p_low + share * (p_high - p_low), np.zeros((2, *a.shape))
-    ranges = [
-        np.full(a.shape, np.inf),
-        np.full(a.shape, -np.inf),
-        np.full(a.shape, np.inf),
-        np.full(a.shape, -np.inf),
-    ]
+    ranges = [np.full(a.shape, end) for end in (np.inf, -np.inf, np.inf, -np.inf)]
     for k in range(STEPS):
-        p_h = h_low + (h_high - h_low) * (load / beta) ** beta * ((1 - load) / (1 - beta)) ** (
-            1 - beta
-        )
+        p_h = h_low + (h_high - h_low) * shape(load, beta)
         tsc = a_T * p_r - b_T * p_h
         after = np.where(tsc >= upper, 0.0, np.where(tsc <= lower, 1.0, mode))
         for to in (0, 1):
@@ -126,17 +107,14 @@ def check(count, seed):
     return kept, stopped, often
 
 
-def test_what_is_guaranteed_holds_from_adversarial_starts():
-    kept, stopped, often = check(100, seed=1)
-    assert min(kept, stopped) > 10
-    assert often > 5, "pairs under which a cycle exists and other starts never switch"
-
-
-@pytest.mark.long
-def test_what_is_guaranteed_holds_from_adversarial_starts_5000():
-    kept, stopped, often = check(5000, seed=2)
-    assert min(kept, stopped) > 1000
-    assert often > 200
+@pytest.mark.parametrize(
+    ("count", "seed"), [(100, 1), pytest.param(5000, 2, marks=pytest.mark.long)]
+)
+def test_what_is_guaranteed_holds_from_adversarial_starts(count, seed):
+    """Some pairs have a cycle, though from other starts the rule never switches."""
+    kept, stopped, often = check(count, seed)
+    assert min(kept, stopped) > 0.1 * count
+    assert often > 0.04 * count
 
 
 def test_the_pilot_below_the_lower_limit(operators):
@@ -202,6 +180,6 @@ def test_slow_models_take_seconds_and_say_what_was_left_out():
     both = tl.TscModel(tl.RobotModel(1 - 1e-6, 0.24, 0.39, 0.4602), slow.human)
     bounds = invariant_bounds(both, 0.02, 0.45)
     assert not bounds.guaranteed
-    assert "not shown to do so within 1562600 samples; cells= below 32 allow" in bounds.reason
+    assert "not shown to end within 1562600 samples; cells= below 32 allow" in bounds.reason
     # The remedy that the reason names.
     assert invariant_bounds(both, 0.02, 0.45, cells=8, cycles=1).guaranteed

@@ -1,14 +1,12 @@
 """
-Theorem 1, (2.14), (2.15), Proposition 1 and Lemmas 1-5 as properties, against long simulation and
+Theorem 1, (2.14), (2.15), Proposition 1 and Lemmas 1-4 as properties, against long simulation and
 closed forms.
 """
-
-import math
 
 import numpy as np
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
-import trustlab as tl
+from tests.allocation.cases import phases
 from trustlab.allocation import simulate_allocation, steady_state_bounds, threshold_limits
 
 EXAMPLES = settings(
@@ -90,8 +88,7 @@ def test_lemmas_3_and_4_longest_dwell_times(sets, data):
     crosses. So n does not exceed the real number that is floored.
     """
     _, _, tail, bounds = settled(sets, data)
-    edges = np.flatnonzero(np.diff(tail["mode"])) + 1
-    lengths, who = np.diff(edges), tail["mode"].to_numpy()[edges[:-1]]
+    who, lengths = phases(tail["mode"])
     assert lengths[who == 0].max() <= bounds.dwell_autonomous_high
     assert lengths[who == 1].max() <= bounds.dwell_manual_high
 
@@ -106,10 +103,9 @@ def test_control_dwell_times_of_a_narrower_band_are_too_short(random_model):
         rng = np.random.default_rng(seed)
         model, lower, upper = random_model(rng)
         tail = simulate_allocation(model, lower, upper, 20_000, rng.random()).iloc[10_000:]
-        edges = np.flatnonzero(np.diff(tail["mode"])) + 1
+        who, lengths = phases(tail["mode"])
         quarter = 0.25 * (upper - lower)
         bounds = steady_state_bounds(model, lower + quarter, upper - quarter, delta_tsc=0.0)
-        lengths, who = np.diff(edges), tail["mode"].to_numpy()[edges[:-1]]
         longer += lengths[who == 0].max(initial=0) > bounds.dwell_autonomous_high
         longer += lengths[who == 1].max(initial=0) > bounds.dwell_manual_high
     assert longer > 5
@@ -122,21 +118,3 @@ def test_proposition_1_order_of_the_dwell_times(sets, data, delta):
     bounds = steady_state_bounds(model, lower, upper, delta_tsc=delta)
     assert bounds.dwell_manual_low <= bounds.dwell_manual_high
     assert 0.0 <= bounds.r_low <= bounds.r_high <= 1.0
-
-
-@settings(EXAMPLES, max_examples=200)
-@given(
-    keep=st.floats(-4.0, -0.5),
-    beta=st.floats(0.1, 0.9),
-    r0=st.floats(0.0, 1.0),
-    manual=st.integers(0, 400),
-    alone=st.integers(1, 400),
-)
-def test_lemma_5_utilization_in_closed_form(keep, beta, r0, manual, alone):
-    human = tl.HumanModel(1.0 - 10.0**keep, beta, 0.3, 0.4)
-    r, _ = human.simulate(np.r_[np.ones(manual), np.zeros(alone)], r0=r0)
-    n, m = np.arange(manual + 1), np.arange(alone)
-    up = 1.0 - (1.0 - r0) * human.a**n
-    np.testing.assert_allclose(r[: manual + 1], up[: r.size], atol=1e-12)
-    np.testing.assert_allclose(r[manual:], up[-1] * human.a**m, atol=1e-12)
-    assert math.isclose(human.b, 10.0**keep, rel_tol=1e-9)

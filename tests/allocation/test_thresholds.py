@@ -18,7 +18,7 @@ from trustlab.allocation import (
     followed_suggestions,
     relative_performance,
 )
-from trustlab.allocation.estimates import _apart, separation
+from trustlab.allocation.estimates import _apart
 from trustlab.reproduction import published_table
 
 
@@ -36,8 +36,12 @@ def test_choice_encloses_beta_and_comes_near_the_best_performance(operators, cho
     assert choice.probability == 1.0
     inside = choice.candidates[choice.candidates["p_encloses"] == 1.0]
     assert cycle.p_r_high == pytest.approx(inside["p_r_high"].max(), abs=1e-4)
-    again = choose_thresholds(model, points=12)
-    assert (again.lower, again.upper) == (choice.lower, choice.upper)
+    span = choice.limits.upper - choice.limits.lower
+    assert choice.lower >= choice.limits.lower + 0.1 * span - 1e-12
+    assert choice.upper <= choice.limits.upper - 0.1 * span + 1e-12
+    pd.testing.assert_frame_equal(choice.table(), cycle.table())
+    assert len(choice.plot()) == 2
+    plt.close("all")
 
 
 def test_a_fit_is_taken_and_warned_of_where_it_is_unsure(operators, make_session, switching):
@@ -58,48 +62,17 @@ def test_a_fit_is_taken_and_warned_of_where_it_is_unsure(operators, make_session
     assert [one.filename for one in caught] == [__file__]
     assert (again.lower, again.upper) == (choice.lower, choice.upper)
     assert again.message.endswith(choice.message)
-    with pytest.raises(
-        ValueError, match=r"TscModel, got RobotModel; fit one with trustlab\.fit_tsc"
-    ):
+    # Advice about a model that is not to be used would mislead: the fit is named first.
+    with pytest.warns(UserWarning, match=r"beta is weakly.*sample_posterior.*leaves no room"):
+        choice = choose_thresholds(unsure, delta_p_h=0.01, points=4)
+    assert choice.message.startswith("The fit has success = False: beta is weakly determined")
+    assert choice.table().empty
+    with pytest.raises(ValueError, match=r"TscModel, got RobotModel; fit one with"):
         choose_thresholds(tl.fit_robot(make_session(operators["2"], switching)))
 
 
-def test_a_failed_fit_is_named_first(operators, make_session, switching):
-    """Advice about a model that is not to be used would mislead."""
-    fit = tl.fit_tsc(make_session(operators["2"], switching))
-    unsure = replace(fit, success=False, message="p_max is weakly determined.")
-    with pytest.warns(UserWarning, match="p_max is weakly determined"):
-        choice = choose_thresholds(unsure, delta_p_h=0.01, points=4)
-    assert choice.message.startswith("The fit has success = False: p_max is weakly determined.")
-    assert "trustlab.sample_posterior(sessions)" in choice.message
-    assert "Theorem 1 leaves no room" in choice.reason
-    assert choice.front().empty
-    assert list(choice.front()) == list(choice.candidates)
-
-
-def test_margin_is_kept(operators, choice):
-    span = choice.limits.upper - choice.limits.lower
-    assert choice.lower >= choice.limits.lower + 0.1 * span - 1e-12
-    assert choice.upper <= choice.limits.upper - 0.1 * span + 1e-12
-
-
-def test_front_is_what_nothing_beats(choice):
-    front, rest = choice.front(), choice.candidates
-    assert (np.diff(front["mean_p_r"]) > 0).all()
-    for _, row in front.iterrows():
-        better = (rest["mean_r"] <= row["mean_r"]) & (rest["mean_p_r"] > row["mean_p_r"])
-        assert not better.any()
-
-
-def test_plot_and_table(choice):
-    axes = choice.plot()
-    assert len(axes) == 2
-    plt.close("all")
-    pd.testing.assert_frame_equal(choice.table(), choice.cycle.table())
-
-
 def test_no_pair_that_encloses_beta_is_said(operators):
-    with pytest.warns(UserWarning, match="makes the steady utilization enclose β = 0.95"):
+    with pytest.warns(UserWarning, match=r"keeps switching around β = 0\.95"):
         choice = choose_thresholds(operators["1"], points=8)
     assert not choice.encloses_beta
     assert choice.probability == 0.0
@@ -126,8 +99,6 @@ def test_no_room_between_the_limits_is_remark_4(operators):
     with pytest.warns(UserWarning, match=r"TSC_ub = .* does not exceed TSC_lb .*\(Remark 4\)"):
         choice = choose_thresholds(operators["pilot"], delta_p_h=0.01)
     assert "a smaller δ_Ph than 0.01" in choice.reason
-    with pytest.raises(ValueError, match="points"):
-        choose_thresholds(operators["pilot"], points=2)
     with pytest.raises(ValueError, match=r"confidence = 0\.9 would do nothing"):
         choose_thresholds(operators["pilot"], confidence=0.9)
 
@@ -188,7 +159,10 @@ def test_choices_say_which_limits_they_keep(operators):
         assert choice.limits.delta_p_h == 0.0
         assert choice.limits.contains(choice.lower, choice.upper)
         assert not own.contains(choice.lower, choice.upper)
-        assert f"Theorem 1 does not cover the pair at the model's own δ_Ph: {own}" in choice.message
+        assert (
+            f"Theorem 1 does not cover the pair at the model's own δ_Ph: {own.message}"
+            in choice.message
+        )
         within = choose_thresholds(model, delta_p_h=own.delta_p_h, points=6, enclose_beta=False)
         assert own.contains(within.lower, within.upper)
         assert "does not cover" not in within.message
@@ -201,31 +175,13 @@ def test_results_read_short_in_a_terminal_and_as_tables_in_a_notebook(operators)
     for result in (choice, choice.cycle, choice.bounds, bounds, choice.limits):
         assert len(repr(result)) < 200
         assert "<table" in result._repr_html_()
-    assert repr(tl.limit_cycle(model, -0.9, 0.9)).startswith("LimitCycle(exists=False")
-    assert "feasible=False" in repr(tl.allocation.ThresholdLimits(0.3, 0.1, 1e-3))
-    assert str(tl.allocation.ThresholdLimits(0.3, 0.1, 1e-3)).startswith("none at δ_Ph = 0.001")
+    assert "no thresholds fit" in repr(tl.allocation.ThresholdLimits(0.3, 0.1, 1e-3))
 
 
 def test_thresholds_that_cannot_be_told_apart():
     estimate = estimate_thresholds([switched(0.2, 0.25, 0.3, seed) for seed in range(3)])
     assert not estimate.distinguishable
-    assert estimate.p_means > 0.05
     assert estimate.p_overlap > 0.5
-
-
-def test_table_2_3_sets_participant_3_apart():
-    """Mean ± SD overlap for participant 3 alone, by hand 0.414/0.42."""
-    printed = published_table("2.3").astype(float)
-    found = {}
-    for name in printed.columns:
-        pair = [
-            printed.loc[(side, item), name]
-            for side in ("TSC_l", "TSC_u")
-            for item in ("mean", "sd")
-        ]
-        found[name] = separation(*pair)
-    assert found["3"] == pytest.approx(0.414 / 0.42)
-    assert {name for name, value in found.items() if value > 1.0} == {"1", "2", "4", "5"}
 
 
 def exactly(mean, sd, n):
@@ -236,12 +192,7 @@ def exactly(mean, sd, n):
 
 @pytest.mark.parametrize("n", [4, 8, 16, 100])
 def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n):
-    """
-    However many switches, participant 3's are not shown to be apart, though Welch's test finds
-    means that differ.
-    """
-    from scipy import stats
-
+    """Mean ± SD overlap for participant 3 alone, 0.414/0.42: not told apart by any n switches."""
     printed, rng = published_table("2.3").astype(float), np.random.default_rng(0)
     p = {}
     for name in printed.columns:
@@ -249,37 +200,26 @@ def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n):
             key: exactly(printed.loc[(side, "mean"), name], printed.loc[(side, "sd"), name], n)
             for key, side in (("lower", "TSC_l"), ("upper", "TSC_u"))
         }
-        p[name] = _apart(groups, 4000, rng)[3]
+        separation, p[name] = _apart(groups, 4000, rng)
+        assert (separation < 1.0) == (name == "3")
+        assert name != "3" or separation == pytest.approx(0.414 / 0.42)
     assert max(p["1"], p["2"]) < 0.01
     assert p["3"] > 0.4
     assert p["5"] < (0.05 if n > 16 else 1.0)
-    if n >= 8:
-        assert p["4"] < 0.01
-        third = stats.ttest_ind_from_stats(
-            0.51, 0.29, n, 0.096, 0.13, n, equal_var=False, alternative="greater"
-        )
-        assert third.pvalue < 0.01
+    assert p["4"] < (0.01 if n >= 8 else 1.0)
 
 
 @pytest.mark.parametrize("sizes", [(3, 3), (4, 12), (20, 20)])
 def test_the_test_keeps_its_level_with_few_switches(sizes):
-    """
-    Normal switches whose mean ± SD just touch: rejected in at most 5 % of samples, enclosed by 95 %
-    of intervals.
-    """
-    rng = np.random.default_rng(1)
-    found = np.array(
-        [
-            _apart(
-                {"lower": rng.normal(0.0, 0.1, sizes[0]), "upper": rng.normal(0.3, 0.2, sizes[1])},
-                400,
-                rng,
-            )
-            for _ in range(1500)
-        ]
-    )
-    assert (found[:, 3] < 0.05).mean() < 0.065
-    assert ((found[:, 1] <= 1.0) & (found[:, 2] >= 1.0)).mean() > 0.93
+    """Normal switches whose mean ± SD just touch: rejected in at most 5 % of samples."""
+    rng, rejected = np.random.default_rng(1), 0
+    for _ in range(1500):
+        groups = {
+            "lower": rng.normal(0.0, 0.1, sizes[0]),
+            "upper": rng.normal(0.3, 0.2, sizes[1]),
+        }
+        rejected += _apart(groups, 400, rng)[1] < 0.05
+    assert 0.01 < rejected / 1500 < 0.065
 
 
 def test_tsc_is_worked_out_from_performance(operators):

@@ -165,7 +165,7 @@ class Hungry:
     [
         (Late(), {}, "rule.step failed at t = 100.0 s, with TSC = .*RuntimeError: out of data"),
         (Late(), {"testbed": "uav_following"}, "rule.step failed at t = 100.0 s.*out of data"),
-        (Hungry(), {}, r"called as step\(tsc=…, p_r=…\), but is step\(tsc, p_r, r\): missing"),
+        (Hungry(), {}, r"rule.step failed at t = 100.0 s.* missing 1 required .* 'r'"),
         (3, {}, "rule must have a method step"),
         (Late(), {"condition": "C3"}, "no effect beside rule="),
         (Late(), {"thresholds": (0.0, 0.3)}, "no effect beside rule="),

@@ -14,7 +14,6 @@ from .correction_path import (
 )
 from .correction_run import (
     CorrectionRun as CorrectionRun,
-    ModelTests as ModelTests,
     OnlineCorrection as OnlineCorrection,
     OnlineStep as OnlineStep,
     run_correction as run_correction,
@@ -24,7 +23,6 @@ from .estimates import (
     estimate_thresholds as estimate_thresholds,
     followed_suggestions as followed_suggestions,
     relative_performance as relative_performance,
-    separation as separation,
 )
 from .invariant import (
     InvariantBounds as InvariantBounds,
@@ -40,7 +38,7 @@ from .optimum import (
     OptimalAllocation as OptimalAllocation,
     optimal_allocation as optimal_allocation,
 )
-from .ranges import RangeIntervals as RangeIntervals, SteadyRanges as SteadyRanges
+from .ranges import SteadyRanges as SteadyRanges
 from .rules import PerformanceRule as PerformanceRule, ThresholdRule as ThresholdRule
 from .simulation import simulate_allocation as simulate_allocation
 from .steady import LimitCycle as LimitCycle, limit_cycle as limit_cycle

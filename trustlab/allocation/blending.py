@@ -52,11 +52,6 @@ def best_share(weights, states, low, high, series, slope):
     cost = _chebyshev(series, 2.0 * high - 1.0)
     if cost < least:
         best, least = high, cost
-    varying = 0.0
-    for m in range(1, terms):
-        varying += abs(slope[m])
-    if abs(slope[0]) > varying:  # |T_m| ≤ 1: the derivative keeps its sign, and an end is best
-        return best, least
     count = 4 * terms
     left = low
     at_left = _chebyshev(slope, 2.0 * left - 1.0)
@@ -171,21 +166,11 @@ class OptimalBlending:
         self.deviation_weight = between("deviation_weight", deviation_weight, 0.0, 1e12)
         self.weights = self._series()
 
-    def matrix(self, axis: int, alpha: float) -> np.ndarray:
+    def _matrix(self, axis: int, alpha: float) -> np.ndarray:
         """
-        Return A(α) of one axis, for the states u_h, u_a, e, de/dt, d²e/dt².
+        Return A(α), shape (5, 5), of one axis, for the states u_h, u_a, e, de/dt, d²e/dt².
 
-        Parameters
-        ----------
-        axis : int
-            0, 1 or 2.
-        alpha : float
-            α.
-
-        Returns
-        -------
-        numpy.ndarray, shape (5, 5)
-            The state's derivative is A(α) times the state; an axis of order one has no fifth state.
+        An axis of order one has no fifth state.
         """
         model = self.vehicle[axis]
         (p, d) = self.gains[axis]
@@ -215,7 +200,7 @@ class OptimalBlending:
         values = np.empty((3, count, 5, 5))
         for axis in range(3):
             for k, alpha in enumerate(0.5 * (nodes + 1.0)):
-                a = self.matrix(axis, alpha)
+                a = self._matrix(axis, alpha)
                 q = np.zeros((5, 5))
                 q[2, 2] = self.error_weight
                 difference = np.array([1.0, -1.0, 0.0, 0.0, 0.0])
@@ -225,24 +210,6 @@ class OptimalBlending:
                 gram = whole[5:, 5:].T @ whole[:5, 5:]
                 values[axis, k] = 0.5 * (gram + gram.T)
         return (fit @ values.reshape(3, count, 25)).reshape(values.shape)
-
-    def cost(self, alpha: float, u_h, u_a, e, rate, acceleration) -> float:
-        """
-        Return the cost (A.3) of an α that is held over the horizon.
-
-        Parameters
-        ----------
-        alpha : float
-            α in [0, 1].
-        u_h, u_a : array_like, shape (3,)
-            Commands of the operator and of the autonomous controller.
-        e, rate, acceleration : array_like, shape (3,)
-            Tracking error [m] and its derivatives.
-        """
-        alpha = between("alpha", alpha, 0.0, 1.0)
-        states = self._states(u_h, u_a, e, rate, acceleration)
-        series = np.einsum("ai,amij,aj->m", states, self.weights, states)
-        return float(np.polynomial.chebyshev.chebval(2.0 * alpha - 1.0, series))
 
     def step(self, u_h, u_a, e, rate, acceleration) -> BlendingStep:
         """

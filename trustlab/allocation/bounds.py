@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.allocation.limits import check_thresholds, step_bounds, threshold_limits
-from trustlab.allocation.ranges import SteadyRanges
+from trustlab.allocation.ranges import SteadyRanges, ends
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.allocation.steady import limit_cycle, longest_phase
 from trustlab.models.checks import between
@@ -35,10 +35,9 @@ class SteadyStateBounds(SteadyRanges):
         δ_TSC that was used.
     """
 
-    delta_tsc: float
+    title = "Bounds as printed"
 
-    def _qualified(self) -> str:
-        return f"delta_tsc={self.delta_tsc:.3g}"
+    delta_tsc: float
 
     def plot(self, sample_time: float = 0.1):
         """
@@ -57,63 +56,45 @@ class SteadyStateBounds(SteadyRanges):
 
         figure = plt.figure(figsize=(7.4, 5.6), layout="constrained")
         axes = np.array([*figure.subplot_mosaic([[0, 1], [2, 2]]).values()])
-        self._plot_performance(axes[:2], sample_time)
-        self._plot_utilization(axes[2], sample_time)
-        axes[2].legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4)
-        return axes
-
-    def _plot_performance(self, axes, sample_time: float) -> None:
-        """Plot how robot performance passes from one of its bounds towards the other."""
-        robot = self.model.robot
-        human = self.model.human
-        best = robot.steady_state(1.0, human.p_max)
-        worst = robot.steady_state(1.0, human.p_min)
-        tau_da = self.dwell_autonomous_high
-        tau_dml, tau_dmu = self.dwell_manual
-        finite = [dwell for dwell in (tau_da, tau_dml, tau_dmu) if math.isfinite(dwell)]
-        steps = np.arange(2 * max(finite, default=500.0))
-        for axis, start, goal, dwell, height, label in (
-            (axes[0], self.p_r_high, robot.p_min, tau_da, 0.9, r"$\tau_{da}$"),
-            (axes[1], self.p_r_low, best, tau_dml, 0.22, r"greatest $P_h$: $\tau_{dml}$"),
-            (axes[1], self.p_r_low, worst, tau_dmu, 0.1, r"least $P_h$: $\tau_{dmu}$"),
+        robot, human = self.model.robot, self.model.human
+        best, worst = (robot.steady_state(1.0, p_h) for p_h in (human.p_max, human.p_min))
+        short, long = self.dwell_manual
+        rest = self.dwell_autonomous_high
+        dwells = [dwell for dwell in (rest, short, long) if math.isfinite(dwell)]
+        steps = np.arange(2 * max(dwells, default=500.0))
+        for axis, start, goal, dwell, label in (
+            (axes[0], self.p_r_high, robot.p_min, rest, r"$\tau_{da}$"),
+            (axes[1], self.p_r_low, best, short, r"$\tau_{dml}$, greatest $P_h$"),
+            (axes[1], self.p_r_low, worst, long, r"$\tau_{dmu}$, least $P_h$"),
         ):
-            color = "C1" if goal == worst else "C0"
             p_r = goal + (start - goal) * robot.a**steps
-            axis.plot(steps * sample_time, p_r, color=color)
+            (line,) = axis.plot(steps * sample_time, p_r, label=label)
             if math.isfinite(dwell):
-                end = goal + (start - goal) * robot.a**dwell
-                axis.plot(dwell * sample_time, end, "o", color=color)
-                words = f"{label} = {dwell * sample_time:.1f} s"
-                place = {"ha": "right", "transform": axis.transAxes}
-                axis.text(0.97, height, words, color=color, **place)
+                k = int(dwell)
+                axis.plot(k * sample_time, p_r[k], "o", color=line.get_color())
         titles = ("autonomous, from $P_{ru}$", "manual, from $P_{rl}$")
-        for axis, title in zip(axes, titles, strict=True):
+        for axis, title in zip(axes[:2], titles, strict=True):
             for bound in (self.p_r_low, self.p_r_high):
                 axis.axhline(bound, color="0.5", lw=0.8)
             axis.set(xlabel="dwell time [s]", ylabel="robot performance $P_r$", title=title)
-
-    def _plot_utilization(self, axis, sample_time: float) -> None:
-        """Plot utilization under (2.8), and the periodic motions behind its bounds."""
-        human = self.model.human
-        settled = longest_phase(self.model)
         time = np.arange(4000) * sample_time
+        settled = longest_phase(self.model)
         run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)
-        axis.plot(time, run["r"].iloc[settled:], label="r under (2.8)")
-        rest = self.dwell_autonomous_high
-        lowest = self.r_high * human.a**rest if math.isfinite(rest) else math.nan
-        for bound, start, manual, color, label in (
-            (self.r_low, self.r_low, self.dwell_manual_low, "C1", r"\tau_{dml}"),
-            (self.r_high, lowest, self.dwell_manual_high, "C2", r"\tau_{dmu}"),
+        axes[2].plot(time, run["r"].iloc[settled:], label="r under (2.8)")
+        for bound, start, manual, label in (
+            (self.r_low, self.r_low, short, "to $r_l$"),
+            (self.r_high, self.r_high * human.a**rest, long, "to $r_u$"),
         ):
-            axis.axhline(bound, color=color, ls="--", lw=0.8)
             if math.isfinite(manual) and math.isfinite(rest):
-                mode = np.resize(np.repeat([1.0, 0.0], [int(manual), int(rest)]), time.size)
-                r, _ = human.simulate(mode, start)
-                end = "r_l" if color == "C1" else "r_u"
-                label = rf"${label} + \tau_{{da}}$, to ${end}$"
-                axis.plot(time, r, color=color, lw=1, label=label)
-        axis.axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
-        axis.set(xlabel="time [s]", ylabel="utilization r", title="utilization in steady state")
+                phases = np.repeat([1.0, 0.0], [int(manual), int(rest)])
+                r, _ = human.simulate(np.resize(phases, time.size), start)
+                axes[2].plot(time, r, lw=1, label=label)
+            axes[2].axhline(bound, color="0.5", ls="--", lw=0.8)
+        axes[2].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
+        axes[2].set(xlabel="time [s]", ylabel="utilization r")
+        for axis in axes:
+            axis.legend(fontsize="small")
+        return axes
 
 
 class PerformanceRange(NamedTuple):
@@ -224,26 +205,24 @@ def steady_state_bounds(
     delta_tsc = between("delta_tsc", delta_tsc, 0.0, 2.0)  # TSC lies in [−1, 1]
     robot = tsc.robot
     bounds = performance_as_printed(tsc.constants(), lower, upper, delta_tsc)
-    numbers = {name: float(value) for name, value in bounds._asdict().items()}
-    p_low = numbers["p_r_low"]
-    p_high = numbers["p_r_high"]
-    if not p_low < p_high:
+    if not bounds.p_r_low < bounds.p_r_high:
         raise ValueError(
             f"the thresholds ({lower:g}, {upper:g}) leave no range of robot performance: (2.15) "
-            f"gives P_rl = {p_low:.4g} and P_ru = {p_high:.4g} within [{robot.p_min}, "
-            f"{robot.p_max}]; move them towards each other's middle"
+            f"gives P_rl = {bounds.p_r_low:.4g} and P_ru = {bounds.p_r_high:.4g} within "
+            f"[{robot.p_min}, {robot.p_max}]; move them towards each other's middle"
         )
-    dwells = bounds.dwell_manual_low, bounds.dwell_manual_high, bounds.dwell_autonomous_high
-    r_low, r_high = utilization_as_printed(tsc.human.a, *dwells)
+    manual = bounds.dwell_manual_low, bounds.dwell_manual_high
     return SteadyStateBounds(
         model=tsc,
         lower=lower,
         upper=upper,
         reason=f"Bounds as printed, δ_TSC = {delta_tsc:.3g}",
-        tsc_low=lower - delta_tsc,
-        tsc_high=upper + delta_tsc,
-        **numbers,
-        r_low=float(r_low),
-        r_high=float(r_high),
         delta_tsc=delta_tsc,
+        **ends(
+            r=utilization_as_printed(tsc.human.a, *manual, bounds.dwell_autonomous_high),
+            p_r=(bounds.p_r_low, bounds.p_r_high),
+            tsc=(lower - delta_tsc, upper + delta_tsc),
+            dwell_manual=manual,
+            dwell_autonomous=(np.nan, bounds.dwell_autonomous_high),
+        ),
     )

@@ -16,7 +16,7 @@ falls.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ from trustlab.allocation.correction_path import (
     COLUMNS,
     MODE,
     L,
-    R,
     U,
     follow,
     follow_with,
@@ -39,6 +38,7 @@ from trustlab.allocation.limits import threshold_limits, threshold_pair
 from trustlab.allocation.steady import limit_cycle
 from trustlab.models.checks import (
     between,
+    finite_number,
     of_class,
     one_of,
     positive,
@@ -46,7 +46,6 @@ from trustlab.models.checks import (
     warn,
     whole_number,
 )
-from trustlab.models.display import axes_or_new
 from trustlab.models.simulation import compiled_for
 from trustlab.models.tsc import (
     RobotModel,
@@ -96,7 +95,7 @@ class CorrectionPlan:
     cost_lower_bound: float
     status: str
     message: str
-    path: np.ndarray
+    path: np.ndarray = field(repr=False)
 
     @property
     def gap(self) -> float:
@@ -119,38 +118,6 @@ class CorrectionPlan:
             step N.
         """
         return pd.DataFrame(self.path.T, columns=list(COLUMNS)).rename_axis("step")
-
-    def plot(self, sample_time: float = 0.1):
-        """
-        Plot thresholds, and utilization and mode, over the horizon.
-
-        Parameters
-        ----------
-        sample_time : float
-            Time between samples [s].
-
-        Returns
-        -------
-        numpy.ndarray of matplotlib.axes.Axes, shape (2,)
-        """
-        time = np.arange(self.path.shape[1]) * sample_time
-        axes = axes_or_new(rows=2, sharex=True, figsize=(8, 4.5))
-        for row, name in ((U, "$TSC_u$"), (L, "$TSC_l$")):
-            values = self.path[row]
-            axes[0].plot(time, values - values[0], label=f"{name} from {values[0]:.4g}")
-        axes[0].set(ylabel="change of threshold")
-        axes[0].legend(fontsize="small")
-        axes[1].plot(time, self.path[R], label="r")
-        axes[1].step(time, self.path[MODE], where="post", lw=0.8, color="0.5", label="mode M")
-        axes[1].set(xlabel="time [s]", ylabel="r, M")
-        axes[1].legend(fontsize="small")
-        return axes
-
-    def __repr__(self) -> str:
-        return (
-            f"CorrectionPlan(c_l={self.c_l:.6g}, c_u={self.c_u:.6g}, cost={self.cost:.9g}, "
-            f"cost_lower_bound={self.cost_lower_bound:.9g}, {self.status})"
-        )
 
 
 OPTIMAL = "Optimal among plans that keep each threshold between its value now and its target."
@@ -224,8 +191,6 @@ class ThresholdCorrector:
     the optimum with the condition costs 0.8477, while lowering TSC_u for two steps first costs
     0.5998 in all.
 
-    With CasADi a step also tries the last step's plan; what it returns depends on that.
-
     Examples
     --------
     >>> import trustlab as tl
@@ -256,20 +221,18 @@ class ThresholdCorrector:
         self.horizon = whole_number("horizon", horizon, most=1_000_000)
         self.incentive = incentive
         if incentive is not incentive_box:
-            self.incentive = _checked_incentive(incentive, self.c_b, tsc.robot)
-        self.program: Any = None
+            _check_incentive(incentive, self.c_b, tsc.robot)
         options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
-        given = {name: value for name, value in options.items() if value is not None}
+        given: Any = {name: value for name, value in options.items() if value is not None}
+        self.program: Any = None
         if engine is not None:
             one_of("engine", engine, ("casadi",), "None")
             from trustlab.allocation.casadi_correction import CorrectionProgram
 
-            chosen: dict[str, Any] = given
             settings = self.tsc, self.target, self.c_b, self.horizon, incentive
-            self.program = CorrectionProgram(*settings, **chosen)
+            self.program = CorrectionProgram(*settings, **given)
         elif given:
-            name, value = next(iter(given.items()))
-            raise ValueError(f'{name} = {shown(value)} would do nothing without engine="casadi"')
+            raise ValueError(f'{", ".join(given)} would do nothing without engine="casadi"')
         self._range = tsc.robot.p_min, tsc.robot.p_max
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
         self._clipped = np.full((2, self.horizon), np.nan)
@@ -305,9 +268,9 @@ class ThresholdCorrector:
             If an argument is not a number or out of range.
         """
         r = between("r", r, 0.0, 1.0)
-        p_r = within_range("p_r", p_r, *self._range)
+        p_r = within_range("p_r", finite_number("p_r", p_r), *self._range)
         lower, upper = threshold_pair("threshold", (lower, upper))
-        return self.plan(r, p_r, lower, upper, check_mode(mode))
+        return self.plan(r, p_r, lower, upper, whole_number("mode", mode, least=0, most=1))
 
     def plan(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
         """
@@ -321,19 +284,19 @@ class ThresholdCorrector:
             Mode before now.
         """
         state = np.array([r, p_r, lower, upper])
-        cost, bound, sound, path = self.followed(state, mode, self._clipped)
+        cost, bound, path = self.followed(state, mode, self._clipped)
         message = OPTIMAL if cost == bound else BOUNDED
-        if not sound:
+        if np.isnan(cost):
             message = UNSOUND
         elif self.program is not None:
             bound = np.nan
-            cost, path, message, sound = self.program.improved(self, state, mode, path)
-        if not sound:  # nothing is predicted
+            cost, path, message = self.program.improved(self, state, mode)
+        held = np.isnan(cost)
+        if held:  # nothing is predicted
             path = np.full(path.shape, np.nan)
             path[:4, 0] = state
             path[[L, U]] = state[2:, None]
             path[[C_L, C_U], :-1] = 0.0
-            cost = bound = np.nan
         c = self._problem[0]
         tsc = tsc_at.py_func(p_r, human_at.py_func(r, c), c)
         return CorrectionPlan(
@@ -343,16 +306,17 @@ class ThresholdCorrector:
             float(tsc),
             cost,
             bound,
-            "planned" if sound else "held",
+            "held" if held else "planned",
             message,
             path,
         )
 
     def followed(
         self, state: np.ndarray, mode: int, given: np.ndarray
-    ) -> tuple[float, float, bool, np.ndarray]:
+    ) -> tuple[float, float, np.ndarray]:
         """
-        Return cost (2.43), its bound, whether incentives are sound, and the path of corrections.
+        Return cost (2.43), its bound, and the path of corrections; the cost of unsound incentives
+        is NaN.
 
         Parameters
         ----------
@@ -372,13 +336,6 @@ class ThresholdCorrector:
             return *called(*arguments), path
         return *follow_with.py_func(self.incentive, False, *arguments), path
 
-    def __repr__(self) -> str:
-        engine = "clipped" if self.program is None else "casadi"
-        return (
-            f"ThresholdCorrector(target={self.target}, c_b={self.c_b:g}, horizon={self.horizon}, "
-            f"{engine})"
-        )
-
 
 def suggestion_now(tsc: float, lower: float, upper: float) -> int:
     """Return what Algorithm 3 suggests: 0 from TSC_u on, 1 up to TSC_l, else −1, nothing."""
@@ -388,35 +345,20 @@ def suggestion_now(tsc: float, lower: float, upper: float) -> int:
 # --- checks ---------------------------------------------------------------------------------------
 
 
-def _checked_incentive(incentive: Callable, c_b: float, robot: RobotModel) -> Callable:
-    """Return a user's incentive with numbers for values, if these are bounds at usual states."""
-    if not callable(incentive):
-        raise ValueError(f"incentive must be a function of r, p_r, …, got {shown(incentive)}")
-
-    def bounds(r: float, p_r: float, *settings: float) -> tuple[float, float]:
-        low, high = incentive(r, p_r, *settings)
-        return float(low), float(high)
-
-    for share in (0.1, 0.5, 0.9):
-        p_r = robot.p_min + share * (robot.p_max - robot.p_min)
-        try:
-            low, high = bounds(share, p_r, c_b, robot.p_min, robot.p_max)
-        except Exception as error:
-            raise ValueError(
-                "incentive must take r, p_r, c_b, p_min and p_max and return two numbers; it "
-                f"raises {type(error).__name__}: {error}"
-            ) from error
-        if not -c_b * (1.0 + 1e-9) <= low <= 0.0 <= high <= c_b * (1.0 + 1e-9):
-            raise ValueError(
-                f"incentive must bound corrections by c_b = {c_b:g} and let thresholds be held, as "
-                f"(2.41) does; at r = {share} and p_r = {p_r:.4g} it gives [{low:g}, {high:g}]"
-            )
-    return bounds
-
-
-def check_mode(mode: int) -> int:
-    """Return a mode, 1 manual or 0 autonomous, as an int."""
-    return whole_number("mode", mode, least=0, most=1)
+def _check_incentive(incentive: Callable, c_b: float, robot: RobotModel) -> None:
+    """Refuse a user's incentive that does not return bounds in the middle of the ranges."""
+    middle = 0.5, 0.5 * (robot.p_min + robot.p_max), c_b, robot.p_min, robot.p_max
+    try:
+        low, high = map(float, incentive(*middle))
+        sound = -c_b * (1.0 + 1e-9) <= low <= 0.0 <= high <= c_b * (1.0 + 1e-9)
+        answer = f"gives [{low:g}, {high:g}]"
+    except Exception as error:
+        sound, answer = False, f"raises {type(error).__name__}: {error}"
+    if not sound:
+        raise ValueError(
+            "incentive must be a function of r, p_r, c_b, p_min and p_max that returns the least "
+            f"and the greatest correction, in [−c_b, 0] and [0, c_b]; {shown(incentive)} {answer}"
+        )
 
 
 def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, float]:
@@ -425,16 +367,13 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
     limits = threshold_limits(tsc, None)
     if limits.contains(lower, upper):
         return lower, upper
-    where = f"target ({lower:g}, {upper:g}) lies outside the limits of Theorem 1, " + (
-        str(limits) if limits.feasible else f"for there are {limits}"
-    )
+    where = f"target ({lower:g}, {upper:g}) lies outside the limits of Theorem 1, {limits.message}"
     cycle = limit_cycle(tsc, lower, upper)
     if not cycle.always:
         raise ValueError(
             f"{where}, and the rule does not keep switching under it from every start: "
             f"{cycle.reason}. Choose a target with trustlab.limit_cycle(tsc, lower, upper).always, "
             "for example with trustlab.choose_thresholds(tsc)"
-            + (", or between the limits" if limits.feasible else "")
         )
     warn(
         f"{where}, so the theorem does not promise that the rule keeps switching; its steady "

@@ -2,12 +2,13 @@
 What an operator accepts, (2.41)-(2.42), and the path of thresholds under corrections, (2.44).
 """
 
+from typing import Any
+
 import numpy as np
 
-from trustlab.models.checks import between, finite_number, positive, warn
+from trustlab.models.checks import finite_numbers, of_class, positive
 from trustlab.models.compiled import njit
-from trustlab.models.published import published_models
-from trustlab.models.tsc import RobotModel, TscModel, advance, human_at, threshold_mode, tsc_at
+from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at
 
 # Rows of arrays that hold both thresholds.
 LOWER, UPPER = 0, 1
@@ -45,10 +46,7 @@ box = njit(incentive_box)
 
 
 def incentive_bounds(
-    r: float | np.ndarray,
-    p_r: float | np.ndarray,
-    c_b: float,
-    model: TscModel | RobotModel | None = None,
+    r: float | np.ndarray, p_r: float | np.ndarray, c_b: float, model: TscModel
 ) -> tuple[float | np.ndarray, float | np.ndarray]:
     """
     Return the least and the greatest correction that an operator can be expected to accept, (2.42).
@@ -65,9 +63,8 @@ def incentive_bounds(
         Robot performance, within its range up to rounding; of a shape that broadcasts with `r`.
     c_b : float
         Largest correction per step; positive.
-    model : TscModel or RobotModel, optional
-        The model that gives the range of robot performance. Without one the printed range of the
-        pilot operator of Section 2.5 is used, P_r from 0.24 to 0.39 m/s, and a warning says so.
+    model : TscModel
+        The model that gives the range of robot performance.
 
     Returns
     -------
@@ -77,77 +74,41 @@ def incentive_bounds(
     Raises
     ------
     ValueError
-        If r lies outside [0, 1], P_r outside its range by more than rounding, or c_b is not
+        If r lies outside [0, 1] or P_r outside its range by more than rounding, or c_b is not
         positive.
-
-    Warns
-    -----
-    UserWarning
-        If no model is given.
 
     Examples
     --------
     >>> import trustlab as tl
     >>> model = tl.published_models()["2"]
-    >>> least, most = tl.incentive_bounds(r=0.7, p_r=0.30, c_b=1e-5, model=model)
-    >>> least < 0.0 < most
-    True
+    >>> least, most = tl.incentive_bounds(r=0.7, p_r=0.30, c_b=1.0, model=model)
+    >>> round(float(least), 3), round(float(most), 3)
+    (-0.623, 0.377)
     """
-    if model is None:
-        model = published_models()["pilot"]
-        warn(
-            "incentive_bounds takes the pilot operator's range of robot performance, "
-            f"{model.robot.p_min} to {model.robot.p_max} m/s, as no model= was given; pass the "
-            "TscModel of your operator and robot"
-        )
-    robot = model.robot if isinstance(model, TscModel) else model
-    if not isinstance(robot, RobotModel):
-        raise ValueError(f"model must be a TscModel or a RobotModel, got {type(model).__name__}")
-    c_b = positive("c_b", c_b)
-    if not np.ndim(r) and not np.ndim(p_r):
-        r = between("r", r, 0.0, 1.0)
-        p_r = within_range("p_r", finite_number("p_r", p_r), robot.p_min, robot.p_max)
-    try:
-        load, performance = np.broadcast_arrays(
-            np.asarray(r, dtype=float), np.asarray(p_r, dtype=float)
-        )
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"r and p_r must be numbers of shapes that broadcast: {error}") from None
-    if load.size == 0:
-        raise ValueError("r and p_r are empty; give at least one sample")
-    slack = ROUNDING * (robot.p_max - robot.p_min)
-    for name, values, least, most in (
-        ("r", load, 0.0, 1.0),
-        ("p_r", performance, robot.p_min - slack, robot.p_max + slack),
-    ):
-        inside = (values >= least) & (values <= most)
-        if not inside.all():
-            where = tuple(map(int, np.unravel_index(int(np.argmin(inside)), inside.shape)))
-            raise ValueError(
-                f"{name} must lie in [{least:g}, {most:g}], but sample {where} is {values[where]}"
-            )
-    performance = np.clip(performance, robot.p_min, robot.p_max)
-    low, high = incentive_box(load, performance, c_b, robot.p_min, robot.p_max)
+    robot = of_class("model", model, TscModel).robot
+    load = within_range("r", r, 0.0, 1.0)
+    performance = within_range("p_r", p_r, robot.p_min, robot.p_max)
+    bounds = incentive_box(load, performance, positive("c_b", c_b), robot.p_min, robot.p_max)
     # Thresholds may always be held; rounding must not exclude that.
-    low = np.minimum(low, 0.0)
-    high = np.maximum(high, 0.0)
-    return (low, high) if np.ndim(low) else (float(low), float(high))
+    return np.minimum(bounds[0], 0.0), np.maximum(bounds[1], 0.0)
 
 
-def within_range(name: str, value: float, least: float, most: float) -> float:
+def within_range(name: str, values: Any, least: float, most: float) -> Any:
     """
-    Return a value within its range; where it lies outside by rounding only, the end of the range.
+    Return numbers within their range; where they lie outside by rounding only, the end of the
+    range.
     """
-    number = value if type(value) is float else finite_number(name, value)
-    if least <= number <= most:
-        return number
+    if type(values) is float and least <= values <= most:  # as at nearly every step
+        return values
+    numbers = finite_numbers(name, values)
     slack = ROUNDING * (most - least)
-    if not least - slack <= number <= most + slack:
+    outside = (numbers < least - slack) | (numbers > most + slack)
+    if outside.any():
         raise ValueError(
-            f"{name} = {number} lies outside the model's range [{least:g}, {most:g}]; check its "
-            "unit, or identify the model anew from this operator's sessions"
+            f"{name} = {numbers[outside][0]} lies outside the model's range [{least:g}, {most:g}]; "
+            "check its unit, or identify the model anew from this operator's sessions"
         )
-    return min(max(number, least), most)
+    return np.clip(numbers, least, most)[()]
 
 
 # --- the path -------------------------------------------------------------------------------------
@@ -170,9 +131,9 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
 
     `path` has r, P_r, TSC_l and TSC_u in its first column, and the rest is filled: rows as named by
     COLUMNS, the last three without their last column. `start` are the thresholds of the first
-    column, `given` has the shape (2, N). Returns the cost (2.43), a bound that no admissible plan
-    costs less than, of use where all are NaN, and whether incentives stayed within [−c_b, 0] and
-    [0, c_b]; where these are not `certain` to be (2.42), the bound takes c_b for them.
+    column, `given` has the shape (2, N). Returns the cost (2.43), NaN where incentives leave
+    [−c_b, 0] and [0, c_b], and a bound that no admissible plan costs less than, of use where all
+    corrections are NaN; where incentives are not `certain` to be (2.42), the bound takes c_b.
     """
     cost = 0.0
     bound = 0.0
@@ -200,7 +161,7 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
         mode = threshold_mode(tsc, lower, upper, mode)
         low, high = incentive(r, p_r, c_b, c.p_r_min, c.p_r_max)
         if not (-c_b - slack <= low <= slack and -slack <= high <= c_b + slack):
-            return np.inf, -np.inf, False
+            return np.nan, np.nan
         low, high = min(low, 0.0), max(high, 0.0)
         c_l = _allowed(given[LOWER, k], lower, start[LOWER], target[LOWER], low, high)
         c_u = _allowed(given[UPPER, k], upper, start[UPPER], target[UPPER], low, high)
@@ -222,7 +183,7 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
         p_least = advance(0.0, p_least, min(c.p_h_min, 0.0), 1.0, c)[1]
         r_least = advance(r_least, 0.0, 0.0, 0.0, c)[0]
         r_most, p_most = advance(r_most, p_most, c.p_h_max, 1.0, c)
-    return cost, min(bound, cost), True
+    return cost, min(bound, cost)
 
 
 @njit

@@ -5,19 +5,16 @@ tests as in Fig. 2.18, on the model.
 
 import math
 from dataclasses import dataclass
-from string import ascii_lowercase
 from time import perf_counter
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.correction import (
-    ThresholdCorrector,
-    check_mode,
-    suggestion_now,
-)
-from trustlab.allocation.correction_path import ROUNDING, within_range
+from trustlab.allocation.correction import ThresholdCorrector, suggestion_now
+from trustlab.allocation.correction_path import ROUNDING
 from trustlab.allocation.limits import threshold_pair
+from trustlab.allocation.simulation import run_model
 from trustlab.models.checks import (
     between,
     finite_number,
@@ -25,19 +22,10 @@ from trustlab.models.checks import (
     of_class,
     one_of,
     positive,
-    set_checked,
     whole_number,
 )
 from trustlab.models.display import Result, axes_or_new
-from trustlab.models.tsc import (
-    RobotModel,
-    TscConstants,
-    next_performance,
-    next_utilization,
-    performance_at,
-    threshold_mode,
-    tsc_at,
-)
+from trustlab.models.tsc import next_utilization, threshold_mode, tsc_at
 
 # Why thresholds are held, and what a plan takes for a measurement out of range.
 MISSING = (
@@ -53,25 +41,11 @@ NEAREST = (
     "as requested. Identify the model anew if this happens often."
 )
 
-# Columns of the data, with their order.
-COLUMNS = [
-    *["test", "t", "r", "p_r", "p_h", "tsc", "mode", "suggestion"],
-    *["lower", "upper", "c_l", "c_u"],
-    *["cost", "cost_lower_bound", "status", "message", "latency"],
-]
-
-HABITS = ("following", "lagging", "ignoring")
-SOURCE = "simulated, model of (2.1)-(2.6)"
-
-# Columns of the thresholds, each with that of its corrections.
-SIDES = (("lower", "c_l"), ("upper", "c_u"))
-
 
 # --- sample by sample -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class OnlineStep:
+class OnlineStep(NamedTuple):
     """
     The outcome of one sample.
 
@@ -130,7 +104,7 @@ class OnlineCorrection:
         Initial utilization, in [0, 1]; 0 is a rested operator.
     outside : {"hold", "nearest"}
         What to do when measured robot performance lies outside the model's range: hold the
-        thresholds, or plan with the nearest value in the range. The status says which. TSC and the
+        thresholds, or plan with the nearest value in the range. The message says which. TSC and the
         suggestion use the measured value.
 
     Raises
@@ -158,7 +132,7 @@ class OnlineCorrection:
     ):
         self.corrector = of_class("corrector", corrector, ThresholdCorrector)
         self.lower, self.upper = threshold_pair("start", start)
-        self.mode = check_mode(mode)
+        self.mode = whole_number("mode", mode, least=0, most=1)
         self.r = between("r", r, 0.0, 1.0)
         self._nearest = one_of("outside", outside, ("hold", "nearest")) == "nearest"
         self._c = corrector.tsc.constants()
@@ -187,46 +161,34 @@ class OnlineCorrection:
             was.
         """
         began = perf_counter()
-        p_r = measured("p_r", p_r)
-        p_h = measured("p_h", p_h)
-        now = (
-            self.mode
-            if mode is None or (isinstance(mode, float) and mode != mode)
-            else check_mode(mode)
-        )
-        c = self._c
-        lower = self.lower
-        upper = self.upper
+        p_r = math.nan if _missing(p_r) else finite_number("p_r", p_r)
+        p_h = math.nan if _missing(p_h) else finite_number("p_h", p_h)
+        now = self.mode if _missing(mode) else whole_number("mode", mode, least=0, most=1)
+        c, r = self._c, self.r
+        lower, upper = self.lower, self.upper
         suggestion = -1
         status, message = "held", MISSING
         c_l = c_u = 0.0
         cost = bound = math.nan
         tsc = tsc_at.py_func(p_r, p_h, c)
-        if math.isinf(tsc) or (tsc != tsc and p_r == p_r and p_h == p_h):
-            raise ValueError(f"TSC overflows for p_r = {p_r} and p_h = {p_h}; check their unit")
-        if tsc == tsc:
+        if not math.isnan(tsc):
             suggestion = suggestion_now(tsc, lower, upper)
             slack = ROUNDING * (c.p_r_max - c.p_r_min)
             inside = c.p_r_min - slack <= p_r <= c.p_r_max + slack
             message = OUTSIDE
             if inside or self._nearest:
-                plan = self.corrector.plan(
-                    self.r, min(max(p_r, c.p_r_min), c.p_r_max), lower, upper, now
-                )
+                in_range = min(max(p_r, c.p_r_min), c.p_r_max)
+                plan = self.corrector.plan(r, in_range, lower, upper, now)
                 c_l, c_u = plan.c_l, plan.c_u
                 cost, bound = plan.cost, plan.cost_lower_bound
                 status = plan.status
                 message = plan.message if inside or status == "held" else NEAREST
-        r = self.r
-        self.lower = lower + c_l
-        self.upper = upper + c_u
+        self.lower, self.upper = lower + c_l, upper + c_u
         self.mode = now
-        self.r = min(max(next_utilization.py_func(r, now, c.a_r), 0.0), 1.0)
-        sample = len(self._steps)
-        latency = perf_counter() - began
+        self.r = next_utilization.py_func(r, now, c.a_r)
         step = OnlineStep(
-            *(sample, suggestion, tsc, lower, upper, c_l, c_u, r, cost, bound),
-            *(status, message, latency),
+            *(len(self._steps), suggestion, tsc, lower, upper, c_l, c_u, r, cost, bound),
+            *(status, message, perf_counter() - began),
         )
         self._steps.append(step)
         return step
@@ -240,54 +202,12 @@ class OnlineCorrection:
         pandas.DataFrame
             One row per sample; the fields of `OnlineStep`.
         """
-        columns = {
-            name: [getattr(step, name) for step in self._steps] for name in OnlineStep.__slots__
-        }
-        return pd.DataFrame(columns)
-
-    def plot(self, axes=None):
-        """
-        Plot a histogram of the latency of every sample so far.
-
-        Parameters
-        ----------
-        axes : matplotlib.axes.Axes, optional
-            Where to plot; a new figure when not given.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-
-        Raises
-        ------
-        ValueError
-            If there is no sample yet.
-        """
-        return plot_latency([step.latency for step in self._steps], axes)
+        return pd.DataFrame(self._steps, columns=OnlineStep._fields)
 
 
-def plot_latency(latency, axes=None):
-    """Plot a histogram of latencies [s], with median and 99th percentile, and return its axes."""
-    micro = 1e6 * np.asarray(latency, dtype=float)
-    if micro.size == 0:
-        raise ValueError(
-            "there is no latency to plot yet; feed samples with update(p_r, p_h, mode) first"
-        )
-    axes = axes_or_new(axes, figsize=(7, 3))
-    axes.hist(micro, bins=np.geomspace(micro.min(), micro.max() * 1.0001, 80))
-    for share, style in ((50, "-"), (99, "--")):
-        value = float(np.percentile(micro, share))
-        axes.axvline(value, color="C1", ls=style, label=f"{share} %: {value:.1f} µs")
-    axes.set(xscale="log", yscale="log", xlabel="latency [µs]", ylabel="samples")
-    axes.legend(fontsize="small")
-    return axes
-
-
-def measured(name: str, value: float | None) -> float:
-    """Return a measurement as a float, NaN where it is missing."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return math.nan
-    return finite_number(name, value)
+def _missing(value: Any) -> bool:
+    """Return whether a measurement did not come."""
+    return value is None or (isinstance(value, float) and math.isnan(value))
 
 
 # --- consecutive tests ----------------------------------------------------------------------------
@@ -301,14 +221,12 @@ class CorrectionRun(Result):
     Parameters
     ----------
     data : pandas.DataFrame
-        One row per sample: test, t [s] from the start of its test, then r, p_r, p_h, tsc, mode,
-        suggestion, lower, upper, c_l, c_u, cost, cost_lower_bound, status, message, latency [s].
+        One row per sample: what `OnlineStep` has but for `sample`, then test, t [s] from the start
+        of its test, p_r, p_h and mode.
     start, target : (float, float)
         TSC_l and TSC_u at the beginning, and their targets.
     operator : str
         How the operator responds to suggestions.
-    source : str
-        Where the data come from.
     """
 
     title = "Correction run"
@@ -317,13 +235,12 @@ class CorrectionRun(Result):
     start: tuple[float, float]
     target: tuple[float, float]
     operator: str
-    source: str = SOURCE
 
     @property
     def message(self) -> str:
-        """How many tests, of which operator, and where the data come from."""
+        """How many tests, of which operator, and that they are simulated."""
         tests = self.data["test"].nunique()
-        return f"{tests} tests, operator {self.operator}; {self.source}"
+        return f"{tests} tests, operator {self.operator}; simulated, model of (2.1)-(2.6)"
 
     def table(self) -> pd.DataFrame:
         """
@@ -334,185 +251,49 @@ class CorrectionRun(Result):
         pandas.DataFrame
             Columns test, lower, upper (thresholds at its end), remaining (share of the distance to
             the target that is left, summed over both thresholds; NaN where they began there), p_r,
-            r, manual_share (means), switches, held (samples without a plan), largest_gap (of all
-            plans, relative), latency_median, latency_p99 [s].
+            r (means), switches, held (samples without a plan), largest_gap (of all plans,
+            relative).
         """
-        data = self.data
-        tests = self.data.groupby("test", sort=True)
-        table = pd.DataFrame(
-            {side: (data[side] + data[c]).groupby(data["test"]).last() for side, c in SIDES}
-        )
-        way = abs(self.target[0] - self.start[0]) + abs(self.target[1] - self.start[1])
-        left = abs(self.target[0] - table["lower"]) + abs(self.target[1] - table["upper"])
-        table["remaining"] = left / way if way > 0.0 else np.nan
-        table[["p_r", "r", "manual_share"]] = tests[["p_r", "r", "mode"]].mean()
-        table["switches"] = tests["mode"].agg(lambda mode: np.count_nonzero(np.diff(mode)))
-        table["held"] = tests["status"].agg(lambda status: (status == "held").sum())
-        gap = (data["cost"] - data["cost_lower_bound"]) / data["cost"].where(
-            data["cost"] > 0.0, 1.0
-        )
-        table["largest_gap"] = gap.groupby(data["test"]).max()
-        table["latency_median"] = tests["latency"].median()
-        table["latency_p99"] = tests["latency"].quantile(0.99)
-        return table.reset_index()
+        way = np.abs(np.subtract(self.target, self.start)).sum()
+        rows = []
+        for test, part in self.data.groupby("test"):
+            last = part.iloc[-1]
+            lower, upper = last["lower"] + last["c_l"], last["upper"] + last["c_u"]
+            left = np.abs(np.subtract(self.target, (lower, upper))).sum()
+            gap = (part["cost"] - part["cost_lower_bound"]) / part["cost"].replace(0.0, 1.0)
+            rows.append(
+                {
+                    "test": test,
+                    "lower": lower,
+                    "upper": upper,
+                    "remaining": left / way if way > 0.0 else np.nan,
+                    "p_r": part["p_r"].mean(),
+                    "r": part["r"].mean(),
+                    "switches": np.count_nonzero(np.diff(part["mode"])),
+                    "held": (part["status"] == "held").sum(),
+                    "largest_gap": gap.max(),
+                }
+            )
+        return pd.DataFrame(rows)
 
-    def plot(self, target: tuple[float, float] | None = None):
+    def plot(self):
         """
         Plot TSC, thresholds and targets of every test, as Fig. 2.18 does.
-
-        Parameters
-        ----------
-        target : (float, float), optional
-            Targets to draw, if not those of this run.
 
         Returns
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (tests,)
         """
-        tests = self.data["test"].unique()
-        size = (min(3 * tests.size + 0.5, 10.0), 3.2)
-        axes = axes_or_new(columns=tests.size, sharey=True, squeeze=False, figsize=size)
-        for axis, test, letter in zip(axes[0], tests, ascii_lowercase * tests.size, strict=False):
-            part = self.data[self.data["test"] == test]
-            axis.plot(part["t"], part["tsc"], lw=0.8, color="C0", label="TSC")
-            # One label for both thresholds, and one for both targets: the second line has none.
-            for side, label in (("lower", "thresholds"), ("upper", None)):
-                axis.plot(part["t"], part[side], "--", color="C3", label=label)
-            for value, label in zip(target or self.target, ("target", None), strict=True):
-                axis.axhline(value, ls="-.", lw=1, color="0.4", label=label)
-            axis.set(xlabel="time [s]", title=f"({letter}) test {test}")
-        axes[0, 0].set(ylabel="TSC")
-        axes[0, 0].figure.legend(
-            *axes[0, 0].get_legend_handles_labels(),
-            title=f"operator {self.operator}; {self.source}",
-            loc="outside upper center",
-            ncols=3,
-            fontsize="small",
-            title_fontsize="small",
-            frameon=False,
-        )
-        return axes[0]
-
-
-@dataclass(frozen=True)
-class ModelTests:
-    """
-    Tests on the model: each plan starts from the true utilization and performance.
-
-    Parameters
-    ----------
-    duration : float
-        Length of each test [s]; Section 2.5 does not state its own.
-    lag : float
-        How long a suggestion must stand before the habit "lagging" follows it [s].
-    noise : float
-        Standard deviation of a disturbance of robot performance at each step; performance stays
-        within the model's range.
-    r0 : float
-        Utilization at the beginning of each test; 0 is a rested operator.
-    p_r0 : float, optional
-        Robot performance there; the robot's P_min when not given.
-    sample_time : float
-        Time between samples [s]; it converts durations to samples.
-
-    Raises
-    ------
-    ValueError
-        If an argument is of the wrong kind or out of range.
-    """
-
-    duration: float = 1800.0
-    lag: float = 5.0
-    noise: float = 0.0
-    r0: float = 0.0
-    p_r0: float | None = None
-    sample_time: float = 0.1
-
-    def __post_init__(self):
-        set_checked(self, positive, "duration", "sample_time")
-        set_checked(self, not_negative, "lag", "noise")
-        between("r0", self.r0, 0.0, 1.0)
-        samples = round(min(self.duration / self.sample_time, 1e15))
-        name = "the number of samples, duration/sample_time,"
-        whole_number(name, samples, most=10_000_000)
-
-    @property
-    def samples(self) -> int:
-        """How many samples a test has."""
-        return round(self.duration / self.sample_time)
-
-    def start(self, robot: RobotModel) -> float:
-        """
-        Return robot performance at the beginning of each test.
-
-        Parameters
-        ----------
-        robot : RobotModel
-            Within whose range it lies.
-        """
-        if self.p_r0 is None:
-            return robot.p_min
-        return within_range("p_r0", self.p_r0, robot.p_min, robot.p_max)
-
-
-class Responder:
-    """An operator who follows suggestions at once, after `wait` samples, or not at all."""
-
-    def __init__(self, habit: str, start: tuple[float, float], wait: int):
-        self.habit = habit
-        self.start = start
-        self.wait = wait
-        self.mode = 1
-        self._suggested = -1
-        self._samples = 0  # for how many samples that suggestion has stood
-
-    def decide(self, tsc: float, online: OnlineCorrection) -> int:
-        """Return the operator's mode at this sample."""
-        if self.habit != "lagging":
-            ignores = self.habit == "ignoring"
-            thresholds = self.start if ignores else (online.lower, online.upper)
-            self.mode = threshold_mode.py_func(tsc, *thresholds, self.mode)
-        elif self._suggested >= 0 and self._samples >= self.wait:
-            self.mode = self._suggested
-            self._suggested = -1
-        return self.mode
-
-    def hear(self, suggestion: int) -> None:
-        """Count for how many samples a suggestion has stood; one that is withdrawn is forgotten."""
-        if suggestion < 0 or suggestion == self.mode:
-            self._suggested = -1
-            self._samples = 0
-        elif suggestion == self._suggested:
-            self._samples += 1
-        else:
-            self._suggested = suggestion
-            self._samples = 1
-
-
-def _closed_loop(
-    online: OnlineCorrection,
-    operator: Responder,
-    c: TscConstants,
-    r: float,
-    p_r: float,
-    disturbance: np.ndarray,
-) -> dict[str, np.ndarray]:
-    """Simulate one test in closed loop and return p_r, p_h and mode, sample by sample."""
-    truth = {name: np.empty(disturbance.size) for name in ("p_r", "p_h", "mode")}
-    for k, push in enumerate(disturbance):
-        # Numbers one by one: a NamedTuple takes longer to hand over to compiled code than the
-        # equation takes.
-        p_h = performance_at(r, c.beta, c.p_h_min, c.p_h_max)
-        mode = operator.decide(tsc_at.py_func(p_r, p_h, c), online)
-        operator.hear(online.update(p_r, p_h, mode).suggestion)
-        truth["p_r"][k] = p_r
-        truth["p_h"][k] = p_h
-        truth["mode"][k] = mode
-        r = min(max(next_utilization(r, mode, c.a_r), 0.0), 1.0)
-        p_r = next_performance(p_r, p_h, mode, c.a_pr, c.b_pr, c.p_r_min)
-        if push:
-            p_r = min(max(p_r + push, c.p_r_min), c.p_r_max)
-    return truth
+        tests = self.data.groupby("test")
+        size: Any = {"sharey": True, "squeeze": False, "figsize": (10, 3.2)}
+        axes = axes_or_new(columns=len(tests), title=self.message, **size)[0]
+        for axis, (test, part) in zip(axes, tests, strict=True):
+            axis.plot(part["t"], part["tsc"], lw=0.8, label="TSC")
+            axis.plot(part["t"], part[["lower", "upper"]], "--", color="C3", label="thresholds")
+            for value in self.target:
+                axis.axhline(value, ls="-.", lw=1, color="0.4")
+            axis.set(xlabel="time [s]", title=f"test {test}")
+        return axes
 
 
 def run_correction(
@@ -520,14 +301,16 @@ def run_correction(
     start: tuple[float, float],
     tests: int = 4,
     habit: str = "following",
-    seed: int | np.random.SeedSequence = 0,
-    setting: ModelTests | None = None,
+    duration: float = 1800.0,
+    lag: float = 5.0,
+    sample_time: float = 0.1,
 ) -> CorrectionRun:
     """
     Correct thresholds over several consecutive tests, Section 2.5 and Fig. 2.18.
 
-    Every test begins in the manual mode; thresholds carry over from test to test. No plan
-    anticipates how the operator will respond to suggestions.
+    Every test begins in the manual mode, with a rested operator and the robot's least performance;
+    thresholds carry over from test to test. No plan anticipates how the operator will respond to
+    suggestions.
 
     Parameters
     ----------
@@ -539,11 +322,13 @@ def run_correction(
         How many tests.
     habit : {"following", "lagging", "ignoring"}
         How the operator responds to suggestions. "following": follows all; "lagging": follows those
-        that still stand after a lag; "ignoring": decides by the thresholds of `start`.
-    seed : int or numpy.random.SeedSequence
-        Of all that is random.
-    setting : ModelTests, optional
-        How long the tests are, and from where they begin; `ModelTests()` when not given.
+        that still stand after `lag`; "ignoring": decides by the thresholds of `start`.
+    duration : float
+        Length of each test [s]; Section 2.5 does not state its own.
+    lag : float
+        How long a suggestion must stand before the habit "lagging" follows it [s].
+    sample_time : float
+        Step of the model [s].
 
     Returns
     -------
@@ -563,31 +348,46 @@ def run_correction(
     --------
     >>> import trustlab as tl
     >>> corrector = tl.ThresholdCorrector(tl.published_models()["2"], target=(0.05, 0.4))
-    >>> setting = tl.allocation.ModelTests(duration=60.0)
-    >>> run = tl.run_correction(corrector, (0.0, 0.35), tests=1, setting=setting)
+    >>> run = tl.run_correction(corrector, (0.0, 0.35), tests=1, duration=60.0)
     >>> run.table().columns.tolist()[:5]
     ['test', 'lower', 'upper', 'remaining', 'p_r']
     """
     of_class("corrector", corrector, ThresholdCorrector)
-    setting = of_class("setting", ModelTests() if setting is None else setting, ModelTests)
     start = threshold_pair("start", start)
-    one_of("habit", habit, HABITS)
+    one_of("habit", habit, ("following", "lagging", "ignoring"))
     tests = whole_number("tests", tests, most=1000)
-    if not isinstance(seed, np.random.SeedSequence):
-        seed = whole_number("seed", seed, least=0)
-    p_r0, r0 = setting.start(corrector.tsc.robot), setting.r0
-    wait = round(min(setting.lag / setting.sample_time, setting.samples + 1))
-    if corrector.program is not None:
-        corrector.program.reset()
-    rng, thresholds = np.random.default_rng(seed), start
+    sample_time = positive("sample_time", sample_time)
+    share = between("duration/sample_time", positive("duration", duration) / sample_time, 1.0, 1e7)
+    samples = round(share)
+    wait = max(1.0, not_negative("lag", lag) / sample_time - 0.5)
+    tsc, thresholds = corrector.tsc, start
     parts = []
     for number in range(1, tests + 1):
-        online = OnlineCorrection(corrector, thresholds, 1, r0, outside="nearest")
-        operator = Responder(habit, start, wait)
-        disturbance = rng.standard_normal(setting.samples) * setting.noise
-        truth = _closed_loop(online, operator, corrector.tsc.constants(), r0, p_r0, disturbance)
-        time = np.arange(setting.samples) * setting.sample_time
-        parts.append(online.table().assign(test=number, t=time, **truth))
+        online = OnlineCorrection(corrector, thresholds)
+        decide = _deciding(online, habit, start, wait)
+        run = run_model(tsc, samples, (0.0, tsc.robot.p_min, 1), decide=decide)
+        clock = {"test": number, "t": np.arange(samples) * sample_time}
+        parts.append(online.table().assign(**clock, **run[["p_r", "p_h", "mode"]]))
         thresholds = online.lower, online.upper
-    frame = pd.concat(parts, ignore_index=True)[COLUMNS]
-    return CorrectionRun(frame, start, corrector.target, habit)
+    data = pd.concat(parts, ignore_index=True).drop(columns="sample")
+    return CorrectionRun(data, start, corrector.target, habit)
+
+
+def _deciding(online: OnlineCorrection, habit: str, start: tuple[float, float], wait: float) -> Any:
+    """Return the operator, who decides at each sample, and then hears a suggestion."""
+    standing = 0  # for how many samples the suggestion to change the mode has stood
+
+    def decide(now: np.void, inputs: np.ndarray) -> None:
+        nonlocal standing
+        _, p_r, p_h, tsc, mode = now.item()
+        mode = int(mode)
+        if habit != "lagging":
+            thresholds = start if habit == "ignoring" else (online.lower, online.upper)
+            mode = threshold_mode.py_func(tsc, *thresholds, mode)
+        elif standing >= wait:
+            mode, standing = 1 - mode, 0
+        inputs[0] = mode
+        suggestion = online.update(p_r, p_h, mode).suggestion
+        standing = standing + 1 if suggestion == 1 - mode else 0
+
+    return decide

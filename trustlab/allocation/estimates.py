@@ -13,7 +13,6 @@ from trustlab.models.checks import (
     finite_array,
     finite_number,
     in_order,
-    not_negative,
     of_class,
     positive,
     whole_number,
@@ -41,26 +40,18 @@ class ThresholdEstimate:
         Index `threshold`; columns n, mean, sd, ci_low, ci_high (bootstrap 95 % interval of the
         mean), share_within (of the switches within ±0.15 of their mean).
     separation : float
-        How far the means are apart in sums of the two SDs (`separation`). Above 1, mean ± SD do not
-        overlap, the way in which Table 2.3 sets participant 3 (0.99) apart from the others (1.5 to
-        6.5).
-    separation_low, separation_high : float
-        Its 95 % interval; NaN, as the two below, with fewer than two switches in one direction.
+        How far the means are apart in sums of the two SDs, (mean upper − mean lower)/(SD lower + SD
+        upper). Above 1, mean ± SD do not overlap, the way in which Table 2.3 sets participant 3
+        (0.99) apart from the others (1.5 to 6.5). NaN with fewer than two switches in one
+        direction.
     p_overlap : float
-        One-sided p against the hypothesis that `separation` is 1 or less.
-    p_means : float
-        One-sided p of Welch's t test that the mean of the upper is greater: small also where single
-        switches overlap, if only there are many of them, and so no answer to whether an operator
-        follows (2.8).
+        One-sided p against the hypothesis that `separation` is 1 or less; NaN likewise.
     """
 
     switches: pd.DataFrame
     summary: pd.DataFrame
     separation: float
-    separation_low: float
-    separation_high: float
     p_overlap: float
-    p_means: float
 
     @property
     def distinguishable(self) -> bool:
@@ -104,8 +95,7 @@ def estimate_thresholds(
     within : float
         Half width of the band around the means that `share_within` counts.
     resamples : int
-        Bootstrap resamples for the intervals of the means, and draws for the interval of
-        `separation`; at least 100.
+        Bootstrap resamples for the intervals of the means, and draws for `p_overlap`; at least 100.
     seed : int
         Seed of both.
     after : float, optional
@@ -128,9 +118,9 @@ def estimate_thresholds(
     as far as switches can show, when nearly every single switch lies on its own side of a cut
     between the two. With normal spread the best cut at equal distances in SDs leaves Φ(−s) of the
     switches on the wrong side, s being `separation`; s = 1, where mean ± SD touch, leaves 16 %. The
-    test asks whether s exceeds 1. Its p and interval are generalized ones (Weerahandi, 1993): means
-    and SDs are drawn from what normal samples of these sizes say about them. They keep their level
-    with few switches.
+    test asks whether s exceeds 1. Its p is a generalized one (Weerahandi, 1993): means and SDs are
+    drawn from what normal samples of these sizes say about them. It keeps its level with few
+    switches.
 
     A switch shows TSC when the hand moved, not when the operator decided: TSC runs on during the
     reaction, so that means lie beyond the operator's own thresholds by about its rate times the
@@ -154,12 +144,7 @@ def estimate_thresholds(
     resamples = whole_number("resamples", resamples, least=100, most=10**5)
     seed = whole_number("seed", seed, least=0)
     after = -np.inf if after is None else finite_number("after", after)
-    try:
-        runs = [sessions] if isinstance(sessions, Session) else list(sessions)
-    except TypeError:
-        of_class("sessions", sessions, Session, "trustlab.read_session(path) reads one")
-    if not runs:
-        raise ValueError("sessions must hold at least one Session, got none")
+    runs = [sessions] if isinstance(sessions, Session) else list(sessions)
     rows = []
     for number, run in enumerate(runs):
         of_class(f"sessions[{number}]", run, Session, "trustlab.read_session(path) reads one")
@@ -169,14 +154,17 @@ def estimate_thresholds(
             raise SessionError(
                 f"{run.label}: thresholds need a mode of 0 or 1, not shares", run.metadata.source
             )
-        if "tsc" not in run and model is None:
+        if "tsc" in run:
+            tsc = run["tsc"]
+        elif model is not None:
+            run.require("p_r", "p_h")
+            tsc = model.value(run["p_r"], run["p_h"])
+        else:
             raise SessionError(
                 f"{run.label} has no column 'tsc'; give model=TscModel(...) to compute it from "
                 "p_r and p_h",
                 run.metadata.source,
             )
-        run.require(*(["tsc"] if "tsc" in run else ["p_r", "p_h"]))
-        tsc = run["tsc"] if "tsc" in run else model.value(run["p_r"], run["p_h"])
         for k in np.flatnonzero((np.diff(mode) != 0.0) & (run.t[1:] >= after)) + 1:
             rows.append((number, run.t[k], "lower" if mode[k] == 1.0 else "upper", tsc[k]))
     switches = pd.DataFrame(rows, columns=["run", "t", "threshold", "tsc"])
@@ -188,78 +176,46 @@ def estimate_thresholds(
     return _summarise(switches, within, resamples, np.random.default_rng(seed))
 
 
-def separation(lower_mean: float, lower_sd: float, upper_mean: float, upper_sd: float) -> float:
-    """
-    Return how far two thresholds are apart, (mean upper − mean lower)/(SD lower + SD upper).
-
-    Parameters
-    ----------
-    lower_mean, lower_sd, upper_mean, upper_sd : float
-        Means and standard deviations of TSC at the switches, for example those of Table 2.3.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite, an SD is negative, or both are 0.
-    """
-    low = finite_number("lower_mean", lower_mean)
-    high = finite_number("upper_mean", upper_mean)
-    spread = not_negative("lower_sd", lower_sd) + not_negative("upper_sd", upper_sd)
-    return (high - low) / positive("lower_sd + upper_sd", spread)
-
-
 def _apart(
     groups: dict[str, np.ndarray], draws: int, rng: np.random.Generator
-) -> tuple[float, float, float, float]:
-    """
-    Return the separation of two groups of switches, its 95 % interval, and p that it is 1 or less.
-    """
+) -> tuple[float, float]:
+    """Return the separation of two groups of switches, and p that it is 1 or less."""
     numbers = []
     drawn = []
-    for values in (groups["lower"], groups["upper"]):
+    for values in groups.values():
         n = values.size
         if n < 2 or not values.std() > 0.0:
-            return np.nan, np.nan, np.nan, np.nan
-        mean = values.mean()
-        sd = values.std(ddof=1)
+            return np.nan, np.nan
+        mean, sd = values.mean(), values.std(ddof=1)
         spread = sd * np.sqrt((n - 1) / rng.chisquare(n - 1, draws))
         numbers += [mean, sd]
         drawn += [mean + spread * rng.standard_normal(draws) / np.sqrt(n), spread]
-    draws_of_ratio = (drawn[2] - drawn[0]) / (drawn[1] + drawn[3])
-    low, high = np.quantile(draws_of_ratio, [0.025, 0.975])
-    together = float((draws_of_ratio <= 1.0).mean())
-    return separation(*numbers), float(low), float(high), together
+    ratio, ratios = ((high - low) / (a + b) for low, a, high, b in (numbers, drawn))
+    return float(ratio), float((ratios <= 1.0).mean())
 
 
 def _summarise(
     switches: pd.DataFrame, within: float, resamples: int, rng: np.random.Generator
 ) -> ThresholdEstimate:
-    from scipy import stats
-
+    """Return thresholds from all switches."""
     groups = {
         name: switches.loc[switches["threshold"] == name, "tsc"].to_numpy()
         for name in ("lower", "upper")
     }
     rows = {}
     for name, values in groups.items():
-        if values.size == 0:
-            rows[name] = (0, np.nan, np.nan, np.nan, np.nan, np.nan)
-            continue
-        means = rng.choice(values, (resamples, values.size)).mean(axis=1)
-        low, high = np.quantile(means, [0.025, 0.975]) if values.size > 1 else (np.nan, np.nan)
-        sd = values.std(ddof=1) if values.size > 1 else np.nan
-        share = np.mean(np.abs(values - values.mean()) <= within)
-        rows[name] = (values.size, values.mean(), sd, low, high, share)
+        sd = low = high = np.nan
+        if values.size > 0:
+            means = rng.choice(values, (resamples, values.size)).mean(axis=1)
+        if values.size > 1:
+            sd = values.std(ddof=1)
+            low, high = np.quantile(means, [0.025, 0.975])
+        mean = values.mean() if values.size else np.nan
+        share = np.mean(np.abs(values - mean) <= within) if values.size else np.nan
+        rows[name] = (values.size, mean, sd, low, high, share)
     columns = ["n", "mean", "sd", "ci_low", "ci_high", "share_within"]
     summary = pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("threshold")
-    p = np.nan
-    if min(values.size for values in groups.values()) > 1:
-        p = float(
-            stats.ttest_ind(
-                groups["upper"], groups["lower"], equal_var=False, alternative="greater"
-            ).pvalue
-        )
-    return ThresholdEstimate(switches, summary, *_apart(groups, resamples, rng), p)
+    return ThresholdEstimate(switches, summary, *_apart(groups, resamples, rng))
 
 
 def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) -> float:
@@ -366,16 +322,11 @@ def suggestion_episodes(t, mode, suggested, deadline):
     for k in range(t.size):
         before = mode[max(k - 1, 0)]
         if suggested[k] >= 0.0 and suggested[k] != before:
-            same = (
-                not broken
-                and suggested[first[-1]] == suggested[k]
-                and t[k] - t[last[-1]] <= deadline
-            )
-            if same:
-                last[-1] = k
-            else:
+            same = not broken and suggested[first[-1]] == suggested[k]
+            if not same or t[k] - t[last[-1]] > deadline:
                 first.append(k)
                 last.append(k)
+            last[-1] = k
             broken = False
         elif mode[k] != before or suggested[k] == before:
             broken = True

@@ -4,16 +4,14 @@ Bounds that hold for every trajectory: sets of states propagated round the cycle
 Interval arithmetic of our own, as compiled code takes no other.
 """
 
-import math
 from dataclasses import dataclass
-from typing import NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from trustlab.allocation.limits import check_thresholds
-from trustlab.allocation.ranges import RangeIntervals, SteadyRanges, over_draws
+from trustlab.allocation.ranges import SteadyRanges, ends
 from trustlab.allocation.steady import EFFORT, endless_phase
-from trustlab.identification.posterior.result import Posterior
 from trustlab.models.checks import whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, advance, human_at, human_range, tsc_at
@@ -34,9 +32,6 @@ STEEP = 1e-6
 # Width of bounds on utilization from which on they tell nothing.
 VACUOUS = 0.98
 
-# Cells for each draw of a posterior, whose spread outweighs what more of them would gain.
-CELLS_OF_DRAWS = 64
-
 
 class PhaseImage(NamedTuple):
     """Bounds of a phase: states at its end, overshoot of its threshold, dwell time, samples."""
@@ -50,19 +45,6 @@ class PhaseImage(NamedTuple):
     p_r_high: float
     tsc_low: float
     tsc_high: float
-
-
-class Enclosure(NamedTuple):
-    """Bounds of a cycle: utilization and overshoot as phases begin, and images of both phases."""
-
-    # −1 or −2: a manual or an autonomous phase may never end; else how many cycles were followed
-    code: int
-    low: float
-    high: float
-    over: float
-    manual: PhaseImage
-    autonomous_high: float
-    autonomous: PhaseImage
 
 
 NO_IMAGE = PhaseImage(np.inf, -np.inf, 0.0, np.inf, 0.0, np.inf, -np.inf, np.inf, -np.inf)
@@ -221,20 +203,35 @@ def enclose(low, high, over, lower, upper, c, cells, most):
     """
     Propagate r in [low, high], as a manual phase begins, through one cycle.
 
-    TSC begins within `over` below TSC_l.
+    TSC begins within `over` below TSC_l. Returns whether all phases end within `most` samples, the
+    images of both phases, and the greatest r as the autonomous one begins.
     """
     first_phase = (
         cells > 0
     )  # no literals True and False: numba would compile `phase_image` once for each
     ends, manual = phase_image(first_phase, low, high, lower, over, upper, c, cells, most)
     if not ends:
-        return Enclosure(-1, low, high, over, NO_IMAGE, 1.0, NO_IMAGE)
+        return False, NO_IMAGE, NO_IMAGE, 1.0
     first = max(manual.r_low - ROUNDING, 0.0)
     last = min(manual.r_high + ROUNDING, 1.0)
     ends, autonomous = phase_image(
         not first_phase, first, last, upper, manual.overshoot, lower, c, cells, most
     )
-    return Enclosure(1 if ends else -2, low, high, over, manual, last, autonomous)
+    return ends, manual, autonomous, last
+
+
+class Nested(NamedTuple):
+    """
+    Bounds of a cycle: utilizations as manual and as autonomous phases begin, and the images of
+    both; after how many cycles, and whether they had settled.
+    """
+
+    low: float
+    high: float
+    manual: PhaseImage
+    autonomous: PhaseImage
+    cycles: int
+    settled: bool
 
 
 def nest(lower, upper, c, cells, cycles, most):
@@ -243,8 +240,8 @@ def nest(lower, upper, c, cells, cycles, most):
 
     What encloses every trajectory after k cycles encloses it after k + 1 as well as its image does:
     the intersection. Intervals are cut into COARSE cells at first, and into twice as many, up to
-    `cells`, whenever a cycle has shrunk them by less than SHRINK. Returns the enclosure, and
-    whether it had settled when the cycles or EFFORT ran out.
+    `cells`, whenever a cycle has shrunk them by less than SHRINK, until they have settled, or the
+    cycles or EFFORT run out. Returns `Nested`, or None where a phase was not shown to end.
     """
     low = 0.0
     high = 1.0
@@ -253,28 +250,25 @@ def nest(lower, upper, c, cells, cycles, most):
     effort = EFFORT
     settled = False
     done = 0
-    for _ in range(cycles):
-        cycle = enclose(low, high, over, lower, upper, c, count, most)
-        if cycle.code < 0:
-            return cycle, False
-        after = cycle.autonomous
-        next_low = max(low, after.r_low - ROUNDING)
-        next_high = min(high, after.r_high + ROUNDING)
+    while True:
+        ends, manual, autonomous, last = enclose(low, high, over, lower, upper, c, count, most)
+        if not ends:
+            return None
+        samples = manual.dwell_high + autonomous.dwell_high
+        # The image of the last utilizations is what is reported.
+        if done == cycles or settled or (done > 0 and effort < count * samples):
+            return Nested(low, last, manual, autonomous, done, settled)
+        next_low = max(low, autonomous.r_low - ROUNDING)
+        next_high = min(high, autonomous.r_high + ROUNDING)
         shrunk = 1.0 - (next_high - next_low) / (high - low)
         low = next_low
         high = next_high
-        over = min(over, after.overshoot)
-        samples = cycle.manual.dwell_high + after.dwell_high
+        over = min(over, autonomous.overshoot)
         effort -= count * samples
         done += 1
         settled = shrunk <= SETTLED and count == cells and done > 1
         if shrunk <= SHRINK:
             count = min(2 * count, cells)
-        if settled or effort < count * samples:
-            break
-    # Once more, so that all that is reported belongs to the last utilizations.
-    cycle = enclose(low, high, over, lower, upper, c, count, most)
-    return cycle._replace(code=done) if cycle.code > 0 else cycle, settled
 
 
 # --- for a user ----------------------------------------------------------------------------------
@@ -297,26 +291,15 @@ class InvariantBounds(SteadyRanges):
         After how many returns to manual control the bounds hold.
     """
 
+    title = "Bounds for every trajectory"
+
     guaranteed: bool
     cycles: int
 
-    def _qualified(self) -> str:
-        return f"guaranteed={self.guaranteed}, cycles={self.cycles}"
 
-
-@overload
 def invariant_bounds(
-    tsc: TscModel, lower: float, upper: float, cells: int = ..., cycles: int = ...
-) -> InvariantBounds: ...
-
-
-@overload
-def invariant_bounds(
-    tsc: Posterior, lower: float, upper: float, cells: int = ..., cycles: int = ...
-) -> RangeIntervals: ...
-
-
-def invariant_bounds(tsc, lower, upper, cells=1024, cycles=200):
+    tsc: TscModel, lower: float, upper: float, cells: int = 1024, cycles: int = 200
+) -> InvariantBounds:
     """
     Bound utilization, robot performance and dwell times for every trajectory under rule (2.8).
 
@@ -329,9 +312,8 @@ def invariant_bounds(tsc, lower, upper, cells=1024, cycles=200):
 
     Parameters
     ----------
-    tsc : TscModel or Posterior
-        The model; or a posterior (`sample_posterior`), of which 200 draws are bounded, in at most
-        64 cells each.
+    tsc : TscModel
+        The model.
     lower, upper : float
         Thresholds TSC_l and TSC_u.
     cells : int
@@ -342,7 +324,7 @@ def invariant_bounds(tsc, lower, upper, cells=1024, cycles=200):
 
     Returns
     -------
-    InvariantBounds or, for a posterior, RangeIntervals
+    InvariantBounds
 
     Raises
     ------
@@ -363,90 +345,67 @@ def invariant_bounds(tsc, lower, upper, cells=1024, cycles=200):
     dwell time manual      217.000  219.000
     dwell time autonomous   65.000   65.000
     """
-    if isinstance(tsc, Posterior):
-        cells = min(whole_number("cells", cells), CELLS_OF_DRAWS)
-
-        def bounds_of(model):
-            return invariant_bounds(model, lower, upper, cells, cycles)
-
-        return over_draws(tsc.models, bounds_of, "guaranteed")
     lower, upper = check_thresholds(tsc, lower, upper)
     cells = whole_number("cells", cells)
     cycles = whole_number("cycles", cycles)
-    endless = endless_phase(tsc, lower, upper)
-    if endless:
-        return _trivial(tsc, lower, upper, endless)
     c = tsc.constants()
-    coarse = min(COARSE, cells)
-    most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
-    enclosure, settled = nest(lower, upper, c, cells, cycles, most)
-    done = enclosure.code
-    if done < 0:
-        phase = "a manual" if done == -1 else "an autonomous"
-        return _trivial(
-            tsc,
-            lower,
-            upper,
-            f"every phase ends, but {phase} phase from some utilization was not shown to do so "
-            f"within {most} samples; cells= below {coarse} allow longer phases",
+    pair: Any = {"model": tsc, "lower": lower, "upper": upper}
+    reason = endless_phase(tsc, lower, upper)
+    if not reason:
+        coarse = min(COARSE, cells)
+        most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
+        nested = nest(lower, upper, c, cells, cycles, most)
+        if nested is None:
+            reason = (
+                f"a phase from some utilization was not shown to end within {most} samples; "
+                f"cells= below {coarse} allow longer phases"
+            )
+    if reason:
+        return InvariantBounds(
+            guaranteed=False,
+            reason=reason,
+            cycles=0,
+            **pair,
+            **ends(
+                r=(0.0, 1.0),
+                p_r=(tsc.robot.p_min, tsc.robot.steady_state(1.0, tsc.human.p_max)),
+                tsc=(-np.inf, np.inf),
+                dwell_manual=(1.0, np.inf),
+                dwell_autonomous=(1.0, np.inf),
+            ),
         )
-    manual = enclosure.manual
-    autonomous = enclosure.autonomous
+    low, high, manual, autonomous, done, settled = nested
     # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per
     # sample is far more than that.
     slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
     # r falls in autonomous phases and rises in manual ones, so that its extremes are where these
     # begin.
-    r_low = max(enclosure.low - slack, 0.0)
-    r_high = min(enclosure.autonomous_high + slack, 1.0)
+    r_low = max(low - slack, 0.0)
+    r_high = min(high + slack, 1.0)
     reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
     if not settled:
-        more = (
-            "more cycles give" if done == cycles else f"more than {EFFORT:.0e} samples would give"
-        )
-        reason += f" and were still shrinking: {more} tighter bounds"
+        reason += " and were still shrinking, so that tighter bounds exist"
     if r_high - r_low > VACUOUS:
         reason += (
             f"; but the bounds on utilization, {r_low:.3g} to {r_high:.3g}, exclude next to "
             "nothing: more cells may narrow them, and limit_cycle shows the motion"
         )
     return InvariantBounds(
-        model=tsc,
-        lower=lower,
-        upper=upper,
         guaranteed=True,
         reason=reason,
         cycles=done + 1,
-        r_low=r_low,
-        r_high=r_high,
-        p_r_low=min(manual.p_r_low, autonomous.p_r_low) - slack,
-        p_r_high=max(manual.p_r_high, autonomous.p_r_high) + slack,
-        tsc_low=min(manual.tsc_low, lower - autonomous.overshoot) - slack,
-        tsc_high=max(autonomous.tsc_high, upper + manual.overshoot) + slack,
-        dwell_manual_low=manual.dwell_low,
-        dwell_manual_high=manual.dwell_high,
-        dwell_autonomous_low=autonomous.dwell_low,
-        dwell_autonomous_high=autonomous.dwell_high,
-    )
-
-
-def _trivial(tsc: TscModel, lower: float, upper: float, reason: str) -> InvariantBounds:
-    """Return the bounds that hold where phases are not known to end."""
-    return InvariantBounds(
-        model=tsc,
-        lower=lower,
-        upper=upper,
-        guaranteed=False,
-        reason=reason,
-        cycles=0,
-        r_low=0.0,
-        r_high=1.0,
-        p_r_low=tsc.robot.p_min,
-        p_r_high=float(tsc.robot.steady_state(1.0, tsc.human.p_max)),
-        tsc_low=-math.inf,
-        tsc_high=math.inf,
-        dwell_manual_low=1.0,
-        dwell_manual_high=math.inf,
-        dwell_autonomous_low=1.0,
-        dwell_autonomous_high=math.inf,
+        **pair,
+        **ends(
+            r=(r_low, r_high),
+            p_r=(
+                min(manual.p_r_low, autonomous.p_r_low) - slack,
+                max(manual.p_r_high, autonomous.p_r_high) + slack,
+            ),
+            tsc=(
+                min(manual.tsc_low, lower - autonomous.overshoot) - slack,
+                max(autonomous.tsc_high, upper + manual.overshoot) + slack,
+            ),
+            dwell_manual=(manual.dwell_low, manual.dwell_high),
+            dwell_autonomous=(autonomous.dwell_low, autonomous.dwell_high),
+        ),
     )

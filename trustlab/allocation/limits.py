@@ -1,6 +1,6 @@
 """Limits within which thresholds keep switching, (2.9)-(2.10), and largest one-step changes."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from trustlab.models.checks import (
     rounded_down,
     shown,
 )
-from trustlab.models.display import as_html
+from trustlab.models.display import Result
 from trustlab.models.tsc import TscConstants, TscModel, next_utilization
 
 
@@ -66,23 +66,23 @@ def step_bounds(tsc: TscModel, r_low: float = 0.05, r_high: float = 0.95) -> Ste
     in_order("r_low", low, "r_high", high)
     human = tsc.human
     robot = tsc.robot
-    grid = np.linspace(low, high, 4001)
     best = 0.0
     for mode in (0.0, 1.0):
+        ends = low, high
         for _ in range(6):
+            grid = np.linspace(*ends, 4001)
             after = next_utilization.py_func(grid, mode, human.a)
             change = np.abs(human.performance(after) - human.performance(grid))
             k = int(np.argmax(change))
             best = max(best, float(change[k]))
-            grid = np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)], 401)
-        grid = np.linspace(low, high, 4001)
+            ends = grid[max(k - 1, 0)], grid[min(k + 1, 4000)]
     ceiling = robot.p_min + robot.b * human.p_max / (1.0 - robot.a)
     delta_p_r = (1.0 - robot.a) * max(robot.p_max - robot.p_min, ceiling - robot.p_min)
     return StepBounds(best, delta_p_r, tsc.delta(delta_p_r, best))
 
 
-@dataclass(frozen=True)
-class ThresholdLimits:
+@dataclass(frozen=True, repr=False)
+class ThresholdLimits(Result):
     """
     Limits of the decision thresholds.
 
@@ -99,6 +99,7 @@ class ThresholdLimits:
     upper: float
     delta_p_h: float
 
+    title = "Limits of the thresholds"
     how_to_get = "trustlab.threshold_limits(tsc) returns them"
 
     @property
@@ -124,36 +125,16 @@ class ThresholdLimits:
             self.lower < finite_number("lower", lower) < finite_number("upper", upper) < self.upper
         )
 
-    def __str__(self) -> str:
-        if not self.feasible:
-            return (
-                f"none at δ_Ph = {self.delta_p_h:.3g} (TSC_lb = {self.lower:.4f}, TSC_ub = "
-                f"{self.upper:.4f})"
-            )
-        return (
-            f"TSC_lb = {self.lower:.4f} and TSC_ub = {self.upper:.4f} at δ_Ph = "
-            f"{self.delta_p_h:.3g}"
-        )
+    @property
+    def message(self) -> str:
+        """The limits, or that none fit."""
+        ends = f"TSC_lb = {self.lower:.4f} and TSC_ub = {self.upper:.4f} at δ_Ph = "
+        ends += f"{self.delta_p_h:.3g}"
+        return ends if self.feasible else f"{ends}, between which no thresholds fit (Remark 4)"
 
-    def _repr_html_(self) -> str:
-        room = (
-            "thresholds fit between them"
-            if self.feasible
-            else "no thresholds fit between them (Remark 4)"
-        )
-        columns = {
-            "TSC_lb": self.lower,
-            "TSC_ub": self.upper,
-            "δ_Ph": self.delta_p_h,
-            "feasible": self.feasible,
-        }
-        return as_html(room, pd.DataFrame([columns]))
-
-    def __repr__(self) -> str:
-        return (
-            f"ThresholdLimits(lower={self.lower:.6g}, upper={self.upper:.6g}, "
-            f"delta_p_h={self.delta_p_h:.4g}, feasible={self.feasible})"
-        )
+    def table(self) -> pd.DataFrame:
+        """Return the limits in one row: lower, upper, delta_p_h, feasible."""
+        return pd.DataFrame([asdict(self) | {"feasible": self.feasible}])
 
 
 def limits_as_printed(c: TscConstants, delta_p_h: float) -> tuple[Any, Any]:
@@ -211,37 +192,20 @@ def check_thresholds(
     lower, upper = in_order("lower", lower, "upper", upper)
     if limits is None:
         return lower, upper
-    of_class("limits", limits, ThresholdLimits)
     if not limits.feasible:
-        raise ValueError(
-            f"no thresholds keep switching: at δ_Ph = {limits.delta_p_h:.3g} TSC_ub = "
-            f"{limits.upper:.4f} does not exceed TSC_lb = {limits.lower:.4f} (Remark 4). "
-            f"{_remedy(tsc, limits)}"
-        )
+        slack = tsc.b_T * limits.delta_p_h / (1.0 - tsc.robot.a)
+        gap = limits.upper - limits.lower + 2.0 * slack
+        remedy = "widen the range of robot performance (p_max − p_min)"
+        if gap > 0.0:
+            most = rounded_down(gap / 2.0 * (1.0 - tsc.robot.a) / tsc.b_T)
+            remedy += f", or take a smaller δ_Ph: below {most:g} they part"
+        raise ValueError(f"no thresholds keep switching: {limits.message}; {remedy}")
     if not limits.contains(lower, upper):
         raise ValueError(
-            f"thresholds ({lower:g}, {upper:g}) must lie strictly between TSC_lb = "
-            f"{limits.lower:.4f} and TSC_ub = {limits.upper:.4f} (Theorem 1 at δ_Ph = "
-            f"{limits.delta_p_h:.3g})"
+            f"thresholds ({lower:g}, {upper:g}) must lie strictly between {limits.message} "
+            "(Theorem 1)"
         )
     return lower, upper
-
-
-def _remedy(tsc: TscModel, limits: ThresholdLimits) -> str:
-    """Say which parameter keeps the limits apart."""
-    slack = tsc.b_T * limits.delta_p_h / (1.0 - tsc.robot.a)
-    gap = limits.upper - limits.lower + 2.0 * slack
-    if gap > 0.0:
-        most = gap / 2.0 * (1.0 - tsc.robot.a) / tsc.b_T
-        return (
-            f"δ_Ph = {limits.delta_p_h:.3g} is too large: below {rounded_down(most):g} they part; "
-            "let utilization change more slowly (a_r nearer to 1) or robot performance more "
-            "quickly (a_pr smaller)"
-        )
-    return (
-        "Even with δ_Ph = 0 they do not part: widen the range of robot performance (p_max − "
-        "p_min) or narrow that of human performance"
-    )
 
 
 def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:

@@ -25,7 +25,7 @@ from trustlab.allocation.steady import (
 )
 from trustlab.models.checks import between, not_negative, of_class, open_unit, positive
 from trustlab.models.compiled import njit
-from trustlab.models.display import as_html
+from trustlab.models.display import Result
 from trustlab.models.tsc import HumanModel, TscModel, human_at
 
 # Utilizations at which the certificate is evaluated.
@@ -42,8 +42,8 @@ SCREENING = 1e5
 FOLLOWED = 25
 
 
-@dataclass(frozen=True, eq=False)
-class OptimalAllocation:
+@dataclass(frozen=True, eq=False, repr=False)
+class OptimalAllocation(Result):
     """
     The best pattern of switching, and how far any rule could exceed it.
 
@@ -71,6 +71,8 @@ class OptimalAllocation:
         Weight of robot performance.
     """
 
+    title = "Optimal allocation"
+
     value: float
     upper_bound: float
     r_star: float
@@ -87,6 +89,15 @@ class OptimalAllocation:
     def gap(self) -> float:
         """How far any rule could exceed the pattern, in points."""
         return self.upper_bound - self.value
+
+    @property
+    def message(self) -> str:
+        """The pattern, and what no rule exceeds."""
+        manual, autonomous = self.pattern
+        return (
+            f"{manual} samples manual and {autonomous} autonomous in turn earn {self.value:.2f} "
+            f"points; no rule exceeds {self.upper_bound:.2f}"
+        )
 
     def table(self) -> pd.DataFrame:
         """
@@ -108,17 +119,6 @@ class OptimalAllocation:
         }
         table = pd.DataFrame.from_dict(rows, orient="index", columns=["value"])
         return table.rename_axis("quantity")
-
-    def __repr__(self) -> str:
-        return (
-            f"OptimalAllocation(value={self.value:.2f}, upper_bound={self.upper_bound:.2f}, "
-            f"r_star={self.r_star:.3f}, pattern={self.pattern})"
-        )
-
-    def _repr_html_(self) -> str:
-        manual, autonomous = self.pattern
-        words = f"{manual} samples manual and {autonomous} autonomous in turn"
-        return as_html(words, self.table(), title="Optimal allocation")
 
 
 def optimal_allocation(
@@ -176,19 +176,18 @@ def optimal_allocation(
     least = max(1, round(between("min_dwell/sample_time", dwell, 0.0, MOST_SAMPLES)))
     limit = 1.0 if max_mean_r is None else open_unit("max_mean_r", max_mean_r)
     upper_bound, r_star = certificate(tsc, weight, limit)
-    pattern = _best_pattern(tsc, weight, least, limit)
-    manual, autonomous = pattern
-    value, mean_r, mean_p_r, low = _earned(tsc, weight, manual, autonomous)
+    manual, autonomous = _best_pattern(tsc, weight, least, limit)
+    value, driven, low = earn(tsc.constants(), manual, autonomous, *_scales(tsc, weight))
     thresholds, threshold_value = _best_thresholds(tsc, weight, least, limit)
     return OptimalAllocation(
-        value=value,
+        value=float(value),
         upper_bound=upper_bound,
         r_star=r_star,
-        pattern=pattern,
-        r_low=low,
-        r_high=1.0 - (1.0 - low) * tsc.human.a**manual,
-        mean_r=mean_r,
-        mean_p_r=mean_p_r,
+        pattern=(manual, autonomous),
+        r_low=float(low),
+        r_high=float(1.0 - (1.0 - low) * tsc.human.a**manual),
+        mean_r=manual / (manual + autonomous),
+        mean_p_r=float(tsc.robot.p_min + tsc.robot.b / (1.0 - tsc.robot.a) * driven),
         thresholds=thresholds,
         threshold_value=threshold_value,
         weight=weight,
@@ -294,22 +293,22 @@ def earn(c, manual, autonomous, of_robot, of_human):
 
 
 @njit
-def best_of(c, patterns, of_robot, of_human):
-    """Return the best of patterns, shape (N, 2)."""
-    best = -np.inf
-    chosen = 0
+def earned(c, patterns, of_robot, of_human):
+    """Return the points of patterns, shape (N, 2)."""
+    points = np.empty(len(patterns))
     for k in range(len(patterns)):
-        value = earn(c, patterns[k, 0], patterns[k, 1], of_robot, of_human)[0]
-        if value > best:
-            best = value
-            chosen = k
-    return patterns[chosen]
+        points[k] = earn(c, patterns[k, 0], patterns[k, 1], of_robot, of_human)[0]
+    return points
 
 
 def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tuple[int, int]:
     """Return samples of manual and autonomous control: first coarsely, then to the sample."""
-    c = tsc.constants()
-    scales = _scales(tsc, weight)
+    c, scales = tsc.constants(), _scales(tsc, weight)
+
+    def best_of(manual: np.ndarray, autonomous: np.ndarray) -> np.ndarray:
+        patterns = _patterns(manual, autonomous, least, longest, limit)
+        return patterns[earned(c, patterns, *scales).argmax()]
+
     longest = 1000.0
     if least > 1:
         rest = LONGEST / (1.0 - tsc.human.a)
@@ -317,12 +316,11 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
     if limit < 1.0:  # whatever keeps the limit with the shortest phases
         longest = max(longest, least * (1.0 - limit) / limit, least * limit / (1.0 - limit)) + 1
     coarse = np.unique(np.round(np.geomspace(least, longest, 36)).astype(int))
-    best = best_of(c, _patterns(coarse, coarse, least, longest, limit), *scales)
+    best = best_of(coarse, coarse)
     reach = max(4, int(0.1 * best.max()))
     while reach > 0:
         offsets = np.unique(np.round(np.linspace(-reach, reach, 11)).astype(int))
-        manual, autonomous = (n + offsets for n in best)
-        best = best_of(c, _patterns(manual, autonomous, least, longest, limit), *scales)
+        best = best_of(best[0] + offsets, best[1] + offsets)
         reach //= 3
     return int(best[0]), int(best[1])
 
@@ -336,16 +334,15 @@ def _patterns(
 
     By (2.5) mean r is the share of manual samples.
     """
-    first, second = (each.ravel() for each in np.meshgrid(manual, autonomous))
+    pairs = np.array(np.meshgrid(manual, autonomous)).reshape(2, -1)
     if limit < 1.0:
         odds = limit / (1.0 - limit) * (1.0 + 1e-12)
         drive, rest = _all_between(manual), _all_between(autonomous)
-        first = np.r_[first, drive, np.floor(odds * rest).astype(int)]
-        second = np.r_[second, np.ceil(drive / odds).astype(int), rest]
-        kept = first <= odds * second
-        first, second = first[kept], second[kept]
-    able = (np.minimum(first, second) >= least) & (np.maximum(first, second) <= longest)
-    return np.unique(np.column_stack([first, second])[able], axis=0)
+        just = [drive, np.ceil(drive / odds)], [np.floor(odds * rest), rest]
+        pairs = np.hstack([pairs, *just]).astype(int)
+        pairs = pairs[:, pairs[0] <= odds * pairs[1]]
+    able = (pairs.min(axis=0) >= least) & (pairs.max(axis=0) <= longest)
+    return np.unique(pairs.T[able], axis=0)
 
 
 def _all_between(dwells: np.ndarray) -> np.ndarray:
@@ -354,38 +351,21 @@ def _all_between(dwells: np.ndarray) -> np.ndarray:
     return np.unique(np.round(np.geomspace(low, high, min(high - low + 1, 300))).astype(int))
 
 
-def _earned(
-    tsc: TscModel, weight: float, manual: int, autonomous: int
-) -> tuple[float, float, float, float]:
-    """Return points, mean r, mean P_r and the least r of a pattern."""
-    scales = _scales(tsc, weight)
-    value, driven, begin = earn(tsc.constants(), manual, autonomous, *scales)
-    mean_p_r = tsc.robot.p_min + tsc.robot.b / (1.0 - tsc.robot.a) * driven
-    return float(value), manual / (manual + autonomous), float(mean_p_r), float(begin)
-
-
 def _best_thresholds(
     tsc: TscModel, weight: float, least: int, limit: float
 ) -> tuple[tuple[float, float] | None, float]:
     """Return the best pair of thresholds on TSC that keeps dwell time and mean r."""
     limits = threshold_limits(tsc, 0.0)
-    low = min(limits.lower, limits.upper)
-    high = max(limits.lower, limits.upper)
-    span = max(high - low, 1e-6)
-    pairs = grid_of_pairs(low + 0.01 * span, high - 0.01 * span, 40)
+    low, high = sorted([limits.lower, limits.upper])
+    margin = 0.01 * max(high - low, 1e-6)
+    pairs = grid_of_pairs(low + margin, high - margin, 40)
     coarsely = points(survey([tsc], pairs, SCREENING), [tsc], weight)[0]
-    chosen = np.argsort(-np.nan_to_num(coarsely, nan=-np.inf), kind="stable")
-    best: tuple[tuple[float, float] | None, float] = (None, float("nan"))
-    followed = 0
-    for k in chosen:
+    followed = []
+    for k in np.argsort(-np.nan_to_num(coarsely, nan=-np.inf), kind="stable"):
         motion = survey([tsc], pairs[k : k + 1])
-        rows = motion[0, 0]
-        if not (rows[AUTONOMOUS:, LOW].min() >= least and rows[R, MEAN] <= limit):
-            continue
-        value = float(points(motion, [tsc], weight).item())
-        if best[0] is None or value > best[1]:
-            best = ((float(pairs[k, 0]), float(pairs[k, 1])), value)
-        followed += 1
-        if followed == FOLLOWED:
+        if motion[0, 0, AUTONOMOUS:, LOW].min() >= least and motion[0, 0, R, MEAN] <= limit:
+            followed.append((float(points(motion, [tsc], weight).item()), tuple(pairs[k].tolist())))
+        if len(followed) == FOLLOWED:
             break
-    return best
+    value, best = max(followed, key=lambda each: each[0], default=(np.nan, None))
+    return best, value

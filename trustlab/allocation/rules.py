@@ -1,6 +1,5 @@
 """Rules that allocate control: thresholds of TSC (2.8), Algorithm 2, or a user's own."""
 
-import inspect
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
@@ -42,8 +41,7 @@ class ThresholdRule:
     """
     Rule (2.8): manual once TSC falls to TSC_l, autonomous once it rises to TSC_u.
 
-    Thresholds and mode may be assigned while the rule runs, with the same checks as at the
-    beginning; `move` changes both thresholds at once.
+    Thresholds and mode may be assigned while the rule runs.
 
     Parameters
     ----------
@@ -68,34 +66,9 @@ class ThresholdRule:
     upper: float
     mode: int = 1
 
-    def __setattr__(self, name, value):
-        if name in ("lower", "upper"):
-            value = finite_number(name, value)
-            pair = self.__dict__ | {name: value}
-            if "lower" in pair and "upper" in pair:
-                in_order("lower", pair["lower"], "upper", pair["upper"])
-        elif name == "mode":
-            value = whole_number("mode", value, least=0, most=1)
-        else:
-            raise ValueError(f"a ThresholdRule has lower, upper and mode, but no {name!r}")
-        object.__setattr__(self, name, value)
-
-    def move(self, lower: float, upper: float) -> None:
-        """
-        Change both thresholds; the mode stays until the next step.
-
-        Parameters
-        ----------
-        lower, upper : float
-            TSC_l and TSC_u, lower < upper.
-
-        Raises
-        ------
-        ValueError
-            If they are not finite or in the wrong order; both stay what they were.
-        """
-        lower, upper = in_order("lower", lower, "upper", upper)
-        self.__dict__.update(lower=lower, upper=upper)
+    def __post_init__(self):
+        self.lower, self.upper = in_order("lower", self.lower, "upper", self.upper)
+        self.mode = whole_number("mode", self.mode, least=0, most=1)
 
     def step(self, tsc: float | None = None, p_r: float | None = None) -> int:
         """
@@ -107,22 +80,16 @@ class ThresholdRule:
             TSC now; needed.
         p_r : float, optional
             Robot performance. The rule does not use it; it is accepted so that both rules are
-            called alike, and checked so that a NaN in the calling loop does not go unnoticed.
+            called alike.
 
         Raises
         ------
         ValueError
-            If a value given is not a finite number; the mode stays what it was.
+            If TSC is not a finite number; the mode stays what it was.
         """
-        try:
-            tsc = finite_number("tsc, which rule (2.8) needs,", tsc)
-            if p_r is not None:
-                finite_number("p_r (unused by rule (2.8))", p_r)
-        except ValueError as error:
-            raise ValueError(f"{error}, so the mode stays {self.mode}") from None
-        mode = int(threshold_mode(tsc, self.lower, self.upper, self.mode))
-        self.__dict__["mode"] = mode
-        return mode
+        tsc = finite_number("tsc, which rule (2.8) needs,", tsc)
+        self.mode = int(threshold_mode(tsc, self.lower, self.upper, self.mode))
+        return self.mode
 
 
 @dataclass(frozen=True)
@@ -173,19 +140,16 @@ class PerformanceRule:
         Parameters
         ----------
         tsc : float, optional
-            TSC. The rule does not use it; it is accepted so that both rules are called alike, and
-            checked so that a NaN in the calling loop does not go unnoticed.
+            TSC. The rule does not use it; it is accepted so that both rules are called alike.
         p_r : float
             Robot performance now; needed.
 
         Raises
         ------
         ValueError
-            If a value given is not a finite number.
+            If P_r is not a finite number.
         """
         p_r = finite_number("p_r, which Algorithm 2 needs,", p_r)
-        if tsc is not None:
-            finite_number("tsc (unused by Algorithm 2)", tsc)
         mode = int(performance_suggestion(p_r, self.p_min, self.p_max, self.tolerance))
         return None if mode < 0 else mode
 
@@ -198,41 +162,17 @@ def prepared_rule(rule: object, mode: int | None) -> tuple[Any, int]:
     to the one given.
     """
     if isinstance(rule, type) or not callable(getattr(rule, "step", None)):
-        kind = (
-            f"the class {rule.__name__}, not an object made from it"
-            if isinstance(rule, type)
-            else shown(rule)
-        )
         raise ValueError(
-            "rule must have a method step(tsc=…, p_r=…) that returns 1 (manual), 0 (autonomous) "
-            f"or None (keep the mode), as ThresholdRule and PerformanceRule have; got {kind}"
+            "rule must have a method step(tsc=…, p_r=…) that returns 1 (manual), 0 (autonomous) or "
+            "None (keep the mode), as objects of ThresholdRule and PerformanceRule have; got "
+            f"{shown(rule)}"
         )
-    _check_arguments(rule)
     rule = deepcopy(rule)
-    present = whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
-    mode = present if mode is None else whole_number("mode", mode, least=0, most=1)
-    if hasattr(rule, "mode") and mode != present:
-        try:
-            rule.mode = mode
-        except AttributeError as error:
-            raise ValueError(
-                f"rule.mode is {present} and cannot be set to mode={mode}: {error}; leave mode= out"
-            ) from None
+    own = whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
+    mode = own if mode is None else whole_number("mode", mode, least=0, most=1)
+    if mode != own and hasattr(rule, "mode"):
+        rule.mode = mode
     return rule, mode
-
-
-def _check_arguments(rule: Any) -> None:
-    """Refuse a rule that cannot be called as step(tsc=…, p_r=…)."""
-    try:
-        arguments = inspect.signature(rule.step)
-    except ValueError:  # compiled functions may not tell
-        return
-    try:
-        arguments.bind(tsc=0.0, p_r=0.0)
-    except TypeError as error:
-        raise ValueError(
-            f"rule.step is called as step(tsc=…, p_r=…), but is step{arguments}: {error}"
-        ) from None
 
 
 def decision(rule: Any, where: str, tsc: float, p_r: float) -> int | None:

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.rules import (
     PerformanceRule,
     ThresholdRule,
@@ -139,38 +138,42 @@ def simulate_allocation(
         raise ValueError(
             "give either lower= and upper=, the thresholds of (2.8), or rule=, and not both"
         )
-    rule, mode = prepared_rule(
-        ThresholdRule(*check_thresholds(tsc, lower, upper)) if rule is None else rule, mode
-    )
+    if rule is None:
+        rule = ThresholdRule(lower, upper)
+    rule, mode = prepared_rule(rule, mode)
     steps = whole_number("steps", steps, most=MOST_STEPS)
-    (state,) = np.empty(1, STATE)
-    state["r"] = r = between("r0", r0, 0.0, 1.0)
-    state["p_r"] = p_r = tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0)
-    state["p_h"] = p_h = human_at(r, tsc.constants())
-    state["tsc"], state["mode"] = tsc.value(p_r, p_h), mode
-    numbers = (np.nan, np.nan, np.nan)
-    inputs = np.empty(0)
-    decide = None
+    r0 = between("r0", r0, 0.0, 1.0)
+    p_r0 = tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0)
+    start = r0, p_r0, mode
     if type(rule) is ThresholdRule:
-        numbers = (rule.lower, rule.upper, -1.0)
-    elif type(rule) is PerformanceRule:
-        numbers = (rule.p_min, rule.p_max, rule.tolerance)
-    else:
-        inputs = np.empty(steps)
-        decide = _obeying(rule)
-    log = np.empty((len(STATE.names), steps))
-    setup = Rule(tsc.constants(), *numbers)
-    Simulation(simulate_model, setup, state, inputs, log, decide).advance(steps)
-    return pd.DataFrame(dict(zip(STATE.names, log, strict=True)), copy=False)
-
-
-def _obeying(rule: Any) -> Callable:
-    """Return what decides as a rule in Python does."""
+        return run_model(tsc, steps, start, (rule.lower, rule.upper, -1.0))
+    if type(rule) is PerformanceRule:
+        return run_model(tsc, steps, start, (rule.p_min, rule.p_max, rule.tolerance))
     asked = itertools.count()
 
     def decide(now: np.void, inputs: np.ndarray) -> None:
-        step = f"step {next(asked)}"
-        choice = decision(rule, step, float(now["tsc"]), float(now["p_r"]))
+        choice = decision(rule, f"step {next(asked)}", float(now["tsc"]), float(now["p_r"]))
         inputs[0] = now["mode"] if choice is None else choice
 
-    return decide
+    return run_model(tsc, steps, start, decide=decide)
+
+
+def run_model(
+    tsc: TscModel,
+    steps: int,
+    start: tuple[float, float, int],
+    rule: tuple[float, float, float] = (np.nan, np.nan, np.nan),
+    decide: Callable | None = None,
+) -> pd.DataFrame:
+    """
+    Simulate from r, P_r and a mode, under the numbers of a `Rule` or as `decide` writes the modes.
+    """
+    c = tsc.constants()
+    (state,) = np.empty(1, STATE)
+    state["r"], state["p_r"], state["mode"] = start
+    state["p_h"] = human_at(state["r"], c)
+    state["tsc"] = tsc_at(state["p_r"], state["p_h"], c)
+    inputs = np.empty(0 if decide is None else steps)
+    log = np.empty((len(STATE.names), steps))
+    Simulation(simulate_model, Rule(c, *rule), state, inputs, log, decide).advance(steps)
+    return pd.DataFrame(dict(zip(STATE.names, log, strict=True)), copy=False)

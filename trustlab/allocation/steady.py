@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import overload
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds
-from trustlab.allocation.ranges import QUANTITIES, RangeIntervals, SteadyRanges, over_draws
-from trustlab.identification.posterior.result import Posterior
+from trustlab.allocation.ranges import SteadyRanges, ends
 from trustlab.models.compiled import njit
 from trustlab.models.display import axes_or_new
 from trustlab.models.tsc import TscModel, advance, human_at, tsc_at
@@ -39,14 +38,6 @@ COEXIST = 1e-3
 QUICK = 25
 
 
-# Numbers are written one by one: assignments to slices take a second longer to compile.
-@njit
-def _fill(row, low, high, mean):
-    row[LOW] = low
-    row[HIGH] = high
-    row[MEAN] = mean
-
-
 @njit
 def _seen(row, value):
     """Add a value to least, greatest and sum."""
@@ -56,15 +47,19 @@ def _seen(row, value):
 
 
 @njit
-def steady_motion(c, lower, upper, r, p_r, settle, cycles, most, rows):
+def steady_motion(c, lower, upper, rested, settle, cycles, most, rows):
     """
-    Follow (2.8) from r and P_r in the manual mode, and fill the rows of its motion.
+    Follow (2.8) in the manual mode from rest, or from β where TSC meets TSC_l, and fill the rows of
+    its motion.
 
-    After `settle` samples, as many `cycles` are recorded. Returns the mode that stays for `most`
-    samples (rows are NaN then) or −1, and the r and P_r at the end.
+    After `settle` samples, as many `cycles` are recorded; rows are NaN where a mode stays for
+    `most` samples.
     """
-    for row in range(len(rows)):
-        _fill(rows[row], np.inf, -np.inf, 0.0)
+    r, p_r = c.beta, (lower + c.b_T * human_at(c.beta, c)) / c.a_T
+    if rested:
+        r, p_r = 0.0, c.p_r_min
+    rows[:, LOW], rows[:, HIGH] = np.inf, -np.inf
+    rows[:, MEAN] = 0.0
     done = 0
     samples = 0
     recorded = 0
@@ -79,9 +74,8 @@ def steady_motion(c, lower, upper, r, p_r, settle, cycles, most, rows):
                 if (dwell > 0 or done == 0) and (tsc >= upper if mode == 1 else tsc <= lower):
                     break
                 if dwell == most:
-                    for row in range(len(rows)):
-                        _fill(rows[row], np.nan, np.nan, np.nan)
-                    return mode, r, p_r
+                    rows[:] = np.nan
+                    return
                 if recording:
                     _seen(rows[R], r)
                     _seen(rows[P_R], p_r)
@@ -94,21 +88,15 @@ def steady_motion(c, lower, upper, r, p_r, settle, cycles, most, rows):
             if recording:
                 _seen(rows[AUTONOMOUS + mode], dwell)
         recorded += recording
-    for row in range(len(rows)):
-        rows[row, MEAN] /= samples if row < AUTONOMOUS else recorded
-    return -1, r, p_r
+    rows[:AUTONOMOUS, MEAN] /= samples
+    rows[AUTONOMOUS:, MEAN] /= recorded
 
 
 @njit
 def _survey(c, pairs, rested, settle, cycles, most, motions):
-    """Fill the motion under every pair of thresholds, from β or from rest."""
-    p_h = human_at(c.beta, c)
+    """Fill the motion under every pair of thresholds."""
     for j in range(len(pairs)):
-        lower, upper = pairs[j]
-        r, p_r = c.beta, (lower + c.b_T * p_h) / c.a_T
-        if rested:
-            r, p_r = 0.0, c.p_r_min
-        steady_motion(c, lower, upper, r, p_r, settle, cycles, most, motions[j])
+        steady_motion(c, pairs[j, 0], pairs[j, 1], rested, settle, cycles, most, motions[j])
 
 
 def longest_phase(tsc: TscModel) -> int:
@@ -143,18 +131,15 @@ def survey(
     TSC_l, or `rested` at r = 0 and P_r,min. Where models times pairs times the slower time constant
     [samples] exceeds `effort`, the sample time is coarse.
     """
-    from tqdm import tqdm
-
     pairs = np.ascontiguousarray(pairs, dtype=float)
     motions = np.empty((len(models), len(pairs), 6, 3))
-    bar = tqdm(models, "steady motions", leave=False, delay=2.0, disable=None)
-    for own, of_model in zip(bar, motions, strict=True):
+    for own, rows in zip(models, motions, strict=True):
         slow = max(own.robot.time_constant, own.human.time_constant)
         tsc, ratio = coarse(own, len(models) * len(pairs) * slow / effort)
         settling, cycles = SCREEN if ratio > 1 else EXACT
-        system = rested, settling * slow / ratio, cycles, longest_phase(tsc)
-        _survey(tsc.constants(), pairs, *system, of_model)
-        of_model[:, AUTONOMOUS:] *= ratio
+        settle = settling * slow / ratio
+        _survey(tsc.constants(), pairs, rested, settle, cycles, longest_phase(tsc), rows)
+        rows[:, AUTONOMOUS:] *= ratio
     return motions
 
 
@@ -205,20 +190,14 @@ class LimitCycle(SteadyRanges):
         Long-run averages of utilization, robot and human performance; from β, where it goes on.
     """
 
+    title = "Steady cycle"
+
     exists: bool
     always: bool = False
     encloses_beta: bool = False
     mean_r: float = math.nan
     mean_p_r: float = math.nan
     mean_p_h: float = math.nan
-
-    def __repr__(self) -> str:
-        if not self.exists:
-            return f"LimitCycle(exists=False, reason={self.reason!r})"
-        return super().__repr__()
-
-    def _qualified(self) -> str:
-        return f"always={self.always}"
 
     def table(self) -> pd.DataFrame:
         """
@@ -250,40 +229,27 @@ class LimitCycle(SteadyRanges):
 
         model, robot = self.model, self.model.robot
         axes = axes_or_new(axes, figsize=(7, 4.2))
-        r = np.linspace(0, 1, 300)
-        p_r = np.linspace(robot.p_min, robot.p_max, 200)
+        r = np.linspace(0.0, 1.0, 300)
         p_h = model.human.performance(r)
-        value = model.value(p_r[:, None], p_h[None, :])
-        levels = axes.contourf(r, p_r, value, np.linspace(-1, 1, 9), cmap="Greys", alpha=0.3)
-        axes.figure.colorbar(levels, ax=axes, label="TSC")
-        for threshold, label, height in (
-            (self.lower, r"below $TSC_l$ = {:g}: manual, $M$ = 1", 0.04),
-            (self.upper, r"above $TSC_u$ = {:g}: autonomous, $M$ = 0", 0.93),
+        for threshold, label in (
+            (self.lower, "manual below $TSC_l$"),
+            (self.upper, "autonomous above $TSC_u$"),
         ):
-            line = (threshold + model.b_T * p_h) / model.a_T
-            (drawn,) = axes.plot(r, line, "--", lw=1.5)
-            look = {"color": drawn.get_color(), "weight": "bold", "transform": axes.transAxes}
-            axes.text(0.3, height, label.format(threshold), **look)
+            p_r = (threshold + model.b_T * p_h) / model.a_T
+            axes.plot(r, p_r, "--", label=f"{label} = {threshold:g}")
         settled = longest_phase(model)
         run = simulate_allocation(model, self.lower, self.upper, 2 * settled, r0=0.1)
         first, last = run.iloc[: settled // 2], run.iloc[settled:]
-        axes.plot(first["r"], first["p_r"], lw=0.6, color="C2", label="from near rest")
+        axes.plot(first["r"], first["p_r"], lw=0.6, label="from near rest")
         if self.exists:
             axes.plot(last["r"], last["p_r"], lw=2.5, color="k", label="steady cycle")
-        axes.set(xlabel="utilization r", ylabel="robot performance $P_r$", ylim=(p_r[0], p_r[-1]))
+        ends = robot.p_min, robot.p_max
+        axes.set(xlabel="utilization r", ylabel="robot performance $P_r$", ylim=ends)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
         return axes
 
 
-@overload
-def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle: ...
-
-
-@overload
-def limit_cycle(tsc: Posterior, lower: float, upper: float) -> RangeIntervals: ...
-
-
-def limit_cycle(tsc, lower, upper):
+def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     """
     Find the steady cycle of rule (2.8).
 
@@ -292,21 +258,21 @@ def limit_cycle(tsc, lower, upper):
 
     Parameters
     ----------
-    tsc : TscModel or Posterior
-        The model; or a posterior (`sample_posterior`), of which 200 draws are followed.
+    tsc : TscModel
+        The model.
     lower, upper : float
         Thresholds TSC_l and TSC_u.
 
     Returns
     -------
-    LimitCycle or, for a posterior, RangeIntervals
+    LimitCycle
         With `exists` False where the rule stops switching from both starts, and why.
 
     Raises
     ------
     ValueError
-        If `tsc` is neither, the thresholds are not finite or in the wrong order, or a time constant
-        exceeds two million samples.
+        If `tsc` is not a `TscModel`, the thresholds are not finite or in the wrong order, or a time
+        constant exceeds two million samples.
 
     Notes
     -----
@@ -321,55 +287,41 @@ def limit_cycle(tsc, lower, upper):
     >>> cycle.exists, round(cycle.mean_p_r, 3)
     (True, 0.325)
     """
-    if isinstance(tsc, Posterior):
-        return over_draws(tsc.models, lambda each: limit_cycle(each, lower, upper), "exists")
     lower, upper = check_thresholds(tsc, lower, upper)
     settling, cycles = ALONE
     settle = settling * max(tsc.robot.time_constant, tsc.human.time_constant)
-    best = tsc.human.beta
-    at_best = (lower + tsc.b_T * tsc.human.p_max) / tsc.a_T
-    motions = []
-    stays = ""
-    for r, p_r in ((best, at_best), (0.0, tsc.robot.p_min)):
-        rows = np.empty((6, 3))
-        system = tsc.constants(), lower, upper, r, p_r
-        mode, r, p_r = steady_motion(*system, settle, cycles, longest_phase(tsc), rows)
-        if mode < 0:
-            motions.append(rows)
-        else:
-            stays = stays or _stays(tsc, lower, upper, mode, r, p_r)
-    pair = {"model": tsc, "lower": lower, "upper": upper}
-    if not motions:
-        return LimitCycle(exists=False, reason=stays, **pair)
-    less = f"from one of the starts it {stays}" if stays else endless_phase(tsc, lower, upper)
-    reason = "keeps switching" + (f"; but {less}" if less else "")
-    low, high = np.min(motions, axis=0)[:, LOW], np.max(motions, axis=0)[:, HIGH]
-    if np.ptp([rows[R, :MEAN] for rows in motions], axis=0).max() > COEXIST:
+    motions = np.empty((2, 6, 3))
+    for rested, rows in enumerate(motions):
+        system = tsc.constants(), lower, upper, bool(rested)
+        steady_motion(*system, settle, cycles, longest_phase(tsc), rows)
+    motions = motions[~np.isnan(motions[:, R, LOW])]
+    endless = endless_phase(tsc, lower, upper)
+    always = len(motions) == 2 and not endless
+    pair: Any = {"model": tsc, "lower": lower, "upper": upper, "always": always}
+    if len(motions) == 0:
+        return LimitCycle(exists=False, reason=endless, **pair)
+    reason = "keeps switching" + (f"; but {endless}" if endless else "")
+    if np.ptp(motions[:, R, :MEAN], axis=0).max() > COEXIST:
         reason += "; from rest it settles to another motion than from β, and ranges enclose both"
-    mean = motions[0][:, MEAN]
-    around = all(rows[R, LOW] <= best <= rows[R, HIGH] for rows in motions)
-    ranges = {}
-    for name, row in zip(QUANTITIES.values(), (R, P_R, TSC, MANUAL, AUTONOMOUS), strict=True):
-        ranges |= {f"{name}_low": float(low[row]), f"{name}_high": float(high[row])}
+    mean, beta = motions[0, :, MEAN], tsc.human.beta
+    around = (motions[:, R, LOW] <= beta) & (beta <= motions[:, R, HIGH])
+    rows = np.column_stack([motions[:, :, LOW].min(axis=0), motions[:, :, HIGH].max(axis=0)])
     return LimitCycle(
         exists=True,
         reason=reason,
-        always=not less,
-        encloses_beta=around,
+        encloses_beta=bool(around.all()),
         mean_r=float(mean[R]),
         mean_p_r=float(mean[P_R]),
         mean_p_h=float(mean[P_H]),
         **pair,
-        **ranges,
+        **ends(
+            r=rows[R],
+            p_r=rows[P_R],
+            tsc=rows[TSC],
+            dwell_manual=rows[MANUAL],
+            dwell_autonomous=rows[AUTONOMOUS],
+        ),
     )
-
-
-def _stays(tsc: TscModel, lower: float, upper: float, mode: int, r: float, p_r: float) -> str:
-    """Say which mode stays, and why."""
-    settled = tsc.value(p_r, tsc.human.performance(min(max(r, 0.0), 1.0)))
-    if mode == 1:
-        return f"stays manual: TSC settles at {settled:.4f} without rising to TSC_u = {upper:.4f}"
-    return f"stays autonomous: TSC settles at {settled:.4f} without falling to TSC_l = {lower:.4f}"
 
 
 def endless_phase(tsc: TscModel, lower: float, upper: float) -> str:

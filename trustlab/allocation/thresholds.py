@@ -9,7 +9,6 @@ import pandas as pd
 
 from trustlab.allocation.invariant import InvariantBounds, invariant_bounds
 from trustlab.allocation.limits import ThresholdLimits, threshold_limits
-from trustlab.allocation.ranges import RangeIntervals
 from trustlab.allocation.steady import (
     HIGH,
     LOW,
@@ -45,6 +44,10 @@ SCREENED = 300
 EFFORT = 3e6
 FOLLOWED = 6
 
+# Draws of a posterior over which a table gives medians, and the ends of its intervals.
+DRAWS = 200
+ENDS = {"": 0.5, "_ci_low": 0.025, "_ci_high": 0.975}
+
 # How many times as much data are considered where no pair is probable enough.
 LONGER = (2, 4, 8, 16)
 
@@ -76,10 +79,12 @@ class ThresholdChoice(Result):
         TSC_lb and TSC_ub that the search kept to, medians over a posterior's draws.
     candidates : pandas.DataFrame
         All pairs that were tried: lower, upper, p_switches, p_encloses, and means over the models
-        that keep switching of mean_r, p_r_high, mean_p_r and objective; on_front.
+        that keep switching of mean_r, p_r_high, mean_p_r and objective.
     tsc : TscModel or Posterior
         What they were chosen for; of a fit its model.
     """
+
+    title = "Thresholds"
 
     lower: float
     upper: float
@@ -89,7 +94,7 @@ class ThresholdChoice(Result):
     reason: str
     limits: ThresholdLimits
     candidates: pd.DataFrame
-    tsc: TscModel | Posterior
+    tsc: Any
 
     how_to_get = "trustlab.choose_thresholds(tsc) returns one"
 
@@ -99,50 +104,56 @@ class ThresholdChoice(Result):
         return not self.reason
 
     @cached_property
-    def cycle(self) -> LimitCycle | RangeIntervals:
-        """The steady motion that the thresholds lead to: `limit_cycle`."""
+    def cycle(self) -> LimitCycle:
+        """The steady motion of a model under the thresholds: `limit_cycle`."""
         return limit_cycle(self.tsc, self.lower, self.upper)
 
     @cached_property
-    def bounds(self) -> InvariantBounds | RangeIntervals:
-        """Bounds for every trajectory under the thresholds: `invariant_bounds`."""
+    def bounds(self) -> InvariantBounds:
+        """Bounds for every trajectory of a model under the thresholds: `invariant_bounds`."""
         return invariant_bounds(self.tsc, self.lower, self.upper)
 
-    @property
-    def title(self) -> str:
-        """Whether thresholds are offered."""
-        return "Thresholds" if self.offered else "No thresholds offered"
-
-    def front(self) -> pd.DataFrame:
-        """Return the Pareto front: pairs beaten by no pair in performance and utilization."""
-        return self.candidates[self.candidates["on_front"]].sort_values("mean_r", ignore_index=True)
-
     def table(self) -> pd.DataFrame:
-        """Return ranges and means of the motion that the thresholds lead to; empty without any."""
-        return self.candidates if np.isnan(self.lower) else self.cycle.table()
+        """
+        Return ranges and means of the motion that the thresholds lead to; empty without any.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `quantity`; columns low, high, mean. Of a posterior these are medians over 200
+            draws, each with the ends of a 95 % interval, as in low, low_ci_low, low_ci_high.
+        """
+        if np.isnan(self.lower):
+            return self.candidates
+        if isinstance(self.tsc, TscModel):
+            return self.cycle.table()
+        models = self.tsc.models[:DRAWS]
+        motions = pd.concat([limit_cycle(tsc, self.lower, self.upper).table() for tsc in models])
+        parts = motions.groupby(level=0, sort=False)
+        quantiles = {
+            f"{name}{end}": parts[name].quantile(level)
+            for name in motions
+            for end, level in ENDS.items()
+        }
+        return pd.DataFrame(quantiles)
 
     def plot(self):
         """
-        Plot probability and mean performance of every pair, and the choice.
+        Plot probability and mean performance of every pair, and the choice, a star.
 
         Returns
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (2,)
         """
         axes = axes_or_new(columns=2, sharey=True, figsize=(7.8, 3.8))
-        panels = {
-            "p_encloses": "probability of switching around β",
-            "mean_p_r": "mean robot performance",
-        }
-        for axis, (name, title) in zip(axes, panels.items(), strict=True):
-            ends = (0.0, 1.0) if name == "p_encloses" else (None, None)
+        for axis, name, title, ends in (
+            (axes[0], "p_encloses", "probability of switching around β", (0.0, 1.0)),
+            (axes[1], "mean_p_r", "mean robot performance", (None, None)),
+        ):
             style = {"s": 14, "marker": "s", "vmin": ends[0], "vmax": ends[1]}
             shown = axis.scatter("lower", "upper", c=name, data=self.candidates, **style)
             axis.figure.colorbar(shown, ax=axis)
             axis.plot(self.lower, self.upper, "*", ms=14, color="C1", mec="k")
-            words = "choice" if self.offered else "nearest"
-            place = {"xytext": (0, 9), "textcoords": "offset points", "ha": "center"}
-            axis.annotate(words, (self.lower, self.upper), **place)
             axis.set(xlabel="lower threshold $TSC_l$", title=title)
             axis.margins(0.08)
         axes[0].set_ylabel("upper threshold $TSC_u$")
@@ -237,74 +248,39 @@ def choose_thresholds(
     models = source.models if isinstance(source, Posterior) else [of_class("tsc", source, TscModel)]
     limits = _limits_of(models, delta_p_h)
     if limits.feasible:
-        span = limits.upper - limits.lower
-        ends = limits.lower + share * span, limits.upper - share * span
-        search = _Search(models, grid_of_pairs(*ends, count), objective, asked, enclose_beta)
-        choice = _chosen(search, limits, tsc, source)
+        margin = share * (limits.upper - limits.lower)
+        pairs = grid_of_pairs(limits.lower + margin, limits.upper - margin, count)
+        choice = _Search(models, pairs, objective, asked, enclose_beta).choice(tsc, limits, source)
     else:
         reason = _no_room(models, limits)
-        nothing = pd.DataFrame(columns=_Search.COLUMNS, dtype=float).astype({"on_front": bool})
+        nothing = pd.DataFrame(columns=COLUMNS, dtype=float)
         message = f"No thresholds: {reason}"
         values = np.nan, np.nan, np.nan, False, message, reason, limits, nothing
         choice = ThresholdChoice(*values, tsc=source)
-    doubtful = isinstance(tsc, FitResult) and not tsc.success
+    doubt = ""
     if isinstance(tsc, FitResult):
-        choice = _of_fit(tsc, choice)
-    if choice.reason or doubtful:
+        if not tsc.success:
+            doubt = (
+                f"The fit has success = False: {tsc.message} With posterior = "
+                "trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers "
+                "thresholds with a probability, or says what to record. "
+            )
+        choice = replace(choice, probability=np.nan, message=doubt + choice.message)
+    if choice.reason or doubt:
         warn(choice.message)
     return choice
 
 
-def _chosen(
-    search: "_Search",
-    limits: ThresholdLimits,
-    tsc: TscModel | FitResult | Posterior,
-    source: TscModel | Posterior,
-) -> ThresholdChoice:
-    """Return the best pair of a search, or why it is not offered."""
-    (lower, upper), holds, around = search.choose()
-    probability = float(holds.mean())
-    reason = ""
-    if probability < search.asked:
-        reason = search.reason(probability)
-        reason += _what_would_help(tsc, search) if isinstance(tsc, Posterior) else ""
-    return ThresholdChoice(
-        lower=float(lower),
-        upper=float(upper),
-        probability=probability,
-        encloses_beta=bool(around.mean() >= search.asked),
-        message=f"No thresholds: {reason}"
-        if reason
-        else _offered(search, (lower, upper), limits, probability, tsc),
-        reason=reason,
-        limits=limits,
-        candidates=search.table,
-        tsc=source,
-    )
-
-
-def _of_fit(fit: FitResult, choice: ThresholdChoice) -> ThresholdChoice:
-    """Return a choice without a probability, and with the doubts of the fit."""
-    doubt = ""
-    if not fit.success:
-        doubt = (
-            f"The fit has success = False: {fit.message} With posterior = "
-            "trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers thresholds "
-            "with a probability, or says what to record. "
-        )
-    return replace(choice, probability=np.nan, message=doubt + choice.message)
-
-
 # --- the search -----------------------------------------------------------------------------------
+
+COLUMNS = (
+    *("lower", "upper", "p_switches", "p_encloses"),
+    *("mean_r", "p_r_high", "mean_p_r", "objective"),
+)
 
 
 class _Search:
-    """Pairs of thresholds and what models do under them."""
-
-    COLUMNS = (
-        *("lower", "upper", "p_switches", "p_encloses"),
-        *("mean_r", "p_r_high", "mean_p_r", "objective", "on_front"),
-    )
+    """Pairs of thresholds, and what models do under them."""
 
     def __init__(
         self,
@@ -316,106 +292,132 @@ class _Search:
     ):
         self.models, self.pairs = models, pairs
         self.asked, self.enclose = asked, enclose
-        self.objective = objective
+        self.best = OBJECTIVES.get(str(objective), "greatest weighted performance")
         some = models[:SCREENED]
-        self.motions = survey(some, pairs, EFFORT)
-        self.switches = ~np.isnan(self.motions[:, :, R, LOW])
-        encloses = encloses_beta(self.motions, some)
-        self.holds = (encloses if enclose else self.switches).mean(axis=0)
+        motions = survey(some, pairs, EFFORT)
+        switches = ~np.isnan(motions[:, :, R, LOW])
+        around = encloses_beta(motions, some)
+        self.share = (around if enclose else switches).mean(axis=0)
         beta = np.array([tsc.human.beta for tsc in some])[:, None]
-        apart = np.maximum(self.motions[:, :, R, LOW] - beta, beta - self.motions[:, :, R, HIGH])
-        self.apart = _expected(np.maximum(apart, 0.0), self.switches)
-        peak = _expected(self.motions[:, :, P_R, HIGH], self.switches)
-        mean_r = _expected(self.motions[:, :, R, MEAN], self.switches)
-        mean_p_r = _expected(self.motions[:, :, P_R, MEAN], self.switches)
-        self.value = peak
+        apart = np.maximum(motions[:, :, R, LOW] - beta, beta - motions[:, :, R, HIGH])
+        self.apart = _expected(np.maximum(apart, 0.0))
+        peak = _expected(motions[:, :, P_R, HIGH])
+        value = peak
         if objective != "peak":
             weight = 1.0 if objective == "mean" else float(objective)
-            self.value = _expected(points_of(self.motions, some, weight), self.switches)
-        columns = (*pairs.T, self.switches.mean(axis=0), encloses.mean(axis=0))
-        columns += (mean_r, peak, mean_p_r, self.value, _front(mean_r, mean_p_r))
-        self.table = pd.DataFrame(dict(zip(self.COLUMNS, columns, strict=True)))
+            value = _expected(points_of(motions, some, weight))
+        shares = [each.mean(axis=0) for each in (switches, around)]
+        means = [_expected(motions[:, :, row, MEAN]) for row in (R, P_R)]
+        columns = *pairs.T, *shares, means[0], peak, means[1], value
+        self.table = pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
 
     @property
     def condition(self) -> str:
         """What a pair is to do."""
         return "keeps switching around β" if self.enclose else "keeps switching"
 
-    def choose(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def holds(self, motions: np.ndarray, models: list[TscModel]) -> np.ndarray:
+        """Return whether models do what is asked, by model and pair."""
+        return encloses_beta(motions, models) if self.enclose else ~np.isnan(motions[:, :, R, LOW])
+
+    def choice(
+        self, tsc: TscModel | FitResult | Posterior, limits: ThresholdLimits, source: Any
+    ) -> ThresholdChoice:
         """
-        Return the best pair that does what is asked, or comes nearest, and for which models it
-        does, and encloses β; sample by sample and for all models.
+        Return the best pair that does what is asked, or the nearest and why it is not offered;
+        decided sample by sample, from β and from rest, for all models.
         """
-        able = self.holds >= self.asked
-        mean = np.nan_to_num(self.table["mean_p_r"].to_numpy(), nan=-np.inf)
-        value = np.nan_to_num(self.value, nan=-np.inf)
-        apart = np.nan_to_num(self.apart, nan=np.inf)
+        able = self.share >= self.asked
+        value, mean = self.table[["objective", "mean_p_r"]].fillna(-np.inf).to_numpy().T
         best_first = np.lexsort((-mean, -value))
-        nearest_first = np.lexsort((apart, -self.holds))
+        nearest_first = np.lexsort((np.nan_to_num(self.apart, nan=np.inf), -self.share))
         order = [*best_first[able[best_first]], *nearest_first[~able[nearest_first]]]
-        best = None
+        probability = -1.0
         for k in order[: FOLLOWED if able.any() else 1]:
             pair = self.pairs[k : k + 1]
-            motions = survey(self.models, pair)
-            around = encloses_beta(motions, self.models)[:, 0]
-            switches = ~np.isnan(motions[:, 0, R, LOW])
-            if (around if self.enclose else switches).mean() >= self.asked:
-                from_rest = survey(self.models, pair, rested=True)
-                around &= encloses_beta(from_rest, self.models)[:, 0]
-                switches &= ~np.isnan(from_rest[:, 0, R, LOW])
-            holds = around if self.enclose else switches
-            if best is None or holds.mean() > best[1].mean():
-                best = self.pairs[k], holds, around
-                self.exact = motions[:, 0]  # of the best pair
-            if holds.mean() >= self.asked:
+            both = [survey(self.models, pair, rested=rested) for rested in (False, True)]
+            holds = self.holds(both[0], self.models) & self.holds(both[1], self.models)
+            if holds.mean() > probability:
+                probability, (lower, upper) = float(holds.mean()), pair[0].tolist()
+                around = np.all([encloses_beta(each, self.models) for each in both], axis=0)
+                r_low, r_high, _ = both[0][0, 0, R]
+            if probability >= self.asked:
                 break
-        return best
-
-    def reason(self, probability: float) -> str:
-        """Say why no pair is offered."""
-        low, high = self.pairs.min(), self.pairs.max()
-        if not self.switches.any() or not (self.enclose or len(self.models) > 1):
-            return (
-                f"under no pair between {low:.3f} and {high:.3f} does control keep changing hands."
-            )
-        if len(self.models) > 1:
-            alone = ""
-            switching = (~np.isnan(self.exact[:, R, LOW])).mean()
-            if self.enclose and switching >= self.asked:
-                alone = (
-                    f" (it keeps switching with {switching:.2f}, but not always around β: "
-                    "enclose_beta=False asks for switching only)"
+        if probability >= self.asked:
+            reason, message = "", self._offered((lower, upper), limits, probability, tsc)
+        else:
+            low, high = self.pairs.min(), self.pairs.max()
+            reason = f"no pair between {low:.3f} and {high:.3f} {self.condition}"
+            beta = self.models[0].human.beta
+            if isinstance(tsc, Posterior):
+                reason += (
+                    f" with probability {self.asked:g}; the nearest does with {probability:.2f}. "
+                    + self._what_would_help(tsc)
                 )
-            return (
-                f"no pair between {low:.3f} and {high:.3f} was found that {self.condition} with "
-                f"probability {self.asked:g}; the nearest does with {probability:.2f}{alone}. "
-            )
-        r_low, r_high, _ = self.exact[0, R]
+            elif self.enclose:
+                reason += (
+                    f" = {beta:.3g}; under the nearest utilization stays within {r_low:.3f} to "
+                    f"{r_high:.3f}. A smaller margin may come nearer, a wider range of robot "
+                    "performance moves the limits apart, and enclose_beta=False asks for "
+                    "switching only."
+                )
+            message = f"No thresholds: {reason}"
+        encloses = bool(around.mean() >= self.asked)
+        values = lower, upper, probability, encloses, message, reason, limits, self.table
+        return ThresholdChoice(*values, tsc=source)
+
+    def _offered(
+        self,
+        pair: tuple[float, float],
+        limits: ThresholdLimits,
+        probability: float,
+        tsc: TscModel | FitResult | Posterior,
+    ) -> str:
+        """Say what is offered, how sure it is, and where it lies beside the limits."""
+        sure = "for exactly this model"
+        if isinstance(tsc, Posterior):
+            sure = f"with probability {probability:.2f} (asked for: {self.asked:g})"
+        elif isinstance(tsc, FitResult):
+            sure = "for the estimate alone (trustlab.sample_posterior gives a probability)"
+        message = (
+            f"Thresholds {pair[0]:.3f} and {pair[1]:.3f}: the rule {self.condition} {sure}; of the "
+            f"pairs that do they reach the {self.best}. Limits: {limits.message}."
+        )
+        if len(self.models) == 1:
+            own = threshold_limits(self.models[0], None)
+            if not own.contains(*pair):
+                message += (
+                    f" Theorem 1 does not cover the pair at the model's own δ_Ph: {own.message}; "
+                    "that it keeps switching is seen from its motion."
+                )
+        return message
+
+    def _what_would_help(self, posterior: Posterior) -> str:
+        """Say how much longer to record, as if draws came nearer to their mean."""
+        blocks = posterior.target.blocks
+        minutes = blocks.measured.shape[1] * blocks.samples * blocks.step / 60.0
+        thetas = posterior.thetas[:SCREENED]
+        apart = (thetas - thetas.mean(axis=0))[:, :SHARED]
+        for times in LONGER:
+            nearer = thetas.copy()
+            nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
+            models = tsc_models(physical(nearer, 0.1))
+            holds = self.holds(survey(models, self.pairs, EFFORT), models)
+            if holds.mean(axis=0).max() >= self.asked:
+                return f"Record about {times} times as much: {minutes * times:.0f} minutes."
         return (
-            f"no pair between {low:.3f} and {high:.3f} makes the steady utilization enclose β = "
-            f"{self.models[0].human.beta:.3g}; under the nearest it stays within {r_low:.3f} to "
-            f"{r_high:.3f}. A smaller margin may come nearer; a wider range of robot performance "
-            "moves the limits apart."
+            f"More than {LONGER[-1]} times these {minutes:.0f} minutes would be needed: record "
+            "phases that take utilization to both sides of β, or widen the range of robot "
+            "performance."
         )
 
 
-def _expected(values: np.ndarray, switches: np.ndarray) -> np.ndarray:
+def _expected(values: np.ndarray) -> np.ndarray:
     """Return means over the models that keep switching; NaN where none does."""
-    count = switches.sum(axis=0)
-    total = np.where(switches, values, 0.0).sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return pd.DataFrame(values).mean().to_numpy()
 
 
-def _front(cost: np.ndarray, gain: np.ndarray) -> np.ndarray:
-    """Return the points that no other point beats in both cost and gain; never NaN."""
-    order = np.lexsort((-gain, cost))
-    best_before = np.fmax.accumulate(np.r_[-np.inf, gain[order]])[:-1]
-    front = np.empty(cost.size, dtype=bool)
-    front[order] = gain[order] > best_before
-    return front
-
-
-# --- words ----------------------------------------------------------------------------------------
+# --- limits ---------------------------------------------------------------------------------------
 
 
 def _limits_of(models: list[TscModel], delta_p_h: float) -> ThresholdLimits:
@@ -428,89 +430,14 @@ def _limits_of(models: list[TscModel], delta_p_h: float) -> ThresholdLimits:
 def _no_room(models: list[TscModel], limits: ThresholdLimits) -> str:
     """Say that Theorem 1 leaves no room, and what would make some."""
     some = models[:SCREENED]
-    share = np.mean([threshold_limits(tsc, limits.delta_p_h).feasible for tsc in some])
+    delta, settled = limits.delta_p_h, _limits_of(models, 0.0)
+    share = np.mean([threshold_limits(tsc, delta).feasible for tsc in some])
     known = "no recording of this robot and operator can help"
     if share > 0.05:
         known = f"there is room in {share:.0%} of the draws, so that more data may show some"
-    wider = "widen the range of robot performance (p_max − p_min)"
-    settled = _limits_of(models, 0.0)
-    if limits.delta_p_h > 0.0 and settled.feasible:
-        wider += f", or take a smaller δ_Ph than {limits.delta_p_h:.3g}: at 0 there is room"
+    smaller = f", or take a smaller δ_Ph than {delta:.3g}" if settled.feasible else ""
     return (
-        f"Theorem 1 leaves no room at δ_Ph = {limits.delta_p_h:.3g}: TSC_ub = {limits.upper:.4f} "
-        f"does not exceed TSC_lb = {limits.lower:.4f} (Remark 4); {known}. Remedy: {wider}."
-    )
-
-
-def _offered(
-    search: _Search,
-    pair: tuple[float, float],
-    limits: ThresholdLimits,
-    probability: float,
-    tsc: TscModel | FitResult | Posterior,
-) -> str:
-    """Say what is offered, and how sure it is."""
-    if isinstance(tsc, Posterior):
-        sure = f"with probability {probability:.2f}"
-        others = f" with at least {search.asked:g}"
-    elif isinstance(tsc, FitResult):
-        sure = "for the estimate alone (trustlab.sample_posterior gives a probability)"
-        others = ""
-    else:
-        sure, others = "for exactly this model", ""
-    best = OBJECTIVES.get(str(search.objective), "greatest weighted performance")
-    sentences = [
-        f"Thresholds {pair[0]:.3f} and {pair[1]:.3f}: the rule {search.condition} {sure}; of the "
-        f"pairs that do{others} they reach the {best}."
-    ]
-    ends = {"lower": (pair[0], search.pairs.min()), "upper": (pair[1], search.pairs.max())}
-    at_end = [name for name, (value, end) in ends.items() if value == end]
-    if at_end:
-        sentences.append(
-            f"At the end of the range searched: the {' and the '.join(at_end)} threshold; a "
-            "smaller margin allows more."
-        )
-    sentences.append(f"Limits: {limits}.")
-    if len(search.models) == 1:
-        (model,) = search.models
-        own = threshold_limits(model, None)
-        if not own.contains(*pair):
-            sentences.append(
-                f"Theorem 1 does not cover the pair at the model's own δ_Ph: {own}; that it keeps "
-                "switching is seen from its motion."
-            )
-    return " ".join(sentences)
-
-
-def _what_would_help(posterior: Posterior, search: _Search) -> str:
-    """Say how much longer a recording would have to be, as if draws came nearer to their mean."""
-    blocks = posterior.target.blocks
-    minutes = blocks.measured.shape[1] * blocks.samples * blocks.step / 60.0
-    changes = int(np.count_nonzero(np.diff(blocks.modes)))
-    thetas = posterior.thetas[:SCREENED]
-    apart = (thetas - thetas.mean(axis=0))[:, :SHARED]
-    for times in (*LONGER, np.inf):
-        nearer = thetas.copy()
-        nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
-        models = tsc_models(physical(nearer[: None if times < np.inf else 1], 0.1))
-        motions = survey(models, search.pairs, EFFORT)
-        holds = (
-            encloses_beta(motions, models) if search.enclose else ~np.isnan(motions[:, :, R, LOW])
-        )
-        if holds.mean(axis=0).max() >= search.asked:
-            break
-    else:
-        return (
-            "No recording of this driving can help: even of the mean of the draws no pair does; "
-            "widen the range of robot performance, or record phases that take utilization to both "
-            "sides of β if that mean is in doubt."
-        )
-    if times < np.inf:
-        return (
-            f"Record about {times} times as much: {minutes * times:.0f} minutes with "
-            f"{max(changes, 1) * times} switches."
-        )
-    return (
-        f"More than {LONGER[-1]} times these {minutes:.0f} minutes would be needed: the mean of "
-        "the draws is near the edge; record phases that take utilization to both sides of β."
+        f"Theorem 1 leaves no room at δ_Ph = {delta:.3g}: TSC_ub = {limits.upper:.4f} does not "
+        f"exceed TSC_lb = {limits.lower:.4f} (Remark 4); {known}. Remedy: widen the range of robot "
+        f"performance (p_max − p_min){smaller}."
     )

@@ -387,7 +387,8 @@ class AllocationCore:
         if self.correction is not None and len(self.rows) % self.correct_every == 0:
             self.correction.r = self.r
             self.correction.update(p_r, p_h, int(self.mode))
-            self.rule.move(self.correction.lower, self.correction.upper)  # for the next step
+            now = self.correction
+            self.rule.lower, self.rule.upper = now.lower, now.upper  # for the next step
         return -1 if mode is None or mode == self.mode else mode
 
     def _share(self, silent: set[str]) -> float | None:
