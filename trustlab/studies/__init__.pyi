@@ -32,8 +32,6 @@ from .planning.conditions import (
     StudyColumns as StudyColumns,
     clopper_pearson as clopper_pearson,
     graded_covariance as graded_covariance,
-    noncentral_f_power as noncentral_f_power,
-    noncentrality as noncentrality,
 )
 from .planning.power import PowerAnalysis as PowerAnalysis, power_analysis as power_analysis
 from .planning.smallest_n import SmallestN as SmallestN, smallest_n as smallest_n
