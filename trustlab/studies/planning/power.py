@@ -4,7 +4,7 @@ correlation and sphericity.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any
@@ -247,7 +247,9 @@ class PowerAnalysis(Result):
         ValueError
             If a test is none of those.
         """
-        tests = [one_of("test", name, TESTS) for name in ([test] if isinstance(test, str) else test)]
+        tests = [
+            one_of("test", name, TESTS) for name in ([test] if isinstance(test, str) else test)
+        ]
         against, *others = self.varied or ("n",)
         # Values as computed differ in the last bits between the cells of one line.
         table = self.omnibus.round(dict.fromkeys(others, 9)).sort_values(against)
