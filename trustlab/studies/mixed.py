@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from trustlab.models.checks import counted, of_class, spawned, whole_number
 from trustlab.models.display import Result
 from trustlab.studies.anova import Design, effect_name, partial_eta_interval, subsets
-from trustlab.studies.pairs import d_z_interval, holm, levels_of_factor, marginals
+from trustlab.studies.pairs import d_z_interval, holm, paired_levels
 from trustlab.studies.table import (
     ScoreTable,
     column_of,
@@ -203,27 +203,25 @@ class MixedModel(Result):
             If a factor is unknown, or both are the same.
         """
         factor = [*self.factors][len(self.between)] if factor is None else factor
-        design = Design(self.n, self.factors)
-        labels = pd.Index(levels_of_factor(design, factor), tupleize_cols=False)
-        a, b = np.triu_indices(len(labels), 1)
-        df = self.tests.set_index("effect")["df2"][str(factor)]
+        df = self.tests.set_index("effect")["df2"].get(str(factor))
         twice = np.nan if factor in self.between else 2.0 * self.residual_variance
-        tables = []
-        for level, cells, _ in marginals(design, factor, at):
-            weights = (cells[:, a] - cells[:, b]).T
-            difference = weights @ self.means["mean"].to_numpy()
-            se = np.sqrt(((weights @ self.covariance) * weights).sum(axis=1))
+
+        def test(weights: np.ndarray, _: np.ndarray) -> pd.DataFrame:
+            difference = weights.T @ self.means["mean"].to_numpy()
+            se = np.sqrt((weights * (self.covariance @ weights)).sum(axis=0))
             tests = estimates_of(difference, se, df).rename(columns={"estimate": "mean_difference"})
-            tests = tests.assign(df=df, p_holm=holm(tests["p"].to_numpy()))
             scale = se / np.sqrt(twice)
-            tests["d_z"] = tests["t"] * scale
-            limits = d_z_interval(tests["t"].to_numpy(), df, scale)
-            tests["d_z_low"], tests["d_z_high"] = limits
-            tests["d_av"] = difference / np.sqrt(self.subject_variance + self.residual_variance)
-            pairs = pd.DataFrame({"a": labels.take(a), "b": labels.take(b)})
-            pairs.insert(0, "level", pd.Series([level] * len(pairs)))
-            tables.append(pairs.join(tests))
-        return labelled(pd.concat(tables, ignore_index=True), self.origin)
+            low, high = d_z_interval(tests["t"].to_numpy(), df, scale)
+            return tests.assign(
+                df=df,
+                p_holm=holm(tests["p"].to_numpy()),
+                d_z=tests["t"] * scale,
+                d_z_low=low,
+                d_z_high=high,
+                d_av=difference / np.sqrt(self.subject_variance + self.residual_variance),
+            )
+
+        return labelled(paired_levels(Design(self.n, self.factors), factor, at, test), self.origin)
 
     def apa(self) -> str:
         """Return the sentence for a paper, with the test of every effect."""

@@ -3,15 +3,14 @@
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import one_of, open_unit, positive
-from trustlab.models.display import Result
 from trustlab.studies.pairs import (
+    Pairs,
     condition_pairs,
     d_z_interval,
     holm,
@@ -21,6 +20,7 @@ from trustlab.studies.pairs import (
 from trustlab.studies.repeated_measures import describe, t_half_width, table_effects
 from trustlab.studies.table import (
     ScoreTable,
+    Tested,
     complete_scores,
     labelled,
     read_scores,
@@ -29,42 +29,26 @@ from trustlab.studies.table import (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PairedTTest(Result):
+class PairedTTest(Tested):
     """
     A dependent t-test, difference a − b.
 
+    Every column of `table` is an attribute too: the conditions a and b; n, the subjects compared;
+    mean_difference and sd_difference, with the interval of the mean, ci_low and ci_high, at the
+    level confidence; Student's t on df = n − 1 degrees of freedom and its two-sided p; d_z, the
+    mean over the standard deviation of the differences, with its interval d_z_low, d_z_high, which
+    inverts the noncentral t distribution, exact to four digits; d_av, over the mean of both
+    standard deviations; correlation of a and b, NaN if one of them is constant; wilcoxon_v (sum of
+    the ranks of positive differences, zero differences left out), wilcoxon_p (two-sided),
+    wilcoxon_method ("exact" below 50 subjects without ties or zero differences, else "normal
+    approximation, continuity corrected"; and whether ties were judged to twelve digits, where
+    floating point separates them) and rank_biserial ((positive − negative rank sum) over their
+    total); shapiro_w and shapiro_p, Shapiro and Wilk's test of the differences.
+
     Parameters
     ----------
-    a, b : hashable
-        The two conditions.
-    n : int
-        Subjects compared.
-    mean_difference, sd_difference : float
-        Of a − b.
-    ci_low, ci_high : float
-        Interval of the mean difference.
-    confidence : float
-        Level of both intervals.
-    t, df, p : float
-        Student's t on n − 1 degrees of freedom, two-sided p.
-    d_z : float
-        Mean over standard deviation of the differences.
-    d_z_low, d_z_high : float
-        Its interval, which inverts the noncentral t distribution; exact to four digits.
-    d_av : float
-        Mean difference over the mean of the two standard deviations.
-    correlation : float
-        Pearson correlation of a and b; NaN if one of them is constant.
-    wilcoxon_v, wilcoxon_p : float
-        Sum of the ranks of positive differences, zero differences left out, and its two-sided p.
-    wilcoxon_method : str
-        "exact" below 50 subjects without ties or zero differences, else "normal approximation,
-        continuity corrected"; and whether ties were judged to twelve digits, where floating point
-        separates them.
-    rank_biserial : float
-        (positive − negative rank sum) over their total.
-    shapiro_w, shapiro_p : float
-        Shapiro and Wilk's test of the differences.
+    tests : pandas.DataFrame
+        What `table` returns.
     excluded : tuple
         Subjects left out because a score is missing.
     scores : ScoreTable
@@ -73,39 +57,9 @@ class PairedTTest(Result):
 
     title = "Paired t-test"
 
-    a: Hashable
-    b: Hashable
-    n: int
-    mean_difference: float
-    sd_difference: float
-    ci_low: float
-    ci_high: float
-    confidence: float
-    t: float
-    df: int
-    p: float
-    d_z: float
-    d_z_low: float
-    d_z_high: float
-    d_av: float
-    correlation: float
-    wilcoxon_v: float
-    wilcoxon_p: float
-    wilcoxon_method: str
-    rank_biserial: float
-    shapiro_w: float
-    shapiro_p: float
+    tests: pd.DataFrame
     excluded: tuple
     scores: ScoreTable
-
-    @property
-    def message(self) -> str:
-        """The sentence a paper needs."""
-        return self.apa()
-
-    def table(self) -> pd.DataFrame:
-        """Return one row with every number."""
-        return pd.DataFrame([vars(self)]).drop(columns=["excluded", "scores"])
 
     def descriptives(self) -> pd.DataFrame:
         """
@@ -120,22 +74,21 @@ class PairedTTest(Result):
 
         return apa_pair(self)
 
-    def plot(self, axes=None):
-        """
-        Plot every subject's pair with both means and intervals, and the differences with theirs.
 
-        Parameters
-        ----------
-        axes : sequence of two matplotlib.axes.Axes, optional
-            Where to draw; a new figure by default.
-
-        Returns
-        -------
-        numpy.ndarray of matplotlib.axes.Axes, shape (2,)
-        """
-        from trustlab.studies.plots import plot_pair
-
-        return plot_pair(self, axes)
+def _compared(
+    frame: pd.DataFrame,
+    dv: Hashable,
+    within: Hashable,
+    subject: Hashable,
+    order: Sequence | None,
+    missing: str,
+) -> tuple[ScoreTable, tuple, pd.Series, Pairs]:
+    """Return complete scores, subjects left out, the test of the conditions, and all pairs."""
+    scores, excluded = complete_scores(
+        read_scores(frame, dv, within, subject, order=order), missing
+    )
+    test = table_effects(scores).iloc[0]  # refuses scores without error variance
+    return scores, excluded, test, condition_pairs(scores.values[None])
 
 
 def paired_t_test(
@@ -190,42 +143,41 @@ def paired_t_test(
     0           -0.467 -2.646   2  0.118
     """
     confidence = open_unit("confidence", confidence)
-    table = read_scores(frame, dv, within, subject, order=order)
-    if len(table.conditions) != 2:
+    scores, excluded, _, pair = _compared(frame, dv, within, subject, order, missing)
+    if len(scores.conditions) != 2:
         raise ValueError(
-            f"within: column {within!r} has {len(table.conditions)} conditions, "
-            f"{list(table.conditions)}; a paired t-test compares two. Select their rows, or use "
+            f"within: column {within!r} has {len(scores.conditions)} conditions, "
+            f"{list(scores.conditions)}; a paired t-test compares two. Select their rows, or use "
             "repeated_measures"
         )
-    scores, excluded = complete_scores(table, missing)
-    table_effects(scores)  # refuses scores without error variance
-    pair, n = condition_pairs(scores.values[None]), len(scores.subjects)
-    names = ("mean_difference", "t", "p", "d_z")
-    test: dict[str, Any] = {name: getattr(pair, name).item() for name in names}
-    a, b = scores.values.T
-    test["sd_difference"] = float((a - b).std(ddof=1))
-    test["d_av"] = test["mean_difference"] / (0.5 * (a.std(ddof=1) + b.std(ddof=1)))
-    half = float(t_half_width(test["sd_difference"], n, confidence))
+    (a, b), n = scores.values.T, len(scores.subjects)
+    mean, t = pair.mean_difference.item(), pair.t.item()
+    sd = float((a - b).std(ddof=1))
+    half = float(t_half_width(sd, n, confidence))
+    low, high = map(float, d_z_interval(t, n - 1, n**-0.5, confidence))
     normality = normality_of_differences(scores.values)
-    low, high = map(float, d_z_interval(test["t"], n - 1, n**-0.5, confidence))
-    return PairedTTest(
-        a=scores.conditions[0],
-        b=scores.conditions[1],
-        n=n,
-        ci_low=test["mean_difference"] - half,
-        ci_high=test["mean_difference"] + half,
-        confidence=confidence,
-        df=n - 1,
-        d_z_low=low,
-        d_z_high=high,
-        correlation=np.nan if same_for_all(scores) else float(np.corrcoef(a, b)[0, 1]),
-        shapiro_w=normality["W"].item(),
-        shapiro_p=normality["p"].item(),
-        excluded=excluded,
-        scores=scores,
+    row = {
+        "a": scores.conditions[0],
+        "b": scores.conditions[1],
+        "n": n,
+        "mean_difference": mean,
+        "sd_difference": sd,
+        "ci_low": mean - half,
+        "ci_high": mean + half,
+        "confidence": confidence,
+        "t": t,
+        "df": n - 1,
+        "p": pair.p.item(),
+        "d_z": pair.d_z.item(),
+        "d_z_low": low,
+        "d_z_high": high,
+        "d_av": mean / (0.5 * (a.std(ddof=1) + b.std(ddof=1))),
+        "correlation": np.nan if same_for_all(scores) else float(np.corrcoef(a, b)[0, 1]),
         **wilcoxon(a - b, np.abs(scores.values).max())._asdict(),
-        **test,
-    )
+        "shapiro_w": normality["W"].item(),
+        "shapiro_p": normality["p"].item(),
+    }
+    return PairedTTest(labelled(pd.DataFrame([row]), scores.origin), excluded, scores)
 
 
 def equivalence(
@@ -296,16 +248,11 @@ def equivalence(
     if alpha >= 0.5:
         raise ValueError(f"alpha must be below 0.5, as the interval has 1 − 2 alpha, got {alpha}")
     one_of("units", units, ("raw", "d_z"))
-    table = read_scores(frame, dv, within, subject, order=order)
-    scores, excluded = complete_scores(table, missing)
-    table_effects(scores)  # refuses scores without error variance
-    pairs, n = condition_pairs(scores.values[None]), len(scores.subjects)
-    first, second = np.triu_indices(len(scores.conditions), 1)
-    sd = (scores.values[:, first] - scores.values[:, second]).std(axis=0, ddof=1)
-    mean, names = pairs.mean_difference[0], list(combinations(scores.conditions, 2))
-    flat = np.isnan(pairs.t[0])
-    if flat.any():
-        a, b = names[int(np.argmax(flat))]
+    scores, excluded, _, pairs = _compared(frame, dv, within, subject, order, missing)
+    n, mean, sd = len(scores.subjects), pairs.mean_difference[0], pairs.sd[0]
+    names = pd.DataFrame(combinations(scores.conditions, 2), columns=["a", "b"])
+    if np.isnan(sd).any():
+        a, b = names[np.isnan(sd)].iloc[0]
         raise ValueError(f"dv: every subject has the same difference between {a!r} and {b!r}")
     reach = bound if units == "raw" else bound * sd
     error = sd / np.sqrt(n)
@@ -316,7 +263,7 @@ def equivalence(
     tests = {"n": n, "mean_difference": mean, "low": -reach, "high": reach, "t_low": t_low}
     tests |= {"p_low": p_low, "t_high": t_high, "p_high": p_high, "df": n - 1, "p": p}
     tests |= {"p_holm": holm(p), "ci_low": mean - half, "ci_high": mean + half}
-    result = pd.DataFrame(names, columns=["a", "b"]).assign(**tests, equivalent=p < alpha)
+    result = names.assign(**tests, equivalent=p < alpha)
     return labelled(result, scores.origin, excluded=excluded)
 
 
@@ -380,9 +327,8 @@ def bayes_factor(
     0  condition   3.5  36
     """
     scale = positive("scale", scale)
-    table = read_scores(frame, dv, within, subject, order=order)
-    scores, excluded = complete_scores(table, missing)
-    test, n = table_effects(scores).iloc[0], len(scores.subjects)
+    scores, excluded, test, pairs = _compared(frame, dv, within, subject, order, missing)
+    n = len(scores.subjects)
     if method is None:
         method = "jzs" if len(scores.conditions) == 2 else "bic"
     if one_of("method", method, ("jzs", "bic")) == "bic":
@@ -391,9 +337,10 @@ def bayes_factor(
         log_bf10 = -0.5 * (n * df1 * np.log(share) + df1 * np.log(n * df1))
         rows = [(str(within), method, float(test["F"]), df1, df2, log_bf10)]
     else:
-        rows, statistics = [], condition_pairs(scores.values[None]).t[0].tolist()
-        for (a, b), t in zip(combinations(scores.conditions, 2), statistics, strict=True):
-            rows.append((f"{a} − {b}", method, t, 1, n - 1, log_jzs_bayes_factor(t, n, scale)))
+        rows = [
+            (f"{a} − {b}", method, t, 1, n - 1, log_jzs_bayes_factor(t, n, scale))
+            for (a, b), t in zip(combinations(scores.conditions, 2), pairs.t[0].tolist(), strict=True)
+        ]
     columns = ["comparison", "method", "statistic", "df1", "df2", "log_bf10"]
     result = pd.DataFrame(rows, columns=columns)
     with np.errstate(over="ignore"):

@@ -11,11 +11,12 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import one_of, open_unit
-from trustlab.models.display import Result
+from trustlab.models.display import axes_or_new
 from trustlab.studies import pairs
 from trustlab.studies.anova import CORRECTIONS, Design, effects, partial_eta_interval, regress
 from trustlab.studies.table import (
     ScoreTable,
+    Tested,
     complete_scores,
     labelled,
     names_of,
@@ -27,7 +28,7 @@ from trustlab.studies.table import (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RepeatedMeasures(Result):
+class RepeatedMeasures(Tested):
     """
     An analysis of variance with factors within and between subjects.
 
@@ -58,19 +59,6 @@ class RepeatedMeasures(Result):
     excluded: tuple
     correction_rule: str
     alpha: float
-
-    def __getattr__(self, name: str) -> Any:
-        # Python calls this only for names that are no field or method.
-        if name.startswith("_") or name == "tests" or name not in self.tests:
-            raise AttributeError(f"RepeatedMeasures has no attribute {name!r}")
-        if len(self.tests) > 1:
-            raise AttributeError(
-                f"there are {len(self.tests)} effects, each with its {name!r}: see .table()"
-            )
-        return self.tests[name].tolist()[0]
-
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *(self.tests if len(self.tests) == 1 else [])]
 
     @property
     def dv(self) -> Hashable:
@@ -166,7 +154,7 @@ class RepeatedMeasures(Result):
             and eta2_partial_low, eta2_partial_high (90 %) with its degrees of freedom; alpha,
             excluded (how many subjects), origin.
         """
-        return labelled(self.tests.copy(), self.origin)
+        return super().table()
 
     def descriptives(self) -> pd.DataFrame:
         """
@@ -261,30 +249,6 @@ class RepeatedMeasures(Result):
             table = table.drop(columns="level")
         return labelled(table, self.origin)
 
-    def simple_effects(self, factor: Hashable, at: Hashable) -> pd.DataFrame:
-        """
-        Return the effect of one factor at each level of another, with the error term of that level.
-
-        Parameters
-        ----------
-        factor, at : hashable
-            The factor tested, and the one whose levels are fixed. Other factors are averaged.
-            Groups share one error variance.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns factor, at, level, F, df1, df2, p, epsilon_gg, p_gg, eta2_partial, p_holm (of
-            the corrected p over levels).
-
-        Raises
-        ------
-        ValueError
-            If a factor is unknown or both are the same.
-        """
-        table = pairs.simple_effects(self.scores.values, self.design, factor, at)
-        return labelled(table, self.origin)
-
     def aligned_ranks(self, error: str = "own") -> pd.DataFrame:
         """
         Return the test of every effect on ranks aligned for it: for ratings and skewed scores.
@@ -341,9 +305,10 @@ class RepeatedMeasures(Result):
             after Holm's adjustment), p_anova (corrected), friedman_chi2, p_friedman, kendall_w,
             mixed_n, mixed_F, p_mixed.
         """
-        normality = self.normality()["p"]
-        ranks = self.friedman().loc[0]
-        mixed = self.mixed_model()
+        from trustlab.studies.mixed import fit_mixed_model
+
+        normality, ranks = self.normality()["p"], self.friedman().loc[0]
+        mixed = fit_mixed_model(self.observed)
         row = {
             "p_shapiro_least": normality.min(),
             "pairs_not_normal": int((pairs.holm(normality.to_numpy()) < self.alpha).sum()),
@@ -356,13 +321,6 @@ class RepeatedMeasures(Result):
             "p_mixed": mixed.p,
         }
         return labelled(pd.DataFrame([row]), self.origin)
-
-    def mixed_model(self) -> Any:
-        """Return the mixed model of all scores of one factor, excluded subjects included."""
-        from trustlab.studies.mixed import fit_mixed_model
-
-        self._refuse_several_factors("mixed_model()")
-        return fit_mixed_model(self.observed)
 
     def apa(self, adjust: str = "holm") -> str:
         """
@@ -378,18 +336,15 @@ class RepeatedMeasures(Result):
 
         return apa_report(self, adjust)
 
-    def plot(self, kind: str = "means", *, interval: str = "between", axes=None):
+    def plot(self, kind: str = "means", *, axes=None):
         """
-        Plot the conditions; with several factors, the first along the axis and a line per cell of
-        the others.
+        Plot the means with 95 % intervals between subjects, as in Figs. 2.11–2.17 and 3.18–3.21;
+        with several factors, the first along the axis and a line per cell of the others.
 
         Parameters
         ----------
-        kind : {"means", "raincloud", "paired"}
-            Means with 95 % intervals, as in Figs. 2.11–2.17 and 3.18–3.21; of one factor also
-            distributions, or a line per subject.
-        interval : {"between", "within"}
-            Which interval of the means to draw.
+        kind : {"means", "paired"}
+            Whether of one factor there is a line per subject as well.
         axes : matplotlib.axes.Axes, optional
             Where to draw; a new figure by default.
 
@@ -397,9 +352,30 @@ class RepeatedMeasures(Result):
         -------
         matplotlib.axes.Axes
         """
-        from trustlab.studies.plots import plot_conditions
-
-        return plot_conditions(self, kind, interval, axes)
+        one_of("kind", kind, ("means", "paired") if self.one_way else ("means",))
+        factor, levels = next(iter(self.within.items()))
+        stats = self.descriptives()
+        lines = [name for name in (*self.between, *self.within) if name != factor]
+        cells: Any = [("", stats)]
+        if lines:
+            cells = stats.groupby(lines, sort=False, observed=True)
+        axes = axes_or_new(axes, figsize=(max(4.2, 1.6 + 0.9 * len(levels)), 3.6))
+        if kind == "paired":
+            axes.plot(self.scores.values.T, color="0.6", lw=0.7, alpha=0.6, marker=".", ms=3)
+        for i, (cell, rows) in enumerate(cells):
+            mean = rows["mean"]
+            reach = [mean - rows["ci_low"], rows["ci_high"] - mean]
+            style = {"fmt": "o-" if lines else "o", "capsize": 5, "zorder": 3}
+            label = ", ".join(map(str, cell))
+            axes.errorbar(np.arange(len(levels)) + 0.06 * i, mean, reach, label=label, **style)
+        if lines:
+            axes.legend(fontsize="small", title=", ".join(map(str, lines)))
+        axes.set_xticks(range(len(levels)), [str(level) for level in levels])
+        axes.set(xlim=(-0.6, len(levels) - 0.4), xlabel=str(factor), ylabel=str(self.dv))
+        origin = f"{self.origin}: " if self.origin else ""
+        title = f"{origin}means, 95 % intervals (N = {self.n})"
+        axes.set_title(title, fontsize="small", wrap=True)
+        return axes
 
 
 def describe(values: np.ndarray, level: float = 0.95) -> dict[str, Any]:
@@ -522,7 +498,7 @@ def repeated_measures(
     for row in table_effects(scores, design).to_dict("records"):
         effect = {"effect": row.pop("effect"), "n": design.n, "k": len(scores.conditions)}
         rows.append(first | effect | _decided(row, design, correction, alpha) | last)
-    tests = pd.DataFrame(rows)
+    tests = labelled(pd.DataFrame(rows), scores.origin)
     return RepeatedMeasures(scores, observed, design, tests, excluded, correction, alpha)
 
 

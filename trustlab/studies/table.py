@@ -5,12 +5,13 @@ import numbers
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import counted, did_you_mean, of_class, one_of, shown
+from trustlab.models.display import Result
 
 # Cells or subjects that an error lists before it counts the rest.
 _SHOWN = 5
@@ -146,6 +147,43 @@ def levels_of(series: pd.Series, argument: str, order: Any = None) -> list:
             f"{argument}: column {series.name!r} mixes types of labels, without a common order; "
             "make them one type, or give order=[…]"
         ) from None
+
+
+class Tested(Result):
+    """
+    A result whose `tests` are a row for each effect; of the only row, columns are attributes.
+
+    Where it is displayed it says what `apa` says.
+    """
+
+    if TYPE_CHECKING:
+        tests: pd.DataFrame
+
+        def apa(self) -> str:
+            """Return the sentences for a paper."""
+
+    def __getattr__(self, name: str) -> Any:
+        # Python calls this only for names that are no field or method.
+        if name.startswith("_") or name == "tests" or name not in self.tests:
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        if len(self.tests) > 1:
+            raise AttributeError(
+                f"there are {len(self.tests)} effects, each with its {name!r}: table() has a row "
+                "per effect"
+            )
+        return self.tests[name].tolist()[0]
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.tests]
+
+    def table(self) -> pd.DataFrame:
+        """Return the tests, a row for each effect; nothing is rounded."""
+        return self.tests.copy()
+
+    @property
+    def message(self) -> str:
+        """The sentences for a paper."""
+        return self.apa()
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,15 +421,10 @@ def read_groups(
     group_of = dict(zip(frame[scores.subject].tolist(), frame[name].tolist(), strict=True))
     members = [group_of[subject] for subject in scores.subjects]
     levels = tuple(level for level in listed if level in members)
-    if len(levels) < 2:
+    counts = {level: members.count(level) for level in levels}
+    if len(levels) < 2 or min(counts.values()) < 2:
         raise ValueError(
-            f"between: column {name!r} has one group only among the complete participants, "
-            f"{levels[0]!r}"
+            f"between: column {name!r} needs two groups or more, with two complete participants "
+            f"in each; it has {counts}"
         )
-    for level in levels:
-        if members.count(level) < 2:
-            raise ValueError(
-                f"between: group {level!r} of {name!r} has one participant, "
-                f"{scores.subjects[members.index(level)]!r}; two are needed"
-            )
     return levels, np.array([levels.index(group) for group in members])
