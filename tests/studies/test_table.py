@@ -55,11 +55,11 @@ LEVELS = np.repeat(0.3 * np.arange(5), 3)
 TABLES = {
     "duplicate cell": (
         pd.concat([table(), table().iloc[[4, 4]]]),
-        r"1 cells? with more than one row: subject 'P2', condition 'C2'; average the trials",
+        r"cells with more than one row: subject 'P2', condition 'C2'; average the trials",
     ),
     "duplicate cell, one without score": (
         pd.concat([table(), table().iloc[[4]].assign(score=np.nan)]),
-        r"1 cells? with more than one row: subject 'P2', condition 'C2'",
+        r"cells with more than one row: subject 'P2', condition 'C2'",
     ),
     "one condition only": (
         table().drop(index=[3, 5]),

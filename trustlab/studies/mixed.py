@@ -16,11 +16,11 @@ from scipy import special, stats
 from scipy.optimize import brentq
 
 from trustlab.models.checks import counted, of_class, spawned, whole_number
-from trustlab.models.display import Result
 from trustlab.studies.anova import Design, effect_name, partial_eta_interval, subsets
 from trustlab.studies.pairs import d_z_interval, holm, paired_levels
 from trustlab.studies.table import (
     ScoreTable,
+    Tested,
     column_of,
     labelled,
     origin_of,
@@ -28,7 +28,7 @@ from trustlab.studies.table import (
     read_factors,
     refuse_missing_labels,
 )
-from trustlab.studies.words import apa_number, apa_p
+from trustlab.studies.words import apa_number, apa_p, share
 
 # Ratios of variances between which a minimum of the deviance is bracketed.
 RATIOS = np.concatenate([[0.0], np.exp(np.linspace(-16.0, 23.0, 14))])
@@ -119,10 +119,16 @@ class RandomIntercepts:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MixedModel(Result):
+class MixedModel(Tested):
     """
     Score = mean of the cell + random intercept of the subject + error, by restricted maximum
     likelihood.
+
+    Columns of `table` in which all effects agree are attributes too: subject_variance and
+    residual_variance, in squared units of the score; icc, the share of the variance that is between
+    subjects; singular, whether the subjects' variance is estimated as zero (F is then not the
+    ANOVA's, even without missing cells); n, the subjects with a score; cells and missing_cells of
+    theirs, with a score and without.
 
     Parameters
     ----------
@@ -130,7 +136,7 @@ class MixedModel(Result):
         Column analysed.
     factors : dict
         Levels of each factor, those between subjects first.
-    between : tuple
+    between : list
         Factors between subjects.
     tests : pandas.DataFrame
         A row per effect: effect, F (Wald's χ²/df1, type III), df1, df2 (those of the ANOVA where no
@@ -139,15 +145,6 @@ class MixedModel(Result):
         Index cell; columns mean, se, ci_low, ci_high (95 %, t with the least df2).
     covariance : numpy.ndarray, shape (cells, cells)
         Of the means.
-    subject_variance, residual_variance : float
-        Variance components, in squared units of the score.
-    icc : float
-        Share of the variance that is between subjects.
-    singular : bool
-        Whether the subjects' variance is estimated as zero; F is then not the ANOVA's, even without
-        missing cells.
-    n, cells, missing_cells : int
-        Subjects with a score, their cells with a score and without.
     origin : str
         What kind of data these are where they were not measured; else empty.
     """
@@ -158,25 +155,8 @@ class MixedModel(Result):
     tests: pd.DataFrame
     means: pd.DataFrame
     covariance: np.ndarray
-    subject_variance: float
-    residual_variance: float
-    icc: float
-    singular: bool
-    n: int
-    cells: int
-    missing_cells: int
     origin: str
     title = "Mixed model, random intercept per subject"
-
-    def __getattr__(self, name: str) -> Any:
-        """Return a number of the only effect, such as F or p."""
-        if name in TESTS and len(self.tests) == 1:
-            return self.tests[name].item()
-        raise AttributeError(f"no attribute {name!r}; table() has a row per effect")
-
-    def table(self) -> pd.DataFrame:
-        """Return the tests, a row per effect, beside every number of the model but the means."""
-        return self.tests.copy()
 
     def pairs(self, factor: Hashable = None, at: Hashable = None) -> pd.DataFrame:
         """
@@ -227,23 +207,17 @@ class MixedModel(Result):
         """Return the sentence for a paper, with the test of every effect."""
         effects = []
         for row in self.tests.itertuples():
-            sizes = (row.eta2_partial, row.eta2_partial_low, row.eta2_partial_high)
-            eta, low, high = (apa_number(size, below_one=True) for size in sizes)
+            ends = f"[{share(row.eta2_partial_low)}, {share(row.eta2_partial_high)}]"
             effects.append(
                 f"{row.effect} {'was' if row.p < 0.05 else 'was not'} significant, F({row.df1}, "
-                f"{row.df2}) = {apa_number(row.F)}, {apa_p(row.p)}, ηp² = {eta}, 90% CI "
-                f"[{low}, {high}]"
+                f"{row.df2}) = {apa_number(row.F)}, {apa_p(row.p)}, ηp² = "
+                f"{share(row.eta2_partial)}, 90% CI {ends}"
             )
         origin = f"[{self.origin}] " if self.origin else ""
         return (
             f"{origin}A mixed model of {self.dv} with a random intercept per subject "
             f"(N = {self.n}, {counted(self.missing_cells, 'cell')} missing): {'; '.join(effects)}."
         )
-
-    @property
-    def message(self) -> str:
-        """The sentence for a paper."""
-        return self.apa()
 
 
 TESTS = ["effect", "F", "df1", "df2", "p", "chi2", "p_chi2"]
@@ -354,7 +328,6 @@ def fit_mixed_model(
         means=labelled(means, table.origin),
         covariance=covariance,
         origin=table.origin,
-        **numbers,
     )
 
 
@@ -374,7 +347,7 @@ def _wald(fit: InterceptFit, contrasts: np.ndarray, df2: int) -> tuple:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FormulaModel(Result):
+class FormulaModel(Tested):
     """
     A mixed model: fixed effects by a formula, and a random intercept of every group.
 
@@ -384,14 +357,10 @@ class FormulaModel(Result):
         Score and fixed effects.
     groups : hashable
         Column with the groups (subjects).
-    n, observations : int
-        Groups and rows.
-    coefficients, tests, variances : pandas.DataFrame
-        What `coefficients_table`, `table` and `random_effects` return.
-    log_likelihood : float
-        Maximum of the likelihood (not restricted), with all its constants.
-    singular : bool
-        Whether the groups' variance is estimated as zero.
+    tests, coefficients : pandas.DataFrame
+        What `table` and `coefficients_table` return.
+    fit, maximum : InterceptFit
+        Maximum of the restricted likelihood, and of the likelihood.
     draws : int
         Simulated data sets of the parametric bootstrap; 0 without it.
     origin : str
@@ -400,13 +369,10 @@ class FormulaModel(Result):
 
     formula: str
     groups: Hashable
-    n: int
-    observations: int
-    coefficients: pd.DataFrame
     tests: pd.DataFrame
-    variances: pd.DataFrame
-    log_likelihood: float
-    singular: bool
+    coefficients: pd.DataFrame
+    fit: InterceptFit
+    maximum: InterceptFit
     draws: int
     origin: str
 
@@ -416,12 +382,20 @@ class FormulaModel(Result):
         return f"{self.formula}, random intercepts of {self.groups}"
 
     @property
+    def log_likelihood(self) -> float:
+        """Maximum of the likelihood (not restricted), with all its constants."""
+        return -0.5 * self.maximum.deviance
+
+    @property
+    def singular(self) -> bool:
+        """Whether the groups' variance is estimated as zero."""
+        return self.fit.ratio == 0.0
+
+    @property
     def message(self) -> str:
         """Which data, and how they were tested."""
-        tests = "likelihood ratios, asymptotic"
-        if self.draws:
-            tests += f" and by {self.draws} simulated data sets"
-        return f"{self.origin} {self.observations} rows of {self.n} groups; {tests}".strip()
+        draws = f" and by {self.draws} simulated data sets" if self.draws else ""
+        return f"{self.origin} likelihood ratios, asymptotic{draws}".strip()
 
     def table(self) -> pd.DataFrame:
         """
@@ -435,7 +409,7 @@ class FormulaModel(Result):
             (share of data sets simulated from the model without the term whose χ² is as large,
             (count + 1)/(draws + 1); NaN without a bootstrap).
         """
-        return self.tests.copy()
+        return super().table()
 
     def coefficients_table(self) -> pd.DataFrame:
         """
@@ -446,7 +420,8 @@ class FormulaModel(Result):
 
     def random_effects(self) -> pd.DataFrame:
         """Return variance and standard deviation of the intercepts and the residual."""
-        return self.variances.copy()
+        residual = self.fit.residual
+        return variances_of(Intercept=self.fit.ratio * residual, residual=residual)
 
 
 def formula_model(
@@ -503,13 +478,10 @@ def formula_model(
     return FormulaModel(
         formula=formula,
         groups=groups,
-        n=model.counts.size,
-        observations=y.size,
-        coefficients=labelled(coefficients, origin),
         tests=labelled(tests, origin),
-        variances=variances_of(Intercept=fit.ratio * fit.residual, residual=fit.residual),
-        log_likelihood=model.fit(y, x).llf,
-        singular=fit.ratio == 0.0,
+        coefficients=labelled(coefficients, origin),
+        fit=fit,
+        maximum=model.fit(y, x),
         draws=bootstrap,
         origin=origin,
     )

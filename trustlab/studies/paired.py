@@ -339,7 +339,9 @@ def bayes_factor(
     else:
         rows = [
             (f"{a} − {b}", method, t, 1, n - 1, log_jzs_bayes_factor(t, n, scale))
-            for (a, b), t in zip(combinations(scores.conditions, 2), pairs.t[0].tolist(), strict=True)
+            for (a, b), t in zip(
+                combinations(scores.conditions, 2), pairs.t[0].tolist(), strict=True
+            )
         ]
     columns = ["comparison", "method", "statistic", "df1", "df2", "log_bf10"]
     result = pd.DataFrame(rows, columns=columns)

@@ -32,8 +32,8 @@ class RepeatedMeasures(Tested):
     """
     An analysis of variance with factors within and between subjects.
 
-    Where the design has one effect alone, every column of `table` is an attribute too: ``.F``,
-    ``.df1``, ``.p_corrected``, ``.epsilon_gg``, ``.reason`` and so on.
+    Columns of `table` in which all effects agree are attributes too: ``.n``, ``.k``, ``.dv``,
+    ``.alpha``; of a design with one effect also ``.F``, ``.p_corrected``, ``.epsilon_gg`` …
 
     Parameters
     ----------
@@ -48,8 +48,6 @@ class RepeatedMeasures(Tested):
         Subjects left out for missing cells.
     correction_rule : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
         The correction asked for.
-    alpha : float
-        Level below which a p-value is called significant.
     """
 
     scores: ScoreTable
@@ -58,27 +56,11 @@ class RepeatedMeasures(Tested):
     tests: pd.DataFrame
     excluded: tuple
     correction_rule: str
-    alpha: float
-
-    @property
-    def dv(self) -> Hashable:
-        """Column analysed."""
-        return self.scores.dv
 
     @property
     def conditions(self) -> tuple:
         """Labels of the conditions: the levels of one factor, or the cells of several."""
         return self.scores.conditions
-
-    @property
-    def n(self) -> int:
-        """Subjects analysed."""
-        return len(self.scores.subjects)
-
-    @property
-    def k(self) -> int:
-        """Conditions or cells."""
-        return len(self.scores.conditions)
 
     @property
     def within(self) -> Mapping[Hashable, Sequence]:
@@ -499,7 +481,7 @@ def repeated_measures(
         effect = {"effect": row.pop("effect"), "n": design.n, "k": len(scores.conditions)}
         rows.append(first | effect | _decided(row, design, correction, alpha) | last)
     tests = labelled(pd.DataFrame(rows), scores.origin)
-    return RepeatedMeasures(scores, observed, design, tests, excluded, correction, alpha)
+    return RepeatedMeasures(scores, observed, design, tests, excluded, correction)
 
 
 def _check_groups(design: Design, scores: ScoreTable) -> None:
