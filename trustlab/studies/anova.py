@@ -360,26 +360,13 @@ def repeated_measures_batch(
     return effects(scores.reshape(*scores.shape[:2], -1), design)
 
 
-@dataclass(frozen=True)
-class PartialEtaInterval:
-    """
-    Interval of partial η² and of the noncentrality it comes from.
-
-    Parameters
-    ----------
-    low, high : float
-        Limits of partial η².
-    noncentrality_low, noncentrality_high : float
-        Limits of λ.
-    level : float
-        Coverage.
-    """
+class PartialEtaInterval(NamedTuple):
+    """Limits of partial η², and of the noncentrality that they come from."""
 
     low: float
     high: float
     noncentrality_low: float
     noncentrality_high: float
-    level: float
 
 
 def partial_eta_interval(
@@ -414,7 +401,7 @@ def partial_eta_interval(
     tail = 0.5 * (1.0 - level)
     low, high = (noncentrality_limit(f, df1, df2, share) for share in (1.0 - tail, tail))
     total = df1 + df2
-    return PartialEtaInterval(low / (low + total), high / (high + total), low, high, level)
+    return PartialEtaInterval(low / (low + total), high / (high + total), low, high)
 
 
 def noncentrality_limit(f: float, df1: float, df2: float, probability: float) -> float:

@@ -23,6 +23,7 @@ from trustlab.studies.table import (
     Tested,
     column_of,
     labelled,
+    mark,
     origin_of,
     read_cells,
     read_factors,
@@ -213,9 +214,8 @@ class MixedModel(Tested):
                 f"{row.df2}) = {apa_number(row.F)}, {apa_p(row.p)}, ηp² = "
                 f"{share(row.eta2_partial)}, 90% CI {ends}"
             )
-        origin = f"[{self.origin}] " if self.origin else ""
         return (
-            f"{origin}A mixed model of {self.dv} with a random intercept per subject "
+            f"{mark(self.origin)}A mixed model of {self.dv} with a random intercept per subject "
             f"(N = {self.n}, {counted(self.missing_cells, 'cell')} missing): {'; '.join(effects)}."
         )
 
@@ -384,7 +384,7 @@ class FormulaModel(Tested):
     @property
     def log_likelihood(self) -> float:
         """Maximum of the likelihood (not restricted), with all its constants."""
-        return -0.5 * self.maximum.deviance
+        return self.maximum.llf
 
     @property
     def singular(self) -> bool:

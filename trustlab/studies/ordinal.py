@@ -27,6 +27,7 @@ from trustlab.studies.table import (
     Tested,
     column_of,
     labelled,
+    mark,
     origin_of,
     read_factors,
     refuse_missing_labels,
@@ -396,11 +397,11 @@ class OrdinalModel(Tested):
             f"{apa_p(row.p_holm)}"
             for row in self.pairs().query("p_holm < 0.05").itertuples()
         ]
-        origin = f"[{self.origin}] " if self.origin else ""
         kind = "logistic" if len(self.categories) == 2 else "cumulative-link"
         return (
-            f"{origin}A {kind} mixed model of {self.dv} with random intercepts ({self.n} people, "
-            f"{self.answers.size} ratings) was tested by likelihood ratios: {'; '.join(tests)}. "
+            f"{mark(self.origin)}A {kind} mixed model of {self.dv} with random intercepts "
+            f"({self.n} people, {self.answers.size} ratings) was tested by likelihood ratios: "
+            f"{'; '.join(tests)}. "
             f"Pairs that differ: {'; '.join(pairs) or 'none'}."
         )
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 import pandas as pd
@@ -10,22 +9,14 @@ from scipy import special
 
 from trustlab.models.checks import one_of, open_unit, positive
 from trustlab.studies.pairs import (
-    Pairs,
+    Wilcoxon,
     condition_pairs,
-    d_z_interval,
     holm,
     normality_of_differences,
     wilcoxon,
 )
-from trustlab.studies.repeated_measures import describe, t_half_width, table_effects
-from trustlab.studies.table import (
-    ScoreTable,
-    Tested,
-    complete_scores,
-    labelled,
-    read_scores,
-    same_for_all,
-)
+from trustlab.studies.repeated_measures import describe, repeated_measures
+from trustlab.studies.table import ScoreTable, Tested, labelled, same_for_all
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,20 +66,9 @@ class PairedTTest(Tested):
         return apa_pair(self)
 
 
-def _compared(
-    frame: pd.DataFrame,
-    dv: Hashable,
-    within: Hashable,
-    subject: Hashable,
-    order: Sequence | None,
-    missing: str,
-) -> tuple[ScoreTable, tuple, pd.Series, Pairs]:
-    """Return complete scores, subjects left out, the test of the conditions, and all pairs."""
-    scores, excluded = complete_scores(
-        read_scores(frame, dv, within, subject, order=order), missing
-    )
-    test = table_effects(scores).iloc[0]  # refuses scores without error variance
-    return scores, excluded, test, condition_pairs(scores.values[None])
+COLUMNS = ["a", "b", "n", "mean_difference", "sd_difference", "ci_low", "ci_high", "confidence"]
+COLUMNS += ["t", "df", "p", "d_z", "d_z_low", "d_z_high", "d_av", "correlation"]
+COLUMNS += [*Wilcoxon._fields, "shapiro_w", "shapiro_p"]
 
 
 def paired_t_test(
@@ -142,42 +122,25 @@ def paired_t_test(
        mean_difference      t  df      p
     0           -0.467 -2.646   2  0.118
     """
-    confidence = open_unit("confidence", confidence)
-    scores, excluded, _, pair = _compared(frame, dv, within, subject, order, missing)
-    if len(scores.conditions) != 2:
+    result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
+    scores = result.scores
+    if result.k != 2:
         raise ValueError(
-            f"within: column {within!r} has {len(scores.conditions)} conditions, "
-            f"{list(scores.conditions)}; a paired t-test compares two. Select their rows, or use "
-            "repeated_measures"
+            f"within: column {within!r} has {result.k} conditions, {list(scores.conditions)}; a "
+            "paired t-test compares two. Select their rows, or use repeated_measures"
         )
-    (a, b), n = scores.values.T, len(scores.subjects)
-    mean, t = pair.mean_difference.item(), pair.t.item()
-    sd = float((a - b).std(ddof=1))
-    half = float(t_half_width(sd, n, confidence))
-    low, high = map(float, d_z_interval(t, n - 1, n**-0.5, confidence))
-    normality = normality_of_differences(scores.values)
-    row = {
-        "a": scores.conditions[0],
-        "b": scores.conditions[1],
-        "n": n,
-        "mean_difference": mean,
-        "sd_difference": sd,
-        "ci_low": mean - half,
-        "ci_high": mean + half,
-        "confidence": confidence,
-        "t": t,
-        "df": n - 1,
-        "p": pair.p.item(),
-        "d_z": pair.d_z.item(),
-        "d_z_low": low,
-        "d_z_high": high,
-        "d_av": mean / (0.5 * (a.std(ddof=1) + b.std(ddof=1))),
-        "correlation": np.nan if same_for_all(scores) else float(np.corrcoef(a, b)[0, 1]),
+    a, b = scores.values.T
+    constant = bool(same_for_all(scores))
+    test = result.pairs(confidence=confidence).assign(
+        n=result.n,
+        sd_difference=(a - b).std(ddof=1),
+        confidence=confidence,
+        correlation=np.nan if constant else np.corrcoef(a, b)[0, 1],
         **wilcoxon(a - b, np.abs(scores.values).max())._asdict(),
-        "shapiro_w": normality["W"].item(),
-        "shapiro_p": normality["p"].item(),
-    }
-    return PairedTTest(labelled(pd.DataFrame([row]), scores.origin), excluded, scores)
+    )
+    names = {"W": "shapiro_w", "p": "shapiro_p"}
+    test = test.join(normality_of_differences(scores.values).rename(columns=names))[COLUMNS]
+    return PairedTTest(labelled(test, scores.origin), result.excluded, scores)
 
 
 def equivalence(
@@ -248,23 +211,23 @@ def equivalence(
     if alpha >= 0.5:
         raise ValueError(f"alpha must be below 0.5, as the interval has 1 − 2 alpha, got {alpha}")
     one_of("units", units, ("raw", "d_z"))
-    scores, excluded, _, pairs = _compared(frame, dv, within, subject, order, missing)
-    n, mean, sd = len(scores.subjects), pairs.mean_difference[0], pairs.sd[0]
-    names = pd.DataFrame(combinations(scores.conditions, 2), columns=["a", "b"])
+    result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
+    pairs, n = result.pairs(confidence=1.0 - 2.0 * alpha), result.n
+    mean = pairs["mean_difference"].to_numpy()
+    sd = condition_pairs(result.scores.values[None]).sd[0]
     if np.isnan(sd).any():
-        a, b = names[np.isnan(sd)].iloc[0]
+        a, b = pairs.loc[np.isnan(sd), ["a", "b"]].iloc[0]
         raise ValueError(f"dv: every subject has the same difference between {a!r} and {b!r}")
     reach = bound if units == "raw" else bound * sd
     error = sd / np.sqrt(n)
     t_low, t_high = (mean + reach) / error, (mean - reach) / error
     p_low, p_high = special.stdtr(n - 1, -t_low), special.stdtr(n - 1, t_high)
     p = np.maximum(p_low, p_high)
-    half = t_half_width(sd, n, 1.0 - 2.0 * alpha)
     tests = {"n": n, "mean_difference": mean, "low": -reach, "high": reach, "t_low": t_low}
     tests |= {"p_low": p_low, "t_high": t_high, "p_high": p_high, "df": n - 1, "p": p}
-    tests |= {"p_holm": holm(p), "ci_low": mean - half, "ci_high": mean + half}
-    result = names.assign(**tests, equivalent=p < alpha)
-    return labelled(result, scores.origin, excluded=excluded)
+    tests |= {"p_holm": holm(p), "ci_low": pairs["ci_low"], "ci_high": pairs["ci_high"]}
+    table = pairs[["a", "b"]].assign(**tests, equivalent=p < alpha)
+    return labelled(table, result.origin, excluded=result.excluded)
 
 
 def bayes_factor(
@@ -327,28 +290,25 @@ def bayes_factor(
     0  condition   3.5  36
     """
     scale = positive("scale", scale)
-    scores, excluded, test, pairs = _compared(frame, dv, within, subject, order, missing)
-    n = len(scores.subjects)
+    analysis = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
+    n, df1, df2 = analysis.n, analysis.df1, analysis.df2
     if method is None:
-        method = "jzs" if len(scores.conditions) == 2 else "bic"
+        method = "jzs" if analysis.k == 2 else "bic"
     if one_of("method", method, ("jzs", "bic")) == "bic":
-        df1, df2 = int(test["df1"]), int(test["df2"])
-        share = test["ss_error"] / (test["ss_effect"] + test["ss_error"])
+        share = analysis.ss_error / (analysis.ss_effect + analysis.ss_error)
         log_bf10 = -0.5 * (n * df1 * np.log(share) + df1 * np.log(n * df1))
-        rows = [(str(within), method, float(test["F"]), df1, df2, log_bf10)]
+        rows = [(str(within), method, analysis.F, df1, df2, log_bf10)]
     else:
         rows = [
             (f"{a} − {b}", method, t, 1, n - 1, log_jzs_bayes_factor(t, n, scale))
-            for (a, b), t in zip(
-                combinations(scores.conditions, 2), pairs.t[0].tolist(), strict=True
-            )
+            for a, b, t in analysis.pairs()[["a", "b", "t"]].itertuples(index=False)
         ]
     columns = ["comparison", "method", "statistic", "df1", "df2", "log_bf10"]
     result = pd.DataFrame(rows, columns=columns)
     with np.errstate(over="ignore"):
         result["bf10"] = np.exp(result["log_bf10"])
         result["bf01"] = np.exp(-result["log_bf10"])
-    return labelled(result.assign(n=n), scores.origin, excluded=excluded)
+    return labelled(result.assign(n=n), analysis.origin, excluded=analysis.excluded)
 
 
 def log_jzs_bayes_factor(t: float, n: int, scale: float) -> float:

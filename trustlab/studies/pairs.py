@@ -59,8 +59,8 @@ def holm(p: np.ndarray) -> np.ndarray:
 
 class Pairs(NamedTuple):
     """
-    Comparisons a − b of many studies, shape (studies, pairs); intervals have 95 %, p is two-sided;
-    NaN where every subject has the same difference.
+    Comparisons a − b of many studies, shape (studies, pairs); p is two-sided; NaN where every
+    subject has the same difference.
     """
 
     mean_difference: np.ndarray
@@ -76,7 +76,11 @@ class Pairs(NamedTuple):
 
 
 def compare(
-    regression: Regression, weights: np.ndarray, rows: np.ndarray, error: str = "own"
+    regression: Regression,
+    weights: np.ndarray,
+    rows: np.ndarray,
+    error: str = "own",
+    level: float = 0.95,
 ) -> Pairs:
     """
     Test linear combinations of the cells (weights, shape (cells, pairs)) and of the coefficients
@@ -99,7 +103,7 @@ def compare(
         df = df * variance**2 / (inside**2 / (cells - 1) + outside**2)
     sd = np.sqrt(np.where(flat, np.nan, variance))
     se = sd * _leverage_root(design, rows)
-    half = scipy.special.stdtrit(df, 0.975) * se
+    half = scipy.special.stdtrit(df, 0.5 + 0.5 * level) * se
     p = 2.0 * scipy.special.stdtr(df, -np.abs(mean / se))
     return Pairs(
         mean, mean - half, mean + half, mean / se, df, p, bonferroni(p), holm(p), sd, mean / sd
@@ -194,16 +198,17 @@ def paired_levels(
 
 
 def factor_pairs(
-    values: np.ndarray, design: Design, factor: Hashable, at: Hashable, error: str
+    values: np.ndarray, design: Design, factor: Hashable, at: Hashable, error: str, level: float
 ) -> pd.DataFrame:
     """Return comparisons of levels with what `Pairs` holds, and the interval of d_z."""
     regression = regress(values[None], design)
 
     def test(weights: np.ndarray, hypotheses: np.ndarray) -> pd.DataFrame:
-        pairs = compare(regression, weights, hypotheses, error)
+        pairs = compare(regression, weights, hypotheses, error, level)
         numbers = {name: np.ravel(x) if np.ndim(x) else x for name, x in pairs._asdict().items()}
         table = pd.DataFrame(numbers).drop(columns="sd")
-        limits = d_z_interval(pairs.t[0], table["df"], _leverage_root(design, hypotheses))
+        scale = _leverage_root(design, hypotheses)
+        limits = d_z_interval(pairs.t[0], table["df"], scale, level)
         table["d_z_low"], table["d_z_high"] = limits
         return table
 

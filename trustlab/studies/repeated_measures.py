@@ -170,6 +170,7 @@ class RepeatedMeasures(Tested):
         *,
         method: str = "t",
         error: str = "own",
+        confidence: float = 0.95,
     ) -> pd.DataFrame:
         """
         Return all pairwise comparisons of one factor's levels, a before b.
@@ -189,13 +190,15 @@ class RepeatedMeasures(Tested):
             Whether every comparison has the error of its own differences, as `emmeans` on afex's
             multivariate model, or one variance of all cells, as with compound symmetry; degrees of
             freedom are then Satterthwaite's.
+        confidence : float
+            Level of the intervals.
 
         Returns
         -------
         pandas.DataFrame
             Columns level (of `at`, with several factors) a b mean_difference (a − b) ci_low ci_high
-            (95 %, unadjusted) t df p p_bonferroni p_holm d_z (mean over the residual standard
-            deviation of the differences; NaN between groups) d_z_low d_z_high (95 %); of one factor
+            (unadjusted) t df p p_bonferroni p_holm d_z (mean over the residual standard
+            deviation of the differences; NaN between groups) d_z_low d_z_high; of one factor
             also d_av (mean over the mean of both standard deviations). For "wilcoxon", a b V p
             method rank_biserial median_difference p_bonferroni p_holm; p is NaN where no subject's
             scores differ.
@@ -217,7 +220,8 @@ class RepeatedMeasures(Tested):
             for name in factors:
                 pairs.levels_of_factor(self.design, name)
             values = pairs.aligned(values, self.design, factors, whole=True)
-        table = pairs.factor_pairs(values, self.design, factor, at, error)
+        level = open_unit("confidence", confidence)
+        table = pairs.factor_pairs(values, self.design, factor, at, error, level)
         if method == "wilcoxon":
             if error != "own":
                 raise ValueError("error has no effect on Wilcoxon's tests; leave it out")
@@ -373,7 +377,8 @@ def describe(values: np.ndarray, level: float = 0.95) -> dict[str, Any]:
     centred = values - values.mean()  # a common offset would cost digits in the subjects' means
     own = centred - centred.mean(axis=1, keepdims=True)
     within_sd = own.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
-    between, within = (t_half_width(spread, n, level) for spread in (sd, within_sd))
+    width = special.stdtrit(n - 1, 0.5 + 0.5 * level) / np.sqrt(n)
+    between, within = width * sd, width * within_sd
     return {
         "n": n,
         "mean": mean,
@@ -387,11 +392,6 @@ def describe(values: np.ndarray, level: float = 0.95) -> dict[str, Any]:
         "ci_low_within": mean - within,
         "ci_high_within": mean + within,
     }
-
-
-def t_half_width(sd: Any, n: int, level: float = 0.95) -> Any:
-    """Return half the width of the interval of a mean of n values, t · sd / √n."""
-    return special.stdtrit(n - 1, 0.5 + 0.5 * level) * sd / np.sqrt(n)
 
 
 def repeated_measures(
@@ -467,49 +467,33 @@ def repeated_measures(
     observed = read_cells(frame, dv, levels, subject)
     scores, excluded = complete_scores(observed, missing)
     read = {name: read_groups(frame, name, listed, scores) for name, listed in groups.items()}
-    design = Design(
-        len(scores.subjects),
-        levels,
-        {name: group for name, (group, _) in read.items()},
-        {name: codes for name, (_, codes) in read.items()},
-    )
-    _check_groups(design, scores)
-    first = {"dv": scores.dv, "within": scores.within}
-    last = {"alpha": alpha, "excluded": len(excluded), "origin": scores.origin}
-    rows = []
-    for row in table_effects(scores, design).to_dict("records"):
-        effect = {"effect": row.pop("effect"), "n": design.n, "k": len(scores.conditions)}
-        rows.append(first | effect | _decided(row, design, correction, alpha) | last)
-    tests = labelled(pd.DataFrame(rows), scores.origin)
-    return RepeatedMeasures(scores, observed, design, tests, excluded, correction)
-
-
-def _check_groups(design: Design, scores: ScoreTable) -> None:
-    """Refuse groups whose effects are not defined or that leave no degree of freedom."""
+    numbers = {name: codes for name, (_, codes) in read.items()}
+    groups = {name: group for name, (group, _) in read.items()}
+    design = Design(len(scores.subjects), levels, groups, numbers)
     columns = design.matrix.shape[1]
     if np.linalg.matrix_rank(design.matrix) < columns:
         raise ValueError(
-            f"between: some combination of {[*design.between]} has no participant: its effects are "
-            "not defined"
+            f"between: some combination of {[*groups]} has no participant: its effects are not "
+            "defined"
         )
     if design.df_error < 1:
         raise ValueError(
             f"subject: {design.n} participants {[*scores.subjects]} for {columns} parameters leave "
             "nothing to estimate the error from"
         )
-
-
-def table_effects(scores: ScoreTable, design: Design | None = None) -> pd.DataFrame:
-    """
-    Return the effects in complete scores, by default of one factor; an error names the columns.
-    """
-    if design is None:
-        design = Design(len(scores.subjects), {scores.within: scores.conditions})
     try:
-        return effects(scores.values[None], design).loc[0].reset_index()
+        tests = effects(scores.values[None], design).loc[0].reset_index()
     except ValueError as error:
         reason = str(error).removeprefix("study 0: ")
         raise ValueError(f"dv: column {scores.dv!r} by {scores.within!r}: {reason}") from None
+    first = {"dv": scores.dv, "within": scores.within}
+    last = {"alpha": alpha, "excluded": len(excluded), "origin": scores.origin}
+    rows = []
+    for row in tests.to_dict("records"):
+        effect = {"effect": row.pop("effect"), "n": design.n, "k": len(scores.conditions)}
+        rows.append(first | effect | _decided(row, design, correction, alpha) | last)
+    tests = labelled(pd.DataFrame(rows), scores.origin)
+    return RepeatedMeasures(scores, observed, design, tests, excluded, correction)
 
 
 def _decided(row: dict, design: Design, correction: str, alpha: float) -> dict[str, Any]:
@@ -535,29 +519,23 @@ def _decision(row: dict, df_error: int, correction: str, alpha: float) -> dict[s
     needs none.
     """
     d = row["df2"] // df_error
-    why = ""
-    if d == 1:
-        why = "With two conditions sphericity always holds."
-    elif df_error < d:
-        why = f"{df_error + 1} subjects are too few for {d + 1} conditions"
+    undefined = ""
+    if df_error < d:
+        undefined = f"{df_error + 1} subjects are too few for {d + 1} conditions"
     elif np.isnan(row["mauchly_w"]):
-        why = "a condition is a linear combination of others, the covariance singular"
-    if why and d > 1:
-        why = f"Mauchly's test is not defined: {why}."
-    rejected = not row["mauchly_p"] >= alpha  # a p that is not defined rejects
+        undefined = "a condition is a linear combination of others, the covariance singular"
+    why = f"Mauchly's test is not defined: {undefined}." if undefined else ""
     reason = f"Correction “{correction}” applies, whatever Mauchly's test says. {why}".strip()
-    applied = correction
-    if correction == "auto":
-        applied = "greenhouse-geisser" if rejected else "none"
-        reason = f"{why} Sphericity cannot be tested and is not assumed."
-        if not why:
-            verb, sign = ("rejects", "<") if rejected else ("does not reject", "≥")
-            reason = (
-                f"Mauchly's test {verb} sphericity (p = {row['mauchly_p']:.3g} {sign} {alpha:g})."
-            )
     if d == 1:
-        applied, reason = "none", why
-    end = {"none": "", "greenhouse-geisser": "_gg", "huynh-feldt": "_hf"}[applied]
-    corrected = {f"{name}_corrected": row[f"{name}{end}"] for name in ("df1", "df2", "p")}
-    corrected |= {name: float(corrected[name]) for name in corrected}
-    return {"mauchly_reason": why, "correction": applied, "reason": reason} | corrected
+        correction, reason = "none", "With two conditions sphericity always holds."
+        why = reason
+    elif correction == "auto":
+        rejected = not row["mauchly_p"] >= alpha  # a p that is not defined rejects
+        correction = "greenhouse-geisser" if rejected else "none"
+        verb, sign = ("rejects", "<") if rejected else ("does not reject", "≥")
+        p = f"(p = {row['mauchly_p']:.3g} {sign} {alpha:g})"
+        reason = f"{why} Sphericity cannot be tested and is not assumed."
+        reason = reason if why else f"Mauchly's test {verb} sphericity {p}."
+    end = {"none": "", "greenhouse-geisser": "_gg", "huynh-feldt": "_hf"}[correction]
+    corrected = {f"{name}_corrected": float(row[f"{name}{end}"]) for name in ("df1", "df2", "p")}
+    return {"mauchly_reason": why, "correction": correction, "reason": reason} | corrected

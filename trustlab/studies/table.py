@@ -113,6 +113,11 @@ def origin_of(frame: pd.DataFrame) -> str:
     return "synthetic data" if marked.all() else "partly synthetic data"
 
 
+def mark(origin: str) -> str:
+    """Return what sentences about data begin with: their origin, where they were not measured."""
+    return f"[{origin}] " if origin else ""
+
+
 def labelled(frame: pd.DataFrame, origin: str, **more: object) -> pd.DataFrame:
     """
     Record the origin of data that were not measured, and further facts, in a table's attrs.
@@ -318,7 +323,8 @@ def read_cells(
     place_of = {label: i for i, label in enumerate(subjects)}
     cell_of = {cell: j for j, cell in enumerate(cells)}
     values = np.full((len(subjects), len(cells)), np.nan)
-    filled, repeated = set(), []
+    filled: set[tuple[int, int]] = set()
+    repeated = []
     labels = zip(*(frame[name].tolist() for name in levels), strict=True)
     rows = zip(
         frame[subject].tolist(), labels, frame[dv].tolist(), frame.index.tolist(), strict=True
@@ -341,8 +347,8 @@ def read_cells(
     if repeated:
         mean = f"frame.groupby({[subject, *levels]}, as_index=False)[{dv!r}].mean()"
         raise ValueError(
-            f"cells with more than one row: {_listed([*dict.fromkeys(repeated)])}; average the trials of a cell "
-            f"first: {mean}"
+            f"cells with more than one row: {_listed([*dict.fromkeys(repeated)])}; average the "
+            f"trials of a cell first: {mean}"
         )
     name = next(iter(levels)) if len(levels) == 1 else " × ".join(map(str, levels))
     return ScoreTable(values, subjects, conditions, dv, name, subject, origin_of(frame))

@@ -196,7 +196,7 @@ class Conditions:
         If sizes differ, labels repeat, or the covariance is not positive definite.
     """
 
-    labels: tuple[Hashable, ...]
+    labels: Sequence[Hashable]
     mean: np.ndarray
     covariance: np.ndarray
     origin: str = ""

@@ -144,7 +144,7 @@ def counted(
 @dataclass(frozen=True, eq=False, repr=False)
 class PowerAnalysis(Result):
     """
-    Power of the omnibus F and of every pair, by simulation.
+    Power of the omnibus F, and of F with all claimed pairs, by simulation.
 
     Parameters
     ----------
@@ -154,15 +154,14 @@ class PowerAnalysis(Result):
         Replicates, seed and levels.
     varied : tuple of str
         Axes of the grid for which several values were given; of several factors n and effect.
-    omnibus, pairwise, together : pandas.DataFrame
-        What `table()`, `pairs()` and `claims()` return.
+    omnibus, together : pandas.DataFrame
+        What `table()` and `claims()` return.
     """
 
     conditions: Conditions
     simulation: Simulation
     varied: tuple[str, ...]
     omnibus: pd.DataFrame
-    pairwise: pd.DataFrame
     together: pd.DataFrame
 
     def table(self) -> pd.DataFrame:
@@ -179,19 +178,6 @@ class PowerAnalysis(Result):
             test: n (in each group), effect, eta2_partial (of the population), test, power ….
         """
         return self.omnibus.copy()
-
-    def pairs(self) -> pd.DataFrame:
-        """
-        Return the power of each pairwise comparison, two-sided.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row per cell, pair and adjustment: n, effect_size, correlation, epsilon, a, b, d_z,
-            adjust ("none", "bonferroni", "holm"), power, ci_low, ci_high, replicates, closed_form
-            (noncentral t; NaN for Holm's). No rows with several factors.
-        """
-        return self.pairwise.copy()
 
     def claims(self) -> pd.DataFrame:
         """
@@ -336,7 +322,11 @@ def power_analysis(
     """
     of_class("columns", columns, StudyColumns)
     of_class("simulation", simulation, Simulation)
-    axes = {"effect_size": effect_size, "correlation": correlation, "epsilon": epsilon}
+    axes: dict[str, Any] = {
+        "effect_size": effect_size,
+        "correlation": correlation,
+        "epsilon": epsilon,
+    }
     if columns.several:
         for name, value in (axes | {"claims": claims}).items():
             if value is not None:
@@ -345,8 +335,7 @@ def power_analysis(
     mask = claims_mask(claims, population)
     # None, a text or a dict are one value, which is refused where it is used.
     grid = {
-        name: [value] if np.ndim(value) == 0 else list(value)
-        for name, value in ({"n": n} | axes).items()
+        name: list(value) if np.ndim(value) else [value] for name, value in {"n": n, **axes}.items()
     }
     sizes = [whole_number("n", size, least=3, most=MOST_N) for size in grid["n"]]
     shapes = product(grid["effect_size"], grid["correlation"], grid["epsilon"])
@@ -356,7 +345,7 @@ def power_analysis(
         raise ValueError("n, effect_size, correlation or epsilon is empty: give a number")
     counts = counted(cells, simulation, mask)
     tables = []
-    for rows_of in (_omnibus, _pairwise, _together):
+    for rows_of in (_omnibus, _together):
         rows = [
             row
             for cell, of_cell in zip(cells, counts, strict=True)
@@ -413,22 +402,6 @@ def _omnibus(
         for test in CORRECTIONS if cell.several else TESTS:
             form = closed if spherical and test == "none" else np.nan
             yield {**where, "test": test, "count": counts[f"{effect}/{test}"], "closed_form": form}
-
-
-def _pairwise(
-    n: int, cell: Conditions, counts: dict, mask: Any, simulation: Simulation
-) -> Iterator[dict]:
-    """Yield the rows of the pairs, by adjustment; Holm's has no closed form."""
-    if cell.several:
-        return
-    axes, alpha = _axes_of(n, cell), simulation.alpha
-    levels = {"none": alpha, "bonferroni": alpha / len(cell.d_z)}
-    for i, (pair, d_z) in enumerate(zip(combinations(cell.labels, 2), cell.d_z, strict=True)):
-        for name in ADJUSTMENTS:
-            row = axes | {"a": pair[0], "b": pair[1], "d_z": d_z, "adjust": name}
-            level = levels.get(name, np.nan)
-            form = exceeds_critical(1, n - 1, n * d_z**2, level)
-            yield row | {"count": counts[f"pair {i} {name}"], "closed_form": form}
 
 
 def _together(

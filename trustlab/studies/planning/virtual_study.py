@@ -173,25 +173,6 @@ class VirtualStudy(Result):
             rows.append({"measure": name, "conditions": conditions, **row, "note": note})
         return labelled(pd.DataFrame(rows), self.origin)
 
-    def sessions(self):
-        """
-        Read the sessions again from the folder.
-
-        Returns
-        -------
-        list of Session
-
-        Raises
-        ------
-        ValueError
-            If the study was run without a folder.
-        """
-        from trustlab.sessions.reading import read_sessions
-
-        if self.folder is None:
-            raise ValueError("this study kept no sessions; run it with out= the name of a folder")
-        return read_sessions(self.folder / "sessions")
-
     def plot(self, measures: Sequence[str] | None = None, kind: str = "means"):
         """
         Plot measures by condition, a panel each.
@@ -382,7 +363,7 @@ def _fitting(
     ]
     pairs = [item for item in listed if isinstance(item, tuple) and len(item) == 2]
     rules = dict(pairs)
-    names = tuple(item[0] if item in pairs else item for item in listed)
+    names: Any = tuple(item[0] if item in pairs else item for item in listed)
     if any("/" in str(name) for name in rules):  # it becomes part of file names
         raise ValueError(f"conditions: the name of a rule must be text without /, got {[*rules]}")
     if testbed is None:
