@@ -357,6 +357,8 @@ class FormulaModel(Tested):
         Score and fixed effects.
     groups : hashable
         Column with the groups (subjects).
+    n, observations : int
+        Groups and rows.
     tests, coefficients : pandas.DataFrame
         What `table` and `coefficients_table` return.
     fit, maximum : InterceptFit
@@ -369,6 +371,8 @@ class FormulaModel(Tested):
 
     formula: str
     groups: Hashable
+    n: int
+    observations: int
     tests: pd.DataFrame
     coefficients: pd.DataFrame
     fit: InterceptFit
@@ -395,7 +399,8 @@ class FormulaModel(Tested):
     def message(self) -> str:
         """Which data, and how they were tested."""
         draws = f" and by {self.draws} simulated data sets" if self.draws else ""
-        return f"{self.origin} likelihood ratios, asymptotic{draws}".strip()
+        rows = f"{self.origin} {self.observations} rows of {self.n} groups".strip()
+        return f"{rows}; likelihood ratios, asymptotic{draws}"
 
     def table(self) -> pd.DataFrame:
         """
@@ -478,6 +483,8 @@ def formula_model(
     return FormulaModel(
         formula=formula,
         groups=groups,
+        n=model.counts.size,
+        observations=y.size,
         tests=labelled(tests, origin),
         coefficients=labelled(coefficients, origin),
         fit=fit,

@@ -114,7 +114,7 @@ def test_measures_are_those_of_the_runs_one_by_one(name, request):
 
 
 def test_sessions_are_read_again_and_have_the_measures(kept):
-    sessions = kept.sessions()
+    sessions = tl.read_sessions(kept.folder / "sessions")
     assert len(sessions) == 50
     rows = kept.measures.set_index(["participant", "position", "condition"])
     for session in sessions:
@@ -147,7 +147,8 @@ def test_rest_carries_utilization_over_by_2_5(tmp_path):
     bed = GroundRobot(laps=1, rest=120.0)
     study = tl.virtual_study(n=4, conditions=["C1", "C5"], seed=1, testbed=bed, out=tmp_path / "s")
     a = study.participants.set_index("participant")["a_r"]
-    sessions = {(s.metadata.participant, s.metadata.more["trial"]): s for s in study.sessions()}
+    logs = tl.read_sessions(tmp_path / "s/sessions")
+    sessions = {(s.metadata.participant, s.metadata.more["trial"]): s for s in logs}
     for who in range(1, 5):
         first, second = sessions[who, 1]["r"], sessions[who, 2]["r"]
         assert first[0] == 0.0
@@ -251,21 +252,6 @@ def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
 def test_virtual_study_refuses(arguments, message):
     with pytest.raises(ValueError, match=message):
         tl.virtual_study(**QUICK | arguments)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"covariance": np.ones((12, 12))}, "covariance is not positive definite: its least"),
-        ({"mean": PUBLISHED.mean[:5]}, "mean must have 12 samples"),
-        ({"follow": (0.5, 0.1)}, "follow must be two pairs"),
-        ({"p_r_min": None}, "p_r_min must be a number"),
-    ],
-)
-def test_populations_refuse(arguments, message):
-    given = {"mean": PUBLISHED.mean, "covariance": PUBLISHED.covariance, "follow": PUBLISHED.follow}
-    with pytest.raises(ValueError, match=message):
-        OperatorPopulation(**given | arguments)
 
 
 class Alternating:
