@@ -9,23 +9,15 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from tests.studies.scores import drawn, reference
+from tests.studies.scores import analysed_set, drawn, reference
 from trustlab.studies.pairs import aligned
 
 SETS = reference("aligned_ranks")["sets"]
 
 
-def analysed(name):
-    own = SETS[name]
-    frame = pd.DataFrame(own["columns"]).sample(frac=1.0, random_state=0)
-    return tl.repeated_measures(
-        frame, own["dv"], own["within"], own["id"], between=own["between"] or None
-    )
-
-
 @pytest.mark.parametrize("name", SETS)
 def test_tests_and_contrasts_agree_with_r(name):
-    result = analysed(name)
+    result = analysed_set(SETS[name])
     own, pooled = (
         {frozenset(row["effect"].split(" × ")): row for row in table.to_dict("records")}
         for table in (result.aligned_ranks("own"), result.aligned_ranks("pooled"))

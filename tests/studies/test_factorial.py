@@ -11,21 +11,13 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from tests.studies.scores import drawn, reference
+from tests.studies.scores import analysed_set, drawn, reference
 from trustlab.studies import repeated_measures_batch
 
 mpl.use("Agg")
 SETS = reference("factorial")["sets"]
 SAME = ["F", "df1", "df2", "p", "eta2_generalized", "eta2_partial", "ss_effect", "ss_error"]
 SAME += ["mauchly_w", "mauchly_p", "epsilon_gg", "p_gg", "epsilon_hf_untruncated", "p_hf"]
-
-
-def analysed(name):
-    own = SETS[name]
-    frame = pd.DataFrame(own["columns"]).sample(frac=1.0, random_state=0)
-    return tl.repeated_measures(
-        frame, own["dv"], own["within"], own["id"], between=own["between"] or None
-    )
 
 
 def label(text):
@@ -38,7 +30,7 @@ def label(text):
 )
 def test_every_effect_agrees_with_r(name):
     """One factor: test_against_r.py."""
-    table = analysed(name).table().to_dict("records")
+    table = analysed_set(SETS[name]).table().to_dict("records")
     rows = {frozenset(row["effect"].split(" × ")): row for row in table}
     assert len(rows) == len(SETS[name]["effects"])
     for theirs in SETS[name]["effects"]:
@@ -55,7 +47,7 @@ def test_every_effect_agrees_with_r(name):
 
 @pytest.mark.parametrize("name", [name for name in SETS if SETS[name]["pairs"]])
 def test_pairs_agree_with_emmeans(name):
-    result = analysed(name)
+    result = analysed_set(SETS[name])
     numbers = ["mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]
     for theirs in SETS[name]["pairs"]:
         ours = result.pairs(theirs["factor"], theirs["at"])

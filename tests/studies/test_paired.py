@@ -73,16 +73,6 @@ def test_tables_and_sentence():
     assert "reconstructed data" in text
 
 
-def test_missing_scores_only_when_asked_for():
-    a, b = np.array([1.0, 2, 4, 9, 7]), np.array([2.0, np.nan, 3, 5, 1])
-    with pytest.raises(ValueError, match="subject 1 has no score in condition 'b'"):
-        run(a, b)
-    found = run(a, b, missing="listwise")
-    assert (found.excluded, found.n) == ((1,), 4)
-    assert found.t == pytest.approx(run(np.delete(a, 1), np.delete(b, 1)).t)
-    assert "1 participant with missing scores was left out (1)." in found.apa()
-
-
 def test_ties_do_not_depend_on_the_unit():
     """
     0.3 − 0.2 and 0.2 − 0.1 differ in floating point, and are a tie; so are their tenfolds. Oracle:
@@ -146,15 +136,3 @@ def test_bayes_factor_by_bic_is_the_closed_form():
     assert found["method"] == "bic"
     assert found["bf10"] == pytest.approx(np.exp(-delta / 2))
     assert len(tl.bayes_factor(long(x), **COLUMNS, method="jzs")) == 6
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (tl.paired_t_test, "error variance is zero"),
-        (lambda frame, **more: tl.equivalence(frame, **more, bound=1.0), "error variance"),
-    ],
-)
-def test_differences_without_spread_are_refused(call, message):
-    with pytest.raises(ValueError, match=message):
-        call(pair_of(range(6), range(1, 7)), **COLUMNS)

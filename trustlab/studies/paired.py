@@ -57,7 +57,9 @@ class PairedTTest(Tested):
         Return descriptive statistics as `RepeatedMeasures.descriptives`; intervals at `confidence`.
         """
         labels = pd.Index(self.scores.conditions, tupleize_cols=False)
-        return pd.DataFrame({"condition": labels} | describe(self.scores.values, self.confidence))
+        table = describe(self.scores.values, self.confidence)
+        table.insert(0, "condition", labels)
+        return table
 
     def apa(self) -> str:
         """Return the sentence a paper needs."""

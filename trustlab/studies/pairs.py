@@ -335,15 +335,15 @@ def rank_pairs(values: np.ndarray) -> pd.DataFrame:
     return table.assign(p_bonferroni=bonferroni(p), p_holm=holm(p))
 
 
-def rating_notes(values: np.ndarray, tests: str) -> list[str]:
+def rating_note(values: np.ndarray, tests: str) -> str:
     """Return a note that names the tests by ranks if scores look like those of one rating item."""
     steps = np.unique(values)
-    if steps.size > _MOST_STEPS or not np.array_equal(steps, np.round(steps)):
-        return []
-    return [
+    if steps.size > _MOST_STEPS or (steps % 1.0).any():
+        return ""
+    return (
         f"Scores are whole numbers from {steps[0]:g} to {steps[-1]:g}, as of a rating item, "
         f"whose steps need not be equal: see {tests} for tests by ranks."
-    ]
+    )
 
 
 def normality_of_differences(values: np.ndarray) -> pd.DataFrame:

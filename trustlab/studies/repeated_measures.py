@@ -2,7 +2,6 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -23,7 +22,6 @@ from trustlab.studies.table import (
     read_cells,
     read_factors,
     read_groups,
-    same_for_all,
 )
 
 
@@ -90,31 +88,9 @@ class RepeatedMeasures(Tested):
 
     @property
     def message(self) -> str:
-        """The sentences for a paper, and what to know before using them."""
-        return " ".join([self.apa(), *self.notes])
-
-    @cached_property
-    def notes(self) -> tuple[str, ...]:
-        """What a reader should know before using the numbers."""
-        values = self.scores.values
-        if not self.one_way:
-            return tuple(pairs.rating_notes(values, "aligned_ranks()"))
-        notes = []
-        if constant := same_for_all(self.scores):
-            notes.append(
-                f"Every subject has the same score (SD = 0) in {', '.join(map(repr, constant))}: "
-                "a limit of the scale, or a fault of the data? Tests with that condition rest on "
-                "the variance of the other conditions alone."
-            )
-        table = self.pairs()
-        flat = table[table["t"].isna()]
-        if len(flat):
-            a, b = flat[["a", "b"]].iloc[0].tolist()
-            notes.append(
-                f"In {len(flat)} of {len(table)} pairs of conditions every subject has the same "
-                f"difference ({a!r} and {b!r} first): no t-test."
-            )
-        return (*notes, *pairs.rating_notes(values, 'friedman() and pairs(method="wilcoxon")'))
+        """The sentences for a paper, and where scores look like ratings which tests fit them."""
+        ranks = 'friedman() and pairs(method="wilcoxon")' if self.one_way else "aligned_ranks()"
+        return f"{self.apa()} {pairs.rating_note(self.scores.values, ranks)}".strip()
 
     def _refuse_several_factors(self, name: str) -> None:
         if not self.one_way:
@@ -153,7 +129,7 @@ class RepeatedMeasures(Tested):
         for name, levels in self.between.items():
             number = number * len(levels) + self.design.groups[name]
         values = self.scores.values
-        tables = [pd.DataFrame(describe(values[number == i])) for i in range(number.max() + 1)]
+        tables = [describe(values[number == i]) for i in range(number.max() + 1)]
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         labels = zip(*product(*self.between.values(), *self.within.values()), strict=True)
         columns = {
@@ -322,15 +298,13 @@ class RepeatedMeasures(Tested):
 
         return apa_report(self, adjust)
 
-    def plot(self, kind: str = "means", *, axes=None):
+    def plot(self, axes=None):
         """
         Plot the means with 95 % intervals between subjects, as in Figs. 2.11–2.17 and 3.18–3.21;
         with several factors, the first along the axis and a line per cell of the others.
 
         Parameters
         ----------
-        kind : {"means", "paired"}
-            Whether of one factor there is a line per subject as well.
         axes : matplotlib.axes.Axes, optional
             Where to draw; a new figure by default.
 
@@ -338,7 +312,6 @@ class RepeatedMeasures(Tested):
         -------
         matplotlib.axes.Axes
         """
-        one_of("kind", kind, ("means", "paired") if self.one_way else ("means",))
         factor, levels = next(iter(self.within.items()))
         stats = self.descriptives()
         lines = [name for name in (*self.between, *self.within) if name != factor]
@@ -346,25 +319,22 @@ class RepeatedMeasures(Tested):
         if lines:
             cells = stats.groupby(lines, sort=False, observed=True)
         axes = axes_or_new(axes, figsize=(max(4.2, 1.6 + 0.9 * len(levels)), 3.6))
-        if kind == "paired":
-            axes.plot(self.scores.values.T, color="0.6", lw=0.7, alpha=0.6, marker=".", ms=3)
         for i, (cell, rows) in enumerate(cells):
-            mean = rows["mean"]
+            mean, label = rows["mean"], ", ".join(map(str, cell))
             reach = [mean - rows["ci_low"], rows["ci_high"] - mean]
-            style = {"fmt": "o-" if lines else "o", "capsize": 5, "zorder": 3}
-            label = ", ".join(map(str, cell))
-            axes.errorbar(np.arange(len(levels)) + 0.06 * i, mean, reach, label=label, **style)
+            places = np.arange(len(levels)) + 0.06 * i
+            axes.errorbar(places, mean, reach, fmt="o-" if lines else "o", capsize=5, label=label)
         if lines:
             axes.legend(fontsize="small", title=", ".join(map(str, lines)))
         axes.set_xticks(range(len(levels)), [str(level) for level in levels])
-        axes.set(xlim=(-0.6, len(levels) - 0.4), xlabel=str(factor), ylabel=str(self.dv))
         origin = f"{self.origin}: " if self.origin else ""
         title = f"{origin}means, 95 % intervals (N = {self.n})"
+        axes.set(xlabel=str(factor), ylabel=str(self.dv))
         axes.set_title(title, fontsize="small", wrap=True)
         return axes
 
 
-def describe(values: np.ndarray, level: float = 0.95) -> dict[str, Any]:
+def describe(values: np.ndarray, level: float = 0.95) -> pd.DataFrame:
     """
     Return n mean sd se median minimum maximum of every condition, and both intervals of the mean.
 
@@ -373,25 +343,17 @@ def describe(values: np.ndarray, level: float = 0.95) -> dict[str, Any]:
     removes.
     """
     n, k = values.shape
-    mean, sd = values.mean(axis=0), values.std(axis=0, ddof=1)
+    names = {"count": "n", "mean": "mean", "std": "sd", "sem": "se", "median": "median"}
+    names |= {"min": "minimum", "max": "maximum"}
+    stats = pd.DataFrame(values).agg([*names]).T.rename(columns=names).astype({"n": int})
     centred = values - values.mean()  # a common offset would cost digits in the subjects' means
     own = centred - centred.mean(axis=1, keepdims=True)
     within_sd = own.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
     width = special.stdtrit(n - 1, 0.5 + 0.5 * level) / np.sqrt(n)
-    between, within = width * sd, width * within_sd
-    return {
-        "n": n,
-        "mean": mean,
-        "sd": sd,
-        "se": sd / np.sqrt(n),
-        "median": np.median(values, axis=0),
-        "minimum": values.min(axis=0),
-        "maximum": values.max(axis=0),
-        "ci_low": mean - between,
-        "ci_high": mean + between,
-        "ci_low_within": mean - within,
-        "ci_high_within": mean + within,
-    }
+    for end, sd in {"": stats["sd"], "_within": within_sd}.items():
+        stats[f"ci_low{end}"] = stats["mean"] - width * sd
+        stats[f"ci_high{end}"] = stats["mean"] + width * sd
+    return stats
 
 
 def repeated_measures(

@@ -81,13 +81,12 @@ class StudyReport(Result):
         Raises
         ------
         ValueError
-            If the ending is another one, or a label holds a control character.
+            If the ending is another one.
         """
         path, digits = Path(path), whole_number("digits", digits, least=0, most=12)
         kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
         mark = f" [{self.origin}]" if self.origin else ""
         tables = {title + mark: _printed(table, digits) for title, table in self.tables.items()}
-        _refuse_control_characters(self.message, tables)
         text = _html(self, tables) if kind == ".html" else _latex(self.message, tables)
         path.write_text(text, encoding="utf-8")
         return path
@@ -265,18 +264,6 @@ def _printed(table: pd.DataFrame, digits: int) -> pd.DataFrame:
         if name in texts:
             texts[name] = texts[name].map(in_words)
     return texts
-
-
-def _refuse_control_characters(text: str, tables: dict[str, pd.DataFrame]) -> None:
-    """Refuse what neither HTML nor LaTeX can hold, and what no reader could see."""
-    words = "\n".join(
-        [text, *tables, *(table.to_csv(lineterminator="\n") for table in tables.values())]
-    )
-    if control := re.search(r".*[\x00-\x08\x0b-\x1f\x7f-\x9f]", words):
-        raise ValueError(
-            f"{control.group()[-60:]!r} holds a control character, which no document can show; "
-            "rename the level or column in the data"
-        )
 
 
 def _html(study: StudyReport, tables: dict[str, pd.DataFrame]) -> str:

@@ -134,8 +134,6 @@ class VirtualStudy(Result):
         """
         one_of("dv", dv, self.names)
         compared = self.conditions if conditions is None else tuple(conditions)
-        for condition in compared:
-            one_of("condition", condition, self.conditions)
         rows = self.measures[self.measures["condition"].isin(compared)]
         return repeated_measures(rows, dv, "condition", "participant", order=compared, **options)
 
@@ -173,7 +171,7 @@ class VirtualStudy(Result):
             rows.append({"measure": name, "conditions": conditions, **row, "note": note})
         return labelled(pd.DataFrame(rows), self.origin)
 
-    def plot(self, measures: Sequence[str] | None = None, kind: str = "means"):
+    def plot(self, measures: Sequence[str] | None = None):
         """
         Plot measures by condition, a panel each.
 
@@ -181,8 +179,6 @@ class VirtualStudy(Result):
         ----------
         measures : sequence of str, optional
             Which; four of the testbed's by default.
-        kind : {"means", "raincloud", "paired"}
-            As for `RepeatedMeasures.plot`.
 
         Returns
         -------
@@ -195,7 +191,7 @@ class VirtualStudy(Result):
         size = (2.5 * len(names), 3.2)
         axes = axes_or_new(None, 1, len(names), title, squeeze=False, figsize=size)[0]
         for axis, result in zip(axes, results, strict=True):
-            result.plot(kind, axes=axis)
+            result.plot(axis)
             axis.set(title="", xlabel="")
         return axes
 
@@ -435,12 +431,7 @@ def _study_folder(out: str | os.PathLike) -> Path:
                 f"out: {folder} holds {min(strange)}, which is not known to be of this study; give "
                 "a new or empty folder"
             )
-    try:
-        (folder / "sessions").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(
-            f"out: cannot write in {folder}: {error.strerror}; give one that you may write to"
-        ) from error
+    (folder / "sessions").mkdir(parents=True, exist_ok=True)
     return folder
 
 
