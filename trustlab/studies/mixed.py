@@ -220,10 +220,6 @@ class MixedModel(Tested):
         )
 
 
-TESTS = ["effect", "F", "df1", "df2", "p", "chi2", "p_chi2"]
-TESTS += ["eta2_partial", "eta2_partial_low", "eta2_partial_high"]
-
-
 def mixed_model(
     frame: pd.DataFrame,
     dv: Hashable,
@@ -303,8 +299,8 @@ def fit_mixed_model(
         df2 = n - groups
         if not set(names) <= set(between):
             df2 = y.size - n - x.shape[1] + groups
-        rows.append((effect_name((), names), *_wald(fit, design.contrasts(names), df2)))
-    tests = pd.DataFrame(rows, columns=TESTS)
+        rows.append({"effect": effect_name((), names)} | _wald(fit, design.contrasts(names), df2))
+    tests = pd.DataFrame(rows)
     means = estimates_of(fit.beta, np.sqrt(np.diag(covariance)), tests["df2"].min())
     means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]
     labels = [*table.conditions]
@@ -331,16 +327,24 @@ def fit_mixed_model(
     )
 
 
-def _wald(fit: InterceptFit, contrasts: np.ndarray, df2: int) -> tuple:
-    """Return the columns of `TESTS` but the first, for contrasts of the cells."""
+def _wald(fit: InterceptFit, contrasts: np.ndarray, df2: int) -> dict[str, float]:
+    """Return the test of contrasts of the cells."""
     effect = contrasts.T @ fit.beta
     spread = fit.residual * contrasts.T @ fit.inverse @ contrasts
-    chi2 = float(effect @ np.linalg.solve(spread, effect))
-    df1 = effect.size
+    chi2, df1 = float(effect @ np.linalg.solve(spread, effect)), effect.size
     f = chi2 / df1
     eta = partial_eta_interval(f, df1, df2)
-    p, p_chi2 = special.fdtrc(df1, df2, f), special.chdtrc(df1, chi2)
-    return f, df1, df2, p, chi2, p_chi2, chi2 / (chi2 + df2), eta.low, eta.high
+    return {
+        "F": f,
+        "df1": df1,
+        "df2": df2,
+        "p": special.fdtrc(df1, df2, f),
+        "chi2": chi2,
+        "p_chi2": special.chdtrc(df1, chi2),
+        "eta2_partial": chi2 / (chi2 + df2),
+        "eta2_partial_low": eta.low,
+        "eta2_partial_high": eta.high,
+    }
 
 
 # Models by formula.

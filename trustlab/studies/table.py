@@ -27,10 +27,6 @@ def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = 
             f"{argument} must be the name of one column, got {name!r}; one factor at a time"
         )
     if name not in frame.columns:
-        if name is not None and name in frame.index.names:
-            raise ValueError(
-                f"{argument}: {name!r} is in the index, not a column; give frame.reset_index()"
-            )
         there = ", ".join(map(str, frame.columns))
         hint = did_you_mean(name, frame.columns)
         raise ValueError(f"{argument}: no column {name!r}{hint or remedy} (there are {there})")

@@ -14,8 +14,8 @@ import pandas as pd
 from numpy.random import SeedSequence
 
 from trustlab.models.checks import of_class, one_of, shown, whole_number
-from trustlab.models.display import Result, axes_or_new
-from trustlab.studies.anova import CORRECTIONS, chunks, effect_name, effects, regress, sphericity
+from trustlab.models.display import axes_or_new
+from trustlab.studies.anova import CORRECTIONS, effect_name, effects, regress, sphericity
 from trustlab.studies.pairs import condition_pairs
 from trustlab.studies.planning.conditions import (
     USUAL_COLUMNS,
@@ -27,6 +27,7 @@ from trustlab.studies.planning.conditions import (
     conditions_from,
     exceeds_critical,
 )
+from trustlab.studies.table import Tested
 
 # What power is computed against, and how a figure labels it.
 AXES = {
@@ -38,6 +39,9 @@ AXES = {
 }
 
 MOST_N = 100_000
+
+# Scores drawn at once.
+SCORES = 1 << 20
 
 # Corrections of the omnibus F; "auto" is Greenhouse–Geisser where Mauchly's test rejects.
 TESTS = (*CORRECTIONS, "auto")
@@ -76,8 +80,11 @@ def count_findings(
     root = np.linalg.cholesky(population.covariance).T
     mean = np.atleast_2d(population.mean)[groups]
     counts: Counter = Counter()
-    for part in chunks(replicates, len(groups) * len(root)):
-        scores = rng.standard_normal((len(part), *mean.shape)) @ root + mean
+    # In parts, so that memory does not grow with the number of studies.
+    step = max(1, SCORES // mean.size)
+    for first in range(0, replicates, step):
+        size = (min(step, replicates - first), *mean.shape)
+        scores = rng.standard_normal(size) @ root + mean
         tests = effects(scores, design)
         # An undefined p of Mauchly's test (n ≤ k − 1) counts as a rejection, as in
         # `repeated_measures`; of two conditions all p are the same.
@@ -142,7 +149,7 @@ def counted(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PowerAnalysis(Result):
+class PowerAnalysis(Tested):
     """
     Power of the omnibus F, and of F with all claimed pairs, by simulation.
 
@@ -154,14 +161,14 @@ class PowerAnalysis(Result):
         Replicates, seed and levels.
     varied : tuple of str
         Axes of the grid for which several values were given; of several factors n and effect.
-    omnibus, together : pandas.DataFrame
+    tests, together : pandas.DataFrame
         What `table()` and `claims()` return.
     """
 
     conditions: Conditions
     simulation: Simulation
     varied: tuple[str, ...]
-    omnibus: pd.DataFrame
+    tests: pd.DataFrame
     together: pd.DataFrame
 
     def table(self) -> pd.DataFrame:
@@ -177,7 +184,7 @@ class PowerAnalysis(Result):
             hold or the test is corrected). With several factors or groups a row per n, effect and
             test: n (in each group), effect, eta2_partial (of the population), test, power ….
         """
-        return self.omnibus.copy()
+        return super().table()
 
     def claims(self) -> pd.DataFrame:
         """
@@ -238,7 +245,7 @@ class PowerAnalysis(Result):
         ]
         against, *others = self.varied or ("n",)
         # Values as computed differ in the last bits between the cells of one line.
-        table = self.omnibus.round(dict.fromkeys(others, 9)).sort_values(against)
+        table = self.tests.round(dict.fromkeys(others, 9)).sort_values(against)
         axes = axes_or_new(axes, figsize=(6.0, 3.8))
         for values, part in table[table["test"].isin(tests)].groupby([*others, "test"]):
             label = ", ".join(

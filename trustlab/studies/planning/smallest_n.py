@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import of_class, one_of, open_unit, whole_number
-from trustlab.models.display import Result
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.conditions import (
     USUAL_COLUMNS,
@@ -28,26 +27,23 @@ from trustlab.studies.planning.power import (
     counted,
     with_intervals,
 )
+from trustlab.studies.table import Tested, labelled
 from trustlab.studies.words import apa_number
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SmallestN(Result):
+class SmallestN(Tested):
     """
     The smallest number of subjects whose simulated power reaches what was wanted.
 
+    Columns of `table` are attributes too: test, which one; wanted, the power to reach; n, subjects;
+    power, ci_low and ci_high, simulated power there and its Monte-Carlo interval; whole_squares,
+    the next number that fills whole Latin squares of the conditions.
+
     Parameters
     ----------
-    n : int
-        Subjects.
-    power, ci_low, ci_high : float
-        Simulated power there and its Monte-Carlo interval.
-    wanted : float
-        Power wanted.
-    test : str
-        Which test.
-    whole_squares : int
-        The next number that fills whole Latin squares of the conditions.
+    tests : pandas.DataFrame
+        What `table` returns, a row.
     n_by_spread : dict of str to int
         By noncentral F: what "half" and "twice" the standard deviations would ask for.
     population : Conditions
@@ -61,13 +57,7 @@ class SmallestN(Result):
 
     title = "Smallest number of participants"
 
-    n: int
-    power: float
-    ci_low: float
-    ci_high: float
-    wanted: float
-    test: str
-    whole_squares: int
+    tests: pd.DataFrame
     n_by_spread: dict[str, int | None]
     population: Conditions
     simulation: Simulation
@@ -82,13 +72,6 @@ class SmallestN(Result):
     def message(self) -> str:
         """Where the numbers come from."""
         return self.origin
-
-    def table(self) -> pd.DataFrame:
-        """Return one row: test, wanted, n, power, ci_low, ci_high, whole_squares."""
-        names = ("test", "wanted", "n", "power", "ci_low", "ci_high", "whole_squares")
-        frame = pd.DataFrame([{name: getattr(self, name) for name in names}])
-        frame.attrs["origin"] = self.origin
-        return frame
 
     def apa(self) -> str:
         """
@@ -207,20 +190,12 @@ def smallest_n(
         )
     rows = [{"n": size, "count": findings[size]} for size in sorted(findings)]
     table = with_intervals(rows, simulation).drop(columns="replicates")
-    reached, low, high = table.set_index("n").loc[n]
-    return SmallestN(
-        n=n,
-        power=reached,
-        ci_low=low,
-        ci_high=high,
-        wanted=target,
-        test=name,
-        whole_squares=participants_needed(len(population.labels), n),
-        n_by_spread=by_spread,
-        population=population,
-        simulation=simulation,
-        evaluations=table,
+    row = table[table["n"] == n].assign(
+        test=name, wanted=target, whole_squares=participants_needed(len(population.labels), n)
     )
+    names = ["test", "wanted", "n", "power", "ci_low", "ci_high", "whole_squares"]
+    tests = labelled(row[names].reset_index(drop=True), population.simulated_origin)
+    return SmallestN(tests, by_spread, population, simulation, table)
 
 
 def _test(
