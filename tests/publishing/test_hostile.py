@@ -35,7 +35,7 @@ from trustlab.reproduction.calibration import Calibration
 from trustlab.reproduction.reconstruction.reconstruction import reconstruct_study
 from trustlab.sessions.session import Metadata, Session
 from trustlab.studies.mixed import FormulaModel
-from trustlab.studies.ordinal import OrdinalModel
+from trustlab.studies.ordinal import Cumulative, CumulativeFit, OrdinalModel
 from trustlab.studies.planning.virtual_study import VirtualStudy
 from trustlab.studies.questionnaires import Questionnaire, ScaleScores
 from trustlab.studies.report import report
@@ -183,7 +183,7 @@ def columns():
 
 def late():
     """Results that are dear to compute, made of hostile tables."""
-    formula = FormulaModel(NAME, NAME, 5, 15, scores(), scores(), scores(), 0.0, False, 0, NAME)
+    formula = FormulaModel(NAME, NAME, 5, 15, scores(), scores(), None, None, 0, NAME)
     tables = dict.fromkeys(("checks", "table", "reach"), lambda self: scores())
     own = type("OwnCalibration", (Calibration,), tables | {"message": NAME})
     calibration = own(
@@ -223,12 +223,12 @@ def posterior():
 
 def ordinal():
     """A model of ratings whose tables hold hostile names."""
-    frame = scores()
     tests = pd.DataFrame({"term": [NAME], "chi2": 1.0, "df": 1, "p_chi2": 0.3})
-    pairs = pd.DataFrame({"a": [NAME], "b": NAME, "p_holm": 0.01, "odds_ratio": 2.0})
-    pairs = pairs.assign(ci_low=0.5, ci_high=0.9)
-    tables = (tests, *[frame] * 4, pairs, frame)
-    return OrdinalModel(NAME, NAME, (1, 2), 5, 15, *tables, 0.0, False, NAME)
+    index = pd.MultiIndex.from_arrays([[NAME, f"other {NAME}"]], names=[NAME])
+    cells = pd.DataFrame({NAME: [0.0, 1.0]}, index)
+    model = Cumulative(np.arange(5), 2, 1)
+    fit = CumulativeFit(0.0, np.ones(1), np.zeros(1), np.zeros((1, 0)), 1.0, 1e-3 * np.eye(2))
+    return OrdinalModel(NAME, (1, 2), tests, model, fit, np.zeros(15), cells, {}, cells, NAME)
 
 
 def of_trust():
