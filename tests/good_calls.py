@@ -54,18 +54,12 @@ CALLS = {
         "printed": "2.2",
         "units": 20,
     },
-    "studies.apa_number": lambda: {"value": 0.123},
     "studies.apa_p": lambda: {"p": 0.01},
-    "studies.apa_table": lambda: {"frame": pd.DataFrame({"F": [1.234, 5.678]})},
-    "studies.bonferroni": lambda: {"p": np.array([0.01, 0.2, 0.03])},
     "studies.holm": lambda: {"p": np.array([0.01, 0.2, 0.03])},
     "studies.clopper_pearson": lambda: {"count": 3, "total": 10},
     "studies.graded_covariance": lambda: {"k": 3},
-    "studies.noncentral_f_power": lambda: {"n": 12, "k": 3, "noncentrality": 5.0},
-    "studies.noncentrality": lambda: {"eta2_partial": 0.2, "n": 12, "k": 3},
     "studies.partial_eta_interval": lambda: {"f": 4.0, "df1": 2.0, "df2": 22.0},
     "studies.participants_needed": lambda: {"conditions": 4},
-    "studies.williams_square": lambda: {"n": 4},
     "teleoperation.corrected_filter": lambda: {"cutoff": 5.0, "impedance": 1.0},
     "teleoperation.dominance": lambda: {"scattering": cases.scattering()},
     "teleoperation.packet_delay": lambda: {
@@ -149,7 +143,6 @@ CALLS = {
 """Arguments of a good call, where no example makes it."""
 
 NOT_WALKED = {
-    "RepeatedMeasures.simple_effects": "needs two factors",
     "Session.with_performance": "needs a log of a drive",
     "teleoperation.plot_transparency": "for one chapter",
     "trust.recover_trust_models": "fit_trust and compare_trust_models check the same arguments",

@@ -6,12 +6,21 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+import trustlab as tl
+
 COLUMNS = {"dv": "score", "within": "mode", "subject": "person"}
 
 
 def reference(name):
     """What R gives for published data; the script of the same name has made the file."""
     return json.loads((Path(__file__).parent / "reference" / f"{name}.json").read_text())
+
+
+def analysed_set(own):
+    """The analysis of a published data set, rows in scrambled order."""
+    frame = pd.DataFrame(own["columns"]).sample(frac=1.0, random_state=0)
+    between = own["between"] or None
+    return tl.repeated_measures(frame, own["dv"], own["within"], own["id"], between=between)
 
 
 def long(values, labels="abcdefghij"):

@@ -38,13 +38,6 @@ def test_limits_invert_the_noncentral_f(f, df):
     )
 
 
-def test_a_wider_level_gives_a_wider_interval():
-    narrow, wide = partial_eta_interval(6.0, 3, 60, 0.90), partial_eta_interval(6.0, 3, 60, 0.99)
-    assert wide.low < narrow.low < narrow.high < wide.high
-    none = partial_eta_interval(0.0, 3, 40)
-    assert (none.low, none.high) == (0.0, 0.0)
-
-
 @pytest.mark.parametrize("eta2", [0.1, 0.5])
 def test_coverage_of_eta2_in_small_studies(eta2):
     """

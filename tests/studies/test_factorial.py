@@ -9,24 +9,15 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import stats
 
 import trustlab as tl
-from tests.studies.scores import drawn, reference
+from tests.studies.scores import analysed_set, drawn, reference
 from trustlab.studies import repeated_measures_batch
 
 mpl.use("Agg")
 SETS = reference("factorial")["sets"]
 SAME = ["F", "df1", "df2", "p", "eta2_generalized", "eta2_partial", "ss_effect", "ss_error"]
 SAME += ["mauchly_w", "mauchly_p", "epsilon_gg", "p_gg", "epsilon_hf_untruncated", "p_hf"]
-
-
-def analysed(name):
-    own = SETS[name]
-    frame = pd.DataFrame(own["columns"]).sample(frac=1.0, random_state=0)
-    return tl.repeated_measures(
-        frame, own["dv"], own["within"], own["id"], between=own["between"] or None
-    )
 
 
 def label(text):
@@ -39,7 +30,7 @@ def label(text):
 )
 def test_every_effect_agrees_with_r(name):
     """One factor: test_against_r.py."""
-    table = analysed(name).table().to_dict("records")
+    table = analysed_set(SETS[name]).table().to_dict("records")
     rows = {frozenset(row["effect"].split(" × ")): row for row in table}
     assert len(rows) == len(SETS[name]["effects"])
     for theirs in SETS[name]["effects"]:
@@ -56,7 +47,7 @@ def test_every_effect_agrees_with_r(name):
 
 @pytest.mark.parametrize("name", [name for name in SETS if SETS[name]["pairs"]])
 def test_pairs_agree_with_emmeans(name):
-    result = analysed(name)
+    result = analysed_set(SETS[name])
     numbers = ["mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]
     for theirs in SETS[name]["pairs"]:
         ours = result.pairs(theirs["factor"], theirs["at"])
@@ -92,24 +83,6 @@ def test_batch_and_table_agree():
             np.testing.assert_allclose(own[number], theirs[number], rtol=1e-10)
 
 
-def test_simple_effects_are_analyses_of_one_level():
-    """Oracle: one-way analyses of the rows of a level, and SciPy's F between groups."""
-    frame = two_way()
-    result = run(frame, between="group")
-    inside = run(frame).simple_effects("B", at="A").set_index("level")
-    between = result.simple_effects("group", at="A").set_index("level")
-    for level, own in frame.groupby("A"):
-        alone = run(own, within="B")
-        expected = [alone.F, alone.p, alone.p_gg]
-        row = inside.loc[level, ["F", "p", "p_gg"]].astype(float)
-        np.testing.assert_allclose(row, expected, rtol=1e-9)
-        means = own.groupby(["group", "person"])["score"].mean()
-        oracle = stats.f_oneway(means["expert"], means["novice"])
-        row = between.loc[level, ["F", "p"]].astype(float)
-        np.testing.assert_allclose(row, oracle, rtol=1e-9)
-    assert result.simple_effects("B", at="group")["df2"].tolist() == [16, 16]
-
-
 def test_what_a_reader_sees():
     frame = two_way()
     frame.attrs["synthetic"] = True
@@ -119,13 +92,9 @@ def test_what_a_reader_sees():
     )
     assert words in result.apa()
     assert result.apa().startswith("[synthetic data]")
-    views = [result.table(), result.pairs("A"), result.simple_effects("A", "B")]
-    for view in (*views, result.descriptives()):
+    for view in (result.table(), result.pairs("A"), result.descriptives()):
         assert view.attrs["origin"] == "synthetic data"
-    assert "synthetic data" in result._repr_html_()
-    axes = result.plot()
-    assert "synthetic data" in axes.get_title()
-    assert len(axes.get_legend().get_texts()) == 6
+    assert len(result.plot().get_legend().get_texts()) == 6
     assert result.descriptives()["n"].tolist() == [5] * 12
     levels = run(frame, order={"B": ["b2", "b0", "b1"]}).descriptives()["B"].tolist()
     assert levels[:3] == ["b2", "b0", "b1"]
@@ -147,19 +116,6 @@ def test_what_a_reader_sees():
 def test_bad_tables_are_refused(change, arguments, message):
     with pytest.raises(ValueError, match=message):
         run(change(two_way()), **arguments)
-
-
-def test_every_design_gives_one_class_with_the_same_columns():
-    frame = two_way()
-    first = frame[frame["A"] == "a0"]
-    results = [
-        run(part, within=within, between=between)
-        for part, within in ((first, "B"), (first, ["B"]), (frame, ["A", "B"]))
-        for between in (None, "group")
-    ]
-    assert {type(result) for result in results} == {tl.studies.RepeatedMeasures}
-    assert len({tuple(result.table().columns) for result in results}) == 1
-    assert [list(result.within) for result in results] == [["B"]] * 4 + [["A", "B"]] * 2
 
 
 def test_groups_are_compared_within_groups():

@@ -25,7 +25,6 @@ ANALYSES = {
     "two factors": lambda f: two(f).table(),
     "their pairs": lambda f: two(f).pairs("mode", at="task"),
     "their ranks": lambda f: two(f).aligned_ranks(),
-    "their simple effects": lambda f: two(f).simple_effects("mode", at="task"),
     "groups": lambda f: two(f, between="group").table(),
     "pairs of groups": lambda f: two(f, between="group").pairs("group", at="mode"),
     "paired t-test": lambda f: tl.paired_t_test(f[f["mode"] < "c"], **ONE).table(),

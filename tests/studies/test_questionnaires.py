@@ -107,15 +107,11 @@ def test_landau_condition_equals_brute_force():
     assert accepted == possible
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "step", "answer", "expected"),
-    [(0, 100, None, 37.5, 37.5), (1, 7, 1, 4, 50.0), (1, 20, 1, 2, 100 / 19)],
-)
-def test_other_forms_are_stretched(tlx, low, high, step, answer, expected):
-    frame = tlx.assign(**dict.fromkeys(NASA_TLX.items, answer))
-    scores = score(frame, replace(NASA_TLX, low=low, high=high, step=step), **WHO)
+def test_other_forms_are_stretched(tlx):
+    frame = tlx.assign(**dict.fromkeys(NASA_TLX.items, 2))
+    scores = score(frame, replace(NASA_TLX, low=1, high=20, step=1), **WHO)
     for table in (scores.scores, scores.coded):
-        assert table["tlx_raw"].to_numpy() == pytest.approx(expected, abs=1e-12)
+        assert table["tlx_raw"].to_numpy() == pytest.approx(100 / 19, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -142,13 +138,6 @@ def test_bad_answers_are_named(tlx, row, column, value, words):
 def test_bad_weights_are_named(tlx, weights, words):
     with pytest.raises(ValueError, match=words):
         score(tlx, NASA_TLX, **WHO, weights=weights)
-
-
-def test_bad_choices_are_named():
-    choices = choices_of([True] * 15)
-    for bad in (choices.iloc[1:], put(choices, 0, "first", "metal")):
-        with pytest.raises(ValueError, match=r"'s': of mental and physical, chosen is \[\]"):
-            tlx_weights(bad)
 
 
 def test_missing_scales_by_the_half_rule(tlx):
@@ -215,34 +204,7 @@ def test_what_questionnaires_say_of_themselves():
     assert "2.4.1.3" in satisfaction_scale(5).source
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (([], 1, 7), "items must have at least 1 labels"),
-        ((["a"], 1, 7, (), {"s": ["b"]}), "s must be one of 'a', got 'b'"),
-        ((["a"], 1, 7, ["b"]), "reversed must be one of 'a', got 'b'"),
-    ],
-)
-def test_items_that_are_not_there_are_refused(arguments, words):
-    with pytest.raises(ValueError, match=words):
-        Questionnaire("x", *arguments)
-
-
 # Cronbach's alpha
-
-
-def test_alpha_with_another_confidence():
-    """Oracle: pingouin, whose interval is rounded to three decimals."""
-    import pingouin
-
-    rng = np.random.default_rng(1)
-    frame = pd.DataFrame(rng.normal(size=(30, 1)) + rng.normal(size=(30, 5)))
-    result = cronbach_alpha(frame, 0.9)
-    alpha, interval = pingouin.cronbach_alpha(frame, ci=0.9)
-    assert result.alpha == pytest.approx(alpha, rel=1e-13)
-    assert [result.ci_low, result.ci_high] == pytest.approx(interval, abs=5.1e-4)
-    assert list(result.table().columns) == ["n", "items", "alpha", "ci_low", "ci_high"]
-    assert "90% CI" in result.message
 
 
 @pytest.mark.parametrize("name", ALPHAS)

@@ -9,6 +9,7 @@ import io
 import re
 
 import matplotlib as mpl
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -43,7 +44,6 @@ def test_text_and_tables_are_those_of_the_analysis(make, tmp_path):
     pd.testing.assert_frame_equal(found.table(), found.result.table())
     assert html.escape(found.result.apa()) in found._repr_html_()
     assert "synthetic data" in found._repr_html_()
-    assert found.plot() is not None
     for ending in ("html", "tex"):
         text = found.write(tmp_path / f"results.{ending}").read_text()
         assert text.count("[synthetic data]") == 1 + len(found.tables)
@@ -76,6 +76,37 @@ def test_the_comparison_of_two_groups_is_a_row(tmp_path):
     tables, _ = read_again(one_way(between="group"), tmp_path)
     assert tables[-1][["a", "b"]].to_numpy().tolist() == [["expert", "novice"]]
     assert "statistic" not in tables[-1]
+
+
+ONE = frame_of()[lambda f: f["task"] == "easy"]
+PART = {"dv": "score", "within": "scheme", "subject": "person"}
+NOISE = np.random.default_rng(0).normal(size=(4, 9, 1))
+ANSWERS = pd.DataFrame(60, range(9), tl.NASA_TLX.items).assign(subject=range(9))
+RESULTS = {
+    "one wide row": lambda: tl.paired_t_test(ONE, **PART),
+    "a table": lambda: tl.equivalence(ONE, **PART, bound=0.5),
+    "a table with an index": lambda: tl.repeated_measures_batch(NOISE ** [1, 2, 3]),
+    "a plan": lambda: tl.latin_square_design(["A", "B", "C"], 6),
+    "a mixed model": lambda: tl.mixed_model(frame_of(), **PART | {"within": ["scheme", "task"]}),
+    "scores": lambda: tl.score(ANSWERS, tl.NASA_TLX),
+}
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_any_result_is_written_and_read_again(name, tmp_path):
+    result = RESULTS[name]()
+    table = result if isinstance(result, pd.DataFrame) else result.table()
+    written = tl.report(result)
+    pd.testing.assert_frame_equal(written.table(), table)
+    (page,), _ = read_again(written, tmp_path)
+    (own,) = written.tables.values()
+    assert len(page) == len(own)
+    if name == "one wide row":
+        assert page.columns.tolist() == ["statistic", "value"]
+        assert {"a", "mean difference", "95% CI low", "p", "t"} <= set(page["statistic"])
+    latex = written.write(tmp_path / "r.tex").read_text(encoding="utf-8")
+    assert latex.count(r"\begin{tabular}") == 1
+    assert written.origin in latex
 
 
 @pytest.fixture(scope="module")

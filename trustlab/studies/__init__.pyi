@@ -1,5 +1,4 @@
 from .anova import (
-    PartialEtaInterval as PartialEtaInterval,
     partial_eta_interval as partial_eta_interval,
     repeated_measures_batch as repeated_measures_batch,
 )
@@ -9,7 +8,6 @@ from .designs import (
     design_balance as design_balance,
     latin_square_design as latin_square_design,
     participants_needed as participants_needed,
-    williams_square as williams_square,
 )
 from .mixed import (
     FormulaModel as FormulaModel,
@@ -25,15 +23,13 @@ from .paired import (
     equivalence as equivalence,
     paired_t_test as paired_t_test,
 )
-from .pairs import bonferroni as bonferroni, holm as holm
+from .pairs import holm as holm
 from .planning.conditions import (
     Conditions as Conditions,
     Simulation as Simulation,
     StudyColumns as StudyColumns,
     clopper_pearson as clopper_pearson,
     graded_covariance as graded_covariance,
-    noncentral_f_power as noncentral_f_power,
-    noncentrality as noncentrality,
 )
 from .planning.power import PowerAnalysis as PowerAnalysis, power_analysis as power_analysis
 from .planning.smallest_n import SmallestN as SmallestN, smallest_n as smallest_n
@@ -55,4 +51,4 @@ from .repeated_measures import (
 )
 from .report import StudyReport as StudyReport, report as report
 from .winsorize import Winsorized as Winsorized, winsorize as winsorize
-from .words import apa_number as apa_number, apa_p as apa_p, apa_table as apa_table
+from .words import apa_p as apa_p

@@ -23,9 +23,6 @@ from trustlab.studies.table import labels_of
 
 CORRECTIONS = ("none", "greenhouse-geisser", "huynh-feldt")
 
-# Scores analysed or drawn at once, so that memory does not grow with the number of studies.
-_CHUNK = 1 << 20
-
 # Sizes of scores beyond which squares would overflow, and below which they would underflow.
 _GREATEST, _LEAST = 1e140, 1e-100
 
@@ -34,12 +31,6 @@ _RELATIVE_RANK = 1e-14
 
 # Beyond this noncentrality SciPy's noncentral F fails; the form for large λ has nine digits there.
 _LARGE = 1e9
-
-
-def chunks(studies: int, scores: int) -> list[range]:
-    """Return the studies, each of `scores` numbers, in parts that are analysed or drawn at once."""
-    step = max(1, _CHUNK // scores)
-    return [range(first, min(first + step, studies)) for first in range(0, studies, step)]
 
 
 def subsets(names: Iterable) -> list[tuple]:
@@ -260,12 +251,6 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
             f"study {study}: scores of size {largest[study]:.3g}, whose squares no number holds; "
             "use another unit"
         )
-    parts = chunks(len(scores), scores[0].size)
-    return pd.concat([_effects(scores[part.start : part.stop], design, part) for part in parts])
-
-
-def _effects(scores: np.ndarray, design: Design, studies: range) -> pd.DataFrame:
-    """Return the tests of the studies with these numbers."""
     regression = regress(scores, design)
     residual = regression.residual
     errors = (residual**2).sum(axis=(1, 2))
@@ -279,18 +264,16 @@ def _effects(scores: np.ndarray, design: Design, studies: range) -> pd.DataFrame
         tests.append(test | {"ss_subjects": subjects})
         labels.append(effect_name(block, names))
     columns = {
-        name: np.column_stack([np.broadcast_to(test[name], len(studies)) for test in tests])
+        name: np.column_stack([np.broadcast_to(test[name], len(scores)) for test in tests])
         for name in tests[0]
     }
     noise = columns["df2"] * regression.rounding[:, None] ** 2
-    flat = np.argwhere(columns["ss_error"] <= noise)
-    if len(flat):
-        study, effect = flat[0]
+    for study, effect in np.argwhere(columns["ss_error"] <= noise):
         raise ValueError(
-            f"study {studies[study]}: the error variance is zero for {labels[effect]} (all "
-            "subjects differ by the same amounts, or not at all), so that F is not defined"
+            f"study {study}: the error variance is zero for {labels[effect]} (all subjects differ "
+            "by the same amounts, or not at all), so that F is not defined"
         )
-    index = pd.MultiIndex.from_product([studies, labels], names=["study", "effect"])
+    index = pd.MultiIndex.from_product([range(len(scores)), labels], names=["study", "effect"])
     return pd.DataFrame({name: values.ravel() for name, values in columns.items()}, index)
 
 
@@ -360,26 +343,13 @@ def repeated_measures_batch(
     return effects(scores.reshape(*scores.shape[:2], -1), design)
 
 
-@dataclass(frozen=True)
-class PartialEtaInterval:
-    """
-    Interval of partial η² and of the noncentrality it comes from.
-
-    Parameters
-    ----------
-    low, high : float
-        Limits of partial η².
-    noncentrality_low, noncentrality_high : float
-        Limits of λ.
-    level : float
-        Coverage.
-    """
+class PartialEtaInterval(NamedTuple):
+    """Limits of partial η², and of the noncentrality that they come from."""
 
     low: float
     high: float
     noncentrality_low: float
     noncentrality_high: float
-    level: float
 
 
 def partial_eta_interval(
@@ -414,7 +384,7 @@ def partial_eta_interval(
     tail = 0.5 * (1.0 - level)
     low, high = (noncentrality_limit(f, df1, df2, share) for share in (1.0 - tail, tail))
     total = df1 + df2
-    return PartialEtaInterval(low / (low + total), high / (high + total), low, high, level)
+    return PartialEtaInterval(low / (low + total), high / (high + total), low, high)
 
 
 def noncentrality_limit(f: float, df1: float, df2: float, probability: float) -> float:

@@ -93,26 +93,22 @@ class DesignBalance(Result):
     carry_over: pd.DataFrame
 
     @property
+    def _even(self) -> tuple[bool, bool]:
+        counts = self.positions.to_numpy(), self.carry_over.melt()["value"].dropna()
+        return bool(np.ptp(counts[0]) == 0), bool(np.ptp(counts[1]) == 0)
+
+    @property
     def message(self) -> str:
         """Whether positions, and first-order carry-over, are balanced."""
-        words = {True: "balanced", False: "not balanced"}
-        follows = words[self.balanced_carry_over]
-        return f"positions {words[self.balanced_positions]}, first-order carry-over {follows}"
-
-    @property
-    def balanced_positions(self) -> bool:
-        """Whether every condition stands equally often at every position."""
-        return bool(np.ptp(self.positions.to_numpy()) == 0)
-
-    @property
-    def balanced_carry_over(self) -> bool:
-        """Whether every condition follows every other one equally often."""
-        return bool(np.ptp(self.carry_over.melt()["value"].dropna()) == 0)
+        positions, follows = ("balanced" if even else "not balanced" for even in self._even)
+        return f"positions {positions}, first-order carry-over {follows}"
 
     @property
     def balanced(self) -> bool:
-        """Whether both positions and first-order carry-over are balanced."""
-        return self.balanced_positions and self.balanced_carry_over
+        """
+        Whether every condition stands equally often at every position and after every other one.
+        """
+        return all(self._even)
 
     def table(self) -> pd.DataFrame:
         """
@@ -163,25 +159,23 @@ def design_balance(
     columns = {"participant": participant, "position": position, "condition": condition}
     for argument, name in columns.items():
         refuse_missing_labels(column_of(orders, argument, name), argument)
-    conditions = labels_of("condition", orders[condition].drop_duplicates(), 2)
+    conditions = list(labels_of("condition", orders[condition].drop_duplicates(), 2))
     k = len(conditions)
-    positions, carry_over = np.zeros((k, k), dtype=int), np.zeros((k, k), dtype=int)
     for label, part in orders.groupby(participant, sort=False):
         row = dict(zip(part[position], part[condition], strict=True))
-        order = [row.get(place) for place in range(1, k + 1)]
-        if len(part) != k or set(order) != set(conditions):
+        if len(part) != k or set(row) != set(range(1, k + 1)) or set(row.values()) != {*conditions}:
             raise ValueError(
-                f"participant {label!r} had {row}; each of {list(conditions)} is needed once, at "
+                f"participant {label!r} had {row}; each of {conditions} is needed once, at "
                 f"positions 1 to {k}"
             )
-        codes = [conditions.index(name) for name in order]
-        positions[codes, range(k)] += 1
-        carry_over[codes[:-1], codes[1:]] += 1
-    places = pd.RangeIndex(1, k + 1, name="position")
-    follows = pd.DataFrame(carry_over, conditions, conditions).where(~np.eye(k, dtype=bool))
+    rows = orders.sort_values(position)
+    after, before = rows[condition], rows.groupby(participant)[condition].shift()
+    places = pd.crosstab(after, rows[position]).rename_axis("condition", axis=0)
+    follows = pd.crosstab(before, after).rename_axis("before", axis=0).rename_axis("after", axis=1)
+    follows = follows.reindex(index=conditions, columns=conditions, fill_value=0)
     return DesignBalance(
-        pd.DataFrame(positions, conditions, places).rename_axis(index="condition"),
-        follows.rename_axis(index="before", columns="after"),
+        places.rename_axis("position", axis=1).loc[conditions],
+        follows.where(~np.eye(k, dtype=bool)),
     )
 
 
@@ -226,10 +220,6 @@ class LatinSquareDesign(Result):
         """Return the plan as a tidy table: participant, position, condition."""
         plan = self.table().stack()  # noqa: PD013  melt would sort the rows by position
         return plan.rename("condition").reset_index().infer_objects()
-
-    def balance(self) -> DesignBalance:
-        """Return the counts of positions and of first-order carry-over over all participants."""
-        return design_balance(self.orders())
 
 
 def latin_square_design(

@@ -16,19 +16,20 @@ from scipy import special, stats
 from scipy.optimize import brentq
 
 from trustlab.models.checks import counted, of_class, spawned, whole_number
-from trustlab.models.display import Result
 from trustlab.studies.anova import Design, effect_name, partial_eta_interval, subsets
-from trustlab.studies.pairs import d_z_interval, holm, levels_of_factor, marginals
+from trustlab.studies.pairs import d_z_interval, holm, paired_levels
 from trustlab.studies.table import (
     ScoreTable,
+    Tested,
     column_of,
     labelled,
+    mark,
     origin_of,
     read_cells,
     read_factors,
     refuse_missing_labels,
 )
-from trustlab.studies.words import apa_number, apa_p
+from trustlab.studies.words import apa_number, apa_p, share
 
 # Ratios of variances between which a minimum of the deviance is bracketed.
 RATIOS = np.concatenate([[0.0], np.exp(np.linspace(-16.0, 23.0, 14))])
@@ -119,10 +120,16 @@ class RandomIntercepts:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MixedModel(Result):
+class MixedModel(Tested):
     """
     Score = mean of the cell + random intercept of the subject + error, by restricted maximum
     likelihood.
+
+    Columns of `table` in which all effects agree are attributes too: subject_variance and
+    residual_variance, in squared units of the score; icc, the share of the variance that is between
+    subjects; singular, whether the subjects' variance is estimated as zero (F is then not the
+    ANOVA's, even without missing cells); n, the subjects with a score; cells and missing_cells of
+    theirs, with a score and without.
 
     Parameters
     ----------
@@ -130,7 +137,7 @@ class MixedModel(Result):
         Column analysed.
     factors : dict
         Levels of each factor, those between subjects first.
-    between : tuple
+    between : list
         Factors between subjects.
     tests : pandas.DataFrame
         A row per effect: effect, F (Wald's χ²/df1, type III), df1, df2 (those of the ANOVA where no
@@ -139,15 +146,6 @@ class MixedModel(Result):
         Index cell; columns mean, se, ci_low, ci_high (95 %, t with the least df2).
     covariance : numpy.ndarray, shape (cells, cells)
         Of the means.
-    subject_variance, residual_variance : float
-        Variance components, in squared units of the score.
-    icc : float
-        Share of the variance that is between subjects.
-    singular : bool
-        Whether the subjects' variance is estimated as zero; F is then not the ANOVA's, even without
-        missing cells.
-    n, cells, missing_cells : int
-        Subjects with a score, their cells with a score and without.
     origin : str
         What kind of data these are where they were not measured; else empty.
     """
@@ -158,25 +156,8 @@ class MixedModel(Result):
     tests: pd.DataFrame
     means: pd.DataFrame
     covariance: np.ndarray
-    subject_variance: float
-    residual_variance: float
-    icc: float
-    singular: bool
-    n: int
-    cells: int
-    missing_cells: int
     origin: str
     title = "Mixed model, random intercept per subject"
-
-    def __getattr__(self, name: str) -> Any:
-        """Return a number of the only effect, such as F or p."""
-        if name in TESTS and len(self.tests) == 1:
-            return self.tests[name].item()
-        raise AttributeError(f"no attribute {name!r}; table() has a row per effect")
-
-    def table(self) -> pd.DataFrame:
-        """Return the tests, a row per effect, beside every number of the model but the means."""
-        return self.tests.copy()
 
     def pairs(self, factor: Hashable = None, at: Hashable = None) -> pd.DataFrame:
         """
@@ -203,53 +184,40 @@ class MixedModel(Result):
             If a factor is unknown, or both are the same.
         """
         factor = [*self.factors][len(self.between)] if factor is None else factor
-        design = Design(self.n, self.factors)
-        labels = pd.Index(levels_of_factor(design, factor), tupleize_cols=False)
-        a, b = np.triu_indices(len(labels), 1)
-        df = self.tests.set_index("effect")["df2"][str(factor)]
+        df = self.tests.set_index("effect")["df2"].get(str(factor))
         twice = np.nan if factor in self.between else 2.0 * self.residual_variance
-        tables = []
-        for level, cells, _ in marginals(design, factor, at):
-            weights = (cells[:, a] - cells[:, b]).T
-            difference = weights @ self.means["mean"].to_numpy()
-            se = np.sqrt(((weights @ self.covariance) * weights).sum(axis=1))
+
+        def test(weights: np.ndarray, _: np.ndarray) -> pd.DataFrame:
+            difference = weights.T @ self.means["mean"].to_numpy()
+            se = np.sqrt((weights * (self.covariance @ weights)).sum(axis=0))
             tests = estimates_of(difference, se, df).rename(columns={"estimate": "mean_difference"})
-            tests = tests.assign(df=df, p_holm=holm(tests["p"].to_numpy()))
             scale = se / np.sqrt(twice)
-            tests["d_z"] = tests["t"] * scale
-            limits = d_z_interval(tests["t"].to_numpy(), df, scale)
-            tests["d_z_low"], tests["d_z_high"] = limits
-            tests["d_av"] = difference / np.sqrt(self.subject_variance + self.residual_variance)
-            pairs = pd.DataFrame({"a": labels.take(a), "b": labels.take(b)})
-            pairs.insert(0, "level", pd.Series([level] * len(pairs)))
-            tables.append(pairs.join(tests))
-        return labelled(pd.concat(tables, ignore_index=True), self.origin)
+            low, high = d_z_interval(tests["t"].to_numpy(), df, scale)
+            return tests.assign(
+                df=df,
+                p_holm=holm(tests["p"].to_numpy()),
+                d_z=tests["t"] * scale,
+                d_z_low=low,
+                d_z_high=high,
+                d_av=difference / np.sqrt(self.subject_variance + self.residual_variance),
+            )
+
+        return labelled(paired_levels(Design(self.n, self.factors), factor, at, test), self.origin)
 
     def apa(self) -> str:
         """Return the sentence for a paper, with the test of every effect."""
         effects = []
         for row in self.tests.itertuples():
-            sizes = (row.eta2_partial, row.eta2_partial_low, row.eta2_partial_high)
-            eta, low, high = (apa_number(size, below_one=True) for size in sizes)
+            ends = f"[{share(row.eta2_partial_low)}, {share(row.eta2_partial_high)}]"
             effects.append(
                 f"{row.effect} {'was' if row.p < 0.05 else 'was not'} significant, F({row.df1}, "
-                f"{row.df2}) = {apa_number(row.F)}, {apa_p(row.p)}, ηp² = {eta}, 90% CI "
-                f"[{low}, {high}]"
+                f"{row.df2}) = {apa_number(row.F)}, {apa_p(row.p)}, ηp² = "
+                f"{share(row.eta2_partial)}, 90% CI {ends}"
             )
-        origin = f"[{self.origin}] " if self.origin else ""
         return (
-            f"{origin}A mixed model of {self.dv} with a random intercept per subject "
+            f"{mark(self.origin)}A mixed model of {self.dv} with a random intercept per subject "
             f"(N = {self.n}, {counted(self.missing_cells, 'cell')} missing): {'; '.join(effects)}."
         )
-
-    @property
-    def message(self) -> str:
-        """The sentence for a paper."""
-        return self.apa()
-
-
-TESTS = ["effect", "F", "df1", "df2", "p", "chi2", "p_chi2"]
-TESTS += ["eta2_partial", "eta2_partial_low", "eta2_partial_high"]
 
 
 def mixed_model(
@@ -331,8 +299,8 @@ def fit_mixed_model(
         df2 = n - groups
         if not set(names) <= set(between):
             df2 = y.size - n - x.shape[1] + groups
-        rows.append((effect_name((), names), *_wald(fit, design.contrasts(names), df2)))
-    tests = pd.DataFrame(rows, columns=TESTS)
+        rows.append({"effect": effect_name((), names)} | _wald(fit, design.contrasts(names), df2))
+    tests = pd.DataFrame(rows)
     means = estimates_of(fit.beta, np.sqrt(np.diag(covariance)), tests["df2"].min())
     means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]
     labels = [*table.conditions]
@@ -356,27 +324,34 @@ def fit_mixed_model(
         means=labelled(means, table.origin),
         covariance=covariance,
         origin=table.origin,
-        **numbers,
     )
 
 
-def _wald(fit: InterceptFit, contrasts: np.ndarray, df2: int) -> tuple:
-    """Return the columns of `TESTS` but the first, for contrasts of the cells."""
+def _wald(fit: InterceptFit, contrasts: np.ndarray, df2: int) -> dict[str, float]:
+    """Return the test of contrasts of the cells."""
     effect = contrasts.T @ fit.beta
     spread = fit.residual * contrasts.T @ fit.inverse @ contrasts
-    chi2 = float(effect @ np.linalg.solve(spread, effect))
-    df1 = effect.size
+    chi2, df1 = float(effect @ np.linalg.solve(spread, effect)), effect.size
     f = chi2 / df1
     eta = partial_eta_interval(f, df1, df2)
-    p, p_chi2 = special.fdtrc(df1, df2, f), special.chdtrc(df1, chi2)
-    return f, df1, df2, p, chi2, p_chi2, chi2 / (chi2 + df2), eta.low, eta.high
+    return {
+        "F": f,
+        "df1": df1,
+        "df2": df2,
+        "p": special.fdtrc(df1, df2, f),
+        "chi2": chi2,
+        "p_chi2": special.chdtrc(df1, chi2),
+        "eta2_partial": chi2 / (chi2 + df2),
+        "eta2_partial_low": eta.low,
+        "eta2_partial_high": eta.high,
+    }
 
 
 # Models by formula.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FormulaModel(Result):
+class FormulaModel(Tested):
     """
     A mixed model: fixed effects by a formula, and a random intercept of every group.
 
@@ -388,12 +363,10 @@ class FormulaModel(Result):
         Column with the groups (subjects).
     n, observations : int
         Groups and rows.
-    coefficients, tests, variances : pandas.DataFrame
-        What `coefficients_table`, `table` and `random_effects` return.
-    log_likelihood : float
-        Maximum of the likelihood (not restricted), with all its constants.
-    singular : bool
-        Whether the groups' variance is estimated as zero.
+    tests, coefficients : pandas.DataFrame
+        What `table` and `coefficients_table` return.
+    fit, maximum : InterceptFit
+        Maximum of the restricted likelihood, and of the likelihood.
     draws : int
         Simulated data sets of the parametric bootstrap; 0 without it.
     origin : str
@@ -404,11 +377,10 @@ class FormulaModel(Result):
     groups: Hashable
     n: int
     observations: int
-    coefficients: pd.DataFrame
     tests: pd.DataFrame
-    variances: pd.DataFrame
-    log_likelihood: float
-    singular: bool
+    coefficients: pd.DataFrame
+    fit: InterceptFit
+    maximum: InterceptFit
     draws: int
     origin: str
 
@@ -418,12 +390,21 @@ class FormulaModel(Result):
         return f"{self.formula}, random intercepts of {self.groups}"
 
     @property
+    def log_likelihood(self) -> float:
+        """Maximum of the likelihood (not restricted), with all its constants."""
+        return self.maximum.llf
+
+    @property
+    def singular(self) -> bool:
+        """Whether the groups' variance is estimated as zero."""
+        return self.fit.ratio == 0.0
+
+    @property
     def message(self) -> str:
         """Which data, and how they were tested."""
-        tests = "likelihood ratios, asymptotic"
-        if self.draws:
-            tests += f" and by {self.draws} simulated data sets"
-        return f"{self.origin} {self.observations} rows of {self.n} groups; {tests}".strip()
+        draws = f" and by {self.draws} simulated data sets" if self.draws else ""
+        rows = f"{self.origin} {self.observations} rows of {self.n} groups".strip()
+        return f"{rows}; likelihood ratios, asymptotic{draws}"
 
     def table(self) -> pd.DataFrame:
         """
@@ -437,7 +418,7 @@ class FormulaModel(Result):
             (share of data sets simulated from the model without the term whose χ² is as large,
             (count + 1)/(draws + 1); NaN without a bootstrap).
         """
-        return self.tests.copy()
+        return super().table()
 
     def coefficients_table(self) -> pd.DataFrame:
         """
@@ -448,7 +429,8 @@ class FormulaModel(Result):
 
     def random_effects(self) -> pd.DataFrame:
         """Return variance and standard deviation of the intercepts and the residual."""
-        return self.variances.copy()
+        residual = self.fit.residual
+        return variances_of(Intercept=self.fit.ratio * residual, residual=residual)
 
 
 def formula_model(
@@ -507,11 +489,10 @@ def formula_model(
         groups=groups,
         n=model.counts.size,
         observations=y.size,
-        coefficients=labelled(coefficients, origin),
         tests=labelled(tests, origin),
-        variances=variances_of(Intercept=fit.ratio * fit.residual, residual=fit.residual),
-        log_likelihood=model.fit(y, x).llf,
-        singular=fit.ratio == 0.0,
+        coefficients=labelled(coefficients, origin),
+        fit=fit,
+        maximum=model.fit(y, x),
         draws=bootstrap,
         origin=origin,
     )

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import of_class
-from trustlab.models.display import Result
 from trustlab.studies.mixed import estimates_of
 from trustlab.studies.pairs import holm
 from trustlab.studies.table import (
+    ScoreTable,
+    Tested,
     column_of,
     labelled,
     levels_of,
@@ -23,30 +23,21 @@ from trustlab.studies.table import (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OrderEffects(Result):
+class OrderEffects(Tested):
     """
     The analysis of a design in which conditions come in several orders.
 
     Parameters
     ----------
-    dv : hashable
-        Column analysed.
-    conditions : tuple
-        Labels of the conditions.
-    n : int
-        Subjects.
+    scores : ScoreTable
+        What was analysed, subjects × positions.
     tests, differences : pandas.DataFrame
         What `table` and `pairs` return.
-    origin : str
-        What kind of data these are where they were not measured; else empty.
     """
 
-    dv: Hashable
-    conditions: tuple
-    n: int
+    scores: ScoreTable
     tests: pd.DataFrame
     differences: pd.DataFrame
-    origin: str
 
     def table(self) -> pd.DataFrame:
         """
@@ -60,7 +51,7 @@ class OrderEffects(Result):
             (condition adjusted for position only); columns effect, ss, df1, df2, F, p, note. NaN
             where the orders do not separate an effect from others; the note says so.
         """
-        return self.tests.copy()
+        return super().table()
 
     def pairs(self) -> pd.DataFrame:
         """
@@ -77,12 +68,12 @@ class OrderEffects(Result):
     @property
     def title(self) -> str:
         """What was analysed."""
-        return f"Order effects on {self.dv}"
+        return f"Order effects on {self.scores.dv}"
 
     @property
     def message(self) -> str:
         """Which data."""
-        return f"{self.origin} {self.n} subjects, {len(self.conditions)} conditions".strip()
+        return f"{self.scores.origin} {len(self.scores.subjects)} subjects".strip()
 
 
 def order_effects(
@@ -140,7 +131,6 @@ def order_effects(
     3                    carry_over    4   28
     4  condition_without_carry_over    4   32
     """
-    of_class("frame", frame, pd.DataFrame, "with a row per subject and position")
     scores = read_scores(frame, dv, position, subject)
     if np.isnan(scores.values).any():
         i, j = np.argwhere(np.isnan(scores.values))[0]
@@ -176,14 +166,8 @@ def order_effects(
     table = pd.DataFrame(tests, columns=["effect", "ss", "df1", "df2", "F", "p", "note"])
     separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
     pairs = _differences(y, full if separable else direct, labels)
-    return OrderEffects(
-        dv=dv,
-        conditions=tuple(labels),
-        n=n,
-        tests=labelled(table, scores.origin),
-        differences=labelled(pairs, scores.origin),
-        origin=scores.origin,
-    )
+    origin = scores.origin
+    return OrderEffects(scores, labelled(table, origin), labelled(pairs, origin))
 
 
 def _within_subjects(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:
@@ -223,7 +207,7 @@ def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple:
     return effect, total - error, df1, df2, f, p, note if df1 < contrasts else ""
 
 
-def _differences(y: np.ndarray, parts: dict[str, np.ndarray], labels: list) -> pd.DataFrame:
+def _differences(y: np.ndarray, parts: dict[str, np.ndarray], labels: Sequence) -> pd.DataFrame:
     """Return the differences of conditions, whose regressors are the first."""
     error, df = _residual(y, parts)
     x = np.column_stack([*parts.values()])

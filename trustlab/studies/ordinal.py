@@ -7,7 +7,7 @@ over v are taken by adaptive Gauss–Hermite quadrature (Pinheiro and Bates, 199
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,6 @@ from scipy import sparse, special
 from scipy.optimize import minimize
 
 from trustlab.models.checks import finite_array, of_class, whole_number
-from trustlab.models.display import Result
 from trustlab.studies.mixed import (
     estimates_of,
     likelihood_ratios,
@@ -25,13 +24,15 @@ from trustlab.studies.mixed import (
 )
 from trustlab.studies.pairs import holm
 from trustlab.studies.table import (
+    Tested,
     column_of,
     labelled,
+    mark,
     origin_of,
     read_factors,
     refuse_missing_labels,
 )
-from trustlab.studies.words import apa_number, apa_p
+from trustlab.studies.words import apa_number, apa_p, interval
 
 MOST_CATEGORIES = 30
 # Logits beyond which no data tell a probability from 0 or 1.
@@ -68,18 +69,13 @@ class Cumulative:
         How many there are.
     points : int
         Nodes of the quadrature.
-    weight : numpy.ndarray, optional
-        How often each row counts; once when not given.
     """
 
-    def __init__(
-        self, codes: np.ndarray, categories: int, points: int, weight: np.ndarray | None = None
-    ):
+    def __init__(self, codes: np.ndarray, categories: int, points: int):
         self.codes = codes
         self.cuts = categories - 1
-        self.weight = np.ones(codes.size) if weight is None else weight
-        # Times rows, the weighted sums over each person's.
-        self.member = sparse.csr_array((self.weight, (codes, np.arange(codes.size))))
+        # Times rows, the sums over each person's.
+        self.member = sparse.csr_array((np.ones(codes.size), (codes, np.arange(codes.size))))
         self.nodes, mass = np.polynomial.hermite_e.hermegauss(points)
         self.log_mass = np.log(mass / mass.sum()) + 0.5 * self.nodes**2
 
@@ -115,10 +111,9 @@ class Cumulative:
             value, by_bound, by_sd = self._integrals(bounds, point[-1])
             return -value, -np.append(np.tensordot(by_bound, turned), by_sd)
 
-        below = np.cumsum(np.bincount(category, self.weight, self.cuts + 1))[:-1]
+        below = np.cumsum(np.bincount(category, minlength=self.cuts + 1))[:-1] / count
         start = np.zeros(design.shape[2])
-        theta = special.logit(np.clip(below / self.weight.sum(), 1e-3, 1.0 - 1e-3))
-        start[x.shape[1] :][: self.cuts] = theta
+        start[x.shape[1] :][: self.cuts] = special.logit(np.clip(below, 1e-3, 1.0 - 1e-3))
         start = np.append(size * (rows @ start), 0.7)
         point = minimize(loss, start, jac=True, method="BFGS", options={"gtol": 1e-6}).x
         spread = np.zeros((0, 0))
@@ -177,7 +172,7 @@ class Cumulative:
         first = self.member @ (level.sum(axis=0) - 1.0)
         by_sd += (by_mode * (first - sd * mode * second)).sum()
         by_sd += (by_width * (sd**2 * mode * third - 2.0 * sd * second)).sum()
-        return (total + np.log(width)).sum(), by_bound * self.weight, by_sd
+        return (total + np.log(width)).sum(), by_bound, by_sd
 
     def _modes(self, bounds: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -187,7 +182,6 @@ class Cumulative:
         high = abs(sd) * self.member.sum(axis=1)
         low = -high
         mode = np.zeros(high.size)
-        move = np.full(high.size, np.inf)
         while True:
             level = special.expit(bounds - sd * mode[self.codes])
             slope = sd * (self.member @ (level.sum(axis=0) - 1.0)) - mode
@@ -196,11 +190,10 @@ class Cumulative:
             if not going.any():
                 return mode, level
             low, high = np.where(slope > 0.0, mode, low), np.where(slope > 0.0, high, mode)
-            # Newton's steps can go round in circles: where they do not shrink, halve the bracket.
-            there = mode + step
-            newton = (there >= low) & (there <= high) & (2.0 * np.abs(step) <= np.abs(move))
-            move = going * np.where(newton, step, 0.5 * (low + high) - mode)
-            mode = mode + move
+            # Newton's steps can go round in circles, which end where the bracket is halved.
+            newton = mode + step
+            inside = (low < newton) & (newton < high)
+            mode = np.where(going, np.where(inside, newton, 0.5 * (low + high)), mode)
 
     def draw(self, fit: CumulativeFit, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Return categories drawn from a fitted model."""
@@ -210,44 +203,41 @@ class Cumulative:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OrdinalModel(Result):
+class OrdinalModel(Tested):
     """
     A cumulative-link (logit) mixed model of ratings.
 
     Parameters
     ----------
-    dv, subject : hashable
-        Columns of the ratings and of the people.
+    dv : hashable
+        Column of the ratings.
     categories : tuple
         Values of the ratings, ascending.
-    n, observations : int
-        People and ratings.
-    tests, coefficients, thresholds, variances : pandas.DataFrame
-        What `table`, `coefficients_table`, `thresholds_table` and `random_effects` return.
-    cells, differences, proportional : pandas.DataFrame
-        What `probabilities`, `pairs` and `proportional_odds` return.
-    log_likelihood : float
-        Maximum of the likelihood.
-    singular : bool
-        Whether the variance of people is estimated as zero.
+    tests : pandas.DataFrame
+        What `table` returns.
+    model, fit : Cumulative, CumulativeFit
+        The likelihood, and its maximum.
+    answers : numpy.ndarray
+        Number of every rating's category.
+    regressors : pandas.DataFrame
+        A row per rating.
+    terms : dict
+        Numbers of the columns of every term.
+    cells : pandas.DataFrame
+        Regressors of every cell of the factors, covariates at their means.
     origin : str
         What kind of data these are where they were not measured; else empty.
     """
 
     dv: Hashable
-    subject: Hashable
     categories: tuple
-    n: int
-    observations: int
     tests: pd.DataFrame
-    coefficients: pd.DataFrame
-    thresholds: pd.DataFrame
-    variances: pd.DataFrame
+    model: Cumulative
+    fit: CumulativeFit
+    answers: np.ndarray
+    regressors: pd.DataFrame
+    terms: dict[str, list[int]]
     cells: pd.DataFrame
-    differences: pd.DataFrame
-    proportional: pd.DataFrame
-    log_likelihood: float
-    singular: bool
     origin: str
 
     @property
@@ -255,12 +245,35 @@ class OrdinalModel(Result):
         """What was fitted."""
         return f"Cumulative-link mixed model of {self.dv}"
 
+    @property
+    def n(self) -> int:
+        """How many people rated."""
+        return self.model.member.shape[0]
+
+    @property
+    def log_likelihood(self) -> float:
+        """Maximum of the likelihood."""
+        return self.fit.llf
+
+    @property
+    def singular(self) -> bool:
+        """Whether the variance of people is estimated as zero."""
+        return self.fit.sd < SINGULAR
+
     def table(self) -> pd.DataFrame:
         """
         Return the likelihood-ratio test of every term against the model without the term and the
         interactions that contain it: term, chi2, df, p_chi2, p_bootstrap.
         """
-        return self.tests.copy()
+        return super().table()
+
+    def _estimates(self) -> pd.DataFrame:
+        """Return coefficients and thresholds."""
+        point = np.concatenate([self.fit.beta, self.fit.thresholds])
+        names = [f"{low} | {high}" for low, high in pairwise(self.categories)]
+        table = estimates_of(point, np.sqrt(np.diag(self.fit.covariance)))
+        table.insert(0, "name", [*self.regressors, *names])
+        return labelled(table, self.origin)
 
     def coefficients_table(self) -> pd.DataFrame:
         """
@@ -269,15 +282,16 @@ class OrdinalModel(Result):
         A positive one raises ratings; exp(estimate) multiplies one person's odds of rating above
         any category.
         """
-        return self.coefficients.copy()
+        return self._estimates()[: self.fit.beta.size]
 
     def thresholds_table(self) -> pd.DataFrame:
         """Return the thresholds between categories in logits: name estimate se ci_low ci_high."""
-        return self.thresholds.copy()
+        table = self._estimates()[self.fit.beta.size :].drop(columns=["z", "p"])
+        return table.reset_index(drop=True)
 
     def random_effects(self) -> pd.DataFrame:
         """Return variance and standard deviation of people's intercepts, in logits."""
-        return self.variances.copy()
+        return variances_of(Intercept=self.fit.sd**2)
 
     def probabilities(self) -> pd.DataFrame:
         """
@@ -290,7 +304,34 @@ class OrdinalModel(Result):
             logits, taking the variance between people as estimated), at_least (probability of this
             rating or a higher one). Covariates are at their means.
         """
-        return self.cells.copy()
+        fit, cells = self.fit, self.cells
+        nodes, mass = np.polynomial.hermite_e.hermegauss(60)
+
+        def at_most(parameters: np.ndarray) -> np.ndarray:
+            beta, thresholds = np.split(parameters, [fit.beta.size])
+            logit = thresholds[:, None] - (cells.to_numpy() @ beta)[:, None, None] - fit.sd * nodes
+            return special.expit(logit) @ (mass / mass.sum())
+
+        def logits(parameters: np.ndarray) -> np.ndarray:
+            chance = np.diff(at_most(parameters), axis=1, prepend=0.0, append=1.0)
+            return special.logit(chance).ravel()
+
+        point = np.concatenate([fit.beta, fit.thresholds])
+        steps = STEP * np.eye(point.size)
+        slope = np.array([logits(point + row) - logits(point - row) for row in steps])
+        slope /= 2.0 * STEP
+        half = special.ndtri(0.975) * np.sqrt(((fit.covariance @ slope) * slope).sum(axis=0))
+        centre = logits(point)
+        table = cells.index.to_frame(index=False)
+        table = table.loc[table.index.repeat(len(self.categories))].reset_index(drop=True)
+        table = table.assign(
+            category=[*self.categories] * len(cells),
+            probability=special.expit(centre),
+            ci_low=special.expit(centre - half),
+            ci_high=special.expit(centre + half),
+            at_least=1.0 - np.pad(at_most(point), ((0, 0), (1, 0))).ravel(),
+        )
+        return labelled(table, self.origin)
 
     def pairs(self) -> pd.DataFrame:
         """
@@ -302,7 +343,22 @@ class OrdinalModel(Result):
             Columns a, b, estimate (a − b in logits), se, z, p, ci_low, ci_high, p_holm, odds_ratio,
             superiority (probability that the median person rates a above b, ties half).
         """
-        return self.differences.copy()
+        index, x, beta = self.cells.index.to_frame(), self.cells.to_numpy(), self.fit.beta
+        names = np.array([" × ".join(map(str, row)) for row in index.itertuples(index=False)])
+        a, b = np.triu_indices(len(names), 1)
+        contrast = x[a] - x[b]
+        variance = self.fit.covariance[: beta.size, : beta.size]
+        se = np.sqrt(((contrast @ variance) * contrast).sum(axis=1))
+        table = pd.DataFrame({"a": names[a], "b": names[b]}).join(estimates_of(contrast @ beta, se))
+        below = special.expit(self.fit.thresholds - (x @ beta)[:, None])
+        chance = np.diff(below, axis=1, prepend=0.0, append=1.0)
+        middle = np.cumsum(chance, axis=1) - 0.5 * chance  # P(below) and half of P(equal)
+        table = table.assign(
+            p_holm=holm(table["p"].to_numpy()),
+            odds_ratio=np.exp(table["estimate"]),
+            superiority=(chance[a] * middle[b]).sum(axis=1),
+        )
+        return labelled(table, self.origin)
 
     def proportional_odds(self) -> pd.DataFrame:
         """
@@ -315,7 +371,19 @@ class OrdinalModel(Result):
             threshold; a small p says that one odds ratio does not describe it) and note. NaN where
             some category is empty in a cell.
         """
-        return self.proportional.copy()
+        x, rows = self.regressors.to_numpy(), []
+        for name, columns in self.terms.items():
+            df = len(columns) * (self.model.cuts - 1)
+            chi2, note = np.nan, "two categories have one threshold"
+            if df:
+                rest, own = np.delete(x, columns, axis=1), x[:, columns]
+                wide = self.model.fit(self.answers, rest, nominal=own)
+                chi2, note = max(2.0 * (wide.llf - self.fit.llf), 0.0), ""
+                if np.abs(wide.nominal * np.ptp(own, axis=0)).max() > FAR:
+                    chi2, note = np.nan, "some category is empty in a cell"
+            rows.append((name, chi2, df, float(special.chdtrc(df, chi2)), note))
+        table = pd.DataFrame(rows, columns=["term", "chi2", "df", "p", "note"])
+        return labelled(table, self.origin)
 
     def apa(self) -> str:
         """Return the sentences for a paper: the test of every term, and pairs that differ."""
@@ -324,24 +392,18 @@ class OrdinalModel(Result):
             for row in self.tests.itertuples()
         ]
         pairs = [
-            f"{row.a} against {row.b}, OR = {apa_number(row.odds_ratio)}, 95% CI "
-            f"[{apa_number(np.exp(row.ci_low))}, {apa_number(np.exp(row.ci_high))}], "
-            f"Holm-adjusted {apa_p(row.p_holm)}"
-            for row in self.differences.itertuples()
-            if row.p_holm < 0.05
+            f"{row.a} against {row.b}, OR = {apa_number(row.odds_ratio)}, "
+            f"{interval(np.exp(row.ci_low), np.exp(row.ci_high))}, Holm-adjusted "
+            f"{apa_p(row.p_holm)}"
+            for row in self.pairs().query("p_holm < 0.05").itertuples()
         ]
-        origin = f"[{self.origin}] " if self.origin else ""
         kind = "logistic" if len(self.categories) == 2 else "cumulative-link"
         return (
-            f"{origin}A {kind} mixed model of {self.dv} with random intercepts ({self.n} people, "
-            f"{self.observations} ratings) was tested by likelihood ratios: {'; '.join(tests)}. "
+            f"{mark(self.origin)}A {kind} mixed model of {self.dv} with random intercepts "
+            f"({self.n} people, {self.answers.size} ratings) was tested by likelihood ratios: "
+            f"{'; '.join(tests)}. "
             f"Pairs that differ: {'; '.join(pairs) or 'none'}."
         )
-
-    @property
-    def message(self) -> str:
-        """The sentences for a paper."""
-        return self.apa()
 
 
 def ordinal_model(
@@ -433,31 +495,13 @@ def ordinal_model(
             "dv: the likelihood has no maximum: some effect separates low from high ratings, or "
             "people hardly vary; leave the effect or the people out"
         )
-    se = np.sqrt(np.diag(fit.covariance))
-    coefficients = estimates_of(fit.beta, se[: fit.beta.size])
-    coefficients.insert(0, "name", regressors.columns)
-    thresholds = estimates_of(fit.thresholds, se[fit.beta.size :]).drop(columns=["z", "p"])
-    thresholds.insert(0, "name", [f"{low} | {high}" for low, high in pairwise(categories)])
     cells = regressors.groupby([data[name] for name in factors], observed=True).mean()
     for name in covariates:
         cells.iloc[:, terms[name]] = x[:, terms[name]].mean(axis=0)
     origin = origin_of(frame)
+    tests = labelled(likelihood_ratios(y, x, terms, model, bootstrap, seed), origin)
     return OrdinalModel(
-        dv=dv,
-        subject=subject,
-        categories=tuple(categories),
-        n=len(people),
-        observations=y.size,
-        tests=labelled(likelihood_ratios(y, x, terms, model, bootstrap, seed), origin),
-        coefficients=labelled(coefficients, origin),
-        thresholds=labelled(thresholds, origin),
-        variances=variances_of(Intercept=fit.sd**2),
-        cells=labelled(_probabilities(fit, cells, categories), origin),
-        differences=labelled(_pairs(fit, cells), origin),
-        proportional=labelled(_proportional(model, fit, y, x, terms), origin),
-        log_likelihood=fit.llf,
-        singular=fit.sd < SINGULAR,
-        origin=origin,
+        dv, tuple(categories), tests, model, fit, y, regressors, terms, cells, origin
     )
 
 
@@ -477,72 +521,3 @@ def _categories(column: pd.Series) -> tuple[np.ndarray, list]:
             f"{MOST_CATEGORIES}; formula_model takes ratings on a fine scale as numbers"
         )
     return codes, list(categories)
-
-
-def _probabilities(fit: CumulativeFit, cells: pd.DataFrame, categories: list) -> pd.DataFrame:
-    """Return the probability of each category in each cell; σ is as estimated."""
-    nodes, mass = np.polynomial.hermite_e.hermegauss(60)
-
-    def at_most(parameters: np.ndarray) -> np.ndarray:
-        beta, thresholds = np.split(parameters, [fit.beta.size])
-        logit = thresholds[:, None] - (cells.to_numpy() @ beta)[:, None, None] - fit.sd * nodes
-        return special.expit(logit) @ (mass / mass.sum())
-
-    def logits(parameters: np.ndarray) -> np.ndarray:
-        chance = np.diff(at_most(parameters), axis=1, prepend=0.0, append=1.0)
-        return special.logit(chance).ravel()
-
-    point = np.concatenate([fit.beta, fit.thresholds])
-    steps = STEP * np.eye(point.size)
-    slope = np.array([logits(point + row) - logits(point - row) for row in steps]) / (2.0 * STEP)
-    half = special.ndtri(0.975) * np.sqrt(((fit.covariance @ slope) * slope).sum(axis=0))
-    centre = logits(point)
-    table = cells.index.to_frame(index=False)
-    table = table.loc[table.index.repeat(len(categories))].reset_index(drop=True)
-    return table.assign(
-        category=categories * len(cells),
-        probability=special.expit(centre),
-        ci_low=special.expit(centre - half),
-        ci_high=special.expit(centre + half),
-        at_least=1.0 - np.pad(at_most(point), ((0, 0), (1, 0))).ravel(),
-    )
-
-
-def _pairs(fit: CumulativeFit, cells: pd.DataFrame) -> pd.DataFrame:
-    """Return the differences between cells."""
-    names = [" × ".join(map(str, row)) for row in cells.index.to_frame().itertuples(index=False)]
-    x = cells.to_numpy()
-    a, b = np.array([*combinations(range(len(names)), 2)]).T
-    contrast = x[a] - x[b]
-    variance = fit.covariance[: fit.beta.size, : fit.beta.size]
-    se = np.sqrt(((contrast @ variance) * contrast).sum(axis=1))
-    table = estimates_of(contrast @ fit.beta, se)
-    table.insert(0, "a", [names[i] for i in a])
-    table.insert(1, "b", [names[i] for i in b])
-    below = special.expit(fit.thresholds - (x @ fit.beta)[:, None])
-    chance = np.diff(below, axis=1, prepend=0.0, append=1.0)
-    middle = np.cumsum(chance, axis=1) - 0.5 * chance  # P(below) and half of P(equal)
-    return table.assign(
-        p_holm=holm(table["p"].to_numpy()),
-        odds_ratio=np.exp(table["estimate"]),
-        superiority=(chance[a] * middle[b]).sum(axis=1),
-    )
-
-
-def _proportional(
-    model: Cumulative, fit: CumulativeFit, y: np.ndarray, x: np.ndarray, terms: dict
-) -> pd.DataFrame:
-    """Return the tests of each term's effect against one on every threshold."""
-    rows = []
-    for name, columns in terms.items():
-        df = len(columns) * (model.cuts - 1)
-        if df == 0:
-            rows.append((name, np.nan, 0, np.nan, "two categories have one threshold"))
-            continue
-        wide = model.fit(y, np.delete(x, columns, axis=1), nominal=x[:, columns])
-        chi2 = max(2.0 * (wide.llf - fit.llf), 0.0)
-        if np.abs(wide.nominal * np.ptp(x[:, columns], axis=0)).max() > FAR:
-            rows.append((name, np.nan, df, np.nan, "some category is empty in a cell"))
-        else:
-            rows.append((name, chi2, df, float(special.chdtrc(df, chi2)), ""))
-    return pd.DataFrame(rows, columns=["term", "chi2", "df", "p", "note"])

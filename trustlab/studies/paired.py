@@ -2,69 +2,44 @@
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import one_of, open_unit, positive
-from trustlab.models.display import Result
 from trustlab.studies.pairs import (
+    Wilcoxon,
     condition_pairs,
-    d_z_interval,
     holm,
     normality_of_differences,
     wilcoxon,
 )
-from trustlab.studies.repeated_measures import describe, t_half_width, table_effects
-from trustlab.studies.table import (
-    ScoreTable,
-    complete_scores,
-    labelled,
-    read_scores,
-    same_for_all,
-)
+from trustlab.studies.repeated_measures import describe, repeated_measures
+from trustlab.studies.table import ScoreTable, Tested, labelled, same_for_all
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PairedTTest(Result):
+class PairedTTest(Tested):
     """
     A dependent t-test, difference a − b.
 
+    Every column of `table` is an attribute too: the conditions a and b; n, the subjects compared;
+    mean_difference and sd_difference, with the interval of the mean, ci_low and ci_high, at the
+    level confidence; Student's t on df = n − 1 degrees of freedom and its two-sided p; d_z, the
+    mean over the standard deviation of the differences, with its interval d_z_low, d_z_high, which
+    inverts the noncentral t distribution, exact to four digits; d_av, over the mean of both
+    standard deviations; correlation of a and b, NaN if one of them is constant; wilcoxon_v (sum of
+    the ranks of positive differences, zero differences left out), wilcoxon_p (two-sided),
+    wilcoxon_method ("exact" below 50 subjects without ties or zero differences, else "normal
+    approximation, continuity corrected"; and whether ties were judged to twelve digits, where
+    floating point separates them) and rank_biserial ((positive − negative rank sum) over their
+    total); shapiro_w and shapiro_p, Shapiro and Wilk's test of the differences.
+
     Parameters
     ----------
-    a, b : hashable
-        The two conditions.
-    n : int
-        Subjects compared.
-    mean_difference, sd_difference : float
-        Of a − b.
-    ci_low, ci_high : float
-        Interval of the mean difference.
-    confidence : float
-        Level of both intervals.
-    t, df, p : float
-        Student's t on n − 1 degrees of freedom, two-sided p.
-    d_z : float
-        Mean over standard deviation of the differences.
-    d_z_low, d_z_high : float
-        Its interval, which inverts the noncentral t distribution; exact to four digits.
-    d_av : float
-        Mean difference over the mean of the two standard deviations.
-    correlation : float
-        Pearson correlation of a and b; NaN if one of them is constant.
-    wilcoxon_v, wilcoxon_p : float
-        Sum of the ranks of positive differences, zero differences left out, and its two-sided p.
-    wilcoxon_method : str
-        "exact" below 50 subjects without ties or zero differences, else "normal approximation,
-        continuity corrected"; and whether ties were judged to twelve digits, where floating point
-        separates them.
-    rank_biserial : float
-        (positive − negative rank sum) over their total.
-    shapiro_w, shapiro_p : float
-        Shapiro and Wilk's test of the differences.
+    tests : pandas.DataFrame
+        What `table` returns.
     excluded : tuple
         Subjects left out because a score is missing.
     scores : ScoreTable
@@ -73,46 +48,18 @@ class PairedTTest(Result):
 
     title = "Paired t-test"
 
-    a: Hashable
-    b: Hashable
-    n: int
-    mean_difference: float
-    sd_difference: float
-    ci_low: float
-    ci_high: float
-    confidence: float
-    t: float
-    df: int
-    p: float
-    d_z: float
-    d_z_low: float
-    d_z_high: float
-    d_av: float
-    correlation: float
-    wilcoxon_v: float
-    wilcoxon_p: float
-    wilcoxon_method: str
-    rank_biserial: float
-    shapiro_w: float
-    shapiro_p: float
+    tests: pd.DataFrame
     excluded: tuple
     scores: ScoreTable
-
-    @property
-    def message(self) -> str:
-        """The sentence a paper needs."""
-        return self.apa()
-
-    def table(self) -> pd.DataFrame:
-        """Return one row with every number."""
-        return pd.DataFrame([vars(self)]).drop(columns=["excluded", "scores"])
 
     def descriptives(self) -> pd.DataFrame:
         """
         Return descriptive statistics as `RepeatedMeasures.descriptives`; intervals at `confidence`.
         """
         labels = pd.Index(self.scores.conditions, tupleize_cols=False)
-        return pd.DataFrame({"condition": labels} | describe(self.scores.values, self.confidence))
+        table = describe(self.scores.values, self.confidence)
+        table.insert(0, "condition", labels)
+        return table
 
     def apa(self) -> str:
         """Return the sentence a paper needs."""
@@ -120,22 +67,10 @@ class PairedTTest(Result):
 
         return apa_pair(self)
 
-    def plot(self, axes=None):
-        """
-        Plot every subject's pair with both means and intervals, and the differences with theirs.
 
-        Parameters
-        ----------
-        axes : sequence of two matplotlib.axes.Axes, optional
-            Where to draw; a new figure by default.
-
-        Returns
-        -------
-        numpy.ndarray of matplotlib.axes.Axes, shape (2,)
-        """
-        from trustlab.studies.plots import plot_pair
-
-        return plot_pair(self, axes)
+COLUMNS = ["a", "b", "n", "mean_difference", "sd_difference", "ci_low", "ci_high", "confidence"]
+COLUMNS += ["t", "df", "p", "d_z", "d_z_low", "d_z_high", "d_av", "correlation"]
+COLUMNS += [*Wilcoxon._fields, "shapiro_w", "shapiro_p"]
 
 
 def paired_t_test(
@@ -189,43 +124,25 @@ def paired_t_test(
        mean_difference      t  df      p
     0           -0.467 -2.646   2  0.118
     """
-    confidence = open_unit("confidence", confidence)
-    table = read_scores(frame, dv, within, subject, order=order)
-    if len(table.conditions) != 2:
+    result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
+    scores = result.scores
+    if result.k != 2:
         raise ValueError(
-            f"within: column {within!r} has {len(table.conditions)} conditions, "
-            f"{list(table.conditions)}; a paired t-test compares two. Select their rows, or use "
-            "repeated_measures"
+            f"within: column {within!r} has {result.k} conditions, {list(scores.conditions)}; a "
+            "paired t-test compares two. Select their rows, or use repeated_measures"
         )
-    scores, excluded = complete_scores(table, missing)
-    table_effects(scores)  # refuses scores without error variance
-    pair, n = condition_pairs(scores.values[None]), len(scores.subjects)
-    names = ("mean_difference", "t", "p", "d_z")
-    test: dict[str, Any] = {name: getattr(pair, name).item() for name in names}
     a, b = scores.values.T
-    test["sd_difference"] = float((a - b).std(ddof=1))
-    test["d_av"] = test["mean_difference"] / (0.5 * (a.std(ddof=1) + b.std(ddof=1)))
-    half = float(t_half_width(test["sd_difference"], n, confidence))
-    normality = normality_of_differences(scores.values)
-    low, high = map(float, d_z_interval(test["t"], n - 1, n**-0.5, confidence))
-    return PairedTTest(
-        a=scores.conditions[0],
-        b=scores.conditions[1],
-        n=n,
-        ci_low=test["mean_difference"] - half,
-        ci_high=test["mean_difference"] + half,
+    constant = bool(same_for_all(scores))
+    test = result.pairs(confidence=confidence).assign(
+        n=result.n,
+        sd_difference=(a - b).std(ddof=1),
         confidence=confidence,
-        df=n - 1,
-        d_z_low=low,
-        d_z_high=high,
-        correlation=np.nan if same_for_all(scores) else float(np.corrcoef(a, b)[0, 1]),
-        shapiro_w=normality["W"].item(),
-        shapiro_p=normality["p"].item(),
-        excluded=excluded,
-        scores=scores,
+        correlation=np.nan if constant else np.corrcoef(a, b)[0, 1],
         **wilcoxon(a - b, np.abs(scores.values).max())._asdict(),
-        **test,
     )
+    names = {"W": "shapiro_w", "p": "shapiro_p"}
+    test = test.join(normality_of_differences(scores.values).rename(columns=names))[COLUMNS]
+    return PairedTTest(labelled(test, scores.origin), result.excluded, scores)
 
 
 def equivalence(
@@ -296,28 +213,23 @@ def equivalence(
     if alpha >= 0.5:
         raise ValueError(f"alpha must be below 0.5, as the interval has 1 − 2 alpha, got {alpha}")
     one_of("units", units, ("raw", "d_z"))
-    table = read_scores(frame, dv, within, subject, order=order)
-    scores, excluded = complete_scores(table, missing)
-    table_effects(scores)  # refuses scores without error variance
-    pairs, n = condition_pairs(scores.values[None]), len(scores.subjects)
-    first, second = np.triu_indices(len(scores.conditions), 1)
-    sd = (scores.values[:, first] - scores.values[:, second]).std(axis=0, ddof=1)
-    mean, names = pairs.mean_difference[0], list(combinations(scores.conditions, 2))
-    flat = np.isnan(pairs.t[0])
-    if flat.any():
-        a, b = names[int(np.argmax(flat))]
+    result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
+    pairs, n = result.pairs(confidence=1.0 - 2.0 * alpha), result.n
+    mean = pairs["mean_difference"].to_numpy()
+    sd = condition_pairs(result.scores.values[None]).sd[0]
+    if np.isnan(sd).any():
+        a, b = pairs.loc[np.isnan(sd), ["a", "b"]].iloc[0]
         raise ValueError(f"dv: every subject has the same difference between {a!r} and {b!r}")
     reach = bound if units == "raw" else bound * sd
     error = sd / np.sqrt(n)
     t_low, t_high = (mean + reach) / error, (mean - reach) / error
     p_low, p_high = special.stdtr(n - 1, -t_low), special.stdtr(n - 1, t_high)
     p = np.maximum(p_low, p_high)
-    half = t_half_width(sd, n, 1.0 - 2.0 * alpha)
     tests = {"n": n, "mean_difference": mean, "low": -reach, "high": reach, "t_low": t_low}
     tests |= {"p_low": p_low, "t_high": t_high, "p_high": p_high, "df": n - 1, "p": p}
-    tests |= {"p_holm": holm(p), "ci_low": mean - half, "ci_high": mean + half}
-    result = pd.DataFrame(names, columns=["a", "b"]).assign(**tests, equivalent=p < alpha)
-    return labelled(result, scores.origin, excluded=excluded)
+    tests |= {"p_holm": holm(p), "ci_low": pairs["ci_low"], "ci_high": pairs["ci_high"]}
+    table = pairs[["a", "b"]].assign(**tests, equivalent=p < alpha)
+    return labelled(table, result.origin, excluded=result.excluded)
 
 
 def bayes_factor(
@@ -380,26 +292,25 @@ def bayes_factor(
     0  condition   3.5  36
     """
     scale = positive("scale", scale)
-    table = read_scores(frame, dv, within, subject, order=order)
-    scores, excluded = complete_scores(table, missing)
-    test, n = table_effects(scores).iloc[0], len(scores.subjects)
+    analysis = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
+    n, df1, df2 = analysis.n, analysis.df1, analysis.df2
     if method is None:
-        method = "jzs" if len(scores.conditions) == 2 else "bic"
+        method = "jzs" if analysis.k == 2 else "bic"
     if one_of("method", method, ("jzs", "bic")) == "bic":
-        df1, df2 = int(test["df1"]), int(test["df2"])
-        share = test["ss_error"] / (test["ss_effect"] + test["ss_error"])
+        share = analysis.ss_error / (analysis.ss_effect + analysis.ss_error)
         log_bf10 = -0.5 * (n * df1 * np.log(share) + df1 * np.log(n * df1))
-        rows = [(str(within), method, float(test["F"]), df1, df2, log_bf10)]
+        rows = [(str(within), method, analysis.F, df1, df2, log_bf10)]
     else:
-        rows, statistics = [], condition_pairs(scores.values[None]).t[0].tolist()
-        for (a, b), t in zip(combinations(scores.conditions, 2), statistics, strict=True):
-            rows.append((f"{a} − {b}", method, t, 1, n - 1, log_jzs_bayes_factor(t, n, scale)))
+        rows = [
+            (f"{a} − {b}", method, t, 1, n - 1, log_jzs_bayes_factor(t, n, scale))
+            for a, b, t in analysis.pairs()[["a", "b", "t"]].itertuples(index=False)
+        ]
     columns = ["comparison", "method", "statistic", "df1", "df2", "log_bf10"]
     result = pd.DataFrame(rows, columns=columns)
     with np.errstate(over="ignore"):
         result["bf10"] = np.exp(result["log_bf10"])
         result["bf01"] = np.exp(-result["log_bf10"])
-    return labelled(result.assign(n=n), scores.origin, excluded=excluded)
+    return labelled(result.assign(n=n), analysis.origin, excluded=analysis.excluded)
 
 
 def log_jzs_bayes_factor(t: float, n: int, scale: float) -> float:

@@ -1,6 +1,6 @@
-"""Comparisons after an analysis of variance: pairs of levels, simple effects, tests by ranks."""
+"""Comparisons after an analysis of variance: pairs of levels, tests by ranks."""
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -59,8 +59,8 @@ def holm(p: np.ndarray) -> np.ndarray:
 
 class Pairs(NamedTuple):
     """
-    Comparisons a − b of many studies, shape (studies, pairs); intervals have 95 %, p is two-sided;
-    NaN where every subject has the same difference.
+    Comparisons a − b of many studies, shape (studies, pairs); p is two-sided; NaN where every
+    subject has the same difference.
     """
 
     mean_difference: np.ndarray
@@ -71,11 +71,16 @@ class Pairs(NamedTuple):
     p: np.ndarray
     p_bonferroni: np.ndarray
     p_holm: np.ndarray
+    sd: np.ndarray
     d_z: np.ndarray
 
 
 def compare(
-    regression: Regression, weights: np.ndarray, rows: np.ndarray, error: str = "own"
+    regression: Regression,
+    weights: np.ndarray,
+    rows: np.ndarray,
+    error: str = "own",
+    level: float = 0.95,
 ) -> Pairs:
     """
     Test linear combinations of the cells (weights, shape (cells, pairs)) and of the coefficients
@@ -98,10 +103,10 @@ def compare(
         df = df * variance**2 / (inside**2 / (cells - 1) + outside**2)
     sd = np.sqrt(np.where(flat, np.nan, variance))
     se = sd * _leverage_root(design, rows)
-    half = scipy.special.stdtrit(df, 0.975) * se
+    half = scipy.special.stdtrit(df, 0.5 + 0.5 * level) * se
     p = 2.0 * scipy.special.stdtr(df, -np.abs(mean / se))
     return Pairs(
-        mean, mean - half, mean + half, mean / se, df, p, bonferroni(p), holm(p), mean / sd
+        mean, mean - half, mean + half, mean / se, df, p, bonferroni(p), holm(p), sd, mean / sd
     )
 
 
@@ -170,53 +175,47 @@ def marginals(
         yield level, cells, groups @ combinations.matrix
 
 
-def factor_pairs(
-    values: np.ndarray, design: Design, factor: Hashable, at: Hashable, error: str
+def paired_levels(
+    design: Design,
+    factor: Hashable,
+    at: Hashable,
+    test: Callable[[np.ndarray, np.ndarray], pd.DataFrame],
 ) -> pd.DataFrame:
     """
     Return all comparisons of two levels of a factor, over all cells or within each level of
-    another: level, a, b, what `Pairs` holds, and the interval of d_z.
+    another: level, a, b, and what `test` makes of the weights of cells and of the design's rows.
     """
     levels = pd.Index(levels_of_factor(design, factor), tupleize_cols=False)
     a, b = np.triu_indices(len(levels), 1)
-    regression = regress(values[None], design)
     tables = []
     for level, cells, rows in marginals(design, factor, at):
         weights, hypotheses = cells[:, a] - cells[:, b], rows[a]
         if factor in design.between:
             weights, hypotheses = cells[:, a], rows[a] - rows[b]
-        pairs = compare(regression, weights, hypotheses, error)
-        numbers = {name: np.ravel(x) if np.ndim(x) else x for name, x in pairs._asdict().items()}
-        table = pd.DataFrame({"a": levels.take(a), "b": levels.take(b)} | numbers)
-        limits = d_z_interval(pairs.t[0], table["df"], _leverage_root(design, hypotheses))
-        table["d_z_low"], table["d_z_high"] = limits
-        if factor in design.between:  # d_z is of differences within subjects
-            table[["d_z", "d_z_low", "d_z_high"]] = np.nan
-        table.insert(0, "level", pd.Series([level] * len(table)))
-        tables.append(table)
+        names = {"level": [level] * len(a), "a": levels.take(a), "b": levels.take(b)}
+        tables.append(pd.DataFrame(names).join(test(weights, hypotheses)))
     return pd.concat(tables, ignore_index=True)
 
 
-def simple_effects(
-    values: np.ndarray, design: Design, factor: Hashable, at: Hashable
+def factor_pairs(
+    values: np.ndarray, design: Design, factor: Hashable, at: Hashable, error: str, level: float
 ) -> pd.DataFrame:
-    """Return the effect of one factor at each level of another."""
+    """Return comparisons of levels with what `Pairs` holds, and the interval of d_z."""
     regression = regress(values[None], design)
-    rows = []
-    for level, cells, means in marginals(design, factor, at):
-        contrasts, hypothesis = cells @ orthonormal_contrasts(len(means)), means[:1]
-        if factor in design.between:
-            contrasts, hypothesis = cells[:, :1], np.diff(means, axis=0)
-        test = _brief(regression.test(contrasts, hypothesis))
-        rows.append({"factor": factor, "at": at, "level": level} | test)
-    table = pd.DataFrame(rows)
-    return table.assign(p_holm=holm(table["p_gg"].to_numpy()))
 
+    def test(weights: np.ndarray, hypotheses: np.ndarray) -> pd.DataFrame:
+        pairs = compare(regression, weights, hypotheses, error, level)
+        numbers = {name: np.ravel(x) if np.ndim(x) else x for name, x in pairs._asdict().items()}
+        table = pd.DataFrame(numbers).drop(columns="sd")
+        scale = _leverage_root(design, hypotheses)
+        limits = d_z_interval(pairs.t[0], table["df"], scale, level)
+        table["d_z_low"], table["d_z_high"] = limits
+        return table
 
-def _brief(tests: Mapping[str, Any]) -> dict[str, float]:
-    """Return what tables of simple effects and of ranks show of one study's test."""
-    names = ("F", "df1", "df2", "p", "epsilon_gg", "p_gg", "eta2_partial")
-    return {name: float(np.ravel(tests[name])[0]) for name in names}
+    table = paired_levels(design, factor, at, test)
+    if factor in design.between:  # d_z is of differences within subjects
+        table[["d_z", "d_z_low", "d_z_high"]] = np.nan
+    return table
 
 
 def aligned(
@@ -251,11 +250,12 @@ def aligned(
 def aligned_tests(values: np.ndarray, design: Design, error: str) -> pd.DataFrame:
     """Return the test of every effect on the ranks aligned for it."""
     every = orthonormal_contrasts(values.shape[1])
+    kept = ("F", "df1", "df2", "p", "epsilon_gg", "p_gg", "eta2_partial")
     rows = []
     for block, names in design.effects:
         regression = regress(aligned(values, design, (*block, *names))[None], design)
         test = regression.test(design.contrasts(names), design.rows(block))
-        row = {"effect": effect_name(block, names)} | _brief(test)
+        row = {name: float(np.ravel(test[name])[0]) for name in kept}
         if error == "pooled" and names:
             variance = np.trace(regression.covariance(every)[0]) / every.shape[1]
             f, df1 = float(test["ss_effect"][0]) / test["df1"] / variance, test["df1"]
@@ -263,7 +263,7 @@ def aligned_tests(values: np.ndarray, design: Design, error: str) -> pd.DataFram
             row |= {"F": f, "df2": df2, "p": scipy.special.fdtrc(df1, df2, f)}
             row |= {"epsilon_gg": np.nan, "p_gg": np.nan}
             row["eta2_partial"] = f * df1 / (f * df1 + df2)
-        rows.append(row)
+        rows.append({"effect": effect_name(block, names)} | row)
     return pd.DataFrame(rows)
 
 
@@ -335,30 +335,29 @@ def rank_pairs(values: np.ndarray) -> pd.DataFrame:
     return table.assign(p_bonferroni=bonferroni(p), p_holm=holm(p))
 
 
-def rating_notes(values: np.ndarray, tests: str) -> list[str]:
+def rating_note(values: np.ndarray, tests: str) -> str:
     """Return a note that names the tests by ranks if scores look like those of one rating item."""
     steps = np.unique(values)
-    if steps.size > _MOST_STEPS or not np.array_equal(steps, np.round(steps)):
-        return []
-    return [
+    if steps.size > _MOST_STEPS or (steps % 1.0).any():
+        return ""
+    return (
         f"Scores are whole numbers from {steps[0]:g} to {steps[-1]:g}, as of a rating item, "
         f"whose steps need not be equal: see {tests} for tests by ranks."
-    ]
+    )
 
 
 def normality_of_differences(values: np.ndarray) -> pd.DataFrame:
     """
     Return W and p of the Shapiro–Wilk test of the differences of every pair of conditions.
 
-    NaN where all differences are equal, and above 5000 subjects, where the approximation of p is
-    not valid.
+    NaN where all differences are equal.
     """
     rounding = 4.0 * np.finfo(float).eps * np.abs(values).max()
     rows = []
     for difference in _differences(values):
-        if difference.size > 5000 or np.ptp(difference) <= 2.0 * rounding:
-            rows.append((np.nan, np.nan))
-        else:
+        row = (np.nan, np.nan)
+        if np.ptp(difference) > 2.0 * rounding:
             # scaled, as SciPy takes tiny differences for equal
-            rows.append(tuple(scipy.stats.shapiro(difference / np.abs(difference).max())))
+            row = tuple(scipy.stats.shapiro(difference / np.abs(difference).max()))
+        rows.append(row)
     return pd.DataFrame(rows, columns=["W", "p"])

@@ -20,7 +20,9 @@ from trustlab.models.checks import (
 )
 from trustlab.models.display import Result
 from trustlab.studies.table import (
+    Tested,
     column_of,
+    labelled,
     labels_of,
     number_or_nan,
     origin_of,
@@ -88,11 +90,10 @@ class Questionnaire(Result):
     source: str = ""
 
     def __post_init__(self):
-        for argument in ("name", "source"):
-            of_class(argument, getattr(self, argument), str)
+        of_class("name", self.name, str)
         of_class("subscales", self.subscales, dict)
         items = labels_of("items", self.items, 1)
-        for name, part in self._parts().items():
+        for name, part in self._parts.items():
             for item in labels_of(name, part, 0 if name == "reversed" else 1):
                 one_of(name, item, map(str, items))
         low, high = in_order("low", self.low, "high", self.high)
@@ -102,6 +103,7 @@ class Questionnaire(Result):
         flag("task_load", self.task_load)
         self.__dict__.update(items=items, reversed=tuple(self.reversed), low=low, high=high)
 
+    @property
     def _parts(self) -> dict[str, Sequence[str]]:
         return {"reversed": self.reversed, **self.subscales}
 
@@ -119,9 +121,7 @@ class Questionnaire(Result):
 
     def table(self) -> pd.DataFrame:
         """Return a row per item: item, whether it is reversed, and whether in each subscale."""
-        parts = {
-            name: [item in part for item in self.items] for name, part in self._parts().items()
-        }
+        parts = {name: [item in part for item in self.items] for name, part in self._parts.items()}
         return pd.DataFrame({"item": self.items, **parts})
 
 
@@ -254,16 +254,13 @@ class ScaleScores(Result):
             Subjects with missing answers do not count in n; alpha is NaN for fewer than three
             subjects, or where all have the same score.
         """
-        confidence = open_unit("confidence", confidence)
-        rows = []
+        confidence, rows = open_unit("confidence", confidence), []
         for name, coded in self.coded.items():
-            index = coded.index
-            condition = index.get_level_values(1) if index.nlevels > 1 else [np.nan] * len(index)
+            condition = coded.index.to_frame().get("condition", pd.Series(np.nan, coded.index))
             for label, group in coded.groupby(condition, sort=False, dropna=False):
-                items = group.dropna()
-                rows.append((name, label, *items.shape, *_alpha(items.to_numpy(), confidence)))
-        names = ["score", "condition", "n", "items", "alpha", "ci_low", "ci_high"]
-        return pd.DataFrame(rows, columns=names).query("items > 1").reset_index(drop=True)
+                alpha = _alpha(group.dropna(), confidence)
+                rows.append({"score": name, "condition": label} | alpha)
+        return pd.DataFrame(rows).query("items > 1").reset_index(drop=True)
 
 
 def score(
@@ -335,23 +332,23 @@ def score(
         if weights is not None:
             raise ValueError(f"weights: the items of {name!r} are not weighted")
     elif weights is not None:
-        w = _weights(weights, whole).where(whole.notna(), 0.0)
+        w = _weights(weights, whole, subject).where(whole.notna(), 0.0)
         scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / w.sum(axis=1)
-    result = pd.DataFrame(scores).reset_index()
+    names = {"subject": subject, "condition": condition}
+    result = pd.DataFrame(scores).reset_index().rename(columns=names)
     result.attrs = dict(answers.attrs)  # synthetic answers give synthetic scores
-    if origin := origin_of(answers):
-        result.attrs["origin"] = origin
-    gaps = table.isna().melt(var_name="item", value_name="gap", ignore_index=False).reset_index()
-    return ScaleScores(questionnaire, result, coded, gaps[gaps.pop("gap")].reset_index(drop=True))
+    gaps = table.isna().melt(var_name="item", value_name="gap", ignore_index=False)
+    gaps = gaps[gaps.pop("gap")].reset_index().rename(columns=names)
+    return ScaleScores(questionnaire, labelled(result, origin_of(answers)), coded, gaps)
 
 
-def _place(row: tuple, item: object = None) -> str:
-    """Return how an error refers to an answer: subject, condition where there are some, item."""
-    labels = [label.item() if isinstance(label, np.generic) else label for label in row]
-    place = [
-        f"{key} {label!r}" for key, label in zip(("subject", "condition"), labels, strict=False)
+def _places(rows: pd.MultiIndex, item: object = None) -> list[str]:
+    """Return how an error refers to answers: subject, condition where there are some, item."""
+    end = "" if item is None else f", item {item!r}"
+    return [
+        ", ".join(f"{key} {label!r}" for key, label in row.items()) + end
+        for row in rows.to_frame().astype(object).to_dict("records")
     ]
-    return ", ".join(place if item is None else [*place, f"item {item!r}"])
 
 
 def _read(
@@ -362,26 +359,23 @@ def _read(
     index.
     """
     of_class(argument, frame, pd.DataFrame)
-    keys = (
-        {"subject": subject} if condition is None else {"subject": subject, "condition": condition}
-    )
+    keys = {"subject": subject} | ({} if condition is None else {"condition": condition})
     for key, name in keys.items():
         refuse_missing_labels(column_of(frame, key, name), key)
-    index = pd.MultiIndex.from_arrays([frame[name] for name in keys.values()])
+    index = pd.MultiIndex.from_arrays([frame[name] for name in keys.values()], names=keys)
     if frame.empty or index.has_duplicates:
-        rows = [_place(row) for row in index[index.duplicated()]]
+        repeated = "; ".join(_places(index[index.duplicated()])[:5])
         raise ValueError(
             f"{argument} must have one row per subject, or per subject and condition= if there are "
-            f"several; it has {len(frame)} rows, repeated: {'; '.join(rows[:5])}"
+            f"several; it has {len(frame)} rows, repeated: {repeated}"
         )
-    table = {}
-    for item in items:
-        table[item] = numbers = []
-        for row, answer in zip(index, column_of(frame, argument, item).array, strict=True):
+    table: dict[str, list[float]] = {item: [] for item in items}
+    for item, numbers in table.items():
+        for i, answer in enumerate(column_of(frame, argument, item).array):
             try:
                 numbers.append(number_or_nan(answer))
             except TypeError:
-                where = _place(row, item)
+                (where,) = _places(index[[i]], item)
                 raise ValueError(f"{where}: {shown(answer)} is not a number") from None
     return pd.DataFrame(table, index=index, dtype=float)
 
@@ -394,10 +388,11 @@ def _check_answers(table: pd.DataFrame, questionnaire: Questionnaire) -> None:
         steps = (table - low) / step
         off |= (steps - steps.round()).abs() > 1e-9
     for i, j in np.argwhere(off.to_numpy()):
+        (where,) = _places(table.index[[i]], table.columns[j])
         raise ValueError(
-            f"{_place(table.index[i], table.columns[j])}: {table.iloc[i, j]:g} is not on the scale "
-            f"from {low:g} to {high:g} in steps of {step}; if the form had another scale, score "
-            "by dataclasses.replace(questionnaire, low=…, high=…, step=…)"
+            f"{where}: {table.iloc[i, j]:g} is not on the scale from {low:g} to {high:g} in steps "
+            f"of {step}; if the form had another scale, score by dataclasses.replace("
+            "questionnaire, low=…, high=…, step=…)"
         )
 
 
@@ -420,28 +415,29 @@ def _check_missing(coded: Mapping[str, pd.DataFrame], rule: str) -> None:
     rules = {"refuse": 0.0, "half_rule": 0.5}
     most = rules[one_of("missing", rule, rules)]
     for name, part in coded.items():
-        for row, gaps in part.isna().iterrows():
-            if gaps.mean() > most:
-                raise ValueError(
-                    f"{_place(row)}: missing answers of {name!r}: {', '.join(part.columns[gaps])}. "
-                    "Fill them in from the records, leave the subject out, or ask for "
-                    'missing="half_rule", which needs half of the items'
-                )
+        gaps = part.isna()
+        for i in np.flatnonzero(gaps.mean(axis=1) > most):
+            raise ValueError(
+                f"{_places(part.index[[i]])[0]}: missing answers of {name!r}: "
+                f"{', '.join(part.columns[gaps.iloc[i]])}. Fill them in from the records, leave "
+                'the subject out, or ask for missing="half_rule", which needs half of the items'
+            )
 
 
-def _weights(weights: pd.DataFrame, answers: pd.DataFrame) -> pd.DataFrame:
+def _weights(weights: pd.DataFrame, answers: pd.DataFrame, subject: str) -> pd.DataFrame:
     """Return a weight per item for every row of the answers."""
-    w = _read("weights", weights, answers.columns, answers.index.names[0], None)
+    w = _read("weights", weights, answers.columns, subject, None)
     # Landau (1953): of k items, the j chosen least meet each other j(j − 1)/2 times.
     least = np.cumsum(range(w.shape[1]))
-    for row, counts in w.iterrows():
-        wins = np.cumsum(np.sort(counts))
-        if (wins < least).any() or wins[-1] != least[-1] or (counts % 1.0).any():
-            raise ValueError(
-                f"weights of {_place(row)}: no choices between two items give {counts.tolist()}"
-            )
-    subjects = answers.index.get_level_values(0)
-    w.index = w.index.get_level_values(0)
+    wins = np.sort(w).cumsum(axis=1)
+    bad = (wins < least).any(axis=1) | (wins[:, -1] != least[-1]) | (w % 1.0 != 0.0).any(axis=1)
+    for i in np.flatnonzero(bad):
+        raise ValueError(
+            f"weights of {_places(w.index[[i]])[0]}: no choices between two items give "
+            f"{w.iloc[i].tolist()}"
+        )
+    subjects = answers.index.get_level_values("subject")
+    w = w.set_axis(w.index.get_level_values("subject"))
     if lacking := [label for label in subjects if label not in w.index]:
         raise ValueError(f"weights: there are none for subject {lacking[0]!r}")
     return w.loc[subjects].set_axis(answers.index)
@@ -497,32 +493,27 @@ def tlx_weights(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Reliability(Result):
+class Reliability(Tested):
     """
     Internal consistency of a scale.
 
+    Columns of `table` are attributes too: n and items, how many subjects and items; alpha,
+    Cronbach's alpha, with its interval ci_low, ci_high (Feldt's F interval).
+
     Parameters
     ----------
-    alpha : float
-        Cronbach's alpha.
-    ci_low, ci_high : float
-        Its interval (Feldt's F interval).
+    tests : pandas.DataFrame
+        What `table` returns, a row.
     confidence : float
         The interval's level.
-    n, items : int
-        How many subjects and items.
     without : pandas.Series
         Alpha of the scale less each item; NaN where one item is left or all subjects agree.
     """
 
     title = "Cronbach's alpha"
 
-    alpha: float
-    ci_low: float
-    ci_high: float
+    tests: pd.DataFrame
     confidence: float
-    n: int
-    items: int
     without: pd.Series
 
     @property
@@ -531,11 +522,6 @@ class Reliability(Result):
         return (
             f"α = {self.alpha:.2f}, {self.confidence:.0%} CI {self.ci_low:.2f}, {self.ci_high:.2f}"
         )
-
-    def table(self) -> pd.DataFrame:
-        """Return one row: n, items, alpha, ci_low, ci_high."""
-        names = ["n", "items", "alpha", "ci_low", "ci_high"]
-        return pd.DataFrame([vars(self)])[names]
 
 
 def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability:
@@ -577,28 +563,26 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     for name, column in items.items():
         if column.dtype.kind not in "iuf" or not np.isfinite(column).all():
             raise ValueError(f"item {name!r} must hold only finite numbers ({column.dtype})")
-    values = items.to_numpy(dtype=float)
-    estimate = _alpha(values, confidence)
-    if np.isnan(estimate[0]):
+    row = _alpha(items, confidence)
+    if np.isnan(row["alpha"]):
         raise ValueError(
             "items: alpha needs at least two items of three subjects, with sums that differ, "
-            f"got a table of shape {values.shape}"
+            f"got a table of shape {items.shape}"
         )
-    n, k = values.shape
-    rest = [_alpha(np.delete(values, j, axis=1), confidence)[0] for j in range(k)]
-    without = pd.Series(rest, items.columns, name="alpha_without")
-    return Reliability(*estimate, confidence, n, k, without)
+    rest = {name: _alpha(items.drop(columns=name), confidence)["alpha"] for name in items}
+    return Reliability(pd.DataFrame([row]), confidence, pd.Series(rest, name="alpha_without"))
 
 
-def _alpha(values: np.ndarray, confidence: float) -> tuple[float, float, float]:
-    """Return alpha and its interval; NaN where it is not defined."""
-    n, k = values.shape
+def _alpha(items: pd.DataFrame, confidence: float) -> dict[str, float]:
+    """Return how many subjects and items, alpha and its interval; NaN where it is not defined."""
+    n, k = items.shape
+    values = items.to_numpy(dtype=float)
     values = values / (np.abs(values).max(initial=0.0) or 1.0)  # squares may overflow or underflow
     total = values.sum(axis=1)
-    if k < 2 or n < 3 or np.ptp(total) <= 1e-12:
-        return np.nan, np.nan, np.nan
-    alpha = (1.0 - values.var(axis=0, ddof=1).sum() / total.var(ddof=1)) * k / (k - 1)
-    tail = 0.5 * (1.0 - confidence)
-    ends = special.fdtri(n - 1, (n - 1) * (k - 1), [1.0 - tail, tail])
+    alpha, ends = np.nan, np.full(2, np.nan)
+    if k > 1 and n > 2 and np.ptp(total) > 1e-12:
+        alpha = (1.0 - values.var(axis=0, ddof=1).sum() / total.var(ddof=1)) * k / (k - 1)
+        tail = 0.5 * (1.0 - confidence)
+        ends = special.fdtri(n - 1, (n - 1) * (k - 1), [1.0 - tail, tail])
     low, high = 1.0 - (1.0 - alpha) * ends
-    return float(alpha), float(low), float(high)
+    return {"n": n, "items": k, "alpha": alpha, "ci_low": low, "ci_high": high}

@@ -2,7 +2,6 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -11,28 +10,28 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import one_of, open_unit
-from trustlab.models.display import Result
+from trustlab.models.display import axes_or_new
 from trustlab.studies import pairs
 from trustlab.studies.anova import CORRECTIONS, Design, effects, partial_eta_interval, regress
 from trustlab.studies.table import (
     ScoreTable,
+    Tested,
     complete_scores,
     labelled,
     names_of,
     read_cells,
     read_factors,
     read_groups,
-    same_for_all,
 )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RepeatedMeasures(Result):
+class RepeatedMeasures(Tested):
     """
     An analysis of variance with factors within and between subjects.
 
-    Where the design has one effect alone, every column of `table` is an attribute too: ``.F``,
-    ``.df1``, ``.p_corrected``, ``.epsilon_gg``, ``.reason`` and so on.
+    Columns of `table` in which all effects agree are attributes too: ``.n``, ``.k``, ``.dv``,
+    ``.alpha``; of a design with one effect also ``.F``, ``.p_corrected``, ``.epsilon_gg`` …
 
     Parameters
     ----------
@@ -47,8 +46,6 @@ class RepeatedMeasures(Result):
         Subjects left out for missing cells.
     correction_rule : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
         The correction asked for.
-    alpha : float
-        Level below which a p-value is called significant.
     """
 
     scores: ScoreTable
@@ -57,40 +54,11 @@ class RepeatedMeasures(Result):
     tests: pd.DataFrame
     excluded: tuple
     correction_rule: str
-    alpha: float
-
-    def __getattr__(self, name: str) -> Any:
-        # Python calls this only for names that are no field or method.
-        if name.startswith("_") or name == "tests" or name not in self.tests:
-            raise AttributeError(f"RepeatedMeasures has no attribute {name!r}")
-        if len(self.tests) > 1:
-            raise AttributeError(
-                f"there are {len(self.tests)} effects, each with its {name!r}: see .table()"
-            )
-        return self.tests[name].tolist()[0]
-
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *(self.tests if len(self.tests) == 1 else [])]
-
-    @property
-    def dv(self) -> Hashable:
-        """Column analysed."""
-        return self.scores.dv
 
     @property
     def conditions(self) -> tuple:
         """Labels of the conditions: the levels of one factor, or the cells of several."""
         return self.scores.conditions
-
-    @property
-    def n(self) -> int:
-        """Subjects analysed."""
-        return len(self.scores.subjects)
-
-    @property
-    def k(self) -> int:
-        """Conditions or cells."""
-        return len(self.scores.conditions)
 
     @property
     def within(self) -> Mapping[Hashable, Sequence]:
@@ -120,31 +88,9 @@ class RepeatedMeasures(Result):
 
     @property
     def message(self) -> str:
-        """The sentences for a paper, and what to know before using them."""
-        return " ".join([self.apa(), *self.notes])
-
-    @cached_property
-    def notes(self) -> tuple[str, ...]:
-        """What a reader should know before using the numbers."""
-        values = self.scores.values
-        if not self.one_way:
-            return tuple(pairs.rating_notes(values, "aligned_ranks()"))
-        notes = []
-        if constant := same_for_all(self.scores):
-            notes.append(
-                f"Every subject has the same score (SD = 0) in {', '.join(map(repr, constant))}: "
-                "a limit of the scale, or a fault of the data? Tests with that condition rest on "
-                "the variance of the other conditions alone."
-            )
-        table = self.pairs()
-        flat = table[table["t"].isna()]
-        if len(flat):
-            a, b = flat[["a", "b"]].iloc[0].tolist()
-            notes.append(
-                f"In {len(flat)} of {len(table)} pairs of conditions every subject has the same "
-                f"difference ({a!r} and {b!r} first): no t-test."
-            )
-        return (*notes, *pairs.rating_notes(values, 'friedman() and pairs(method="wilcoxon")'))
+        """The sentences for a paper, and where scores look like ratings which tests fit them."""
+        ranks = 'friedman() and pairs(method="wilcoxon")' if self.one_way else "aligned_ranks()"
+        return f"{self.apa()} {pairs.rating_note(self.scores.values, ranks)}".strip()
 
     def _refuse_several_factors(self, name: str) -> None:
         if not self.one_way:
@@ -166,7 +112,7 @@ class RepeatedMeasures(Result):
             and eta2_partial_low, eta2_partial_high (90 %) with its degrees of freedom; alpha,
             excluded (how many subjects), origin.
         """
-        return labelled(self.tests.copy(), self.origin)
+        return super().table()
 
     def descriptives(self) -> pd.DataFrame:
         """
@@ -183,7 +129,7 @@ class RepeatedMeasures(Result):
         for name, levels in self.between.items():
             number = number * len(levels) + self.design.groups[name]
         values = self.scores.values
-        tables = [pd.DataFrame(describe(values[number == i])) for i in range(number.max() + 1)]
+        tables = [describe(values[number == i]) for i in range(number.max() + 1)]
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         labels = zip(*product(*self.between.values(), *self.within.values()), strict=True)
         columns = {
@@ -200,6 +146,7 @@ class RepeatedMeasures(Result):
         *,
         method: str = "t",
         error: str = "own",
+        confidence: float = 0.95,
     ) -> pd.DataFrame:
         """
         Return all pairwise comparisons of one factor's levels, a before b.
@@ -219,13 +166,15 @@ class RepeatedMeasures(Result):
             Whether every comparison has the error of its own differences, as `emmeans` on afex's
             multivariate model, or one variance of all cells, as with compound symmetry; degrees of
             freedom are then Satterthwaite's.
+        confidence : float
+            Level of the intervals.
 
         Returns
         -------
         pandas.DataFrame
             Columns level (of `at`, with several factors) a b mean_difference (a − b) ci_low ci_high
-            (95 %, unadjusted) t df p p_bonferroni p_holm d_z (mean over the residual standard
-            deviation of the differences; NaN between groups) d_z_low d_z_high (95 %); of one factor
+            (unadjusted) t df p p_bonferroni p_holm d_z (mean over the residual standard
+            deviation of the differences; NaN between groups) d_z_low d_z_high; of one factor
             also d_av (mean over the mean of both standard deviations). For "wilcoxon", a b V p
             method rank_biserial median_difference p_bonferroni p_holm; p is NaN where no subject's
             scores differ.
@@ -247,7 +196,8 @@ class RepeatedMeasures(Result):
             for name in factors:
                 pairs.levels_of_factor(self.design, name)
             values = pairs.aligned(values, self.design, factors, whole=True)
-        table = pairs.factor_pairs(values, self.design, factor, at, error)
+        level = open_unit("confidence", confidence)
+        table = pairs.factor_pairs(values, self.design, factor, at, error, level)
         if method == "wilcoxon":
             if error != "own":
                 raise ValueError("error has no effect on Wilcoxon's tests; leave it out")
@@ -259,30 +209,6 @@ class RepeatedMeasures(Result):
             table["d_av"] = table["mean_difference"] / np.where(both > 0.0, both, np.nan)
         if self.one_way:
             table = table.drop(columns="level")
-        return labelled(table, self.origin)
-
-    def simple_effects(self, factor: Hashable, at: Hashable) -> pd.DataFrame:
-        """
-        Return the effect of one factor at each level of another, with the error term of that level.
-
-        Parameters
-        ----------
-        factor, at : hashable
-            The factor tested, and the one whose levels are fixed. Other factors are averaged.
-            Groups share one error variance.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns factor, at, level, F, df1, df2, p, epsilon_gg, p_gg, eta2_partial, p_holm (of
-            the corrected p over levels).
-
-        Raises
-        ------
-        ValueError
-            If a factor is unknown or both are the same.
-        """
-        table = pairs.simple_effects(self.scores.values, self.design, factor, at)
         return labelled(table, self.origin)
 
     def aligned_ranks(self, error: str = "own") -> pd.DataFrame:
@@ -341,9 +267,10 @@ class RepeatedMeasures(Result):
             after Holm's adjustment), p_anova (corrected), friedman_chi2, p_friedman, kendall_w,
             mixed_n, mixed_F, p_mixed.
         """
-        normality = self.normality()["p"]
-        ranks = self.friedman().loc[0]
-        mixed = self.mixed_model()
+        from trustlab.studies.mixed import fit_mixed_model
+
+        normality, ranks = self.normality()["p"], self.friedman().loc[0]
+        mixed = fit_mixed_model(self.observed)
         row = {
             "p_shapiro_least": normality.min(),
             "pairs_not_normal": int((pairs.holm(normality.to_numpy()) < self.alpha).sum()),
@@ -356,13 +283,6 @@ class RepeatedMeasures(Result):
             "p_mixed": mixed.p,
         }
         return labelled(pd.DataFrame([row]), self.origin)
-
-    def mixed_model(self) -> Any:
-        """Return the mixed model of all scores of one factor, excluded subjects included."""
-        from trustlab.studies.mixed import fit_mixed_model
-
-        self._refuse_several_factors("mixed_model()")
-        return fit_mixed_model(self.observed)
 
     def apa(self, adjust: str = "holm") -> str:
         """
@@ -378,18 +298,13 @@ class RepeatedMeasures(Result):
 
         return apa_report(self, adjust)
 
-    def plot(self, kind: str = "means", *, interval: str = "between", axes=None):
+    def plot(self, axes=None):
         """
-        Plot the conditions; with several factors, the first along the axis and a line per cell of
-        the others.
+        Plot the means with 95 % intervals between subjects, as in Figs. 2.11–2.17 and 3.18–3.21;
+        with several factors, the first along the axis and a line per cell of the others.
 
         Parameters
         ----------
-        kind : {"means", "raincloud", "paired"}
-            Means with 95 % intervals, as in Figs. 2.11–2.17 and 3.18–3.21; of one factor also
-            distributions, or a line per subject.
-        interval : {"between", "within"}
-            Which interval of the means to draw.
         axes : matplotlib.axes.Axes, optional
             Where to draw; a new figure by default.
 
@@ -397,12 +312,29 @@ class RepeatedMeasures(Result):
         -------
         matplotlib.axes.Axes
         """
-        from trustlab.studies.plots import plot_conditions
+        factor, levels = next(iter(self.within.items()))
+        stats = self.descriptives()
+        lines = [name for name in (*self.between, *self.within) if name != factor]
+        cells: Any = [("", stats)]
+        if lines:
+            cells = stats.groupby(lines, sort=False, observed=True)
+        axes = axes_or_new(axes, figsize=(max(4.2, 1.6 + 0.9 * len(levels)), 3.6))
+        for i, (cell, rows) in enumerate(cells):
+            mean, label = rows["mean"], ", ".join(map(str, cell))
+            reach = [mean - rows["ci_low"], rows["ci_high"] - mean]
+            places = np.arange(len(levels)) + 0.06 * i
+            axes.errorbar(places, mean, reach, fmt="o-" if lines else "o", capsize=5, label=label)
+        if lines:
+            axes.legend(fontsize="small", title=", ".join(map(str, lines)))
+        axes.set_xticks(range(len(levels)), [str(level) for level in levels])
+        origin = f"{self.origin}: " if self.origin else ""
+        title = f"{origin}means, 95 % intervals (N = {self.n})"
+        axes.set(xlabel=str(factor), ylabel=str(self.dv))
+        axes.set_title(title, fontsize="small", wrap=True)
+        return axes
 
-        return plot_conditions(self, kind, interval, axes)
 
-
-def describe(values: np.ndarray, level: float = 0.95) -> dict[str, Any]:
+def describe(values: np.ndarray, level: float = 0.95) -> pd.DataFrame:
     """
     Return n mean sd se median minimum maximum of every condition, and both intervals of the mean.
 
@@ -411,29 +343,17 @@ def describe(values: np.ndarray, level: float = 0.95) -> dict[str, Any]:
     removes.
     """
     n, k = values.shape
-    mean, sd = values.mean(axis=0), values.std(axis=0, ddof=1)
+    names = {"count": "n", "mean": "mean", "std": "sd", "sem": "se", "median": "median"}
+    names |= {"min": "minimum", "max": "maximum"}
+    stats = pd.DataFrame(values).agg([*names]).T.rename(columns=names).astype({"n": int})
     centred = values - values.mean()  # a common offset would cost digits in the subjects' means
     own = centred - centred.mean(axis=1, keepdims=True)
     within_sd = own.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
-    between, within = (t_half_width(spread, n, level) for spread in (sd, within_sd))
-    return {
-        "n": n,
-        "mean": mean,
-        "sd": sd,
-        "se": sd / np.sqrt(n),
-        "median": np.median(values, axis=0),
-        "minimum": values.min(axis=0),
-        "maximum": values.max(axis=0),
-        "ci_low": mean - between,
-        "ci_high": mean + between,
-        "ci_low_within": mean - within,
-        "ci_high_within": mean + within,
-    }
-
-
-def t_half_width(sd: Any, n: int, level: float = 0.95) -> Any:
-    """Return half the width of the interval of a mean of n values, t · sd / √n."""
-    return special.stdtrit(n - 1, 0.5 + 0.5 * level) * sd / np.sqrt(n)
+    width = special.stdtrit(n - 1, 0.5 + 0.5 * level) / np.sqrt(n)
+    for end, sd in {"": stats["sd"], "_within": within_sd}.items():
+        stats[f"ci_low{end}"] = stats["mean"] - width * sd
+        stats[f"ci_high{end}"] = stats["mean"] + width * sd
+    return stats
 
 
 def repeated_measures(
@@ -509,49 +429,33 @@ def repeated_measures(
     observed = read_cells(frame, dv, levels, subject)
     scores, excluded = complete_scores(observed, missing)
     read = {name: read_groups(frame, name, listed, scores) for name, listed in groups.items()}
-    design = Design(
-        len(scores.subjects),
-        levels,
-        {name: group for name, (group, _) in read.items()},
-        {name: codes for name, (_, codes) in read.items()},
-    )
-    _check_groups(design, scores)
-    first = {"dv": scores.dv, "within": scores.within}
-    last = {"alpha": alpha, "excluded": len(excluded), "origin": scores.origin}
-    rows = []
-    for row in table_effects(scores, design).to_dict("records"):
-        effect = {"effect": row.pop("effect"), "n": design.n, "k": len(scores.conditions)}
-        rows.append(first | effect | _decided(row, design, correction, alpha) | last)
-    tests = pd.DataFrame(rows)
-    return RepeatedMeasures(scores, observed, design, tests, excluded, correction, alpha)
-
-
-def _check_groups(design: Design, scores: ScoreTable) -> None:
-    """Refuse groups whose effects are not defined or that leave no degree of freedom."""
+    numbers = {name: codes for name, (_, codes) in read.items()}
+    groups = {name: group for name, (group, _) in read.items()}
+    design = Design(len(scores.subjects), levels, groups, numbers)
     columns = design.matrix.shape[1]
     if np.linalg.matrix_rank(design.matrix) < columns:
         raise ValueError(
-            f"between: some combination of {[*design.between]} has no participant: its effects are "
-            "not defined"
+            f"between: some combination of {[*groups]} has no participant: its effects are not "
+            "defined"
         )
     if design.df_error < 1:
         raise ValueError(
             f"subject: {design.n} participants {[*scores.subjects]} for {columns} parameters leave "
             "nothing to estimate the error from"
         )
-
-
-def table_effects(scores: ScoreTable, design: Design | None = None) -> pd.DataFrame:
-    """
-    Return the effects in complete scores, by default of one factor; an error names the columns.
-    """
-    if design is None:
-        design = Design(len(scores.subjects), {scores.within: scores.conditions})
     try:
-        return effects(scores.values[None], design).loc[0].reset_index()
+        tests = effects(scores.values[None], design).loc[0].reset_index()
     except ValueError as error:
         reason = str(error).removeprefix("study 0: ")
         raise ValueError(f"dv: column {scores.dv!r} by {scores.within!r}: {reason}") from None
+    first = {"dv": scores.dv, "within": scores.within}
+    last = {"alpha": alpha, "excluded": len(excluded), "origin": scores.origin}
+    rows = []
+    for row in tests.to_dict("records"):
+        effect = {"effect": row.pop("effect"), "n": design.n, "k": len(scores.conditions)}
+        rows.append(first | effect | _decided(row, design, correction, alpha) | last)
+    tests = labelled(pd.DataFrame(rows), scores.origin)
+    return RepeatedMeasures(scores, observed, design, tests, excluded, correction)
 
 
 def _decided(row: dict, design: Design, correction: str, alpha: float) -> dict[str, Any]:
@@ -577,29 +481,23 @@ def _decision(row: dict, df_error: int, correction: str, alpha: float) -> dict[s
     needs none.
     """
     d = row["df2"] // df_error
-    why = ""
-    if d == 1:
-        why = "With two conditions sphericity always holds."
-    elif df_error < d:
-        why = f"{df_error + 1} subjects are too few for {d + 1} conditions"
+    undefined = ""
+    if df_error < d:
+        undefined = f"{df_error + 1} subjects are too few for {d + 1} conditions"
     elif np.isnan(row["mauchly_w"]):
-        why = "a condition is a linear combination of others, the covariance singular"
-    if why and d > 1:
-        why = f"Mauchly's test is not defined: {why}."
-    rejected = not row["mauchly_p"] >= alpha  # a p that is not defined rejects
+        undefined = "a condition is a linear combination of others, the covariance singular"
+    why = f"Mauchly's test is not defined: {undefined}." if undefined else ""
     reason = f"Correction “{correction}” applies, whatever Mauchly's test says. {why}".strip()
-    applied = correction
-    if correction == "auto":
-        applied = "greenhouse-geisser" if rejected else "none"
-        reason = f"{why} Sphericity cannot be tested and is not assumed."
-        if not why:
-            verb, sign = ("rejects", "<") if rejected else ("does not reject", "≥")
-            reason = (
-                f"Mauchly's test {verb} sphericity (p = {row['mauchly_p']:.3g} {sign} {alpha:g})."
-            )
     if d == 1:
-        applied, reason = "none", why
-    end = {"none": "", "greenhouse-geisser": "_gg", "huynh-feldt": "_hf"}[applied]
-    corrected = {f"{name}_corrected": row[f"{name}{end}"] for name in ("df1", "df2", "p")}
-    corrected |= {name: float(corrected[name]) for name in corrected}
-    return {"mauchly_reason": why, "correction": applied, "reason": reason} | corrected
+        correction, reason = "none", "With two conditions sphericity always holds."
+        why = reason
+    elif correction == "auto":
+        rejected = not row["mauchly_p"] >= alpha  # a p that is not defined rejects
+        correction = "greenhouse-geisser" if rejected else "none"
+        verb, sign = ("rejects", "<") if rejected else ("does not reject", "≥")
+        p = f"(p = {row['mauchly_p']:.3g} {sign} {alpha:g})"
+        reason = f"{why} Sphericity cannot be tested and is not assumed."
+        reason = reason if why else f"Mauchly's test {verb} sphericity {p}."
+    end = {"none": "", "greenhouse-geisser": "_gg", "huynh-feldt": "_hf"}[correction]
+    corrected = {f"{name}_corrected": float(row[f"{name}{end}"]) for name in ("df1", "df2", "p")}
+    return {"mauchly_reason": why, "correction": correction, "reason": reason} | corrected

@@ -62,21 +62,6 @@ class StudyReport(Result):
         """Return what `result.table()` does, or the table itself."""
         return self.result if isinstance(self.result, pd.DataFrame) else self.result.table()
 
-    def plot(self, axes=None):
-        """
-        Plot the means of a section, as `result.plot()` does.
-
-        Parameters
-        ----------
-        axes : matplotlib.axes.Axes, optional
-            Where to draw; a new figure by default.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-        """
-        return self.result.plot(axes=axes)
-
     def write(self, path: str | os.PathLike, digits: int = 2) -> Path:
         """
         Write text, tables and (in HTML, of an analysis of variance) the figure to a file.
@@ -96,13 +81,12 @@ class StudyReport(Result):
         Raises
         ------
         ValueError
-            If the ending is another one, or a label holds a control character.
+            If the ending is another one.
         """
         path, digits = Path(path), whole_number("digits", digits, least=0, most=12)
         kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
         mark = f" [{self.origin}]" if self.origin else ""
         tables = {title + mark: _printed(table, digits) for title, table in self.tables.items()}
-        _refuse_control_characters(self.message, tables)
         text = _html(self, tables) if kind == ".html" else _latex(self.message, tables)
         path.write_text(text, encoding="utf-8")
         return path
@@ -211,30 +195,27 @@ def _side_by_side(
     results: Mapping[Hashable, Any], thresholds: Mapping[Hashable, Any]
 ) -> StudyReport:
     """Return results of one kind as one table, a row for each: estimates with standard errors."""
-    if not results:
-        raise ValueError("frame is an empty dict: give results by name")
-    if thresholds and set(thresholds) != set(results):
+    if not results or (thresholds and set(thresholds) != set(results)):
         raise ValueError(
-            f"thresholds are of {', '.join(map(str, thresholds))}, but the results of "
-            f"{', '.join(map(str, results))}: give one for each"
+            f"frame is a dict of results, {shown([*results])}, and thresholds must have one for "
+            f"each, got {shown([*thresholds])}"
         )
     whole = pd.concat({name: result.table() for name, result in results.items()}, names=["of"])
     origins = {_origin(result, whole) for result in results.values()} - {""}
     said = {name: _sentences(result) for name, result in results.items()}
     text = " ".join(f"{name}: {sentences}" for name, sentences in said.items() if sentences)
-    title, rows = "Results", whole
+    title, table = "Results", whole
     if {"value", "stderr"} <= set(whole):
         title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
-        rows = pd.DataFrame()
+        rows = []
         for name, result in results.items():
             texts = _printed(_estimates(result), 2).replace({"standard error": {"": "–"}})
             cells = texts["value"] + " ± " + texts["standard error"]
             failed = "" if getattr(result, "success", True) else " (the fit failed)"
             row = {"of": f"{name}{failed}"} | dict(zip(texts["parameter"], cells, strict=True))
-            if thresholds:
-                row |= _chosen(thresholds[name])
-            rows = pd.concat([rows, pd.DataFrame([row])], ignore_index=True)
-    return StudyReport(whole, text, {title: rows.fillna("")}, ", ".join(sorted(origins)))
+            rows.append(row | (_chosen(thresholds[name]) if thresholds else {}))
+        table = pd.DataFrame(rows).fillna("")
+    return StudyReport(whole, text, {title: table}, ", ".join(sorted(origins)))
 
 
 def _estimates(result: Any) -> pd.DataFrame:
@@ -285,18 +266,6 @@ def _printed(table: pd.DataFrame, digits: int) -> pd.DataFrame:
     return texts
 
 
-def _refuse_control_characters(text: str, tables: dict[str, pd.DataFrame]) -> None:
-    """Refuse what neither HTML nor LaTeX can hold, and what no reader could see."""
-    words = "\n".join(
-        [text, *tables, *(table.to_csv(lineterminator="\n") for table in tables.values())]
-    )
-    if control := re.search(r".*[\x00-\x08\x0b-\x1f\x7f-\x9f]", words):
-        raise ValueError(
-            f"{control.group()[-60:]!r} holds a control character, which no document can show; "
-            "rename the level or column in the data"
-        )
-
-
 def _html(study: StudyReport, tables: dict[str, pd.DataFrame]) -> str:
     parts = [f"<p>{html.escape(study.message)}</p>"] if study.message else []
     for number, (title, table) in enumerate(tables.items(), start=1):
@@ -306,7 +275,7 @@ def _html(study: StudyReport, tables: dict[str, pd.DataFrame]) -> str:
         import matplotlib.pyplot as plt
 
         drawing = io.StringIO()
-        axes = study.plot()
+        axes = study.result.plot()
         axes.figure.savefig(drawing, format="svg")
         plt.close(axes.figure)
         parts.append(drawing.getvalue()[drawing.getvalue().index("<svg") :])

@@ -4,13 +4,14 @@ import decimal
 import numbers
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
-from typing import Any
+from itertools import compress, product
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import counted, did_you_mean, of_class, one_of, shown
+from trustlab.models.display import Result
 
 # Cells or subjects that an error lists before it counts the rest.
 _SHOWN = 5
@@ -26,10 +27,6 @@ def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = 
             f"{argument} must be the name of one column, got {name!r}; one factor at a time"
         )
     if name not in frame.columns:
-        if name is not None and name in frame.index.names:
-            raise ValueError(
-                f"{argument}: {name!r} is in the index, not a column; give frame.reset_index()"
-            )
         there = ", ".join(map(str, frame.columns))
         hint = did_you_mean(name, frame.columns)
         raise ValueError(f"{argument}: no column {name!r}{hint or remedy} (there are {there})")
@@ -112,6 +109,11 @@ def origin_of(frame: pd.DataFrame) -> str:
     return "synthetic data" if marked.all() else "partly synthetic data"
 
 
+def mark(origin: str) -> str:
+    """Return what sentences about data begin with: their origin, where they were not measured."""
+    return f"[{origin}] " if origin else ""
+
+
 def labelled(frame: pd.DataFrame, origin: str, **more: object) -> pd.DataFrame:
     """
     Record the origin of data that were not measured, and further facts, in a table's attrs.
@@ -120,25 +122,25 @@ def labelled(frame: pd.DataFrame, origin: str, **more: object) -> pd.DataFrame:
     return frame
 
 
-def levels_of(series: pd.Series, argument: str, order: Any = None) -> list:
+def levels_of(series: pd.Series, argument: str, order: Any = None) -> tuple:
     """
     Return each label of a column once, in the given order, else that of its categories, else
     sorted.
     """
     refuse_missing_labels(series, argument)
-    labels = list(dict.fromkeys(series.tolist()))
+    labels = tuple(dict.fromkeys(series.tolist()))
     if order is not None:
         listed = list(order) if isinstance(order, Iterable) and not isinstance(order, str) else []
         if len(listed) != len(labels) or any(label not in listed for label in labels):
             raise ValueError(
-                f"order must list every condition in column {series.name!r} once, {labels}, got "
+                f"order must list every condition in column {series.name!r} once, {[*labels]}, got "
                 f"{order!r}; leave conditions out by selecting rows"
             )
-        return sorted(labels, key=listed.index)
+        return tuple(sorted(labels, key=listed.index))
     if isinstance(series.dtype, pd.CategoricalDtype):
-        return series.cat.remove_unused_categories().cat.categories.tolist()
+        return tuple(series.cat.remove_unused_categories().cat.categories.tolist())
     try:
-        return sorted(labels)
+        return tuple(sorted(labels))
     except TypeError:
         if argument == "subject":
             return labels
@@ -146,6 +148,43 @@ def levels_of(series: pd.Series, argument: str, order: Any = None) -> list:
             f"{argument}: column {series.name!r} mixes types of labels, without a common order; "
             "make them one type, or give order=[…]"
         ) from None
+
+
+class Tested(Result):
+    """
+    A result whose `tests` are a row for each effect; columns in which all rows agree are attributes
+    too. Where it is displayed it says what `apa` says.
+    """
+
+    if TYPE_CHECKING:
+        tests: pd.DataFrame
+
+        def apa(self) -> str:
+            """Return the sentences for a paper."""
+
+    def __getattr__(self, name: str) -> Any:
+        # Python calls this only for names that are no field or method.
+        if name.startswith("_") or name == "tests" or name not in self.tests:
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        values = self.tests[name].drop_duplicates().tolist()
+        if len(values) > 1:
+            raise AttributeError(
+                f"there are {len(self.tests)} effects, each with its {name!r}: table() has a row "
+                "per effect"
+            )
+        return values[0]
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.tests]
+
+    def table(self) -> pd.DataFrame:
+        """Return the tests, a row for each effect; nothing is rounded."""
+        return self.tests.copy()
+
+    @property
+    def message(self) -> str:
+        """The sentences for a paper."""
+        return self.apa()
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +225,6 @@ def read_scores(
     By default a categorical column keeps the order of its categories (those that occur); any other
     is sorted. `within` is a column, `order` its levels.
     """
-    order = None if order is None else {within: order}
     return read_cells(
         frame, dv, read_factors(frame, dv, [within], subject, order=order)[0], subject
     )
@@ -213,62 +251,52 @@ def read_factors(
     """
     of_class("frame", frame, pd.DataFrame, "with a row per subject and condition")
     within, between = names_of(within), names_of(between)
-    if not within + between:
+    factors = within + between
+    if not factors:
         raise ValueError("within and between name no factor")
     start = "frame"
     if isinstance(subject, Hashable) and subject not in frame.columns:
         start = f"frame.rename_axis({subject!r}).reset_index()"
     remedy = (
         "; a table with a column per condition becomes long by "
-        f"{start}.melt(id_vars={subject!r}, var_name={(within + between)[0]!r}, value_name={dv!r})"
+        f"{start}.melt(id_vars={subject!r}, var_name={factors[0]!r}, value_name={dv!r})"
     )
-    column_of(frame, "dv", dv, remedy)
-    inside = {name: column_of(frame, "within", name, remedy) for name in within}
-    groups = {name: column_of(frame, "between", name) for name in between}
-    people = column_of(frame, "subject", subject)
-    columns = [dv, subject, *within, *between]
+    for argument, names in {"dv": [dv], "within": within}.items():
+        for name in names:
+            column_of(frame, argument, name, remedy)
+    for argument, names in {"between": between, "subject": [subject]}.items():
+        for name in names:
+            column_of(frame, argument, name)
+    columns = [dv, subject, *factors]
     for name in columns:
         if columns.count(name) > 1:
             raise ValueError(f"every column has one part in a design, but {name!r} is named twice")
     if len(frame) == 0:
         raise ValueError("frame has no rows")
+    people = frame[subject]
     refuse_missing_labels(people, "subject")
-    orders = _orders(order, within, between)
-    levels_within, levels_between = (
-        {name: _levels(column, argument, orders.get(name)) for name, column in part.items()}
-        for argument, part in (("within", inside), ("between", groups))
-    )
-    for name, column in inside.items():
-        if column.groupby(people).nunique().max() == 1:
+    if order is not None and not isinstance(order, dict) and len(within or between) == 1:
+        order = {factors[0]: order}
+    order = of_class("order", {} if order is None else order, dict, "give each factor's levels")
+    if unknown := [name for name in order if name not in factors]:
+        raise ValueError(f"order: {unknown[0]!r} is not a factor of this design: {factors}")
+    levels = {}
+    for name in factors:
+        argument = "within" if name in within else "between"
+        levels[name] = levels_of(frame[name], argument, order.get(name))
+        if len(levels[name]) < 2:
+            raise ValueError(
+                f"{argument}: column {name!r} has one condition only, {levels[name][0]!r}; two are "
+                "needed"
+            )
+    for name in within:
+        if frame[name].groupby(people).nunique().max() == 1:
             raise ValueError(
                 f"within: column {name!r} has one label for every person; give between={name!r}"
             )
-    for column in groups.values():
-        refuse_two_labels("between", column, people)
-    return levels_within, levels_between
-
-
-def _orders(order: Any, within: list, between: list) -> dict:
-    """Return the orders of levels by factor; a list is that of the only factor, within first."""
-    if order is not None and not isinstance(order, dict) and len(within or between) == 1:
-        order = {(within or between)[0]: order}
-    order = of_class("order", {} if order is None else order, dict, "give each factor's levels")
-    if unknown := [name for name in order if name not in (*within, *between)]:
-        raise ValueError(
-            f"order: {unknown[0]!r} is not a factor of this design: {[*within, *between]}"
-        )
-    return order
-
-
-def _levels(column: pd.Series, argument: str, order: Any) -> tuple:
-    """Return the levels of a factor, two or more."""
-    levels = tuple(levels_of(column, argument, order))
-    if len(levels) < 2:
-        raise ValueError(
-            f"{argument}: column {column.name!r} has one condition only, {levels[0]!r}; two are "
-            "needed"
-        )
-    return levels
+    for name in between:
+        refuse_two_labels("between", frame[name], people)
+    return {name: levels[name] for name in within}, {name: levels[name] for name in between}
 
 
 def refuse_two_labels(argument: str, column: pd.Series, people: pd.Series) -> None:
@@ -286,47 +314,40 @@ def read_cells(
 ) -> ScoreTable:
     """Return the scores in all cells of the factors; the last varies fastest."""
     subjects = levels_of(frame[subject], "subject")
-    cells = list(product(*levels.values()))
-    conditions = [cell if len(levels) > 1 else cell[0] for cell in cells]
-    k = len(cells)
-    place_of = {label: k * i for i, label in enumerate(subjects)}
+    cells = tuple(product(*levels.values()))
+    conditions = cells if len(levels) > 1 else tuple(cell[0] for cell in cells)
+    place_of = {label: i for i, label in enumerate(subjects)}
     cell_of = {cell: j for j, cell in enumerate(cells)}
-    rows = zip(*(frame[name].tolist() for name in levels), strict=True)
-    places = np.array([place_of[label] for label in frame[subject].tolist()]) + np.array(
-        [cell_of[row] for row in rows]
+    values = np.full((len(subjects), len(cells)), np.nan)
+    filled: set[tuple[int, int]] = set()
+    repeated = []
+    labels = zip(*(frame[name].tolist() for name in levels), strict=True)
+    rows = zip(
+        frame[subject].tolist(), labels, frame[dv].tolist(), frame.index.tolist(), strict=True
     )
-
-    def cell_name(place: int) -> str:
-        return f"subject {subjects[place // k]!r}, condition {conditions[place % k]!r}"
-
-    counts = np.bincount(places, minlength=len(subjects) * k)
-    values = np.full(counts.size, np.nan)
-    for place, value, row in zip(places, frame[dv].tolist(), frame.index.tolist(), strict=True):
+    for person, cell, value, row in rows:
+        place = place_of[person], cell_of[cell]
+        name = f"subject {person!r}, condition {conditions[place[1]]!r}"
         try:
             values[place] = number_or_nan(value)
         except TypeError:
             values[place] = np.inf
         if np.isinf(values[place]):
             raise ValueError(
-                f"dv: column {dv!r} holds {shown(value)} for {cell_name(place)} (row {row!r}); "
-                "scores must be numbers that are finite (pandas.to_numeric converts text)"
+                f"dv: column {dv!r} holds {shown(value)} for {name} (row {row!r}); scores must be "
+                "numbers that are finite (pandas.to_numeric converts text)"
             )
-    if (counts > 1).any():
-        repeated = [cell_name(place) for place in np.flatnonzero(counts > 1).tolist()]
+        if place in filled:
+            repeated.append(name)
+        filled.add(place)
+    if repeated:
         mean = f"frame.groupby({[subject, *levels]}, as_index=False)[{dv!r}].mean()"
         raise ValueError(
-            f"{counted(len(repeated), 'cell')} with more than one row: {_listed(repeated)}; "
-            f"average the trials of a cell first: {mean}"
+            f"cells with more than one row: {_listed([*dict.fromkeys(repeated)])}; average the "
+            f"trials of a cell first: {mean}"
         )
-    return ScoreTable(
-        values=values.reshape(len(subjects), k),
-        subjects=tuple(subjects),
-        conditions=tuple(conditions),
-        dv=dv,
-        within=next(iter(levels)) if len(levels) == 1 else " × ".join(map(str, levels)),
-        subject=subject,
-        origin=origin_of(frame),
-    )
+    name = next(iter(levels)) if len(levels) == 1 else " × ".join(map(str, levels))
+    return ScoreTable(values, subjects, conditions, dv, name, subject, origin_of(frame))
 
 
 def _listed(texts: list[str]) -> str:
@@ -349,9 +370,9 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
     absent = np.isnan(table.values)
     gaps = []
     for subject, cells in zip(table.subjects, absent, strict=True):
-        names = [repr(name) for name, gap in zip(table.conditions, cells, strict=True) if gap]
+        names = ", ".join(map(repr, compress(table.conditions, cells)))
         if names:
-            where = f"in condition {', '.join(names)}" if not cells.all() else "at all"
+            where = "at all" if cells.all() else f"in condition {names}"
             gaps.append(f"subject {subject!r} has no score {where}")
     if gaps and missing == "raise":
         raise ValueError(
@@ -366,11 +387,8 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
             f"subject: {counted(complete.sum(), 'complete subject')} in column "
             f"{table.subject!r}{left_out}; at least three are needed"
         )
-    subjects = [
-        tuple(s for s, whole in zip(table.subjects, complete, strict=True) if whole == side)
-        for side in (True, False)
-    ]
-    return replace(table, values=table.values[complete], subjects=subjects[0]), subjects[1]
+    kept, excluded = (tuple(compress(table.subjects, side)) for side in (complete, ~complete))
+    return replace(table, values=table.values[complete], subjects=kept), excluded
 
 
 def read_groups(
@@ -383,15 +401,10 @@ def read_groups(
     group_of = dict(zip(frame[scores.subject].tolist(), frame[name].tolist(), strict=True))
     members = [group_of[subject] for subject in scores.subjects]
     levels = tuple(level for level in listed if level in members)
-    if len(levels) < 2:
+    counts = {level: members.count(level) for level in levels}
+    if len(levels) < 2 or min(counts.values()) < 2:
         raise ValueError(
-            f"between: column {name!r} has one group only among the complete participants, "
-            f"{levels[0]!r}"
+            f"between: column {name!r} needs two groups or more, with two complete participants "
+            f"in each; it has {counts}"
         )
-    for level in levels:
-        if members.count(level) < 2:
-            raise ValueError(
-                f"between: group {level!r} of {name!r} has one participant, "
-                f"{scores.subjects[members.index(level)]!r}; two are needed"
-            )
     return levels, np.array([levels.index(group) for group in members])

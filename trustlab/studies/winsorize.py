@@ -82,35 +82,16 @@ def _limits(x: np.ndarray, outside: str, k: float) -> np.ndarray:
         return np.sort(x)[[int(k), -1 - int(k)]]
     if outside == "quantile":
         return np.quantile(x, [k, 1.0 - k])
+    centre, spread = x.mean(), x.std(ddof=1)
     if outside == "iqr":
         centre = np.quantile(x, [0.25, 0.75])
         spread = np.ptp(centre)
     elif outside == "mad":
         centre = np.median(x)
         spread = _MAD_TO_SD * np.median(np.abs(x - centre))
-    else:
-        centre, spread = x.mean(), x.std(ddof=1)
     if spread == 0.0 and np.ptp(x) > 0.0:
         spread = np.nan
     return centre + k * spread * np.array([-1.0, 1.0])
-
-
-def _winsorized(
-    x: np.ndarray, outside: str, k: float, to: str, where: str
-) -> tuple[np.ndarray, float, float]:
-    """Return the values with outlying ones replaced, and both limits."""
-    if x.size < 3 or (outside == "extremes" and 2 * k >= x.size):
-        raise ValueError(f"{where}: {x.size} values are too few for this rule")
-    with np.errstate(over="ignore", invalid="ignore"):
-        low, high = _limits(x, outside, k).tolist()
-    inside = x[(x >= low) & (x <= high)]
-    if not inside.size or not np.isfinite(high - low):
-        raise ValueError(
-            f"{where}: by this rule no value lies inside {low:g} to {high:g}; so many values are "
-            "equal that their spread is 0, or k or the unit does not fit"
-        )
-    ends = (low, high) if to == "limit" else (inside.min(), inside.max())
-    return np.clip(x, *ends), low, high
 
 
 def winsorize(
@@ -187,7 +168,19 @@ def winsorize(
     for condition in chosen:
         rows = np.flatnonzero([label == condition for label in labels] & np.isfinite(scores))
         old = scores[rows]
-        new, low, high = _winsorized(old, outside, k, to, f"dv, condition {condition!r}")
+        if old.size < 3 or (outside == "extremes" and 2 * k >= old.size):
+            raise ValueError(
+                f"dv, condition {condition!r}: {old.size} values are too few for this rule"
+            )
+        low, high = _limits(old, outside, k).tolist()
+        inside = old[(old >= low) & (old <= high)]
+        if not inside.size or not np.isfinite(high - low):
+            raise ValueError(
+                f"dv, condition {condition!r}: by this rule no value lies inside {low:g} to "
+                f"{high:g}; so many values are equal that their spread is 0, or k or the unit does "
+                "not fit"
+            )
+        new = np.clip(old, *((low, high) if to == "limit" else (inside.min(), inside.max())))
         moved = np.flatnonzero(new != old)
         changes += [(subjects[rows[i]], condition, old[i], new[i]) for i in moved]
         limits.append((condition, old.size, low, high, moved.size))

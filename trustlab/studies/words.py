@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import counted, of_class, one_of, whole_number
-from trustlab.studies.table import ScoreTable, same_for_all
+from trustlab.models.checks import counted, one_of
+from trustlab.studies.table import mark, same_for_all
 
 # Column of p-values and its name in the sentence.
 _ADJUSTMENTS = {
@@ -105,8 +105,6 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
         or else of the interval's half width or the standard deviation; other columns as many as
         show two digits of a typical number.
     """
-    of_class("frame", frame, pd.DataFrame)
-    digits = whole_number("digits", digits, least=0, most=12)
     labels = {"a", "b", "level", "condition", *frame.attrs.get("labels", ())}
     table = frame.copy()
     for name in frame.select_dtypes("float").columns:
@@ -183,7 +181,7 @@ def apa_report(result: Any, adjust: str = "holm") -> str:
     """Return the sentences of an analysis of variance."""
     one_of("adjust", adjust, _ADJUSTMENTS)
     body = _one_way(result, adjust) if result.one_way else _factorial(result)
-    return _origin(result.scores) + body + _left_out(result, "cells")
+    return mark(result.origin) + body + _left_out(result, "cells")
 
 
 def _factorial(result: Any) -> str:
@@ -275,10 +273,6 @@ def _left_out(result: Any, missing: str) -> str:
     return f" {people} with missing {missing} {verb} left out ({listed(result.excluded)})."
 
 
-def _origin(scores: ScoreTable) -> str:
-    return f"[{scores.origin}] " if scores.origin else ""
-
-
 def apa_pair(result: Any) -> str:
     """Return a paired t-test as a sentence."""
     stats = result.descriptives()
@@ -288,8 +282,8 @@ def apa_pair(result: Any) -> str:
     difference = interval(result.ci_low, result.ci_high, digits, level=100 * result.confidence)
     d_z = interval(result.d_z_low, result.d_z_high, level=100 * result.confidence)
     return (
-        f"{_origin(result.scores)}{result.scores.dv} {verb} between {a} and {b}, t({result.df}) "
-        f"= {apa_number(result.t)}, {apa_p(result.p)}, mean difference "
+        f"{mark(result.scores.origin)}{result.scores.dv} {verb} between {a} and {b}, "
+        f"t({result.df}) = {apa_number(result.t)}, {apa_p(result.p)}, mean difference "
         f"{apa_number(result.mean_difference, digits)}, {difference}, d_z = "
         f"{apa_number(result.d_z)}, {d_z}.{_left_out(result, 'scores')}"
     )

@@ -11,7 +11,7 @@ from scipy import stats
 
 import trustlab as tl
 from tests.studies.planning.settings import settled
-from tests.studies.scores import COLUMNS, drawn, long
+from tests.studies.scores import drawn
 from trustlab.studies import graded_covariance
 
 mpl.use("Agg")
@@ -57,26 +57,6 @@ def test_closed_form_is_the_noncentral_f_written_out():
     spread = ((wide.mean(axis=0) - wide.mean()) ** 2).sum() * 2
     exact = stats.ncf.sf(stats.f.isf(0.05, 2, 46), 2, 46, 24 * spread / (1.0 - 0.5))
     assert closed["difficulty"] == pytest.approx(exact, abs=1e-10)
-
-
-@pytest.mark.parametrize("studies", [100, pytest.param(300, marks=pytest.mark.long)])
-def test_a_plain_loop_finds_the_same_share(studies):
-    """A mixed design without sphericity: studies drawn and analysed one by one."""
-    covariance = graded_covariance(3, 0.3, 0.7)
-    means = pd.Series({(g, c): 0.45 * (c == "c") * (g == "h") for g in "gh" for c in "abc"})
-    table = settled(
-        tl.power_analysis, means, covariance, within="c", between="g", n=12, replicates=4000
-    ).table()
-    power = table.set_index(["effect", "test"]).loc[("g × c", "greenhouse-geisser"), "power"]
-    rng, found = np.random.default_rng(5), 0
-    groups = np.repeat(["g", "h"], 36)
-    for _ in range(studies):
-        scores = rng.multivariate_normal(np.zeros(3), covariance, 24)
-        scores[12:, 2] += 0.45
-        result = tl.repeated_measures(long(scores).assign(g=groups), **COLUMNS, between="g")
-        row = result.table().set_index("effect").loc["g × mode"]
-        found += row["p_corrected"] < 0.05
-    assert within_simulation_error(found / studies, power, studies)
 
 
 def test_a_pilot_study_is_the_population():

@@ -12,7 +12,7 @@ from scipy import stats
 import trustlab as tl
 from tests.studies.planning.settings import settled
 from tests.studies.scores import COLUMNS, drawn, long
-from trustlab.studies import clopper_pearson, graded_covariance, noncentral_f_power, noncentrality
+from trustlab.studies import graded_covariance
 from trustlab.studies.planning.conditions import Conditions
 from trustlab.studies.planning.power import TESTS
 
@@ -22,22 +22,9 @@ MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
 # --- closed forms ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("n", "k", "alpha"), [(3, 5, 0.05), (12, 2, 0.005), (36, 3, 0.01)])
-@pytest.mark.parametrize("strength", [0.0, 2.0, 15.0])
-def test_noncentral_f_is_scipys(n, k, alpha, strength):
+def noncentral_f(n, k, strength, alpha=0.05):
     df1, df2 = k - 1, (k - 1) * (n - 1)
-    critical = stats.f.isf(alpha, df1, df2)
-    oracle = stats.ncf.sf(critical, df1, df2, strength) if strength else alpha
-    assert noncentral_f_power(n, k, strength, alpha) == pytest.approx(oracle, abs=1e-10)
-
-
-@given(st.integers(1, 300), st.data(), st.floats(0.5, 0.999))
-@settings(max_examples=60, deadline=None, derandomize=True)
-def test_clopper_pearson_is_scipys_exact_interval(total, data, level):
-    count = data.draw(st.integers(0, total))
-    oracle = stats.binomtest(count, total).proportion_ci(level, method="exact")
-    low, high = clopper_pearson(np.array([count]), total, level)
-    np.testing.assert_allclose([low[0], high[0]], [oracle.low, oracle.high], rtol=1e-9, atol=1e-12)
+    return stats.ncf.sf(stats.f.isf(alpha, df1, df2), df1, df2, strength)
 
 
 # --- covariances ----------------------------------------------------------------------------------
@@ -94,23 +81,13 @@ def deviations(rows, closed):
 
 def test_twenty_cases_agree_with_the_noncentral_f(grid):
     rows = grid.table().query("test == 'none'")
-    z = deviations(rows, rows["closed_form"])
+    oracle = noncentral_f(36, 5, 36 * 4 / (1.0 / rows["effect_size"] - 1.0))
+    np.testing.assert_allclose(rows["closed_form"], oracle, atol=1e-10)
+    z = deviations(rows, oracle)
     assert len(z) == 20
     assert z.abs().max() < 4.0
     assert (z**2).sum() < stats.chi2.isf(1e-3, 20)
     assert rows["power"].between(rows["ci_low"], rows["ci_high"]).all()
-
-
-def test_pairs_agree_with_the_noncentral_t(grid):
-    powers = dict([*grid.pairs().groupby("adjust")])
-    for name in ("none", "bonferroni"):
-        some = powers[name][powers[name]["closed_form"].between(0.002, 0.998)]
-        assert len(some) > 100
-        assert deviations(some, some["closed_form"]).abs().max() < 4.5
-    bonferroni, holm, raw = (
-        powers[name]["power"].to_numpy() for name in ("bonferroni", "holm", "none")
-    )
-    assert ((bonferroni <= holm) & (holm <= raw)).all()
 
 
 @pytest.mark.parametrize(("n", "k"), [(12, 4), (3, 5)])
@@ -122,19 +99,16 @@ def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
     )
     rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(n,)))
     scores = rng.standard_normal((replicates, n, k)) @ np.linalg.cholesky(matrix).T + mean
-    hits, pairs, together = 0, 0, 0
+    hits, together = 0, 0
     for study in scores:
         result = tl.repeated_measures(long(study, range(1, k + 1)), **COLUMNS, correction="auto")
         p = [result.p, result.p_gg, result.p_hf, result.p_corrected]
         hits = hits + (pd.Series(p, TESTS) < 0.05)
         table = result.pairs().set_index(["a", "b"])
-        pairs = pairs + (table["p_holm"] < 0.05)
         right = (table["p_holm"] < 0.05) & (table["mean_difference"] < 0)  # means rise
         together += bool(right[(1, k)] and right[(2, k)] and result.p_gg < 0.05)
     rows = found.table().set_index("test")["power"] * replicates
     assert rows.round().to_dict() == hits.to_dict()
-    holm = found.pairs().query("adjust == 'holm'").set_index(["a", "b"])["power"] * replicates
-    assert holm.round().to_dict() == pairs.to_dict()
     claimed = found.claims().set_index("adjust").loc["holm"]
     assert round(claimed["power"] * replicates) == together
     assert claimed["expected_found"] <= claimed["claims"] == 2
@@ -159,11 +133,11 @@ def test_a_grid_has_a_row_per_cell_and_test_and_draws_itself():
     [
         (
             {"effect_size": 0.1, "test": "none", "replicates": 4000},
-            lambda n: noncentral_f_power(n, 5, noncentrality(0.1, n, 5)),
+            lambda n: noncentral_f(n, 5, n * 4 / 9),
         ),
         (
             {"pair": (5, 1), "test": "bonferroni", "replicates": 2000},
-            lambda n: noncentral_f_power(n, 2, n * 0.5**2, 0.005),
+            lambda n: noncentral_f(n, 2, n * 0.5**2, 0.005),
         ),
     ],
 )
@@ -181,45 +155,25 @@ def test_the_smallest_n_is_that_of_the_closed_form(chosen, closed):
     assert "simulated" in found._repr_html_()
 
 
-# --- where studies are simulated ------------------------------------------------------------------
-
-
-def test_results_do_not_depend_on_where_studies_are_simulated():
-    """In this process, or in two workers."""
-    grid = {"n": [5, 9], "effect_size": [0.1, 0.3], "replicates": 200, "claims": [(1, 5)]}
-    search = {"effect_size": 0.2, "replicates": 300}
-    population = (MEANS, graded_covariance(5, 0.5, 0.4))
-    tables = []
-    for n_jobs in (1, 2):
-        power = settled(tl.power_analysis, *population, **grid, seed=3, n_jobs=n_jobs)
-        plan = settled(tl.smallest_n, 0.9, *population, **search, seed=9, n_jobs=n_jobs)
-        tables.append([power.table(), power.pairs(), power.claims(), plan.evaluations])
-    for here, there in zip(*tables, strict=True):
-        pd.testing.assert_frame_equal(here, there, check_exact=True)
-
-
 # --- refusals -------------------------------------------------------------------------------------
 
 POPULATION = {"mean": [0.0, 0.5, 1.0], "covariance": graded_covariance(3), "replicates": 100}
 
 
 @pytest.mark.parametrize(
-    ("function", "arguments", "message"),
+    ("arguments", "message"),
     [
-        (tl.power_analysis, {"n": 2}, "n = 2 is too small for the design: repeated measures"),
-        (tl.power_analysis, {"covariance": np.eye(3) + np.eye(3, k=1)}, r"symmetric, but \[0, 1\]"),
-        (tl.power_analysis, {"claims": [(1, 2), (2, 1)]}, "claimed twice"),
-        (tl.power_analysis, {"claims": [(1, 1)]}, "a comparison is a pair of two conditions"),
-        (tl.power_analysis, {"correlation": 1.0}, "correlation must lie between"),
-        (tl.power_analysis, {"mean": None}, "power needs mean= and covariance="),
-        (tl.power_analysis, {"data": pd.DataFrame()}, "give either data= or covariance="),
-        (tl.smallest_n, {"pair": (1, 2), "test": "holmes"}, "did you mean 'holm'"),
-        (tl.smallest_n, {"covariance": np.ones((3, 3))}, "not positive definite"),
+        ({"covariance": np.eye(3) + np.eye(3, k=1)}, r"symmetric, but \[0, 1\]"),
+        ({"covariance": np.ones((3, 3))}, "not positive definite"),
+        ({"claims": [(1, 2), (2, 1)]}, "claimed twice"),
+        ({"claims": [(1, 1)]}, r"claims must be pairs \(a, b\) of \[1, 2, 3\]"),
+        ({"correlation": 1.0}, "correlation must lie between"),
+        ({"data": pd.DataFrame()}, "give either data= or covariance="),
     ],
 )
-def test_what_cannot_be_simulated_is_refused(function, arguments, message):
+def test_what_cannot_be_simulated_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
-        settled(function, **POPULATION | arguments)
+        settled(tl.power_analysis, **POPULATION | arguments)
 
 
 def pilot():

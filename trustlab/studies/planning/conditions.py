@@ -1,7 +1,4 @@
-"""
-The population that studies are drawn from, how they are simulated, and power in closed form:
-noncentral F where sphericity holds, Box's approximation elsewhere.
-"""
+"""The population that studies are drawn from, and how they are simulated."""
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,10 +12,8 @@ from scipy import special
 from scipy.optimize import brentq
 
 from trustlab.models.checks import (
-    counted,
-    finite_array,
     finite_number,
-    not_negative,
+    finite_numbers,
     open_unit,
     positive,
     warn,
@@ -201,7 +196,7 @@ class Conditions:
         If sizes differ, labels repeat, or the covariance is not positive definite.
     """
 
-    labels: tuple[Hashable, ...]
+    labels: Sequence[Hashable]
     mean: np.ndarray
     covariance: np.ndarray
     origin: str = ""
@@ -209,17 +204,13 @@ class Conditions:
     between: Mapping[str, Sequence] = field(default_factory=dict)
 
     def __post_init__(self):
-        mean = self.mean if self.between else finite_array("mean", self.mean)
-        k = mean.shape[-1]
-        if k < 2:
-            raise ValueError(f"mean must have at least two conditions, got {k}")
-        matrix = checked_covariance("covariance", self.covariance, k)
-        labels = labels_of("labels", self.labels, k)
-        if len(labels) != k:
-            raise ValueError(f"labels must name {k} conditions, each once, got {labels!r:.200}")
-        for name, value in (("labels", labels), ("mean", mean), ("covariance", matrix)):
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "within", self.within or {"condition": labels})
+        labels = labels_of("labels", self.labels, 2)
+        mean = finite_numbers("mean", self.mean)
+        if mean.shape[-1:] != (len(labels),):
+            raise ValueError(f"mean must have {len(labels)} conditions, got shape {mean.shape}")
+        covariance = checked_covariance("covariance", self.covariance, len(labels))
+        within = self.within or {"condition": labels}
+        self.__dict__.update(labels=labels, mean=mean, covariance=covariance, within=within)
 
     @property
     def simulated_origin(self) -> str:
@@ -245,9 +236,8 @@ class Conditions:
     @property
     def correlation(self) -> float:
         """Mean covariance between conditions over their mean variance."""
-        k = len(self.labels)
         trace = np.trace(self.covariance)
-        return float((self.covariance.sum() - trace) / (trace * (k - 1)))
+        return float((self.covariance.sum() / trace - 1.0) / (len(self.labels) - 1))
 
     @property
     def eta2_partial(self) -> float:
@@ -296,32 +286,37 @@ class Conditions:
         eta2 = finite_number("effect_size", eta2_partial)
         if not 0.0 <= eta2 < 1.0:
             raise ValueError(f"effect_size is a population partial η², in [0, 1), got {eta2}")
-        apart = self.mean - self.mean.mean()
-        now = np.sqrt((apart**2).sum())
-        if eta2 > 0.0 and now <= 1e-12 * max(np.abs(self.mean).max(), 1e-300):
+        if eta2 > 0.0 and np.ptp(self.mean) <= 1e-12 * np.abs(self.mean).max():
             raise ValueError(
                 "effect_size scales differences between means, but all means are the same"
             )
-        target = np.sqrt(eta2 / (1.0 - eta2) * np.trace(self.contrasts))
-        return replace(self, mean=self.mean.mean() + apart * (target / now if eta2 > 0.0 else 0.0))
+        apart = self.mean - self.mean.mean()
+        target = eta2 / (1.0 - eta2) * np.trace(self.contrasts)
+        scale = np.sqrt(target / (apart**2).sum()) if eta2 > 0.0 else 0.0
+        return replace(self, mean=self.mean.mean() + apart * scale)
 
-    def with_structure(self, correlation: float | None, epsilon: float | None) -> "Conditions":
+    def varied(
+        self, effect_size: float | None, correlation: float | None, epsilon: float | None
+    ) -> "Conditions":
         """
-        Return the population with `graded_covariance` of the same mean variance; what is None stays
-        as it is.
+        Return the population with `graded_covariance` of the same mean variance and with a given
+        partial η²; what is None stays as it is.
 
         Parameters
         ----------
+        effect_size : float or None
+            As for `with_effect`.
         correlation, epsilon : float or None
             As for `graded_covariance`.
         """
-        if correlation is None and epsilon is None:
-            return self
-        k = len(self.labels)
-        rho = self.correlation if correlation is None else correlation
-        eps = self.epsilon if epsilon is None else epsilon
-        sd = float(np.sqrt(np.trace(self.covariance) / k))
-        return replace(self, covariance=graded_covariance(k, rho, eps, sd))
+        people = self
+        if correlation is not None or epsilon is not None:
+            k = len(self.labels)
+            rho = self.correlation if correlation is None else correlation
+            eps = self.epsilon if epsilon is None else epsilon
+            sd = float(np.sqrt(np.trace(self.covariance) / k))
+            people = replace(self, covariance=graded_covariance(k, rho, eps, sd))
+        return people if effect_size is None else people.with_effect(effect_size)
 
 
 def conditions_from(mean: Any, covariance: Any, data: Any, columns: StudyColumns) -> Conditions:
@@ -333,164 +328,76 @@ def conditions_from(mean: Any, covariance: Any, data: Any, columns: StudyColumns
     sample means and covariance are taken for the population's; means given beside data replace
     those of the conditions that they name, and leave the others out.
     """
+    origin = ""
     mean = pd.Series(mean) if isinstance(mean, dict) else mean
     if data is not None:
         if covariance is not None:
             raise ValueError("give either data= or covariance=, not both")
-        return _conditions_of_data(data, mean, columns)
+        mean, covariance, origin = _moments_of_data(data, mean, columns)
     if mean is None or covariance is None:
         raise ValueError(
             "power needs mean= and covariance= of the conditions, or data= to take both from"
         )
     if columns.several:
-        return _conditions_of_cells(pd.Series(mean, dtype=float), covariance, columns)
-    names = list(mean.index) if isinstance(mean, pd.Series) else None
+        return _conditions_of_cells(pd.Series(mean, dtype=float), covariance, columns, origin)
+    labels = [*mean.index] if isinstance(mean, pd.Series) else None
     if isinstance(covariance, pd.DataFrame):
-        if list(covariance.index) != list(covariance.columns):
+        labels = labels or [*covariance.index]
+        if not labels == [*covariance.index] == [*covariance.columns]:
             raise ValueError(
-                "covariance must have the same conditions in rows and columns, in the same order"
+                f"covariance must have the conditions {labels} in rows and columns, in this order"
             )
-        if names is not None and list(covariance.columns) != names:
-            raise ValueError(
-                f"mean has conditions {names}, but covariance {list(covariance.columns)}"
-            )
-        names, covariance = list(covariance.columns), covariance.to_numpy()
-    means = finite_array("mean", mean)
-    labels: Any = names or range(1, means.size + 1)
-    return Conditions(labels, means, covariance)
+    means = finite_numbers("mean", mean)
+    return Conditions(labels or range(1, means.size + 1), means, np.asarray(covariance), origin)
 
 
-def _conditions_of_cells(mean: pd.Series, covariance: Any, columns: StudyColumns) -> Conditions:
+def _conditions_of_cells(
+    mean: pd.Series, covariance: Any, columns: StudyColumns, origin: str
+) -> Conditions:
     """Return the population of means indexed by the levels of several factors."""
     names = [*map(str, columns.groups), *map(str, columns.factors)]
     if mean.index.nlevels != len(names):
-        given = counted(mean.index.nlevels, "level")
-        raise ValueError(f"mean must be indexed by {', '.join(names)}, got {given}")
+        raise ValueError(f"mean must be indexed by {', '.join(names)}")
     levels = {name: tuple(mean.index.unique(i)) for i, name in enumerate(names)}
     cells = mean.reindex(pd.MultiIndex.from_product(levels.values()))
     if cells.isna().any():
         raise ValueError(
             f"mean: no number for cell {cells.index[cells.isna()][0]!r} of {' × '.join(names)}"
         )
-    between = {name: levels.pop(name) for name in names[: len(columns.groups)]}
+    between = {str(name): levels.pop(str(name)) for name in columns.groups}
     labels = tuple(product(*levels.values()))
     means = cells.to_numpy().reshape(-1, len(labels))
-    return Conditions(
-        labels, means if between else means[0], covariance, within=levels, between=between
-    )
+    means = means if between else means[0]
+    return Conditions(labels, means, np.asarray(covariance), origin, levels, between)
 
 
-def _conditions_of_data(data: Any, mean: Any, columns: StudyColumns) -> Conditions:
-    """Return the population with the covariance of data, and their means where none are given."""
-    pilot = repeated_measures(
-        data,
-        columns.dv,
-        columns.within,
-        columns.subject,
-        between=columns.groups or None,
-        order=columns.order,
-    )
-    matrix = pilot.residual_covariance()
-    means = pilot.descriptives()["mean"].to_numpy()
+def _moments_of_data(data: Any, mean: Any, columns: StudyColumns) -> tuple[Any, Any, str]:
+    """Return means, those of data if there are no others, with data's covariance and origin."""
+    between = columns.groups or None
+    roles = (columns.dv, columns.within, columns.subject)
+    pilot = repeated_measures(data, *roles, between=between, order=columns.order)
+    covariance, means = pilot.residual_covariance(), pilot.descriptives()["mean"]
     if columns.several:
         if mean is not None:
             raise ValueError("mean has no effect here; leave it out")
-        within = {str(name): levels for name, levels in pilot.within.items()}
-        between = {str(name): levels for name, levels in pilot.between.items()}
-        labels = tuple(product(*within.values()))
-        means = means.reshape(-1, len(labels))
-        return Conditions(
-            labels, means if between else means[0], matrix, pilot.origin, within, between
-        )
-    conditions = list(pilot.conditions)
-    labels = tuple(mean.index) if isinstance(mean, pd.Series) else tuple(conditions)
-    if unknown := [name for name in labels if name not in conditions]:
-        raise ValueError(f"mean names {unknown}, but data hold the conditions {conditions}")
-    if pilot.n <= len(labels):
-        raise ValueError(
-            f"data hold {pilot.n} subjects in {len(labels)} conditions: their covariance needs at "
-            f"least {len(labels) + 1}"
-        )
-    places = [conditions.index(label) for label in labels]
+        cells = product(*pilot.between.values(), *pilot.within.values())
+        return means.set_axis(pd.MultiIndex.from_tuples(cells)), covariance, pilot.origin
     if pilot.origin:
         warn(
             f"the covariance is that of {pilot.origin}: how much people differ is assumed there, "
             "and n goes with the square of it; SmallestN.apa() says what half and twice the "
             "spread would ask for"
         )
-    means = means[places] if mean is None else finite_array("mean", mean)
-    return Conditions(labels, means, matrix[np.ix_(places, places)], pilot.origin)
+    names = pd.Index(pilot.conditions, tupleize_cols=False)
+    frame = pd.DataFrame(covariance, names, names)
+    if isinstance(mean, pd.Series):
+        if unknown := [name for name in mean.index if name not in names]:
+            raise ValueError(f"mean names {unknown}, but data hold the conditions {[*names]}")
+        frame = frame.loc[mean.index, mean.index]
+    return means.set_axis(names) if mean is None else mean, frame, pilot.origin
 
 
 # --- closed forms ---------------------------------------------------------------------------------
-
-
-def noncentrality(eta2_partial: float, n: int, k: int) -> float:
-    """
-    Return λ = n (k − 1) η² / (1 − η²), the noncentrality of F at a population partial η².
-
-    η² = S / (S + (k − 1) σ_e²) with S = Σ (μ_j − μ)² and σ_e² the mean variance of orthonormal
-    contrasts, so that λ = n S / σ_e². With Cohen's f² = η² / (1 − η²).
-
-    Parameters
-    ----------
-    eta2_partial : float
-        Partial η² of the population, in [0, 1).
-    n, k : int
-        Subjects and conditions.
-
-    Raises
-    ------
-    ValueError
-        If η² lies outside [0, 1), or a number is not whole or too small.
-    """
-    eta2 = finite_number("eta2_partial", eta2_partial)
-    if not 0.0 <= eta2 < 1.0:
-        raise ValueError(f"eta2_partial must lie in [0, 1), got {eta2}")
-    n, k = whole_number("n", n, least=2), whole_number("k", k, least=2)
-    return n * (k - 1) * eta2 / (1.0 - eta2)
-
-
-def noncentral_f_power(
-    n: int, k: int, noncentrality: float, alpha: float = 0.05, epsilon: float = 1.0
-) -> float:
-    """
-    Return the power of the repeated-measures F with n subjects and k conditions.
-
-    With sphericity (ε = 1) F is exactly noncentral with k − 1 and (n − 1)(k − 1) degrees of
-    freedom. Below 1 it is taken as noncentral F with both degrees of freedom and λ times ε, after
-    Box: an approximation of the test with ε known, and no more than a guide. A paired t-test is the
-    case k = 2 with λ = n d_z².
-
-    Parameters
-    ----------
-    n, k : int
-        Subjects and conditions; at least 2.
-    noncentrality : float
-        λ, not negative; `noncentrality(eta2_partial, n, k)` gives it.
-    alpha : float
-        Level of the test.
-    epsilon : float
-        ε of the population, from 1/(k − 1) to 1.
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range.
-
-    References
-    ----------
-    G. E. P. Box, Annals of Mathematical Statistics 25 (1954) 290-302 and 484-498.
-    """
-    n, k = whole_number("n", n, least=2), whole_number("k", k, least=2)
-    value = not_negative("noncentrality", noncentrality)
-    alpha, epsilon = open_unit("alpha", alpha), finite_number("epsilon", epsilon)
-    if not 1.0 / (k - 1) - 1e-12 <= epsilon <= 1.0 + 1e-12:
-        raise ValueError(
-            f"epsilon must lie in [1/(k − 1), 1] = [{1.0 / (k - 1):.4g}, 1], got {epsilon}"
-        )
-    df1, df2 = epsilon * (k - 1), epsilon * (k - 1) * (n - 1)
-    return exceeds_critical(df1, df2, epsilon * value, alpha)
 
 
 def exceeds_critical(df1: float, df2: float, strength: float, alpha: float) -> float:

@@ -4,7 +4,7 @@ correlation and sphericity.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any
@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 from numpy.random import SeedSequence
 
-from trustlab.models.checks import did_you_mean, of_class, one_of, whole_number
-from trustlab.models.display import Result, as_html, axes_or_new
-from trustlab.studies.anova import CORRECTIONS, chunks, effect_name, effects, regress, sphericity
+from trustlab.models.checks import of_class, one_of, shown, whole_number
+from trustlab.models.display import axes_or_new
+from trustlab.studies.anova import CORRECTIONS, effect_name, effects, regress, sphericity
 from trustlab.studies.pairs import condition_pairs
 from trustlab.studies.planning.conditions import (
     USUAL_COLUMNS,
@@ -26,20 +26,22 @@ from trustlab.studies.planning.conditions import (
     clopper_pearson,
     conditions_from,
     exceeds_critical,
-    noncentral_f_power,
-    noncentrality,
 )
+from trustlab.studies.table import Tested
 
 # What power is computed against, and how a figure labels it.
 AXES = {
     "n": "participants n",
+    "effect": "effect",
     "effect_size": "population partial η²",
     "correlation": "correlation of conditions",
     "epsilon": "ε of the population",
 }
 
-MOST_CELLS = 10_000
 MOST_N = 100_000
+
+# Scores drawn at once.
+SCORES = 1 << 20
 
 # Corrections of the omnibus F; "auto" is Greenhouse–Geisser where Mauchly's test rejects.
 TESTS = (*CORRECTIONS, "auto")
@@ -78,8 +80,11 @@ def count_findings(
     root = np.linalg.cholesky(population.covariance).T
     mean = np.atleast_2d(population.mean)[groups]
     counts: Counter = Counter()
-    for part in chunks(replicates, len(groups) * len(root)):
-        scores = rng.standard_normal((len(part), *mean.shape)) @ root + mean
+    # In parts, so that memory does not grow with the number of studies.
+    step = max(1, SCORES // mean.size)
+    for first in range(0, replicates, step):
+        size = (min(step, replicates - first), *mean.shape)
+        scores = rng.standard_normal(size) @ root + mean
         tests = effects(scores, design)
         # An undefined p of Mauchly's test (n ≤ k − 1) counts as a rejection, as in
         # `repeated_measures`; of two conditions all p are the same.
@@ -144,9 +149,9 @@ def counted(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PowerAnalysis(Result):
+class PowerAnalysis(Tested):
     """
-    Power of the omnibus F and of every pair, by simulation.
+    Power of the omnibus F, and of F with all claimed pairs, by simulation.
 
     Parameters
     ----------
@@ -156,15 +161,14 @@ class PowerAnalysis(Result):
         Replicates, seed and levels.
     varied : tuple of str
         Axes of the grid for which several values were given; of several factors n and effect.
-    omnibus, pairwise, together : pandas.DataFrame
-        What `table()`, `pairs()` and `claims()` return.
+    tests, together : pandas.DataFrame
+        What `table()` and `claims()` return.
     """
 
     conditions: Conditions
     simulation: Simulation
     varied: tuple[str, ...]
-    omnibus: pd.DataFrame
-    pairwise: pd.DataFrame
+    tests: pd.DataFrame
     together: pd.DataFrame
 
     def table(self) -> pd.DataFrame:
@@ -180,20 +184,7 @@ class PowerAnalysis(Result):
             hold or the test is corrected). With several factors or groups a row per n, effect and
             test: n (in each group), effect, eta2_partial (of the population), test, power ….
         """
-        return self.omnibus.copy()
-
-    def pairs(self) -> pd.DataFrame:
-        """
-        Return the power of each pairwise comparison, two-sided.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row per cell, pair and adjustment: n, effect_size, correlation, epsilon, a, b, d_z,
-            adjust ("none", "bonferroni", "holm"), power, ci_low, ci_high, replicates, closed_form
-            (noncentral t; NaN for Holm's). No rows with several factors.
-        """
-        return self.pairwise.copy()
+        return super().table()
 
     def claims(self) -> pd.DataFrame:
         """
@@ -228,16 +219,13 @@ class PowerAnalysis(Result):
             "intervals"
         )
 
-    def plot(self, against: str | None = None, test: str | Sequence[str] = USUAL_TEST, axes=None):
+    def plot(self, test: str | Sequence[str] = USUAL_TEST, axes=None):
         """
-        Plot the power of the omnibus F with its Monte-Carlo intervals; crosses mark the closed
-        form.
+        Plot the power of the omnibus F with its Monte-Carlo intervals against the first axis that
+        takes several values, a line per combination of the others; crosses mark the closed form.
 
         Parameters
         ----------
-        against : {"n", "effect_size", "correlation", "epsilon"}, optional
-            The horizontal axis; by default the first that takes several values. A line per
-            combination of the others.
         test : {"greenhouse-geisser", "huynh-feldt", "none", "auto"} or sequence of them
             Which test, or several to compare.
         axes : matplotlib.axes.Axes, optional
@@ -250,46 +238,28 @@ class PowerAnalysis(Result):
         Raises
         ------
         ValueError
-            If an argument is none of those.
+            If a test is none of those.
         """
-        tests = [test] if isinstance(test, str) else list(test)
-        for name in tests:
-            one_of("test", name, TESTS)
-        against = against or (self.varied[0] if self.varied else "n")
-        one_of("against", against, AXES)
-        axes = axes_or_new(axes, figsize=(6.0, 3.8))
-        others = [name for name in self.varied if name != against]
-        table = self.omnibus[self.omnibus["test"].isin(tests)]
+        tests = [
+            one_of("test", name, TESTS) for name in ([test] if isinstance(test, str) else test)
+        ]
+        against, *others = self.varied or ("n",)
         # Values as computed differ in the last bits between the cells of one line.
-        keys = table[others].round(9).assign(test=table["test"])
-        for (*values, name), part in table.groupby(keys.apply(tuple, axis=1), sort=False):
-            part = part.sort_values(against)
-            words = [
-                value if axis == "effect" else f"{AXES[axis]} {value + 0.0:.3g}"
-                for axis, value in zip(others, values, strict=True)
-            ]
-            label = ", ".join(words + [name] * (len(tests) > 1))
-            x, power = part[against].to_numpy(), part["power"].to_numpy()
-            bars = np.maximum([power - part["ci_low"], part["ci_high"] - power], 0.0)
-            drawn = axes.errorbar(
-                x, power, bars, fmt="o-", ms=4, lw=1.3, capsize=3, label=label or None
+        table = self.tests.round(dict.fromkeys(others, 9)).sort_values(against)
+        axes = axes_or_new(axes, figsize=(6.0, 3.8))
+        for values, part in table[table["test"].isin(tests)].groupby([*others, "test"]):
+            label = ", ".join(
+                value if isinstance(value, str) else f"{AXES[axis]} {value + 0.0:.3g}"
+                for axis, value in zip([*others, "test"], values, strict=True)
             )
-            if part["closed_form"].notna().any():
-                axes.plot(x, part["closed_form"], "x", ms=8, color=drawn[0].get_color())
-        axes.axhline(self.simulation.alpha, color="0.6", lw=0.8, ls=":")
-        axes.set(xlabel=AXES[against], ylabel="power", ylim=(-0.02, 1.02))
-        axes.set_title(
-            f"{self.origin}: F, correction “{', '.join(tests)}”, level "
-            f"{self.simulation.alpha:g}, {100 * self.simulation.level:g} % Monte-Carlo intervals",
-            fontsize="small",
-        )
-        if others or len(tests) > 1:
-            axes.legend(fontsize="small")
+            power = part["power"]
+            bars = np.maximum([power - part["ci_low"], part["ci_high"] - power], 0.0)
+            drawn = axes.errorbar(part[against], power, bars, fmt="o-", capsize=3, label=label)
+            axes.plot(part[against], part["closed_form"], "x", ms=8, color=drawn[0].get_color())
+        axes.set(xlabel=AXES[against], ylabel="power of F", ylim=(-0.02, 1.02))
+        axes.set_title(f"{self.origin}; level {self.simulation.alpha:g}", fontsize="small")
+        axes.legend(fontsize="small")
         return axes
-
-    def _repr_html_(self) -> str:
-        parts = [part for part in (self.omnibus, self.pairwise, self.together) if len(part)]
-        return as_html(self.message, *parts, title=self.title)
 
 
 def power_analysis(
@@ -359,20 +329,30 @@ def power_analysis(
     """
     of_class("columns", columns, StudyColumns)
     of_class("simulation", simulation, Simulation)
-    axes = {"effect_size": effect_size, "correlation": correlation, "epsilon": epsilon}
+    axes: dict[str, Any] = {
+        "effect_size": effect_size,
+        "correlation": correlation,
+        "epsilon": epsilon,
+    }
     if columns.several:
         for name, value in (axes | {"claims": claims}).items():
             if value is not None:
                 raise ValueError(f"{name} has no effect here; leave it out")
     population = conditions_from(mean, covariance, data, columns)
     mask = claims_mask(claims, population)
-    grid = {"n": _sizes(n)} | {name: _listed(name, values) for name, values in axes.items()}
-    cells = _cells(population, grid)
+    # None, a text or a dict are one value, which is refused where it is used.
+    grid = {
+        name: list(value) if np.ndim(value) else [value] for name, value in {"n": n, **axes}.items()
+    }
+    sizes = [whole_number("n", size, least=3, most=MOST_N) for size in grid["n"]]
+    shapes = product(grid["effect_size"], grid["correlation"], grid["epsilon"])
+    populations = [population.varied(*shape) for shape in shapes]
+    cells = list(product(sizes, populations))
+    if not cells:
+        raise ValueError("n, effect_size, correlation or epsilon is empty: give a number")
     counts = counted(cells, simulation, mask)
-    varied = tuple(name for name, values in grid.items() if len(values) > 1)
-    kinds = [_omnibus, _pairwise, _together]
     tables = []
-    for rows_of in kinds:
+    for rows_of in (_omnibus, _together):
         rows = [
             row
             for cell, of_cell in zip(cells, counts, strict=True)
@@ -380,46 +360,10 @@ def power_analysis(
         ]
         tables.append(with_intervals(rows, simulation))
         tables[-1].attrs["origin"] = population.simulated_origin
+    varied = tuple(name for name, values in grid.items() if len(values) > 1)
     if columns.several:
         varied = ("n", "effect")
     return PowerAnalysis(population, simulation, varied, *tables)
-
-
-def _listed(name: str, value: Any) -> list:
-    """Return one value or a sequence of them as a list; None stays None."""
-    if np.ndim(value) == 0:  # as of None, a text or a dict, which are refused where they are used
-        return [value]
-    values = list(value)
-    if not values:
-        raise ValueError(f"{name} is empty: give a number or several")
-    return values
-
-
-def _sizes(n: Any) -> list[int]:
-    """Return numbers of subjects that a design can have."""
-    sizes = [whole_number("n", size, most=MOST_N) for size in _listed("n", n)]
-    if min(sizes) < 3:
-        raise ValueError(
-            f"n = {min(sizes)} is too small for the design: repeated measures need at least 3 "
-            "subjects"
-        )
-    return sizes
-
-
-def _cells(population: Conditions, grid: Mapping[str, list]) -> list[tuple[int, Conditions]]:
-    """Return subjects and population of every cell of n × effect_size × correlation × epsilon."""
-    structures = product(grid["correlation"], grid["epsilon"])
-    shapes = [population.with_structure(*pair) for pair in structures]
-    populations = [
-        shape if effect is None else shape.with_effect(effect)
-        for effect, shape in product(grid["effect_size"], shapes)
-    ]
-    cells = list(product(grid["n"], populations))
-    if len(cells) > MOST_CELLS:
-        raise ValueError(
-            f"{len(cells)} cells are too many for one call, at most {MOST_CELLS}; split the grid"
-        )
-    return cells
 
 
 def with_intervals(rows: list[dict], simulation: Simulation) -> pd.DataFrame:
@@ -427,12 +371,12 @@ def with_intervals(rows: list[dict], simulation: Simulation) -> pd.DataFrame:
     table = pd.DataFrame(rows)
     if table.empty:
         return table
-    low, high = clopper_pearson(table["count"].to_numpy(), simulation.replicates, simulation.level)
-    place = table.columns.get_loc("count")
-    ends = {"power": table.pop("count") / simulation.replicates, "ci_low": low, "ci_high": high}
-    for offset, (name, values) in enumerate((ends | {"replicates": simulation.replicates}).items()):
-        table.insert(place + offset, name, values)
-    return table
+    names = list(table)
+    place = names.index("count")
+    names[place : place + 1] = ["power", "ci_low", "ci_high", "replicates"]
+    count, total = table["count"].to_numpy(), simulation.replicates
+    low, high = clopper_pearson(count, total, simulation.level)
+    return table.assign(power=count / total, ci_low=low, ci_high=high, replicates=total)[names]
 
 
 def _axes_of(n: int, cell: Conditions) -> dict[str, float]:
@@ -461,28 +405,10 @@ def _omnibus(
         effect, eta2 = effect_name(block, names), strength / (strength + len(groups) * d)
         where = {"n": n, "effect": effect, "eta2_partial": eta2}
         if not cell.several:
-            where = _axes_of(n, cell) | {
-                "noncentrality": noncentrality(cell.eta2_partial, n, d + 1)
-            }
+            where = _axes_of(n, cell) | {"noncentrality": strength}
         for test in CORRECTIONS if cell.several else TESTS:
             form = closed if spherical and test == "none" else np.nan
             yield {**where, "test": test, "count": counts[f"{effect}/{test}"], "closed_form": form}
-
-
-def _pairwise(
-    n: int, cell: Conditions, counts: dict, mask: Any, simulation: Simulation
-) -> Iterator[dict]:
-    """Yield the rows of the pairs, by adjustment; Holm's has no closed form."""
-    if cell.several:
-        return
-    axes, alpha = _axes_of(n, cell), simulation.alpha
-    levels = {"none": alpha, "bonferroni": alpha / len(cell.d_z)}
-    for i, (pair, d_z) in enumerate(zip(combinations(cell.labels, 2), cell.d_z, strict=True)):
-        for name in ADJUSTMENTS:
-            row = axes | {"a": pair[0], "b": pair[1], "d_z": d_z, "adjust": name}
-            strength = n * d_z**2
-            form = noncentral_f_power(n, 2, strength, levels[name]) if name in levels else np.nan
-            yield row | {"count": counts[f"pair {i} {name}"], "closed_form": form}
 
 
 def _together(
@@ -499,29 +425,15 @@ def claims_mask(claims: Sequence[tuple] | None, conditions: Conditions) -> np.nd
     """Return which pairs are claimed, over all pairs a < b; None without claims."""
     if claims is None:
         return None
-    labels = list(conditions.labels)
-    pairs = list(combinations(labels, 2))
+    labels = conditions.labels
+    pairs = [{a, b} for a, b in combinations(labels, 2)]
     mask = np.zeros(len(pairs), dtype=bool)
-    if isinstance(claims, str | bytes) or not hasattr(claims, "__iter__"):
-        raise ValueError(f"claims must be a list of pairs of conditions, got {claims!r:.60}")
-    for pair in claims:
-        if (
-            isinstance(pair, str)
-            or not hasattr(pair, "__len__")
-            or len(pair) != 2
-            or pair[0] == pair[1]
-        ):
-            raise ValueError(f"a comparison is a pair of two conditions (a, b), got {pair!r:.60}")
-        for label in pair:
-            if label not in labels:
-                there = ", ".join(map(str, labels))
-                raise ValueError(
-                    f"unknown condition {label!r}{did_you_mean(label, labels)} (there are {there})"
-                )
-        where = pairs.index(tuple(sorted(pair, key=labels.index)))
-        if mask[where]:
+    for pair in claims if isinstance(claims, list | tuple) else [claims]:
+        if not isinstance(pair, list | tuple) or set(pair) not in pairs or len(pair) > 2:
+            raise ValueError(f"claims must be pairs (a, b) of {[*labels]}, got {shown(pair)}")
+        if mask[pairs.index(set(pair))]:
             raise ValueError(f"pair {pair!r} is claimed twice")
-        mask[where] = True
+        mask[pairs.index(set(pair))] = True
     if not mask.any():
         raise ValueError("claims is empty: give pairs of conditions, or leave it out")
     return mask

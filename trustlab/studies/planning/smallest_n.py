@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import of_class, one_of, open_unit, whole_number
-from trustlab.models.display import Result
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.conditions import (
     USUAL_COLUMNS,
@@ -17,8 +16,7 @@ from trustlab.studies.planning.conditions import (
     Simulation,
     StudyColumns,
     conditions_from,
-    noncentral_f_power,
-    noncentrality,
+    exceeds_critical,
 )
 from trustlab.studies.planning.power import (
     ADJUSTMENTS,
@@ -29,26 +27,23 @@ from trustlab.studies.planning.power import (
     counted,
     with_intervals,
 )
+from trustlab.studies.table import Tested, labelled
 from trustlab.studies.words import apa_number
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SmallestN(Result):
+class SmallestN(Tested):
     """
     The smallest number of subjects whose simulated power reaches what was wanted.
 
+    Columns of `table` are attributes too: test, which one; wanted, the power to reach; n, subjects;
+    power, ci_low and ci_high, simulated power there and its Monte-Carlo interval; whole_squares,
+    the next number that fills whole Latin squares of the conditions.
+
     Parameters
     ----------
-    n : int
-        Subjects.
-    power, ci_low, ci_high : float
-        Simulated power there and its Monte-Carlo interval.
-    wanted : float
-        Power wanted.
-    test : str
-        Which test.
-    whole_squares : int
-        The next number that fills whole Latin squares of the conditions.
+    tests : pandas.DataFrame
+        What `table` returns, a row.
     n_by_spread : dict of str to int
         By noncentral F: what "half" and "twice" the standard deviations would ask for.
     population : Conditions
@@ -62,13 +57,7 @@ class SmallestN(Result):
 
     title = "Smallest number of participants"
 
-    n: int
-    power: float
-    ci_low: float
-    ci_high: float
-    wanted: float
-    test: str
-    whole_squares: int
+    tests: pd.DataFrame
     n_by_spread: dict[str, int | None]
     population: Conditions
     simulation: Simulation
@@ -83,13 +72,6 @@ class SmallestN(Result):
     def message(self) -> str:
         """Where the numbers come from."""
         return self.origin
-
-    def table(self) -> pd.DataFrame:
-        """Return one row: test, wanted, n, power, ci_low, ci_high, whole_squares."""
-        names = ("test", "wanted", "n", "power", "ci_low", "ci_high", "whole_squares")
-        frame = pd.DataFrame([{name: getattr(self, name) for name in names}])
-        frame.attrs["origin"] = self.origin
-        return frame
 
     def apa(self) -> str:
         """
@@ -178,21 +160,19 @@ def smallest_n(
             "values of n by power_analysis"
         )
     population = conditions_from(mean, covariance, data, columns)
-    if effect_size is not None:
-        population = population.with_effect(effect_size)
+    population = population.varied(effect_size, None, None)
     target = open_unit("power", power)
     most = whole_number("most", most, least=3, most=MOST_N)
-    index, test, key, name = _chosen_test(population, pair, test)
     if target <= simulation.alpha:
         raise ValueError(
             f"power = {target:g} must exceed alpha = {simulation.alpha:g}, its value without any "
             "effect"
         )
-    by_theory = {
-        word: _closed_form(population, index, target, simulation.alpha, test, scale)
-        for word, scale in (("half", 0.5), ("once", 1.0), ("twice", 2.0))
-    }
-    by_spread = {word: _bisect(by_theory[word], 3, MOST_N) for word in ("half", "twice")}
+    key, name, closed_form = _test(population, pair, test, simulation.alpha)
+    half, once, twice = (
+        lambda n, spread=spread: closed_form(n, spread) >= target for spread in (0.5, 1.0, 2.0)
+    )
+    by_spread = {"half": _bisect(half, 3, MOST_N), "twice": _bisect(twice, 3, MOST_N)}
     findings: dict[int, int] = {}
 
     def enough(size: int) -> bool:
@@ -200,58 +180,49 @@ def smallest_n(
             findings[size] = counted([(size, population)], simulation)[0][key]
         return findings[size] >= target * simulation.replicates
 
-    n = _bisect(enough, _bisect(by_theory["once"], 3, most) or most, most)
+    n = _bisect(enough, _bisect(once, 3, most) or most, most)
     if n is None:
-        share = findings[most] / simulation.replicates
-        raise _out_of_reach(population, index, by_spread["half"], share, target, most)
-    sizes = sorted(findings)
-    rows = [{"n": size, "count": findings[size]} for size in sizes]
+        raise ValueError(
+            f"{most} subjects reach a power of {findings[most] / simulation.replicates:.3g} only, "
+            f"{target:g} was wanted; with half the spread, or means twice as far apart, n is "
+            f"{by_spread['half'] or 'still more'}. Raise most=, measure each condition more often, "
+            "or look for a greater effect"
+        )
+    rows = [{"n": size, "count": findings[size]} for size in sorted(findings)]
     table = with_intervals(rows, simulation).drop(columns="replicates")
-    reached, low, high = table.set_index("n").loc[n]
-    return SmallestN(
-        n=n,
-        power=reached,
-        ci_low=low,
-        ci_high=high,
-        wanted=target,
-        test=name,
-        whole_squares=participants_needed(len(population.labels), n),
-        n_by_spread=by_spread,
-        population=population,
-        simulation=simulation,
-        evaluations=table,
+    row = table[table["n"] == n].assign(
+        test=name, wanted=target, whole_squares=participants_needed(len(population.labels), n)
     )
+    names = ["test", "wanted", "n", "power", "ci_low", "ci_high", "whole_squares"]
+    tests = labelled(row[names].reset_index(drop=True), population.simulated_origin)
+    return SmallestN(tests, by_spread, population, simulation, table)
 
 
-def _chosen_test(
-    population: Conditions, pair: tuple | None, test: str | None
-) -> tuple[int | None, str, str, str]:
-    """Return the pair's index, correction or adjustment, key among the findings, and name."""
+def _test(
+    population: Conditions, pair: tuple | None, test: str | None, alpha: float
+) -> tuple[str, str, Callable[[int, float], float]]:
+    """
+    Return the key of a test among the findings, its name, and its power by noncentral F with Box's
+    ε, for a number of subjects whose standard deviations are multiplied.
+    """
     if pair is None:
         test = one_of("test", USUAL_TEST if test is None else test, TESTS)
-        return None, test, f"condition/{test}", f"F, {test}"
-    index = int(np.flatnonzero(claims_mask([pair], population))[0])
-    test = one_of("test of a pair", "holm" if test is None else test, ADJUSTMENTS)
-    return index, test, f"pair {index} {test}", f"{pair[0]} – {pair[1]}, {test}"
+        key, name, epsilon = f"condition/{test}", f"F, {test}", population.epsilon
+        d, eta2 = len(population.labels) - 1, population.eta2_partial
+        strength = d * eta2 / (1.0 - eta2)
+    else:
+        mask = claims_mask([pair], population)
+        test = one_of("test of a pair", "holm" if test is None else test, ADJUSTMENTS)
+        key, name = f"pair {int(np.argmax(mask))} {test}", f"{pair[0]} – {pair[1]}, {test}"
+        d, epsilon, strength = 1, 1.0, float(population.d_z[mask][0]) ** 2
+        # Holm's first step is Bonferroni's; its later steps have no closed form.
+        alpha = alpha if test == "none" else alpha / len(population.d_z)
 
+    def closed_form(n: int, spread: float) -> float:
+        df = epsilon * d
+        return exceeds_critical(df, df * (n - 1), epsilon * n * strength / spread**2, alpha)
 
-def _out_of_reach(
-    population: Conditions,
-    pair: int | None,
-    n_by_half: int | None,
-    share: float,
-    target: float,
-    most: int,
-) -> ValueError:
-    """Return the error of a plan that cannot reach its power: it names what drives the number."""
-    d_z = np.abs(population.d_z)
-    largest = d_z.max() if pair is None else d_z[pair]
-    return ValueError(
-        f"{most} subjects reach a power of {share:.3g} only, {target:g} was wanted: means differ "
-        f"by at most {largest:.3g} standard deviations of a difference, which drives n; with half "
-        f"the spread, or means twice as far apart, n is {n_by_half or 'still more'}. Raise most=, "
-        "measure each condition more often, or look for a greater effect"
-    )
+    return key, name, closed_form
 
 
 def _bisect(enough: Callable[[int], bool], start: int, most: int) -> int | None:
@@ -267,34 +238,3 @@ def _bisect(enough: Callable[[int], bool], start: int, most: int) -> int | None:
         if low > 2 and high <= most:
             n = (low + high) // 2
     return high if high <= most else None
-
-
-def _closed_form(
-    population: Conditions,
-    pair: int | None,
-    target: float,
-    alpha: float,
-    adjust: str,
-    scale: float,
-) -> Callable[[int], bool]:
-    """
-    Return whether n subjects are enough by noncentral F with Box's ε, or by noncentral t for a
-    pair; with all standard deviations times `scale`.
-    """
-    k = len(population.labels)
-    epsilon = population.epsilon
-    eta2 = population.eta2_partial
-    if pair is not None:
-        # λ = n d_z², as of two conditions. Holm's first step is Bonferroni's; its later steps have
-        # no closed form.
-        square = population.d_z[pair] ** 2
-        k = 2
-        epsilon = 1.0
-        eta2 = square / (1.0 + square)
-        alpha = alpha if adjust == "none" else alpha / len(population.d_z)
-
-    def expected(n: int) -> bool:
-        strength = noncentrality(eta2, n, k) / scale**2
-        return noncentral_f_power(n, k, strength, alpha, epsilon) >= target
-
-    return expected

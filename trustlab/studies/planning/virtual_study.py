@@ -18,12 +18,11 @@ from numpy.random import SeedSequence
 
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import counted, one_of, shown, warn, whole_number
-from trustlab.models.display import Result
-from trustlab.models.files import PARTIAL
+from trustlab.models.display import Result, axes_or_new
 from trustlab.sessions.writing import write_session
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
-from trustlab.studies.plots import panels
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
+from trustlab.studies.table import labelled, labels_of
 from trustlab.testbeds.deciding import warn_if_too_short
 from trustlab.testbeds.testbed import TESTBEDS, ConditionTestbed, Testbed, named_testbed
 
@@ -35,7 +34,6 @@ KEYS = ("participant", "position", "condition", "synthetic")
 
 TEST = ("n", "k", "F", "df1", "df2", "p", "correction", "epsilon_gg")
 EFFECT = ("eta2_partial", "eta2_partial_low", "eta2_partial_high")
-FILES = ("participants.csv", "orders.csv", "measures.csv", "about.txt")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,11 +106,9 @@ class VirtualStudy(Result):
         twice = set(measures["participant"]) & set(self.measures["participant"])
         if twice:
             raise ValueError(f"participant {twice.pop()!r} is in the study already; rename theirs")
+        kind = self.measures["condition"].dtype
         frames = [self.measures.astype({"condition": object}), measures]
-        joint = pd.concat(frames, ignore_index=True)
-        joint["condition"] = pd.Categorical(
-            joint["condition"], self.measures["condition"].cat.categories
-        )
+        joint = pd.concat(frames, ignore_index=True).astype({"condition": kind})
         return replace(self, measures=joint)
 
     def analysis(
@@ -138,8 +134,6 @@ class VirtualStudy(Result):
         """
         one_of("dv", dv, self.names)
         compared = self.conditions if conditions is None else tuple(conditions)
-        for condition in compared:
-            one_of("condition", condition, self.conditions)
         rows = self.measures[self.measures["condition"].isin(compared)]
         return repeated_measures(rows, dv, "condition", "participant", order=compared, **options)
 
@@ -159,7 +153,8 @@ class VirtualStudy(Result):
         for name in self.names:
             complete = self.measures[name].notna().groupby(self.measures["condition"]).all()
             measured = [condition for condition in self.conditions if complete[condition]]
-            lacking = [condition for condition in self.conditions if condition not in measured]
+            lacking = ", ".join(name for name in self.conditions if name not in measured)
+            note = f"without {lacking}, which do not have it for everyone" if lacking else ""
             row: dict[str, Any] = dict.fromkeys([*TEST, *EFFECT], np.nan)
             try:
                 if len(measured) < 2:
@@ -168,38 +163,15 @@ class VirtualStudy(Result):
                     )
                 result = self.analysis(name, measured)
             except ValueError as error:
-                row |= {"correction": "", "note": str(error)}
+                row, note = row | {"correction": ""}, str(error)
             else:
-                row |= {key: getattr(result, key) for key in row}
-                row |= {"df1": result.df1_corrected, "df2": result.df2_corrected}
-                row |= {"p": result.p_corrected, "note": ""}
-                if lacking:
-                    row["note"] = f"without {', '.join(lacking)}, which do not have it for everyone"
-            rows.append({"measure": name, "conditions": " ".join(measured)} | row)
-        frame = pd.DataFrame(rows)
-        frame.attrs["origin"] = self.origin
-        return frame
+                row = {key: getattr(result, key) for key in row}
+                row |= {key: getattr(result, f"{key}_corrected") for key in ("df1", "df2", "p")}
+            conditions = " ".join(measured)
+            rows.append({"measure": name, "conditions": conditions, **row, "note": note})
+        return labelled(pd.DataFrame(rows), self.origin)
 
-    def sessions(self):
-        """
-        Read the sessions again from the folder.
-
-        Returns
-        -------
-        list of Session
-
-        Raises
-        ------
-        ValueError
-            If the study was run without a folder.
-        """
-        from trustlab.sessions.reading import read_sessions
-
-        if self.folder is None:
-            raise ValueError("this study kept no sessions; run it with out= the name of a folder")
-        return read_sessions(self.folder / "sessions")
-
-    def plot(self, measures: Sequence[str] | None = None, kind: str = "means"):
+    def plot(self, measures: Sequence[str] | None = None):
         """
         Plot measures by condition, a panel each.
 
@@ -207,8 +179,6 @@ class VirtualStudy(Result):
         ----------
         measures : sequence of str, optional
             Which; four of the testbed's by default.
-        kind : {"means", "raincloud", "paired"}
-            As for `RepeatedMeasures.plot`.
 
         Returns
         -------
@@ -217,11 +187,11 @@ class VirtualStudy(Result):
         measures = self.testbed.measures if measures is None else measures
         names = [measures] if isinstance(measures, str) else list(measures)
         results = [self.analysis(name) for name in names]
-        axes = panels(
-            len(names), 3.2, f"{self.origin}, n = {self.measures['participant'].nunique()}"
-        )
+        title = f"{self.origin}, n = {self.measures['participant'].nunique()}"
+        size = (2.5 * len(names), 3.2)
+        axes = axes_or_new(None, 1, len(names), title, squeeze=False, figsize=size)[0]
         for axis, result in zip(axes, results, strict=True):
-            result.plot(kind, axes=axis)
+            result.plot(axis)
             axis.set(title="", xlabel="")
         return axes
 
@@ -232,28 +202,18 @@ class VirtualStudy(Result):
 
     @property
     def message(self) -> str:
-        """What was simulated, in a sentence or two."""
+        """What was simulated, and who is not in it."""
         setting = ", ".join(
             f"{name} {value}" for name, value in self.settings.items() if value is not None
         )
-        assumed = self.settings.get("assumptions", {})
-        start = "Every session begins anew"
-        order = ": orders have no effect on results."
-        if self.settings.get("rest") is not None:
-            start = "Utilization is carried over from session to session by (2.5)"
-            order = "; nothing else is."
-        if assumed.get("learning") or assumed.get("fatigue"):
-            order = "; people learn or tire from session to session."
-        failed = ""
-        if len(self.failures):
-            failed = f" Failed and left out: {counted(len(self.failures), 'participant')}."
-        more = self.measures["participant"].nunique() + len(self.failures) - len(self.participants)
-        joined = f" {counted(more, 'participant')} of recorded runs joined." if more else ""
-        return (
-            f"{len(self.participants)} simulated operators "
-            f"({self.testbed.origin}), conditions {', '.join(self.conditions)}; {setting}. No "
-            f"person took part in it. {start}{order}{failed}{joined}"
+        text = (
+            f"{len(self.participants)} simulated operators ({self.testbed.origin}), conditions "
+            f"{', '.join(self.conditions)}; {setting}. No person took part in it."
         )
+        if len(self.failures):
+            text += f" Failed and left out: {counted(len(self.failures), 'participant')}."
+        more = self.measures["participant"].nunique() + len(self.failures) - len(self.participants)
+        return text + (f" {counted(more, 'participant')} of recorded runs joined." if more else "")
 
 
 def virtual_study(
@@ -280,7 +240,7 @@ def virtual_study(
     ----------
     design : "latin_square" or LatinSquareDesign
         Orders of conditions: a complete balanced Latin square drawn from the seed, or a design with
-        its conditions and participants (numbered from 1).
+        its conditions and participants (numbered from 1), in the place of `n` and `conditions`.
     n : int, optional
         Participants; where they do not fill whole squares, a warning says how many would. As many
         as the dissertation's study invited, or the next whole squares.
@@ -338,22 +298,21 @@ def virtual_study(
     (13, 3)
     """
     seed = whole_number("seed", seed, least=0)
-    names, rules = _own_rules(conditions)
-    bed, conditions = _fitting(testbed, _named(names, design), rules, laps)
+    bed, conditions, rules = _fitting(testbed, conditions, design, laps)
     design = _designed(design, n, conditions, seed, bed.printed_n)
     people = bed.people(len(design.participants), assumptions, seed)
-    ruled: Any = bed
     for name in rules:  # a rule is refused before anybody runs
-        ruled.rule_of(name, people.iloc[0].to_dict())
-    folder = None if out is None else StudyFolder(out, design)
-    fixed = {"testbed": bed, "folder": folder and str(folder.sessions)}
+        bed.rule_of(name, people.iloc[0].to_dict())
+    folder = None if out is None else _study_folder(out)
+    sessions = None if folder is None else str(folder / "sessions")
+    fixed = {"testbed": bed, "folder": sessions}
     orders = [json.dumps(order) for order in design.table().to_numpy().tolist()]
     done = run_campaign(
         run_participant,
         [fixed | person for person in people.assign(order=orders).to_dict("records")],
         seed=seed,
         n_jobs=n_jobs,
-        out=None if folder is None else folder.campaign,
+        out=None if folder is None else folder / "campaign",
         progress=progress,
     )
     failed = done["failed"].to_numpy(dtype=bool)
@@ -370,141 +329,67 @@ def virtual_study(
         measures=_tidy(done[~failed], design, conditions),
         failures=done.loc[failed, ["participant", "error"]].reset_index(drop=True),
         settings=settings,
-        folder=None if folder is None else folder.path,
+        folder=folder,
     )
     if isinstance(bed, ConditionTestbed):
-        _warn_of_idle_sessions(study)
+        warn_if_too_short(float(study.measures["duration"].max()))
+        if not study.measures["switches"].any():
+            warn("nobody switched in any session: the conditions differ by noise only")
     if folder is not None:
-        folder.finish(study)
+        _finish(folder, study)
     return study
 
 
-def _warn_of_idle_sessions(study: VirtualStudy) -> None:
-    """Warn where sessions were too short for anybody to switch, or nobody did."""
-    warn_if_too_short(float(study.measures["duration"].max()))
-    if not study.measures["switches"].any():
-        warn("nobody switched in any session: the conditions differ by noise only")
-
-
-def _own_rules(conditions: Any) -> tuple[Any, dict[str, Callable]]:
-    """Return the names of conditions, and what makes the rules of those given as pairs."""
-    if not isinstance(conditions, list | tuple):
-        return conditions, {}
-    # A leader policy has its name with it.
-    conditions = [
-        (item.title, partial(copy, item)) if hasattr(item, "leader") else item
-        for item in conditions
-    ]
-    pairs = [item for item in conditions if isinstance(item, tuple) and len(item) == 2]
-    rules = dict(pairs)
-    if len(rules) < len(pairs):
-        raise ValueError(f"conditions: each rule needs a name of its own, got {list(rules)}")
-    for name in rules:
-        if not isinstance(name, str) or not name.strip() or "/" in name:
-            raise ValueError(
-                f"conditions: the name of a rule becomes part of file names; it must be text "
-                f"without /, got {name!r:.60}"
-            )
-    return [item[0] if item in pairs else item for item in conditions], rules
-
-
-def _named(conditions: Any, design: object) -> tuple[str, ...] | None:
-    """Return the conditions of the argument or the design; None where neither has them."""
-    if conditions is not None and not isinstance(conditions, list | tuple | pd.Index | pd.Series):
-        raise ValueError(f"conditions must be a list of names, got {conditions!r:.60}")
-    if isinstance(design, LatinSquareDesign):
-        if conditions is not None and tuple(conditions) != design.conditions:
-            raise ValueError(
-                f"design has the conditions {design.conditions}, but conditions= says "
-                f"{tuple(conditions)}"
-            )
-        return tuple(map(str, design.conditions))
-    one_of("design", design, ["latin_square"], "a LatinSquareDesign")
-    return None if conditions is None else tuple(conditions)
-
-
 def _fitting(
-    testbed: str | Testbed | None,
-    names: tuple[str, ...] | None,
-    rules: Mapping[str, Callable],
-    laps: int | None,
-) -> tuple[Testbed, tuple[str, ...]]:
-    """Return the testbed, with rules of the user's own, and the conditions that it runs."""
-    if isinstance(testbed, str):
-        one_of("testbed", testbed, TESTBEDS)
-    if testbed is None or isinstance(testbed, str):
-        if names is not None:
-            testbed = _testbed_with(names, rules, testbed)
-        testbed = "ground_robot" if testbed is None else testbed
+    testbed: Any, conditions: Any, design: object, laps: int | None
+) -> tuple[Any, tuple[str, ...], dict[str, Callable]]:
+    """Return the testbed with rules of the user's own, the conditions that it runs, those rules."""
+    if isinstance(design, LatinSquareDesign):
+        if conditions is not None:
+            raise ValueError("conditions has no effect beside a design; leave it out")
+        conditions = design.conditions
+    else:
+        one_of("design", design, ["latin_square"], "a LatinSquareDesign")
+    if not isinstance(conditions, list | tuple | None):
+        raise ValueError(f"conditions must be a list of names, got {shown(conditions)}")
+    # A leader policy has its name with it.
+    listed = [
+        (item.title, partial(copy, item)) if hasattr(item, "leader") else item
+        for item in conditions or ()
+    ]
+    pairs = [item for item in listed if isinstance(item, tuple) and len(item) == 2]
+    rules = dict(pairs)
+    names: Any = tuple(item[0] if item in pairs else item for item in listed)
+    if any("/" in str(name) for name in rules):  # it becomes part of file names
+        raise ValueError(f"conditions: the name of a rule must be text without /, got {[*rules]}")
+    if testbed is None:
+        kinds: Mapping[str, Any] = TESTBEDS
+        printed = set(names) - set(rules)
+        fitting = [name for name, kind in kinds.items() if printed <= set(kind.conditions)]
+        testbed = fitting[0] if fitting else "ground_robot"
     bed = named_testbed(testbed, laps)
     if rules:
         if not getattr(bed, "takes_rules", False):
             raise ValueError(f"on {bed.title} no rule decides; conditions are names alone")
         bed = replace(bed, rules={**bed.rules, **rules})
-    for name in names or ():
-        one_of("condition", name, bed.conditions)
-    return bed, bed.printed_conditions if names is None else names
-
-
-def _testbed_with(
-    names: tuple[str, ...], rules: Mapping[str, Callable], testbed: str | None
-) -> str:
-    """Return the name of the testbed that runs these conditions, the one asked for if any."""
-    kinds: Mapping[str, Any] = TESTBEDS
-    groups = {
-        name: (*kind.conditions, *rules) if kind.takes_rules else kind.conditions
-        for name, kind in kinds.items()
-    }
-    known = list(dict.fromkeys(condition for group in groups.values() for condition in group))
     for name in names:
-        one_of("condition", name, known)
-    if len(names) < 2 or len(set(names)) < len(names):
-        raise ValueError(
-            f"conditions must be two or more, each once, got {', '.join(names) or 'none'}"
-        )
-    fitting = [name for name, group in groups.items() if set(names) <= set(group)]
-    if not fitting:
-        raise ValueError(
-            f"a study runs on one testbed, but conditions {', '.join(names)} are of two; make two "
-            "studies"
-        )
-    if testbed is None:
-        return fitting[0]
-    if testbed not in fitting:
-        raise ValueError(
-            f"conditions {', '.join(names)} do not run on the testbed {testbed!r}, but on "
-            f"{' or '.join(fitting)}"
-        )
-    return testbed
+        one_of("condition", name, bed.conditions)
+    return bed, bed.printed_conditions if conditions is None else names, rules
 
 
 def _designed(
     design: Any, n: int | None, conditions: tuple[str, ...], seed: int, printed_n: int
 ) -> LatinSquareDesign:
     """Return a design whose participants are numbered and enough for repeated measures."""
-    n = None if n is None else whole_number("n", n)
     if isinstance(design, LatinSquareDesign):
-        count = len(design.participants)
-        if n is not None and n != count:
-            raise ValueError(f"design is for {count} participants, but n = {n}")
-        if design.participants != tuple(range(1, count + 1)):
+        if n is not None or design.participants != tuple(range(1, len(design.participants) + 1)):
             raise ValueError(
-                "the participants of a virtual study are numbered: make the design with their "
-                "number"
-            )
-        if count < 3:
-            raise ValueError(
-                f"{count} participants are too few for the design: repeated measures need at "
-                "least 3"
+                "design: its participants are those of the study, numbered: leave n out, and make "
+                "the design with their number"
             )
         return design
-    k = len(conditions)
-    n = participants_needed(k, printed_n) if n is None else n
-    if n < max(3, k):
-        raise ValueError(
-            f"n = {n} is too small for the design: a balanced Latin square of {k} conditions "
-            f"needs {participants_needed(k, 3)} participants"
-        )
+    k = len(labels_of("conditions", conditions, 2))
+    n = participants_needed(k, printed_n) if n is None else whole_number("n", n, least=max(3, k))
     if k % 2 == 0 or n % (2 * k) != k:
         return latin_square_design(conditions, n, seed=seed, whole_squares=False)
     # The first k orders of a square for odd k are a Latin square by themselves: every condition
@@ -523,72 +408,53 @@ def _tidy(
     done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, ...]
 ) -> pd.DataFrame:
     """Return a row per session from a row per participant."""
-    prefix = f"{conditions[0]}/"
-    names = [column.removeprefix(prefix) for column in done.columns if column.startswith(prefix)]
-    wide = done.set_index(done["participant"].astype(int))
-    parts = [wide[[f"{c}/{name}" for name in names]].set_axis(names, axis=1) for c in conditions]
-    long = pd.concat(parts, keys=conditions, names=["condition"]).astype(float).reset_index()
-    frame = design.orders().merge(long, on=["participant", "condition"], validate="one_to_one")
-    frame["condition"] = pd.Categorical(
-        frame["condition"], categories=list(conditions), ordered=False
-    )
-    frame["synthetic"] = True
-    frame = frame[[*KEYS, *names]].sort_values(["participant", "position"], ignore_index=True)
-    frame.attrs = {"origin": ORIGIN}
-    return frame
+    wide = done.set_index(done["participant"].astype(int)).filter(like="/").astype(float)
+    wide.columns = wide.columns.str.split("/", n=1, expand=True)
+    # Melting would lose the second level.
+    long = wide.stack(0, future_stack=True)  # noqa: PD013
+    long = long.rename_axis(["participant", "condition"])
+    frame = design.orders().merge(long.reset_index(), validate="one_to_one")
+    frame["condition"] = pd.Categorical(frame["condition"], conditions)
+    frame = frame.assign(synthetic=True)[[*KEYS, *long]]
+    return labelled(frame.sort_values(["participant", "position"], ignore_index=True), ORIGIN)
 
 
-class StudyFolder:
-    """
-    Where a virtual study is written; refused if it holds other things, or sessions not known to be
-    of this study.
-    """
-
-    def __init__(self, path: str | os.PathLike, design: LatinSquareDesign):
-        if not isinstance(path, str | os.PathLike):
-            raise ValueError(f"out must be the path of a folder, got {shown(path)}")
-        self.path = Path(path)
-        self.sessions, self.campaign = self.path / "sessions", self.path / "campaign"
-        known = set()
-        if (self.campaign / "campaign.json").is_file():
-            known = {session_file(*row) for row in design.orders().itertuples(index=False)}
-        expected = {"sessions", "campaign", *FILES}
-        for folder, names in ((self.path, expected), (self.sessions, known)):
-            items = folder.iterdir() if folder.is_dir() else ()
-            strange = {item.name for item in items if PARTIAL not in item.name} - names
-            if strange:
-                raise ValueError(
-                    f"{folder} holds {min(strange)}, which is not known to be of this study; give "
-                    "a new or empty folder"
-                )
-        try:
-            self.sessions.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
+def _study_folder(out: str | os.PathLike) -> Path:
+    """Return a folder for a study: an empty one, or one with a campaign that may go on."""
+    if not isinstance(out, str | os.PathLike):
+        raise ValueError(f"out must be the path of a folder, got {shown(out)}")
+    folder = Path(out)
+    if not (folder / "campaign" / "campaign.json").is_file():
+        strange = [path.name for path in folder.rglob("*") if path.is_file()]
+        if strange:
             raise ValueError(
-                f"cannot write in {self.path}: {error.strerror}; give one that you may write to"
-            ) from error
-
-    def finish(self, study: VirtualStudy) -> None:
-        """Check that every session is there, and write the tables beside them."""
-        failed = set(study.failures["participant"])
-        orders = study.design.orders()
-        rows = orders[~orders["participant"].isin(failed)].itertuples(index=False)
-        names = [session_file(*row) for row in rows]
-        missing = [name for name in names if not (self.sessions / name).is_file()]
-        if missing:
-            raise ValueError(
-                f"{len(missing)} of {len(names)} sessions are missing from {self.sessions} "
-                f"({missing[0]} first), although the campaign beside it says that they were run; "
-                "remove the folder and run the study again"
+                f"out: {folder} holds {min(strange)}, which is not known to be of this study; give "
+                "a new or empty folder"
             )
-        about = (
-            f"SIMULATED. {study.title}: {study.message}\nOne file per session in sessions/: "
-            "trustlab.read_sessions reads them.\n"
+    (folder / "sessions").mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _finish(folder: Path, study: VirtualStudy) -> None:
+    """Check that every session is there, and write the tables beside them."""
+    orders = study.design.orders()
+    rows = orders[~orders["participant"].isin(study.failures["participant"])]
+    names = [session_file(*row) for row in rows.itertuples(index=False)]
+    missing = [name for name in names if not (folder / "sessions" / name).is_file()]
+    if missing:
+        raise ValueError(
+            f"{len(missing)} of {len(names)} sessions are missing from {folder / 'sessions'} "
+            f"({missing[0]} first), although the campaign beside it says that they were run; "
+            "remove the folder and run the study again"
         )
-        study.participants.to_csv(self.path / "participants.csv", index=False)
-        orders.to_csv(self.path / "orders.csv", index=False)
-        study.measures.to_csv(self.path / "measures.csv", index=False)
-        (self.path / "about.txt").write_text(about, encoding="utf-8")
+    about = (
+        f"SIMULATED. {study.title}: {study.message}\nOne file per session in sessions/: "
+        "trustlab.read_sessions reads them.\n"
+    )
+    study.participants.to_csv(folder / "participants.csv", index=False)
+    orders.to_csv(folder / "orders.csv", index=False)
+    study.measures.to_csv(folder / "measures.csv", index=False)
+    (folder / "about.txt").write_text(about, encoding="utf-8")
 
 
 def session_file(participant: int, position: int, condition: str) -> str:
