@@ -35,7 +35,7 @@ class Recorder:
             raise FileExistsError(f"{path} is there already: of another run")
         self.log = Log(path)
         self.report = report
-        self.queue: queue.SimpleQueue[tuple[str, int, bytes] | None] = queue.SimpleQueue()
+        self.queue: queue.SimpleQueue = queue.SimpleQueue()
         self.thread = threading.Thread(target=self._write, name="log", daemon=True)
         self.thread.start()
 
@@ -45,23 +45,17 @@ class Recorder:
             self.queue.put((topic, now, data))
 
     def _write(self) -> None:
+        ended = False
         try:
-            while messages := self._waiting():
-                self.log.append(log_entry(*message) for message in messages)
+            while not ended:
+                messages = [self.queue.get()]
+                while not self.queue.empty():
+                    messages.append(self.queue.get())
+                ended = messages[-1] is None
+                self.log.append(log_entry(*message) for message in messages if message)
         except OSError as error:
             self.report(f"{self.log.path}: recording ends here, {error.strerror or error}")
         self.log.close()
-
-    def _waiting(self) -> list[tuple[str, int, bytes]]:
-        """Return all messages that came meanwhile, at least one; at the end none."""
-        messages = []
-        while not messages or not self.queue.empty():
-            message = self.queue.get()
-            if message is None:
-                self.queue.put(None)  # met again once these are on the disk
-                break
-            messages.append(message)
-        return messages
 
     def close(self) -> None:
         """Wait until everything is on the disk."""

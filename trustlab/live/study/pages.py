@@ -6,8 +6,8 @@ which answers are accepted.
 import base64
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ LARGEST_PICTURE = 1_000_000
 LONGEST_ANSWER = 1000
 """Characters that a participant may write in one answer."""
 
-SECTIONS = ("start", "each", "end")
 KINDS = ("form", "drive", "end")
 ITEMS = ("scale", "choice", "text", "check")
 SCORED = ("nasa_tlx", "trust", "satisfaction", "likert")
@@ -112,15 +111,13 @@ class StudyPage:
         """The items that are scales."""
         return [item for item in self.items if item.kind == "scale"]
 
-    def check(self, answers: Any, late: bool = False) -> dict[str, Any]:
+    def check(self, answers: Any, late: bool = False) -> dict:
         """
         Return the answers, one to each item and none besides, in the items' order; or raise
         `AnswerError`. Where time was over, answers may be missing.
         """
-        if not isinstance(answers, dict):
-            raise AnswerError("the answers must be names with values")
-        if unknown := set(answers) - {item.name for item in self.items}:
-            raise AnswerError(f"{shown(sorted(map(str, unknown))[0])} is no item of this page")
+        if not isinstance(answers, dict) or set(answers) - {item.name for item in self.items}:
+            raise AnswerError("the answers must be names of items with values")
         items = self.items
         if late and self.seconds:
             items = tuple(item for item in items if item.name in answers)
@@ -129,7 +126,7 @@ class StudyPage:
         return {item.name: answers[item.name] for item in items}
 
     @classmethod
-    def read(cls, content: Mapping[str, Any]) -> "StudyPage":
+    def read(cls, content: dict) -> "StudyPage":
         """Return a page from what `asdict` made of it."""
         items = tuple(
             Item(**item | {"choices": tuple(item["choices"])}) for item in content["items"]
@@ -181,13 +178,18 @@ def steps_of(pages: Iterable[StudyPage], order: Iterable[str], group: str = "") 
 
 def task_pages(task: str, language: str) -> list[Path]:
     """Return the files that change a language's pages for a task; none for the ground robot."""
-    path = FOLDER / task / f"{one_of('language', language, LANGUAGES)}.toml"
+    path = FOLDER / task / f"{language}.toml"
     return [path] if path.exists() else []
 
 
 def read_words(language: str = "en") -> dict[str, str]:
     """Return the messages of a language."""
-    return _content(LANGUAGES[one_of("language", language, LANGUAGES)])[WORDS]
+    return _pages_of(language)[WORDS]
+
+
+def _pages_of(language: str) -> dict:
+    """Return what the file of a language holds."""
+    return _content(LANGUAGES[one_of("language", language, LANGUAGES)])
 
 
 def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPage]:
@@ -195,7 +197,7 @@ def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPa
     Return the pages of a study: those of a language, as the files change them, add to them and
     leave some out.
     """
-    tables = _content(LANGUAGES[one_of("language", language, LANGUAGES)])
+    tables = _pages_of(language)
     del tables[WORDS]
     for path in files:
         for name, table in _content(path).items():
@@ -207,7 +209,7 @@ def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPa
     return [_page(name, table) for name, table in tables.items()]
 
 
-def _content(path: Path) -> dict[str, Any]:
+def _content(path: Path) -> dict:
     """Return what a TOML file holds."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -221,7 +223,7 @@ def _check_table(where: str, name: str, table: Any) -> None:
     """Refuse a table whose name or keys no page has."""
     if not isinstance(table, dict) or not NAME.fullmatch(name):
         raise ValueError(f"{where} must be a table, [name], in small letters, digits and _")
-    keys = [each.name for each in fields(StudyPage)[1:]]
+    keys = StudyPage.__match_args__[1:]
     for key in table:
         one_of(f"a key of {where}", key, [*keys, *SCALE, "before", "after", "skip"])
 
@@ -237,9 +239,7 @@ def _data_uri(where: str, path: Path) -> str:
     return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
-def _changed(
-    tables: dict[str, dict[str, Any]], name: str, table: dict[str, Any], where: str
-) -> dict[str, dict[str, Any]]:
+def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dict[str, dict]:
     """Return pages of which a file's table changes one, leaves one out, or is a new one."""
     place = {side: table.pop(side) for side in ("before", "after") if side in table}
     skip = table.pop("skip", False)
@@ -265,13 +265,13 @@ def _changed(
     return {key: tables[key] for key in order}
 
 
-def _page(name: str, table: Mapping[str, Any]) -> StudyPage:
+def _page(name: str, table: dict) -> StudyPage:
     """Return a page from its table in TOML files."""
     where = f"[{name}]"
     for key in ("title", "text"):
         if not isinstance(table.get(key), str) or not table[key].strip():
             raise ValueError(f"{where} needs a {key}")
-    given = {each.name: table[each.name] for each in fields(StudyPage) if each.name in table}
+    given = {key: table[key] for key in StudyPage.__match_args__ if key in table}
     given["text"] = re.sub(r"(?<!\n)\n(?!\n)", " ", table["text"].strip())
     given["items"] = tuple(_item(where, item, table) for item in table.get("items", ()))
     page = StudyPage(name, **given)
@@ -295,16 +295,16 @@ def _page(name: str, table: Mapping[str, Any]) -> StudyPage:
     return page
 
 
-def _item(where: str, table: Any, page: Mapping[str, Any]) -> Item:
+def _item(where: str, table: Any, page: dict) -> Item:
     """
     Return an item from its table in a TOML file; what its page gives holds where it gives nothing
     itself.
     """
-    if not isinstance(table, Mapping) or not {"name", "text"} <= set(table):
+    if not isinstance(table, dict) or not {"name", "text"} <= set(table):
         raise ValueError(f"{where}: an item needs a name and a text, got {shown(table)}")
     where = f"{where}, item {table['name']!r}"
     for key in table:
-        one_of(f"a key of {where}", key, [each.name for each in fields(Item)])
+        one_of(f"a key of {where}", key, Item.__match_args__)
     common = {key: page[key] for key in SCALE if key in page}
     item = Item(**{**common, **table, "choices": tuple(table.get("choices", ()))})
     if not isinstance(item.name, str) or not NAME.fullmatch(item.name):
@@ -320,13 +320,11 @@ def _item(where: str, table: Any, page: Mapping[str, Any]) -> Item:
             f"{where}: a choice needs two different choices or more, got {list(item.choices)}"
         )
     if item.kind == "scale":
-        whole_number(f"{where}: low", item.low, -1000, 1000)
-        whole_number(f"{where}: high", item.high, -1000, 1000)
-        whole_number(f"{where}: step", item.step, 1, 1000)
-        if item.high <= item.low or (item.high - item.low) % item.step:
-            raise ValueError(
-                f"{where}: step {item.step} does not lead from low {item.low} to high {item.high}"
-            )
+        low = whole_number(f"{where}: low", item.low, -1000, 1000)
+        high = whole_number(f"{where}: high", item.high, low + 1, 1000)
+        step = whole_number(f"{where}: step", item.step, 1, 1000)
+        if (high - low) % step:
+            raise ValueError(f"{where}: step {step} does not lead from low {low} to high {high}")
     if item.expected is not None:
         try:
             item.check(item.expected)
