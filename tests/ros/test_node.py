@@ -409,6 +409,7 @@ def test_a_toml_file_states_a_run(tmp_path):
     [
         ("[settings]", "[setings]", "setings"),
         ('topic = "/base/odom"', "tpic = 1", "tpic"),
+        ('topic = "/base/odom"', 'fields = ["x..", "y"]', "cannot read the field path 'x..'"),
         ("[model]", "[model", "run.toml"),
     ],
 )

@@ -45,7 +45,7 @@ class HumanHand:
         self.levers = np.zeros(2)  # forward and left, in [−1, 1]
         self.rise, self.fall = (config["ramp"][name] * config["sample_time"] for name in RAMP)
         late = round(REACTION / config["sample_time"])
-        self.seen: deque = deque(maxlen=late + 1)
+        self.seen = deque(maxlen=late + 1)
         self.gates = np.array(config["posts"]).reshape(-1, 2, 2)
         self.rng = np.random.default_rng(seed)
         self.keep = np.exp(-config["sample_time"] / MISJUDGED_TIME)

@@ -216,8 +216,8 @@ def scripted_commands(task: LiveTask, config: dict, hand: Callable) -> tuple[lis
     run = task.begin(config)
     late = round(config["late"] / config["sample_time"])
     pictures = deque([run.picture()], late + 1)
-    commands: list = []
-    rows: list = []
+    commands = []
+    rows = []
     while not run.done:
         commands.append([float(value) for value in hand(pictures[0])])
         rows.append(run.step(*commands[-1]))

@@ -42,14 +42,14 @@ class Record:
     def __init__(self, header: dict, entries: Iterable[dict] = ()):
         self.header = header
         self.settings: dict = header["settings"]
-        self.commands: list = []
-        self.rows: list = []
+        self.commands = []
+        self.rows = []
         self.window = self.end = ""
-        self.pauses: list[dict] = []
-        self.periods: list[float] = []
-        self.delays: list[float] = []
+        self.pauses = []
+        self.periods = []
+        self.delays = []
         self._heard = 0.0
-        self._noted: list[str] = []
+        self._noted = []
         for entry in entries:
             self.take(entry)
 
@@ -191,7 +191,7 @@ class Trial:
         self.lock = threading.RLock()
         self.clock = time.time() - time.monotonic()
         self.run = task.begin(self.settings)
-        self.rows: list = []
+        self.rows = []
         try:
             if self.record.other_maker and not self.done:
                 raise LogError(

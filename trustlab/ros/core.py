@@ -164,7 +164,7 @@ class AllocationCore:
         self.a_r = model.human.a ** (1.0 / steps)
         self.r = 0.0
         self.notes: list[tuple[float, str]] = []
-        self.kinds: Counter = Counter()
+        self.kinds = Counter()
         self.now = -math.inf
         self.last_step: float | None = None
         self.stopped = False
@@ -172,8 +172,8 @@ class AllocationCore:
         self.rows: list[tuple] = []
         self.placed: tuple | None = None
         samples = round(self.settings.window / self.settings.period)
-        self.speeds: deque = deque(maxlen=samples)
-        self.skills: deque = deque(maxlen=samples)
+        self.speeds = deque(maxlen=samples)
+        self.skills = deque(maxlen=samples)
         watchdogs = self.settings.watchdogs.items()
         self.inputs = {name: Input(name, watchdog, self.note) for name, watchdog in watchdogs}
 
@@ -334,9 +334,9 @@ class AllocationCore:
         distance = self._distance()
         error = np.array(self.inputs["path_error"].values)
         v, w = self.inputs["operator"].values
-        speed = goal_speed([distance], error, settings.period, settings.e_max)
+        speed = goal_speed(np.array([distance]), error, settings.period, settings.e_max)
         self.speeds += speed.tolist()
-        self.skills += manoeuvring([v], [w], error, settings.e_max).tolist()
+        self.skills += manoeuvring(np.array([v]), np.array([w]), error, settings.e_max).tolist()
         p_r = math.fsum(self.speeds) / len(self.speeds)
         p_h = math.fsum(self.skills) / len(self.skills)
         tsc = float(self.model.value(p_r, p_h))

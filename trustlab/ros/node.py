@@ -35,7 +35,7 @@ class Recorder:
             raise FileExistsError(f"{path} is there already: of another run")
         self.log = Log(path)
         self.report = report
-        self.queue: queue.SimpleQueue = queue.SimpleQueue()
+        self.queue = queue.SimpleQueue()
         self.thread = threading.Thread(target=self._write, name="log", daemon=True)
         self.thread.start()
 

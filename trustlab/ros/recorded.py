@@ -12,7 +12,6 @@ import pandas as pd
 
 from trustlab.live.log import Log, LogError, linked
 from trustlab.models.extras import extra
-from trustlab.ros.core import Decision
 from trustlab.ros.feed import Feed
 from trustlab.ros.run import OWN_TYPES, RUN, STATES, RunSettings
 from trustlab.sessions.bags import PREFIX
@@ -160,8 +159,8 @@ class Replay:
         self.run = run or RunSettings.of(tables)
         self.core = self.run.core()
         self.feed = Feed(self.run, self.core, start)
-        self.decisions: list[Decision] = []
-        self.times: list[float] = []
+        self.decisions = []
+        self.times = []
         self.same = True
         self.link = ""
         types = self.run.types()

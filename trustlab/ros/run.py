@@ -4,7 +4,7 @@ import dataclasses
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,13 @@ class Topic:
         self.__dict__.update(fields=tuple(self.fields), scale=tuple(self.scale))
         if self.scale and len(self.scale) != len(self.fields):
             raise ValueError(f"{self.topic}: {len(self.fields)} fields, {len(self.scale)} scales")
-        self.__dict__["paths"] = [FieldPath(text).steps for text in self.fields]
+        for text in self.fields:
+            FieldPath(text)  # refuses one that cannot be read
+
+    @cached_property
+    def paths(self) -> list[tuple]:
+        """The steps that lead to each field."""
+        return [FieldPath(text).steps for text in self.fields]
 
     def numbers(self, message: Any) -> tuple[float, ...]:
         """
@@ -221,7 +227,7 @@ class RunSettings:
 
     def tables(self) -> dict:
         """Return the run as plain tables; of a rule without a name nothing is left."""
-        named = {
+        named: dict = {
             name: part if isinstance(part, str) else None
             for name, part in (("rule", self.rule), ("share", self.share))
         }

@@ -122,6 +122,8 @@ def test_answers_that_a_page_takes(toml):
     [
         ("[a", "is no TOML file"),
         ("[mine]\nafter='drive'\ntitel='x'", "got 'titel'; did you mean 'title'"),
+        ("[trust]\nitems=3", "items must be a list, got 3"),
+        ("[trust]\nitems=[{name='a', text='t', reversed=1}]", "reversed must be of type bool"),
         (
             "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t'}, "
             "{name='a', text='u'}]",

@@ -14,7 +14,7 @@ import numpy as np
 
 from trustlab.live.log import Log
 from trustlab.live.study.drives import Attempt, identified, item_order, planned_minutes, stand_in
-from trustlab.live.study.pages import LONGEST_ANSWER, AnswerError, Step, storable
+from trustlab.live.study.pages import AnswerError, Item, Step
 from trustlab.live.study.plan import EVENTS, DeletedError, Plan, file_origin, note_link
 from trustlab.live.study.progress import Progress, progress_of
 from trustlab.live.trial import Trial
@@ -30,13 +30,6 @@ class RefusedError(AnswerError):
     """A request that came too late."""
 
     status = 409
-
-
-def _whole(body: dict, name: str, most: int = 10**6) -> int:
-    value = body.get(name)
-    if type(value) is not int or not 0 <= value <= most:
-        raise AnswerError(f"{name} must be a whole number")
-    return value
 
 
 class Participant:
@@ -139,7 +132,7 @@ class Participant:
     def answers(self, body: dict) -> dict:
         """Take the answers to a form."""
         step = self.step
-        if _whole(body, "page") != step.index or step.page.kind != "form":
+        if body.get("page") != step.index or step.page.kind != "form":
             raise RefusedError("this page is done")
         answers = step.page.check(body.get("answers"), late=body.get("late") is True)
         self._add_done(step, answers=answers)
@@ -221,22 +214,20 @@ class Participant:
 
     def experimenter_restart(self, body: dict) -> None:
         """Let a drive be driven again; what was driven stays where it is."""
-        attempt = self.attempt(self.steps[_whole(body, "page", len(self.steps) - 1)])
-        page = attempt.step.index
-        if attempt.step.page.kind != "drive" or not attempt.path.exists():
-            raise AnswerError(f"page {page} is no drive that was begun")
+        drives = [step for step in self.steps if step.page.kind == "drive"]
+        attempts = [self.attempt(step) for step in drives if step.index == body.get("page")]
+        if not attempts or not attempts[0].path.exists():
+            raise AnswerError("this page is no drive that was begun")
+        (attempt,) = attempts
         if self.trial is not None and self.trial.log.path == attempt.path:
             self.trial.finish("the experimenter let it be driven again")
             self.trial = None
-        self.add("restart", page=page, attempt=attempt.number)
+        self.add("restart", page=attempt.step.index, attempt=attempt.number)
 
     def experimenter_note(self, body: dict) -> None:
         """Add a note of the experimenter's."""
-        text = body.get("text")
-        long = not isinstance(text, str) or len(text) > LONGEST_ANSWER
-        if long or not text.strip() or not storable(text):
-            raise AnswerError(f"text must be words, of at most {LONGEST_ANSWER} characters")
-        self.add("note", page=self.step.index, text=text)
+        Item("text", "", "text", required=True).check(body.get("text"))
+        self.add("note", page=self.step.index, text=body["text"])
 
     def experimenter_end(self, body: dict) -> None:
         """End the participation: the page shows the debriefing."""

@@ -376,7 +376,7 @@ class StudyServer:
         self.tokens_at = 0
         self.started = threading.Event()
         self.disk = ""
-        self.mistakes: list[str] = []
+        self.mistakes = []
 
     def holder(self, token: str) -> str | None:
         """

@@ -161,7 +161,7 @@ class Drive:
     def __init__(self, config: dict):
         self.k = 0
         self.done = False
-        self.row: list[float] = []
+        self.row = []
         self.samples = config["samples"]
         self.world = World(
             Task(**config["task"]),
