@@ -34,7 +34,9 @@ def _answer(item: Item, rng: np.random.Generator) -> Any:
         return int(rng.choice(np.arange(item.low, item.high + 1, item.step)))
     if item.kind == "choice":
         return item.choices[rng.integers(len(item.choices))]
-    return True if item.kind == "check" else ""
+    if item.kind == "check":
+        return True
+    return "words" if item.required else ""
 
 
 def _drive(participant: Participant, step: Step, rng: np.random.Generator) -> None:
