@@ -41,7 +41,8 @@ class Participant:
     """
 
     def __init__(self, plan: Plan, code: str, scripted: bool = False):
-        self.plan, self.code, self.scripted = plan, code, scripted
+        self.plan, self.code = plan, code
+        self.scripted = scripted
         self.folder = plan.folder / code
         self.steps = plan.steps(code)
         self._check_folder()

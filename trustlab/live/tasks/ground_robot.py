@@ -96,7 +96,8 @@ def drive_config(
     robot = robot or Pioneer(max_speed=LIVE_SPEED)
     course = course or default_course()
     if isinstance(condition, LiveCondition):
-        own, name, scheme, forced = condition, condition.name, condition.scheme, condition.forced
+        own, name = condition, condition.name
+        scheme, forced = own.scheme, own.forced
         thresholds = own.thresholds or thresholds
     else:
         own, name = LiveCondition("unnamed"), condition
