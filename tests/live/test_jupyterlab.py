@@ -46,28 +46,8 @@ RUNS = "[...document.querySelectorAll('div')].filter((part) => part.run)"
 HAVE = f"({RUNS}.at(-1)?.run.state().have ?? -1)"
 
 
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory):
-    """
-    Compile, here and once, what the notebooks' kernels will find on disk: on a fresh machine it
-    takes longer than a page waits.
-    """
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
-        lives = []
-        for source in (DRIVE, FLY, LEAD):
-            scope = {}
-            exec(source, scope)
-            lives.append(scope["live"])
-    for live in lives:
-        live.trial.take({"begin": True})
-        least = [live.trial.settings["limits"][name][0] for name in live.trial.settings["commands"]]
-        assert live.trial.take({"k": 0, "commands": [least] * 3, "seen": 0})["k"] == 3
-        assert live.verified
-
-
 @pytest.fixture(scope="module", params=["lab", "notebook"])
-def lab(request, compiled, tmp_path_factory):
+def lab(request, tmp_path_factory):
     """The application's name and address, and its folder."""
     home = tmp_path_factory.mktemp(request.param)
     own = {f"JUPYTER_{name}_DIR": str(home / name) for name in ("CONFIG", "DATA", "RUNTIME")}
@@ -158,7 +138,7 @@ def started(browser, lab, name, cells):
     """A notebook whose widget has begun."""
     one = Opened(browser, lab, name, cells)
     one.run(0)
-    one.page.click("text=Start driving", timeout=60_000)
+    one.page.click("text=Start driving", timeout=300_000)  # the first kernel compiles
     one.page.wait_for_function(f"{HAVE} > 3", timeout=60_000)
     return one
 

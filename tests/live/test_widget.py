@@ -239,17 +239,3 @@ def test_a_kernel_that_is_away_is_waited_for(notebook, tmp_path):
     assert max(pause["seconds"] for pause in record.pauses) > 1.0
     assert one.live.verified
     assert one.faults == []
-
-
-def test_the_pictures_keep_the_pixels_of_the_screen(notebook, tmp_path):
-    one = notebook(a_drive(tmp_path))
-    one.start()
-    for wide in (1000, 640):
-        one.page.set_viewport_size({"width": wide, "height": 700})
-        one.page.wait_for_timeout(150)
-        sizes = one.page.evaluate(
-            "[...document.querySelectorAll('.tl-drive canvas')].map((c) => [c.width, "
-            "c.clientWidth, c.parentElement.clientWidth])"
-        )
-        assert [own == shown == room for own, shown, room in sizes] == [True, True], sizes
-    assert one.faults == []

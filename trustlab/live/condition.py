@@ -96,10 +96,7 @@ class LiveCondition:
             raise ValueError("a rule needs a weight that is not zero")
         if self.thresholds is None:
             raise ValueError("weights of signals need thresholds=(lower, upper)")
-        pair = threshold_pair("threshold", self.thresholds)
-        if not pair[0] < pair[1]:
-            raise ValueError(f"the lower threshold must be below the upper one, got {pair}")
-        object.__setattr__(self, "thresholds", pair)
+        self.__dict__["thresholds"] = threshold_pair("threshold", self.thresholds)
 
     @property
     def scheme(self) -> int:

@@ -53,12 +53,12 @@ def fit_holding(session: Session, reference: TscModel) -> FitResult:
         slow = [name for name in weak if name not in LEVELS]
         fixed |= {name: known[name] for name in slow or weak}
         fit, weak, said = _fit(session, fixed)
-    if fit is None or UNUSABLE in said or not set(LEVELS) - set(fixed):
+    if fit is None or UNUSABLE in said or set(LEVELS) <= set(fixed):
         raise IdentificationError(
             f"{session.duration:.0f} s of this drive determine no level of performance, even with "
             "all else held at another model's values; drive longer (laps=8, as printed), in both "
             f"modes: {said}",
-            tuple(name for name in fixed if name != "r0"),
+            tuple(fixed)[1:],
         )
     return fit
 
@@ -72,4 +72,5 @@ def _fit(session: Session, fixed: dict[str, float]) -> tuple[FitResult | None, S
         fit = fit_tsc(session, fixed=fixed)
     except IdentificationError as error:
         return None, error.parameters, str(error)
-    return fit, list(fit.parameters.index[fit.parameters["status"].isin(UNDETERMINED)]), fit.message
+    table = fit.parameters
+    return fit, table.index[table["status"].isin(UNDETERMINED)], fit.message

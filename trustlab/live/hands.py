@@ -4,8 +4,6 @@ person who leads a team. They rehearse studies.
 """
 
 from collections import deque
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -41,25 +39,20 @@ class HumanHand:
     is. It follows suggestions, and wants no other switch.
     """
 
-    def __init__(self, config: Mapping[str, Any], seed: int | np.random.SeedSequence = 0):
+    def __init__(self, config: dict, seed: int | np.random.SeedSequence = 0):
         self.view, self.robot = config["view"], config["robot"]
         self.mode = config["task"]["first_mode"]
         self.levers = np.zeros(2)  # forward and left, in [−1, 1]
         self.rise, self.fall = (config["ramp"][name] * config["sample_time"] for name in RAMP)
         late = round(REACTION / config["sample_time"])
-        self.seen: deque = deque(maxlen=late + 1)
+        self.seen = deque(maxlen=late + 1)
         self.gates = np.array(config["posts"]).reshape(-1, 2, 2)
         self.rng = np.random.default_rng(seed)
         self.keep = np.exp(-config["sample_time"] / MISJUDGED_TIME)
         self.misjudged, self.bearing = 0.0, 0.0
 
-    def __call__(self, picture: Mapping[str, Any]) -> list[float]:
-        """Return the command that follows a picture."""
-        mode, suggested = (picture["row"] or (self.mode, -1))[:2]
-        return [*self.step(picture), mode if suggested < 0 else suggested]
-
-    def step(self, picture: Mapping[str, Any]) -> tuple[float, float]:
-        """Return the speed and the turn rate that follow a picture, within the robot's limits."""
+    def __call__(self, picture: dict) -> list[float]:
+        """Return the command that follows a picture, within the robot's limits."""
         self.seen.append((picture["x"], picture["y"], picture["yaw"]))
         self.misjudged *= self.keep
         self.misjudged += np.sqrt(1.0 - self.keep**2) * self.rng.standard_normal()
@@ -69,15 +62,14 @@ class HumanHand:
         else:
             self.bearing = bearing + MISJUDGED * self.misjudged
         forward = 1 if abs(self.bearing) < SLOW_DOWN else 0
-        left = 0 if abs(self.bearing) < DEAD_BAND else int(np.sign(self.bearing))
-        self.press(np.array([forward, left]))
-        v, w = self.levers.tolist()
-        return self.robot["max_speed"] * v, self.robot["max_turn_rate"] * w
-
-    def press(self, keys: np.ndarray) -> None:
-        """Hold keys (−1, 0 or 1 each) for one sample: they move levers, with a ramp."""
+        left = 0 if abs(self.bearing) < DEAD_BAND else np.sign(self.bearing)
+        keys = np.array([forward, left])
         most = np.where(np.abs(keys) > np.abs(self.levers), self.rise, self.fall)
         self.levers += np.clip(keys - self.levers, -most, most)
+        v, w = self.levers.tolist()
+        mode, suggested = (picture["row"] or (self.mode, -1))[:2]
+        wanted = mode if suggested < 0 else suggested
+        return [self.robot["max_speed"] * v, self.robot["max_turn_rate"] * w, wanted]
 
     def look(self, x: float, y: float, yaw: float) -> float | None:
         """
@@ -100,12 +92,12 @@ class HumanHand:
 class TrackingHand:
     """A scripted hand that points where the camera shows the target, and the better half of α."""
 
-    def __init__(self, by_hand: bool, rng: np.random.Generator):
-        self.choice = 0.5 if by_hand else -1.0
+    def __init__(self, config: dict, rng: np.random.Generator):
+        self.choice = 0.5 if config["allocates"] else -1.0
         self.rng = rng
         self.gain = POINTING * rng.uniform(0.6, 1.4)
 
-    def __call__(self, picture: Mapping[str, Any]) -> tuple[float, float, float]:
+    def __call__(self, picture: dict) -> tuple[float, float, float]:
         """Return the command that follows a picture."""
         target = picture.get("target") or (0.0, 0.0)
         x, y = np.clip(self.gain * np.array(target) + 0.03 * self.rng.normal(size=2), -1.0, 1.0)
@@ -118,7 +110,7 @@ class ScriptedLeader:
     one, the one nearest to the goal, or any.
     """
 
-    def __init__(self, config: Mapping[str, Any], rng: np.random.Generator):
+    def __init__(self, config: dict, rng: np.random.Generator):
         self.rng = rng
         self.by_trust, self.by_distance = rng.dirichlet((2.0, 1.0, 0.5))[:2]
         self.rate = PERIOD / rng.uniform(6.0, 15.0)
@@ -127,23 +119,24 @@ class ScriptedLeader:
         self.answered = 0
         self.advised = config["condition"] == "suggested"
 
-    def __call__(self, picture: Mapping[str, Any]) -> tuple[float, float, int]:
+    def __call__(self, picture: dict) -> tuple[float, float, int]:
         """Return the command that follows a picture."""
         robots, goal = np.array(picture["robots"]), np.array(picture["goal"])
-        away = goal - robots[max(picture["leader"] - 1, 0)]
-        x, y = np.clip(away + 0.05 * self.rng.normal(size=2), -1.0, 1.0)
+        away = goal - robots
+        pull = away[max(picture["leader"] - 1, 0)]
+        x, y = np.clip(pull + 0.05 * self.rng.normal(size=2), -1.0, 1.0)
         suggested = picture["suggested"]
         if suggested and suggested != self.answered and self.rng.random() < self.follows:
             self.choice = suggested
         elif not self.advised and self.rng.random() < self.rate:
-            self.choice = self._pick(robots, goal, np.array(picture["trust"]))
+            self.choice = self._pick(away, picture["trust"])
         self.answered = suggested
         return float(x), float(y), self.choice
 
-    def _pick(self, robots: np.ndarray, goal: np.ndarray, trust: np.ndarray) -> int:
+    def _pick(self, away: np.ndarray, trust: list[float]) -> int:
         draw = self.rng.random()
         if draw < self.by_trust:
             return int(np.argmax(trust)) + 1
         if draw < self.by_trust + self.by_distance:
-            return int(np.argmin(np.hypot(*(robots - goal).T))) + 1
-        return int(self.rng.integers(len(robots))) + 1
+            return int(np.argmin(np.hypot(*away.T))) + 1
+        return int(self.rng.integers(len(away))) + 1

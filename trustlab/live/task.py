@@ -6,10 +6,10 @@ stepped by commands where its log is, a row at a time; the same commands give th
 """
 
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from importlib import import_module
-from typing import Any, ClassVar, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -44,7 +44,7 @@ def is_number(x: Any) -> bool:
     return type(x) in (int, float) and -LARGEST <= x <= LARGEST
 
 
-def trust_as_json(trust: Any) -> dict[str, Any] | None:
+def trust_as_json(trust: Any) -> dict | None:
     """
     Return a model of trust that drives as plain values for `study.json`; None for the printed one.
     """
@@ -62,25 +62,26 @@ def trust_as_json(trust: Any) -> dict[str, Any] | None:
     return values | {"model": names[type(driver.model)], "parameters": values["model"]}
 
 
-def trust_of(content: Mapping[str, Any]) -> TrustInLoop | None:
+def trust_of(content: dict) -> TrustInLoop | None:
     """Return the model of trust that a plan or a run's settings hold."""
-    stored = content.get("trust")
+    stored = content["trust"]
     if stored is None:
         return None
     model = MODELS[stored["model"]](**stored["parameters"])
     return TrustInLoop(model, stored["every"], stored["start"])
 
 
+@dataclass(frozen=True)
 class HandSettings:
     """
     What the settings of flights and of a team's runs have in common: lengths [s], the least delay
     [s], and a model of trust.
     """
 
-    duration: float
-    training: float
-    least_delay: float
-    trust: Any
+    duration: float = 120.0
+    training: float = 60.0
+    least_delay: float = 0.0
+    trust: Any = None
 
     def __post_init__(self):
         trust_as_json(self.trust)
@@ -88,99 +89,88 @@ class HandSettings:
         between("training", self.training, 1.0, 3600.0)
         between("least_delay", self.least_delay, 0.0, MOST_DELAY)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict:
         """Return the settings as plain values for `study.json`."""
         return {**vars(self), "trust": trust_as_json(self.trust)}
 
 
-class LiveRun(Protocol):
-    """A run that was begun, stepped by commands."""
+def hand_config(
+    task: str,
+    content: dict,
+    condition: str,
+    seed: int,
+    choice: tuple[str, float, float],
+    **more: Any,
+) -> dict:
+    """
+    Return the settings of a run of a task that is commanded by a hand in its square and a choice,
+    given by its name and limits, and what else they hold.
+    """
+    duration = content["training" if condition == "training" else "duration"]
+    name, least, most = choice
+    limits = {"pointer_x": [-1.0, 1.0], "pointer_y": [-1.0, 1.0], name: [least, most]}
+    return {
+        "live_task": task,
+        "condition": condition,
+        "trust": content["trust"],
+        "seed": seed,
+        "sample_time": PERIOD,
+        "samples": round(duration / PERIOD),
+        "duration": duration,
+        "commands": list(limits),
+        "limits": limits,
+        "clock": "real",
+        **more,
+    }
 
-    @property
-    def done(self) -> bool:
-        """Whether it is at its end."""
 
-    def step(self, *command: float) -> list[float]:
-        """Do one period under a command; return the row of the log."""
-
-    def picture(self) -> dict[str, Any]:
-        """Return what the page draws, as plain JSON."""
-
-
+@dataclass(frozen=True)
 class LiveTask:
     """
     A task that people do live.
 
-    `practice` are drives besides those under a condition, `reported` the measures that a report
-    analyses, `settings` the class of a study's settings, `decisions` the columns that a replay must
-    give exactly.
+    Parameters
+    ----------
+    name : str
+        One of `TASKS`.
+    conditions : tuple of str
+        The conditions of a study; `practice` are the drives besides.
+    reported : tuple of str
+        The measures that a report analyses.
+    settings : type
+        The class of a study's settings.
+    config : callable
+        All that determines a run but the commands, as plain JSON, from what a study's plan holds,
+        the condition, what is known of the participant, and a seed. Every task has live_task,
+        condition, seed, sample_time [s], samples, duration (how long a run takes [s]), columns,
+        commands, limits (of each command), late (the camera's delay [s]) and clock.
+    begin : callable
+        A run by its config: `step(*command)` does a period and returns the row of the log,
+        `picture()` is what the page draws, as plain JSON, `done` whether it is at its end.
+    hand : callable
+        A scripted person by the config and a random generator: a function from picture to command.
+    measures : callable
+        The outcome measures of a session.
+    facts : callable
+        What the metadata of a session say besides, by config and table; it may take columns that
+        are no signals off the table.
+    decisions : tuple of str
+        The columns that a replay must give exactly.
     """
 
-    name: ClassVar[str]
-    conditions: ClassVar[tuple[str, ...]]
-    practice: ClassVar[tuple[str, ...]] = ("training",)
-    reported: ClassVar[tuple[str, ...]]
-    settings: ClassVar[type]
-    decisions: ClassVar[tuple[str, ...]] = ()
+    name: str
+    conditions: tuple[str, ...]
+    reported: tuple[str, ...]
+    settings: type
+    config: Callable
+    begin: Callable
+    hand: Callable
+    measures: Callable
+    facts: Callable = lambda config, table: {}
+    decisions: tuple[str, ...] = ()
+    practice: tuple[str, ...] = ("training",)
 
-    def config(
-        self, content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
-    ) -> dict[str, Any]:
-        """
-        Return all that determines a run but the commands, as plain JSON.
-
-        `content` is what a study's plan holds, `known` what is known of the participant. Every task
-        has live_task, condition, seed, sample_time [s], samples, columns, commands, limits (of each
-        command), late (the camera's delay [s]) and clock.
-        """
-        raise NotImplementedError
-
-    def hand_config(
-        self,
-        content: Mapping[str, Any],
-        condition: str,
-        seed: int,
-        choice: tuple[str, float, float],
-        **more: Any,
-    ) -> dict[str, Any]:
-        """
-        Return such settings of a task that is commanded by a hand in its square and a choice, given
-        by its name and limits, and what else they hold.
-        """
-        duration = content["training" if condition == "training" else "duration"]
-        name, least, most = choice
-        limits = {"pointer_x": [-1.0, 1.0], "pointer_y": [-1.0, 1.0], name: [least, most]}
-        return {
-            "live_task": self.name,
-            "condition": condition,
-            "trust": content.get("trust"),
-            "seed": seed,
-            "sample_time": PERIOD,
-            "samples": round(duration / PERIOD),
-            "duration": duration,
-            "commands": list(limits),
-            "limits": limits,
-            "clock": "real",
-            **more,
-        }
-
-    def begin(self, config: Mapping[str, Any]) -> LiveRun:
-        """Return a run at its beginning."""
-        raise NotImplementedError
-
-    def hand(self, config: Mapping[str, Any], rng: np.random.Generator) -> Any:
-        """Return a scripted person: a function from picture to command."""
-        raise NotImplementedError
-
-    def measures(self, session: Session) -> dict[str, float]:
-        """Return the outcome measures of a run."""
-        raise NotImplementedError
-
-    def minutes(self, config: Mapping[str, Any]) -> float:
-        """Return how long a run takes [min]."""
-        return config["samples"] * config["sample_time"] / 60.0
-
-    def check(self, config: Mapping[str, Any], command: Any) -> None:
+    def check(self, config: dict, command: Any) -> None:
         """Refuse a command that no page sends."""
         names = config["commands"]
         numbers = isinstance(command, list) and all(map(is_number, command))
@@ -191,17 +181,16 @@ class LiveTask:
             if not low <= value <= high or (name in WHOLE and value != round(value)):
                 raise ValueError(f"{name} cannot be {value!r}")
 
-    def session(self, config: Mapping[str, Any], rows: Any, **metadata: Any) -> Session:
+    def session(self, config: dict, rows: Any, **metadata: Any) -> Session:
         """Return the session of a run's rows, at least two."""
-        table = np.array(rows, dtype=float).reshape(len(rows), len(config["columns"]))
-        if len(table) < LEAST_ROWS:
+        if len(rows) < LEAST_ROWS:
             least = LEAST_ROWS * config["sample_time"]
             raise ValueError(f"a session has at least two samples; wait until {least:g} s are done")
-        index = pd.Index(np.round(config["sample_time"] * np.arange(len(table)), 9), name="t")
-        facts = {"seed": config["seed"], "task": self.name}
+        index = pd.Index(np.round(config["sample_time"] * np.arange(len(rows)), 9), name="t")
+        table = pd.DataFrame(np.array(rows, float), index, config["columns"])
+        facts = {"seed": config["seed"], "task": self.name, **self.facts(config, table)}
         about = Metadata(condition=config["condition"], source="trustlab.live", more=facts)
-        frame = pd.DataFrame(table, index, config["columns"])
-        return Session(frame, about.changed(**metadata))
+        return Session(table, about.changed(**metadata))
 
 
 def force_shown(session: Session) -> float:
@@ -214,19 +203,12 @@ def task_named(name: str) -> LiveTask:
     return import_module(f"trustlab.live.tasks.{one_of('task', name, TASKS)}").TASK
 
 
-def task_of(config: Mapping[str, Any]) -> LiveTask:
-    """Return the task of a run's settings."""
-    return task_named(config["live_task"])
-
-
-def prepare(task: LiveTask, config: Mapping[str, Any]) -> None:
+def prepare(task: LiveTask, config: dict) -> None:
     """Compile what a run calls, and refuse what only a step can refuse, before anybody drives."""
     task.begin(config).step(*(config["limits"][name][0] for name in config["commands"]))
 
 
-def scripted_commands(
-    task: LiveTask, config: Mapping[str, Any], hand: Any
-) -> tuple[list[list[float]], list[list[float]]]:
+def scripted_commands(task: LiveTask, config: dict, hand: Callable) -> tuple[list, list]:
     """
     Return the commands and rows of a whole run by a scripted person, who sees each picture as late
     as the camera is.
@@ -234,8 +216,8 @@ def scripted_commands(
     run = task.begin(config)
     late = round(config["late"] / config["sample_time"])
     pictures = deque([run.picture()], late + 1)
-    commands: list[list[float]] = []
-    rows: list[list[float]] = []
+    commands = []
+    rows = []
     while not run.done:
         commands.append([float(value) for value in hand(pictures[0])])
         rows.append(run.step(*commands[-1]))

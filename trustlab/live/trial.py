@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -39,21 +39,21 @@ class Record:
     picture that was `seen` [periods]; the rows that earlier commands made; end, and why.
     """
 
-    def __init__(self, header: Mapping[str, Any], entries: Iterable[Mapping[str, Any]] = ()):
+    def __init__(self, header: dict, entries: Iterable[dict] = ()):
         self.header = header
-        self.settings: dict[str, Any] = header["settings"]
-        self.commands: list[list[float]] = []
-        self.rows: list[list[float]] = []
+        self.settings: dict = header["settings"]
+        self.commands = []
+        self.rows = []
         self.window = self.end = ""
-        self.pauses: list[dict[str, Any]] = []
-        self.periods: list[float] = []
-        self.delays: list[float] = []
-        self._heard: float | None = None
-        self._noted: list[str] = []
+        self.pauses = []
+        self.periods = []
+        self.delays = []
+        self._heard = 0.0
+        self._noted = []
         for entry in entries:
             self.take(entry)
 
-    def take(self, entry: Mapping[str, Any]) -> None:
+    def take(self, entry: dict) -> None:
         """Take an entry over."""
         if "window" in entry:
             self.window = entry["window"]
@@ -65,46 +65,27 @@ class Record:
         commands = entry.get("commands", [])
         if not commands:
             return
-        gap = 0.0 if self._heard is None else entry["at"] - self._heard
+        gap = entry["at"] - self._heard
         if self.commands and (self._noted or gap > STILL):
             why = "; ".join(self._noted) or "nothing was heard"
             row = len(self.commands)
             self.pauses.append({"row": row, "seconds": round(gap, 2), "why": why})
         elif self.commands:
             self.periods += [gap / len(commands)] * len(commands)
-        sample_time = self.settings["sample_time"]
-        self.delays.append((len(self.commands) - entry["seen"]) * sample_time)
+        late = len(self.commands) - entry["seen"]
+        self.delays.append(late * self.settings["sample_time"])
         self.commands += commands
         self._heard, self._noted = entry["at"], []
 
-    def session(
-        self,
-        task: LiveTask,
-        fault: str,
-        unlogged: Sequence[list[float]] = (),
-        **facts: Any,
-    ) -> Session:
-        """
-        Return the rows as a session, at least two.
-
-        Parameters
-        ----------
-        task : LiveTask
-            What was done.
-        fault : str
-            What is wrong with the log, "" for nothing.
-        unlogged : sequence of list of float
-            Rows that the log does not hold yet.
-        **facts : object
-            More metadata: participant, synthetic and others.
-        """
-        facts |= {"verified": not fault, "finished": bool(self.end), "pauses": self.pauses}
+    def facts(self, fault: str) -> dict:
+        """Return what a session's metadata say; `fault` is what is wrong, "" for nothing."""
+        facts = {"verified": not fault, "finished": bool(self.end), "pauses": self.pauses}
         facts |= {"not_verified": fault} if fault else {}
         if self.periods:
             facts["period_median"] = float(np.median(self.periods))
-            facts["period_max"] = float(np.max(self.periods))
-        facts["delay"] = float(np.percentile(self.delays, 97.0)) if self.delays else 0.0
-        return task.session(self.settings, [*self.rows, *unlogged], **facts)
+            facts["period_max"] = max(self.periods)
+        facts["delay"] = float(np.percentile(self.delays or [0.0], 97.0))
+        return facts
 
     @property
     def other_maker(self) -> str:
@@ -123,17 +104,13 @@ class Record:
         return difference(task, self.settings, self.rows, rows)
 
 
-def replay(
-    task: LiveTask, settings: Mapping[str, Any], commands: Iterable[Iterable[float]]
-) -> list[list[float]]:
+def replay(task: LiveTask, settings: dict, commands: list) -> list:
     """Return the rows that commands lead to, up to the end of the run."""
     run = task.begin(settings)
     return [run.step(*command) for command in commands if not run.done]
 
 
-def difference(
-    task: LiveTask, settings: Mapping[str, Any], rows: list[list[float]], again: list[list[float]]
-) -> str:
+def difference(task: LiveTask, settings: dict, rows: list, again: list) -> str:
     """Return which logged row a replay does not give, "" for none: the last may not be logged."""
     if len(rows) > len(again):
         return f"row {len(again)} has no command"
@@ -199,7 +176,7 @@ class Trial:
         self,
         path: Path,
         task: LiveTask,
-        settings: Mapping[str, Any],
+        settings: dict,
         origin: str = "",
         **facts: Any,
     ):
@@ -214,7 +191,7 @@ class Trial:
         self.lock = threading.RLock()
         self.clock = time.time() - time.monotonic()
         self.run = task.begin(self.settings)
-        self.rows: list[list[float]] = []
+        self.rows = []
         try:
             if self.record.other_maker and not self.done:
                 raise LogError(
@@ -229,7 +206,7 @@ class Trial:
             self.log.close()
             raise
 
-    def _do(self, commands: Iterable[Iterable[float]]) -> None:
+    def _do(self, commands: list) -> None:
         for command in commands:
             if not self.run.done:
                 self.rows.append(self.run.step(*command))
@@ -241,13 +218,13 @@ class Trial:
 
     def _keep(self, **entry: Any) -> None:
         """Append an entry, with the rows that are not on the disk yet."""
-        rows = self.rows[len(self.record.rows) :]
-        entry |= {"rows": rows} if rows else {}
+        if rows := self.rows[len(self.record.rows) :]:
+            entry["rows"] = rows
         entry["at"] = round(self.clock + time.monotonic(), 3)
         self.log.append([entry])
         self.record.take(entry)
 
-    def take(self, message: Mapping[str, Any]) -> dict[str, Any]:
+    def take(self, message: dict) -> dict:
         """
         Answer a message of a page.
 
@@ -272,23 +249,24 @@ class Trial:
         """
         window = str(message.get("window", ""))[:40].encode("ascii", "replace").decode()
         with self.lock:
-            if "begin" in message and not self.done:
+            if self.done:
+                pass
+            elif "begin" in message:
                 self._keep(window=window)
-            elif window != self.record.window and not self.done:
+            elif window != self.record.window:
                 return {"refused": OTHER_WINDOW}
             elif "note" in message:
-                if not self.done:
-                    self._keep(note=str(message["note"])[:200])
-            elif "commands" in message and not self.done:
+                self._keep(note=str(message["note"])[:200])
+            elif "commands" in message:
                 self._take(message)
             return {"k": len(self.rows), "done": self.done, "picture": self.run.picture()}
 
-    def _take(self, message: Mapping[str, Any]) -> None:
+    def _take(self, message: dict) -> None:
         have, most = len(self.rows), self.settings["samples"]
         first, commands, seen = (message.get(name) for name in ("k", "commands", "seen"))
         if type(first) is not int or not isinstance(commands, list) or not is_number(seen):
             raise ValueError("a message has k, commands, and the time of the picture seen")
-        if first > have or first < 0:
+        if not 0 <= first <= have:
             return  # what is missing comes again: the answer says how many are here
         commands = commands[have - first : most - first]
         for command in commands:
@@ -315,5 +293,5 @@ class Trial:
     def session(self, **facts: Any) -> Session:
         """Return what has been done so far, also what is not logged yet."""
         with self.lock:
-            unlogged = self.rows[len(self.record.rows) :]
-            return self.record.session(self.task, self.fault, unlogged, **facts)
+            known = self.record.facts(self.fault)
+            return self.task.session(self.settings, self.rows, **known, **facts)

@@ -1,5 +1,6 @@
 """The three tasks as widgets of a notebook: the page sends commands, the kernel does them."""
 
+import itertools
 import json
 import os
 import re
@@ -14,10 +15,9 @@ from trustlab.allocation.limits import check_thresholds, threshold_limits, thres
 from trustlab.live.log import LogError
 from trustlab.live.study.pages import read_words
 from trustlab.live.task import LiveTask, prepare
-from trustlab.live.tasks import ground_robot, team
-from trustlab.live.tasks.ground_robot import drive_config, warn_if_too_short
+from trustlab.live.tasks import ground_robot, team, teleoperation
 from trustlab.live.tasks.team import LeadingSettings
-from trustlab.live.tasks.teleoperation import TeleoperationSettings, TeleoperationTask
+from trustlab.live.tasks.teleoperation import TeleoperationSettings
 from trustlab.live.trial import Trial, read_record
 from trustlab.models.checks import check_participant, flag, of_class, one_of, whole_number
 from trustlab.models.digest import digest
@@ -75,7 +75,7 @@ def state_folder() -> Path:
     return Path(home) / "trustlab" / "live"
 
 
-def goes_on(path: Path, settings: Mapping[str, Any], participant: str) -> bool:
+def goes_on(path: Path, settings: dict, participant: str) -> bool:
     """Whether a log is missing, or holds the beginning of a run with these settings."""
     if not path.exists() or not path.stat().st_size:
         return True
@@ -85,56 +85,57 @@ def goes_on(path: Path, settings: Mapping[str, Any], participant: str) -> bool:
     return record.settings == settings and not record.end and not record.other_maker
 
 
+def place_of(settings: dict, participant: str) -> Path:
+    """Return the log of a run with these settings that is not over, or a new one."""
+    text = digest(json.dumps([settings, participant], sort_keys=True))[:12]
+    name = f"{settings['condition']}-{text}"
+    paths = (state_folder() / f"{name}-{number}.jsonl" for number in itertools.count(1))
+    return next(path for path in paths if goes_on(path, settings, participant))
+
+
 class LiveWidget(anywidget.AnyWidget):
     """A task in a notebook: a trial, and the page that commands it."""
 
     _esm = module_of(*MODULES)
     words = traitlets.Dict().tag(sync=True)
     path = traitlets.Unicode().tag(sync=True)
-    trials: ClassVar[WeakValueDictionary[Path, Trial]] = WeakValueDictionary()
-    facts: Mapping[str, Any] = {}
+    trials: ClassVar = WeakValueDictionary()
+    facts: Mapping = {}
     """What the session's metadata say besides."""
 
     def __init__(
         self,
         task: LiveTask,
-        settings: Mapping[str, Any],
+        settings: dict,
         participant: str | int,
         log: str | Path | None,
         language: str,
     ):
         check_participant(participant)
+        self.participant = str(participant)
         settings = json.loads(json.dumps(settings))  # as it will be read again
-        place = self._place(settings, str(participant)) if log is None else path_of("log", log)
-        path = place.absolute()
+        path = path_of("log", place_of(settings, self.participant) if log is None else log)
+        path = path.absolute()
         if path.is_dir():
             raise ValueError(f"log must be a file, and {path} is a folder")
         path.parent.mkdir(parents=True, exist_ok=True)
-        if not goes_on(path, settings, str(participant)):
+        if not goes_on(path, settings, self.participant):
             raise ValueError(f"{path} holds another run, or one that is over; name another log")
         # A cell that is run again shows the run that goes on.
-        if path not in self.trials:
+        self.trial = self.trials.get(path)
+        if self.trial is None:
             prepare(task, settings)
             try:
-                trial = Trial(path, task, settings, participant=str(participant))
+                self.trial = Trial(path, task, settings, participant=self.participant)
             except LogError as error:
                 raise ValueError(
                     f"{error}; shut the other kernel down, or name another log: log='….jsonl'"
                 ) from error
-            self.trials[path] = trial
-        self.trial = self.trials[path]
+            self.trials[path] = self.trial
         super().__init__(words=read_words(language), path=str(path))
         self.on_msg(self._answer)
 
-    def _place(self, settings: Mapping[str, Any], participant: str) -> Path:
-        """Return the log of a run with these settings that is not over, or a new one."""
-        text = digest(json.dumps([settings, participant], sort_keys=True))[:12]
-        name, number = f"{settings['condition']}-{text}", 1
-        while not goes_on(path := state_folder() / f"{name}-{number}.jsonl", settings, participant):
-            number += 1
-        return path
-
-    def _answer(self, _widget: Any, message: dict[str, Any], _buffers: Any) -> None:
+    def _answer(self, _widget: Any, message: dict, _buffers: Any) -> None:
         try:
             if "end" in message:
                 self.trial.finish("stopped by the person")
@@ -150,7 +151,7 @@ class LiveWidget(anywidget.AnyWidget):
     @property
     def session(self) -> Session:
         """What has been done so far."""
-        return self.trial.session(participant=self.trial.record.header["participant"], **self.facts)
+        return self.trial.session(participant=self.participant, **self.facts)
 
     @property
     def verified(self) -> bool:
@@ -242,11 +243,25 @@ class LiveGroundRobot(LiveWidget):
     ):
         one_of("condition", condition, CONDITIONS)
         self.model = of_class("model", model, TscModel)
-        thresholds = checked_thresholds(condition, model, thresholds)
-        laps = whole_number("laps", laps, most=8)
-        show_map = flag("show_map", show_map)
-        config = drive_config(condition, model, thresholds, laps, seed, map=show_map)
-        warn_if_too_short(config)
+        if suggested_by_tsc(condition):
+            if thresholds is None:
+                raise ValueError(
+                    f"{condition} needs thresholds=(TSC_l, TSC_u); take them from "
+                    "trustlab.choose_thresholds(model)"
+                )
+            pair = threshold_pair("threshold", thresholds)
+            thresholds = check_thresholds(model, *pair, threshold_limits(model))
+        elif thresholds is not None:
+            raise ValueError(f"thresholds have no effect in {condition}; leave them out")
+        config = ground_robot.drive_config(
+            condition,
+            model,
+            thresholds or (0.0, 0.0),
+            whole_number("laps", laps, most=8),
+            whole_number("seed", seed, least=0, most=2**53 - 1),  # JSON keeps no larger one
+            show_map=flag("show_map", show_map),
+        )
+        ground_robot.warn_if_too_short(config)
         super().__init__(ground_robot.TASK, config, participant, log, language)
 
     def fit(self) -> "FitResult":
@@ -268,21 +283,6 @@ class LiveGroundRobot(LiveWidget):
         from trustlab.live.fit import fit_holding  # compiles only where it is called
 
         return fit_holding(self.session, self.model)
-
-
-def checked_thresholds(
-    condition: str, model: TscModel, thresholds: Any
-) -> tuple[float, float] | None:
-    """
-    Return the thresholds of a condition's suggestions within Theorem 1's limits; refused where they
-    have no effect. `drive_config` says where they are needed.
-    """
-    if thresholds is None:
-        return None
-    if not suggested_by_tsc(condition):
-        raise ValueError(f"thresholds have no effect in {condition}; leave them out")
-    pair = threshold_pair("threshold", thresholds)
-    return check_thresholds(model, *pair, threshold_limits(model))
 
 
 class LiveTracking(LiveWidget):
@@ -382,10 +382,11 @@ class LiveTracking(LiveWidget):
         where = guidance.where if isinstance(guidance, Guidance) else guidance
         settings = TeleoperationSettings(duration, study=loop.study, guidance=where).as_json()
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
-        flight = TeleoperationTask(**parts)
-        config = flight.config(settings, self.scheme.name, {}, seed)
-        config |= {"parts": {name: described(part) for name, part in parts.items()}}
-        super().__init__(flight, config, participant, log, "en")
+        config = teleoperation.flight_config(settings, self.scheme.name, {}, seed, task)
+        # what parts of your own are recognized by after a restart of the kernel
+        names = {name: str(getattr(part, "__qualname__", part)) for name, part in parts.items()}
+        config |= {"parts": names}
+        super().__init__(teleoperation.task_of(**parts), config, participant, log, "en")
         self.facts = {
             "scheme": self.scheme.title.replace("force feedback", "cues"),
             "robot": "simulated",
@@ -397,11 +398,6 @@ class LiveTracking(LiveWidget):
     def energy(self) -> pd.DataFrame:
         """The ledger of the simulated device, channel and robot [J]."""
         return self.session.data.filter(like="energy_")
-
-
-def described(part: Any) -> str:
-    """Return what a part of one's own is recognized by after a restart of the kernel."""
-    return str(getattr(part, "__qualname__", part))
 
 
 class LiveTeam(LiveWidget):

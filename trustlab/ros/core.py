@@ -147,8 +147,7 @@ class AllocationCore:
             raise ValueError(
                 "AllocationCore needs one of these: a condition, C1 to C5, or a rule, or a share"
             )
-        self.condition = condition
-        self.share = share
+        self.condition, self.share = condition, share
         self.rule, self.forced = _rule_of(model, condition, thresholds)
         self.mode: float = 1
         if rule is not None:
@@ -165,20 +164,18 @@ class AllocationCore:
         self.a_r = model.human.a ** (1.0 / steps)
         self.r = 0.0
         self.notes: list[tuple[float, str]] = []
-        self.kinds: Counter[str] = Counter()
+        self.kinds = Counter()
         self.now = -math.inf
         self.last_step: float | None = None
         self.stopped = False
         self.command = (0.0, 0.0)
-        self.rows: list[tuple[float, ...]] = []
-        self.placed: tuple[float, tuple[float, ...]] | None = None
+        self.rows: list[tuple] = []
+        self.placed: tuple | None = None
         samples = round(self.settings.window / self.settings.period)
-        self.speeds: deque[float] = deque(maxlen=samples)
-        self.skills: deque[float] = deque(maxlen=samples)
-        self.inputs = {
-            name: Input(name, watchdog, self.note)
-            for name, watchdog in self.settings.watchdogs.items()
-        }
+        self.speeds = deque(maxlen=samples)
+        self.skills = deque(maxlen=samples)
+        watchdogs = self.settings.watchdogs.items()
+        self.inputs = {name: Input(name, watchdog, self.note) for name, watchdog in watchdogs}
 
     def note(self, text: str) -> None:
         """
@@ -229,8 +226,7 @@ class AllocationCore:
         if not entry.take(float(stamp), values, now):
             return False
         if name in ("operator", "autonomy"):
-            bounds = self.settings.v_max, self.settings.w_max
-            entry.values = tuple(map(_within, values, bounds))
+            entry.values = tuple(self._within(values).tolist())
             if entry.values != values:
                 v, w = values
                 self.note(f"{name}: {v:.3g} m/s, {w:.3g} rad/s count within the bounds alone")
@@ -267,6 +263,11 @@ class AllocationCore:
         """Stop the robot by the operator's wish, from the next step on until `release`."""
         self.stopped = True
         self.note("operator's stop")
+
+    @property
+    def heard(self) -> bool:
+        """Whether every input was heard."""
+        return all(entry.values for entry in self.inputs.values())
 
     def rest(self, reason: str) -> None:
         """
@@ -318,7 +319,7 @@ class AllocationCore:
         upper = getattr(self.rule, "upper", math.nan)
         tsc = math.nan
         suggestion = -1
-        if all(entry.values is not None for entry in self.inputs.values()):
+        if self.heard:
             tsc, suggestion = self._measured(silent)
         share = self._share(silent)
         # Steps made up for after a gap come at once, and together change the command by no more
@@ -327,22 +328,15 @@ class AllocationCore:
         driver = _DRIVERS.get(share, "both")
         return Decision(*self.command, driver, self.mode, suggestion, tsc, lower, upper)
 
-    def _values(self, name: str) -> tuple[float, ...]:
-        values = self.inputs[name].values
-        assert values is not None  # called once every input was heard
-        return values
-
     def _measured(self, silent: set[str]) -> tuple[float, int]:
         """Measure performance, ask the rule unless an input is silent, and log the sample."""
         settings = self.settings
         distance = self._distance()
-        (error,) = self._values("path_error")
-        v, w = self._values("operator")
-        off_path = np.array([error])
-        speed = goal_speed(np.array([distance]), off_path, settings.period, settings.e_max)
-        skill = manoeuvring(np.array([v]), np.array([w]), off_path, settings.e_max)
-        self.speeds.append(float(speed[0]))
-        self.skills.append(float(skill[0]))
+        error = np.array(self.inputs["path_error"].values)
+        v, w = self.inputs["operator"].values
+        speed = goal_speed(np.array([distance]), error, settings.period, settings.e_max)
+        self.speeds += speed.tolist()
+        self.skills += manoeuvring(np.array([v]), np.array([w]), error, settings.e_max).tolist()
         p_r = math.fsum(self.speeds) / len(self.speeds)
         p_h = math.fsum(self.skills) / len(self.skills)
         tsc = float(self.model.value(p_r, p_h))
@@ -354,14 +348,14 @@ class AllocationCore:
             except ValueError as fault:
                 self.note(f"{fault}; the robot is stopped")
                 self.stopped = True
-        row = (self.mode, p_r, p_h, tsc, self.r, error, distance, v, w, suggestion)
+        row = (self.mode, p_r, p_h, tsc, self.r, *error.tolist(), distance, v, w, suggestion)
         self.rows.append(row)
         self.r = next_utilization.py_func(self.r, self.mode, self.a_r)  # (2.5)
         return tsc, suggestion
 
     def _distance(self) -> float:
         """Return how far the robot went since the last sample, 0 where odometry jumps."""
-        stamp, place = self.inputs["odometry"].stamp, self._values("odometry")
+        stamp, place = self.inputs["odometry"].stamp, self.inputs["odometry"].values
         before, origin = self.placed or (stamp, place)
         self.placed = stamp, place
         distance = math.dist(place, origin)
@@ -375,7 +369,12 @@ class AllocationCore:
         """Ask rule, share or correction; change the mode where it allocates, else suggest one."""
         where = f"t = {self.now:g} s"
         if self.share is not None:
-            self.mode = _asked_share(self.share, where, tsc, p_r)
+            try:
+                share = self.share(tsc=tsc, p_r=p_r)
+                self.mode = between("the operator's share", share, 0.0, 1.0)
+            except Exception as error:
+                name = type(error).__name__
+                raise ValueError(f"share failed at {where}: {name}: {error}") from error
             return -1
         if self.rule is None:
             return -1
@@ -393,9 +392,8 @@ class AllocationCore:
 
     def _share(self, silent: set[str]) -> float | None:
         """Return the operator's share as allocated, or as watchdogs leave it; None: nobody's."""
-        lost = {name for name in silent if self.settings.watchdogs[name].action == "stop"}
-        unheard = any(entry.values is None for entry in self.inputs.values())
-        if self.stopped or lost or unheard or silent >= {"operator", "autonomy"}:
+        lost = any(self.settings.watchdogs[name].action == "stop" for name in silent)
+        if self.stopped or lost or not self.heard or silent >= {"operator", "autonomy"}:
             return None
         if "operator" in silent:
             return 0.0
@@ -403,19 +401,20 @@ class AllocationCore:
 
     def _bounded(self, share: float | None, elapsed: float) -> tuple[float, float]:
         """Return the blended command within the bounds, approached at the rates allowed."""
-        s = self.settings
         if self.stopped:
             return 0.0, 0.0
-        v = w = 0.0
+        wanted = np.zeros(2)
         if share is not None:
-            v_h, w_h = self._values("operator")
-            v_a, w_a = self._values("autonomy")
-            v = share * v_h + (1.0 - share) * v_a
-            w = share * w_h + (1.0 - share) * w_a
-        return (
-            _approached(self.command[0], v, s.v_max, s.v_rate * elapsed),
-            _approached(self.command[1], w, s.w_max, s.w_rate * elapsed),
-        )
+            operator, autonomy = self.inputs["operator"].values, self.inputs["autonomy"].values
+            wanted = share * np.array(operator) + (1.0 - share) * np.array(autonomy)
+        s, before = self.settings, np.array(self.command)
+        change = np.array([s.v_rate, s.w_rate]) * elapsed
+        v, w = np.clip(self._within(wanted), before - change, before + change).tolist()
+        return v, w
+
+    def _within(self, velocities: Any) -> np.ndarray:
+        bounds = np.array([self.settings.v_max, self.settings.w_max])
+        return np.clip(velocities, -bounds, bounds)
 
     def session(self, **facts: Any) -> Session:
         """
@@ -475,19 +474,3 @@ def _rule_of(
     if condition == "C1":
         return None, False
     return PerformanceRule(model.robot.p_min, model.robot.p_max), forced
-
-
-def _asked_share(share: Callable, where: str, tsc: float, p_r: float) -> float:
-    try:
-        return between("the operator's share", share(tsc=tsc, p_r=p_r), 0.0, 1.0)
-    except Exception as error:
-        raise ValueError(f"share failed at {where}: {type(error).__name__}: {error}") from error
-
-
-def _within(value: float, bound: float) -> float:
-    return min(max(value, -bound), bound)
-
-
-def _approached(present: float, target: float, bound: float, step: float) -> float:
-    """Return the target within its bounds, or as near to it as a step allows."""
-    return min(max(_within(target, bound), present - step), present + step)

@@ -74,8 +74,11 @@ class Feed:
         return self.core.hear(name, self.stamp(name, message, now), numbers, self.seconds(now))
 
     def stamp(self, name: str, message: Any, now: int) -> float:
-        """Return when an input's message was measured [s]."""
-        stamp = self.run.topics[name].stamped(message, now + self.ahead)
+        """Return when an input's message was measured, by its header or its arrival [s]."""
+        header = getattr(message, "header", None)
+        if self.run.topics[name].stamp == "receive" or header is None:
+            return self.seconds(now)
+        stamp = header.stamp.sec * 10**9 + header.stamp.nanosec
         return self.seconds(stamp - self.ahead)
 
     def _press(self, name: str, down: bool) -> None:

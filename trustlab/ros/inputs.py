@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from trustlab.models.checks import not_negative, of_class, one_of, positive, set_checked
 
@@ -49,7 +50,7 @@ class Watchdog:
     action: str
 
     def __post_init__(self):
-        object.__setattr__(self, "after", positive("after", self.after))
+        set_checked(self, positive, "after")
         one_of("action", self.action, ("stop", "hand over", "hold"))
 
 
@@ -61,13 +62,12 @@ class Input:
         self.watchdog = watchdog
         self.note = note
         self.stamp = -math.inf
-        self.values: tuple[float, ...] | None = None
+        self.values: Any = None
         self.silent = False
 
     def take(self, stamp: float, values: tuple[float, ...], now: float) -> bool:
         """Take a message over, or note its fault and return False."""
-        fault = self._fault(stamp, values, now)
-        if fault:
+        if fault := self._fault(stamp, values, now):
             self.note(f"{self.name}: {fault}")
             return False
         if now - stamp > self.watchdog.after:
@@ -99,22 +99,16 @@ class Input:
             return True
         silent = now - self.stamp > self.watchdog.after
         if silent != self.silent:
-            self.note(
-                f"{self.name}: silent, {self.watchdog.action}"
-                if silent
-                else f"{self.name}: heard again"
-            )
+            said = f"silent, {self.watchdog.action}" if silent else "heard again"
+            self.note(f"{self.name}: {said}")
         self.silent = silent
         return silent
 
 
 def _watchdogs() -> dict[str, Watchdog]:
-    return {
-        "odometry": Watchdog(0.5, "stop"),
-        "operator": Watchdog(0.5, "hand over"),
-        "autonomy": Watchdog(0.5, "hand over"),
-        "path_error": Watchdog(0.5, "hold"),
-    }
+    actions = {"odometry": "stop", "operator": "hand over"}
+    actions |= {"autonomy": "hand over", "path_error": "hold"}
+    return {name: Watchdog(0.5, action) for name, action in actions.items()}
 
 
 @dataclass(frozen=True)
@@ -162,7 +156,7 @@ class CoreSettings:
         names = ("period", "window", "e_max", "v_max", "w_max", "v_rate", "w_rate")
         set_checked(self, positive, *names, "model_sample_time")
         if self.wait is None:
-            object.__setattr__(self, "wait", self.window)
+            self.__dict__["wait"] = self.window
         set_checked(self, not_negative, "wait")
         if self.window < self.period:
             raise ValueError(f"window = {self.window} s is shorter than one step ({self.period} s)")

@@ -15,7 +15,7 @@ from trustlab.ros.core import Decision
 from trustlab.ros.feed import END, Feed
 from trustlab.ros.inputs import AHEAD
 from trustlab.ros.recorded import LOG, RobotRun, finish_run, log_entry
-from trustlab.ros.run import CLOCK, NOTE, RUN, STATES, RunSettings, Topic
+from trustlab.ros.run import CLOCK, NOTE, RUN, STATES, RunSettings
 
 # Samples missing are made up for, step by step, up to this gap [s]; a note names a longer one.
 MOST_MADE_UP = 1.0
@@ -35,7 +35,7 @@ class Recorder:
             raise FileExistsError(f"{path} is there already: of another run")
         self.log = Log(path)
         self.report = report
-        self.queue: queue.SimpleQueue[tuple[str, int, bytes] | None] = queue.SimpleQueue()
+        self.queue = queue.SimpleQueue()
         self.thread = threading.Thread(target=self._write, name="log", daemon=True)
         self.thread.start()
 
@@ -45,23 +45,17 @@ class Recorder:
             self.queue.put((topic, now, data))
 
     def _write(self) -> None:
+        ended = False
         try:
-            while messages := self._waiting():
-                self.log.append(log_entry(*message) for message in messages)
+            while not ended:
+                messages = [self.queue.get()]
+                while not self.queue.empty():
+                    messages.append(self.queue.get())
+                ended = messages[-1] is None
+                self.log.append(log_entry(*message) for message in messages if message)
         except OSError as error:
             self.report(f"{self.log.path}: recording ends here, {error.strerror or error}")
         self.log.close()
-
-    def _waiting(self) -> list[tuple[str, int, bytes]]:
-        """Return all messages that came meanwhile, at least one; at the end none."""
-        messages = []
-        while not messages or not self.queue.empty():
-            message = self.queue.get()
-            if message is None:
-                self.queue.put(None)  # met again once these are on the disk
-                break
-            messages.append(message)
-        return messages
 
     def close(self) -> None:
         """Wait until everything is on the disk."""
@@ -98,6 +92,7 @@ class Allocation:
 
     def __init__(self, node: Any, run: RunSettings, path: str | Path):
         from rclpy.clock import Clock, ClockType
+        from rclpy.qos import QoSProfile, ReliabilityPolicy
 
         self.node = node
         self.run = run
@@ -116,20 +111,15 @@ class Allocation:
             topic: node.create_publisher(self.classes[topic], topic, 1)
             for topic in (run.topics["command"].topic, *STATES)
         }
-        for names in self.feed.names.values():
-            self._subscribe(run.topics[names[0]])
+        for topic, names in self.feed.names.items():
+            best_effort = run.topics[names[0]].best_effort
+            policy = ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE
+            profile = QoSProfile(depth=50, reliability=policy)
+            heard = partial(self._heard, topic)
+            node.create_subscription(self.classes[topic], topic, heard, profile, raw=True)
         # Steady: a timer of the computer's clock would wait out an hour that the clock steps back.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.timer = node.create_timer(run.settings.period, self._tick, clock=steady)
-
-    def _subscribe(self, source: Topic) -> None:
-        from rclpy.qos import QoSProfile, ReliabilityPolicy
-
-        policy = ReliabilityPolicy.BEST_EFFORT if source.best_effort else ReliabilityPolicy.RELIABLE
-        profile = QoSProfile(depth=50, reliability=policy)
-        heard = partial(self._heard, source.topic)
-        kind = self.classes[source.topic]
-        self.node.create_subscription(kind, source.topic, heard, profile, raw=True)
 
     def _now(self) -> int:
         """Return the run's clock [ns]; where the computer's stepped, stop the robot."""

@@ -12,9 +12,8 @@ import pandas as pd
 
 from trustlab.live.log import Log, LogError, linked
 from trustlab.models.extras import extra
-from trustlab.ros.core import Decision
 from trustlab.ros.feed import Feed
-from trustlab.ros.run import RUN, STATES, RunSettings
+from trustlab.ros.run import OWN_TYPES, RUN, STATES, RunSettings
 from trustlab.sessions.bags import PREFIX
 from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.reading import read_session
@@ -112,15 +111,16 @@ def finish_run(path: Path, run: RunSettings | None, own_rules: bool = False) -> 
     messages = [(topic, now, b64decode(data)) for topic, now, data in log.entries]
     log.close()
     replay = Replay(messages, run, own_rules)
+    session, fault = None, ""
     try:
         session = replay.session()
+        write_session(session, path.with_suffix(".csv"))
     except SessionError as error:
-        write_recording(None, bag, replay.run.types(), messages)
-        path.unlink()
-        raise SessionError(f"{error}; the messages are in {bag}") from None
+        fault = f"{error}; the messages are in {bag}"
     write_recording(session, bag, replay.run.types(), messages)
-    write_session(session, path.with_suffix(".csv"))
     path.unlink()
+    if fault:
+        raise SessionError(fault)
     return read_run(bag, replay.run)
 
 
@@ -143,31 +143,31 @@ class Replay:
     """A core that hears what was recorded, in its order, and steps where a command was sent."""
 
     def __init__(
-        self, messages: Iterable[Message], run: RunSettings | None = None, own_rules: bool = False
+        self, messages: list[Message], run: RunSettings | None = None, own_rules: bool = False
     ):
         with extra("ros"):
             from rosbags.typesys import Stores, get_typestore
 
         store = get_typestore(Stores.ROS2_HUMBLE)
-        messages = list(messages)
         if not messages or messages[0][0] != RUN:
             raise SessionError("no run is recorded here; remove the file")
-        (_, start, data), *messages = messages
-        tables = json.loads(store.deserialize_cdr(data, "std_msgs/msg/String").data)
+        _, start, data = messages[0]
+        tables = json.loads(store.deserialize_cdr(data, OWN_TYPES[RUN]).data)
         named = tables.get("rule") or tables.get("share")
         if run is None and named and not own_rules:
             raise SessionError(f"a rule takes part, {named!r}; if you trust it, say own_rules=True")
         self.run = run or RunSettings.of(tables)
-        self.link, _ = linked("", log_entry(RUN, start, data))
         self.core = self.run.core()
-        self.decisions: list[Decision] = []
-        self.times: list[float] = []
-        self.same = True
         self.feed = Feed(self.run, self.core, start)
+        self.decisions = []
+        self.times = []
+        self.same = True
+        self.link = ""
         types = self.run.types()
         for topic, now, data in messages:
             self.link, _ = linked(self.link, log_entry(topic, now, data))
-            self._take(topic, now, store.deserialize_cdr(data, types[topic]))
+            if topic != RUN:
+                self._take(topic, now, store.deserialize_cdr(data, types[topic]))
 
     def _take(self, topic: str, now: int, message: Any) -> None:
         command = self.run.topics["command"]
@@ -175,10 +175,10 @@ class Replay:
             self.times.append(self.feed.seconds(now))
             self.decisions.append(self.core.step(self.times[-1]))
             sent = command.numbers(message)
-            self.same = self.same and sent == (self.decisions[-1].v, self.decisions[-1].w)
+            self.same &= sent == (self.decisions[-1].v, self.decisions[-1].w)
         elif topic in STATES:
             state = getattr(self.decisions[-1], STATES[topic])
-            self.same = self.same and (message.data == state or state != state)
+            self.same &= message.data == state or state != state
         else:
             self.feed.hear(topic, message, now)
 
@@ -203,10 +203,10 @@ def measures_table(runs: Iterable[RobotRun]) -> pd.DataFrame:
         participant, position (from 1), condition, synthetic, and every measure.
     """
     rows = []
-    count: Counter[Any] = Counter()
+    count: Counter = Counter()
     for run in runs:
-        meta = run.session.metadata
-        count[meta.participant] += 1
-        facts = (meta.participant, count[meta.participant], meta.condition, meta.synthetic)
-        rows.append([*facts, *run.measures.values()])
-    return pd.DataFrame(rows, columns=[*KEYS, *run.measures])
+        about = run.session.metadata
+        count[about.participant] += 1
+        facts = (about.participant, count[about.participant], about.condition, about.synthetic)
+        rows.append({**dict(zip(KEYS, facts, strict=True)), **run.measures})
+    return pd.DataFrame(rows)

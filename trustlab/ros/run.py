@@ -4,10 +4,10 @@ import dataclasses
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.models.checks import one_of
@@ -16,8 +16,6 @@ from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 from trustlab.ros.core import AllocationCore
 from trustlab.ros.inputs import FIELDS, CoreSettings, Watchdog
 from trustlab.sessions.patterns import FieldPath
-
-_path = cache(FieldPath)
 
 
 @dataclass(frozen=True)
@@ -58,10 +56,13 @@ class Topic:
         self.__dict__.update(fields=tuple(self.fields), scale=tuple(self.scale))
         if self.scale and len(self.scale) != len(self.fields):
             raise ValueError(f"{self.topic}: {len(self.fields)} fields, {len(self.scale)} scales")
+        for text in self.fields:
+            FieldPath(text)  # refuses one that cannot be read
 
-    def paths(self) -> list[Any]:
-        """Return the fields as paths."""
-        return [_path(text) for text in self.fields]
+    @cached_property
+    def paths(self) -> list[tuple]:
+        """The steps that lead to each field."""
+        return [FieldPath(text).steps for text in self.fields]
 
     def numbers(self, message: Any) -> tuple[float, ...]:
         """
@@ -79,11 +80,11 @@ class Topic:
         """
         values = []
         scales = self.scale or (1.0,) * len(self.fields)
-        for path, scale in zip(self.paths(), scales, strict=True):
+        for text, steps, scale in zip(self.fields, self.paths, scales, strict=True):
             try:
-                values.append(scale * float(_part(message, path.steps)))
+                values.append(scale * float(_part(message, steps)))
             except (AttributeError, IndexError, TypeError, ValueError) as error:
-                raise ValueError(f"no number at {path.text} ({error})") from None
+                raise ValueError(f"no number at {text} ({error})") from None
         return tuple(values)
 
     def fill(self, message: Any, values: tuple[float, ...]) -> None:
@@ -97,28 +98,11 @@ class Topic:
         values : tuple of float
             One for each field.
         """
-        for path, value in zip(self.paths(), values, strict=True):
-            *steps, name = path.steps
+        for (*steps, name), value in zip(self.paths, values, strict=True):
             setattr(_part(message, steps), name, value)
 
-    def stamped(self, message: Any, now: int) -> int:
-        """
-        Return the time of measurement [ns].
 
-        Parameters
-        ----------
-        message : object
-            As a ROS library hands it out.
-        now : int
-            Time of arrival [ns].
-        """
-        header = getattr(message, "header", None)
-        if self.stamp == "receive" or header is None:
-            return now
-        return header.stamp.sec * 10**9 + header.stamp.nanosec
-
-
-def _part(message: Any, steps: Iterable[Any]) -> Any:
+def _part(message: Any, steps: Iterable) -> Any:
     """Return the part of a message to which the steps of a path lead."""
     for step in steps:
         message = getattr(message, step) if isinstance(step, str) else message[step]
@@ -191,10 +175,10 @@ class RunSettings:
     thresholds: tuple[float, float] | None = None
     rule: Any = None
     share: Any = None
-    correction: Mapping[str, Any] | None = None
+    correction: Mapping | None = None
     settings: CoreSettings = field(default_factory=CoreSettings)
     topics: Mapping[str, Topic] = field(default_factory=dict)
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping = field(default_factory=dict)
 
     def __post_init__(self):
         for name, topic in self.topics.items():
@@ -206,7 +190,7 @@ class RunSettings:
         self.__dict__["topics"] = {**TOPICS, **self.topics}
 
     @classmethod
-    def of(cls, tables: Mapping[str, Any], folder: Path = Path()) -> "RunSettings":
+    def of(cls, tables: Mapping, folder: Path = Path()) -> "RunSettings":
         """
         Return the run that tables state, as in a TOML file.
 
@@ -226,31 +210,28 @@ class RunSettings:
         """
         values = dict(tables)
         settings = dict(values.pop("settings", {}))
-        usual = CoreSettings().watchdogs
-        settings["watchdogs"] = usual | {
-            name: _made(Watchdog, f"settings.watchdogs.{name}", table)
-            for name, table in settings.pop("watchdogs", {}).items()
-        }
+        watchdogs = CoreSettings().watchdogs
+        for name, table in settings.pop("watchdogs", {}).items():
+            watchdogs[name] = _made(Watchdog, f"settings.watchdogs.{name}", table)
         model, sample_time = _model_of(values.pop("model", {}), folder)
         if sample_time is not None:
             settings.setdefault("model_sample_time", sample_time)
         topics = {}
         for name, table in values.pop("topics", {}).items():
-            usual_topic = TOPICS[one_of("[topics]", name, TOPICS)]
-            changed = partial(dataclasses.replace, usual_topic)
+            changed = partial(dataclasses.replace, TOPICS[one_of("[topics]", name, TOPICS)])
             topics[name] = _made(changed, f"topics.{name}", table)
         if values.get("thresholds") is not None:
             values["thresholds"] = tuple(values["thresholds"])
-        values["settings"] = _made(CoreSettings, "settings", settings)
-        return _made(cls, "the run", values | {"model": model, "topics": topics})
+        core = _made(CoreSettings, "settings", settings | {"watchdogs": watchdogs})
+        return _made(cls, "the run", values | {"model": model, "topics": topics, "settings": core})
 
-    def tables(self) -> dict[str, Any]:
+    def tables(self) -> dict:
         """Return the run as plain tables; of a rule without a name nothing is left."""
-        values = dataclasses.asdict(dataclasses.replace(self, rule=None, share=None))
-        for name in ("rule", "share"):
-            entry = getattr(self, name)
-            values[name] = entry if isinstance(entry, str) else None
-        return values
+        named: dict = {
+            name: part if isinstance(part, str) else None
+            for name, part in (("rule", self.rule), ("share", self.share))
+        }
+        return dataclasses.asdict(dataclasses.replace(self, **named))
 
     def types(self) -> dict[str, str]:
         """Return the types of the messages of every topic recorded."""
@@ -300,9 +281,8 @@ def read_toml(path: str | Path) -> RunSettings:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _model_of(table: Mapping[str, Any], folder: Path) -> tuple[TscModel, float | None]:
+def _model_of(table: Mapping, folder: Path) -> tuple[Any, float | None]:
     """Return the model of a run, and its sample time where it is fitted to a session."""
-    how = "model needs published, session, or human and robot"
     if set(table) == {"published"}:
         models = published_models()
         return models[one_of("model.published", str(table["published"]), models)], None
@@ -314,14 +294,17 @@ def _model_of(table: Mapping[str, Any], folder: Path) -> tuple[TscModel, float |
         fit = fit_tsc(session)
         if not fit.success:
             raise ValueError(f"{table['session']} gives no model: {fit.message}")
-        return cast(TscModel, fit.model), session.sample_time
+        return fit.model, session.sample_time
     if set(table) != {"human", "robot"}:
-        raise ValueError(f"{how}; got {', '.join(table) or 'nothing'}")
+        raise ValueError(
+            "model needs published, session, or human and robot; got "
+            f"{', '.join(table) or 'nothing'}"
+        )
     robot = _made(RobotModel, "model.robot", table["robot"])
     return TscModel(robot, _made(HumanModel, "model.human", table["human"])), None
 
 
-def _made(kind: Callable, where: str, table: Mapping[str, Any]) -> Any:
+def _made(kind: Callable, where: str, table: Mapping) -> Any:
     """Return an object from a table of its arguments, of which none is unknown or missing."""
     try:
         return kind(**table)

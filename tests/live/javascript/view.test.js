@@ -49,11 +49,11 @@ const task = {
   upper: 0.4,
   p_max: 0.42,
   first_mode: 1,
-  settling: 100,
   a_T: 1,
 };
 const columns = ["mode", "suggested_mode", "p_r", "p_h", "r", "tsc"];
-const config = { task, columns, words, sample_time: 0.1, robot: { max_speed: 0.5 } };
+const switching = { settling: 100 };
+const config = { task, switching, columns, words, sample_time: 0.1, robot: { max_speed: 0.5 } };
 const changed = (change) => ({ ...config, task: { ...task, ...change } });
 
 test("names in braces are filled in, unknown ones stay", () => {

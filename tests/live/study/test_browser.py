@@ -189,21 +189,6 @@ def test_a_closed_tab_loses_nothing_and_another_browser_goes_on(served, browser)
     assert [pause["why"] for pause in record(plan).pauses].count("begun again") >= 1
 
 
-def test_a_drive_that_is_over_elsewhere_leads_on(served, browser, driving_page):
-    url = served.links["P01"]
-    page = opened(browser.new_context(), url)
-    number, kind = next_page(page)
-    go_on(page, kind)
-    next_page(page, number)
-    other = driving_page(url)
-    other.begin()
-    assert other.drive(0, 99)["k"] == 99
-    assert other.drive(99, 9)["done"]
-    go_on(page, "drive")
-    until(page, "self.study.page === 2")
-    assert page.faults == []
-
-
 @pytest.mark.parametrize("seconds", [2.0, pytest.param(5.0, marks=pytest.mark.long)])
 def test_time_without_a_network_is_a_pause(served, browser, seconds):
     """A drive stands still without a network, says so, and goes on in place."""

@@ -19,7 +19,6 @@ import pytest
 from trustlab.live.log import read_log
 from trustlab.live.study.live_study import LiveStudy
 from trustlab.live.study.plan import file_origin, read_tokens
-from trustlab.live.task import task_of
 from trustlab.live.trial import read_record, replay
 from trustlab.trust.dynamics import MODELS
 
@@ -128,7 +127,7 @@ def check(plan, client, driving_page, count, seed, command=steered):
     assert fault == ""
     assert record.commands == made
     assert acknowledged == len(made)
-    task = task_of(record.settings)
+    task = plan.task
     rows = replay(task, record.settings, made)
     assert record.rows == rows[: len(record.rows)]
     assert len(record.rows) > 0

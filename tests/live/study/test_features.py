@@ -82,7 +82,7 @@ def test_groups_are_the_factor_between_subjects(tmp_path):
     )
     assert effects.equals(oracle.table())
     assert effects.to_string().count("group") > 1
-    with pytest.raises(ValueError, match="dv must be one of"):
+    with pytest.raises(ValueError, match="no column 'forces'"):
         study.analysis("forces")
 
 

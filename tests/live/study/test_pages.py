@@ -17,7 +17,6 @@ from trustlab.live.study.pages import (
     read_words,
     steps_of,
 )
-from trustlab.studies.questionnaires import NASA_TLX, TRUST_CHECKLIST, satisfaction_scale
 
 OWN = """
 [consent]
@@ -77,21 +76,6 @@ def test_the_course_of_a_participant():
     assert [s.name for s in steps[2:4]] == ["02-identification", "03-drive"]
 
 
-@pytest.mark.parametrize(
-    ("name", "questionnaire", "ends"),
-    [
-        ("nasa_tlx", NASA_TLX, (0, 100, 5)),
-        ("trust", TRUST_CHECKLIST, (1, 7, 1)),
-        ("satisfaction", satisfaction_scale(), (1, 7, 1)),
-    ],
-)
-def test_items_are_those_that_the_questionnaires_score(name, questionnaire, ends):
-    page = next(page for page in read_pages() if page.name == name)
-    scales = [item for item in page.items if item.kind == "scale"]
-    assert [item.name for item in scales] == list(questionnaire.items)
-    assert {(item.low, item.high, item.step) for item in scales} == {ends}
-
-
 def test_own_pages_stand_where_they_say(toml):
     pages = read_pages(files=toml(OWN))
     drive = ["drive", "ease", "nasa_tlx", "trust", "satisfaction"]
@@ -138,6 +122,8 @@ def test_answers_that_a_page_takes(toml):
     [
         ("[a", "is no TOML file"),
         ("[mine]\nafter='drive'\ntitel='x'", "got 'titel'; did you mean 'title'"),
+        ("[trust]\nitems=3", "items must be a list, got 3"),
+        ("[trust]\nitems=[{name='a', text='t', reversed=1}]", "reversed must be of type bool"),
         (
             "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t'}, "
             "{name='a', text='u'}]",

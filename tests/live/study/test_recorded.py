@@ -168,6 +168,12 @@ high = 10
 ONE_ITEM = """
 [trust]
 items = [{name = "trust", text = "How much do you trust it?", low = 0, high = 10}]
+
+[why]
+after = "trust"
+title = "Why?"
+text = "Say why."
+items = [{name = "why", kind = "text", text = "Why?", required = true}]
 """
 
 

@@ -5,7 +5,6 @@ Oracles: Table 2.1 as printed; `fit_tsc` called by hand with the same values hel
 """
 
 import pandas as pd
-import pytest
 
 import trustlab as tl
 from trustlab.live.hands import HumanHand
@@ -30,14 +29,6 @@ def test_the_live_task_is_as_hard_as_people_found_it():
         ("p_h", [model.human.p_max for model in people]),
     ):
         assert min(most) - 0.02 < hand[signal] < max(most) + 0.02, signal
-
-
-def test_a_live_session_knows_its_laps():
-    session = driven(drive_config("C3", MODEL, (0.0, 0.35), laps=2, seed=3))
-    assert session.sample_time == 0.1
-    laps = session.metadata.more["lap_times"]
-    assert len(laps) == 2
-    assert laps[-1] == pytest.approx(session.t[-1])
 
 
 def test_an_identification_drive_is_fitted():
@@ -68,15 +59,3 @@ def test_what_a_drive_leaves_undetermined_is_held_at_the_drives_model(tmp_path):
     again = tl.fit_tsc(live.session, fixed=values | {"r0": 0.0})
     assert (found["status"] == "estimated").any()
     assert found["value"].to_dict() == again.parameters["value"].to_dict()
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({}, "give one of laps="),
-        ({"schedule": [(1, 10.0)]}, "goes with the condition 'identification'"),
-    ],
-)
-def test_bad_settings_are_named(change, says):
-    with pytest.raises(ValueError, match=says):
-        drive_config("training", MODEL, **change)

@@ -11,7 +11,8 @@ import pytest
 from statsmodels.stats.inter_rater import cohens_kappa
 
 import trustlab as tl
-from trustlab.live.task import task_named, task_of
+from tests.live.cases import commands_for, configured, session_of
+from trustlab.live.task import task_named
 from trustlab.live.tasks.agreement import occasions, policy_agreement
 from trustlab.live.tasks.team import ABILITIES
 from trustlab.operators.teleoperator import REACH
@@ -21,30 +22,11 @@ from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, Tea
 SHORT = {"team": {"duration": 9.0, "goals": 2}, "teleoperation": {"duration": 3.0}}
 
 
-def configured(task, condition, seed=3):
-    protocol = task_named(task)
-    return protocol.config(protocol.settings(**SHORT[task]).as_json(), condition, {}, seed)
-
-
-def commanded(config, seed=0):
-    """Commands of a hand that wanders and now and then changes its choice."""
-    rng = np.random.default_rng(seed)
-    t = 0.05 * np.arange(config["samples"])
-    low, high = config["limits"][config["commands"][2]]
-    choice = np.repeat(rng.uniform(low, high, len(t) // 20 + 1), 20)[: len(t)]
-    if config["commands"][2] == "leader_choice":
-        choice = np.round(choice)
-    return np.column_stack([np.sin(0.7 * t), 0.8 * np.cos(0.4 * t), choice])
-
-
-def stepped(config, commands):
-    run = task_of(config).begin(config)
-    rows = []
-    for command in commands.tolist():
-        if run.done:
-            break
-        rows.append(run.step(*command))
-    return np.array(rows)
+def a_session(task, condition):
+    """A run by random commands, each held for a second; its config and commands."""
+    config = configured(task, condition, **SHORT[task])
+    commands = commands_for(config, hold=20)
+    return session_of(config, commands), config, np.array(commands)
 
 
 class ByCommand:
@@ -61,9 +43,7 @@ class ByCommand:
 
 
 def test_a_team_is_that_of_the_loop():
-    config = configured("team", "by_hand")
-    commands = commanded(config)
-    session = task_of(config).session(config, stepped(config, commands))
+    session, config, commands = a_session("team", "by_hand")
     ring = np.array([[0, 1, 0, 1], [1, 0, 1, 0], [0, 1, 0, 1], [1, 0, 1, 0]], float)
     robots = tuple(type(ABILITIES[0])(**robot) for robot in config["robots"])
     settings = TeamSettings(robots=robots, min_dwell=5.0, **config["gains"])
@@ -89,9 +69,7 @@ def test_a_team_is_that_of_the_loop():
 
 
 def test_a_flight_is_that_of_the_loop():
-    config = configured("teleoperation", "MMI")
-    commands = commanded(config)
-    session = task_of(config).session(config, stepped(config, commands))
+    session, _, commands = a_session("teleoperation", "MMI")
     operator = tl.Teleoperator("live", reach=REACH["main"], noise=0.0)
     settings = tl.teleoperation.STUDIES["main"]
     ends = settings.scattering
@@ -111,15 +89,12 @@ def test_a_flight_is_that_of_the_loop():
 
 def test_policies_lead_where_they_should_and_suggest_where_they_should():
     for condition in ("most_trusted", "hysteresis"):
-        config = configured("team", condition)
-        session = task_of(config).session(config, stepped(config, commanded(config)))
+        session, config, _ = a_session("team", condition)
         free = session["may_switch"] > 0
         assert (session["leader"] == session[f"leader_{condition}"])[free].all()
         assert not session["leader_suggested"].any()
-    config = configured("team", "suggested")
-    idle = np.zeros((config["samples"], 3))
-    idle[:, 0] = 1.0
-    session = task_of(config).session(config, stepped(config, idle))
+    config = configured("team", "suggested", **SHORT["team"])
+    session = session_of(config, [[1.0, 0.0, 0]] * config["samples"])
     suggested = session["leader_suggested"]
     assert set(session["leader"]) == {1}, "nothing was accepted"
     pick = session["leader_hysteresis"]

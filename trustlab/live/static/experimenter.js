@@ -40,8 +40,6 @@ function buttons(who) {
 function pace(who) {
   const parts = [];
   if (who.rows !== null) parts.push(`${who.rows} rows`);
-  for (const [name, value] of Object.entries(who.telemetry))
-    parts.push(`${name} ${Math.round(value * 1000) / 1000}`);
   if (who.pauses) parts.push(`${who.pauses} pauses`);
   return parts.join(", ");
 }

@@ -23,7 +23,6 @@ export function play(root, open, on) {
     behind = 0, // [ms] since the last command
     last = 0,
     seen = 0, // the time of the picture on the screen
-    told = 0,
     still = false,
     over = false;
 
@@ -32,11 +31,7 @@ export function play(root, open, on) {
     note = (words) => link.send({ window: tab, note: words });
 
   function send(commands, k) {
-    const now = performance.now(),
-      message = { window: tab, k, commands, seen: Math.round(100 * seen) / 100 };
-    if (now - told > 1000) Object.assign(message, { telemetry: telemetry() });
-    told = message.telemetry ? now : told;
-    link.send(message);
+    link.send({ window: tab, k, commands, seen: Math.round(100 * seen) / 100 });
   }
 
   function begin(answer) {

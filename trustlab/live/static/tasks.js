@@ -37,7 +37,8 @@ function groundRobot(root, config, signal, note) {
       gauges.add(row);
       // A wish is not kept where it cannot be met now: before the window is full, or without the
       // suggestion that must be followed.
-      if (config.task.forced || k * config.sample_time <= config.task.settling) wanted = row[0];
+      const early = k * config.sample_time <= config.switching.settling;
+      if (config.task.forced || early) wanted = row[0];
     },
     draw(picture, near, newest) {
       camera.draw(picture);

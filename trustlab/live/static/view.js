@@ -246,10 +246,11 @@ export function reason(config, suggested, row) {
 // Why nobody may switch in this sample, in words; "" where they may.
 export function refusal(config, k, row) {
   const { task, words } = config,
-    rest = task.settling - k * config.sample_time;
+    { settling } = config.switching,
+    rest = settling - k * config.sample_time;
   if (config.schedule) return words.by_itself;
   if (rest > 0) {
-    const values = { seconds: Math.ceil(rest), settling: task.settling };
+    const values = { seconds: Math.ceil(rest), settling };
     return filled(words.too_early, values);
   }
   const [mode, suggested] = row ?? [task.first_mode, -1];

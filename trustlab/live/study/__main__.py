@@ -23,41 +23,17 @@ def main(words: list[str] | None = None) -> int:
     add("--address", default="127.0.0.1", help="where to listen; elsewhere needs --url")
     add("--port", type=int, default=8765, help="port (default: 8765)")
     add("--url", default="", help="the address of a proxy that ends TLS, https://…")
-    add(
-        "--delete",
-        metavar="CODE",
-        help="delete a participant: folder, link, and reports made with their data",
-    )
-    add("--export", action="store_true", help="write report-data.zip, everything as tables")
-    add("--report", action="store_true", help="write report.html instead of serving")
     options = parser.parse_args(words)
     try:
-        if options.report or options.export:
-            from trustlab.live.study.recorded import read_live_study
-
-            study = read_live_study(options.folder)
-            print(study.export() if options.export else study.report())
-            return 0
         new = not (Path(options.folder) / PLAN).exists()
-        plan = (
-            LiveStudy(options.folder)
-            if new and not options.delete
-            else LiveStudy.open(options.folder)
-        )
-        if options.delete:
-            plan.delete(options.delete)
-            print(
-                f"{options.delete} is deleted: folder, link, reports in this folder. Copies "
-                "elsewhere are yours to delete."
-            )
-            return 0
+        plan = LiveStudy(options.folder) if new else LiveStudy.open(options.folder)
         if new:
             print(
                 "A new study: C1 to C5, 20 participants, seed 0. For another one, plan it with "
                 "trustlab.LiveStudy first."
             )
         plan.serve(options.address, options.port, url=options.url)
-    except (ModuleNotFoundError, ValueError, OSError) as error:
+    except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0

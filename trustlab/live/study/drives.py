@@ -5,9 +5,9 @@ after the first a model.
 
 from __future__ import annotations
 
+import json
 import math
 import warnings
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,10 +17,8 @@ import numpy as np
 from trustlab.live.study.pages import Item, Step
 from trustlab.live.study.plan import Plan, file_origin
 from trustlab.live.study.settings import model_of
-from trustlab.live.task import PERIOD, task_named, task_of
+from trustlab.live.task import PERIOD, task_named
 from trustlab.live.trial import Record, read_record
-from trustlab.models.checks import of_class
-from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
 
 FROM_FIT = "own drive"
@@ -59,12 +57,12 @@ class Attempt(NamedTuple):
         child = np.random.SeedSequence(self.plan.content["seed"], spawn_key=key)
         return int(child.generate_state(1)[0])
 
-    def settings(self, model: Mapping[str, Any] | None) -> tuple[dict[str, Any], dict[str, Any]]:
+    def settings(self, model: dict | None) -> tuple[dict, dict]:
         """
         Return what determines the drive but for the commands, and what else the log begins with:
         the condition, and where the participant's model comes from.
         """
-        known = stand_in(self.plan, "no identification drive") if model is None else model
+        known = model or stand_in(self.plan, "no identification drive")
         condition = self.step.condition or self.step.page.name
         config = drive_of(self.plan.content, condition, known, self.seed)
         return config, {"condition": condition, "source": known["source"], "why": known["why"]}
@@ -75,9 +73,8 @@ class Attempt(NamedTuple):
         are compared with a replay, its last link with the one that is known.
         """
         record, last, fault = read_record(self.path, self.origin)
-        if record is not None and not fault:
-            fault = record.fault(task_of(record.settings))
-            fault = f"{self.path.name}: {fault}" if fault else ""
+        if record and not fault and (wrong := record.fault(self.plan.task)):
+            fault = f"{self.path.name}: {wrong}"
         if not fault and link not in (None, last):
             fault = f"{self.path.name}: it does not end where the drive was finished"
         return record, fault
@@ -87,9 +84,13 @@ class Attempt(NamedTuple):
         Return the logged rows; their metadata hold the verdict, the log period, pauses, and the
         delay with which pictures were seen.
         """
-        session = record.session(
-            task_of(record.settings),
-            fault,
+        config, facts = record.settings, record.facts(fault)
+        late = config["late"] + max(config["sample_time"], PERIOD)
+        return self.plan.task.session(
+            config,
+            record.rows,
+            **facts,
+            seen_late=facts["delay"] > late,
             position=self.step.position,
             page=self.step.index,
             attempt=self.number,
@@ -98,21 +99,18 @@ class Attempt(NamedTuple):
             condition=record.header["condition"],
             synthetic=self.plan.rehearsal,
         )
-        late = record.settings["late"] + max(record.settings["sample_time"], PERIOD)
-        return session.with_metadata(seen_late=session.metadata.more["delay"] > late)
 
 
-def drive_of(
-    content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
-) -> dict[str, Any]:
+def drive_of(content: dict, condition: str, known: dict, seed: int) -> dict:
     """
-    Return the settings of a drive of a study with this content, with a known model and thresholds.
+    Return the settings of a drive of a study with this content, with a known model and thresholds,
+    as a log will hold them.
     """
     config = task_named(content["task"]).config(content, condition, known, seed)
     config["late"] = max(config["late"], content["least_delay"])
     if content["rehearsal"]:
         config["clock"] = "accelerated"
-    return config
+    return json.loads(json.dumps(config))
 
 
 def item_order(plan: Plan, code: str, step: Step) -> list[Item]:
@@ -132,18 +130,18 @@ def planned_minutes(plan: Plan) -> int:
         if step.page.kind == "drive":
             condition = step.condition or step.page.name
             config = drive_of(plan.content, condition, stand_in(plan, ""), seed=0)
-            minutes += task_of(config).minutes(config)
+            minutes += config["duration"] / 60.0
     return 5 * math.ceil(minutes / 5.0)
 
 
-def stand_in(plan: Plan, why: str) -> dict[str, Any]:
+def stand_in(plan: Plan, why: str) -> dict:
     """Return the plan's own model and thresholds, with the reason why they stand in."""
     if "stand_in" not in plan.content:  # a task whose drives need no model of the person
         return {"source": "", "why": ""}
     return {"source": FROM_STAND_IN, "why": why, **plan.content["stand_in"]}
 
 
-def identified(plan: Plan, session: Session) -> dict[str, Any]:
+def identified(plan: Plan, session: Session) -> dict:
     """
     Return a participant's model and thresholds from the identification drive, as far as the drive
     determines them.
@@ -161,7 +159,7 @@ def identified(plan: Plan, session: Session) -> dict[str, Any]:
 
     try:
         fit = fit_holding(session, model_of(plan.content["stand_in"]["model"]))
-        model = of_class("model", fit.model, TscModel)
+        model: Any = fit.model
         with warnings.catch_warnings():  # what it warns of is recorded
             warnings.simplefilter("ignore")
             chosen = choose_thresholds(model)

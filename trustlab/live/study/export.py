@@ -51,32 +51,26 @@ def _harmless(value: object) -> object:
 
 def _readme(tables: Mapping[str, pd.DataFrame], about: str) -> str:
     """Return what the columns mean, with their units."""
+    with MEANINGS.open(encoding="utf-8", newline="") as file:
+        own = {name: (unit, meaning) for name, unit, meaning in csv.reader(file)}
     lines = [about, ""]
     for name, table in tables.items():
         lines += [f"{name}.csv, {name}.parquet: {len(table)} rows"]
-        for column in table:
-            unit, meaning = meaning_of(str(column))
+        for column in map(str, table):
+            unit, meaning = own.get(column) or _meaning_of(column)
             lines.append(f"  {column}{f' [{unit}]' if unit else ''}: {meaning}")
     return "\n".join(lines) + "\n"
 
 
-def meaning_of(name: str) -> tuple[str, str]:
-    """Return unit and meaning of a column."""
-    if name in (own := meanings()):
-        return own[name]
-    if name in VOCABULARY:
-        return VOCABULARY[name].unit, VOCABULARY[name].meaning
-    page, _, kind = name.rpartition("_")
+def _meaning_of(column: str) -> tuple[str, str]:
+    """Return unit and meaning of a signal, or of the score of a questionnaire."""
+    if column in VOCABULARY:
+        return VOCABULARY[column].unit, VOCABULARY[column].meaning
+    page, _, kind = column.rpartition("_")
     return "", f"{SCORES[kind]} of the questionnaire {page}" if kind in SCORES else ""
 
 
 SCORES = {"raw": "mean score", "mean": "mean score", "subscale": "score of a subscale"}
-
-
-def meanings() -> dict[str, tuple[str, str]]:
-    """Return unit and meaning of the columns that are no signals."""
-    with MEANINGS.open(encoding="utf-8", newline="") as file:
-        return {name: (unit, meaning) for name, unit, meaning in list(csv.reader(file))[1:]}
 
 
 def samples_of(sessions: list[Session]) -> pd.DataFrame:

@@ -20,14 +20,7 @@ from trustlab.live.study.rehearsal import rehearse
 from trustlab.live.task import task_named
 from trustlab.live.tasks.ground_robot import warn_if_too_short
 from trustlab.live.trial import made_by
-from trustlab.models.checks import (
-    flag,
-    of_class,
-    one_of,
-    shown,
-    spawned,
-    whole_number,
-)
+from trustlab.models.checks import flag, of_class, one_of, shown, spawned, whole_number
 from trustlab.models.display import as_html
 from trustlab.studies.designs import latin_square_design
 
@@ -117,16 +110,13 @@ class LiveStudy(Plan):
         groups = _groups(participants, seed)
         orders: dict[str, list[str]] = {}
         for codes in groups.values():
-            design = latin_square_design(
-                names, codes, seed, whole_squares=flag("whole_squares", whole_squares)
-            )
+            design = latin_square_design(names, codes, seed, whole_squares=whole_squares)
             orders |= {code: list(order) for code, *order in design.table().itertuples()}
         group_of = {code: group for group, codes in groups.items() for code in codes if group}
-        files = task_pages(task, language)
-        files += [
-            Path(path) for path in ([pages] if isinstance(pages, str | os.PathLike) else pages)
-        ]
-        content: dict[str, Any] = {
+        if isinstance(pages, str | os.PathLike):
+            pages = [pages]
+        files = [*task_pages(task, language), *map(Path, pages)]
+        content: dict = {
             "format": FORMAT,
             "task": task,
             "made_by": made_by(),
@@ -142,8 +132,7 @@ class LiveStudy(Plan):
             "pages": [asdict(page) for page in read_pages(language, files)],
         }
         for page in content["pages"]:
-            if page["group"]:
-                one_of(f"group of the page {page['name']}", page["group"], groups)
+            one_of(f"group of the page {page['name']}", page["group"], ("", *groups))
         # What cannot be driven is refused now.
         known = content.get("stand_in", {})
         for name in (*protocol.practice, *names):
@@ -156,8 +145,8 @@ class LiveStudy(Plan):
 
     def delete(self, code: str) -> None:
         """
-        Delete a participant: folder, link, and reports made with their data. An empty file keeps
-        the count.
+        Delete a participant: folder, link, and reports made with their data. The plan keeps the
+        count.
 
         Parameters
         ----------
@@ -237,11 +226,9 @@ class LiveStudy(Plan):
 
     def table(self) -> pd.DataFrame:
         """Return everybody's order: a row per participant, a column per position."""
-        positions = range(1, len(self.content["conditions"]) + 1)
-        index = pd.Index(self.orders, name="participant")
-        return pd.DataFrame(list(self.orders.values()), index, positions).rename_axis(
-            columns="position"
-        )
+        table = pd.DataFrame.from_dict(self.orders, orient="index")
+        table.columns = pd.RangeIndex(1, table.shape[1] + 1, name="position")
+        return table.rename_axis(index="participant")
 
     def _repr_html_(self) -> str:
         kind = " Rehearsal by scripted hands." if self.rehearsal else ""
@@ -271,9 +258,8 @@ def _groups(
     if all(isinstance(value, int) for value in participants.values()):
         codes = _codes(len(codes))
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(codes),)))
-        codes = [codes[i] for i in rng.permutation(len(codes))]
-    _codes(codes)  # refuses those that are the same
-    dealt = iter(codes)
+        codes = rng.permutation(codes).tolist()
+    dealt = iter(_codes(codes))  # refuses those that are the same
     return {group: sorted(next(dealt) for _ in part) for group, part in parts.items()}
 
 
@@ -290,7 +276,6 @@ def _codes(participants: int | Sequence[str]) -> list[str]:
                 f"with a letter or digit; got {shown(code)}"
             )
     # One folder each, also where names ignore case.
-    distinct = {code.lower() for code in codes}
-    if len(distinct) < len(codes):
+    if len({code.lower() for code in codes}) < len(codes):
         raise ValueError("participants: two codes are the same but for upper and lower case")
     return codes

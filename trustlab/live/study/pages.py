@@ -6,26 +6,22 @@ which answers are accepted.
 import base64
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from trustlab.models.checks import flag, one_of, shown, whole_number
+from trustlab.models.checks import one_of, shown, whole_number
 
 FOLDER = Path(__file__).parents[1] / "words"
 LANGUAGES = {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
 """The files of words that come with the package."""
-
-WORDS = "words"
-"""The table of such a file that holds messages; each of the others is a page."""
 
 PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".webp": "image/webp"}
 LARGEST_PICTURE = 1_000_000
 LONGEST_ANSWER = 1000
 """Characters that a participant may write in one answer."""
 
-SECTIONS = ("start", "each", "end")
 KINDS = ("form", "drive", "end")
 ITEMS = ("scale", "choice", "text", "check")
 SCORED = ("nasa_tlx", "trust", "satisfaction", "likert")
@@ -112,15 +108,13 @@ class StudyPage:
         """The items that are scales."""
         return [item for item in self.items if item.kind == "scale"]
 
-    def check(self, answers: Any, late: bool = False) -> dict[str, Any]:
+    def check(self, answers: Any, late: bool = False) -> dict:
         """
         Return the answers, one to each item and none besides, in the items' order; or raise
         `AnswerError`. Where time was over, answers may be missing.
         """
-        if not isinstance(answers, dict):
-            raise AnswerError("the answers must be names with values")
-        if unknown := set(answers) - {item.name for item in self.items}:
-            raise AnswerError(f"{shown(sorted(map(str, unknown))[0])} is no item of this page")
+        if not isinstance(answers, dict) or set(answers) - {item.name for item in self.items}:
+            raise AnswerError("the answers must be names of items with values")
         items = self.items
         if late and self.seconds:
             items = tuple(item for item in items if item.name in answers)
@@ -129,7 +123,7 @@ class StudyPage:
         return {item.name: answers[item.name] for item in items}
 
     @classmethod
-    def read(cls, content: Mapping[str, Any]) -> "StudyPage":
+    def read(cls, content: dict) -> "StudyPage":
         """Return a page from what `asdict` made of it."""
         items = tuple(
             Item(**item | {"choices": tuple(item["choices"])}) for item in content["items"]
@@ -160,18 +154,16 @@ def steps_of(pages: Iterable[StudyPage], order: Iterable[str], group: str = "") 
     Return a participant's way through the study: the start, what belongs to each condition of their
     order, and the end; pages of another group are left out.
     """
-    pages, order = [page for page in pages if page.group in ("", group)], list(order)
+    own, order = [page for page in pages if page.group in ("", group)], list(order)
     places = [("each", condition, number) for number, condition in enumerate(order, 1)]
     steps: list[Step] = []
     for section, condition, position in (("start", None, None), *places, ("end", None, None)):
-        for page in pages:
-            last = page.name == "pause" and position == len(order)
-            if page.section == section and not last:
-                title = page.title
-                if position is not None:
-                    title = title.replace("{number}", str(position))
-                    title = title.replace("{count}", str(len(order)))
-                steps.append(Step(replace(page, title=title), len(steps), condition, position))
+        for page in own:
+            if page.section != section or (page.name == "pause" and position == len(order)):
+                continue
+            title = page.title.replace("{number}", str(position))
+            title = title.replace("{count}", str(len(order)))
+            steps.append(Step(replace(page, title=title), len(steps), condition, position))
     return steps
 
 
@@ -181,13 +173,18 @@ def steps_of(pages: Iterable[StudyPage], order: Iterable[str], group: str = "") 
 
 def task_pages(task: str, language: str) -> list[Path]:
     """Return the files that change a language's pages for a task; none for the ground robot."""
-    path = FOLDER / task / f"{one_of('language', language, LANGUAGES)}.toml"
+    path = FOLDER / task / f"{language}.toml"
     return [path] if path.exists() else []
 
 
 def read_words(language: str = "en") -> dict[str, str]:
     """Return the messages of a language."""
-    return _content(LANGUAGES[one_of("language", language, LANGUAGES)])[WORDS]
+    return _tables(language)["words"]
+
+
+def _tables(language: str) -> dict:
+    """Return what the file of a language holds: its messages, and a table of each page."""
+    return _content(LANGUAGES[one_of("language", language, LANGUAGES)])
 
 
 def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPage]:
@@ -195,19 +192,20 @@ def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPa
     Return the pages of a study: those of a language, as the files change them, add to them and
     leave some out.
     """
-    tables = _content(LANGUAGES[one_of("language", language, LANGUAGES)])
-    del tables[WORDS]
+    tables = _tables(language)
+    del tables["words"]
     for path in files:
         for name, table in _content(path).items():
             where = f"{path}, [{name}]"
-            _check_table(where, name, table)
+            if not isinstance(table, dict) or not NAME.fullmatch(name):
+                raise ValueError(f"{where} must be a table, [name], in small letters, digits and _")
             if "picture" in table:
                 table["picture"] = _data_uri(where, path.parent / str(table["picture"]))
             tables = _changed(tables, name, table, where)
     return [_page(name, table) for name, table in tables.items()]
 
 
-def _content(path: Path) -> dict[str, Any]:
+def _content(path: Path) -> dict:
     """Return what a TOML file holds."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -215,15 +213,6 @@ def _content(path: Path) -> dict[str, Any]:
         raise ValueError(f"the pages in {path} cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise ValueError(f"{path} is no TOML file in UTF-8: {error}") from None
-
-
-def _check_table(where: str, name: str, table: Any) -> None:
-    """Refuse a table whose name or keys no page has."""
-    if not isinstance(table, dict) or not NAME.fullmatch(name):
-        raise ValueError(f"{where} must be a table, [name], in small letters, digits and _")
-    keys = [each.name for each in fields(StudyPage)[1:]]
-    for key in table:
-        one_of(f"a key of {where}", key, [*keys, *SCALE, "before", "after", "skip"])
 
 
 def _data_uri(where: str, path: Path) -> str:
@@ -237,9 +226,7 @@ def _data_uri(where: str, path: Path) -> str:
     return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
-def _changed(
-    tables: dict[str, dict[str, Any]], name: str, table: dict[str, Any], where: str
-) -> dict[str, dict[str, Any]]:
+def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dict[str, dict]:
     """Return pages of which a file's table changes one, leaves one out, or is a new one."""
     place = {side: table.pop(side) for side in ("before", "after") if side in table}
     skip = table.pop("skip", False)
@@ -265,20 +252,38 @@ def _changed(
     return {key: tables[key] for key in order}
 
 
-def _page(name: str, table: Mapping[str, Any]) -> StudyPage:
+def _made(where: str, kind: type, table: dict, **parts: Any) -> Any:
+    """Return an item or a page of its parts and a table: keys are fields, values of their types."""
+    types = {key: wanted for key, wanted in kind.__annotations__.items() if key not in parts}
+    for key, value in table.items():
+        wanted = types[one_of(f"a key of {where}", key, types)]
+        if wanted is not Any and type(value) is not wanted:
+            raise ValueError(
+                f"{where}: {key} must be of type {wanted.__name__}, got {shown(value)}"
+            )
+    return kind(**table, **parts)
+
+
+def _list(where: str, table: dict, key: str) -> list:
+    """Take a list out of a table."""
+    value = table.pop(key, [])
+    if not isinstance(value, list):
+        raise ValueError(f"{where}: {key} must be a list, got {shown(value)}")
+    return value
+
+
+def _page(name: str, table: dict) -> StudyPage:
     """Return a page from its table in TOML files."""
     where = f"[{name}]"
-    for key in ("title", "text"):
-        if not isinstance(table.get(key), str) or not table[key].strip():
-            raise ValueError(f"{where} needs a {key}")
-    given = {each.name: table[each.name] for each in fields(StudyPage) if each.name in table}
-    given["text"] = re.sub(r"(?<!\n)\n(?!\n)", " ", table["text"].strip())
-    given["items"] = tuple(_item(where, item, table) for item in table.get("items", ()))
-    page = StudyPage(name, **given)
+    common = {key: table[key] for key in SCALE if key in table}
+    own = {key: value for key, value in table.items() if key not in SCALE}
+    items = tuple(_item(where, item, common) for item in _list(where, own, "items"))
+    page = _made(where, StudyPage, {"title": "", "text": ""} | own, name=name, items=items)
+    if not page.title.strip() or not page.text.strip():
+        raise ValueError(f"{where} needs a title and a text")
     # A page of a lab's own is a form.
     one_of(f"{where}: kind", page.kind, KINDS if name in FIXED else ("form",))
     one_of(f"{where}: scored", page.scored, ("", *SCORED))
-    flag(f"{where}: shuffled", page.shuffled)
     whole_number(f"{where}: seconds", page.seconds, least=0, most=3600)
     names = [item.name for item in page.items]
     if len(set(names)) < len(names):
@@ -292,41 +297,34 @@ def _page(name: str, table: Mapping[str, Any]) -> StudyPage:
         raise ValueError(
             f"{where}: seconds is for a form without a score, as answers may be missing"
         )
-    return page
+    return replace(page, text=re.sub(r"(?<!\n)\n(?!\n)", " ", page.text.strip()))
 
 
-def _item(where: str, table: Any, page: Mapping[str, Any]) -> Item:
-    """
-    Return an item from its table in a TOML file; what its page gives holds where it gives nothing
-    itself.
-    """
-    if not isinstance(table, Mapping) or not {"name", "text"} <= set(table):
+def _item(where: str, table: Any, common: dict) -> Item:
+    """Return an item from its table; what its page gives holds where it gives nothing itself."""
+    if not isinstance(table, dict) or not {"name", "text"} <= set(table):
         raise ValueError(f"{where}: an item needs a name and a text, got {shown(table)}")
     where = f"{where}, item {table['name']!r}"
-    for key in table:
-        one_of(f"a key of {where}", key, [each.name for each in fields(Item)])
-    common = {key: page[key] for key in SCALE if key in page}
-    item = Item(**{**common, **table, "choices": tuple(table.get("choices", ()))})
-    if not isinstance(item.name, str) or not NAME.fullmatch(item.name):
+    own = common | table
+    choices = tuple(_list(where, own, "choices"))
+    item = _made(where, Item, own, choices=choices)
+    if not NAME.fullmatch(item.name):
         raise ValueError(
             f"{where}: a name has small letters, digits and _, at most 40, and begins with a letter"
         )
     one_of(f"{where}: kind", item.kind, ITEMS)
-    flag(f"{where}: required", item.required)
-    if not all(isinstance(text, str) for text in (item.text, item.left, item.right, *item.choices)):
-        raise ValueError(f"{where}: text, left, right and choices must be words")
-    if item.kind == "choice" and len(set(item.choices)) < max(2, len(item.choices)):
+    if not all(isinstance(choice, str) for choice in choices):
+        raise ValueError(f"{where}: choices must be words, got {shown(choices)}")
+    if item.kind == "choice" and len(set(choices)) < max(2, len(choices)):
         raise ValueError(
-            f"{where}: a choice needs two different choices or more, got {list(item.choices)}"
+            f"{where}: a choice needs two different choices or more, got {list(choices)}"
         )
-    if item.kind == "scale":
-        whole_number(f"{where}: low", item.low, -1000, 1000)
-        whole_number(f"{where}: high", item.high, -1000, 1000)
-        whole_number(f"{where}: step", item.step, 1, 1000)
-        if item.high <= item.low or (item.high - item.low) % item.step:
-            raise ValueError(
-                f"{where}: step {item.step} does not lead from low {item.low} to high {item.high}"
-            )
+    steps, rest = divmod(item.high - item.low, max(item.step, 1))
+    if item.kind == "scale" and (item.step < 1 or rest or not 1 <= steps <= 1000):
+        raise ValueError(
+            f"{where}: step {item.step} does not lead from low {item.low} to high {item.high}, in "
+            "at most 1000 steps"
+        )
     if item.expected is not None:
         try:
             item.check(item.expected)

@@ -5,11 +5,8 @@ and of the experimenter's, does to them.
 
 from __future__ import annotations
 
-import json
 import secrets
-import threading
 import time
-from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
@@ -17,14 +14,10 @@ import numpy as np
 
 from trustlab.live.log import Log
 from trustlab.live.study.drives import Attempt, identified, item_order, planned_minutes, stand_in
-from trustlab.live.study.pages import LONGEST_ANSWER, AnswerError, Step, storable
+from trustlab.live.study.pages import AnswerError, Item, Step
 from trustlab.live.study.plan import EVENTS, DeletedError, Plan, file_origin, note_link
 from trustlab.live.study.progress import Progress, progress_of
-from trustlab.live.task import is_number, task_of
 from trustlab.live.trial import Trial
-
-MOST_NOTES = 500
-"""Notes of one participant."""
 
 HIDDEN = ("condition", "seed", "scheme")
 """What pages are not told of a drive."""
@@ -39,20 +32,12 @@ class RefusedError(AnswerError):
     status = 409
 
 
-def _whole(body: Mapping[str, Any], name: str, most: int = 10**6) -> int:
-    value = body.get(name)
-    if type(value) is not int or not 0 <= value <= most:
-        raise AnswerError(f"{name} must be a whole number")
-    return value
-
-
 class Participant:
     """
     A participant in a study that is being served or rehearsed.
 
-    The folder has the events, which are all there is to know, and a log per drive. Who calls a
-    method while others may holds `lock`. If they are `scripted`, a scripted person's commands take
-    the place of those that their page sends.
+    The folder has the events, which are all there is to know, and a log per drive. If they are
+    `scripted`, a scripted person's commands take the place of those that their page sends.
     """
 
     def __init__(self, plan: Plan, code: str, scripted: bool = False):
@@ -62,12 +47,10 @@ class Participant:
         self.steps = plan.steps(code)
         self._check_folder()
         self.log = Log(self.folder / f"{EVENTS}.jsonl", file_origin(plan.digest, code, EVENTS))
-        self.events: list[dict[str, Any]] = self.log.entries
-        self.lock = threading.Lock()
+        self.events: list[dict] = self.log.entries
         self.trial: Trial | None = None
         self.hand: Any = None
         self.last_request: float | None = None
-        self.telemetry: dict[str, float] = {}
         self._note_torn(self.log)
 
     def close(self) -> None:
@@ -119,7 +102,7 @@ class Participant:
     # the page's
     # ----------------------------------------------------------------------------------------------
 
-    def state(self, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    def state(self, body: Any = None) -> dict:
         """Return the page to show; no word of it names a condition."""
         self.last_request = time.time()
         self._identify()
@@ -147,22 +130,22 @@ class Participant:
             ],
         }
 
-    def answers(self, body: Mapping[str, Any]) -> dict[str, Any]:
+    def answers(self, body: dict) -> dict:
         """Take the answers to a form."""
         step = self.step
-        if _whole(body, "page") != step.index or step.page.kind != "form":
+        if body.get("page") != step.index or step.page.kind != "form":
             raise RefusedError("this page is done")
         answers = step.page.check(body.get("answers"), late=body.get("late") is True)
         self._add_done(step, answers=answers)
         return self.state()
 
-    def withdraw(self, body: Mapping[str, Any]) -> dict[str, Any]:
+    def withdraw(self, body: dict) -> dict:
         """End the participation at the participant's own wish: before it begins, or later."""
         if not self.progress.ended:
             self._end("participant")
         return self.state()
 
-    def drive(self, message: Mapping[str, Any]) -> dict[str, Any]:
+    def drive(self, message: dict) -> dict:
         """Answer a message of a page that drives; see `Trial.take`."""
         self.last_request = time.time()
         step = self.step
@@ -176,9 +159,6 @@ class Participant:
             command = [float(value) for value in self.hand(trial.run.picture())]
             message = {**message, "commands": [command]}
         answer = trial.take(message)
-        if isinstance(message.get("telemetry"), dict):
-            numbers = list(message["telemetry"].items())[:10]
-            self.telemetry = {str(k)[:20]: float(x) for k, x in numbers if is_number(x)}
         if "begin" in message:
             shown = {k: x for k, x in trial.settings.items() if k not in HIDDEN}
             answer["config"] = shown | {"words": self.plan.content["words"]}
@@ -191,14 +171,13 @@ class Participant:
         """Return the run of an attempt at a drive, begun where it was not."""
         if self.trial is None or self.trial.log.path != attempt.path:
             config, facts = attempt.settings(self.progress.model)
-            config = json.loads(json.dumps(config))  # as it will be read again
-            trial = Trial(attempt.path, task_of(config), config, attempt.origin, **facts)
+            trial = Trial(attempt.path, self.plan.task, config, attempt.origin, **facts)
             if not trial.record.commands:
                 self.add("begin", page=attempt.step.index, attempt=attempt.number)
             self._note_torn(trial.log)
-            self.trial = trial
+            self.trial = trial  # only now: what could not be told of is begun again
             rng = np.random.default_rng(trial.settings["seed"])
-            self.hand = trial.task.hand(trial.settings, rng)
+            self.hand = self.plan.task.hand(trial.settings, rng)
         return self.trial
 
     def _identify(self) -> None:
@@ -224,7 +203,7 @@ class Participant:
             self.trial.finish("the participation ended")
         self.add("end", source=source, page=self.step.index)
 
-    def enrol(self) -> bool:
+    def enrol(self, body: dict) -> bool:
         """Take this place for somebody who came by the link for joining, if it is free."""
         if self.events:
             return False
@@ -234,31 +213,28 @@ class Participant:
     # the experimenter's
     # ----------------------------------------------------------------------------------------------
 
-    def experimenter_restart(self, body: Mapping[str, Any]) -> None:
+    def experimenter_restart(self, body: dict) -> None:
         """Let a drive be driven again; what was driven stays where it is."""
-        attempt = self.attempt(self.steps[_whole(body, "page", len(self.steps) - 1)])
-        page = attempt.step.index
-        if attempt.step.page.kind != "drive" or not attempt.path.exists():
-            raise AnswerError(f"page {page} is no drive that was begun")
-        if self.trial is not None and self.step.index == page:
+        drives = [step for step in self.steps if step.page.kind == "drive"]
+        attempts = [self.attempt(step) for step in drives if step.index == body.get("page")]
+        if not attempts or not attempts[0].path.exists():
+            raise AnswerError("this page is no drive that was begun")
+        (attempt,) = attempts
+        if self.trial is not None and self.trial.log.path == attempt.path:
             self.trial.finish("the experimenter let it be driven again")
             self.trial = None
-        self.add("restart", page=page, attempt=attempt.number)
+        self.add("restart", page=attempt.step.index, attempt=attempt.number)
 
-    def experimenter_note(self, body: Mapping[str, Any]) -> None:
+    def experimenter_note(self, body: dict) -> None:
         """Add a note of the experimenter's."""
-        text = body.get("text")
-        long = not isinstance(text, str) or len(text) > LONGEST_ANSWER
-        if long or not text.strip() or not storable(text):
-            raise AnswerError(f"text must be words, of at most {LONGEST_ANSWER} characters")
-        if len(self.progress.notes) < MOST_NOTES:
-            self.add("note", page=self.step.index, text=text)
+        Item("text", "", "text", required=True).check(body.get("text"))
+        self.add("note", page=self.step.index, text=body["text"])
 
-    def experimenter_end(self, body: Mapping[str, Any]) -> None:
+    def experimenter_end(self, body: dict) -> None:
         """End the participation: the page shows the debriefing."""
         self._end("experimenter")
 
-    def overview(self) -> dict[str, Any]:
+    def overview(self) -> dict:
         """Return what the experimenter sees of this participant."""
         progress, step = self.progress, self.step
         trial = self.trial
@@ -281,7 +257,6 @@ class Participant:
             "seconds_ago": ago,
             "ended": progress.ended,
             "withdrawn": progress.withdrawn,
-            "telemetry": {} if trial is None else self.telemetry,
             "model": model.get("source", ""),
             "why": model.get("why", ""),
             "drives": drives,

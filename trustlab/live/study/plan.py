@@ -7,14 +7,14 @@ import os
 import secrets
 import shutil
 import threading
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from trustlab.live.log import sync_folder
 from trustlab.live.study.pages import Step, StudyPage, steps_of
+from trustlab.live.task import LiveTask, task_named
 from trustlab.models.checks import one_of
 from trustlab.models.digest import digest
 from trustlab.models.files import write_atomically
@@ -22,7 +22,6 @@ from trustlab.models.files import write_atomically
 FORMAT = 4
 PLAN = "study.json"
 EVENTS = "events"
-TOMBSTONE = ".deleted"
 EXPERIMENTER = "experimenter"
 JOIN = ".join"
 """The name of the link for joining; no code has a full stop."""
@@ -46,7 +45,7 @@ class Plan:
     """
 
     folder: Path
-    content: dict[str, Any]
+    content: dict
 
     @classmethod
     def open(cls, folder: str | os.PathLike) -> Self:
@@ -80,14 +79,13 @@ class Plan:
                     "change once it is made"
                 )
             return
-        if self.folder.exists() and {path.name for path in self.folder.iterdir()} - set(
-            self.orders
-        ):
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if {path.name for path in self.folder.iterdir()} - set(self.orders):
             raise ValueError(
                 f"{self.folder} has other files in it; a study needs a folder of its own"
             )
         for code in self.orders:
-            (self.folder / code).mkdir(parents=True, exist_ok=True)
+            (self.folder / code).mkdir(exist_ok=True)
         tokens = {name: secrets.token_urlsafe(16) for name in (EXPERIMENTER, JOIN, *self.orders)}
         write_tokens(self.folder, tokens)
         sync_folder(self.folder.parent)
@@ -115,14 +113,15 @@ class Plan:
         """Whether scripted hands drive, so that everything is synthetic."""
         return self.content["rehearsal"]
 
-    @cached_property
-    def _pages(self) -> list[StudyPage]:
-        return [StudyPage.read(page) for page in self.content["pages"]]
-
     @property
+    def task(self) -> LiveTask:
+        """What people do."""
+        return task_named(self.content["task"])
+
+    @cached_property
     def pages(self) -> list[StudyPage]:
         """The pages in their order, each once."""
-        return list(self._pages)
+        return [StudyPage.read(page) for page in self.content["pages"]]
 
     def steps(self, code: str) -> list[Step]:
         """
@@ -134,29 +133,27 @@ class Plan:
             The participant.
         """
         order = self.orders[one_of("participant", code, self.orders)]
-        return steps_of(self._pages, order, self.groups.get(code, ""))
+        return steps_of(self.pages, order, self.groups.get(code, ""))
 
     def deleted(self) -> list[str]:
-        """Return the codes of the participants who were deleted."""
-        names = self.folder.glob(f"*{TOMBSTONE}")
-        return sorted(path.name.removesuffix(TOMBSTONE) for path in names)
+        """Return the codes of the participants who were deleted: they have no folder any more."""
+        return [code for code in self.orders if not (self.folder / code).is_dir()]
 
     def present(self) -> list[str]:
         """Return the codes of all who were not deleted."""
-        gone = self.deleted()
-        return [code for code in self.orders if code not in gone]
+        return [code for code in self.orders if (self.folder / code).is_dir()]
 
 
 _links_lock = threading.Lock()
 
 
-def content_digest(content: Mapping[str, Any]) -> str:
+def content_digest(content: dict) -> str:
     """Return the digest of all that a plan holds."""
     rest = {name: value for name, value in content.items() if name != "digest"}
     return digest(json.dumps(rest, sort_keys=True))
 
 
-def read_plan(folder: Path) -> dict[str, Any]:
+def read_plan(folder: Path) -> dict:
     """Return what the plan in a folder holds; one that is not as it was frozen is refused."""
     file = folder.absolute() / PLAN
     if not file.is_file():
@@ -166,15 +163,14 @@ def read_plan(folder: Path) -> dict[str, Any]:
         )
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-        version, whole = content.get("format"), content["digest"] == content_digest(content)
-    except (ValueError, AttributeError, KeyError) as error:
-        raise ValueError(f"{file} was damaged: {error!r}; restore it from a copy") from None
-    if version != FORMAT:
-        raise ValueError(
-            f"{file} has format {version!r}; this version of trustlab reads format {FORMAT}"
-        )
+        whole = content["digest"] == content_digest(content) and content["format"] == FORMAT
+    except (ValueError, AttributeError, TypeError, KeyError):
+        whole = False
     if not whole:
-        raise ValueError(f"{file} was changed after it was frozen; restore it from a copy")
+        raise ValueError(
+            f"{file} was changed after it was frozen, or is of another version of trustlab; "
+            "restore it from a copy"
+        )
     return content
 
 
@@ -201,9 +197,10 @@ def read_links(folder: Path) -> dict[str, str]:
 def note_link(folder: Path, code: str, link: str | None) -> None:
     """Write down the last link of a participant's events; None forgets it."""
     with _links_lock:
-        links = read_links(folder) | {code: link}
-        known = {name: link for name, link in links.items() if link is not None}
-        write_atomically(links_path(folder), json.dumps(known, indent=1) + "\n")
+        links = read_links(folder)
+        links.pop(code, None)
+        links |= {code: link} if link else {}
+        write_atomically(links_path(folder), json.dumps(links, indent=1) + "\n")
 
 
 def tokens_path(folder: Path) -> Path:
@@ -221,31 +218,28 @@ def read_tokens(folder: Path) -> dict[str, str]:
         )
     if path.stat().st_mode & 0o077:
         raise ValueError(f"{path} can be read by others on this machine; run: chmod 600 {path}")
-    return dict(json.loads(path.read_text(encoding="utf-8")))
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
-def write_tokens(folder: Path, tokens: Mapping[str, str]) -> None:
+def write_tokens(folder: Path, tokens: dict[str, str]) -> None:
     """Write tokens by name, for nobody else on this machine."""
     write_atomically(tokens_path(folder), json.dumps(tokens, indent=1), mode=0o600)
 
 
 def delete_participant(folder: Path, code: str) -> None:
-    """
-    Delete folder and token of a participant, and what was made from them; an empty file says that
-    there was someone.
-    """
-    home = folder / code
-    # The tombstone first: a server that runs meanwhile turns this participant away from now on.
-    home.with_name(f"{code}{TOMBSTONE}").touch()
-    sync_folder(folder)
-    if tokens_path(folder).exists():
-        tokens = read_tokens(folder).items()
-        write_tokens(folder, {name: token for name, token in tokens if name != code})
-    note_link(folder, code, None)
+    """Delete folder and token of a participant, and what was made from them."""
+    home, gone = folder / code, folder / f".{code}.going"
     if home.exists():
-        # Renamed first, so that no row arrives in a folder that is half gone.
-        home.rename(gone := folder / f".{code}.going")
-        shutil.rmtree(gone)
+        # Renamed first: a server that runs meanwhile turns this participant away from now on, and
+        # no row arrives in a folder that is half gone.
+        home.rename(gone)
+        sync_folder(folder)
+    if tokens_path(folder).exists():
+        tokens = read_tokens(folder)
+        tokens.pop(code, None)
+        write_tokens(folder, tokens)
+    note_link(folder, code, None)
+    shutil.rmtree(gone, ignore_errors=True)
     # They show this participant's numbers.
     for report in (*folder.glob("report*.html"), *folder.glob("report*.zip")):
         report.unlink()

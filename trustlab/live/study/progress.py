@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 
 @dataclass
@@ -28,13 +27,13 @@ class Progress:
         What the experimenter has noted, and torn lines.
     """
 
-    done: dict[int, dict[str, Any]] = field(default_factory=dict)
+    done: dict[int, dict] = field(default_factory=dict)
     attempts: dict[int, int] = field(default_factory=dict)
-    model: dict[str, Any] | None = None
+    model: dict | None = None
     ended: bool = False
     withdrawn: bool = False
     completion: str = ""
-    notes: list[dict[str, Any]] = field(default_factory=list)
+    notes: list[dict] = field(default_factory=list)
 
     def page(self, pages: int) -> int:
         """
@@ -50,7 +49,7 @@ class Progress:
         return self.attempts.get(page, 0)
 
 
-def progress_of(events: Iterable[Mapping[str, Any]]) -> Progress:
+def progress_of(events: Iterable[Mapping]) -> Progress:
     """Return where a participant is, from all that has happened."""
     now = Progress()
     for event in events:

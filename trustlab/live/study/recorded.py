@@ -4,11 +4,10 @@ analysis.
 """
 
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -19,9 +18,8 @@ from trustlab.live.study.export import items_of, samples_of, write_export
 from trustlab.live.study.pages import Step, StudyPage
 from trustlab.live.study.plan import EVENTS, Plan, file_origin, read_links
 from trustlab.live.study.progress import Progress, progress_of
-from trustlab.live.task import LEAST_ROWS, LiveTask, task_named
+from trustlab.live.task import LEAST_ROWS, LiveTask
 from trustlab.live.trial import Record
-from trustlab.models.checks import one_of
 from trustlab.models.display import as_html
 from trustlab.sessions.session import Session
 from trustlab.studies.order_effects import OrderEffects, order_effects
@@ -52,8 +50,7 @@ FACTS = (
 class ParticipantRecord(NamedTuple):
     """A participant's events, where they lead to, and what is wrong with their file."""
 
-    code: str
-    events: list[dict[str, Any]]
+    events: list[dict]
     progress: Progress
     fault: str
 
@@ -78,20 +75,20 @@ def participant_record(plan: Plan, code: str, link: str | None) -> ParticipantRe
     path = plan.folder / code / f"{EVENTS}.jsonl"
     if not path.exists():
         fault = f"{path.name} is missing" if link is not None else ""
-        return ParticipantRecord(code, [], Progress(), fault)
+        return ParticipantRecord([], Progress(), fault)
     reading = read_log(path, file_origin(plan.digest, code, EVENTS))
     fault = reading.fault
     if not fault and link is not None and link not in reading.links:
         fault = f"{path.name}: its last lines are missing"
-    return ParticipantRecord(code, reading.entries, progress_of(reading.entries), fault)
+    return ParticipantRecord(reading.entries, progress_of(reading.entries), fault)
 
 
-def recorded_drives(plan: Plan, record: ParticipantRecord) -> list[RecordedDrive]:
+def recorded_drives(plan: Plan, code: str, record: ParticipantRecord) -> list[RecordedDrive]:
     """Return every attempt at a drive that a participant's events tell of."""
-    drives, steps = [], plan.steps(record.code)
+    drives, steps = [], plan.steps(code)
     for event in record.events:
         if event["kind"] == "begin":
-            attempt = Attempt(plan, record.code, steps[event["page"]], event["attempt"])
+            attempt = Attempt(plan, code, steps[event["page"]], event["attempt"])
             end = record.progress.done.get(event["page"], {})
             finished = end.get("attempt") == attempt.number
             log, fault = attempt.read(end["link"] if finished else None)
@@ -158,7 +155,7 @@ class RecordedStudy:
     @property
     def task(self) -> LiveTask:
         """What people do."""
-        return task_named(self.plan.content["task"])
+        return self.plan.task
 
     @property
     def origin(self) -> str:
@@ -167,27 +164,27 @@ class RecordedStudy:
 
     @cached_property
     def _drives(self) -> list[RecordedDrive]:
-        records = self.records.values()
-        return [drive for record in records for drive in recorded_drives(self.plan, record)]
+        records = self.records.items()
+        return [drive for item in records for drive in recorded_drives(self.plan, *item)]
 
     @cached_property
-    def _conditions(self) -> list[tuple[RecordedDrive, str]]:
+    def _conditions(self) -> list[RecordedDrive]:
         """
         The finished drives under a condition, each with what is wrong with the files that it rests
         on.
         """
         drives = []
         for drive in self._drives:
-            if drive.finished and drive.attempt.step.page.name == "drive":
-                faults = [self.records[drive.attempt.code].fault, drive.fault]
-                drives.append((drive, "; ".join(fault for fault in faults if fault)))
+            if drive.finished and drive.attempt.step.condition:
+                faults = filter(None, (self.records[drive.attempt.code].fault, drive.fault))
+                drives.append(drive._replace(fault="; ".join(faults)))
         return drives
 
     @cached_property
     def _sessions(self) -> list[Session]:
         return [
-            drive.attempt.session(drive.record, fault)
-            for drive, fault in self._conditions
+            drive.attempt.session(drive.record, drive.fault)
+            for drive in self._conditions
             if drive.record and len(drive.record.rows) >= LEAST_ROWS
         ]
 
@@ -207,10 +204,10 @@ class RecordedStudy:
             Columns participant, file, fault; no rows if nothing was changed.
         """
         rows = [(code, f"{EVENTS}.jsonl", record.fault) for code, record in self.records.items()]
-        rows += [(drive.code, drive.path.name, fault) for drive, _, _, fault in self._drives]
-        return pd.DataFrame(
-            [row for row in rows if row[-1]], columns=["participant", "file", "fault"]
-        )
+        rows += [
+            (drive.attempt.code, drive.attempt.path.name, drive.fault) for drive in self._drives
+        ]
+        return _with_reason(rows, ["participant", "file", "fault"])
 
     def sessions(self) -> list[Session]:
         """Return the sessions of all drives under a condition, the last attempt of each."""
@@ -235,7 +232,6 @@ class RecordedStudy:
             rows.append(
                 {
                     "participant": code,
-                    **self._group(code),
                     "order": " ".join(self.plan.orders[code]),
                     "pages_done": len(now.done),
                     "pages": len(steps) - 1,
@@ -253,13 +249,10 @@ class RecordedStudy:
             )
         return self._labelled(pd.DataFrame(rows))
 
-    def _group(self, code: Any) -> dict[str, str]:
-        """Return a participant's group as a column, none where there are no groups."""
-        groups = self.plan.groups
-        return {"group": groups[code]} if code in groups else {}
-
     def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Say of a table where its numbers come from, where no person took part."""
+        """Add groups, if there are any; say where numbers come from, if not from people."""
+        if self.plan.groups and len(frame):
+            frame.insert(1, "group", frame["participant"].map(self.plan.groups))
         if self.origin:
             frame.attrs["origin"] = self.origin
         return frame
@@ -274,18 +267,19 @@ class RecordedStudy:
             A row per answer: participant, position and condition (NaN and None for pages that
             belong to no drive), page, item, answer (NaN where it is words), text.
         """
-        columns = [*KEYS, "page", "item", "answer", "text"]
-        frame = pd.DataFrame(list(self._answers()), columns=columns)
-        return self._labelled(frame.astype({"position": float, "answer": float}))
-
-    def _answers(self) -> Iterator[tuple[Any, ...]]:
+        rows = []
         for code, record in self.records.items():
             for step in self.plan.steps(code):
                 # A damaged line, which faults() names, may have lost the word.
                 answers = record.progress.done.get(step.index, {}).get("answers", {})
                 for item, answer in answers.items():
                     value = (np.nan, answer) if isinstance(answer, str) else (answer, "")
-                    yield code, step.position, step.condition, step.page.name, item, *value
+                    place = (code, step.position, step.condition, step.page.name)
+                    rows.append((*place, item, *value))
+        frame = pd.DataFrame(rows, columns=[*KEYS, "page", "item", "answer", "text"])
+        if self.origin:
+            frame.attrs["origin"] = self.origin
+        return frame.astype({"position": float, "answer": float})
 
     def scores(self) -> dict[str, ScaleScores]:
         """
@@ -325,7 +319,6 @@ class RecordedStudy:
             rows.append(
                 {
                     "participant": meta.participant,
-                    **self._group(meta.participant),
                     "position": meta.more["position"],
                     "condition": meta.condition,
                     "synthetic": meta.synthetic,
@@ -355,17 +348,15 @@ class RecordedStudy:
             is needed of each.
         """
         reasons = {
-            (drive.attempt.code, drive.attempt.step.condition): fault
-            for drive, fault in self._conditions
+            (drive.attempt.code, drive.attempt.step.condition): drive.fault
+            for drive in self._conditions
         }
         rows = [
             (code, condition, reasons.get((code, condition), "not driven to its end"))
             for code in self.records
             for condition in self.plan.orders[code]
         ]
-        return pd.DataFrame(
-            [row for row in rows if row[-1]], columns=["participant", "condition", "reason"]
-        )
+        return _with_reason(rows, ["participant", "condition", "reason"])
 
     def complete(self) -> pd.DataFrame:
         """Return the measures of those participants who have all conditions, each verified."""
@@ -389,10 +380,9 @@ class RecordedStudy:
             variance.
         """
         between = "group" if self.plan.groups else None
-        order: Any = self.plan.content["conditions"]
-        frame = self._for_analysis(dv)
+        order = self.plan.content["conditions"]
         return repeated_measures(
-            frame, dv, "condition", "participant", between=between, order=order
+            self.complete(), dv, "condition", "participant", between=between, order=order
         )
 
     def order_effects(self, dv: str) -> OrderEffects:
@@ -411,18 +401,9 @@ class RecordedStudy:
             As for `analysis`.
         """
         order = self.plan.content["conditions"]
-        frame = self._for_analysis(dv)
-        return order_effects(frame, dv, "condition", "position", subject="participant", order=order)
-
-    def _for_analysis(self, dv: str) -> pd.DataFrame:
-        frame = self.complete()
-        count = frame["participant"].nunique()
-        if count < 2:
-            raise ValueError(
-                f"{count} participants have all conditions; an analysis needs two or more"
-            )
-        one_of("dv", dv, frame.columns)
-        return frame
+        return order_effects(
+            self.complete(), dv, "condition", "position", subject="participant", order=order
+        )
 
     def summary(self) -> str:
         """
@@ -507,7 +488,11 @@ class RecordedStudy:
         return f"RecordedStudy({self.plan.folder.name!r}: {self.summary()})"
 
 
-def _inattentive(step: Step, event: dict[str, Any]) -> int:
+def _with_reason(rows: list[tuple[str, str, str]], columns: list[str]) -> pd.DataFrame:
+    return pd.DataFrame([row for row in rows if row[-1]], columns=columns)
+
+
+def _inattentive(step: Step, event: dict) -> int:
     """Return how many checks of attention on a page were answered otherwise than expected."""
     answers = event.get("answers", {})
     return sum(

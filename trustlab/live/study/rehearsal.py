@@ -9,7 +9,7 @@ import numpy as np
 
 from trustlab.live.study.pages import Item, Step
 from trustlab.live.study.participant import Participant
-from trustlab.live.task import scripted_commands, task_of
+from trustlab.live.task import scripted_commands
 
 SENT_AT_ONCE = 600
 
@@ -34,16 +34,18 @@ def _answer(item: Item, rng: np.random.Generator) -> Any:
         return int(rng.choice(np.arange(item.low, item.high + 1, item.step)))
     if item.kind == "choice":
         return item.choices[rng.integers(len(item.choices))]
-    return True if item.kind == "check" else ""
+    if item.kind == "check":
+        return True
+    return "words" if item.required else ""
 
 
 def _drive(participant: Participant, step: Step, rng: np.random.Generator) -> None:
     """Drive as a page would, by a hand that follows suggestions and takes over no other time."""
-    about: dict[str, Any] = {"page": step.index, "window": "rehearsal"}
+    about: dict = {"page": step.index, "window": "rehearsal"}
     participant.drive(about | {"begin": True})
     assert participant.trial is not None
     config = participant.trial.settings
-    task = task_of(config)
+    task = participant.plan.task
     commands, _ = scripted_commands(task, config, task.hand(config, rng))
     late = config["late"] / config["sample_time"]
     for k in range(0, len(commands), SENT_AT_ONCE):

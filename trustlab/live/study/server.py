@@ -16,7 +16,7 @@ import secrets
 import tempfile
 import threading
 import time
-from collections.abc import Awaitable, Container, Mapping
+from collections.abc import Awaitable, Container
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Self
@@ -34,7 +34,7 @@ from trustlab.live.study.plan import (
     read_tokens,
     tokens_path,
 )
-from trustlab.live.task import prepare, task_of
+from trustlab.live.task import prepare
 from trustlab.live.trial import OTHER_WINDOW, made_by
 from trustlab.models.checks import flag, whole_number
 from trustlab.models.extras import extra
@@ -106,6 +106,13 @@ class Base(tornado.web.RequestHandler):
         if post and headers.get("Content-Type", "").partition(";")[0] != "application/json":
             raise tornado.web.HTTPError(415)
 
+    def missing(self, *_: str) -> None:
+        """Answer that there is no such page."""
+        raise tornado.web.HTTPError(404)
+
+    get: Any = missing
+    post: Any = missing
+
     @property
     def server(self) -> StudyServer:
         """The server."""
@@ -114,16 +121,9 @@ class Base(tornado.web.RequestHandler):
     def holder(self, token: str, allowed: Container[str]) -> str:
         """Return whose link this is; that of nobody allowed is as if the page did not exist."""
         holder = self.server.holder(token)
-        if holder is None or holder not in allowed:
+        if holder not in allowed:
             raise tornado.web.HTTPError(404)
         return holder
-
-    def body(self) -> dict[str, Any]:
-        """Return the request's body, an object in JSON without NaN and infinities."""
-        try:
-            return parsed(self.request.body)
-        except ValueError:
-            raise tornado.web.HTTPError(400) from None
 
     def page(self, name: str) -> None:
         """Answer with a file of this package."""
@@ -133,7 +133,7 @@ class Base(tornado.web.RequestHandler):
         self.set_header("Content-Type", f"{TYPES[Path(name).suffix]}; charset=utf-8")
         self.write(content)
 
-    async def reply(self, work: Awaitable[dict[str, Any]]) -> None:
+    async def reply(self, work: Awaitable[dict]) -> None:
         """Answer with what work returns, or with why it cannot be done."""
         try:
             self.write(await work)
@@ -166,11 +166,8 @@ class Base(tornado.web.RequestHandler):
         if not isinstance(value, tornado.web.HTTPError):
             self.server.mistaken((kind, value, traceback))
 
-    def data_received(self, chunk: bytes) -> None:
-        """Bodies are read whole."""
 
-
-def parsed(text: str | bytes) -> dict[str, Any]:
+def parsed(text: str | bytes) -> dict:
     """Return an object in JSON without NaN and infinities; a ValueError says that it is none."""
 
     def refuse(constant: str) -> None:
@@ -227,30 +224,58 @@ class Join(Base):
 
     async def post(self, token: str) -> None:
         """Take the next free place."""
-        await self.reply(asyncio.to_thread(self._place))
+        await self.reply(self._place())
 
-    def _place(self) -> dict[str, Any]:
-        place = self.server.free_place()
+    async def _place(self) -> dict:
+        place = await self.server.free_place()
         self.set_cookie("place", place, httponly=True, samesite="Strict", path="/join")
         return {"link": f"/p/{place}"}
 
 
-class ParticipantState(Base):
-    """What a participant's page asks."""
+class Ask(Base):
+    """What the pages of participants and of the experimenter ask, and what they tell."""
 
-    async def get(self, token: str) -> None:
-        """Answer with the page to show."""
-        code = self.holder(token, self.server.plan.orders)
-        await self.reply(self.server.ask(code, "state", {}))
+    def prepare(self) -> None:
+        """Find out whose link it is."""
+        super().prepare()
+        kind, token, _ = self.path_args
+        people = self.server.plan.orders if kind == "p" else (EXPERIMENTER,)
+        self.who = self.holder(token, people)
 
+    async def get(self, kind: str, token: str, request: str) -> None:
+        """Answer with the page to show, with where everybody is, or with what was recorded."""
+        if (kind, request) == ("experimenter", "export"):
+            name = f'attachment; filename="{self.server.plan.folder.name}.zip"'
+            self.set_header("Content-Type", "application/zip")
+            self.set_header("Content-Disposition", name.encode("ascii", "replace"))
+            self.write(await asyncio.to_thread(self.server.export))
+        elif request != "state":
+            raise tornado.web.HTTPError(404)
+        elif kind == "p":
+            await self.reply(self.server.ask(self.who, "state", {}))
+        else:
+            self.write(await asyncio.to_thread(self.server.overview))
 
-class ParticipantRequest(Base):
-    """What a participant's page tells."""
+    async def post(self, kind: str, token: str, request: str) -> None:
+        """Take answers or the wish to stop, or do what the experimenter wants."""
+        try:
+            body = parsed(self.request.body)
+        except ValueError:
+            raise tornado.web.HTTPError(400) from None
+        if kind == "p" and request in ("answers", "withdraw"):
+            await self.reply(self.server.ask(self.who, request, body))
+        elif kind == "experimenter" and request == "act":
+            await self.reply(self._act(body))
+        else:
+            raise tornado.web.HTTPError(404)
 
-    async def post(self, token: str, request: str) -> None:
-        """Take answers, or the wish to stop."""
-        code = self.holder(token, self.server.plan.orders)
-        await self.reply(self.server.ask(code, request, self.body()))
+    async def _act(self, body: dict) -> dict:
+        """Restart a drive, add a note, or end a participation; return where everybody is."""
+        code, action = body.get("participant"), body.get("action")
+        if code not in self.server.plan.present() or action not in ("restart", "note", "end"):
+            raise AnswerError("there is no such participant or action")
+        await self.server.ask(code, f"experimenter_{action}", body)
+        return await asyncio.to_thread(self.server.overview)
 
 
 class DriveSocket(tornado.websocket.WebSocketHandler, Base):
@@ -288,61 +313,6 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
             answer["refused"] = words["other_window"]
         if self.ws_connection is not None:
             self.write_message(json.dumps(answer))
-
-
-class ExperimenterState(Base):
-    """What the experimenter's page asks."""
-
-    async def get(self, token: str) -> None:
-        """Answer with where everybody is."""
-        self.holder(token, (EXPERIMENTER,))
-        self.write(await asyncio.to_thread(self.server.overview))
-
-
-class ExperimenterExport(Base):
-    """What was recorded."""
-
-    async def get(self, token: str) -> None:
-        """Answer with everything, as a zip."""
-        # Only here: a server that comes back after a crash needs no analysis.
-        from trustlab.live.study.recorded import read_live_study
-
-        self.holder(token, (EXPERIMENTER,))
-        study = self.server.plan.folder
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "data.zip"
-            await asyncio.to_thread(lambda: read_live_study(study).export(path))
-            self.set_header("Content-Type", "application/zip")
-            name = f'attachment; filename="{study.name}.zip"'
-            self.set_header("Content-Disposition", name.encode("ascii", "replace"))
-            self.write(path.read_bytes())
-
-
-class ExperimenterAct(Base):
-    """What the experimenter's page tells."""
-
-    async def post(self, token: str) -> None:
-        """Restart a drive, add a note, or end a participation; answer with where everybody is."""
-        self.holder(token, (EXPERIMENTER,))
-        body = self.body()
-        code, action = body.get("participant"), body.get("action")
-        if code not in self.server.plan.present() or action not in ("restart", "note", "end"):
-            raise tornado.web.HTTPError(400)
-
-        async def act() -> dict[str, Any]:
-            await self.server.ask(code, f"experimenter_{action}", body)
-            return await asyncio.to_thread(self.server.overview)
-
-        await self.reply(act())
-
-
-class Missing(Base):
-    """Every other address."""
-
-    def prepare(self) -> None:
-        """Answer that there is no such page."""
-        super().prepare()
-        raise tornado.web.HTTPError(404)
 
 
 class Listener(tornado.httpserver.HTTPServer):
@@ -401,13 +371,12 @@ class StudyServer:
         self.files = {path.name: path.read_bytes() for path in files}
         self.queues: dict[str, asyncio.Lock] = {}
         self.participants: dict[str, Participant] = {}
-        self.lock = threading.RLock()
+        self.lock = threading.Lock()
         self.tokens: dict[str, str] = {}
         self.tokens_at = 0
         self.started = threading.Event()
         self.disk = ""
-        self.mistakes = 0
-        self.told: set[str] = set()
+        self.mistakes = []
 
     def holder(self, token: str) -> str | None:
         """
@@ -426,42 +395,46 @@ class StudyServer:
     def participant(self, code: str) -> Participant:
         """Return a participant, read from the disk the first time."""
         with self.lock:
-            if code not in self.plan.present():
-                if code in self.participants:
-                    self.participants.pop(code).close()
-                raise DeletedError(f"participant {code} was deleted")
             if code not in self.participants:
                 self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
-            return self.participants[code]
+            participant = self.participants[code]
+            if not participant.folder.is_dir():
+                self.participants.pop(code).close()
+                raise DeletedError(f"participant {code} was deleted")
+            return participant
 
-    async def ask(self, code: str, request: str, body: Mapping[str, Any]) -> dict[str, Any]:
+    async def ask(self, code: str, request: str, body: dict) -> Any:
         """Let a participant answer a request, in a thread, after those before it."""
 
-        def answer() -> dict[str, Any]:
-            participant = self.participant(code)
-            with participant.lock:
-                return getattr(participant, request)(body)
+        def answer() -> Any:
+            return getattr(self.participant(code), request)(body)
 
         async with self.queues.setdefault(code, asyncio.Lock()):
             return await asyncio.to_thread(answer)
 
-    def free_place(self) -> str:
+    async def free_place(self) -> str:
         """Take the place of the next participant whom nobody is yet, and return its token."""
         for code in self.plan.present():
-            participant = self.participant(code)
-            with participant.lock:
-                if participant.enrol():
-                    return self.tokens[code]
+            if await self.ask(code, "enrol", {}):
+                return self.tokens[code]
         raise RefusedError("All places of this study are taken. Thank you for your interest.")
+
+    def export(self) -> bytes:
+        """Return everything that was recorded, as a zip."""
+        # Only here: a server that comes back after a crash needs no analysis.
+        from trustlab.live.study.recorded import read_live_study
+
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "data.zip"
+            return read_live_study(self.plan.folder).export(path).read_bytes()
 
     def mistaken(self, error: Any) -> None:
         """Note a mistake of ours; the log tells each kind once."""
         if isinstance(error[1], asyncio.CancelledError):  # the server stops, and the page is gone
             return
-        self.mistakes += 1
-        if repr(error[1]) not in self.told:
-            self.told.add(repr(error[1]))
+        if repr(error[1]) not in self.mistakes:
             tornado.log.app_log.error("a request could not be answered", exc_info=error)
+        self.mistakes.append(repr(error[1]))
 
     def saved(self) -> None:
         """Note that something was written again after a time when nothing could be."""
@@ -475,34 +448,29 @@ class StudyServer:
             self.disk = error.strerror or str(error)
             tornado.log.app_log.error("what people do cannot be saved: %s", self.disk)
 
-    @property
-    def trouble(self) -> str:
-        """What the experimenter must know of the server itself."""
-        parts = []
-        if self.disk:
-            parts.append(
-                f"Nothing can be saved ({self.disk}): make room on the disk of "
-                f"{self.plan.folder.name}. Nothing is lost; participants' pages wait, and go on by "
-                "themselves."
-            )
-        if self.mistakes:
-            parts.append(
-                f"{self.mistakes} requests could not be answered because of a mistake in the "
-                "server; its terminal shows which."
-            )
-        return " ".join(parts)
-
-    def overview(self) -> dict[str, Any]:
-        """Return what the experimenter's page shows."""
+    def overview(self) -> dict:
+        """Return what the experimenter's page shows; `trouble` is of the server itself."""
         people = []
         for code in self.plan.present():
             row = self.participant(code).overview()
             people.append(row | {"link": f"{self.base}/p/{self.tokens[code]}"})
+        trouble = ""
+        if self.disk:
+            trouble = (
+                f"Nothing can be saved ({self.disk}): make room on the disk of "
+                f"{self.plan.folder.name}. Nothing is lost; participants' pages wait, and go on by "
+                "themselves. "
+            )
+        if self.mistakes:
+            trouble += (
+                f"{len(self.mistakes)} requests could not be answered because of a mistake in the "
+                "server; its terminal shows which."
+            )
         return {
             "study": self.plan.folder.name,
             "rehearsal": self.plan.rehearsal,
             "deleted": len(self.plan.deleted()),
-            "trouble": self.trouble,
+            "trouble": trouble,
             "join": f"{self.base}/join/{self.tokens[JOIN]}" if self.enrol else "",
             "people": people,
         }
@@ -543,16 +511,12 @@ class StudyServer:
             [
                 (r"/static/([a-z_]+\.[a-z]+)", Static),
                 (rf"/p/{token}", Frame, {"name": "study.html", "allowed": self.plan.orders}),
-                (rf"/p/{token}/state", ParticipantState),
-                (rf"/p/{token}/(answers|withdraw)", ParticipantRequest),
                 (rf"/p/{token}/drive/(\d{{1,4}})", DriveSocket),
                 (rf"/join/{token}", Join),
                 (rf"/experimenter/{token}", Frame, experimenter),
-                (rf"/experimenter/{token}/state", ExperimenterState),
-                (rf"/experimenter/{token}/export", ExperimenterExport),
-                (rf"/experimenter/{token}/act", ExperimenterAct),
+                (rf"/(p|experimenter)/{token}/([a-z]+)", Ask),
             ],
-            default_handler_class=Missing,
+            default_handler_class=Base,
             log_function=lambda handler: None,
             websocket_max_message_size=LARGEST_BODY,
             websocket_ping_interval=20.0,  # who is gone without a word is let go
@@ -595,9 +559,14 @@ class StudyServer:
             ) from None
         try:
             training = drive_of(self.plan.content, "training", stand_in(self.plan, ""), seed=0)
-            prepare(task_of(training), training)
+            prepare(self.plan.task, training)
             self.holder("")
-            sockets = self._sockets()
+            try:
+                sockets = tornado.netutil.bind_sockets(self.port, self.address)
+            except (OSError, UnicodeError) as error:
+                raise ValueError(
+                    f"cannot serve on {self.address}, port {self.port}: {error}"
+                ) from error
         except BaseException:
             self.held.close()
             raise
@@ -610,14 +579,6 @@ class StudyServer:
             self.held.close()
             raise ValueError("the server did not start within 10 s; a traceback says why")
         return self
-
-    def _sockets(self) -> list[Any]:
-        try:
-            return tornado.netutil.bind_sockets(self.port, self.address)
-        except (OSError, UnicodeError) as error:
-            raise ValueError(
-                f"cannot serve on {self.address}, port {self.port}: {error}"
-            ) from error
 
     def wait(self) -> None:
         """Return when interrupted."""

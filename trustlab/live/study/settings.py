@@ -1,12 +1,12 @@
 """How long people drive in a study, where, and whose model stands in for theirs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from trustlab.allocation.limits import check_thresholds, threshold_limits
+from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
 from trustlab.live.task import MOST_DELAY
-from trustlab.models.checks import between, finite_number, of_class, positive, shown, whole_number
+from trustlab.models.checks import between, of_class, positive, shown, whole_number
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
@@ -80,54 +80,49 @@ class DriveSettings:
     def __post_init__(self):
         if (self.model is None) != (self.thresholds is None):
             raise ValueError("model and thresholds belong together; give both or neither")
-        if self.course is not None:
-            of_class("course", self.course, Course)
-        if self.robot is not None:
-            of_class("robot", self.robot, Pioneer)
         self.as_json()
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict:
         """Return the settings as plain values for `study.json`."""
+        model = self.model or published_model(STAND_IN)
+        pair = self.thresholds or published_thresholds(STAND_IN)
+        of_class("model", model, TscModel)
+        pair = check_thresholds(model, *threshold_pair("threshold", pair), threshold_limits(model))
         return {
             "laps": whole_number("laps", self.laps, most=1000),
             "training": positive("training", self.training),
             "least_delay": between("least_delay", self.least_delay, 0.0, MOST_DELAY),
             "identification": _schedule(self.identification),
-            "stand_in": self._stand_in(),
-            "course": None if self.course is None else _fields(self.course),
-            "robot": None if self.robot is None else _fields(self.robot),
+            "stand_in": {"model": asdict(model), "thresholds": pair},
+            "course": _fields("course", self.course, Course),
+            "robot": _fields("robot", self.robot, Pioneer),
         }
 
-    def _stand_in(self) -> dict[str, Any]:
-        model, thresholds = self.model, self.thresholds
-        if model is None:
-            model, thresholds = published_model(STAND_IN), published_thresholds(STAND_IN)
-        of_class("model", model, TscModel)
-        lower, upper = thresholds
-        check_thresholds(model, lower, upper, threshold_limits(model))
-        limits = [finite_number("TSC_l", lower), finite_number("TSC_u", upper)]
-        return {"model": asdict(model), "thresholds": limits}
 
-
-def model_of(content: Mapping[str, Any]) -> TscModel:
+def model_of(content: dict) -> TscModel:
     """Return a model from what `asdict` made of it."""
     return TscModel(RobotModel(**content["robot"]), HumanModel(**content["human"]))
 
 
-def _fields(settings: Course | Pioneer) -> dict[str, Any]:
-    """Return what a course or a robot was made from."""
-    return {name: value for name, value in asdict(settings).items() if not name.startswith("_")}
+def _fields(name: str, part: Any, kind: type) -> dict | None:
+    """Return what a course or a robot was made from; None for the usual one."""
+    if part is None:
+        return None
+    of_class(name, part, kind)
+    return {field: value for field, value in asdict(part).items() if not field.startswith("_")}
 
 
 def _schedule(phases: Any) -> list[list[float]]:
     """Return the phases of the identification drive, checked: each of the modes must be driven."""
-    if not isinstance(phases, Sequence) or not all(
-        isinstance(p, Sequence) and len(p) == 2 for p in phases
-    ):
-        raise ValueError(f"identification must be a list of (mode, seconds), got {shown(phases)}")
+    try:
+        pairs = [(mode, seconds) for mode, seconds in phases]
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"identification must be a list of (mode, seconds), got {shown(phases)}"
+        ) from None
     checked = [
-        [whole_number("a mode of identification", m, 0, 1), positive("its seconds", s)]
-        for m, s in phases
+        [whole_number("a mode of identification", mode, 0, 1), positive("its seconds", seconds)]
+        for mode, seconds in pairs
     ]
     if {mode for mode, _ in checked} != {0, 1}:
         raise ValueError("identification must have phases of both modes, 1 manual and 0 autonomous")

@@ -84,45 +84,41 @@ def policy_agreement(
     """
     whole_number("draws", draws, least=100)
     tail = 50.0 * (1.0 - between("confidence", confidence, 0.5, 0.999))
-    people: dict[str, list[pd.DataFrame]] = {}
+    people: dict[str, np.ndarray] = {}
     for session in sessions:
-        if session.metadata.condition == BY_HAND:
-            table = occasions(session, session.metadata.more["min_dwell"])
-            people.setdefault(str(session.metadata.participant), []).append(table)
-    if not any(len(table) for tables in people.values() for table in tables):
+        about = session.metadata
+        if about.condition == BY_HAND:
+            table = occasions(session, about.more["min_dwell"])
+            sums = people.setdefault(str(about.participant), np.zeros((len(ADVISERS), 3)))
+            sums += [_sums(table, name) for name in ADVISERS]
+    total = sum(people.values(), np.zeros((len(ADVISERS), 3)))
+    if not total.any():
         raise ValueError(f"nobody had an occasion to choose; runs in {BY_HAND!r} are needed")
     rng = np.random.default_rng(seed)
     drawn = rng.integers(len(people), size=(draws, len(people)))
-    rows = []
-    for name in ADVISERS:
-        sums = np.array([_sums(tables, name) for tables in people.values()])
-        count, agreed, chance = sums.sum(axis=0)
-        low = high = np.nan
-        if len(people) > 1:
-            kappas = _kappa(sums[drawn].sum(axis=1).T)
-            low, high = np.nanpercentile(kappas, [tail, 100.0 - tail])
-        kappa = float(_kappa(sums.sum(axis=0)))
-        shares = agreed / count, chance / count
-        rows.append((name, len(people), int(count), *shares, kappa, low, high))
-    columns = ["policy", "participants", "occasions", "agreement", "chance", "kappa", "low", "high"]
-    return pd.DataFrame(rows, columns=columns).set_index("policy")
+    low = high = np.nan
+    if len(people) > 1:
+        kappas = _kappa(np.array(list(people.values()))[drawn].sum(axis=1))
+        low, high = np.nanpercentile(kappas, [tail, 100.0 - tail], axis=0)
+    count, agreed, chance = total.T
+    columns = {"participants": len(people), "occasions": count.astype(int)}
+    columns |= {"agreement": agreed / count, "chance": chance / count, "kappa": _kappa(total)}
+    index = pd.Index(ADVISERS, name="policy")
+    return pd.DataFrame(columns | {"low": low, "high": high}, index)
 
 
-def _sums(tables: list[pd.DataFrame], policy: str) -> np.ndarray:
-    """Return occasions, agreements, and those expected by chance, summed over runs."""
-    sums = np.zeros(3)
-    for table in tables:
-        if len(table):
-            chosen, picked = table["chosen"], table[policy]
-            shares = chosen.value_counts(normalize=True)
-            expected = shares.mul(picked.value_counts(), fill_value=0.0).sum()
-            sums += (len(table), (chosen == picked).sum(), expected)
-    return sums
+def _sums(table: pd.DataFrame, policy: str) -> tuple[float, float, float]:
+    """Return occasions of a run, agreements, and those expected by chance."""
+    if table.empty:
+        return 0.0, 0.0, 0.0
+    chosen, picked = table["chosen"], table[policy]
+    shares = chosen.value_counts(normalize=True)
+    expected = shares.mul(picked.value_counts(), fill_value=0.0).sum()
+    return len(table), (chosen == picked).sum(), expected
 
 
 def _kappa(sums: np.ndarray) -> np.ndarray:
     """Return κ of occasions, agreements and expected agreements; NaN where chance is certain."""
-    count, agreed, expected = sums
-    room = count - expected
-    # where all agree by chance nothing is left to tell
-    return np.where(room > 1e-9, (agreed - expected) / np.where(room > 1e-9, room, 1.0), np.nan)
+    count, agreed, expected = np.moveaxis(sums, -1, 0)
+    room = np.where(count - expected > 1e-9, count - expected, np.nan)
+    return (agreed - expected) / room

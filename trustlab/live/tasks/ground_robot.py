@@ -1,29 +1,21 @@
 """The ground robot as a live task: drives along a course under the conditions C1 to C5."""
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar
+from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 
-from trustlab.live.condition import NOTICE, LiveCondition
+from trustlab.live.condition import LiveCondition
 from trustlab.live.hands import HumanHand
 from trustlab.live.study.settings import DriveSettings, model_of
 from trustlab.live.task import LiveTask
 from trustlab.live.tick import SCORE, SIGNALS, STATE, Switching, World, begin_drive, tick
-from trustlab.models.checks import of_class, one_of, positive, warn, whole_number
+from trustlab.models.checks import warn
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
 from trustlab.testbeds.condition_run import condition_measures
-from trustlab.testbeds.deciding import (
-    CONDITIONS,
-    OWN,
-    SAMPLE_TIME,
-    SCHEDULE,
-    SETTLING,
-    TSC,
-    Task,
-)
+from trustlab.testbeds.deciding import CONDITIONS, OWN, SAMPLE_TIME, SCHEDULE, SETTLING, TSC, Task
 from trustlab.testbeds.ground_robot.conditions import E_MAX, SLOWEST
 from trustlab.testbeds.ground_robot.course import Course, CourseNumbers, default_course
 from trustlab.testbeds.ground_robot.kernel import COLUMNS, LOG
@@ -60,28 +52,22 @@ Keys move a lever and throw no switch: its speed towards full deflection and bac
 MOST_SAMPLES = 36_000
 """An hour: the longest live drive."""
 
-MOST_SEED = 2**53 - 1
-"""Largest seed that JSON keeps in every language."""
-
 PILOT_A = 0.9991
 """a of (2.5) where there is no model of the person: that of the pilot operator."""
-
-WHOLE = ("scheme", "forced", "laps", "window", "first_mode")
-"""Numbers of a task that are whole."""
 
 
 def drive_config(
     condition: str | LiveCondition,
     model: TscModel | None = None,
-    thresholds: tuple[float, float] | None = None,
-    laps: int | None = None,
+    thresholds: tuple[float, float] = (0.0, 0.0),
+    laps: int = 0,
     seed: int = 0,
-    seconds: float | None = None,
-    schedule: Iterable[tuple[int, float]] | None = None,
+    seconds: float = 0.0,
+    schedule: Sequence[tuple[int, float]] = (),
     robot: Pioneer | None = None,
     course: Course | None = None,
-    **view: Any,
-) -> dict[str, Any]:
+    show_map: bool = False,
+) -> dict:
     """
     Return everything that determines a live drive but the commands, as plain JSON.
 
@@ -93,9 +79,9 @@ def drive_config(
     model : TscModel, optional
         What TSC (2.1) and suggestions come from, and a of (2.5); without one TSC is 0 and a that of
         the pilot operator.
-    thresholds : (float, float), optional
+    thresholds : (float, float)
         TSC_l and TSC_u of (2.8), where TSC decides on suggestions.
-    laps, seconds, schedule : int, float, sequence of (int, float), optional
+    laps, seconds, schedule : int, float, sequence of (int, float)
         When the drive ends: after so many laps, so many seconds, or the last of the phases (mode,
         length [s]).
     seed : int
@@ -104,36 +90,33 @@ def drive_config(
         The robot; not faster than 0.5 m/s when not given.
     course : Course, optional
         The course, if not the default one.
-    **view : float or bool
-        What is seen, in place of `VIEW`.
+    show_map : bool
+        Whether a map shows where the robot is.
     """
-    own = condition if isinstance(condition, LiveCondition) else None
-    name = own.name if own else one_of("condition", condition, DRIVES)
-    scheme, forced = (own.scheme, own.forced) if own else DRIVES[name]
-    if own and own.thresholds:
-        thresholds = own.thresholds
-    if scheme == TSC and thresholds is None:
+    robot = robot or Pioneer(max_speed=LIVE_SPEED)
+    course = course or default_course()
+    if isinstance(condition, LiveCondition):
+        own, name = condition, condition.name
+        scheme, forced = own.scheme, own.forced
+        thresholds = own.thresholds or thresholds
+    else:
+        own, name = LiveCondition("unnamed"), condition
+        scheme, forced = DRIVES[name]
+    if schedule:
+        seconds = sum(length for _, length in schedule)
+    longest = seconds or laps * course.length / SLOWEST
+    samples = round(longest / SAMPLE_TIME)
+    if not 2 <= samples <= MOST_SAMPLES:
         raise ValueError(
-            f"{name} needs thresholds=(TSC_l, TSC_u); take them from "
-            "trustlab.choose_thresholds(model)"
+            f"a live drive lasts from 0.2 s to {MOST_SAMPLES * SAMPLE_TIME:g} s, got up to "
+            f"{longest:g} s; split it"
         )
-    robot = of_class("robot", Pioneer(max_speed=LIVE_SPEED) if robot is None else robot, Pioneer)
-    course = of_class("course", course or default_course(), Course)
-    phases = None
-    if schedule is not None:
-        phases = [[whole_number("mode", m, 0, 1), positive("length", s)] for m, s in schedule]
-    if (scheme == SCHEDULE) != (phases is not None):
-        raise ValueError(
-            "a schedule of modes goes with the condition 'identification', and only with it"
-        )
-    for setting in view:
-        one_of("a setting of the view", setting, VIEW)
-    first = int(phases[0][0]) if phases else 1
-    laps = whole_number("laps", laps, most=100) if laps is not None else 0
-    lower, upper = thresholds or (0.0, 0.0)
+    first = int(schedule[0][0]) if schedule else 1
+    lower, upper = map(float, thresholds)
     task = Task(scheme, E_MAX, forced, laps, lower, upper, first)
-    task = task if model is None else task.suggesting(model)
-    anchor = 1.0 - math.exp(-SAMPLE_TIME / robot.anchoring_time)
+    settling = SETTLING if condition not in ("training", "identification") else 0.0
+    notice = float(own.notice)
+    switching = Switching(settling, notice, model.human.a if model else PILOT_A, **own.weights)
     return {
         "live_task": "ground_robot",
         "condition": name,
@@ -145,103 +128,70 @@ def drive_config(
             "mode": [0, 1],
         },
         "sample_time": SAMPLE_TIME,
-        "samples": _samples(laps, seconds, phases, course),
-        "seed": whole_number("seed", seed, least=0, most=MOST_SEED),
-        "schedule": phases,
-        "task": _numbers(task, own, name in ("training", "identification"), model),
-        "robot": robot.numbers._asdict() | {"anchor": anchor},
+        "samples": samples,
+        "duration": seconds or 1.5 * laps * course.length / robot.max_speed,
+        "seed": seed,
+        "schedule": schedule or None,
+        "task": (task if model is None else task.suggesting(model))._asdict(),
+        "switching": switching._asdict(),
+        "robot": robot.numbers._asdict(),
         "path": course.path.tolist(),
         "posts": course.posts.tolist(),
-        "ramp": dict(RAMP),
-        "view": VIEW | view,
-        "late": (VIEW | view)["delay"],
+        "ramp": RAMP,
+        "view": VIEW | {"map": show_map},
+        "late": VIEW["delay"],
         "clock": "real",
     }
 
 
-def _numbers(
-    task: Task, own: LiveCondition | None, free: bool, model: TscModel | None
-) -> dict[str, float]:
-    """Return a task and when its mode may change as plain numbers by name."""
-    switching = Switching(
-        0.0 if free else SETTLING,
-        own.notice if own else NOTICE,
-        model.human.a if model else PILOT_A,
-        **(own.weights if own else dict.fromkeys(SIGNALS, 0.0)),
-    )
-    both = {**task._asdict(), **switching._asdict()}
-    return {name: int(value) if name in WHOLE else float(value) for name, value in both.items()}
-
-
-def _samples(
-    laps: int, seconds: float | None, phases: list[list[float]] | None, course: Course
-) -> int:
-    """Return after how many samples a drive ends at the latest."""
-    if (laps > 0) + (seconds is not None) + (phases is not None) != 1:
-        raise ValueError("say when the drive ends: give one of laps=, seconds= and schedule=")
-    if phases is not None:
-        seconds = sum(length for _, length in phases)
-    elif seconds is None:
-        seconds = laps * course.length / SLOWEST
-    samples = round(positive("seconds", seconds) / SAMPLE_TIME)
-    if not 2 <= samples <= MOST_SAMPLES:
-        raise ValueError(
-            f"a live drive lasts from 0.2 s to {MOST_SAMPLES * SAMPLE_TIME:g} s, got up to "
-            f"{seconds:g} s; split it"
-        )
-    return samples
-
-
-def warn_if_too_short(config: Mapping[str, Any]) -> None:
+def warn_if_too_short(config: dict) -> None:
     """Warn where a drive's laps can be over before anybody may switch."""
-    task = config["task"]
+    laps = config["task"]["laps"]
     lap = config["path"][-1][2] / config["robot"]["max_speed"]
-    if task["laps"] and task["laps"] * lap <= task["settling"]:
+    if laps and laps * lap <= SETTLING:
         warn(
-            f"nobody may switch in the first {task['settling']:g} s, when the window of measured "
-            f"performance fills, and laps={task['laps']} can take {task['laps'] * lap:.0f} s: "
-            f"conditions would hardly differ; take laps={int(task['settling'] // lap) + 1} or more"
+            f"nobody may switch in the first {SETTLING:g} s, when the window of measured "
+            f"performance fills, and laps={laps} can take {laps * lap:.0f} s: "
+            f"conditions would hardly differ; take laps={int(SETTLING // lap) + 1} or more"
         )
 
 
 class Drive:
     """A drive, stepped by what the person commands: speed, turn rate, and the mode wanted."""
 
-    def __init__(self, config: Mapping[str, Any]):
-        self.config = config
+    def __init__(self, config: dict):
         self.k = 0
         self.done = False
-        self.row: list[float] = []
-        robot = dict(config["robot"])
-        anchor = robot.pop("anchor")
-        course = CourseNumbers(*(np.array(config[name], float) for name in ("path", "posts")))
+        self.row = []
+        self.samples = config["samples"]
         self.world = World(
-            Task(**{name: config["task"][name] for name in Task._fields}),
-            Switching(**{name: config["task"][name] for name in Switching._fields}),
-            PioneerNumbers(**robot),
-            anchor,
-            course,
-            np.empty(config["samples"]),
-            np.empty(config["samples"]),
+            Task(**config["task"]),
+            Switching(**config["switching"]),
+            PioneerNumbers(**config["robot"]),
+            1.0 - math.exp(-SAMPLE_TIME / config["robot"]["anchoring_time"]),
+            CourseNumbers(*(np.array(config[name], float) for name in ("path", "posts"))),
+            np.empty(self.samples),
+            np.empty(self.samples),
         )
         self.sensing = np.random.default_rng(config["seed"])
         self.state, self._log = np.zeros(1, STATE)[0], np.zeros(1, LOG)[0]
-        self.ends = np.cumsum([length for _, length in config["schedule"] or ()]) / SAMPLE_TIME
+        phases = np.array(config["schedule"] or ()).reshape(-1, 2)
+        self.modes, self.ends = phases[:, 0], np.cumsum(phases[:, 1]) / SAMPLE_TIME
         begin_drive(self.world, self.state)
 
     def step(self, *command: float) -> list[float]:
         """Drive for one sample; where modes are scheduled, the one that is wanted has no effect."""
         v, w, mode = map(float, command)  # whole numbers would compile all once more
         if self.ends.size:
-            phase = min(int(np.searchsorted(self.ends, self.k, side="right")), self.ends.size - 1)
-            mode = float(self.config["schedule"][phase][0])
+            phase = np.searchsorted(self.ends[:-1], self.k, side="right")
+            mode = float(self.modes[phase])
         done = tick(self.k, v, w, mode, self.world, self.sensing, self.state, self._log)
         self.k += 1
-        self.done = done or self.k >= self.config["samples"]
+        self.done = done or self.k >= self.samples
         self.row = [*self._log.tolist(), float(self.state["laps"])]
         return self.row
 
-    def picture(self) -> dict[str, Any]:
+    def picture(self) -> dict:
         """Return the pose, the way along the course [m], the laps and the last row."""
         state = self.state
         pose = {name: round(float(state[name]), 5) for name in ("x", "y", "yaw", "arc")}
@@ -249,82 +199,63 @@ class Drive:
         return {**pose, "laps": int(state["laps"]), "row": row}
 
 
-class GroundRobotTask(LiveTask):
-    """Drives along a course under the conditions C1 to C5."""
-
-    name: ClassVar[str] = "ground_robot"
-    conditions: ClassVar[tuple[str, ...]] = tuple(CONDITIONS)
-    practice: ClassVar[tuple[str, ...]] = ("training", "identification")
-    reported: ClassVar[tuple[str, ...]] = (
-        "p_r",
-        "p_h",
-        "r",
-        "path_error",
-        "manual_share",
-        "switches",
-        "lap_time",
+def study_config(content: dict, condition: str, known: dict, seed: int) -> dict:
+    """Return the settings of a drive of a study."""
+    length: dict = {"laps": content["laps"]}
+    if condition == "training":
+        length = {"seconds": content["training"]}
+    elif condition == "identification":
+        length = {"schedule": content["identification"]}
+    own = content["own_conditions"].get(condition)
+    return drive_config(
+        LiveCondition(**own) if own else condition,
+        model_of(known["model"]),
+        known["thresholds"],
+        seed=seed,
+        robot=content["robot"] and Pioneer(**content["robot"]),
+        course=content["course"] and Course(**content["course"]),
+        **length,
     )
-    settings: ClassVar[type] = DriveSettings
-    decisions: ClassVar[tuple[str, ...]] = ("mode", "suggested_mode", "laps")
-
-    def config(
-        self, content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
-    ) -> dict[str, Any]:
-        """Return the settings of a drive, of `drive_config`."""
-        length: dict[str, Any] = {"laps": content["laps"]}
-        course, robot = content["course"], content["robot"]
-        place: dict[str, Any] = {
-            "course": None if course is None else Course(**course),
-            "robot": None if robot is None else Pioneer(**robot),
-        }
-        if condition == "training":
-            length = {"seconds": content["training"]}
-        elif condition == "identification":
-            length = {"schedule": [tuple(phase) for phase in content["identification"]]}
-        model, thresholds = model_of(known["model"]), tuple(known["thresholds"])
-        personal = content["own_conditions"].get(condition)
-        rule = condition if personal is None else LiveCondition(**personal)
-        return drive_config(rule, model=model, thresholds=thresholds, seed=seed, **length, **place)
-
-    def begin(self, config: Mapping[str, Any]) -> Drive:
-        """Return a drive at its beginning."""
-        return Drive(config)
-
-    def hand(self, config: Mapping[str, Any], rng: np.random.Generator) -> HumanHand:
-        """Return a hand with a person's limits, which follows suggestions."""
-        return HumanHand(config, int(rng.integers(2**32)))
-
-    def minutes(self, config: Mapping[str, Any]) -> float:
-        """Return how long a drive takes, its laps at two thirds of the largest speed [min]."""
-        speed = config["robot"]["max_speed"] * 2.0 / 3.0
-        laps = config["task"]["laps"] * config["path"][-1][2] / speed
-        return laps / 60.0 if laps else super().minutes(config)
-
-    def session(self, config: Mapping[str, Any], rows: Any, **metadata: Any) -> Session:
-        """Return the session of a drive."""
-        task = config["task"]
-        facts: dict[str, Any] = {
-            "settling": task["settling"],
-            "performance_window": task["window"] * SAMPLE_TIME,
-        }
-        facts |= {"laps": task["laps"]} if task["laps"] else {}
-        if task["scheme"] == TSC:
-            facts |= {"TSC_l": task["lower"], "TSC_u": task["upper"]}
-        if task["scheme"] == SCORE:
-            facts |= {"rule": {signal: task[signal] for signal in SIGNALS if task[signal]}}
-            facts |= {"rule_thresholds": [task["lower"], task["upper"]]}
-        facts |= {"stamp_error": 0.0}  # the drive switches on a sample
-        table = np.array(rows, dtype=float).reshape(len(rows), len(config["columns"]))
-        laps = table[:, -1]  # no signal of the session
-        facts["lap_times"] = (SAMPLE_TIME * (np.flatnonzero(np.diff(laps) > 0.0) + 1)).tolist()
-        signals = {**config, "columns": config["columns"][:-1]}
-        return super().session(signals, table[:, :-1], **facts, **metadata)
-
-    def measures(self, session: Session) -> dict[str, float]:
-        """Return the measures of `run_condition`."""
-        laps = np.asarray(session.metadata.more["lap_times"], dtype=float)
-        condition = str(session.metadata.condition)
-        return condition_measures(session, session.t, condition, lap_times=laps)
 
 
-TASK = GroundRobotTask()
+def drive_facts(config: dict, table: pd.DataFrame) -> dict:
+    """Return what metadata say of a drive; laps are no signal of the session."""
+    task = config["task"]
+    laps = table.pop("laps")
+    facts = {
+        "settling": config["switching"]["settling"],
+        "performance_window": task["window"] * SAMPLE_TIME,
+        "stamp_error": 0.0,  # the drive switches on a sample
+        "lap_times": (SAMPLE_TIME * (np.flatnonzero(np.diff(laps) > 0.0) + 1)).tolist(),
+    }
+    if task["laps"]:
+        facts["laps"] = task["laps"]
+    if task["scheme"] == TSC:
+        facts |= {"TSC_l": task["lower"], "TSC_u": task["upper"]}
+    if task["scheme"] == SCORE:
+        weights = {signal: config["switching"][signal] for signal in SIGNALS}
+        facts["rule"] = {signal: weight for signal, weight in weights.items() if weight}
+        facts["rule_thresholds"] = [task["lower"], task["upper"]]
+    return facts
+
+
+def drive_measures(session: Session) -> dict[str, float]:
+    """Return the measures of `run_condition`."""
+    about = session.metadata
+    laps = np.asarray(about.more["lap_times"], dtype=float)
+    return condition_measures(session, session.t, str(about.condition), lap_times=laps)
+
+
+TASK = LiveTask(
+    name="ground_robot",
+    conditions=tuple(CONDITIONS),
+    practice=("training", "identification"),
+    reported=("p_r", "p_h", "r", "path_error", "manual_share", "switches", "lap_time"),
+    settings=DriveSettings,
+    config=study_config,
+    begin=Drive,
+    hand=lambda config, rng: HumanHand(config, int(rng.integers(2**32))),
+    measures=drive_measures,
+    facts=drive_facts,
+    decisions=("mode", "suggested_mode", "laps"),
+)

@@ -1,13 +1,18 @@
 """A team as a live task: one person leads it to goals through whichever robot leads."""
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar
 
 import numpy as np
 
 from trustlab.live.hands import ScriptedLeader
-from trustlab.live.task import PERIOD, HandSettings, LiveTask, force_shown, trust_of
+from trustlab.live.task import (
+    PERIOD,
+    HandSettings,
+    LiveTask,
+    force_shown,
+    hand_config,
+    trust_of,
+)
 from trustlab.models.checks import between, positive, whole_number
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.team.decisions import POLICIES, TeamSituation
@@ -20,7 +25,7 @@ from trustlab.teleoperation.team.settings import (
 from trustlab.testbeds.robot_team import TeamLoop
 
 BY_HAND, SUGGESTED = "by_hand", "suggested"
-ADVISERS: dict[str, Any] = {name: POLICIES[name] for name in ("most_trusted", "hysteresis")}
+ADVISERS: dict = {name: POLICIES[name] for name in ("most_trusted", "hysteresis")}
 """Policies whose picks are logged, in every condition."""
 
 COMMANDS = ("pointer_x", "pointer_y", "leader_choice")
@@ -46,7 +51,6 @@ ABILITIES = (
 )
 """How well robots do what they should; who has which is drawn for each run."""
 
-GAINS = ("coupling", "lead_gain", "force_gain")
 SAMPLE_TIME = 0.01
 PULL = 0.12
 """Where a hand at the edge of its square wants the device to be [m]."""
@@ -99,12 +103,8 @@ class LeadingSettings(HandSettings):
 
     robots: int = 4
     goals: int = 3
-    duration: float = 120.0
-    training: float = 60.0
     min_dwell: float = 5.0
     tolerance: float = 0.4
-    least_delay: float = 0.0
-    trust: Any = None
 
     def __post_init__(self):
         whole_number("robots", self.robots, least=3, most=6)
@@ -123,7 +123,7 @@ def ring(count: int) -> np.ndarray:
 def gains_of(count: int) -> dict[str, float]:
     """Return the gains that bring a team of this size to a goal in time."""
     scaled = TeamSettings.scaled(ring(count), WITHIN)
-    return {name: float(getattr(scaled, name)) for name in GAINS}
+    return {name: getattr(scaled, name) for name in ("coupling", "lead_gain", "force_gain")}
 
 
 class PersonLeads:
@@ -159,12 +159,11 @@ class PersonLeads:
 class LeadingRun:
     """A team, stepped by the place of a hand in its square and the robot that is to lead."""
 
-    def __init__(self, config: Mapping[str, Any]):
+    def __init__(self, config: dict):
         robots = tuple(TeamRobot(**robot) for robot in config["robots"])
         settings = TeamSettings(robots=robots, min_dwell=config["min_dwell"], **config["gains"])
+        self.config, self.goals = config, config["goals"]
         self.policy = PersonLeads(config["condition"])
-        self.goals = config["goals"]
-        self.config = config
         self.loop = TeamLoop(
             ring(len(robots)),
             self.policy,
@@ -177,7 +176,6 @@ class LeadingRun:
             trust=trust_of(config),
         )
         self.periods = self.reached = self.leader = 0
-        self.hand = (0.0, 0.0)
 
     @property
     def done(self) -> bool:
@@ -192,21 +190,18 @@ class LeadingRun:
     def step(self, *command: float) -> list[float]:
         """Lead for one period."""
         x, y, choice = command
-        self.hand = x, y
         self.policy.wish = int(choice)
-        hand = (PULL * x, PULL * y, 0.0)
-        state = self.loop.step(hand, samples=round(PERIOD / SAMPLE_TIME))
+        state = self.loop.step((PULL * x, PULL * y, 0.0), samples=round(PERIOD / SAMPLE_TIME))
         self.periods += 1
         self.leader = self.loop.robots.index(self.loop.leader) + 1
         places, goal = self.loop.positions[:, :2], self.goal
-        middle = places.mean(axis=0)
         error = float(np.hypot(*(places - goal).T).max())
         if error <= self.config["tolerance"]:
             self.reached += 1
-        vectors = (places[self.leader - 1], middle, goal, state.f_m[:2])
+        vectors = (places[self.leader - 1], places.mean(axis=0), goal, state.f_m[:2])
         return [
             *command,
-            *(float(number) for vector in vectors for number in vector),
+            *np.concatenate(vectors).tolist(),
             error,
             self.leader,
             self.policy.suggestion(self.leader),
@@ -216,91 +211,45 @@ class LeadingRun:
             *self.loop.trust.tolist(),
         ]
 
-    def picture(self) -> dict[str, Any]:
+    def picture(self) -> dict:
         """Return what the page draws."""
-        state = self.loop.state
+        start = np.array(self.config["start"])
         return {
-            "robots": self.loop.positions[:, :2].tolist() if self.periods else self.starts(),
+            "robots": (self.loop.positions if self.periods else start)[:, :2].tolist(),
             "trust": self.loop.trust.tolist(),
             "leader": self.leader,
             "suggested": self.policy.suggestion(self.leader),
             "wait": self.policy.left,
             "goal": self.goal,
             "reached": self.reached,
-            "force": (-state.f_m[:2]).tolist(),
+            "force": (-self.loop.state.f_m[:2]).tolist(),
         }
 
-    def starts(self) -> list[list[float]]:
-        """Return where the robots begin [m]."""
-        return [place[:2] for place in self.config["start"]]
 
-
-class TeamTask(LiveTask):
-    """Runs of a team to goals; conditions say who chooses the leader."""
-
-    name: ClassVar[str] = "team"
-    conditions: ClassVar[tuple[str, ...]] = (BY_HAND, *ADVISERS, SUGGESTED)
-    reported: ClassVar[tuple[str, ...]] = ("duration", "path", "goals_reached", "switches", "force")
-    settings: ClassVar[type] = LeadingSettings
-    decisions: ClassVar[tuple[str, ...]] = COLUMNS[-6:]
-
-    def config(
-        self, content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
-    ) -> dict[str, Any]:
-        """Return the settings of a run; start, goals and abilities are drawn from its seed."""
-        rng = np.random.default_rng(seed)
-        count = content["robots"]
-        start = np.zeros((count, 3))
-        start[:, :2] = rng.uniform(-START, START, (count, 2))
-        abilities = [ABILITIES[i] for i in rng.permutation(count)]
-        return self.hand_config(
-            content,
-            condition,
-            seed,
-            ("leader_choice", 0, count),
-            chooses=condition in ("training", BY_HAND, SUGGESTED),
-            start=start.tolist(),
-            goals=_goals(content["goals"], rng),
-            robots=[asdict(robot) for robot in abilities],
-            gains=gains_of(count),
-            min_dwell=content["min_dwell"],
-            tolerance=content["tolerance"],
-            field=FIELD + START,
-            columns=[*COLUMNS, *(f"trust_{i}" for i in range(1, count + 1))],
-            late=0.0,
-        )
-
-    def begin(self, config: Mapping[str, Any]) -> LeadingRun:
-        """Return a run at its beginning."""
-        return LeadingRun(config)
-
-    def session(self, config: Mapping[str, Any], rows: Any, **metadata: Any) -> Session:
-        """Return the session of a run."""
-        return super().session(config, rows, min_dwell=config["min_dwell"], **metadata)
-
-    def hand(self, config: Mapping[str, Any], rng: np.random.Generator) -> ScriptedLeader:
-        """Return a scripted person."""
-        return ScriptedLeader(config, rng)
-
-    def measures(self, session: Session) -> dict[str, float]:
-        """
-        Return the time that the run took, the way of the team's middle, goals reached, the mean
-        distance to the goal, switches, suggestions, and the root mean square of the force shown.
-        """
-        leader, suggested = session["leader"], session["leader_suggested"]
-        moves = np.diff(np.column_stack([session["team_x"], session["team_y"]]), axis=0)
-        ends = np.flatnonzero((suggested[:-1] > 0) & (suggested[1:] != suggested[:-1]))
-        followed = int((leader[ends + 1] == suggested[ends]).sum())
-        return {
-            "duration": len(session) * session.sample_time,
-            "path": float(np.hypot(*moves.T).sum()),
-            "goals_reached": int(session["goals_reached"][-1]),
-            "path_error": float(session["path_error"].mean()),
-            "switches": int(np.count_nonzero(np.diff(leader))),
-            "suggestions": len(ends),
-            "followed_percent": 100.0 * followed / len(ends) if len(ends) else np.nan,
-            "force": force_shown(session),
-        }
+def team_config(content: dict, condition: str, known: dict, seed: int) -> dict:
+    """Return the settings of a run; start, goals and abilities are drawn from its seed."""
+    rng = np.random.default_rng(seed)
+    count = content["robots"]
+    start = np.zeros((count, 3))
+    start[:, :2] = rng.uniform(-START, START, (count, 2))
+    abilities = [ABILITIES[i] for i in rng.permutation(count)]
+    return hand_config(
+        "team",
+        content,
+        condition,
+        seed,
+        ("leader_choice", 0, count),
+        chooses=condition in ("training", BY_HAND, SUGGESTED),
+        start=start.tolist(),
+        goals=_goals(content["goals"], rng),
+        robots=[asdict(robot) for robot in abilities],
+        gains=gains_of(count),
+        min_dwell=content["min_dwell"],
+        tolerance=content["tolerance"],
+        field=FIELD + START,
+        columns=[*COLUMNS, *(f"trust_{i}" for i in range(1, count + 1))],
+        late=0.0,
+    )
 
 
 def _goals(count: int, rng: np.random.Generator) -> list[list[float]]:
@@ -313,4 +262,36 @@ def _goals(count: int, rng: np.random.Generator) -> list[list[float]]:
     return goals[1:]
 
 
-TASK = TeamTask()
+def team_measures(session: Session) -> dict[str, float]:
+    """
+    Return the time that the run took, the way of the team's middle, goals reached, the mean
+    distance to the goal, switches, suggestions, and the root mean square of the force shown.
+    """
+    leader, suggested = session["leader"], session["leader_suggested"]
+    moves = np.diff(np.column_stack([session["team_x"], session["team_y"]]), axis=0)
+    ends = np.flatnonzero((suggested[:-1] > 0) & (suggested[1:] != suggested[:-1]))
+    followed = int((leader[ends + 1] == suggested[ends]).sum())
+    return {
+        "duration": len(session) * session.sample_time,
+        "path": float(np.hypot(*moves.T).sum()),
+        "goals_reached": int(session["goals_reached"][-1]),
+        "path_error": float(session["path_error"].mean()),
+        "switches": int(np.count_nonzero(np.diff(leader))),
+        "suggestions": len(ends),
+        "followed_percent": 100.0 * followed / len(ends) if len(ends) else np.nan,
+        "force": force_shown(session),
+    }
+
+
+TASK = LiveTask(
+    name="team",
+    conditions=(BY_HAND, *ADVISERS, SUGGESTED),
+    reported=("duration", "path", "goals_reached", "switches", "force"),
+    settings=LeadingSettings,
+    config=team_config,
+    begin=LeadingRun,
+    hand=ScriptedLeader,
+    measures=team_measures,
+    facts=lambda config, table: {"min_dwell": config["min_dwell"]},
+    decisions=COLUMNS[-6:],
+)

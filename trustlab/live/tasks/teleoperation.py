@@ -1,21 +1,27 @@
 """Shared teleoperation as a live task: a UAV after its target, under the schemes of Chapter 3."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from trustlab.live.hands import TrackingHand
-from trustlab.live.task import PERIOD, HandSettings, LiveTask, force_shown, trust_of
+from trustlab.live.task import (
+    PERIOD,
+    HandSettings,
+    LiveTask,
+    force_shown,
+    hand_config,
+    trust_of,
+)
 from trustlab.models.checks import one_of
 from trustlab.models.simulation import DivergenceError, PartError
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.kernel import GUIDANCE
-from trustlab.testbeds.uav_tracking import TASKS, TeleoperationLoop
+from trustlab.testbeds.uav_tracking import TASKS, TeleoperationLoop, TrackingTask
 
-SCHEMES = ("M", "MI", "MMI", "TMIG", "OMI")
 COMMANDS = ("pointer_x", "pointer_y", "alpha_choice")
 VECTORS = ("robot", "reference", "guide", "f_m")
 NUMBERS = (
@@ -76,12 +82,8 @@ class TeleoperationSettings(HandSettings):
     60.0
     """
 
-    duration: float = 120.0
-    training: float = 60.0
     study: str = "main"
     guidance: str = "at_operator"
-    least_delay: float = 0.0
-    trust: Any = None
 
     def __post_init__(self):
         one_of("study", self.study, TASKS)
@@ -92,7 +94,7 @@ class TeleoperationSettings(HandSettings):
 class LiveFlight:
     """A flight, stepped by a hand's place in its square and, in MMI, the share it allocates."""
 
-    def __init__(self, config: Mapping[str, Any], parts: Mapping[str, Any]):
+    def __init__(self, config: dict, **parts: Any):
         task, reach = TASKS[config["study"]], REACH[config["study"]]
         arguments = {name: config[name] for name in ("scheme", "study", "guidance", "seed")}
         arguments |= {"trust": trust_of(config), "duration": config["samples"] * PERIOD}
@@ -101,7 +103,7 @@ class LiveFlight:
         self.settings, self.task = self.loop.settings, self.loop.task
         self.reach = DEFLECTION * reach / np.broadcast_to(self.settings.weight, 3)[:2]
         self.samples = config["samples"]
-        self.every = round(config["sample_time"] / self.settings.sample_time)
+        self.every = round(PERIOD / self.settings.sample_time)
         self.periods = 0
         self.last: Any = None
         self.values = [0.0] * (len(COLUMNS) - len(COMMANDS))
@@ -116,8 +118,9 @@ class LiveFlight:
         """Fly one period; a share below 0 is left to the scheme."""
         x, y, choice = command
         ends = self.settings.scattering
-        span = ends.alpha_max - ends.alpha_min
-        alpha = None if choice < 0.0 else ends.alpha_min + choice * span
+        alpha = None
+        if choice >= 0.0:
+            alpha = ends.alpha_min + choice * (ends.alpha_max - ends.alpha_min)
         hand = np.array([x * self.reach[0], y * self.reach[1], 0.0])
         try:
             for _ in range(0 if self.failed else self.every):
@@ -127,12 +130,12 @@ class LiveFlight:
         else:
             run = self.loop.simulation
             self.last = run.log[run.done - 1]
-            vectors = [float(self.last[name][axis]) for name in VECTORS for axis in (0, 1)]
-            self.values = [*vectors, *(float(self.last[name]) for name in NUMBERS)]
+            vectors = np.concatenate([self.last[name][:2] for name in VECTORS])
+            self.values = [*vectors.tolist(), *(float(self.last[name]) for name in NUMBERS)]
         self.periods += 1
         return [x, y, choice, *self.values]
 
-    def picture(self) -> dict[str, Any]:
+    def picture(self) -> dict:
         """Return what the page draws: what the camera sees now, the device and the forces."""
         if self.failed:  # its numbers may be infinite
             return {"over": self.failed}
@@ -153,56 +156,52 @@ class LiveFlight:
         return shown if seen else shown | {"target": None}
 
 
-class TeleoperationTask(LiveTask):
-    """Flights after a target, under M, MI, MMI, TMIG and OMI."""
-
-    name: ClassVar[str] = "teleoperation"
-    conditions: ClassVar[tuple[str, ...]] = SCHEMES
-    reported: ClassVar[tuple[str, ...]] = ("path_error", "p_r", "p_h", "alpha", "force")
-    settings: ClassVar[type] = TeleoperationSettings
-
-    def __init__(self, **parts: Any):
-        """Parts of one's own take the place of the settings': scheme, study, task, delay, …."""
-        self.parts = parts
-
-    def config(
-        self, content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
-    ) -> dict[str, Any]:
-        """Return the settings of a flight."""
-        allocates = condition == "MMI"
-        view = self.parts.get("task") or TASKS[content["study"]]
-        return self.hand_config(
-            content,
-            condition,
-            seed,
-            ("alpha_choice", *((0.0, 1.0) if allocates else (-1.0, -1.0))),
-            scheme="M" if condition == "training" else condition,
-            allocates=allocates,
-            study=content["study"],
-            guidance=content["guidance"],
-            half=view.view if view.view < UNBOUNDED else view.size_x,
-            columns=list(COLUMNS),
-            late=view.camera_delay,
-        )
-
-    def begin(self, config: Mapping[str, Any]) -> LiveFlight:
-        """Return a flight at its beginning."""
-        return LiveFlight(config, self.parts)
-
-    def hand(self, config: Mapping[str, Any], rng: np.random.Generator) -> TrackingHand:
-        """Return a scripted hand."""
-        return TrackingHand(config["allocates"], rng)
-
-    def measures(self, session: Session) -> dict[str, float]:
-        """
-        Return the means of error, performance and shares, the root mean square of the force shown
-        and the energy that the hand gave.
-        """
-        measures = {name: float(session[name].mean()) for name in NUMBERS[:5]}
-        measures["worst_error"] = float(session["path_error"].max())
-        measures["force"] = force_shown(session)
-        measures["energy_operator"] = float(session["energy_operator"][-1])
-        return measures
+def flight_config(
+    content: dict, condition: str, known: dict, seed: int, task: TrackingTask | None = None
+) -> dict:
+    """Return the settings of a flight after the study's target, or one of your own."""
+    allocates = condition == "MMI"
+    task = task or TASKS[content["study"]]
+    return hand_config(
+        "teleoperation",
+        content,
+        condition,
+        seed,
+        ("alpha_choice", *((0.0, 1.0) if allocates else (-1.0, -1.0))),
+        scheme="M" if condition == "training" else condition,
+        allocates=allocates,
+        study=content["study"],
+        guidance=content["guidance"],
+        half=task.view if task.view < UNBOUNDED else task.size_x,
+        columns=list(COLUMNS),
+        late=task.camera_delay,
+    )
 
 
-TASK = TeleoperationTask()
+def flight_measures(session: Session) -> dict[str, float]:
+    """
+    Return the means of error, performance and shares, the root mean square of the force shown and
+    the energy that the hand gave.
+    """
+    measures = {name: float(session[name].mean()) for name in NUMBERS[:5]}
+    measures["worst_error"] = float(session["path_error"].max())
+    measures["force"] = force_shown(session)
+    measures["energy_operator"] = float(session["energy_operator"][-1])
+    return measures
+
+
+TASK = LiveTask(
+    name="teleoperation",
+    conditions=("M", "MI", "MMI", "TMIG", "OMI"),
+    reported=("path_error", "p_r", "p_h", "alpha", "force"),
+    settings=TeleoperationSettings,
+    config=flight_config,
+    begin=LiveFlight,
+    hand=TrackingHand,
+    measures=flight_measures,
+)
+
+
+def task_of(**parts: Any) -> LiveTask:
+    """Return the task with parts of your own in place of the study's: scheme, task, delay, …."""
+    return replace(TASK, begin=partial(LiveFlight, **parts))

@@ -1,0 +1,42 @@
+"""Runs of the three tasks for tests: their settings, and commands for them."""
+
+import json
+
+import numpy as np
+
+import trustlab as tl
+from trustlab.live.task import task_named
+from trustlab.live.tasks.ground_robot import drive_config
+
+MODEL = tl.published_models()["2"]
+
+
+def configured(name, condition="", **settings):
+    """The settings of a run as a log holds them; without a condition one in which all is chosen."""
+    if name == "ground_robot":
+        config = drive_config(condition or "training", MODEL, seconds=8.0, seed=3)
+    else:
+        task = task_named(name)
+        condition = condition or {"team": "suggested", "teleoperation": "MMI"}[name]
+        config = task.config(task.settings(**settings).as_json(), condition, {}, 3)
+    return json.loads(json.dumps(config))
+
+
+def commands_for(config, hold=1):
+    """Random commands of a whole run, each for so many periods."""
+    rng = np.random.default_rng(0)
+    low, high = np.array([config["limits"][name] for name in config["commands"]]).T
+    drawn = rng.uniform(low, high, (config["samples"] // hold + 1, len(low)))
+    if config["commands"][-1] != "alpha_choice":
+        drawn[:, -1] = np.round(drawn[:, -1])
+    return np.repeat(drawn, hold, axis=0)[: config["samples"]].tolist()
+
+
+def stepped(config, commands):
+    """The rows of a run by these commands, without a log."""
+    run = task_named(config["live_task"]).begin(config)
+    return np.array([run.step(*command) for command in commands if not run.done])
+
+
+def session_of(config, commands):
+    return task_named(config["live_task"]).session(config, stepped(config, commands))
