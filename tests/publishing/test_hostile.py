@@ -309,7 +309,7 @@ def built():
         tl.smallest_n(0.5, dict(zip(labels, (0, 3), strict=True)), ones, **quick),
         session(),
         dataclasses.replace(run, metadata=session().metadata),
-        ArxResult((NAME, "c"), ones[0], ones, np.ones(9), 1, (1,), (1,), True),
+        ArxResult((NAME, "c"), ones[0], ones, np.ones(9)),
         dataclasses.replace(tl.fit_robot(tl.read_session(PILOT)), message=NAME),
         choice,
         choice.limits,

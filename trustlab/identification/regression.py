@@ -31,12 +31,6 @@ class ArxResult(Result):
         Covariance of the estimates, s² (XᵀX)⁻¹.
     residuals : numpy.ndarray, shape (n,)
         One-step prediction errors.
-    na : int
-        Number of output lags.
-    nb, nk : tuple of int
-        Number of lags and delay of every input.
-    intercept : bool
-        Whether c was estimated.
     """
 
     title = "ARX"
@@ -45,10 +39,6 @@ class ArxResult(Result):
     coefficients: np.ndarray
     covariance: np.ndarray
     residuals: np.ndarray
-    na: int
-    nb: tuple[int, ...]
-    nk: tuple[int, ...]
-    intercept: bool
 
     @property
     def stderr(self) -> np.ndarray:
@@ -202,10 +192,9 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
         delays = _per_input("nk", nk, inputs, least=0)
         parts.append(equations(y_run, u_run, na, lags, delays, intercept))
     names = _names(na, lags, intercept)
-    if len(parts) > 1:  # one run is not copied
-        parts = [(np.hstack([x for x, _ in parts]), np.hstack([y for _, y in parts]))]
-    values, covariance, residuals = regression(*parts[0], names)
-    return ArxResult(names, values, covariance, residuals, na, lags, delays, intercept)
+    design, target = parts[0] if len(parts) == 1 else map(np.hstack, zip(*parts, strict=True))
+    values, covariance, residuals = regression(design, target, names)
+    return ArxResult(names, values, covariance, residuals)
 
 
 def equations(
