@@ -240,9 +240,6 @@ KNOWN = {
     "CorrectionRun.plot": {
         "target": "foreign errors",
     },
-    "Posterior.simulated": {
-        "most": "foreign errors",
-    },
     "simulated_answers": {
         "points": "foreign errors",
     },
