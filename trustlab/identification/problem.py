@@ -17,8 +17,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from trustlab.identification.log import Run, in_rows, joined, undo_window, window_means
-from trustlab.identification.model import COORDINATES, Model
+from trustlab.identification.log import (
+    Run,
+    counts,
+    in_rows,
+    joined,
+    undo_window,
+    window_means,
+)
+from trustlab.identification.model import COORDINATES, IdentificationError, Model
+from trustlab.models.checks import counted
 from trustlab.models.compiled import njit
 
 # Lags of the Ljung–Box test that chooses between white and robust standard errors.
@@ -436,9 +444,9 @@ class Problem:
         # The variance of each output maximises the likelihood at Σ e²/n. What is left of minus
         # twice its logarithm is Σ n ln(Σ e²/n) ([L] Section 7.4, [S] Section 7.2); its derivatives
         # weight each output by n/Σ e², so that users need give no weights.
-        squares, counted = grams[:, 0, 0], self.counts
-        weights = counted / (squares + self.floors)
-        deviance = float(counted @ np.log(1.0 / weights)) + log_determinant
+        squares, samples = grams[:, 0, 0], self.counts
+        weights = samples / (squares + self.floors)
+        deviance = float(samples @ np.log(1.0 / weights)) + log_determinant
         gram = np.tensordot(weights, grams, 1)
         residual, root = _least_squares(gram)
         equations = Equations(deviance, gram[1:, 1:], squares, weights, residual, root)
@@ -495,3 +503,85 @@ def _least_squares(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     roots = np.maximum(roots, 1e-14)
     root = np.sqrt(roots)[:, None] * vectors.T
     return -(root @ (gram[0, 1:] / scale)) / roots, root * scale
+
+
+# --- an optimum -----------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Optimum:
+    """Where a search settled: a full vector, the likelihood there, and what a bound holds."""
+
+    problem: Problem
+    x: np.ndarray
+    at_bound: np.ndarray
+    converged: bool
+    steps: int
+
+    def __post_init__(self):
+        self.equations = self.problem.equations(self.x)
+        self.deviance = self._comparable()
+
+    @property
+    def loose(self) -> np.ndarray:
+        """Which of the free unknowns no bound holds: indices into `problem.free`."""
+        return np.flatnonzero(~self.at_bound[self.problem.free])
+
+    @property
+    def exact(self) -> np.ndarray:
+        """Whether an output's residuals are mere rounding, by output: no noise to be tested."""
+        return self.equations.squares <= ROUNDING * self.problem.floors
+
+    def values(self) -> dict[str, Any]:
+        """Return estimates by name; of states an array, shape (runs,)."""
+        model, row = self.problem.model, self.problem.values(self.x)
+        values: dict[str, Any] = dict(zip(model.names, row.tolist(), strict=False))
+        states = row[len(model.names) :].reshape(len(self.problem.runs), -1).T
+        return values | dict(zip(model.states, states, strict=False))
+
+    def same_as(self, other: "Optimum") -> bool:
+        """Return whether two rough optima are one: within five standard errors."""
+        step = (self.x - other.x)[self.problem.free]
+        return float(step @ other.equations.matrix @ step) < 25.0
+
+    def _comparable(self) -> float:
+        """
+        Return the deviance, comparable between optima that leave out different samples.
+
+        A sample left out counts as one that is `FAR` deviations off, in whatever unit data are.
+        """
+        problem, at = self.problem, self.equations
+        of_window = 0.0
+        if problem.unwindow:
+            # The means of n values have 1/n times the density of the values themselves.
+            of_window = sum(np.log(counts(run.size, run.window)).sum() for run in problem.runs)
+        lost = np.array([sum((~s.known).sum() for s in of) for of in problem.by_output()])
+        variance = (at.squares + problem.floors) / problem.counts
+        added = lost @ np.log(variance) + FAR**2 * lost.sum()
+        return float(at.deviance + added - 2.0 * len(problem.noise) * of_window)
+
+    def inverse_information(self) -> np.ndarray:
+        """
+        Return the inverse of the information matrix of the loose unknowns.
+
+        Where the matrix is singular, raise: the unknowns involved are not identifiable.
+        """
+        problem, loose = self.problem, self.loose
+        matrix = self.equations.matrix[np.ix_(loose, loose)]
+        scale, roots, vectors = scaled_roots(matrix)
+        singular = roots <= SINGULAR
+        if not singular.any():
+            return (vectors / roots) @ vectors.T / np.outer(scale, scale)
+        # Unknowns with a share in the directions that the data say nothing about.
+        unknown = np.abs(vectors[:, singular]).max(axis=1) > 0.25
+        lost = tuple(problem.labels[j] for j in problem.free[loose[unknown]])
+        cause = "several values explain them equally well"
+        modes = [run["mode"] for run in problem.runs if "mode" in problem.model.inputs]
+        if modes and all(np.ptp(mode) == 0.0 for mode in modes):
+            cause = f"mode never changes within any of the {counted(len(modes), 'run')}"
+        raise IdentificationError(
+            f"these data do not determine {' and '.join(lost)} ({cause}); record phases "
+            "that move the model more, or fix a parameter, for example "
+            f"fixed={{{lost[-1].split('[')[0]!r}: ...}}",
+            lost,
+        )

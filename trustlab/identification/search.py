@@ -18,113 +18,27 @@ import numpy as np
 from trustlab.identification.log import (
     Run,
     averaged,
-    counts,
     late,
     undo_window,
     window_means,
 )
-from trustlab.identification.model import IdentificationError, Model
+from trustlab.identification.model import Model
 from trustlab.identification.problem import (
-    FAR,
     FINE,
     NOT_WHITE,
     ROUNDING,
-    SINGULAR,
     STEP_OF_LOAD,
     Noise,
+    Optimum,
     Problem,
     Series,
     hac_lags,
     hac_matrix,
     outliers,
     robust_deviation,
-    scaled_roots,
     whiten,
     whiteness_p,
 )
-from trustlab.models.checks import counted
-
-# --- an optimum -----------------------------------------------------------------------------------
-
-
-@dataclass(eq=False)
-class Optimum:
-    """Where a search settled: a full vector, the likelihood there, and what a bound holds."""
-
-    problem: Problem
-    x: np.ndarray
-    at_bound: np.ndarray
-    converged: bool
-    steps: int
-
-    def __post_init__(self):
-        self.equations = self.problem.equations(self.x)
-        self.deviance = self._comparable()
-
-    @property
-    def loose(self) -> np.ndarray:
-        """Which of the free unknowns no bound holds: indices into `problem.free`."""
-        return np.flatnonzero(~self.at_bound[self.problem.free])
-
-    @property
-    def exact(self) -> np.ndarray:
-        """Whether an output's residuals are mere rounding, by output: no noise to be tested."""
-        return self.equations.squares <= ROUNDING * self.problem.floors
-
-    def values(self) -> dict[str, Any]:
-        """Return estimates by name; of states an array, shape (runs,)."""
-        model, row = self.problem.model, self.problem.values(self.x)
-        values: dict[str, Any] = dict(zip(model.names, row.tolist(), strict=False))
-        states = row[len(model.names) :].reshape(len(self.problem.runs), -1).T
-        return values | dict(zip(model.states, states, strict=False))
-
-    def same_as(self, other: "Optimum") -> bool:
-        """Return whether two rough optima are one: within five standard errors."""
-        step = (self.x - other.x)[self.problem.free]
-        return float(step @ other.equations.matrix @ step) < 25.0
-
-    def _comparable(self) -> float:
-        """
-        Return the deviance, comparable between optima that leave out different samples.
-
-        A sample left out counts as one that is `FAR` deviations off, in whatever unit data are.
-        """
-        problem, at = self.problem, self.equations
-        of_window = 0.0
-        if problem.unwindow:
-            # The means of n values have 1/n times the density of the values themselves.
-            of_window = sum(np.log(counts(run.size, run.window)).sum() for run in problem.runs)
-        lost = np.array([sum((~s.known).sum() for s in of) for of in problem.by_output()])
-        variance = (at.squares + problem.floors) / problem.counts
-        added = lost @ np.log(variance) + FAR**2 * lost.sum()
-        return float(at.deviance + added - 2.0 * len(problem.noise) * of_window)
-
-    def inverse_information(self) -> np.ndarray:
-        """
-        Return the inverse of the information matrix of the loose unknowns.
-
-        Where the matrix is singular, raise: the unknowns involved are not identifiable.
-        """
-        problem, loose = self.problem, self.loose
-        matrix = self.equations.matrix[np.ix_(loose, loose)]
-        scale, roots, vectors = scaled_roots(matrix)
-        singular = roots <= SINGULAR
-        if not singular.any():
-            return (vectors / roots) @ vectors.T / np.outer(scale, scale)
-        # Unknowns with a share in the directions that the data say nothing about.
-        unknown = np.abs(vectors[:, singular]).max(axis=1) > 0.25
-        lost = tuple(problem.labels[j] for j in problem.free[loose[unknown]])
-        cause = "several values explain them equally well"
-        modes = [run["mode"] for run in problem.runs if "mode" in problem.model.inputs]
-        if modes and all(np.ptp(mode) == 0.0 for mode in modes):
-            cause = f"mode never changes within any of the {counted(len(modes), 'run')}"
-        raise IdentificationError(
-            f"these data do not determine {' and '.join(lost)} ({cause}); record phases "
-            "that move the model more, or fix a parameter, for example "
-            f"fixed={{{lost[-1].split('[')[0]!r}: ...}}",
-            lost,
-        )
-
 
 # Status of a search that its callback stopped.
 STOPPED = -2

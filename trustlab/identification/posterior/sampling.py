@@ -55,8 +55,8 @@ from trustlab.identification.posterior.density import (
 )
 from trustlab.identification.posterior.priors import Prior, as_prior
 from trustlab.identification.posterior.result import MOST_K, Posterior
-from trustlab.identification.problem import whiteness_p
-from trustlab.identification.search import Optimum, rough_optima
+from trustlab.identification.problem import Optimum, whiteness_p
+from trustlab.identification.search import rough_optima
 from trustlab.identification.tsc import TSC
 from trustlab.models.checks import whole_number, whole_seed
 from trustlab.sessions.session import Session
