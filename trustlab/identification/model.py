@@ -166,10 +166,11 @@ class Model:
             value = getattr(self, name)
             self._set(name, (value,) if isinstance(value, str) else value, str)
         for name in ("starts", "build", "check"):
-            if getattr(self, name) is not None:
-                of_class(name, getattr(self, name), Callable)
+            function = getattr(self, name)
+            if function is not None and not callable(function):
+                raise ValueError(f"{name} must be a function, got {function!r}")
         for name in ("coordinates", "derived", "hints"):
-            of_class(name, getattr(self, name), Mapping)
+            of_class(name, getattr(self, name), dict)
         flag("lanes", self.lanes)
         if not (self.names and self.outputs and self.inputs and callable(self.simulate)):
             raise ValueError("a model needs names, outputs, inputs and a function simulate")
@@ -228,9 +229,10 @@ class Model:
         bounds : mapping, optional
             (low, high) by name; None for an open side.
         """
-        fixed, bounds = ({} if each is None else each for each in (fixed, bounds))
-        self.check_names(of_class("fixed", fixed, Mapping, "values by name"), "fixed")
-        self.check_names(of_class("bounds", bounds, Mapping, "pairs by name"), "bounds")
+        fixed = of_class("fixed", {} if fixed is None else fixed, dict, "give values by name")
+        bounds = of_class("bounds", {} if bounds is None else bounds, dict, "give pairs by name")
+        self.check_names(fixed, "fixed")
+        self.check_names(bounds, "bounds")
         for name in set(fixed) & set(bounds):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")
         limits = {}

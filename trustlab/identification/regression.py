@@ -168,20 +168,11 @@ def arx(y, u, na: int = 1, nb: int = 1, nk: int = 1, intercept: bool = False) ->
     >>> tl.arx(y, u).table()["value"].round(6).to_dict()
     {'a1': -0.9, 'b1': 0.5}
     """
-    pairs = [(y, u)]
-    if isinstance(y, (list, tuple)) and len(y) > 0 and np.ndim(y[0]) == 1:
-        if len(y) != len(u):
-            raise ValueError(
-                f"y has {len(y)} runs and u has {len(u)}; give one input array for every run"
-            )
-        pairs = list(zip(y, u, strict=True))
     na, nb = whole_number("na", na, least=0), whole_number("nb", nb)
     nk, intercept = whole_number("nk", nk, least=0), flag("intercept", intercept)
     first = max(na, nk + nb - 1)
     parts = []
-    for y_run, u_run in pairs:
-        y_run = finite_array("y", y_run)
-        u_run = finite_array("u", u_run, length=y_run.size)
+    for y_run, u_run in paired_runs(y=y, u=u):
         size = y_run.size - first
         if size < 1:
             raise IdentificationError(
@@ -196,3 +187,17 @@ def arx(y, u, na: int = 1, nb: int = 1, nk: int = 1, intercept: bool = False) ->
     # One run is not copied.
     design, target = parts[0] if len(parts) == 1 else map(np.hstack, zip(*parts, strict=True))
     return ArxResult(tuple(names), *regression(design, target, tuple(names)))
+
+
+def paired_runs(**signals) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return two signals of one run, or lists of them by run, as pairs of arrays of equal size."""
+    (first, values), (second, others) = signals.items()
+    if not (isinstance(values, list | tuple) and values and np.ndim(values[0]) == 1):
+        values, others = [values], [others]
+    if len(values) != len(others):
+        raise ValueError(f"there are {len(values)} runs of {first} but {len(others)} of {second}")
+    pairs = []
+    for value, other in zip(values, others, strict=True):
+        array = finite_array(first, value)
+        pairs.append((array, finite_array(second, other, length=array.size)))
+    return pairs

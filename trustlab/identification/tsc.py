@@ -8,7 +8,7 @@ driven by the measured P_h; `fit_robot` is TSC, of which it keeps the robot's pa
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy import signal
@@ -592,7 +592,7 @@ def _robot_of(joint: FitResult) -> FitResult:
     free = parameters.index.intersection(covariance.index)
     return replace(
         joint,
-        model=joint.model.robot,
+        model=cast(TscModel, joint.model).robot,
         parameters=parameters,
         covariance=covariance.loc[free, free],
         initial_states=joint.initial_states[["p_r0", "p_r0_stderr"]],
