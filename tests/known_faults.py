@@ -125,10 +125,6 @@ KNOWN = {
         "height": "foreign errors, anything is taken",
         "phase": "foreign errors, NaN is taken",
     },
-    "arx": {
-        "y": "foreign errors",
-        "u": "foreign errors",
-    },
     "ArxResult.table": {
         "level": "no difference",
     },

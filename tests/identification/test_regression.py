@@ -164,16 +164,3 @@ def test_an_input_that_moves_once_is_told():
     u = np.ones_like(U)
     u[100] += 1.0
     assert_same(arx(Y, u, nb=2), ols([(Y, u)], 1, 2, 1, False), rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"u": np.ones(49)}, "u must have 200 samples"),
-        ({"y": np.full(200, np.nan)}, "y"),
-        ({"u": U[:, None]}, "u"),
-    ],
-)
-def test_what_makes_no_equation_is_refused(change, words):
-    with pytest.raises(ValueError, match=words):
-        arx(**{"y": Y, "u": U} | change)

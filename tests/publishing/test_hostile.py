@@ -218,7 +218,7 @@ def posterior():
     drawn = dataclasses.replace(drawn, whiteness={NAME: 0.5})
     people = {NAME: drawn}
     new = drawn.draws[list(MODEL_NAMES)]
-    return drawn, Population(people, people, None, np.zeros((2, 7)), new, drawn.prior)
+    return drawn, Population(people, people, new, drawn.prior)
 
 
 def ordinal():

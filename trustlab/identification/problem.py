@@ -438,7 +438,7 @@ class Problem:
         # A step may lead to where a model is not defined: the search turns back from there.
         with np.errstate(all="ignore"):
             self._simulate(x)
-        products = [self.products(j, noise) for j, noise in enumerate(self.noise)]
+            products = [self.products(j, noise) for j, noise in enumerate(self.noise)]
         grams = np.stack([gram for gram, _ in products])
         log_determinant = sum(part for _, part in products)
         # The variance of each output maximises the likelihood at Σ e²/n. What is left of minus

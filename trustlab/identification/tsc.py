@@ -7,7 +7,6 @@ driven by the measured P_h; `fit_robot` is TSC, of which it keeps the robot's pa
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -158,6 +157,17 @@ def check_excitation(runs: list[Run], limits: Mapping, prefix: str = "") -> None
         f"control, or fix a parameter, for example fixed={{{lost[0]!r}: ...}}",
         lost,
     )
+
+
+def _check_tsc(runs: list[Run], limits: Mapping) -> None:
+    """Refuse data that say nothing of the robot, and a greatest P_h in another unit."""
+    check_excitation(runs, limits, "robot_")
+    fixed, most = limits["human_p_max"][0], joined(runs, "p_h").max()
+    if fixed > 1e3 * abs(most):
+        raise ValueError(
+            f"the greatest human performance, {fixed:g}, is over a thousand times the measured "
+            f"p_h, {most:.4g}; give it in the unit of p_h"
+        )
 
 
 def _check_driven(runs: list[Run], limits: Mapping) -> None:
@@ -363,7 +373,7 @@ TSC = Model(
         ),
     },
     hints=_with("human_", HINTS) | _with("robot_", HINTS),
-    check=partial(check_excitation, prefix="robot_"),
+    check=_check_tsc,
 )
 
 

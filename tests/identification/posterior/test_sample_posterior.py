@@ -339,9 +339,6 @@ def test_what_is_not_understood_is_refused():
     ):
         with pytest.raises(tl.IdentificationError, match=says):
             tl.sample_posterior(log)
-    for stated, words in (((1.0,), "pair"), ((-1.0, 0.5), "median"), ((1.0, 0.0), "spread")):
-        with pytest.raises(ValueError, match=words):
-            tl.Prior(human_time_constant=stated)
     with pytest.raises(ValueError, match="correlation"):
         tl.Prior(correlation=np.eye(3))
     stated = tl.Prior(human_p_min=(3.4, 0.1))
