@@ -114,10 +114,6 @@ KNOWN = {
         "height": "foreign errors, anything is taken",
         "phase": "foreign errors, NaN is taken",
     },
-    "arx": {
-        "y": "foreign errors",
-        "u": "foreign errors",
-    },
     "ArxResult.table": {
         "level": "no difference",
     },
@@ -213,9 +209,6 @@ KNOWN = {
     },
     "StudyReport.write": {
         "path": "foreign errors, no argument named",
-    },
-    "Posterior.simulated": {
-        "most": "foreign errors",
     },
     "simulated_answers": {
         "points": "foreign errors",

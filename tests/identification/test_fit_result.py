@@ -1,82 +1,72 @@
 """Tables, diagnostics and plots of a fit; statsmodels is the oracle of the residual tests."""
 
+import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 import pytest
 from statsmodels.stats.diagnostic import acorr_ljungbox
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 from statsmodels.tsa.stattools import acf
 
 import trustlab as tl
-from trustlab.identification.problem import (
-    autocorrelation,
-    hac_matrix,
-    pooled_correlation,
-)
+from trustlab.identification.problem import hac_matrix, pooled_correlation
+
+from . import cases
 
 
 @pytest.fixture(scope="module")
-def session(operators, make_session, switching):
-    return make_session(operators["pilot"], switching, noise=0.003, seed=11)
+def session():
+    return cases.session(seed=11)
 
 
-def test_table_has_fixed_columns_and_named_rows(session):
-    robot, human = tl.fit_robot(session).table(), tl.fit_human(session).table()
-    for table in (
-        robot,
-        human,
-        tl.fit_tsc(session).table(),
-    ):
+@pytest.fixture(scope="module")
+def fits(session):
+    return tl.fit_robot(session), tl.fit_human(session), tl.fit_tsc(session)
+
+
+def test_table_has_fixed_columns_and_named_rows(fits):
+    for fit in fits:
+        table = fit.table()
         assert list(table.columns) == ["value", "stderr", "ci_low", "ci_high", "unit", "status"]
         assert table.index.name == "parameter"
         assert table[["value", "stderr", "ci_low", "ci_high"]].dtypes.eq(float).all()
-    assert list(robot.index) == ["a", "p_min", "p_max", "p_h_max", "b", "time_constant"]
-    assert list(human.index) == ["a", "beta", "p_min", "p_max", "b", "time_constant"]
-    wide = tl.fit_human(session).table(level=0.99)
-    assert (
-        (wide["ci_high"] - wide["ci_low"]) / (human["ci_high"] - human["ci_low"])
-    ).to_numpy() == pytest.approx(1.3142, abs=1e-3)
-    with pytest.raises(ValueError, match="level"):
-        tl.fit_human(session).table(level=95)
+    assert list(fits[0].table().index) == ["a", "p_min", "p_max", "p_h_max", "b", "time_constant"]
+    assert list(fits[1].table().index) == ["a", "beta", "p_min", "p_max", "b", "time_constant"]
+    narrow, wide = (np.ptp(fits[1].table(x)[["ci_low", "ci_high"]], axis=1) for x in (0.95, 0.99))
+    np.testing.assert_allclose(wide / narrow, 1.3142, atol=1e-3)
 
 
-def test_fit_percent_is_the_printed_formula(session):
-    fit = tl.fit_robot(session)
-    y, e = session["p_r"], fit.residuals()[0]
-    assert fit.fit_percent == pytest.approx(
+def test_fit_percent_is_the_printed_formula(session, fits):
+    robot, _, joint = fits
+    y, e = session["p_r"], robot.residuals()[0]
+    assert robot.fit_percent == pytest.approx(
         100 * (1 - np.linalg.norm(e) / np.linalg.norm(y - y.mean())), abs=1e-12
     )
-    assert fit.cost == pytest.approx(0.5 * np.sum(e**2), rel=1e-12)
-    assert set(tl.fit_tsc(session).fit_percent.index) == {"p_h", "p_r"}
+    assert robot.cost == pytest.approx(0.5 * np.sum(e**2), rel=1e-12)
+    assert set(joint.fit_percent.index) == {"p_h", "p_r"}
 
 
-def test_fitted_output_is_the_model_simulated(session):
-    fit = tl.fit_human(session)
-    r0 = fit.initial_states["r0"].iloc[0]
-    np.testing.assert_allclose(
-        fit.runs[0].fitted["p_h"], fit.model.simulate(session["mode"], r0)[1], atol=1e-13
-    )
-    fit = tl.fit_robot(session)
-    joint = tl.fit_tsc(session)
-    p_h = joint.runs[0].fitted["p_h"]  # the fitted operator drives the robot
-    p_r = fit.model.simulate(session["mode"], p_h, fit.initial_states["p_r0"].iloc[0])
-    np.testing.assert_allclose(fit.runs[0].fitted["p_r"], p_r, atol=1e-9)
+def test_fitted_output_is_the_model_simulated(session, fits):
+    robot, human, joint = fits
+    r0, p_r0 = human.initial_states["r0"].iloc[0], robot.initial_states["p_r0"].iloc[0]
+    p_h = human.model.simulate(session["mode"], r0)[1]
+    np.testing.assert_allclose(human.runs[0].fitted["p_h"], p_h, atol=1e-13)
+    # The fitted operator drives the robot.
+    p_r = robot.model.simulate(session["mode"], joint.runs[0].fitted["p_h"], p_r0)
+    np.testing.assert_allclose(robot.runs[0].fitted["p_r"], p_r, atol=1e-9)
 
 
-def test_correlations_and_whiteness(session):
-    fit = tl.fit_human(session)
+def test_correlations_and_whiteness(fits):
+    fit = fits[1]
     correlations = fit.correlations()
     assert np.allclose(np.diag(correlations), 1.0)
     assert np.abs(correlations.to_numpy()).max() <= 1.0 + 1e-12
-    oracle = acorr_ljungbox(fit.residuals()[0], lags=[25])
-    assert fit.whiteness().loc["p_h", "statistic"] == pytest.approx(
-        oracle["lb_stat"].iloc[0], rel=1e-10
-    )
-    assert fit.whiteness().loc["p_h", "p"] == pytest.approx(oracle["lb_pvalue"].iloc[0], rel=1e-8)
+    residuals = fit.residuals()[0]
+    oracle = acorr_ljungbox(residuals, lags=[25]).iloc[0]
+    np.testing.assert_allclose(fit.whiteness().loc["p_h", ["statistic", "p"]], oracle, rtol=1e-8)
     frame = fit.residual_correlations(lags=10)
     assert list(frame.columns) == ["autocorrelation", "cross_correlation", "band"]
     np.testing.assert_allclose(
-        frame.loc[0:, "autocorrelation"], acf(fit.residuals()[0], nlags=10), atol=1e-12
+        frame.loc[0:, "autocorrelation"], acf(residuals, nlags=10), atol=1e-12
     )
     assert frame["band"].iloc[0] == pytest.approx(2.5758293 / np.sqrt(20_000))
 
@@ -91,28 +81,20 @@ def test_cross_correlation_has_its_lag_the_right_way_round():
 
 
 def test_no_product_crosses_from_run_to_run():
-    alternating, opposite = np.r_[1.0, -1.0, 1.0, -1.0], np.r_[-1.0, 1.0, -1.0, 1.0]
-    assert autocorrelation([alternating, opposite], 1)[1] == pytest.approx(-6.0 / 8.0)
+    runs = [np.r_[1.0, -1.0, 1.0, -1.0], np.r_[-1.0, 1.0, -1.0, 1.0]]
+    assert pooled_correlation(runs, runs, 1)[1] == pytest.approx(-6.0 / 8.0)
 
 
 def test_hac_matrix_is_newey_west():
     scores = np.random.default_rng(1).standard_normal((200, 3))
     np.testing.assert_allclose(hac_matrix(scores, 5), S_hac_simple(scores, nlags=5))
-    by_hand = scores.T @ scores
-    for lag in range(1, 6):
-        term = scores[lag:].T @ scores[:-lag]
-        by_hand += (1 - lag / 6) * (term + term.T)
-    np.testing.assert_allclose(hac_matrix(scores, 5), by_hand, rtol=1e-10)
 
 
-def test_plots_and_html_say_that_data_are_synthetic(session):
-    import matplotlib.pyplot as plt
-
-    fit = tl.fit_tsc(session)
-    axes = fit.plot()
+def test_plots_and_html_say_that_data_are_synthetic(fits):
+    fit = fits[2]
+    axes, residual_axes = fit.plot(), fit.plot_residuals()
     assert axes.shape == (2, 1)
     assert "synthetic" in axes[0, 0].get_title()
-    residual_axes = fit.plot_residuals()
     assert residual_axes.shape == (2, 2)
     assert "synthetic" in residual_axes[0, 0].figure.get_suptitle()
     plt.close("all")
@@ -120,26 +102,3 @@ def test_plots_and_html_say_that_data_are_synthetic(session):
     assert "synthetic data" in html
     assert "robot_a" in html
     assert repr(fit).startswith("<TscModel, 1 run, 20000 samples")
-    assert isinstance(fit.initial_states, pd.DataFrame)
-
-
-@pytest.mark.parametrize(
-    ("seeds", "margin"), [(50, 0.3), pytest.param(150, 0.2, marks=pytest.mark.long)]
-)
-def test_noise_of_the_measured_input_is_allowed_for(
-    operators, make_session, switching, seeds, margin
-):
-    # The spread of estimates over seeds is what the standard errors say, input noise ten times that
-    # of the output.
-    model = operators["pilot"]
-    z = []
-    for seed in range(seeds):
-        session = make_session(model, switching, noise=0.002, seed=seed)
-        rng = np.random.default_rng(1000 + seed)
-        noisy = session.with_columns(p_h=session["p_h"] + 0.03 * rng.standard_normal(len(session)))
-        row = tl.fit_robot(noisy, p_h_max=model.robot.p_h_max, noise="white").table().loc["p_max"]
-        z.append((row["value"] - model.robot.p_max) / row["stderr"])
-    assert (
-        abs(np.std(z) - 1.0) < margin
-    )  # three sd of a standard deviation of so few, 1/√(2 seeds) each
-    assert abs(np.mean(z)) < 0.5

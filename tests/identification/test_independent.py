@@ -10,11 +10,12 @@ sensitivities, no starting-value search.
 import cmath
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 
 import trustlab as tl
+
+from .cases import log
 
 STEP = 1e-100  # of the complex-step derivative: no cancellation, so it may be as small as one likes
 SAMPLES = 2000
@@ -97,36 +98,13 @@ def noisy_session(seed, shares=False):
     enough.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    human = [
-        rng.uniform(0.988, 0.995),
-        rng.uniform(0.45, 0.75),
-        rng.uniform(0.30, 0.40),
-        rng.uniform(0.46, 0.60),
-        rng.uniform(0.2, 0.4),
-    ]
-    robot = [
-        rng.uniform(0.985, 0.996),
-        rng.uniform(0.20, 0.26),
-        rng.uniform(0.36, 0.42),
-        rng.uniform(0.28, 0.34),
-    ]
+    human = rng.uniform([0.988, 0.45, 0.30, 0.46, 0.2], [0.995, 0.75, 0.40, 0.60, 0.4]).tolist()
+    robot = rng.uniform([0.985, 0.20, 0.36, 0.28], [0.996, 0.26, 0.42, 0.34]).tolist()
     mode = phases(rng, shares=shares)
     p_h = human_output(human, mode).real
     p_r = robot_output(robot, mode, p_h, human[3]).real
-    frame = pd.DataFrame(
-        {
-            "mode": mode,
-            "p_r": p_r + rng.normal(0.0, 0.003, SAMPLES),
-            "p_h": p_h + rng.normal(0.0, 0.003, SAMPLES),
-        },
-        index=pd.Index(0.1 * np.arange(SAMPLES), name="t"),
-    )
-    session = tl.Session(frame, tl.Metadata(participant=1, synthetic=True))
-    return session, human, robot
-
-
-def measured(session, column):
-    return session.data[column].to_numpy()
+    noise = rng.normal(0.0, 0.003, (2, SAMPLES))
+    return log(mode=mode, p_r=p_r + noise[0], p_h=p_h + noise[1]), human, robot
 
 
 # --- tests ----------------------------------------------------------------------------------------
@@ -139,21 +117,17 @@ ROBOT_BOUNDS = ([0.9, 0.0, 0.0, 0.0], [1.0 - 1e-6, 1.0, 1.0, 1.0])
 
 
 def oracle_human(session, truth):
-    mode = measured(session, "mode")
     start = np.add(truth, [-0.002, 0.03, -0.01, 0.02, 0.05])
     return least_squares_fit(
-        lambda p: human_output(p, mode), measured(session, "p_h"), start, *HUMAN_BOUNDS
+        lambda p: human_output(p, session["mode"]), session["p_h"], start, *HUMAN_BOUNDS
     )
 
 
 def oracle_robot(session, truth, p_h_max):
-    mode, p_h = measured(session, "mode"), measured(session, "p_h")
     start = np.add(truth, [-0.003, -0.02, 0.02, 0.02])
+    mode, p_h = session["mode"], session["p_h"]
     return least_squares_fit(
-        lambda p: robot_output(p, mode, p_h, p_h_max),
-        measured(session, "p_r"),
-        start,
-        *ROBOT_BOUNDS,
+        lambda p: robot_output(p, mode, p_h, p_h_max), session["p_r"], start, *ROBOT_BOUNDS
     )
 
 
@@ -163,11 +137,13 @@ def standard_errors(cost, J):
     return np.sqrt(variance * np.diag(np.linalg.inv(J.T @ J)))
 
 
-def assert_agrees(fit, names, state, values, stderr):
+def assert_agrees(fit, names, state, parameters, cost, J):
     """Compare a fit with the oracle's values, in standard errors, and with these."""
-    table, states = fit.table().loc[names], fit.initial_states
-    got = np.r_[table["value"], states[state]]
-    assert np.abs((got - values) / stderr).max() < 1e-3
+    assert fit.success, fit.message
+    assert fit.cost == pytest.approx(cost, rel=1e-7)
+    table, states, stderr = fit.table().loc[names], fit.initial_states, standard_errors(cost, J)
+    assert [getattr(fit.model, name) for name in names] == table["value"].tolist()
+    assert np.abs((np.r_[table["value"], states[state]] - parameters) / stderr).max() < 1e-3
     errors = np.r_[table["stderr"], states[f"{state}_stderr"]]
     np.testing.assert_allclose(errors, stderr, rtol=1e-3)
 
@@ -175,14 +151,8 @@ def assert_agrees(fit, names, state, values, stderr):
 @pytest.mark.parametrize(("seed", "shares"), CASES)
 def test_fit_human_agrees_with_the_second_implementation(seed, shares):
     session, truth, _ = noisy_session(seed, shares)
-    parameters, cost, J = oracle_human(session, truth)
     fit = tl.fit_human(session, noise="white")
-    table = fit.table()
-    assert fit.success, fit.message
-    assert fit.cost == pytest.approx(cost, rel=1e-7)
-    model = [fit.model.a, fit.model.beta, fit.model.p_min, fit.model.p_max]
-    assert model == table.loc[HUMAN_NAMES, "value"].tolist()
-    assert_agrees(fit, HUMAN_NAMES, "r0", parameters, standard_errors(cost, J))
+    assert_agrees(fit, HUMAN_NAMES, "r0", *oracle_human(session, truth))
 
 
 @pytest.mark.parametrize(("seed", "shares"), CASES)
@@ -190,11 +160,7 @@ def test_the_driven_robot_agrees_with_the_second_implementation(seed, shares):
     session, human, truth = noisy_session(seed, shares)
     parameters, cost, J = oracle_robot(session, truth, human[3])
     fit = tl.fit(tl.identification.ROBOT, session, {"p_h_max": human[3]}, noise="white")
-    assert fit.success, fit.message
-    assert fit.cost == pytest.approx(cost, rel=1e-7)
-    model = [fit.model.a, fit.model.p_min, fit.model.p_max]
-    assert model == fit.table().loc[ROBOT_NAMES, "value"].tolist()
-    assert_agrees(fit, ROBOT_NAMES, "p_r0", parameters, standard_errors(cost, J))
+    assert_agrees(fit, ROBOT_NAMES, "p_r0", parameters, cost, J)
     b = (1 - parameters[0]) * (parameters[2] - parameters[1]) / human[3]
     assert fit.model.b == pytest.approx(b, rel=1e-4)
 
@@ -205,22 +171,15 @@ def test_several_sessions_share_parameters_and_keep_their_own_initial_states():
     rng = np.random.default_rng(np.random.SeedSequence(21))
     mode = phases(rng, samples=1200)
     p_h = human_output([*truth[:4], 0.55], mode).real + rng.normal(0.0, 0.003, mode.size)
-    frame = pd.DataFrame(
-        {"mode": mode, "p_h": p_h}, index=pd.Index(0.1 * np.arange(mode.size), name="t")
-    )
-    second = tl.Session(frame, tl.Metadata(participant=1, synthetic=True))
 
     def both(p):
-        return np.concatenate(
-            [human_output(p[:5], measured(first, "mode")), human_output([*p[:4], p[5]], mode)]
-        )
+        return np.r_[human_output(p[:5], first["mode"]), human_output([*p[:4], p[5]], mode)]
 
     low, high = ([*side, side[-1]] for side in HUMAN_BOUNDS)
-    y = np.concatenate([measured(first, "p_h"), p_h])
-    parameters, cost, J = least_squares_fit(both, y, [*truth, 0.5], low, high)
-    fit = tl.fit_human([first, second], noise="white")
-    assert fit.cost == pytest.approx(cost, rel=1e-7)
-    assert_agrees(fit, HUMAN_NAMES, "r0", parameters, standard_errors(cost, J))
+    y = np.r_[first["p_h"], p_h]
+    oracle = least_squares_fit(both, y, [*truth, 0.5], low, high)
+    fit = tl.fit_human([first, log(mode=mode, p_h=p_h)], noise="white")
+    assert_agrees(fit, HUMAN_NAMES, "r0", *oracle)
 
 
 def test_the_comparison_would_notice_another_model():
@@ -229,11 +188,9 @@ def test_the_comparison_would_notice_another_model():
     apart.
     """
     session, truth, _ = noisy_session(11)
-    mode = measured(session, "mode")
-    late = np.concatenate([mode[:1], mode[:-1]])
-    start = np.array(truth)
+    late = np.r_[session["mode"][:1], session["mode"][:-1]]
     parameters, cost, _ = least_squares_fit(
-        lambda p: human_output(p, late), measured(session, "p_h"), start, *HUMAN_BOUNDS
+        lambda p: human_output(p, late), session["p_h"], np.array(truth), *HUMAN_BOUNDS
     )
     fit = tl.fit_human(session, noise="white")
     assert abs(fit.cost / cost - 1.0) > 1e-5

@@ -7,7 +7,6 @@ a model that is a linear regression; complex steps on the recursions written out
 derivatives that lanes give.
 """
 
-import cmath
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +21,9 @@ from trustlab.identification import HUMAN, ROBOT, TSC
 from trustlab.identification.log import read_runs
 from trustlab.identification.problem import Problem, hac_lags
 from trustlab.identification.search import robust_search
+
+from .cases import PILOT, SWITCHING, log, scores, session
+from .test_independent import human_output, robot_output
 
 T = 0.1
 
@@ -40,13 +42,19 @@ MINE = tl.Model(
 
 def session_of(noise=0.0, seed=0, samples=3000, truth=(0.011, 0.006, 0.3), phase=300):
     mode = (np.arange(samples) // phase % 2 == 0).astype(float)
-    p_r = two_rates({"mode": mode}, *truth) + noise * np.random.default_rng(seed).standard_normal(
-        samples
-    )
-    frame = pd.DataFrame(
-        {"mode": mode, "p_r": p_r}, index=pd.Index(T * np.arange(samples), name="t")
-    )
-    return tl.Session(frame, tl.Metadata(synthetic=True))
+    errors = noise * np.random.default_rng(seed).standard_normal(samples)
+    return log(mode=mode, p_r=two_rates({"mode": mode}, *truth) + errors)
+
+
+def levels(**outputs):
+    """A session in manual control, and a model of one level that all its outputs have."""
+    size = len(next(iter(outputs.values())))
+
+    def simulate(run, level):
+        return tuple(np.full(run.size, level) for _ in outputs)
+
+    model = tl.Model("level", (), tuple(outputs), simulate=simulate)
+    return model, log(mode=np.ones(size), **outputs)
 
 
 # --- a lab's own model ----------------------------------------------------------------------------
@@ -55,22 +63,16 @@ def session_of(noise=0.0, seed=0, samples=3000, truth=(0.011, 0.006, 0.3), phase
 def test_a_plain_simulation_is_recovered():
     fit = tl.fit(MINE, [session_of(), session_of(truth=(0.011, 0.006, 0.26), samples=1500)])
     assert fit.success, fit.message
-    assert fit.model["rise"] == pytest.approx(0.011, rel=1e-6)
-    assert fit.model["decay"] == pytest.approx(0.006, rel=1e-6)
+    np.testing.assert_allclose([*fit.model.values()], [0.011, 0.006], rtol=1e-6)
     np.testing.assert_allclose(fit.initial_states["p_r0"], [0.3, 0.26], rtol=1e-6)
-    assert list(fit.table().columns) == ["value", "stderr", "ci_low", "ci_high", "unit", "status"]
     assert fit.plot().shape == (1, 2)
-    assert fit.whiteness().index.tolist() == ["p_r"]
 
 
 def test_its_intervals_cover_the_truth():
     """95 % intervals of 60 sessions: 57 ± 1.7 are expected to cover."""
-    inside = [
-        (table["ci_low"] <= truth) & (truth <= table["ci_high"])
-        for truth in [pd.Series({"rise": 0.011, "decay": 0.006})]
-        for table in (tl.fit(MINE, session_of(0.003, seed, 1200)).table() for seed in range(60))
-    ]
-    assert (pd.DataFrame(inside).sum() >= 51).all()
+    tables = [tl.fit(MINE, session_of(0.003, seed, 1200)).table() for seed in range(60)]
+    inside = scores(tables, pd.Series({"rise": 0.011, "decay": 0.006}))[1]
+    assert (inside.sum() >= 51).all()
 
 
 @pytest.mark.parametrize("unit", [1.0, 1000.0])
@@ -81,33 +83,31 @@ def test_samples_left_out_count_alike_in_any_unit(unit):
     clean = np.ones(values.size, dtype=bool)
     clean[400:430] = False
     values[~clean] += 0.1 * unit
-    frame = pd.DataFrame({"mode": 1.0, "p_r": values}, index=T * np.arange(values.size))
-    session = tl.Session(frame.rename_axis("t"), tl.Metadata(synthetic=True))
-    level = tl.Model("height", (), "p_r", simulate=lambda run, height: np.full(run.size, height))
+    level, spoiled = levels(p_r=values)
     expected = {
         True: values.size * np.log(np.var(values[clean])) + 30 * 6.0**2,
         False: values.size * np.log(np.var(values)),
     }
     for robust, deviance in expected.items():
-        runs = read_runs(session, "mode", "p_r")
+        runs = read_runs(spoiled, "mode", "p_r")
         problem = Problem(level, runs, level.limits())
         optimum = robust_search(problem, np.array([0.3 * unit]), robust)
         assert optimum.deviance == pytest.approx(deviance, abs=1e-6)
 
 
-def test_many_lanes_in_one_call_give_the_same_fit():
-    def lanes(run, gain, offset):
-        return run["mode"][:, None] * gain + offset
+def straight_line(session, noise, **options):
+    def simulate(run, gain, offset):
+        return gain * (run["mode"][:, None] if options else run["mode"]) + offset
 
-    names, guess = ("gain", "offset"), {"gain": 1.0, "offset": 0.0}
-    alone = tl.Model(
-        names, (), "p_r", simulate=lambda run, gain, offset: gain * run["mode"] + offset
+    model = tl.Model(("gain", "offset"), (), "p_r", simulate=simulate, **options)
+    return tl.fit(model, session, noise=noise, guess={"gain": 1.0, "offset": 0.0})
+
+
+def test_many_lanes_in_one_call_give_the_same_fit():
+    alone, together = (
+        straight_line(session_of(0.003), "white", **options) for options in ({}, {"lanes": True})
     )
-    together = tl.Model(names, (), "p_r", simulate=lanes, lanes=True)
-    one, other = (
-        tl.fit(model, session_of(0.003), noise="white", guess=guess) for model in (alone, together)
-    )
-    pd.testing.assert_frame_equal(one.parameters, other.parameters, check_exact=True)
+    pd.testing.assert_frame_equal(alone.parameters, together.parameters, check_exact=True)
 
 
 def test_several_outputs_are_weighted_by_their_own_noise():
@@ -117,16 +117,7 @@ def test_several_outputs_are_weighted_by_their_own_noise():
     """
     rng = np.random.default_rng(5)
     quiet, loud = 0.3 + 0.001 * rng.standard_normal(4000), 0.3 + 0.01 * rng.standard_normal(4000)
-    frame = pd.DataFrame({"mode": 1.0, "p_r": quiet, "p_h": loud}, index=T * np.arange(4000))
-    level = tl.Model(
-        "level",
-        (),
-        ("p_r", "p_h"),
-        low=[0.0],
-        high=[1.0],
-        simulate=lambda run, level: (np.full(run.size, level), np.full(run.size, level)),
-    )
-    fit = tl.fit(level, tl.Session(frame), noise="white")
+    fit = tl.fit(*levels(p_r=quiet, p_h=loud), noise="white", guess={"level": 0.5})
     weights = np.array([1.0 / quiet.var(), 1.0 / loud.var()])
     assert fit.model["level"] == pytest.approx(
         np.average([quiet.mean(), loud.mean()], weights=weights), rel=1e-6
@@ -148,36 +139,21 @@ def test_rates_are_searched_as_time_constants():
         starts=lambda runs, limits: [{"a": 0.9}],
         coordinates={"a": "rate"},
     )
-    frame = pd.DataFrame(
-        {"mode": 1.0, "p_r": 0.2 + 0.1 * 0.9999 ** np.arange(9000)}, index=T * np.arange(9000)
-    )
-    assert 1.0 - tl.fit(memory, tl.Session(frame)).model["a"] == pytest.approx(1e-4, rel=1e-6)
+    slow = log(mode=np.ones(9000), p_r=0.2 + 0.1 * 0.9999 ** np.arange(9000))
+    assert 1.0 - tl.fit(memory, slow).model["a"] == pytest.approx(1e-4, rel=1e-6)
 
 
 def test_its_derived_rows_carry_their_error():
     model = replace(MINE, derived={"sum": lambda rise, decay: rise + decay})
     fit = tl.fit(model, session_of(0.003), noise="white")
-    assert fit.parameters.loc["sum", "status"] == "derived"
-    assert fit.parameters.loc["sum", "stderr"] == pytest.approx(
-        np.sqrt(fit.covariance.to_numpy().sum()), rel=1e-9
-    )
-    rates = {"rise": 0.011, "decay": 0.006}
-    assert np.isnan(tl.fit(model, session_of(0.003), fixed=rates).parameters.loc["sum", "stderr"])
+    row = fit.parameters.loc["sum"]
+    assert row["status"] == "derived"
+    assert row["stderr"] == pytest.approx(np.sqrt(fit.covariance.to_numpy().sum()), rel=1e-9)
+    held = tl.fit(model, session_of(0.003), fixed={"rise": 0.011, "decay": 0.006})
+    assert np.isnan(held.parameters.loc["sum", "stderr"])
 
 
 # --- standard errors ------------------------------------------------------------------------------
-
-
-def straight_line(session, noise):
-    model = tl.Model(
-        ("gain", "offset"),
-        (),
-        "p_r",
-        low=(-1.0, -1.0),
-        high=(1.0, 1.0),
-        simulate=lambda run, gain, offset: gain * run["mode"] + offset,
-    )
-    return tl.fit(model, session, noise=noise)
 
 
 def test_standard_errors_are_those_of_ols():
@@ -185,9 +161,9 @@ def test_standard_errors_are_those_of_ols():
     With few samples, so that n/(n − p) shows: OLS without and with HAC covariance, its small-sample
     form.
     """
-    session = session_of(0.01, samples=60, phase=15)
-    line = sm.OLS(session["p_r"], np.column_stack([session["mode"], np.ones(60)]))
-    white, robust = (straight_line(session, noise) for noise in ("white", "hac"))
+    short = session_of(0.01, samples=60, phase=15)
+    line = sm.OLS(short["p_r"], np.column_stack([short["mode"], np.ones(60)]))
+    white, robust = (straight_line(short, noise) for noise in ("white", "hac"))
     np.testing.assert_allclose(white.parameters["stderr"], line.fit().bse, rtol=1e-6)
     lags = hac_lags(robust.residuals())
     oracle = line.fit(cov_type="HAC", cov_kwds={"maxlags": lags, "use_correction": True})
@@ -225,21 +201,12 @@ def test_a_transfer_function_has_the_same_form_of_robust_errors():
 
 
 def outputs_of(run, v):
-    """P_h and P_r of (2.3), (2.5), (2.6), written out; values may be complex."""
-    r = v["r0"]
-    p_r = v["p_r0"]
-    p_h = []
-    out = []
-    for m in run["mode"]:
-        beta, span = v["human_beta"], v["human_p_max"] - v["human_p_min"]
-        shape = cmath.exp(beta * cmath.log(r / beta) + (1 - beta) * cmath.log((1 - r) / (1 - beta)))
-        h = v["human_p_min"] + span * shape
-        p_h.append(h)
-        out.append(p_r)
-        gain = (v["robot_p_max"] - v["robot_p_min"]) / v["human_p_max"]
-        p_r = v["robot_a"] * p_r + (1 - v["robot_a"]) * (v["robot_p_min"] + gain * m * h)
-        r = v["human_a"] * r + (1 - v["human_a"]) * m
-    return np.array(p_h), np.array(out)
+    """P_h and P_r by the second implementation; values may be complex."""
+    p_h_max, mode = v["human_p_max"], run["mode"]
+    of_human = (v["human_a"], v["human_beta"], v["human_p_min"], p_h_max, v["r0"])
+    of_robot = (v["robot_a"], v["robot_p_min"], v["robot_p_max"], v["p_r0"])
+    p_h = human_output(of_human, mode)
+    return p_h, robot_output(of_robot, mode, p_h, p_h_max)
 
 
 AT = {
@@ -255,11 +222,13 @@ AT = {
 }
 
 
-def test_lanes_give_outputs_and_derivatives(operators, make_session):
+def short_run():
+    return read_runs(session(np.repeat([1.0, 0.0, 0.5], 200)), "mode", "p_h", "p_r")[0]
+
+
+def test_lanes_give_outputs_and_derivatives():
     """Of values: the derivatives of lanes are those by coordinates, divided by dv/dx."""
-    run = read_runs(
-        make_session(operators["pilot"], np.repeat([1.0, 0.0, 0.5], 200)), "mode", "p_h", "p_r"
-    )[0]
+    run = short_run()
     problem = Problem(TSC, [run], TSC.limits())
     x = problem.full_vector(AT)
     problem.equations(x)
@@ -276,10 +245,8 @@ def test_lanes_give_outputs_and_derivatives(operators, make_session):
             np.testing.assert_allclose(derivative, slope, rtol=rtol, atol=2e-5)
 
 
-def test_the_three_models_are_one_simulation(operators, make_session):
-    run = read_runs(
-        make_session(operators["pilot"], np.repeat([1.0, 0.0, 0.5], 200)), "mode", "p_h", "p_r"
-    )[0]
+def test_the_three_models_are_one_simulation():
+    run = short_run()
     at = {name: np.array([value]) for name, value in AT.items()}
     p_h, p_r = (output.copy() for output in TSC.outputs_of(run, at))
     human = {name.removeprefix("human_"): x for name, x in at.items() if name[:5] != "robot"}
@@ -304,6 +271,7 @@ def test_what_makes_no_model_is_refused():
         ("needs names, outputs, inputs and a function simulate", {"names": ()}),
         ("two unknowns called 'rise'", {"names": ("rise", "rise")}),
         ("rise needs bounds with low < high", {"low": (np.nan, 0.0, 0.0)}),
+        ("size must have 2 numbers", {"size": [1.0]}),
         ("coordinates names 'rize'.*did you mean 'rise'", {"coordinates": {"rize": "rate"}}),
     ):
         with pytest.raises(ValueError, match=says):
@@ -311,68 +279,54 @@ def test_what_makes_no_model_is_refused():
 
 
 def test_what_cannot_be_fitted_is_refused():
-    refused("model must be of class Model, got str; build one with", model="robot")
-    refused("noise must be one of", noise="pink")
-    refused("fixed names 'rize'.*did you mean 'rise'", fixed={"rize": 0.1})
+    def short(run, **at):
+        return np.ones(7)
+
+    def lost(run, **at):
+        return np.full(run.size, np.nan)
+
     refused("guess names 'rize'.*did you mean 'rise'", guess={"rize": 0.1})
-    refused(
-        r"must return p_r, shape \(3000,\) each, got \(7,\)",
-        model=replace(MINE, simulate=lambda run, **at: np.ones(7)),
-    )
-    refused(
-        "not finite at rise",
-        model=replace(MINE, simulate=lambda run, **at: np.full(run.size, np.nan)),
-    )
-    refused("rise needs a guess", model=replace(MINE, high=(np.inf, 0.2, 1.0)))
-    refused("no column 'p_h'", model=replace(MINE, inputs=("mode", "p_h")))
-    flat = session_of().with_columns(p_r=np.full(3000, 0.3))
-    refused("p_r never moves", session=flat)
+    refused(r"must return p_r, shape \(3000,\) each, got \(7,\)", replace(MINE, simulate=short))
+    refused("not finite at rise", replace(MINE, simulate=lost))
+    refused("rise needs a guess", replace(MINE, high=(np.inf, 0.2, 1.0)))
+    refused("no column 'p_h'", replace(MINE, inputs=("mode", "p_h")))
+    refused("p_r never moves", session=session_of().with_columns(p_r=np.full(3000, 0.3)))
 
 
 def test_an_unknown_without_effect_is_named():
-    model = tl.Model(
-        ("rise", "decay", "idle"),
-        "p_r0",
-        "p_r",
-        low=(0, 0, 0, 0),
-        high=(0.2, 0.2, 1, 1),
-        simulate=lambda run, idle, **at: two_rates(run, **at),
-    )
+    def simulate(run, idle, **at):
+        return two_rates(run, **at)
+
+    names, low, high = (*MINE.names, "idle"), (0.0,) * 4, (0.2, 0.2, 1.0, 1.0)
+    model = replace(MINE, names=names, low=low, high=high, simulate=simulate)
     with pytest.raises(tl.IdentificationError, match="do not determine idle") as caught:
         tl.fit(model, session_of(0.003))
     assert caught.value.parameters == ("idle",)
 
 
-def test_a_delay_is_estimated_without_starts_and_beside_derived_rows(operators, make_session):
-    mode = np.repeat([1.0, 0.0] * 3, 1000)
-    session = make_session(operators["pilot"], mode, noise=0.003)
-    robot, p_h_max = tl.identification.ROBOT, operators["pilot"].human.p_max
-    driven = tl.fit(robot, session, fixed={"p_h_max": p_h_max}, mode_delay=True)
+def test_a_delay_is_estimated_without_starts_and_beside_derived_rows():
+    noisy = session(np.repeat([1.0, 0.0] * 3, 1000))
+    driven = tl.fit(ROBOT, noisy, fixed={"p_h_max": PILOT.human.p_max}, mode_delay=True)
     assert abs(driven.table().loc["mode_delay", "value"]) < 0.5
     assert "its noise counts as performance" in driven.message
-    mine = tl.fit(MINE, session.between(0.0, 300.0), mode_delay=True)
+    mine = tl.fit(MINE, noisy.between(0.0, 300.0), mode_delay=True)
     assert "mode_delay" in mine.table().index
     with pytest.raises(tl.IdentificationError, match="P_r alone does not determine p_h_max"):
-        tl.fit(robot, session)
+        tl.fit(ROBOT, noisy)
 
 
 def test_a_model_that_takes_no_notice_of_mode_has_no_delay():
     """Errors of the mode's stamps widen nothing that does not depend on them."""
-
-    def constant(run, level):
-        return np.full(run.size, level)
-
-    flat = tl.Model(["level"], [], "p_r", [0.0], [1.0], simulate=constant)
-    rng = np.random.default_rng(0)
-    frame = pd.DataFrame({"mode": np.arange(500) > 250.0, "p_r": 0.3 + rng.normal(0, 0.01, 500)})
-    session = tl.Session(frame.astype(float).rename_axis("t"), tl.Metadata(synthetic=True))
-    exact, rough = (tl.fit(flat, session, stamp_error=e).table() for e in (0.0, 3.0))
+    flat, noisy = levels(p_r=0.3 + np.random.default_rng(0).normal(0, 0.01, 500))
+    switched = noisy.with_columns(mode=np.repeat([0.0, 1.0], 250))
+    exact, rough = (
+        tl.fit(flat, switched, guess={"level": 0.5}, stamp_error=error).table()
+        for error in (0.0, 3.0)
+    )
     pd.testing.assert_frame_equal(exact, rough)
-    with pytest.raises(ValueError, match="size must have 1 numbers"):
-        tl.Model(["level"], [], "p_r", size=[1.0, 2.0], simulate=flat.simulate)
 
 
-def test_a_start_far_away_finds_the_same_as_one_nearby(operators, make_session, switching):
+def test_a_start_far_away_finds_the_same_as_one_nearby():
     """From the middle of the bounds, a search that runs to a bound would end with a = 1."""
 
     def lag(run, a, low, high, level, p_r0):
@@ -380,9 +334,8 @@ def test_a_start_far_away_finds_the_same_as_one_nearby(operators, make_session, 
         p_r = lfilter([0.0, 1.0], [1.0, -a], u) + p_r0 * a ** np.arange(run.size)
         return p_r, np.full(run.size, level)
 
-    names = ["a", "low", "high", "level"]
     model = tl.Model(
-        names,
+        ["a", "low", "high", "level"],
         ["p_r0"],
         ["p_r", "p_h"],
         [0.0] * 5,
@@ -390,8 +343,8 @@ def test_a_start_far_away_finds_the_same_as_one_nearby(operators, make_session, 
         simulate=lag,
         coordinates={"a": "rate"},
     )
-    session = make_session(operators["pilot"], switching, noise=0.003)
     near = {"a": 0.996, "low": 0.24, "high": 0.38, "level": 0.43, "p_r0": 0.3}
-    far, guessed = (tl.fit(model, session, noise="white", guess=g) for g in ({"a": 0.995}, near))
+    noisy = session(SWITCHING)
+    far, guessed = (tl.fit(model, noisy, noise="white", guess=g) for g in ({"a": 0.995}, near))
     np.testing.assert_allclose(far.parameters["value"], guessed.parameters["value"], rtol=1e-4)
-    assert far.model["a"] == pytest.approx(operators["pilot"].robot.a, abs=1e-3)
+    assert far.model["a"] == pytest.approx(PILOT.robot.a, abs=1e-3)

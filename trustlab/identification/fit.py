@@ -132,8 +132,12 @@ def result_of(estimate: Estimate) -> FitResult:
     table, covariance = estimate_table(estimate)
     weak = weak_names(estimate, table)
     reasons = list(doubts(estimate))
-    sentences = [search_remark(estimate), *_mark(weak, table, model.hints)]
-    sentences += [*remarks(estimate), *reasons]
+    marks = list(_mark(weak, table, model.hints))
+    steps = estimate.optimum.steps
+    search = f"Converged in {counted(steps, 'evaluation')}."
+    if not estimate.optimum.converged:
+        search = f"Stopped after {steps} evaluations without a minimum; do not use the numbers."
+    sentences = [search, *marks, *remarks(estimate), *reasons]
     if (weak or reasons) and "p_h" in model.outputs:
         sentences.append(
             "What mode, p_h and p_r do tell of (2.3)-(2.6), trustlab.sample_posterior says."
@@ -144,7 +148,7 @@ def result_of(estimate: Estimate) -> FitResult:
         states[name], states[f"{name}_stderr"] = estimate.values[column], estimate.stderr[column]
     labels = pd.Index([run.label for run in problem.runs], name="run")
     return FitResult(
-        model=_model(estimate, weak, reasons),
+        model=_model(estimate, weak, [*marks, *reasons]),
         parameters=table,
         covariance=covariance,
         initial_states=pd.DataFrame(states, index=labels),
@@ -235,8 +239,8 @@ def _mark(weak: list[str], table: pd.DataFrame, hints: Mapping[str, str]) -> Ite
             )
 
 
-def _model(estimate: Estimate, weak: list[str], reasons: list[str]) -> Any:
-    """Return the model's object; an error names the weak unknowns and the doubts."""
+def _model(estimate: Estimate, weak: list[str], sentences: list[str]) -> Any:
+    """Return the model's object, or say with the error what else is wrong with the data."""
     model = estimate.problem.model
     values = dict(zip(model.names, estimate.values.tolist(), strict=False))
     if model.build is None:
@@ -244,15 +248,8 @@ def _model(estimate: Estimate, weak: list[str], reasons: list[str]) -> Any:
     try:
         return model.build(**values)
     except IdentificationError as error:
-        # What is wrong with the data may be why nothing can be built of them.
-        text = f"{error}{'.' if reasons else ''}"
-        if weak:
-            text = (
-                f"these data do not determine {', '.join(weak)}; hold some of them with "
-                f"fixed={{…}}: {text}"
-            )
-        lost = tuple(weak) or error.parameters
-        raise IdentificationError(" ".join([text, *reasons]), lost) from error
+        text = " ".join([f"{error}.", *sentences])
+        raise IdentificationError(text, tuple(weak) or error.parameters) from error
 
 
 def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
@@ -263,16 +260,14 @@ def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
         simulated = problem.simulated(run, i, estimate.optimum.x)
         if run.window > 1:
             simulated = [window_means(values, run.window) for values in simulated]
-        errors = [series.white[:, 0].copy() for series in of_run]
         yield RunFit(
             run.label,
             run.synthetic,
             run.t,
-            {name: run[name] for name in model.inputs},
-            {name: run[name] for name in outputs},
-            dict(zip(outputs, simulated, strict=True)),
-            dict(zip(outputs, errors, strict=True)),
-            run.step,
+            inputs={name: run[name] for name in model.inputs},
+            measured={name: run[name] for name in outputs},
+            fitted=dict(zip(outputs, simulated, strict=True)),
+            errors={outputs[s.output]: s.white[:, 0].copy() for s in of_run},
         )
 
 
@@ -285,14 +280,6 @@ STRETCHES = 200
 
 
 # --- remarks --------------------------------------------------------------------------------------
-
-
-def search_remark(estimate: Estimate) -> str:
-    """Say how the search ended."""
-    steps = estimate.optimum.steps
-    if estimate.optimum.converged:
-        return f"Converged in {counted(steps, 'evaluation')}."
-    return f"Stopped after {steps} evaluations without reaching a minimum; do not use the numbers."
 
 
 def remarks(estimate: Estimate) -> Iterator[str]:
@@ -325,15 +312,12 @@ def remarks(estimate: Estimate) -> Iterator[str]:
 
 
 def _initial_states(estimate: Estimate) -> Iterator[str]:
-    """Say which initial loads lie at rest or at full load."""
+    """Say which initial loads lie at an end of their range."""
     problem, optimum = estimate.problem, estimate.optimum
     held = problem.loads[optimum.at_bound[problem.loads]]
-    meanings = {0.0: "a rested operator", 1.0: "an operator at full load"}
-    ends = Counter((problem.unknowns[j], estimate.values[j]) for j in held)
-    for (name, end), number in sorted(ends.items()):
-        if end in meanings:
-            runs = counted(len(problem.runs), "run")
-            yield f"{name} = {end:g}, {meanings[end]}, in {number} of {runs}."
+    ends = Counter(f"{problem.unknowns[j]} = {estimate.values[j]:g}" for j in held)
+    for end, number in sorted(ends.items()):
+        yield f"{end}, an end of its range, in {number} of {counted(len(problem.runs), 'run')}."
 
 
 def _dropouts(problem: Problem) -> Iterator[str]:
@@ -351,25 +335,20 @@ def _dropouts(problem: Problem) -> Iterator[str]:
 
 def _noise(estimate: Estimate) -> Iterator[str]:
     """Say what the standard errors allow for."""
-    white = estimate.simple_p >= NOT_WHITE
-    test = f"Residuals are not white (Ljung–Box p = {estimate.simple_p:.2g})"
-    if estimate.noise == "correlated":
-        problem = estimate.problem
-        step = problem.runs[0].sample_time
-        parts = [
-            f"{name} has {100.0 * noise.share:.3g} % of its noise correlated over "
-            f"{-step / np.log(noise.memory):.3g} s"
-            for name, noise in zip(problem.model.outputs, problem.noise, strict=True)
-            if noise.share > 0.0 and noise.memory > 0.0
-        ]
-        begin = "The fit allows" if white else f"{test}: the fit allows"
-        left = ", and standard errors for what correlation is left" if estimate.sandwiched else ""
-        yield f"{begin} for correlated noise ({'; '.join(parts)}){left}."
-    elif estimate.noise == "hac":
-        begin = "Standard errors" if white else f"{test}: standard errors"
-        yield f"{begin} allow for autocorrelation."
-    elif not white:
-        yield f'{test}: these standard errors are too small; use noise="auto".'
+    problem, white = estimate.problem, estimate.simple_p >= NOT_WHITE
+    if not white:
+        yield f"Residuals are not white (Ljung–Box p = {estimate.simple_p:.2g})."
+    for name, noise in zip(problem.model.outputs, problem.noise, strict=True):
+        if noise.share > 0.0 and noise.memory > 0.0:
+            seconds = -problem.runs[0].sample_time / np.log(noise.memory)
+            yield (
+                f"The fit allows for {100.0 * noise.share:.3g} % of the noise of {name} being "
+                f"correlated over {seconds:.3g} s."
+            )
+    if estimate.sandwiched:
+        yield "Standard errors allow for autocorrelation."
+    elif estimate.noise == "white" and not white:
+        yield 'These standard errors are too small; use noise="auto".'
 
 
 # --- doubts ---------------------------------------------------------------------------------------
@@ -394,11 +373,9 @@ def _rivals(estimate: Estimate) -> Iterator[str]:
         z = np.sqrt(4.0 + 2.0 * (rival.deviance - estimate.rivals[0].deviance))
         far = np.abs(others - estimate.values) > z * estimate.stderr
         listed = [
-            f"{name} = {other:.4g} for {value:.4g}"
-            for name, other, value, apart in zip(
-                rival.problem.model.names, others, estimate.values, far, strict=False
-            )
-            if apart
+            f"{name} = {others[j]:.4g} for {estimate.values[j]:.4g}"
+            for j, name in enumerate(rival.problem.model.names)
+            if far[j]
         ]
         if listed:
             yield (

@@ -6,13 +6,13 @@ model, and the mode may act later than its stamp says.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from trustlab.identification.model import IdentificationError, Model
-from trustlab.models.checks import did_you_mean, flag, not_negative, of_class, positive, warn
+from trustlab.models.checks import flag, not_negative, of_class, positive, warn
 from trustlab.sessions.session import Session
 
 HOW_TO_GET = (
@@ -81,11 +81,6 @@ class LogSettings:
 
 def log_settings(log: LogSettings | None, changes: Mapping[str, Any]) -> LogSettings:
     """Return a user's settings of the log: an object, keywords, or an object changed by them."""
-    known = [field.name for field in fields(LogSettings)]
-    for name in changes:
-        if name not in known:
-            hint = did_you_mean(name, known)
-            raise TypeError(f"{name!r} is no argument, nor a setting ({', '.join(known)}){hint}")
     return replace(LogSettings() if log is None else of_class("log", log, LogSettings), **changes)
 
 
@@ -171,14 +166,7 @@ def read_runs(
 
 def as_list(sessions: Any) -> list:
     """Return one or several sessions as a list."""
-    # A table, a mapping or a path can be iterated over too, but what comes out says nothing of the
-    # mistake.
-    single = (
-        not isinstance(sessions, Iterable)
-        or isinstance(sessions, (Session, str, bytes, Mapping))
-        or hasattr(sessions, "columns")
-    )
-    if single:
+    if isinstance(sessions, Session) or not isinstance(sessions, Iterable):
         return [sessions]
     sessions = list(sessions)
     if not sessions:
@@ -216,9 +204,9 @@ def _windows(sessions: list[Session], stated: float | None, columns: tuple[str, 
         windows.append(max(1, round(seconds / session.sample_time)))
     if unstated and {"p_r", "p_h"} & set(columns):
         warn(
-            f"{unstated[0]}: nothing says whether p_r and p_h are means over a moving "
-            "window, as (2.4) and (2.7) are, and a fit that takes means for the values themselves "
-            "is wrong: state window=… [s], or window=0 if they are no means (in a recipe: "
+            f"{unstated[0]}: nothing says whether p_r and p_h are means over a moving window, as "
+            "(2.4) and (2.7) are, and a fit that takes means for the values themselves is wrong: "
+            "state window=… [s], or window=0 if they are no means (in a recipe: "
             "performance_window = …; Session.with_performance notes its own)"
         )
     return windows
@@ -234,22 +222,22 @@ def in_rows(values: np.ndarray, length: int) -> np.ndarray:
     return values[: values.size // length * length].reshape(-1, length)
 
 
-def block_means(runs: list[Run], budget: int = 500) -> tuple[list[Run], int]:
+# Block means that a rough search looks at.
+BLOCKS = 500
+
+
+def block_means(runs: list[Run]) -> tuple[list[Run], int]:
     """
     Return block means of all columns, and the block length.
 
-    There are about `budget` blocks in all, and at least eight per run.
+    There are about `BLOCKS` in all, and at least eight per run.
     """
     sizes = [run.size for run in runs]
-    length = max(1, min(sum(sizes) // budget, min(sizes) // 8))
-    means = [
-        Run(
-            run.label,
-            in_rows(run.t, length)[:, 0],
-            {name: in_rows(values, length).mean(axis=1) for name, values in run.columns.items()},
-        )
-        for run in runs
-    ]
+    length = max(1, min(sum(sizes) // BLOCKS, min(sizes) // 8))
+    means = []
+    for run in runs:
+        columns = {n: in_rows(values, length).mean(axis=1) for n, values in run.columns.items()}
+        means.append(Run(run.label, in_rows(run.t, length)[:, 0], columns))
     return means, length
 
 
@@ -282,7 +270,12 @@ def undo_window(means: np.ndarray, window: int) -> np.ndarray:
 def logged_model(model: Model, sample_time: float, log: LogSettings) -> Model:
     """Return a model as the log shows it: finer steps, a delay of the mode to estimate, or both."""
     if log.step is not None:
-        model = _in_steps(model, _steps_per_sample(sample_time, log.step))
+        ratio = sample_time / log.step
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            raise ValueError(
+                f"step = {log.step:g} s does not divide the log's sample time, {sample_time:g} s"
+            )
+        model = _in_steps(model, round(ratio))
     return _delayed(model) if log.mode_delay else model
 
 
@@ -324,13 +317,12 @@ def _delayed(model: Model) -> Model:
         return values if model.build is None else model.build(**values)
 
     count = len(model.names)
-    size = model.size if callable(model.size) or not model.size else (*model.size, np.inf)
     return replace(
         model,
         names=(*model.names, "mode_delay"),
         low=(*model.low[:count], -np.inf, *model.low[count:]),
         high=(*model.high[:count], np.inf, *model.high[count:]),
-        size=size,
+        size=model.useful,
         simulate=simulate,
         starts=starts,
         lanes=True,
@@ -338,23 +330,12 @@ def _delayed(model: Model) -> Model:
     )
 
 
-def _steps_per_sample(sample_time: float, step: float) -> int:
-    """Return the whole number of steps in a sample."""
-    ratio = sample_time / step
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-        raise ValueError(
-            f"step = {step:g} s does not divide the log's sample time, {sample_time:g} s"
-        )
-    return round(ratio)
-
-
 def refined(run: Run, ratio: int) -> Run:
     """Return a run with `ratio` samples for each, all columns held."""
     if ratio == 1:
         return run
     columns = {name: np.repeat(values, ratio) for name, values in run.columns.items()}
-    t = run.t[0] + run.sample_time / ratio * np.arange(run.size * ratio)
-    return replace(run, t=t, columns=columns)
+    return run.changed(columns, t=run.t[0] + run.sample_time / ratio * np.arange(run.size * ratio))
 
 
 def late(run: Run, delay: float) -> Run:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import did_you_mean, finite_number, flag, one_of
+from trustlab.models.checks import did_you_mean, finite_number, flag, of_class, one_of
 
 # How close to 0 and 1 an unknown in (0, 1) may come during the search.
 UNIT_MARGIN = 1e-9
@@ -164,41 +164,41 @@ class Model:
     def __post_init__(self):
         for name in ("names", "states", "outputs", "inputs"):
             value = getattr(self, name)
-            texts = _items(name, (value,) if isinstance(value, str) else value, str, "texts")
-            object.__setattr__(self, name, texts)
+            self._set(name, (value,) if isinstance(value, str) else value, str)
         for name in ("starts", "build", "check"):
             function = getattr(self, name)
             if function is not None and not callable(function):
                 raise ValueError(f"{name} must be a function, got {function!r}")
         for name in ("coordinates", "derived", "hints"):
-            if not isinstance(getattr(self, name), Mapping):
-                raise ValueError(f"{name} must be a dictionary, got {getattr(self, name)!r}")
+            of_class(name, getattr(self, name), dict)
         flag("lanes", self.lanes)
         if not (self.names and self.outputs and self.inputs and callable(self.simulate)):
             raise ValueError("a model needs names, outputs, inputs and a function simulate")
-        size = () if callable(self.size) else _items("size", self.size, Real, "numbers")
-        if size and len(size) != len(self.names):
-            raise ValueError(
-                f"size must have {len(self.names)} numbers, one for each name, got {len(size)}"
-            )
         repeated = [name for name in self.unknowns if self.unknowns.count(name) > 1]
         if repeated:
-            raise ValueError(f"a model has two unknowns called {min(repeated)!r}")
+            raise ValueError(f"a model has two unknowns called {repeated[0]!r}")
         self.check_names(self.coordinates, "coordinates")
         for name, kind in self.coordinates.items():
             one_of(f"coordinate of {name}", kind, COORDINATES)
-        for name, default in (("low", -np.inf), ("high", np.inf)):
-            ends = _items(name, getattr(self, name), Real, "numbers")
-            ends = ends or (default,) * len(self.unknowns)
-            if len(ends) != len(self.unknowns):
-                raise ValueError(
-                    f"{name} must have {len(self.unknowns)} numbers, for "
-                    f"{', '.join(self.unknowns)}, got {len(ends)}"
-                )
-            object.__setattr__(self, name, ends)
+        if not callable(self.size):
+            self._set("size", self.size, Real, len(self.names))
+        self._set("low", self.low, Real, len(self.unknowns), -np.inf)
+        self._set("high", self.high, Real, len(self.unknowns), np.inf)
         for name, (low, high) in self.limits().items():
             if not low < high:
                 raise ValueError(f"{name} needs bounds with low < high, got ({low}, {high})")
+
+    def _set(self, name: str, values: Any, kind: type, size: int = 0, default: Any = None) -> None:
+        """Set a field to a tuple of items of one kind, of this size where it is not empty."""
+        sequence = isinstance(values, (list, tuple, np.ndarray))
+        if not sequence or not all(isinstance(value, kind) for value in values):
+            words = "texts" if kind is str else "numbers"
+            raise ValueError(f"{name} must be a list of {words}, got {values!r}")
+        if size and len(values) not in (0, size):
+            raise ValueError(f"{name} must have {size} numbers, got {len(values)}")
+        if default is not None and len(values) == 0:
+            values = (default,) * size
+        object.__setattr__(self, name, tuple(values))
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -229,14 +229,10 @@ class Model:
         bounds : mapping, optional
             (low, high) by name; None for an open side.
         """
-        fixed = {} if fixed is None else fixed
-        bounds = {} if bounds is None else bounds
-        for argument, values in (("fixed", fixed), ("bounds", bounds)):
-            if not isinstance(values, Mapping):
-                raise ValueError(
-                    f"{argument} must be a dictionary by name, {{'a': ...}}, got {values!r}"
-                )
-            self.check_names(values, argument)
+        fixed = of_class("fixed", {} if fixed is None else fixed, dict, "give values by name")
+        bounds = of_class("bounds", {} if bounds is None else bounds, dict, "give pairs by name")
+        self.check_names(fixed, "fixed")
+        self.check_names(bounds, "bounds")
         for name in set(fixed) & set(bounds):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")
         limits = {}
@@ -271,12 +267,9 @@ class Model:
         """
         for name in values:
             if name not in self.unknowns:
-                # "a" is meant for human_a or robot_a where a model has both.
-                longer = [known for known in self.unknowns if known.endswith(f"_{name}")]
-                hint = f"; did you mean {' or '.join(map(repr, longer))}?" if longer else ""
                 raise ValueError(
                     f"{argument} names {name!r}, which is no parameter here "
-                    f"({', '.join(self.unknowns)}){hint or did_you_mean(name, self.unknowns)}"
+                    f"({', '.join(self.unknowns)}){did_you_mean(name, self.unknowns)}"
                 )
 
     def outputs_of(self, run: Any, values: Mapping[str, np.ndarray]) -> list[np.ndarray]:
@@ -318,20 +311,12 @@ class Model:
         values : mapping
             Estimates by name.
         """
-        widths = {
-            name: self.coordinate(name).useful(values[name], high - low)
-            for name, low, high in zip(self.names, self.low, self.high, strict=False)
-        }
-        own = self.size(values) if callable(self.size) else zip(self.names, self.size, strict=False)
-        return widths | dict(own)
-
-
-def _items(name: str, values: Any, kind: type, words: str) -> tuple:
-    """Return a sequence of one kind of items as a tuple; refuse anything else."""
-    sequence = isinstance(values, (list, tuple, np.ndarray))
-    if not sequence or not all(isinstance(value, kind) for value in values):
-        raise ValueError(f"{name} must be a list of {words}, got {values!r}")
-    return tuple(values)
+        rows = zip(self.names, self.low, self.high, strict=False)
+        widths = {n: self.coordinate(n).useful(values[n], high - low) for n, low, high in rows}
+        size = self.size
+        return widths | dict(
+            size(values) if callable(size) else zip(self.names, size, strict=False)
+        )
 
 
 def _narrowed(name: str, pair: tuple, low: float, high: float) -> tuple[float, float]:

@@ -11,14 +11,22 @@ others with one of them moved a little, so that the differences are derivatives.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import special
 
-from trustlab.identification.log import Run, in_rows, joined, undo_window, window_means
-from trustlab.identification.model import COORDINATES, Model
+from trustlab.identification.log import (
+    Run,
+    counts,
+    in_rows,
+    joined,
+    undo_window,
+    window_means,
+)
+from trustlab.identification.model import COORDINATES, IdentificationError, Model
+from trustlab.models.checks import counted
 from trustlab.models.compiled import njit
 
 # Lags of the Ljung–Box test that chooses between white and robust standard errors.
@@ -52,18 +60,15 @@ def pooled_correlation(errors: list[np.ndarray], others: list[np.ndarray], lags:
     return sums / scale if scale > 0.0 else sums
 
 
-def autocorrelation(errors: list[np.ndarray], lags: int) -> np.ndarray:
-    """Return the autocorrelation ρ(0), ρ(1), … of residuals, pooled over runs."""
-    return pooled_correlation(errors, errors, lags)
-
-
 def ljung_box(residuals: list[np.ndarray], lags: int) -> tuple[float, int, float]:
     """
     Return Q = n(n + 2) Σ ρ²(l)/(n − l) over lags l, its degrees of freedom and its p value.
     """
     samples = sum(map(len, residuals))
     lags = min(lags, samples - 1)
-    terms = autocorrelation(residuals, lags)[1:] ** 2 / (samples - np.arange(1, lags + 1))
+    terms = pooled_correlation(residuals, residuals, lags)[1:] ** 2 / (
+        samples - np.arange(1, lags + 1)
+    )
     q = samples * (samples + 2.0) * np.sum(terms)
     return float(q), lags, float(special.chdtrc(lags, q))
 
@@ -89,7 +94,7 @@ def hac_lags(residuals: list[np.ndarray]) -> int:
     while length == 1 or shortest // length >= 50:
         means = [in_rows(run, length).mean(axis=1) for run in residuals]
         total = sum(map(len, means))
-        rho = min(abs(float(autocorrelation(means, 1)[1])), 0.9999)
+        rho = min(abs(float(pooled_correlation(means, means, 1)[1])), 0.9999)
         if length == 1 or rho > 3.0 / np.sqrt(total):
             alpha = 4.0 * rho**2 / (1.0 - rho**2) ** 2
             widest = max(widest, length * 1.1447 * (alpha * total) ** (1.0 / 3.0))
@@ -106,20 +111,6 @@ def hac_matrix(scores: np.ndarray, lags: int) -> np.ndarray:
     total = np.cumsum(np.pad(scores, ((lags + 1, lags), (0, 0))), axis=0)
     sums = total[lags + 1 :] - total[: -lags - 1]
     return sums.T @ sums / (lags + 1)
-
-
-def sandwich(bread: np.ndarray, meat: np.ndarray | None, samples: float) -> np.ndarray:
-    """
-    Return n/(n − p) · bread · meat · bread, or n/(n − p) · bread for white residuals.
-
-    `bread` is the inverse of the information matrix Σ w JᵀJ with w = n/Σ e², `meat` the long-run
-    covariance of the scores w Jᵀe.
-    """
-    # The residuals of a fit with p parameters are too small by (n − p)/n on average. The factor
-    # makes the white form s² (JᵀJ)⁻¹ with s² = Σ e²/(n − p). The robust form takes the same factor
-    # (HC1 of MacKinnon & White 1985, Stata's newey): both agree where residuals are white.
-    factor = samples / max(samples - len(bread), 1.0)
-    return factor * (bread if meat is None else bread @ meat @ bread)
 
 
 class Noise(NamedTuple):
@@ -218,38 +209,14 @@ def whiten(columns: np.ndarray, known: np.ndarray, noise: Noise) -> tuple[np.nda
     """
     Return columns, shape (N, p), whitened by a Kalman filter, and the log-determinant.
 
-    Errors and their derivatives are filtered alike ([L] Section 4.3).
+    Errors and their derivatives are filtered alike ([L] Section 4.3). Where nothing is known the
+    columns are 0, so that white noise leaves them as they are.
     """
+    if noise == Noise():
+        return columns, 0.0
     errors = np.empty(columns.shape)
     of_samples = process(np.sqrt(1.0 - noise.share), np.sqrt(noise.share), noise.memory, 1)
     return errors, filter_columns(columns, known, of_samples, errors)
-
-
-def fit_noise(
-    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], samples: float, before: Noise
-) -> Noise:
-    """
-    Return the noise model of greatest restricted likelihood, near that of the round before.
-
-    A part is one run: residual and derivatives side by side, shape (N, 1 + p); which samples are
-    known; and the places of the columns among those of all runs. Restricted (Patterson & Thompson
-    1971, *Biometrika* 58, 545-554): the parameters are solved for at every noise model, and what
-    they take from the residuals is allowed for.
-    """
-    from scipy import optimize
-
-    def deviance(at):
-        return _restricted_deviance(parts, samples, _noise(at))
-
-    memories, shares = np.array([0.3, 0.9, 0.99, 0.999]), np.array([0.05, 0.5, 0.95])
-    starts = [_coordinates(Noise(s, m)) for m in memories for s in shares]
-    size = 1.0
-    if before != Noise():
-        starts, size = [_coordinates(before)], 0.3
-    best = np.array(min(starts, key=deviance))
-    simplex = best + size * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.5]])
-    options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.02, "maxfev": 80}
-    return _noise(optimize.minimize(deviance, best, method="Nelder-Mead", options=options).x)
 
 
 def scaled_roots(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -259,15 +226,8 @@ def scaled_roots(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return scale, *np.linalg.eigh(matrix / np.outer(scale, scale))
 
 
-def _restricted_deviance(parts: list[tuple], samples: float, noise: Noise) -> float:
-    """Return minus twice the restricted log-likelihood, but for a constant."""
-    size = 1 + max(int(places.max()) for *_, places in parts)
-    gram = np.zeros((size, size))
-    log_determinant = 0.0
-    for values, known, places in parts:
-        errors, part = whiten(values, known, noise)
-        gram[np.ix_(places, places)] += errors.T @ errors
-        log_determinant += part
+def _restricted_deviance(gram: np.ndarray, log_determinant: float, samples: float) -> float:
+    """Return minus twice the restricted log-likelihood of [e J]ᵀ[e J], but for a constant."""
     scale, roots, vectors = scaled_roots(gram[1:, 1:])
     regular = roots > 1e-10
     along = (gram[0, 1:] / scale) @ vectors[:, regular]
@@ -276,15 +236,10 @@ def _restricted_deviance(parts: list[tuple], samples: float, noise: Noise) -> fl
     return value + np.log(roots[regular]).sum() + 2.0 * np.log(scale).sum()
 
 
-def _coordinates(noise: Noise) -> tuple[float, float]:
-    """Return unbounded coordinates: −ln(1 − memory), log odds of the share."""
-    return COORDINATES["rate"].to(noise.memory), COORDINATES["odds"].to(noise.share)
-
-
 def _noise(at) -> Noise:
-    """Return the noise model at unbounded coordinates."""
-    share = COORDINATES["odds"].back(np.clip(at[1], -12.0, 12.0))
-    return Noise(float(share), float(np.clip(COORDINATES["rate"].back(at[0]), 0.0, 1.0 - 1e-6)))
+    """Return the noise model at unbounded coordinates: −ln(1 − memory), log odds of the share."""
+    memory = float(np.clip(COORDINATES["rate"].back(at[0]), 0.0, 1.0 - 1e-6))
+    return Noise(float(COORDINATES["odds"].back(np.clip(at[1], -12.0, 12.0))), memory)
 
 
 def outliers(error: np.ndarray, scale: float) -> np.ndarray:
@@ -346,8 +301,8 @@ class Series:
     measured: np.ndarray
     known: np.ndarray
     places: np.ndarray
-    plain: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
-    white: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    plain: Any = None
+    white: Any = None
 
 
 class Equations(NamedTuple):
@@ -483,39 +438,61 @@ class Problem:
         # A step may lead to where a model is not defined: the search turns back from there.
         with np.errstate(all="ignore"):
             self._simulate(x)
-        size = 1 + self.free.size
-        grams = np.zeros((len(self.noise), size, size))
-        log_determinant = 0.0
-        for series in self.series:
-            series.white = series.plain
-            if self.noise[series.output] != Noise():
-                series.white, logs = whiten(series.plain, series.known, self.noise[series.output])
-                log_determinant += logs
-            places = np.ix_(series.places, series.places)
-            grams[series.output][places] += series.white.T @ series.white
+            products = [self.products(j, noise) for j, noise in enumerate(self.noise)]
+        grams = np.stack([gram for gram, _ in products])
+        log_determinant = sum(part for _, part in products)
         # The variance of each output maximises the likelihood at Σ e²/n. What is left of minus
         # twice its logarithm is Σ n ln(Σ e²/n) ([L] Section 7.4, [S] Section 7.2); its derivatives
         # weight each output by n/Σ e², so that users need give no weights.
-        squares, counted = grams[:, 0, 0], self.counts
-        weights = counted / (squares + self.floors)
-        deviance = float(counted @ np.log(1.0 / weights)) + log_determinant
+        squares, samples = grams[:, 0, 0], self.counts
+        weights = samples / (squares + self.floors)
+        deviance = float(samples @ np.log(1.0 / weights)) + log_determinant
         gram = np.tensordot(weights, grams, 1)
         residual, root = _least_squares(gram)
         equations = Equations(deviance, gram[1:, 1:], squares, weights, residual, root)
         self.evaluated = (x.copy(), equations)
         return equations
 
-    def fitted_noise(self) -> list[Noise]:
-        """Return the noise of each output that its residuals at the last point show."""
-        noise = []
-        for before, count, of_output in zip(self.noise, self.counts, self.by_output(), strict=True):
-            parts = [(series.plain, series.known, series.places) for series in of_output]
-            noise.append(fit_noise(parts, count, before))
-        return noise
+    def products(self, output: int, noise: Noise) -> tuple[np.ndarray, float]:
+        """Return [e J]ᵀ[e J] of an output at the last point, whitened, and the log-determinant."""
+        gram, log_determinant = np.zeros((1 + self.free.size,) * 2), 0.0
+        for series in self.by_output()[output]:
+            series.white, part = whiten(series.plain, series.known, noise)
+            gram[np.ix_(series.places, series.places)] += series.white.T @ series.white
+            log_determinant += part
+        return gram, log_determinant
 
     def set_noise(self, noise: list[Noise]) -> None:
         """Take another noise of each output."""
         self.noise, self.evaluated = noise, (None, None)
+
+    def fit_noise(self) -> None:
+        """Take the noise of each output that its residuals at the last point show."""
+        self.set_noise([self._fitted_noise(output) for output in range(len(self.noise))])
+
+    def _fitted_noise(self, output: int) -> Noise:
+        """
+        Return the noise model of greatest restricted likelihood, near that of the round before.
+
+        Restricted (Patterson & Thompson 1971, *Biometrika* 58, 545-554): the parameters are solved
+        for at every noise model, and what they take from the residuals is allowed for.
+        """
+        from scipy import optimize
+
+        def deviance(at):
+            gram, log_determinant = self.products(output, _noise(at))
+            return _restricted_deviance(gram, log_determinant, self.counts[output])
+
+        before = self.noise[output]
+        memories, shares, size = [0.3, 0.9, 0.99, 0.999], [0.05, 0.5, 0.95], 1.0
+        if before != Noise():
+            memories, shares, size = [before.memory], [before.share], 0.3
+        rate, odds = COORDINATES["rate"], COORDINATES["odds"]
+        starts = [(rate.to(m), odds.to(s)) for m in memories for s in shares]
+        best = np.array(min(starts, key=deviance))
+        simplex = best + size * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.5]])
+        options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.02, "maxfev": 80}
+        return _noise(optimize.minimize(deviance, best, method="Nelder-Mead", options=options).x)
 
 
 def _least_squares(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -526,3 +503,85 @@ def _least_squares(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     roots = np.maximum(roots, 1e-14)
     root = np.sqrt(roots)[:, None] * vectors.T
     return -(root @ (gram[0, 1:] / scale)) / roots, root * scale
+
+
+# --- an optimum -----------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Optimum:
+    """Where a search settled: a full vector, the likelihood there, and what a bound holds."""
+
+    problem: Problem
+    x: np.ndarray
+    at_bound: np.ndarray
+    converged: bool
+    steps: int
+
+    def __post_init__(self):
+        self.equations = self.problem.equations(self.x)
+        self.deviance = self._comparable()
+
+    @property
+    def loose(self) -> np.ndarray:
+        """Which of the free unknowns no bound holds: indices into `problem.free`."""
+        return np.flatnonzero(~self.at_bound[self.problem.free])
+
+    @property
+    def exact(self) -> np.ndarray:
+        """Whether an output's residuals are mere rounding, by output: no noise to be tested."""
+        return self.equations.squares <= ROUNDING * self.problem.floors
+
+    def values(self) -> dict[str, Any]:
+        """Return estimates by name; of states an array, shape (runs,)."""
+        model, row = self.problem.model, self.problem.values(self.x)
+        values: dict[str, Any] = dict(zip(model.names, row.tolist(), strict=False))
+        states = row[len(model.names) :].reshape(len(self.problem.runs), -1).T
+        return values | dict(zip(model.states, states, strict=False))
+
+    def same_as(self, other: "Optimum") -> bool:
+        """Return whether two rough optima are one: within five standard errors."""
+        step = (self.x - other.x)[self.problem.free]
+        return float(step @ other.equations.matrix @ step) < 25.0
+
+    def _comparable(self) -> float:
+        """
+        Return the deviance, comparable between optima that leave out different samples.
+
+        A sample left out counts as one that is `FAR` deviations off, in whatever unit data are.
+        """
+        problem, at = self.problem, self.equations
+        of_window = 0.0
+        if problem.unwindow:
+            # The means of n values have 1/n times the density of the values themselves.
+            of_window = sum(np.log(counts(run.size, run.window)).sum() for run in problem.runs)
+        lost = np.array([sum((~s.known).sum() for s in of) for of in problem.by_output()])
+        variance = (at.squares + problem.floors) / problem.counts
+        added = lost @ np.log(variance) + FAR**2 * lost.sum()
+        return float(at.deviance + added - 2.0 * len(problem.noise) * of_window)
+
+    def inverse_information(self) -> np.ndarray:
+        """
+        Return the inverse of the information matrix of the loose unknowns.
+
+        Where the matrix is singular, raise: the unknowns involved are not identifiable.
+        """
+        problem, loose = self.problem, self.loose
+        matrix = self.equations.matrix[np.ix_(loose, loose)]
+        scale, roots, vectors = scaled_roots(matrix)
+        singular = roots <= SINGULAR
+        if not singular.any():
+            return (vectors / roots) @ vectors.T / np.outer(scale, scale)
+        # Unknowns with a share in the directions that the data say nothing about.
+        unknown = np.abs(vectors[:, singular]).max(axis=1) > 0.25
+        lost = tuple(problem.labels[j] for j in problem.free[loose[unknown]])
+        cause = "several values explain them equally well"
+        modes = [run["mode"] for run in problem.runs if "mode" in problem.model.inputs]
+        if modes and all(np.ptp(mode) == 0.0 for mode in modes):
+            cause = f"mode never changes within any of the {counted(len(modes), 'run')}"
+        raise IdentificationError(
+            f"these data do not determine {' and '.join(lost)} ({cause}); record phases "
+            "that move the model more, or fix a parameter, for example "
+            f"fixed={{{lost[-1].split('[')[0]!r}: ...}}",
+            lost,
+        )

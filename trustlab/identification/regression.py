@@ -7,7 +7,7 @@ import pandas as pd
 
 from trustlab.identification.model import IdentificationError
 from trustlab.identification.result import with_intervals
-from trustlab.models.checks import flag, whole_number
+from trustlab.models.checks import finite_array, flag, whole_number
 from trustlab.models.display import Result
 
 # Condition number of the normal equations (equilibrated) from which on regressors count as
@@ -24,19 +24,13 @@ class ArxResult(Result):
     Parameters
     ----------
     names : tuple of str
-        Names of the coefficients: a1 … , b1 … (b1_1 … for several inputs: input, then lag), c.
+        Names of the coefficients: a1 … , b1 … , c.
     coefficients : numpy.ndarray, shape (p,)
         Estimates, in the order of `names`.
     covariance : numpy.ndarray, shape (p, p)
         Covariance of the estimates, s² (XᵀX)⁻¹.
     residuals : numpy.ndarray, shape (n,)
         One-step prediction errors.
-    na : int
-        Number of output lags.
-    nb, nk : tuple of int
-        Number of lags and delay of every input.
-    intercept : bool
-        Whether c was estimated.
     """
 
     title = "ARX"
@@ -45,10 +39,6 @@ class ArxResult(Result):
     coefficients: np.ndarray
     covariance: np.ndarray
     residuals: np.ndarray
-    na: int
-    nb: tuple[int, ...]
-    nk: tuple[int, ...]
-    intercept: bool
 
     @property
     def stderr(self) -> np.ndarray:
@@ -130,7 +120,7 @@ def regression(
     return coefficients, inverse * (residuals @ residuals / (n - p)), residuals
 
 
-def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
+def arx(y, u, na: int = 1, nb: int = 1, nk: int = 1, intercept: bool = False) -> ArxResult:
     """
     Fit an ARX model by least squares.
 
@@ -143,12 +133,12 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
     ----------
     y : array_like, shape (N,), or list of such
         Output; a list holds one array per run, and no equation crosses from one run to the next.
-    u : array_like, shape (N,) or (N, m), or list of such
-        Inputs.
+    u : array_like, shape (N,), or list of such
+        Input.
     na : int
         Number of output lags, ≥ 0.
-    nb, nk : int or sequence of int
-        Number of lags and delay (in samples) per input.
+    nb, nk : int
+        Number of lags of the input, ≥ 1, and its delay in samples, ≥ 0.
     intercept : bool
         Whether to estimate a constant c.
 
@@ -178,69 +168,36 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
     >>> tl.arx(y, u).table()["value"].round(6).to_dict()
     {'a1': -0.9, 'b1': 0.5}
     """
-    pairs = [(y, u)]
-    if isinstance(y, (list, tuple)) and len(y) > 0 and np.ndim(y[0]) == 1:
-        if len(y) != len(u):
-            raise ValueError(
-                f"y has {len(y)} runs and u has {len(u)}; give one input array for every run"
-            )
-        pairs = list(zip(y, u, strict=True))
-    na, intercept = whole_number("na", na, least=0), flag("intercept", intercept)
+    na, nb = whole_number("na", na, least=0), whole_number("nb", nb)
+    nk, intercept = whole_number("nk", nk, least=0), flag("intercept", intercept)
+    first = max(na, nk + nb - 1)
     parts = []
-    for y_run, u_run in pairs:
-        y_run = np.ascontiguousarray(y_run, dtype=float)
-        u_run = np.asarray(u_run, dtype=float)
-        u_run = u_run[:, None] if u_run.ndim == 1 else u_run
-        if y_run.ndim != 1 or u_run.ndim != 2 or len(u_run) != y_run.size:
-            raise ValueError(
-                f"y must be (N,) and u (N,) or (N, m), got {y_run.shape} and {u_run.shape}"
+    for y_run, u_run in paired_runs(y=y, u=u):
+        size = y_run.size - first
+        if size < 1:
+            raise IdentificationError(
+                f"a run of {y_run.size} samples is too short for lags up to {first}"
             )
-        if not (np.isfinite(y_run).all() and np.isfinite(u_run).all()):
-            raise ValueError("y and u must be finite; a sample is NaN or infinite")
-        inputs = u_run.shape[1]
-        lags = _per_input("nb", nb, inputs, least=1)
-        delays = _per_input("nk", nk, inputs, least=0)
-        parts.append(equations(y_run, u_run, na, lags, delays, intercept))
-    names = _names(na, lags, intercept)
-    if len(parts) > 1:  # one run is not copied
-        parts = [(np.hstack([x for x, _ in parts]), np.hstack([y for _, y in parts]))]
-    values, covariance, residuals = regression(*parts[0], names)
-    return ArxResult(names, values, covariance, residuals, na, lags, delays, intercept)
+        rows = [-y_run[first - lag :][:size] for lag in range(1, na + 1)]
+        rows += [u_run[first - lag :][:size] for lag in range(nk, nk + nb)]
+        rows += [np.ones(size)] * intercept
+        parts.append((np.stack(rows), y_run[first:]))
+    names = [*(f"a{lag + 1}" for lag in range(na)), *(f"b{lag + 1}" for lag in range(nb))]
+    names += ["c"] * intercept
+    # One run is not copied.
+    design, target = parts[0] if len(parts) == 1 else map(np.hstack, zip(*parts, strict=True))
+    return ArxResult(tuple(names), *regression(design, target, tuple(names)))
 
 
-def equations(
-    y: np.ndarray, u: np.ndarray, na: int, nb: tuple[int, ...], nk: tuple[int, ...], intercept: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return regressors, one per row, and left-hand sides of one run's ARX equations.
-
-    `u` has shape (N, m).
-    """
-    first = max([na] + [delay + lags - 1 for delay, lags in zip(nk, nb, strict=True)])
-    size = y.size - first
-    if size < 1:
-        raise IdentificationError(f"a run of {y.size} samples is too short for lags up to {first}")
-    rows = [-y[first - lag : y.size - lag] for lag in range(1, na + 1)]
-    for column, delay, lags in zip(u.T, nk, nb, strict=True):
-        rows += [column[first - lag : y.size - lag] for lag in range(delay, delay + lags)]
-    rows += [np.ones(size)] * intercept
-    return np.stack(rows), y[first:]
-
-
-def _names(na: int, nb: tuple[int, ...], intercept: bool) -> tuple[str, ...]:
-    """
-    Return the names of the coefficients: a1, …, b1, … (input, then lag, for several inputs), c.
-    """
-    names = [f"a{lag}" for lag in range(1, na + 1)]
-    for i, lags in enumerate(nb, start=1):
-        prefix = "b" if len(nb) == 1 else f"b{i}_"
-        names += [f"{prefix}{lag}" for lag in range(1, lags + 1)]
-    return (*names, *["c"] * intercept)
-
-
-def _per_input(name: str, value, inputs: int, least: int) -> tuple[int, ...]:
-    """Return an order for every input."""
-    values = (value,) * inputs if np.ndim(value) == 0 else tuple(value)
-    if len(values) != inputs:
-        raise ValueError(f"{name} names {len(values)} inputs, u has {inputs}")
-    return tuple(whole_number(name, order, least=least) for order in values)
+def paired_runs(**signals) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return two signals of one run, or lists of them by run, as pairs of arrays of equal size."""
+    (first, values), (second, others) = signals.items()
+    if not (isinstance(values, list | tuple) and values and np.ndim(values[0]) == 1):
+        values, others = [values], [others]
+    if len(values) != len(others):
+        raise ValueError(f"there are {len(values)} runs of {first} but {len(others)} of {second}")
+    pairs = []
+    for value, other in zip(values, others, strict=True):
+        array = finite_array(first, value)
+        pairs.append((array, finite_array(second, other, length=array.size)))
+    return pairs

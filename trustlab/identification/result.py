@@ -1,16 +1,12 @@
 """The result of a fit: the model, its uncertainty and its residuals, in tables and plots."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.identification.problem import (
-    autocorrelation,
-    ljung_box,
-    pooled_correlation,
-)
+from trustlab.identification.problem import ljung_box, pooled_correlation
 from trustlab.models.checks import counted, one_of, open_unit, whole_number
 from trustlab.models.display import Result
 from trustlab.sessions.plots import shade_manual
@@ -34,8 +30,7 @@ class RunFit:
     """
     One run, measured and fitted: time [s], inputs and outputs by name, shape (N,) each.
 
-    `step` [s] is the time step that the model's rates refer to. `prediction_errors` are what a
-    noise model leaves of measured minus fitted: the same where noise is white.
+    `errors` are what a noise model leaves of measured minus fitted: the same where noise is white.
     """
 
     label: str
@@ -44,22 +39,7 @@ class RunFit:
     inputs: dict[str, np.ndarray]
     measured: dict[str, np.ndarray]
     fitted: dict[str, np.ndarray]
-    prediction_errors: dict[str, np.ndarray]
-    step: float
-
-    @property
-    def mode(self) -> np.ndarray:
-        """Manual share."""
-        return self.inputs["mode"]
-
-    def only(self, output: str) -> "RunFit":
-        """Return the run with one of its outputs."""
-        return replace(
-            self,
-            measured={output: self.measured[output]},
-            fitted={output: self.fitted[output]},
-            prediction_errors={output: self.prediction_errors[output]},
-        )
+    errors: dict[str, np.ndarray]
 
     def residual(self, output: str) -> np.ndarray:
         """Return measured minus fitted."""
@@ -78,8 +58,8 @@ class FitResult(Result):
         `limit_cycle`, `run_condition` and `Operator`, cannot warn; `choose_thresholds` takes the
         fit, and warns where `success` is False.
     parameters : pandas.DataFrame
-        Index `parameter`; columns value, stderr, unit and status: estimated, weak, fixed, given,
-        derived, at bound.
+        Index `parameter`; columns value, stderr, unit and status: estimated, weak, fixed, derived,
+        at bound.
     covariance : pandas.DataFrame
         Covariance of the parameters that were estimated.
     initial_states : pandas.DataFrame
@@ -115,7 +95,7 @@ class FitResult(Result):
     @property
     def outputs(self) -> tuple[str, ...]:
         """The columns that the model explains."""
-        return tuple(self.runs[0].measured)
+        return tuple(self.sigma)
 
     @property
     def synthetic(self) -> bool:
@@ -181,7 +161,7 @@ class FitResult(Result):
 
     def _errors_for(self, lags: int, output: str | None) -> list[np.ndarray]:
         """Return the prediction errors of an output whose runs are all longer than `lags`."""
-        errors = [run.prediction_errors[self._output(output)] for run in self.runs]
+        errors = [run.errors[self._output(output)] for run in self.runs]
         shortest = min(map(len, errors))
         whole_number("lags (below the length of the shortest run)", lags, 1, shortest - 1)
         return errors
@@ -205,11 +185,11 @@ class FitResult(Result):
             band: ± 2.58/√n for white residuals.
         """
         residuals = self._errors_for(lags, output)
-        auto = autocorrelation(residuals, lags)
+        auto = pooled_correlation(residuals, residuals, lags)
         inputs = [next(iter(run.inputs.values())) for run in self.runs]
         before = pooled_correlation(inputs, residuals, lags)[:0:-1]
         columns = {
-            "autocorrelation": np.r_[auto[:0:-1], 1.0, auto[1:]],
+            "autocorrelation": np.r_[auto[:0:-1], auto],
             "cross_correlation": np.r_[before, pooled_correlation(residuals, inputs, lags)],
             "band": special.ndtri(0.995) / np.sqrt(sum(run.size for run in residuals)),
         }
@@ -264,7 +244,7 @@ class FitResult(Result):
                 panel.plot(run.t, run.measured[name], lw=0.8, color="0.55", label="measured")
                 panel.plot(run.t, run.fitted[name], lw=1.6, ls="--", color="C1", label="fitted")
                 if "mode" in run.inputs:
-                    shade_manual(panel, run.t, run.mode)
+                    shade_manual(panel, run.t, run.inputs["mode"])
                 if run is runs[0]:
                     panel.set_ylabel(LABELS.get(name, name))
             column[0].set_title(run.label, fontsize="small")
@@ -299,9 +279,9 @@ class FitResult(Result):
             band = frame["band"].iloc[0]
             parts = (frame.loc[1:, "autocorrelation"], frame["cross_correlation"])
             for panel, part in zip(row, parts, strict=True):
-                panel.axhspan(-band, band, color="C0", alpha=0.15, lw=0, label="99 % band")
-                stems = panel.stem(part.index, part, basefmt="0.4")
-                plt.setp(stems.markerline, markersize=3)
+                panel.axhspan(-band, band, alpha=0.15, lw=0, label="99 % band")
+                panel.vlines(part.index, 0.0, part)
+                panel.axhline(0.0, color="0.4", lw=0.8)
                 panel.set_xlabel("lag [samples]")
             auto, cross = row
             auto.set_ylabel(f"residual of\n{LABELS.get(name, name)}")

@@ -18,130 +18,33 @@ import numpy as np
 from trustlab.identification.log import (
     Run,
     averaged,
-    counts,
-    joined,
     late,
     undo_window,
     window_means,
 )
-from trustlab.identification.model import IdentificationError, Model
+from trustlab.identification.model import Model
 from trustlab.identification.problem import (
-    FAR,
     FINE,
     NOT_WHITE,
     ROUNDING,
-    SINGULAR,
     STEP_OF_LOAD,
     Noise,
+    Optimum,
     Problem,
     Series,
     hac_lags,
     hac_matrix,
     outliers,
     robust_deviation,
-    sandwich,
-    scaled_roots,
     whiten,
     whiteness_p,
 )
 
-# --- an optimum -----------------------------------------------------------------------------------
-
-
-@dataclass(eq=False)
-class Optimum:
-    """Where a search settled: a full vector, the likelihood there, and what a bound holds."""
-
-    problem: Problem
-    x: np.ndarray
-    at_bound: np.ndarray
-    converged: bool
-    steps: int
-
-    def __post_init__(self):
-        self.equations = self.problem.equations(self.x)
-        self.deviance = self._comparable()
-
-    @property
-    def loose(self) -> np.ndarray:
-        """Which of the free unknowns no bound holds: indices into `problem.free`."""
-        return np.flatnonzero(~self.at_bound[self.problem.free])
-
-    @property
-    def exact(self) -> np.ndarray:
-        """Whether an output's residuals are mere rounding, by output: no noise to be tested."""
-        return self.equations.squares <= ROUNDING * self.problem.floors
-
-    def values(self) -> dict[str, Any]:
-        """Return estimates by name; of states an array, shape (runs,)."""
-        model, row = self.problem.model, self.problem.values(self.x)
-        values: dict[str, Any] = dict(zip(model.names, row.tolist(), strict=False))
-        states = row[len(model.names) :].reshape(len(self.problem.runs), -1).T
-        return values | dict(zip(model.states, states, strict=False))
-
-    def same_as(self, other: "Optimum") -> bool:
-        """Return whether two rough optima are one: within five standard errors."""
-        step = (self.x - other.x)[self.problem.free]
-        return float(step @ other.equations.matrix @ step) < 25.0
-
-    def _comparable(self) -> float:
-        """
-        Return the deviance, comparable between optima that leave out different samples.
-
-        A sample left out counts as one that is `FAR` deviations off, in whatever unit data are.
-        """
-        problem, at = self.problem, self.equations
-        of_window = 0.0
-        if problem.unwindow:
-            # The means of n values have 1/n times the density of the values themselves.
-            of_window = sum(np.log(counts(run.size, run.window)).sum() for run in problem.runs)
-        lost = np.array([sum((~s.known).sum() for s in of) for of in problem.by_output()])
-        variance = (at.squares + problem.floors) / problem.counts
-        added = lost @ np.log(variance) + FAR**2 * lost.sum()
-        return float(at.deviance + added - 2.0 * len(problem.noise) * of_window)
-
-    def inverse_information(self) -> np.ndarray:
-        """
-        Return the inverse of the information matrix of the loose unknowns.
-
-        Where the matrix is singular, raise: the unknowns involved are not identifiable.
-        """
-        loose = self.loose
-        labels = [self.problem.labels[j] for j in self.problem.free[loose]]
-        matrix = self.equations.matrix[np.ix_(loose, loose)]
-        if loose.size == 0:
-            return matrix
-        diagonal = np.diag(matrix)
-        unknown = diagonal <= 1e-30 * diagonal.max(initial=1e-300)
-        if not unknown.any():
-            scale, roots, vectors = scaled_roots(matrix)
-            if roots[0] > SINGULAR:
-                return (vectors / roots) @ vectors.T / np.outer(scale, scale)
-            # Unknowns with a share in the direction that the data say nothing about.
-            unknown = np.abs(vectors[:, 0]) > 0.25
-        lost = tuple(label for label, flag in zip(labels, unknown, strict=True) if flag)
-        raise IdentificationError(
-            f"these data do not determine {' and '.join(lost)} ({self._cause()}); record phases "
-            "that move the model more, or fix a parameter, for example "
-            f"fixed={{{lost[-1].split('[')[0]!r}: ...}}",
-            lost,
-        )
-
-    def _cause(self) -> str:
-        """Say what about the data makes unknowns indistinguishable."""
-        runs, model = self.problem.runs, self.problem.model
-        if "mode" in model.inputs:
-            modes = joined(runs, "mode")
-            if np.ptp(modes) == 0.0:
-                return f"mode never changes: it is {modes[0]:g} throughout"
-            if all(np.ptp(run["mode"]) == 0.0 for run in runs):
-                return f"mode never changes within any of the {len(runs)} runs"
-        ranges = [f"{name} moves by {np.ptp(joined(runs, name)):.3g}" for name in model.outputs]
-        return "several values explain them equally well; " + " and ".join(ranges)
-
-
 # Status of a search that its callback stopped.
 STOPPED = -2
+
+# How optima are searched before the best is known.
+ROUGH: dict[str, Any] = {"tolerance": 0.1, "most": 40}
 
 # --- the search ----------------------------------------------------------------------------------
 
@@ -215,21 +118,22 @@ def descend(
         root = problem.equations(at(x)).root[:, moving]
         return np.vstack([root, np.zeros(places.size)])
 
+    low, high = problem.low[places], problem.high[places]
+
     def stop(intermediate_result: Any) -> None:
         # Where a Gauss–Newton step would gain nothing, only rounding would move the search.
         x = intermediate_result.x
-        if ((problem.low[places] < x) & (x < problem.high[places])).all():
-            here = problem.equations(at(x))
-            root = here.root[:, moving]
-            gain = here.residual @ root @ np.linalg.lstsq(root, here.residual)[0]
-            if gain < 0.01 * tolerance:
-                raise StopIteration
+        here = problem.equations(at(x))
+        root = here.root[:, moving]
+        gain = here.residual @ root @ np.linalg.lstsq(root, here.residual)[0]
+        if ((low < x) & (x < high)).all() and gain < 0.01 * tolerance:
+            raise StopIteration
 
     end = least_squares(
         residuals,
         start[places],
         jacobian,
-        bounds=(problem.low[places], problem.high[places]),
+        bounds=(low, high),
         # "dogbox" holds what reaches a bound there, and may run to one from far away; "trf"
         # comes near a bound in many steps, and finds its way from far.
         method=method,
@@ -379,7 +283,7 @@ def estimated(optimum: Optimum, noise: str) -> Estimate:
     if noise == "correlated" or (noise == "auto" and simple_p < NOT_WHITE):
         # The noise belongs to the residuals, and these to the estimates: three rounds settle both.
         for _ in range(3):
-            problem.set_noise(problem.fitted_noise())
+            problem.fit_noise()
             optimum = search(problem, optimum.x)
     inverse = optimum.inverse_information()
     modelled = any(model != Noise() for model in problem.noise)
@@ -387,9 +291,13 @@ def estimated(optimum: Optimum, noise: str) -> Estimate:
     sandwiched = noise == "hac" or (noise in ("auto", "correlated") and p_value < NOT_WHITE)
     delay = mode_delay(optimum, inverse, sandwiched)
     # For white residuals the covariance is the inverse information ([L] Section 9.4, [S] Section
-    # 7.5); else that is the bread of a sandwich.
-    meat = _meat(optimum) if sandwiched else None
-    block = sandwich(inverse, meat, problem.counts.sum()) + _of_stamps(optimum, inverse)
+    # 7.5); else that is the bread of a sandwich. Residuals are too small by (n − p)/n on average:
+    # the factor makes the white form s² (JᵀJ)⁻¹ with s² = Σ e²/(n − p), and the robust one HC1 of
+    # MacKinnon & White 1985 (Stata's newey).
+    samples = problem.counts.sum()
+    factor = samples / max(samples - len(inverse), 1.0)
+    block = factor * (inverse @ _meat(optimum) @ inverse if sandwiched else inverse)
+    block += _of_stamps(optimum, inverse)
     if any(run.stamp_error > 0.0 for run in problem.runs):
         # Stamps that are not exact may share an error, too: of any size that the residuals allow.
         square = delay.value**2 + delay.stderr**2
@@ -432,48 +340,56 @@ def _meat(optimum: Optimum) -> np.ndarray:
     return meat[np.ix_(optimum.loose, optimum.loose)]
 
 
-def _whitened(problem: Problem, series: Series, change: np.ndarray) -> np.ndarray:
-    """Return a change of an output as its prediction errors see it."""
-    noise = problem.noise[series.output]
-    if noise == Noise():
-        return change * series.known
-    return whiten(change[:, None], series.known, noise)[0][:, 0]
+def _changes(optimum: Optimum, i: int, modes: list[np.ndarray]) -> list[tuple[Series, np.ndarray]]:
+    """Return how outputs of run i change, per second, where other modes act a sample later."""
+    problem, run = optimum.problem, optimum.problem.runs[i]
+    simulated = problem.simulated(run, i, optimum.x)
+    moved = [problem.simulated(run.changed({"mode": mode}), i, optimum.x) for mode in modes]
+    changes = []
+    for series in problem.by_run()[i]:
+        j = series.output
+        later = np.column_stack([outputs[j] - simulated[j] for outputs in moved])
+        changes.append((series, problem.observed(series, later) / run.sample_time))
+    return changes
 
 
-def _answer(
-    optimum: Optimum, inverse: np.ndarray, series: list[Series], changes: list[np.ndarray]
-) -> np.ndarray:
-    """Return what the loose unknowns make of changes of outputs, as prediction errors see these."""
-    by_all = np.zeros(optimum.problem.free.size)
-    for each, change in zip(series, changes, strict=True):
-        weight = optimum.equations.weights[each.output]
-        by_all[each.places[1:] - 1] += weight * (change @ each.white[:, 1:])
-    return inverse @ by_all[optimum.loose]
+def _answers(
+    optimum: Optimum, inverse: np.ndarray, changes: list[tuple[Series, np.ndarray]]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """
+    Return changes of outputs, shape (N, K) by series, as prediction errors see them, and what the
+    loose unknowns make of them, shape (unknowns, K).
+    """
+    problem, weights = optimum.problem, optimum.equations.weights
+    totals = np.zeros((problem.free.size, changes[0][1].shape[1]))
+    seen = []
+    for series, change in changes:
+        noise = problem.noise[series.output]
+        seen.append(whiten(change * series.known[:, None], series.known, noise)[0])
+        totals[series.places[1:] - 1] += weights[series.output] * series.white[:, 1:].T @ seen[-1]
+    return seen, inverse @ totals[optimum.loose]
 
 
 def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
     """Return the covariance due to independent errors of the mode's stamps."""
     problem = optimum.problem
     added = np.zeros(inverse.shape)
-    for i, (run, of_run) in enumerate(zip(problem.runs, problem.by_run(), strict=True)):
-        if run.stamp_error == 0.0 or "mode" not in run.columns:
-            continue
-        mode = run["mode"]
-        simulated = problem.simulated(run, i, optimum.x)
+    for i, run in enumerate(problem.runs):
+        mode = run.columns.get("mode", np.zeros(1))
         switches = np.flatnonzero(np.diff(mode > 0.5)) + 1
+        if run.stamp_error == 0.0 or switches.size == 0:
+            continue
         # Neighbours add about the same: of thousands of switches some stand for all.
         chosen = switches[:: 1 + switches.size // SWITCHES]
+        modes = []
         for k in chosen:
             # One switch a sample later, and what the estimates make of it.
             moved = mode.copy()
             moved[k] = mode[k - 1]
-            outputs = problem.simulated(run.changed({"mode": moved}), i, optimum.x)
-            changes = [
-                _whitened(problem, series, problem.observed(series, later - y) / run.sample_time)
-                for series, later, y in zip(of_run, outputs, simulated, strict=True)
-            ]
-            shift = _answer(optimum, run.stamp_error * inverse, of_run, changes)
-            added += np.outer(shift, shift) * switches.size / chosen.size
+            modes.append(moved)
+        changes = _changes(optimum, i, modes)
+        shifts = run.stamp_error * _answers(optimum, inverse, changes)[1]
+        added += shifts @ shifts.T * switches.size / chosen.size
     return added
 
 
@@ -482,29 +398,20 @@ def mode_delay(optimum: Optimum, inverse: np.ndarray, sandwiched: bool) -> ModeD
     problem, loose = optimum.problem, optimum.loose
     weights = optimum.equations.weights
     none = ModeDelay(0.0, 0.0, np.zeros(loose.size))
-    inputs = set(problem.model.inputs)
-    if not {"mode"} <= inputs <= {"mode", "p_h"} or "mode_delay" in problem.model.names:
+    if "mode" not in problem.model.inputs or "mode_delay" in problem.model.names:
         return none
-    runs = list(enumerate(problem.runs))
-    simulated = [problem.simulated(run, i, optimum.x) for i, run in runs]
-    moved = [problem.simulated(late(run, run.sample_time), i, optimum.x) for i, run in runs]
-    if all(np.array_equal(one, other) for one, other in zip(simulated, moved, strict=True)):
-        return none  # a model that takes no notice of mode
-    slopes = []
-    for series in problem.series:
-        # Mode acting later shifts the whole simulation, but for states, which are estimated.
-        values = problem.observed(series, simulated[series.run][series.output])
-        slope = -np.gradient(values, problem.runs[series.run].sample_time)
-        slopes.append(_whitened(problem, series, slope))
+    changes = []
+    for i, run in enumerate(problem.runs):
+        changes += _changes(optimum, i, [late(run, run.sample_time)["mode"]])
+    slopes, shift = _answers(optimum, inverse, changes)
     answer = np.zeros(problem.free.size)
-    answer[loose] = _answer(optimum, inverse, problem.series, slopes)
+    answer[loose] = shift[:, 0]
     total = information = score = spread = 0.0
     for series, slope in zip(problem.series, slopes, strict=True):
-        weight = weights[series.output]
+        weight, errors = weights[series.output], series.white[:, 0]
         # What of the delay's effect the estimates cannot imitate.
-        rest = slope - series.white[:, 1:] @ answer[series.places[1:] - 1]
-        errors = series.white[:, 0]
-        total += weight * (slope @ slope)
+        rest = slope[:, 0] - series.white[:, 1:] @ answer[series.places[1:] - 1]
+        total += weight * np.sum(slope**2)
         information += weight * (rest @ rest)
         score += weight * (rest @ errors)
         if sandwiched:
@@ -513,6 +420,14 @@ def mode_delay(optimum: Optimum, inverse: np.ndarray, sandwiched: bool) -> ModeD
         return none._replace(shift=answer[loose])
     stderr = np.sqrt(spread if sandwiched else information) / information
     return ModeDelay(float(score / information), float(stderr), answer[loose])
+
+
+def _with_held(optimum: Optimum, held: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return the full vector that a search finds with some unknowns held at other places."""
+    x = optimum.x.copy()
+    x[held] = places
+    moving = ~np.isin(optimum.problem.free, held)
+    return descend(optimum.problem, x, moving, **ROUGH)[0]
 
 
 def _shift_of_states(optimum: Optimum) -> np.ndarray:
@@ -530,14 +445,11 @@ def _shift_of_states(optimum: Optimum) -> np.ndarray:
     low, high = problem.low[held], problem.high[held]
     inwards = np.where(optimum.x[held] <= low, 1.0, -1.0) * (high - low)
     inwards[~np.isfinite(inwards)] = 0.0
-    moving = ~optimum.at_bound[problem.free]
     likely = optimum.x
     near, far = 1e-4, 1.0
     for _ in range(7):  # bisect the share of the way to the other bound, on a logarithmic scale
         share = np.sqrt(near * far)
-        x = likely.copy()
-        x[held] = optimum.x[held] + share * inwards
-        x = descend(problem, x, moving, 0.1, 40)[0]
+        x = _with_held(optimum, held, optimum.x[held] + share * inwards)
         if problem.equations(x).deviance < optimum.equations.deviance + LIKELY:
             near, likely = share, x
         else:
@@ -556,9 +468,6 @@ RIVAL = 10.0
 
 # Distances from rest or full load, in the coordinate of a load, that are tried where one is near.
 NEAR = (0.0, 0.002, 0.008, 0.02, 0.05)
-
-# How optima are searched before the best is known.
-ROUGH: dict[str, Any] = {"tolerance": 0.1, "most": 40}
 
 
 def estimate_runs(
@@ -616,18 +525,10 @@ def _deviance_with_noise(optimum: Optimum) -> float:
     problem = optimum.problem
     white = problem.noise
     problem.equations(optimum.x)
-    problem.set_noise(problem.fitted_noise())
+    problem.fit_noise()
     deviance = search(problem, optimum.x, **ROUGH).deviance
     problem.set_noise(white)
     return deviance
-
-
-def _with_loads(optimum: Optimum, loads: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return the full vector that a search finds with loads held at other places."""
-    x = optimum.x.copy()
-    x[loads] = places
-    moving = ~np.isin(optimum.problem.free, loads)
-    return descend(optimum.problem, x, moving, **ROUGH)[0]
 
 
 def _elsewhere(optimum: Optimum) -> Iterator[Optimum]:
@@ -636,7 +537,7 @@ def _elsewhere(optimum: Optimum) -> Iterator[Optimum]:
     loads = problem.loads
     for share in (0.1, 0.3, 0.5, 0.8) if loads.size else ():
         places = problem.low[loads] + share * (problem.high - problem.low)[loads]
-        x = _with_loads(optimum, loads, places)
+        x = _with_held(optimum, loads, places)
         if problem.equations(x).deviance < optimum.equations.deviance + SHALLOW:
             yield search(problem, x, **ROUGH)
 
@@ -651,7 +552,7 @@ def _beside_ends(optimum: Optimum) -> Optimum:
     if not near.any():
         return optimum
     inwards = low + high - 2.0 * ends
-    tried = [_with_loads(optimum, loads[near], (ends + s * inwards)[near]) for s in NEAR]
+    tried = [_with_held(optimum, loads[near], (ends + s * inwards)[near]) for s in NEAR]
     other = search(problem, min(tried, key=lambda x: problem.equations(x).deviance))
     return min(optimum, other, key=lambda each: each.deviance)
 

@@ -8,8 +8,9 @@ from scipy import linalg, signal
 from trustlab.identification.fit import fit_runs
 from trustlab.identification.log import Run, joined
 from trustlab.identification.model import IdentificationError, Model
+from trustlab.identification.regression import paired_runs
 from trustlab.identification.result import FitResult
-from trustlab.models.checks import finite_array, positive, whole_number
+from trustlab.models.checks import positive, whole_number
 from trustlab.models.uav import TransferFunction
 
 # Denominators of the grid from which a search starts.
@@ -61,7 +62,10 @@ def fit_transfer_function(
     """
     sample_time = positive("sample_time", sample_time)
     order = whole_number("order", order, 1, 2)
-    runs = _runs(command, velocity, sample_time)
+    runs = [
+        Run(f"run {j}", sample_time * np.arange(u.size), {"command": u, "velocity": v})
+        for j, (u, v) in enumerate(paired_runs(command=command, velocity=velocity))
+    ]
     model = transfer_model(order, sample_time)
     unknowns = 1 + order + order * len(runs)
     samples = sum(run.size for run in runs)
@@ -146,21 +150,3 @@ def _grid(order: int, runs: list[Run], sample_time: float) -> list[np.ndarray]:
     return [
         np.array([2.0 * damping * rate, rate**2]) for rate in rates for damping in (0.1, 0.5, 2.0)
     ]
-
-
-def _runs(command, velocity, sample_time: float) -> list[Run]:
-    """Check both signals and pair them by run."""
-    commands, velocities = (
-        value if isinstance(value, list | tuple) and value and np.ndim(value[0]) else [value]
-        for value in (command, velocity)
-    )
-    if len(commands) != len(velocities):
-        raise ValueError(
-            f"there are {len(commands)} runs of command but {len(velocities)} of velocity"
-        )
-    runs = []
-    for j, (u, v) in enumerate(zip(commands, velocities, strict=True)):
-        u = finite_array(f"command of run {j}", u)
-        v = finite_array(f"velocity of run {j}", v, length=u.size)
-        runs.append(Run(f"run {j}", sample_time * np.arange(u.size), {"command": u, "velocity": v}))
-    return runs

@@ -2,15 +2,15 @@
 Robot (2.3) and operator (2.5)-(2.6) identified: `fit_tsc`, `fit_human`, `fit_robot`.
 
 HUMAN, ROBOT and TSC share one simulation, and the operator's grid starts their searches. ROBOT is
-driven by the measured P_h; `fit_robot` is TSC under the robot's own names, `ROBOT_OF_TSC`.
+driven by the measured P_h; `fit_robot` is TSC, of which it keeps the robot's part.
 """
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from scipy import signal
 
 from trustlab.identification.fit import fit
 from trustlab.identification.log import LogSettings, Run, block_means, joined
@@ -82,35 +82,31 @@ def simulate_robot(run: Run, a, p_min, p_max, p_h_max, p_r0, p_h=None):
     return p_r
 
 
-def simulate_tsc(
-    run: Run,
-    human_a,
-    human_beta,
-    human_p_min,
-    human_p_max,
-    robot_a,
-    robot_p_min,
-    robot_p_max,
-    r0,
-    p_r0,
-):
+def simulate_tsc(run: Run, r0, p_r0, **values):
     """Return P_h of operators and P_r of the robots that they drive, shape (N, L) each."""
-    p_h = simulate_human(run, human_a, human_beta, human_p_min, human_p_max, r0)
-    return p_h, simulate_robot(run, robot_a, robot_p_min, robot_p_max, human_p_max, p_r0, p_h)
+    human, robot = _without("human_", values), _without("robot_", values)
+    p_h = simulate_human(run, **human, r0=r0)
+    return p_h, simulate_robot(run, **robot, p_h_max=human["p_max"], p_r0=p_r0, p_h=p_h)
 
 
 # --- what the estimates make ----------------------------------------------------------------------
 
 
-def build_human(a: float, beta: float, p_min: float, p_max: float, prefix: str = "") -> HumanModel:
-    """Return the operator, or say what about the data contradicts (2.6)."""
+def _check_range(p_min: float, p_max: float, prefix: str, contradiction: str) -> None:
+    """Say what about the data contradicts the model where the range of performance is empty."""
+    low, high = f"{prefix}p_min", f"{prefix}p_max"
     if not p_max > p_min:
         raise IdentificationError(
-            "human performance is not greatest between rest and full load in these data (the fit "
-            f"has {prefix}p_max = {p_max:.4g} below {prefix}p_min = {p_min:.4g}), so (2.6) does "
-            "not describe them",
-            (f"{prefix}p_min", f"{prefix}p_max"),
+            f"{contradiction} in these data: the fit has {high} = {p_max:.4g}, not above {low} = "
+            f"{p_min:.4g}",
+            (low, high),
         )
+
+
+def build_human(a: float, beta: float, p_min: float, p_max: float, prefix: str = "") -> HumanModel:
+    """Return the operator, or say what about the data contradicts (2.6)."""
+    words = "human performance is not greatest between rest and full load, as (2.6) has it,"
+    _check_range(p_min, p_max, prefix, words)
     return HumanModel(a, beta, p_min, p_max)
 
 
@@ -118,13 +114,8 @@ def build_robot(
     a: float, p_min: float, p_max: float, p_h_max: float, prefix: str = ""
 ) -> RobotModel:
     """Return the robot, or say what about the data contradicts (2.3)."""
-    if not p_max > p_min:
-        raise IdentificationError(
-            "robot performance does not rise under manual control in these data (the fit has "
-            f"{prefix}p_max = {p_max:.4g}, not above {prefix}p_min = {p_min:.4g}), so (2.3) does "
-            "not describe them",
-            (f"{prefix}p_min", f"{prefix}p_max"),
-        )
+    words = "robot performance does not rise under manual control, as (2.3) has it,"
+    _check_range(p_min, p_max, prefix, words)
     return RobotModel(a, p_min, p_max, p_h_max)
 
 
@@ -152,25 +143,14 @@ def _with(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
     return {f"{prefix}{name}": value for name, value in values.items()}
 
 
-def check_order(limits: Mapping, prefix: str = "") -> tuple[str, str]:
-    """Refuse limits by which the least performance cannot be below the greatest; name both."""
-    low, high = f"{prefix}p_min", f"{prefix}p_max"
-    least, most = limits[low][0], limits[high][1]
-    if least >= most:
-        raise ValueError(f"{low} is at least {least:g}, not below {high}, at most {most:g}")
-    return low, high
-
-
 def check_excitation(runs: list[Run], limits: Mapping, prefix: str = "") -> None:
     """Refuse data in which nothing separates the least from the greatest robot performance."""
-    low, high = check_order(limits, prefix)
+    ranges = (f"{prefix}p_min", f"{prefix}p_max")
     modes = joined(runs, "mode")
-    fixed = {name for name in (low, high) if limits[name][0] == limits[name][1]}
-    # A mode that never changes leaves one steady state: under manual control either limit fixes the
-    # other, but an autonomous robot says nothing of p_max.
-    if np.ptp(modes) > 0.0 or (fixed and (modes[0] > 0.0 or high in fixed)):
+    if np.ptp(modes) > 0.0 or any(limits[name][0] == limits[name][1] for name in ranges):
         return
-    lost = (high,) if modes[0] == 0.0 else (low, high)
+    # An autonomous robot says nothing of p_max; one that is driven, something of both together.
+    lost = ranges[1:] if modes[0] == 0.0 else ranges
     raise IdentificationError(
         f"these data do not determine {' and '.join(lost)}: mode never changes (it is "
         f"{modes[0]:g} throughout); log at least one switch between manual and autonomous "
@@ -180,9 +160,14 @@ def check_excitation(runs: list[Run], limits: Mapping, prefix: str = "") -> None
 
 
 def _check_tsc(runs: list[Run], limits: Mapping) -> None:
-    """Refuse limits in the wrong order, and data that say nothing of the robot."""
-    check_order(limits, "human_")
+    """Refuse data that say nothing of the robot, and a greatest P_h in another unit."""
     check_excitation(runs, limits, "robot_")
+    fixed, most = limits["human_p_max"][0], joined(runs, "p_h").max()
+    if fixed > 1e3 * abs(most):
+        raise ValueError(
+            f"the greatest human performance, {fixed:g}, is over a thousand times the measured "
+            f"p_h, {most:.4g}; give it in the unit of p_h"
+        )
 
 
 def _check_driven(runs: list[Run], limits: Mapping) -> None:
@@ -194,7 +179,6 @@ def _check_driven(runs: list[Run], limits: Mapping) -> None:
             "refers: give fixed={'p_h_max': …}",
             ("p_h_max",),
         )
-    positive("p_h_max", limits["p_h_max"][0])
 
 
 # --- where the search starts ----------------------------------------------------------------------
@@ -244,23 +228,19 @@ def _robot(
     means: list[Run], limits: Mapping, length: int, p_h_max: float, drives: list
 ) -> dict[str, Any]:
     """Return the robot that suits best under P_h, an array (blocks,) for each run."""
-    rates = _rates(means, limits["a"], length)
-    # P_r is linear in p_min, p_max and P_r(0), (2.3): units of these are simulated.
-    a = np.repeat(rates, 3)
-    p_min, p_max, p_r0 = np.tile(np.eye(3), rates.size)
-    low_high, rest = [], []
-    for run, p_h in zip(means, drives, strict=True):
-        columns = np.repeat(p_h[:, None], a.size, axis=1)
-        p_r = simulate_robot(run, a, p_min, p_max, p_h_max + 0.0 * a, p_r0, columns)
-        low_high.append(p_r.reshape(run.size, rates.size, 3)[:, :, :2])
-        rest.append(run["p_r"][:, None] - run["p_r"][0] * p_r.reshape(run.size, -1, 3)[:, :, 2])
-    design = np.concatenate(low_high).transpose(1, 0, 2)
-    target = np.concatenate(rest).T
-    ranges = [np.linalg.lstsq(x, y)[0] for x, y in zip(design, target, strict=True)]
-    errors = [np.sum((y - x @ r) ** 2) for x, y, r in zip(design, target, ranges, strict=True)]
-    best = int(np.argmin(errors))
-    first = np.array([run["p_r"][0] for run in means])
-    return {"a": rates[best], "p_min": ranges[best][0], "p_max": ranges[best][1], "p_r0": first}
+    robots = []
+    for a in _rates(means, limits["a"], length):
+        parts = []
+        for run, p_h in zip(means, drives, strict=True):
+            # (2.3): P_r(k) = aᵏ P_r(0) + (1 − aᵏ − rise) P_min + rise P_max.
+            kept = a ** np.arange(run.size)
+            rise = signal.lfilter([0.0, 1.0 - a], [1.0, -a], run["mode"] * p_h / p_h_max)
+            parts.append([1.0 - kept - rise, rise, run["p_r"] - kept * run["p_r"][0]])
+        *design, target = np.hstack(parts)
+        ranges = np.linalg.lstsq(np.transpose(design), target)[0]
+        robots.append((np.sum((target - ranges @ design) ** 2), a, *ranges))
+    _, a, p_min, p_max = min(robots)
+    return {"a": a, "p_min": p_min, "p_max": p_max, "p_r0": [run["p_r"][0] for run in means]}
 
 
 def _refined(
@@ -354,7 +334,6 @@ HUMAN = Model(
     build=build_human,
     derived={"b": lambda a, **_: 1.0 - a},
     hints=HINTS,
-    check=lambda _, limits: check_order(limits),
 )
 
 ROBOT = Model(
@@ -567,19 +546,16 @@ def fit_robot(
     >>> round(fit.model.a, 3), fit.success
     (0.996, True)
     """
-    if any(isinstance(values, Mapping) and "p_h_max" in values for values in (fixed, bounds)):
-        raise ValueError(
-            "p_h_max is an argument of its own; give it as fit_robot(..., p_h_max=...)"
-        )
     if p_h_max is not None:
         fixed = {**(fixed or {}), "p_h_max": positive("p_h_max", p_h_max)}
     try:
-        joint = fit(ROBOT_OF_TSC, sessions, fixed, bounds, noise, log=log, **settings)
+        joint = fit(TSC, sessions, _joint(fixed), _joint(bounds), noise, log=log, **settings)
     except IdentificationError as error:
-        if not {*error.parameters} & {"human_a", "human_beta", "human_p_min", "p_h_max"}:
-            raise
-        raise IdentificationError(f"{error}; {DRIVEN}", error.parameters) from error
-    return _robot_of(joint, p_h_max is not None)
+        text = _robots(str(error))
+        if any(name.startswith("human_") for name in error.parameters):
+            text = f"{text}; {DRIVEN}"
+        raise IdentificationError(text, tuple(map(_robots, error.parameters))) from error
+    return _robot_of(joint)
 
 
 # What to do where (2.5)-(2.6) do not describe the operator.
@@ -588,99 +564,49 @@ DRIVEN = (
     "trustlab.fit(trustlab.identification.ROBOT, sessions, fixed={'p_h_max': …})"
 )
 
+OF_JOINT = {name: f"robot_{name}" for name in ROBOT_NAMES} | {"p_h_max": "human_p_max"}
 
-def _robot_of(joint: FitResult, given: bool) -> FitResult:
-    """Keep the robot's part of a joint fit; `given`: the user gave p_h_max."""
-    of_human = joint.parameters.index.str.startswith("human_")
-    parameters, operator = joint.parameters[~of_human], joint.parameters[of_human]
+
+def _joint(values: Any) -> Any:
+    """Return values by the names of the joint fit."""
+    if not isinstance(values, Mapping):
+        return values  # which `fit` refuses, or None
+    return {OF_JOINT.get(name, name): value for name, value in values.items()}
+
+
+def _robots(text: str) -> str:
+    """Return a name of the joint fit, or a text of such names, with the robot's own."""
+    return text.replace("robot_", "").replace("human_p_max", "p_h_max")
+
+
+def _robot_of(joint: FitResult) -> FitResult:
+    """Keep the robot's part of a joint fit."""
+    rows = joint.parameters.rename(index=_robots)
+    of_human = rows.index.str.startswith("human_")
+    operator, parameters = rows[of_human], rows[~of_human]
     rest = parameters.index.difference(ROBOT.names, sort=False)
     parameters = parameters.loc[[*ROBOT.names, *rest]]
-    sentences = [joint.message]
-    if given:
-        parameters.loc["p_h_max", "status"] = "given"
-    elif operator["status"].isin(["weak", "at bound"]).any():
+    sentences = [_robots(joint.message)]
+    fixed = parameters.loc["p_h_max", "status"] == "fixed"
+    if not fixed and operator["status"].isin(["weak", "at bound"]).any():
         # p_max refers to p_h_max, which is as good as the operator's model.
         parameters.loc[["p_max", "p_h_max"], "status"] = "weak"
         sentences.append(
             "Do not rely on p_h_max, nor on p_max, which refers to it: give p_h_max=…."
         )
     # Prediction errors are 0 where a sample is left out.
-    residuals = [
-        np.where(run.prediction_errors["p_h"] == 0.0, 0.0, run.residual("p_h"))
-        for run in joint.runs
-    ]
-    if joint.noise != "white" and whiteness_p(residuals) < NOT_WHITE:
+    errors = [np.where(run.errors["p_h"] == 0.0, 0.0, run.residual("p_h")) for run in joint.runs]
+    if joint.noise != "white" and whiteness_p(errors) < NOT_WHITE:
         sentences.append(f"The residuals of p_h are not white: {DRIVEN}.")
-    free = parameters.index.intersection(joint.covariance.index)
-    runs = [run.only("p_r") for run in joint.runs]
+    covariance = joint.covariance.rename(index=_robots, columns=_robots)
+    free = parameters.index.intersection(covariance.index)
     return replace(
         joint,
+        model=cast(TscModel, joint.model).robot,
         parameters=parameters,
-        covariance=joint.covariance.loc[free, free],
+        covariance=covariance.loc[free, free],
         initial_states=joint.initial_states[["p_r0", "p_r0_stderr"]],
-        runs=runs,
         sigma={"p_r": joint.sigma["p_r"]},
-        cost=0.5 * float(sum(np.sum(run.prediction_errors["p_r"] ** 2) for run in runs)),
+        cost=0.5 * float(sum(np.sum(run.errors["p_r"] ** 2) for run in joint.runs)),
         message=" ".join(sentences),
     )
-
-
-def _check_robot(runs: list[Run], limits: Mapping) -> None:
-    """Refuse data that say nothing of the robot, and a p_h_max that is not of these data."""
-    check_excitation(runs, limits)
-    best, high = limits["p_h_max"]
-    if best != high:
-        return
-    p_h = joined(runs, "p_h")
-    if best < np.median(p_h):
-        raise ValueError(
-            f"p_h_max = {best} lies below the median of the measured p_h, {np.median(p_h):.4g}; it "
-            "is the greatest"
-        )
-    if best > 1e3 * p_h.max():
-        raise ValueError(
-            f"p_h_max = {best} is over a thousand times the measured p_h, {p_h.max():.4g}; give it "
-            "in the unit of p_h"
-        )
-
-
-def _build_robot(a, p_min, p_max, p_h_max, human_p_min, **_) -> RobotModel:
-    """Return the robot of joint estimates, or say what about the data contradicts (2.3)."""
-    if not p_h_max > max(human_p_min, 0.0):
-        raise IdentificationError(
-            f"column p_h: the operator's greatest performance comes out as {p_h_max:.4g} and the "
-            f"least as {human_p_min:.4g}, but the greatest must be positive and above the least; "
-            "use a measure of performance that is",
-            ("p_h_max", "human_p_min"),
-        )
-    return build_robot(a, p_min, p_max, p_h_max)
-
-
-def _renamed(model: Model, names: Mapping[str, str], **changes: Any) -> Model:
-    """Return a model some of whose unknowns have other names."""
-    back = {new: old for old, new in names.items()}
-
-    def new(values: Mapping, names: Mapping[str, str] = names) -> dict:
-        return {names.get(name, name): value for name, value in values.items()}
-
-    old = partial(new, names=back)
-    return replace(
-        model,
-        names=tuple(new(dict.fromkeys(model.names))),
-        size=lambda values: new(model.size(old(values))),
-        simulate=lambda run, **values: model.simulate(run, **old(values)),
-        starts=lambda runs, limits: [new(start) for start in model.starts(runs, old(limits))],
-        coordinates=new(model.coordinates),
-        hints=new(model.hints),
-        **changes,
-    )
-
-
-# Robot and operator under the names of the robot's own parameters.
-ROBOT_OF_TSC = _renamed(
-    TSC,
-    {f"robot_{name}": name for name in ROBOT_NAMES} | {"human_p_max": "p_h_max"},
-    derived=ROBOT.derived,
-    build=_build_robot,
-    check=_check_robot,
-)

@@ -97,21 +97,13 @@ def five_of(origin, rng):
 def population_of(origin, noise, number):
     """Return every person's truth, estimate and interval, pooled and alone."""
     rng = np.random.default_rng([31, number, *map(ord, origin + noise)])
-    sessions = {}
-    truths = {}
-    for name, theta in enumerate(five_of(origin, rng), start=1):
-        known = np.zeros(simulated_logs.R0 + 2)
-        known[:7] = theta
-        known[simulated_logs.R0] = rng.uniform(-4.0, -1.0)
-        run = simulated_logs.run_of(rng, *simulated_logs.model_of(known), "open", 6000)
-        noises = dict.fromkeys(("p_h", "p_r"), simulated_logs.NOISE[noise])
-        window = simulated_logs.WINDOW if noise == "means" else 0.0
-        sessions[str(name)] = simulated_logs.with_noise(rng, run, noises, window)
-        truths[str(name)] = physical(known[None], 0.1).iloc[0]
+    thetas = {str(k): theta for k, theta in enumerate(five_of(origin, rng), start=1)}
+    cases = {who: simulated_logs.person_case(rng, each, noise) for who, each in thetas.items()}
+    sessions = {who: session for who, (session, _) in cases.items()}
     people = tl.fit_population(sessions, seed=number)
     table = people.table().drop("new person")
     rows = table[["mean", "ci_low", "ci_high", "alone_mean"]].reset_index()
-    rows["truth"] = [truths[who][name] for who, name in table.index]
+    rows["truth"] = [cases[who][1][name] for who, name in table.index]
     return rows.assign(origin=origin, noise=noise, number=number)
 
 

@@ -1,12 +1,14 @@
 """Logs of people drawn from the prior, or of the printed ones, with noise of three kinds."""
 
 import numpy as np
-import pandas as pd
+from scipy.signal import lfilter
 
 import trustlab as tl
-from trustlab.identification.posterior.density import DELAY, NOISES, P_R0, R0, Target
+from tests.identification.cases import log
+from trustlab.identification.posterior.density import DELAY, NOISES, P_R0, R0, Target, physical
 from trustlab.identification.posterior.priors import as_prior, transformed
 from trustlab.identification.posterior.sampling import prior_thetas
+from trustlab.sessions.metrics import window_mean
 
 STEP = 0.1
 WINDOW = 100.0
@@ -24,14 +26,11 @@ def switching(rng, size, switches=3):
 
 
 def first_order(rng, size, deviation, seconds):
-    """First-order noise, written as its recursion."""
+    """First-order noise in steady state from the first sample."""
     phi = np.exp(-STEP / seconds)
     shocks = rng.normal(0.0, deviation * np.sqrt(1.0 - phi**2), size)
-    values = np.empty(size)
-    values[0] = rng.normal(0.0, deviation)
-    for k in range(1, size):
-        values[k] = phi * values[k - 1] + shocks[k]
-    return values
+    shocks[0] = rng.normal(0.0, deviation)
+    return lfilter([1.0], [1.0, -phi], shocks)
 
 
 def with_noise(rng, run, noises, window=0.0):
@@ -40,16 +39,25 @@ def with_noise(rng, run, noises, window=0.0):
     for name, (white, slow, seconds) in noises.items():
         values = run[name].to_numpy() + rng.normal(0.0, max(white, 1e-12), len(run))
         values = values + first_order(rng, len(run), slow, seconds)
-        if window:
-            count = round(window / STEP)
-            sums = np.cumsum(values)
-            sums[count:] -= sums[:-count].copy()
-            values = sums / np.minimum(np.arange(1, len(run) + 1), count)
-        columns[name] = values
-    frame = pd.DataFrame({"t": STEP * np.arange(len(run)), "mode": run["mode"], **columns})
-    return tl.Session(
-        frame.set_index("t"), tl.Metadata(synthetic=True, more={"performance_window": window})
+        columns[name] = window_mean(values, STEP, window) if window else values
+    return log(STEP, mode=run["mode"].to_numpy(), **columns).with_metadata(
+        performance_window=window
     )
+
+
+def noisy(rng, run, kind):
+    """A session of a simulated run with noise of one kind."""
+    noises = dict.fromkeys(("p_h", "p_r"), NOISE[kind])
+    return with_noise(rng, run, noises, WINDOW if kind == "means" else 0.0)
+
+
+def person_case(rng, shared, kind, minutes=10.0):
+    """A session in open loop of a person of these seven coordinates, and their parameters."""
+    theta = np.zeros(P_R0 + 1)
+    theta[:7] = shared
+    theta[R0] = rng.uniform(-4.0, -1.0)
+    run = run_of(rng, *model_of(theta), "open", round(600 * minutes))
+    return noisy(rng, run, kind), physical(theta[None], STEP).iloc[0]
 
 
 def model_of(theta):
@@ -107,8 +115,7 @@ def measured_case(rng, size=6000):
             white, slow, seconds = np.exp(theta[list(places)])
             row[:] = rng.normal(0.0, white, size) + first_order(rng, size, slow, seconds)
         modes, p_h, p_r = measured_run(*model_of(theta), design, rule, noise)
-    frame = pd.DataFrame({"mode": modes, "p_h": p_h, "p_r": p_r}, index=STEP * np.arange(size))
-    return tl.Session(frame.rename_axis("t"), tl.Metadata(synthetic=True)), theta
+    return log(STEP, mode=modes, p_h=p_h, p_r=p_r), theta
 
 
 def measured_run(tsc, r, p_r, design, rule, noise):
@@ -140,10 +147,8 @@ def drawn_case(rng, kind, loop="open", minutes=10.0, prior="weak"):
         if loop == "open" or tl.threshold_limits(tsc, 0.0).feasible:
             break
     run = run_of(rng, tsc, r0, p_r0, loop, size)
-    noises = {
-        name: np.exp(theta[list(places)])
-        for name, places in zip(("p_h", "p_r"), NOISES, strict=True)
-    }
+    pairs = zip(("p_h", "p_r"), NOISES, strict=True)
+    noises = {name: np.exp(theta[list(places)]) for name, places in pairs}
     return with_noise(rng, run, noises, WINDOW if kind == "means" else 0.0), theta
 
 
@@ -152,9 +157,7 @@ def printed_case(rng, kind, loop="open", minutes=10.0, who="pilot"):
     tsc = tl.published_models()[who]
     r0 = 0.02 + 0.28 * rng.random()
     run = run_of(rng, tsc, r0, tsc.robot.p_min, loop, int(minutes * 600))
-    session = with_noise(
-        rng, run, dict.fromkeys(("p_h", "p_r"), NOISE[kind]), WINDOW if kind == "means" else 0.0
-    )
+    session = noisy(rng, run, kind)
     theta = np.full(P_R0 + 1, np.nan)
     theta[:7] = transformed([tsc])[0]
     theta[R0] = np.log(r0 / (1.0 - r0))

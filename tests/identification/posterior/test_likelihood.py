@@ -39,6 +39,12 @@ def target_and_runs(rng, minutes=(1.0, 0.7), **settings):
     return target_of(optimum, as_prior("weak"), log), runs, cases[0][1]
 
 
+def own_target(seed, **settings):
+    """A target of one run, and the θ that made it."""
+    target, _, theta = target_and_runs(np.random.default_rng(seed), (1.0,), **settings)
+    return target, theta
+
+
 def dense_covariance(white, slow, seconds, samples, blocks, step=0.1):
     """The covariance of block means of white plus first-order noise, written out."""
     t = step * np.arange(samples * blocks)
@@ -91,8 +97,7 @@ def test_block_means_are_those_of_the_models():
 
 
 def test_the_density_is_likelihood_times_prior():
-    rng = np.random.default_rng(6)
-    target, _, theta = target_and_runs(rng, minutes=(1.0,))
+    target, theta = own_target(6)
     x = from_theta(theta, target)
     np.testing.assert_allclose(to_thetas(x[None], target)[0], theta, atol=1e-12)
     errors = target.blocks.measured - kernel.simulate(theta, target.blocks)
@@ -127,7 +132,7 @@ def test_a_prior_of_correlated_parameters_has_its_density():
 
 
 def test_coordinates_have_unit_jacobian():
-    target, _, theta = target_and_runs(np.random.default_rng(8), minutes=(1.0,))
+    target, theta = own_target(8)
     x = from_theta(theta, target)
     columns = []
     for k in range(x.size):
@@ -139,7 +144,7 @@ def test_coordinates_have_unit_jacobian():
 
 
 def test_a_delay_shifts_what_is_simulated():
-    target, _, theta = target_and_runs(np.random.default_rng(9), minutes=(1.0,), mode_delay=True)
+    target, theta = own_target(9, mode_delay=True)
     assert kernel.DELAY in target.free
     means = kernel.simulate(theta, target.blocks)
     for late in (1.0, 0.25):  # in blocks of a second

@@ -7,7 +7,6 @@ exactly; half-t spreads and their correlations by simulation of the prior.
 
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,7 +16,6 @@ from scipy.special import logit
 import trustlab as tl
 from tests.house.documents import ROOT
 from trustlab.identification.posterior import population as pooling
-from trustlab.identification.posterior.density import physical
 from trustlab.identification.posterior.result import MODEL
 from trustlab.testbeds import GroundRobot
 from trustlab.testbeds.populations import OperatorPopulation
@@ -26,26 +24,18 @@ from . import simulated_logs
 from .make_coverage import GROUPS, ORIGINS, PEOPLE, population_of
 
 
-def group(rng, kind, count=5, minutes=10.0):
-    """Sessions of people spread as the printed five, and their true parameters."""
-    sessions, truths = {}, {}
+def group(rng, kind, count, minutes):
+    """Sessions of people spread as the printed five."""
+    sessions = {}
     for name in map(str, range(count)):
-        theta = np.zeros(simulated_logs.R0 + 2)
-        theta[:7] = PEOPLE.mean(axis=0) + PEOPLE.std(axis=0, ddof=1) * rng.standard_normal(7)
-        theta[simulated_logs.R0] = rng.uniform(-4.0, -1.0)
-        tsc, r0, p_r0 = simulated_logs.model_of(theta)
-        run = simulated_logs.run_of(rng, tsc, r0, p_r0, "open", round(600 * minutes))
-        noise = dict.fromkeys(("p_h", "p_r"), simulated_logs.NOISE[kind])
-        window = simulated_logs.WINDOW if kind == "means" else 0.0
-        sessions[name] = simulated_logs.with_noise(rng, run, noise, window)
-        truths[name] = physical(theta[None], 0.1).iloc[0]
-    return sessions, truths
+        shared = PEOPLE.mean(axis=0) + PEOPLE.std(axis=0, ddof=1) * rng.standard_normal(7)
+        sessions[name] = simulated_logs.person_case(rng, shared, kind, minutes)[0]
+    return sessions
 
 
 @pytest.fixture(scope="module")
 def people():
-    sessions, _ = group(np.random.default_rng(5), "slow", count=3, minutes=4.0)
-    return tl.fit_population(sessions, n=500)
+    return tl.fit_population(group(np.random.default_rng(5), "slow", 3, 4.0), n=500)
 
 
 # --- the Gibbs sampler ----------------------------------------------------------------------------
@@ -122,23 +112,18 @@ def test_everyone_is_held_by_the_others(people):
     assert people.message.startswith(
         "3 people; of a new one they predict operator's time constant [s]"
     )
-    axes = people.plot()
-    assert axes.shape == (7,)
-    assert "synthetic" in axes[0].figure.get_suptitle()
-    plt.close("all")
     assert "Population of 3" in people._repr_html_()
     with pytest.raises(ValueError, match="name"):
         people.posterior("4")
 
 
 def test_what_is_predicted_is_the_next_ones_prior(people):
-    rng = np.random.default_rng(6)
-    sessions, _ = group(rng, "slow", count=1, minutes=3.0)
+    log = group(np.random.default_rng(6), "slow", 1, 3.0)["0"]
     table = people.prior.table()
     new = people.new_person["human_beta"]
     assert table.loc["beta", "median"] == pytest.approx(new.median(), abs=0.08)
-    wide = tl.sample_posterior(sessions["0"]).table()
-    narrow = tl.sample_posterior(sessions["0"], prior=people.prior).table()
+    wide = tl.sample_posterior(log).table()
+    narrow = tl.sample_posterior(log, prior=people.prior).table()
     assert narrow.loc["robot_p_min", "sd"] < wide.loc["robot_p_min", "sd"]
 
 
@@ -178,26 +163,21 @@ def test_groups_of_five(origin, noise):
 def relative_errors(rows):
     """Errors of pooled estimates over those of each person alone, by noise and parameter."""
     ratios = []
-    for (_, name), part in rows.groupby(["noise", "parameter"]):
-        if name in COORDINATES:
-            values = (COORDINATES[name](part[c]) for c in ("truth", "mean", "alone_mean"))
-            truth, pooled, alone = values
-            ratios.append(np.sqrt(((pooled - truth) ** 2).mean() / ((alone - truth) ** 2).mean()))
+    for (_, name), part in rows[rows["parameter"].isin(COORDINATES)].groupby(
+        ["noise", "parameter"]
+    ):
+        of_name = part[["mean", "alone_mean"]].apply(COORDINATES[name])
+        errors = of_name.sub(COORDINATES[name](part["truth"]), axis="index")
+        pooled, alone = (errors**2).mean() ** 0.5
+        ratios.append(pooled / alone)
     return ratios
 
 
 def test_what_the_page_says_of_errors_is_true():
-    page = (ROOT / "docs" / "how_to" / "identify.md").read_text()
-    printed = relative_errors(STORED[STORED["origin"] == "Table 2.1"])
-    others = [
-        ratio
-        for origin in ORIGINS
-        if origin != "Table 2.1"
-        for ratio in relative_errors(STORED[STORED["origin"] == origin])
-    ]
-    assert len(printed) == 6
-    assert len(others) == 12
-    words = " ".join(page.split())
+    words = " ".join((ROOT / "docs" / "how_to" / "identify.md").read_text().split())
+    printed, *others = (relative_errors(STORED[STORED["origin"] == origin]) for origin in ORIGINS)
+    others = np.concatenate(others)
+    assert (len(printed), len(others)) == (6, 12)
     assert f"β were {min(others):.2f} to {max(others):.2f} times those of each person" in words
     assert f"but {min(printed):.2f} to {max(printed):.2f} times for the printed five" in words
 

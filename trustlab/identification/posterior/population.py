@@ -149,22 +149,14 @@ class Population(Result):
         Of every person, each under what the others show.
     alone : dict of Posterior
         Of every person, under the prior alone.
-    pool : Pool
-        Draws of the population's mean and covariance, of θ less the prior's mean and in its
-        deviations; of the first seven parameters.
-    thetas : numpy.ndarray
-        New people, the first seven parameters in unbounded coordinates; each is of another draw of
-        mean and covariance.
     new_person : pandas.DataFrame
-        The same in the parameters' own units.
+        New people, each of another draw of the population's mean and covariance.
     prior : Prior
         What is expected of a new person: the prior for the next one's sessions.
     """
 
     posteriors: dict[str, Posterior]
     alone: dict[str, Posterior]
-    pool: Pool
-    thetas: np.ndarray
     new_person: pd.DataFrame
     prior: Prior
 
@@ -188,11 +180,6 @@ class Population(Result):
             If there is no such person.
         """
         return self.posteriors[one_of("name", name, self.posteriors)]
-
-    @property
-    def reliable(self) -> bool:
-        """Whether every person's draws may be trusted and the noise model fits the residuals."""
-        return all(each.reliable for each in self.posteriors.values())
 
     @property
     def synthetic(self) -> bool:
@@ -244,40 +231,6 @@ class Population(Result):
             sentences += [f"{name}: {doubt}" for doubt in posterior.doubts()]
         return " ".join(sentences)
 
-    def plot(self):
-        """
-        Plot how far each person is drawn to the others, by parameter.
-
-        Returns
-        -------
-        numpy.ndarray of matplotlib.axes.Axes
-            Seven panels: intervals of each person alone and pooled, and of a new person.
-        """
-        import matplotlib.pyplot as plt
-
-        table = self.table()
-        alone = {name: summary(each.draws, 0.95) for name, each in self.alone.items()}
-        names = [*alone, NEW]
-        places = np.arange(len(names))
-        figure, axes = plt.subplots(2, 4, figsize=(8.2, 4.8), sharey=True, layout="constrained")
-        panels = axes.ravel()
-        for panel, parameter in zip(panels, MODEL, strict=False):
-            pooled = table.xs(parameter, level="parameter")
-            own = pd.DataFrame({name: each.loc[parameter] for name, each in alone.items()}).T
-            for rows, up, style in (
-                (pooled, 0.0, {"fmt": "o", "color": "C0", "lw": 2, "label": "pooled"}),
-                (own, 0.25, {"fmt": ".", "color": "0.6", "label": "alone"}),
-            ):
-                ends = [rows["mean"] - rows["ci_low"], rows["ci_high"] - rows["mean"]]
-                panel.errorbar(rows["mean"], places[: len(rows)] + up, xerr=ends, **style)
-            panel.set_xlabel(WORDS[parameter])
-            panel.set_yticks(places, names)
-        panels[7].axis("off")
-        panels[7].legend(*panels[0].get_legend_handles_labels(), loc="center")
-        if self.synthetic:
-            figure.suptitle("Population, synthetic data", fontsize="small")
-        return panels[:7]
-
 
 def fit_population(
     people: Mapping[str, Session | Iterable[Session]],
@@ -316,7 +269,7 @@ def fit_population(
     Returns
     -------
     Population
-        With `.posterior(name)`, `.table()`, `.plot()`, `.message`, and `.prior`, what is expected
+        With `.posterior(name)`, `.table()`, `.message`, and `.prior`, what is expected
         of a new person.
 
     Raises
@@ -370,8 +323,6 @@ def fit_population(
     return Population(
         posteriors={name: _reweighted(each, shares, n, rng) for (name, each), shares in pairs},
         alone=alone,
-        pool=pooled,
-        thetas=thetas,
         new_person=physical(np.pad(thetas, ((0, 0), (0, R0 - SHARED))), 0.1)[list(MODEL)],
         prior=_prediction(thetas, prior, 1.0),
     )

@@ -192,17 +192,6 @@ class Posterior(Result):
             )
         return doubts
 
-    def simulated(self, most: int = 200) -> np.ndarray:
-        """
-        Return block means of P_h and P_r that draws simulate, shape (draws, 2, blocks).
-
-        Parameters
-        ----------
-        most : int
-            Draws to simulate.
-        """
-        return np.array([simulate(theta, self.target.blocks) for theta in self.thetas[:most]])
-
     def plot(self):
         """
         Plot marginals beside the prior, and measured performance with the band of fitted curves.
@@ -231,9 +220,10 @@ class Posterior(Result):
         blocks = self.target.blocks
         size = blocks.first_block[1]
         t = (np.arange(size) + 0.5) * blocks.step * blocks.samples
-        curves = np.quantile(self.simulated()[:, :, :size], [0.025, 0.5, 0.975], axis=0)
+        curves = np.array([simulate(theta, blocks)[:, :size] for theta in self.thetas[:200]])
+        bands = np.quantile(curves, [0.025, 0.5, 0.975], axis=0)
         for j, label in enumerate(("$P_h$", "$P_r$")):
-            panel, (low, middle, high) = panels[7 + j], curves[:, j]
+            panel, (low, middle, high) = panels[7 + j], bands[:, j]
             panel.plot(
                 t, blocks.measured[j, :size], lw=0.5, color="0.6", label="measured, 1-s means"
             )
