@@ -108,15 +108,6 @@ CALLS = {
     "HumanModel.simulate": lambda: {"mode": np.array([1.0, 0.0, 1.0])},
     "Panel.event": lambda: {"k": 0},
     "Panel.of": lambda: {"rows": [0, 1]},
-    "Panel.with_ratings": lambda: {"ratings": cases.panel().ratings},
-    "PublishedStudy.from_dict": lambda: {
-        "values": {
-            "name": "mine",
-            "n": 12,
-            "mean": {"A": "2.31", "B": "3.05"},
-            "sd": {"A": "0.84", "B": "0.79"},
-        }
-    },
     "PublishedStudy.pair": lambda: {"name": "A-B"},
     "RepeatedMeasures.pairs": dict,
     "RobotModel.simulate": lambda: {
@@ -162,7 +153,6 @@ NOT_WALKED = {
     "Model.outputs_of": "a part of fit",
     "Model.useful": "a part of fit",
     "Prior.vectors": "a part of sample_posterior",
-    "PublishedStudy.from_toml": "needs a file",
     "Teleoperator.numbers": "a part of the loop",
     "ThresholdCorrector.followed": "a part of step",
     "ThresholdCorrector.plan": "a part of step",
