@@ -4,7 +4,6 @@ its example takes too long, and for methods. A table of names and arguments, not
 """
 
 import numpy as np
-import pandas as pd
 
 import trustlab as tl
 from tests import cases

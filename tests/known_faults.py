@@ -128,8 +128,7 @@ KNOWN = {
     "compare_trust_models": {
         "models": "foreign errors",
     },
-    "TrustComparison.paired": {
-    },
+    "TrustComparison.paired": {},
     "cronbach_alpha": {
         "items": "NaN is taken",
     },

@@ -343,7 +343,8 @@ class OrdinalModel(Tested):
             Columns a, b, estimate (a − b in logits), se, z, p, ci_low, ci_high, p_holm, odds_ratio,
             superiority (probability that the median person rates a above b, ties half).
         """
-        index, x, beta = self.cells.index.to_frame(), self.cells.to_numpy(), self.fit.beta
+        index, x = self.cells.index.to_frame(), self.cells.to_numpy()
+        beta = self.fit.beta
         names = np.array([" × ".join(map(str, row)) for row in index.itertuples(index=False)])
         a, b = np.triu_indices(len(names), 1)
         contrast = x[a] - x[b]

@@ -293,7 +293,8 @@ def bayes_factor(
     """
     scale = positive("scale", scale)
     analysis = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
-    n, df1, df2 = analysis.n, analysis.df1, analysis.df2
+    n = analysis.n
+    df1, df2 = analysis.df1, analysis.df2
     if method is None:
         method = "jzs" if analysis.k == 2 else "bic"
     if one_of("method", method, ("jzs", "bic")) == "bic":

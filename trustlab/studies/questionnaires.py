@@ -91,6 +91,7 @@ class Questionnaire(Result):
 
     def __post_init__(self):
         of_class("name", self.name, str)
+        of_class("source", self.source, str)
         of_class("subscales", self.subscales, dict)
         items = labels_of("items", self.items, 1)
         for name, part in self._parts.items():

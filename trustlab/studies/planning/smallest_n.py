@@ -207,14 +207,16 @@ def _test(
     """
     if pair is None:
         test = one_of("test", USUAL_TEST if test is None else test, TESTS)
-        key, name, epsilon = f"condition/{test}", f"F, {test}", population.epsilon
+        key, name = f"condition/{test}", f"F, {test}"
+        epsilon = population.epsilon
         d, eta2 = len(population.labels) - 1, population.eta2_partial
         strength = d * eta2 / (1.0 - eta2)
     else:
         mask = claims_mask([pair], population)
         test = one_of("test of a pair", "holm" if test is None else test, ADJUSTMENTS)
         key, name = f"pair {int(np.argmax(mask))} {test}", f"{pair[0]} – {pair[1]}, {test}"
-        d, epsilon, strength = 1, 1.0, float(population.d_z[mask][0]) ** 2
+        d, epsilon = 1, 1.0
+        strength = float(population.d_z[mask][0]) ** 2
         # Holm's first step is Bonferroni's; its later steps have no closed form.
         alpha = alpha if test == "none" else alpha / len(population.d_z)
 

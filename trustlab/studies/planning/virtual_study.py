@@ -364,8 +364,12 @@ def _fitting(
         raise ValueError(f"conditions: the name of a rule must be text without /, got {[*rules]}")
     if testbed is None:
         kinds: Mapping[str, Any] = TESTBEDS
-        printed = set(names) - set(rules)
-        fitting = [name for name, kind in kinds.items() if printed <= set(kind.conditions)]
+        printed = [name for name in names if name not in [*rules]]
+        fitting = [
+            title
+            for title, kind in kinds.items()
+            if all(name in kind.conditions for name in printed)
+        ]
         testbed = fitting[0] if fitting else "ground_robot"
     bed = named_testbed(testbed, laps)
     if rules:
