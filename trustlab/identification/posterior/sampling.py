@@ -280,9 +280,10 @@ def adapted(sample: Sample) -> Component:
     while 1.0 / np.sum(weights**2) < LEVEL:  # few points carry all weight: level them
         weights = weights**0.6
         weights /= weights.sum()
-    covariance = np.cov(sample.points.T, aweights=weights)
-    size = len(covariance)
-    return Component(1.0, weights @ sample.points, 1.1 * (covariance + 1e-6 * np.eye(size)))
+    kept = weights > 1e-4 * weights.max()
+    points, weights = sample.points[kept], weights[kept] / weights[kept].sum()
+    covariance = np.cov(points.T, aweights=weights) + 1e-6 * np.eye(points.shape[1])
+    return Component(1.0, weights @ points, 1.1 * covariance)
 
 
 def resampled(sample: Sample, count: int, rng: np.random.Generator) -> np.ndarray:
