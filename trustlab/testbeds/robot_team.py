@@ -226,7 +226,8 @@ class TeamLoop(Loop):
 
     def _begin(self, operator: TeamOperator, per_decision: int, begins, faults) -> Simulation:
         """Return the simulation at its start."""
-        settings, trial, count = self._settings, self._trial, self.count
+        settings, trial = self._settings, self._trial
+        count = self.count
         channel, T = settings.channel, trial.sample_time
         robots = self._constants()
         root, rate = robots["root"][:, None], robots["max_delay_rate"].max()
@@ -287,11 +288,8 @@ class TeamLoop(Loop):
 
     def _constants(self) -> np.ndarray:
         """Return what is constant of every robot, records of ROBOT."""
-        T, hr, rh = (
-            self._trial.sample_time,
-            self._settings.human_to_robot,
-            self._settings.robot_to_human,
-        )
+        T, settings = self._trial.sample_time, self._settings
+        hr, rh = settings.human_to_robot, settings.robot_to_human
         trust = rh.decay(T), rh.b / rh.a, rh.t_min, rh.t_max, hr.t_min, hr.t_max - hr.t_min
         robots = [
             (
@@ -299,7 +297,7 @@ class TeamLoop(Loop):
                 *(end.b, end.beta_min, end.beta_max, end.max_delay_rate),
                 *trust,
             )
-            for kind, end in self._settings.per_robot(len(self.robots))
+            for kind, end in settings.per_robot(len(self.robots))
         ]
         return np.array(robots, kernel.ROBOT)
 

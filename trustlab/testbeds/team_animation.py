@@ -40,7 +40,8 @@ def pictures(run, samples: np.ndarray) -> Iterator[Image.Image]:
         limits = {"xlim": (x - half, x + half), "ylim": (y - half, y + half)}
         axis.set(xlabel="x [m]", ylabel=f"{'xyz'[seen[1]]} [m]", aspect="equal", **limits)
         axis.plot(*run.goal[seen], "C2o", ms=14, mfc="none")
-        links, robots, leader = ([], [], "C7-"), ([], [], "C0o"), ([], [], "C3o")
+        links, robots = ([], [], "C7-"), ([], [], "C0o")
+        leader = ([], [], "C3o")
         views.append((seen, axis.plot(*links, *robots, *leader, animated=True)))
     canvas.draw()
     background = canvas.copy_from_bbox(figure.bbox)

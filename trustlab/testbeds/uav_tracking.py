@@ -351,8 +351,10 @@ class TeleoperationLoop(Loop):
 
     def _constants(self, hooks: Mapping[str, Callable]) -> np.ndarray:
         """Return the constants, a record of NUMBERS."""
-        task, settings, guidance, person = self.task, self.settings, self.guidance, self.operator
-        ends, shares, T = settings.scattering, self.scheme.shares, settings.sample_time
+        task, settings = self.task, self.settings
+        guidance, person = self.guidance, self.operator
+        ends, shares = settings.scattering, self.scheme.shares
+        T = settings.sample_time
         hand = person.numbers(T, task.camera_delay)
         if shares == "by hand":
             hand["compensation"] *= 1.0 - person.allocation_cost

@@ -231,7 +231,8 @@ def distance(now):
 @step
 def push(c, s, external):
     """Set the hand's force, and the output that the device would have without feedback."""
-    hand, device, now = c.hand, c.device, s.now
+    hand, device = c.hand, c.device
+    now = s.now
     if hand.fatigue > 0.0:  # weakened by what the hand has pushed so far [N s]
         s.effort += c.sample_time * np.sqrt(dot(now.f_h, now.f_h))
     for i in range(3):
@@ -291,7 +292,8 @@ def guide_through_channel(c, s):
     """
     The guiding force at the robot's port, under the controller of Theorem 4: Chapter 3 as printed.
     """
-    now, far, square = s.now, c.far, 0.0
+    now, far = s.now, c.far
+    square = 0.0
     compliance = 1.0 / far.b
     for i in range(3):
         s.pull[i] = now.f_s[i] = s.guiding[i]

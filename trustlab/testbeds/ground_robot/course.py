@@ -126,13 +126,6 @@ class Course:
     resolution : float
         Length of the straight pieces that bends are made of [m].
 
-    Attributes
-    ----------
-    path : numpy.ndarray, shape (N, 3)
-        The path as a closed polyline: x, y and arc length s [m]; the last row is the first point.
-    posts : numpy.ndarray, shape (posts, 2)
-        Positions of the guide posts [m], left and right in turn.
-
     Raises
     ------
     ValueError
@@ -152,8 +145,8 @@ class Course:
     post_spacing: float = 2.5
     half_width: float = 1.25
     resolution: float = 0.1
-    path: np.ndarray = field(init=False, repr=False, compare=False)
-    posts: np.ndarray = field(init=False, repr=False, compare=False)
+    _path: np.ndarray = field(init=False, repr=False, compare=False)
+    _posts: np.ndarray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
         corners = finite_numbers("corners", self.corners)
@@ -171,8 +164,8 @@ class Course:
                 "which 1e-5 and 1e-4 are the least"
             )
         object.__setattr__(self, "corners", tuple(map(tuple, corners.tolist())))
-        object.__setattr__(self, "path", self._rounded(corners))
-        object.__setattr__(self, "posts", self._post_rows())
+        object.__setattr__(self, "_path", self._rounded(corners))
+        object.__setattr__(self, "_posts", self._post_rows())
 
     def _rounded(self, corners: np.ndarray) -> np.ndarray:
         """Return the path with its arc length, closed; points of the plane are complex numbers."""
@@ -210,7 +203,7 @@ class Course:
         count = max(2, round(self.length / self.post_spacing))
         rows = []
         for i in range(count):
-            x, y, tx, ty = path_point((i + 0.5) * self.length / count, self.path)
+            x, y, tx, ty = path_point((i + 0.5) * self.length / count, self._path)
             rows += [
                 (x - side * self.half_width * ty, y + side * self.half_width * tx)
                 for side in (1.0, -1.0)
@@ -220,12 +213,25 @@ class Course:
     @property
     def numbers(self) -> CourseNumbers:
         """The course for compiled loops."""
-        return CourseNumbers(self.path, self.posts)
+        return CourseNumbers(self._path, self._posts)
+
+    @property
+    def path(self) -> np.ndarray:
+        """
+        The path as a closed polyline, shape (N, 3): x, y and arc length s [m]; the last row is the
+        first point.
+        """
+        return self._path.copy()
+
+    @property
+    def posts(self) -> np.ndarray:
+        """Positions of the guide posts [m], shape (posts, 2), left and right in turn."""
+        return self._posts.copy()
 
     @property
     def length(self) -> float:
         """Length of a lap [m]."""
-        return float(self.path[-1, 2])
+        return float(self._path[-1, 2])
 
 
 @cache
