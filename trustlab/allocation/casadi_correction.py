@@ -78,7 +78,8 @@ class CorrectionProgram:
         robot = tsc.robot
         self.zero = np.array([0.0, robot.p_min, target[1], target[0]])
         self.units = np.array([1.0, robot.p_max - robot.p_min, c_b, c_b])
-        x, u, k = ca.MX.sym("x", 4), ca.MX.sym("u", 2), ca.MX.sym("k")
+        x, u = ca.MX.sym("x", 4), ca.MX.sym("u", 2)
+        k = ca.MX.sym("k")
         try:
             added = 0.0 if extra_cost is None else extra_cost(x, u, k)
             bounds = incentive(x[0], x[1], c_b, robot.p_min, robot.p_max)
