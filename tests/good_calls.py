@@ -146,14 +146,6 @@ CALLS = {
     "Panel.event": lambda: {"k": 0},
     "Panel.of": lambda: {"rows": [0, 1]},
     "Panel.with_ratings": lambda: {"ratings": cases.panel().ratings},
-    "PublishedStudy.from_dict": lambda: {
-        "values": {
-            "name": "mine",
-            "n": 12,
-            "mean": {"A": "2.31", "B": "3.05"},
-            "sd": {"A": "0.84", "B": "0.79"},
-        }
-    },
     "PublishedStudy.pair": lambda: {"name": "A-B"},
     "RepeatedMeasures.pairs": dict,
     "RobotModel.simulate": lambda: {
@@ -205,7 +197,6 @@ NOT_WALKED = {
     "OnlineCorrection.plot": "needs samples",
     "OptimalBlending.matrix": "a part of step",
     "Prior.vectors": "a part of sample_posterior",
-    "PublishedStudy.from_toml": "needs a file",
     "Teleoperator.numbers": "a part of the loop",
     "ThresholdCorrector.followed": "a part of step",
     "ThresholdCorrector.plan": "a part of step",

@@ -91,10 +91,6 @@ KNOWN = {
         "title": "anything is taken",
         "where": "anything is taken",
     },
-    "PublishedStudy.from_dict": {
-        "values": "no argument named",
-        "name": "anything is taken, no difference",
-    },
     "PublishedStudy.pair": {
         "name": "foreign errors",
     },
@@ -158,7 +154,6 @@ KNOWN = {
         "sessions": "foreign errors",
     },
     "feasibility": {
-        "without": "foreign errors",
         "explain": "foreign errors, anything is taken, no difference",
     },
     "fit": {
@@ -217,10 +212,6 @@ KNOWN = {
     },
     "reconstruct": {
         "p_adjust": "no difference",
-        "without": "foreign errors",
-    },
-    "reconstruct_study": {
-        "without": "foreign errors",
     },
     "RepeatedMeasures.aligned_ranks": {
         "error": "NaN is taken",

@@ -1,5 +1,6 @@
 """Statistics of a within-subject study by textbook definitions, and as a paper prints them."""
 
+from decimal import Decimal
 from itertools import combinations
 
 import numpy as np
@@ -67,3 +68,44 @@ def printed_anova(found, shape, df=1.0, p=1.0, places=0):
         "df2": f"{df2:.{places}f}",
         "p": text_of_p(stats.f.sf(found["F"], *degrees(shape, p))),
     }
+
+
+def rounded(text):
+    """The least and greatest number that prints so; p below a bound from 0 on."""
+    if text.strip()[0] in "<>":
+        bound = float(text.strip()[1:])
+        return (0.0, bound) if "<" in text else (bound, np.inf)
+    half = float(Decimal(1).scaleb(Decimal(text).as_tuple().exponent)) / 2
+    return float(text) - half, float(text) + half
+
+
+def misses(study, values, df=1.0, p=1.0):
+    """
+    Names of what a study prints and data (n, k) do not have; degrees of freedom and those of p are
+    multiplied by `df` and `p`, p-values of pairs by their number. Pairs not listed are no
+    difference.
+    """
+    found = analysed(values)
+    has = {f"mean.{c}": x for c, x in zip(study.conditions, found["mean"], strict=True)}
+    has |= {f"sd.{c}": x for c, x in zip(study.conditions, found["sd"], strict=True)}
+    has |= {f"anova.{name}": found[name] for name in ("F", "eta2")}
+    has["anova.df1"], has["anova.df2"] = degrees(values.shape, df)
+    has["anova.p"] = stats.f.sf(found["F"], *degrees(values.shape, p))
+    has |= {"epsilon": found["epsilon"], "mauchly.df": study.k * (study.k - 1) / 2 - 1}
+    has |= {"mauchly.chi2": found.get("chi2"), "mauchly.p": found.get("mauchly_p")}
+    has |= {"t_test.t": abs(found["pairs"][0].statistic), "t_test.p": found["pairs"][0].pvalue}
+    printed = {name: rounded(text) for name, text in study.table()["printed"].items()}
+    if study.t_test:
+        printed["t_test.t"] = rounded(study.t_test["t"].lstrip("-"))
+    if study.not_spherical:
+        has["violated"], printed["violated"] = found["mauchly_p"], (0.0, 0.05)
+    significant = {frozenset(name.split("-")) for name in study.significant_without_p}
+    listed = {frozenset(name.split("-")) for name in study.pairs}
+    for named, test in zip(combinations(study.conditions, 2), found["pairs"], strict=True):
+        name, pair = f"pairs.{'-'.join(named)}", frozenset(named)
+        has[name] = has[f"pairs.{'-'.join(named[::-1])}"] = min(
+            len(found["pairs"]) * test.pvalue, 1.0
+        )
+        if listed | significant and pair not in listed:
+            printed[name] = (0.0, 0.05) if pair in significant else (0.05, 1.0)
+    return {name for name, (low, high) in printed.items() if not low <= has[name] <= high}

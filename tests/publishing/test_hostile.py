@@ -291,6 +291,7 @@ def built():
     ]
     steps = pd.DataFrame(0.5, range(3), names).assign(test=1, t=range(3), status="planned")
     data = reconstruct_study(tl.published_studies()["teleop.tracking_error"])
+    left_out = dict.fromkeys(data.table().index, NAME)
     ones = np.eye(2)
     return [
         factorial,
@@ -323,7 +324,7 @@ def built():
         ordinal(),
         tl.steady_state_bounds(MODEL, choice.lower, choice.upper),
         CorrectionRun(steps, (0.1, 0.2), (0.2, 0.3), NAME, NAME),
-        dataclasses.replace(data, left_out=dict.fromkeys(data.table().index, NAME)),
+        dataclasses.replace(data, answer=dataclasses.replace(data.answer, left_out=left_out)),
         flight,
         *late(),
     ]

@@ -28,16 +28,6 @@ def test_the_eleven_studies_are_there_as_printed():
     assert not studies["teleop.tlx"].corrected
 
 
-def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
-    study = tl.PublishedStudy.from_dict(GOOD, "mine")
-    assert study.conditions == ("A", "B", "C")
-    assert list(study.table().columns) == ["printed", "low", "high"]
-    path = tmp_path / "studies.toml"
-    cells = 'mean = {A = "1.0", B = "2.0"}\nsd = {A = "0.5", B = "0.6"}\n'
-    path.write_text(f"[lab.one]\nn = 12\n{cells}")
-    assert tl.PublishedStudy.from_toml(path)["lab.one"].n == 12
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -45,8 +35,13 @@ def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
         ({"mean": {"A": None, "B": "4", "C": "3"}}, r"mean\.A"),
         ({"significant_without_p": "A-B"}, r"significant_without_p must be a list"),
         ({"listed_only": "no"}, r"listed_only"),
+        ({"anova": {"f": "1"}}, "did you mean 'F'|must be one of 'F'"),
+        ({"sd": {"A": "1", "D": "1"}}, "a condition of mean and sd must be one of 'A', 'B', 'C'"),
+        ({"pairs": {"A-C": ".002", "C-A": ".002"}}, "mine: pairs: a pair was given twice"),
+        ({"pairs": {"A-D": ".002"}}, "'A-D' does not name two of the conditions A, B, C"),
+        ({"scale": (7, 1)}, "scale must be the lowest and the highest"),
     ],
 )
 def test_what_is_no_number_is_refused_by_field(changes, message):
     with pytest.raises(PublishedStudyError, match=message):
-        tl.PublishedStudy.from_dict(GOOD | changes, "mine")
+        tl.PublishedStudy("mine", **GOOD | {"conditions": ("A", "B", "C")} | changes)

@@ -2,18 +2,16 @@
 A within-subject study as printed: every number a string, so that "0.50" keeps its two decimals.
 """
 
-import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from itertools import permutations
-from pathlib import Path
-from types import MappingProxyType
 
 import pandas as pd
 
-from trustlab.models.checks import of_class, shown, whole_number
+from trustlab.models.checks import flag, one_of, set_checked, shown, whole_number
+from trustlab.models.published import ByName
 from trustlab.reproduction.printed_number import printed_decimal, printed_interval
-from trustlab.reproduction.published import ByName, published_folder
+from trustlab.reproduction.published import published_facts
 
 # What a study may print of each test.
 STATISTICS = {
@@ -30,7 +28,7 @@ class PublishedStudyError(ValueError):
     """A printed study with a field that is missing or no number; the message names it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PublishedStudy:
     """
     The printed results of one measure in one within-subject study.
@@ -101,44 +99,37 @@ class PublishedStudy:
     title: str = ""
     where: str = ""
 
-    how_to_get = (
-        "PublishedStudy.from_dict builds one, published_studies() has those of the dissertation"
-    )
+    how_to_get = "published_studies() has those of the dissertation"
 
     def __post_init__(self) -> None:
         try:
-            self._freeze()
-            for check in (_check_design, _check_scale, _check_numbers, _check_pairs):
-                check(self)
-        except PublishedStudyError:
-            raise
+            self._check()
         except ValueError as error:
             raise PublishedStudyError(f"{self.name}: {error}") from None
 
-    def _freeze(self) -> None:
-        """Replace mappings by read-only copies and lists by tuples."""
-        for key in PRINTED:
-            value = getattr(self, key)
-            if not isinstance(value, Mapping):
-                raise ValueError(
-                    f"{key} must be a table of names and printed numbers, got {shown(value)}"
-                )
-            object.__setattr__(self, key, MappingProxyType(dict(value)))
-        for key in ("conditions", "significant_without_p"):
-            value = getattr(self, key)
-            if isinstance(value, str) or not all(isinstance(item, str) for item in value):
-                raise ValueError(f"{key} must be a list of names, got {shown(value)}")
-            object.__setattr__(self, key, tuple(value))
+    def _check(self) -> None:
+        """Check every field; whether a number can be is not checked."""
+        if not isinstance(self.name, str):
+            raise ValueError(f"name must be a text, got {shown(self.name)}")
+        set_checked(self, lambda name, value: whole_number(name, value, least=3), "n")
+        set_checked(self, flag, "listed_only", "not_spherical")
+        set_checked(self, _printed, *PRINTED)
         if not self.conditions:
-            object.__setattr__(self, "conditions", tuple(dict.fromkeys([*self.mean, *self.sd])))
-
-    def __hash__(self) -> int:
-        return hash((self.name, self.n, self.conditions, *self.mean.items(), *self.anova.items()))
-
-    def __reduce__(self) -> tuple:
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        plain = {key: dict(values[key]) for key in PRINTED}
-        return type(self).from_dict, (values | plain,)
+            object.__setattr__(self, "conditions", dict.fromkeys([*self.mean, *self.sd]))
+        set_checked(self, _names, "conditions", "significant_without_p")
+        if len(set(self.conditions)) != self.k or self.k < 2 or not self.mean:
+            raise ValueError(
+                "two or more different conditions and a mean are needed, got "
+                f"{', '.join(self.conditions) or 'none'}"
+            )
+        for condition in (*self.mean, *self.sd):
+            one_of("a condition of mean and sd", condition, self.conditions)
+        if self.epsilon:
+            printed_decimal(self.epsilon, "epsilon")
+        set_checked(self, _scale, "scale")
+        named = [self.pair(name) for name in (*self.pairs, *self.significant_without_p)]
+        if len(set(named)) < len(named):
+            raise ValueError("pairs: a pair was given twice")
 
     @property
     def k(self) -> int:
@@ -173,8 +164,8 @@ class PublishedStudy:
             if name == f"{a}-{b}":
                 return min(i, j), max(i, j)
         raise PublishedStudyError(
-            f"{self.name}: pairs: {name!r} does not name two of the conditions "
-            f"{', '.join(self.conditions)}, as in {self.conditions[0]}-{self.conditions[1]!s}"
+            f"pairs: {name!r} does not name two of the conditions {', '.join(self.conditions)}, as "
+            f"in {self.conditions[0]}-{self.conditions[1]}"
         )
 
     def table(self) -> pd.DataFrame:
@@ -191,120 +182,35 @@ class PublishedStudy:
         columns = ["statistic", "printed", "low", "high"]
         return pd.DataFrame(rows, columns=columns).set_index("statistic")
 
-    @classmethod
-    def from_dict(cls, values: Mapping, name: str = "study") -> "PublishedStudy":
-        """
-        Build a study from a dictionary, such as a table of a TOML file.
 
-        Parameters
-        ----------
-        values : mapping
-            The fields by name; printed numbers as strings.
-        name : str
-            What to call it, unless `values` has a name.
-
-        Raises
-        ------
-        PublishedStudyError
-            If a field is unknown, missing or no printed number.
-        """
-        if not isinstance(values, Mapping):
-            raise PublishedStudyError(
-                f"{name}: a published study must be a table of fields, got {values!r}"
-            )
-        known = [f.name for f in fields(cls)]
-        unknown = [str(key) for key in values if key not in known]
-        if unknown:
-            raise PublishedStudyError(
-                f"{name}: unknown field {unknown[0]!r}; there are {', '.join(known)}"
-            )
-        missing = [key for key in ("n", "mean", "sd") if key not in values]
-        if missing:
-            raise PublishedStudyError(f"{name}: {missing[0]} is missing")
-        return cls(**{"name": name, **values})
-
-    @classmethod
-    def from_toml(cls, path: str | Path) -> "dict[str, PublishedStudy]":
-        """
-        Read the studies of a TOML file; tables may be nested one level, [group.measure].
-
-        Parameters
-        ----------
-        path : str or path
-            The file.
-
-        Raises
-        ------
-        PublishedStudyError
-            If a field of a study is no printed number; the message names both.
-        """
-        with Path(path).open("rb") as file:
-            groups = tomllib.load(file)
-        studies: dict[str, Mapping] = {}
-        for group, tables in groups.items():
-            if isinstance(tables, Mapping) and "mean" not in tables and "n" not in tables:
-                studies |= {f"{group}.{key}": values for key, values in tables.items()}
-            else:
-                studies[group] = tables
-        return {key: cls.from_dict(values, key) for key, values in studies.items()}
+def _printed(key: str, value: object) -> dict[str, str]:
+    """Return printed numbers by name."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{key} must be a table of names and printed numbers, got {shown(value)}")
+    for name, text in value.items():
+        if key in STATISTICS:
+            one_of(f"a statistic of {key}", name, STATISTICS[key])
+        printed_interval(text, f"{key}.{name}")
+    return dict(value)
 
 
-def _require(holds: object, message: str) -> None:
-    if not holds:
-        raise ValueError(message)
+def _names(key: str, value: Iterable[str]) -> tuple[str, ...]:
+    """Return a list of names as a tuple."""
+    names = (value,) if isinstance(value, str) else tuple(value)
+    if isinstance(value, str) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"{key} must be a list of names, got {shown(value)}")
+    return names
 
 
-def _check_design(study: PublishedStudy) -> None:
-    """Check the name, the number of subjects and the conditions."""
-    named = isinstance(study.name, str) and study.name
-    _require(named, f"name must be a text, got {shown(study.name)}")
-    object.__setattr__(study, "n", whole_number("n", study.n, least=3))
-    for name in ("listed_only", "not_spherical"):
-        of_class(name, getattr(study, name), bool, "it must be true or false")
-    k, names = study.k, ", ".join(study.conditions)
-    _require(len(set(study.conditions)) == k, f"conditions must differ, got {names}")
-    _require(k >= 2, f"at least two conditions are needed, got {k}")
-    _require(study.mean, "mean has no condition")
-    for key in ("mean", "sd"):
-        for condition in getattr(study, key):
-            where = f"{key}.{condition} is not among the conditions {names}"
-            _require(condition in study.conditions, where)
-
-
-def _check_scale(study: PublishedStudy) -> None:
-    """Check the ends of the scale."""
-    scale = study.scale
-    numbers = isinstance(scale, tuple | list) and len(scale) == 2
-    numbers = numbers and all(isinstance(x, int | float) and not isinstance(x, bool) for x in scale)
-    _require(
-        numbers and scale[0] < scale[1],
-        f"scale must be the lowest and the highest value, in this order, got {shown(scale)}",
-    )
-    object.__setattr__(study, "scale", (float(scale[0]), float(scale[1])))
-
-
-def _check_numbers(study: PublishedStudy) -> None:
-    """Check that every statistic has a known name and is a number; whether it can be is not."""
-    for key in PRINTED:
-        allowed = STATISTICS.get(key)
-        for name, text in getattr(study, key).items():
-            hint = "; give epsilon=... beside it" if name == "epsilon" else ""
-            _require(
-                allowed is None or name in allowed,
-                f"{key}.{name} is unknown; there are {', '.join(allowed or ())}{hint}",
-            )
-            printed_interval(text, f"{key}.{name}")
-    if study.epsilon:
-        printed_decimal(study.epsilon, "epsilon")
-
-
-def _check_pairs(study: PublishedStudy) -> None:
-    """Check that each pair is named once."""
-    seen: dict[tuple[int, int], str] = {}
-    for name in (*study.pairs, *study.significant_without_p):
-        pair = study.pair(name)
-        _require(pair not in seen, f"pairs: {name} was given already, as {seen.get(pair)}")
-        seen[pair] = name
+def _scale(key: str, value: object) -> tuple[float, float]:
+    """Return the ends of a scale, which may be infinite."""
+    numbers = isinstance(value, tuple | list) and len(value) == 2
+    numbers = numbers and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
+    if not numbers or not value[0] < value[1]:
+        raise ValueError(
+            f"{key} must be the lowest and the highest value, in this order, got {shown(value)}"
+        )
+    return float(value[0]), float(value[1])
 
 
 def published_studies() -> "dict[str, PublishedStudy]":
@@ -323,4 +229,10 @@ def published_studies() -> "dict[str, PublishedStudy]":
     >>> list(tl.published_studies())[:3]
     ['uav.robot_performance', 'uav.utilization', 'uav.human_performance']
     """
-    return ByName(PublishedStudy.from_toml(published_folder() / "studies.toml"))
+    return ByName(
+        {
+            f"{chapter}.{measure}": PublishedStudy(f"{chapter}.{measure}", **printed)
+            for chapter, measures in published_facts("studies").items()
+            for measure, printed in measures.items()
+        }
+    )

@@ -1,23 +1,24 @@
 """
-Data are found for what true data print, and what contradicts by arithmetic is named.
+Data are found for what true data print, what contradicts by arithmetic is named, and what papers
+correct by ε is recognised.
 
 Oracle: statistics of data by their textbook definitions, and contradictions of changed digits by
-arithmetic written here with SciPy's distributions.
+arithmetic written here with SciPy's distributions; the ε of a reading by `brentq`.
 """
 
 import itertools
 import re
 from dataclasses import replace
-from decimal import Decimal
 from itertools import combinations
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 import trustlab as tl
 from tests import textbook
-from trustlab.reproduction import compare_adjustments
+from trustlab.reproduction import compare_adjustments, reconstruct_study
+from trustlab.reproduction.reconstruction.constraints import BOTH, NEITHER, ONLY_DF, ONLY_P
 from trustlab.reproduction.reconstruction.contradictions import contradictions
 
 STUDIES = tl.published_studies()
@@ -43,7 +44,7 @@ def adjusted(p, p_adjust):
     return {"none": p, "bonferroni": p * len(p), "holm": holm}[p_adjust].clip(max=1.0)
 
 
-def true_study(seed):
+def true_study(seed, readings=(NEITHER, BOTH)):
     """What a paper prints of random data: its fields, and the adjustment of its pairs."""
     rng = np.random.default_rng([77, seed])
     k = int(rng.integers(2, 7))
@@ -57,13 +58,13 @@ def true_study(seed):
         values[:2] = [[1.0], [7.0]]
     names, decimals = "ABCDEF"[:k], int(rng.integers(1, 4))
     found = textbook.analysed(values)
-    corrected = k > 2 and bool(rng.integers(0, 2))
-    factor = found["epsilon"] if corrected else 1.0
-    anova = textbook.printed_anova(found, (n, k), factor, factor, 2 * corrected)
+    reading = readings[rng.integers(len(readings))] if k > 2 else NEITHER
+    df, p_df = (found["epsilon"] if each else 1.0 for each in (reading.df, reading.p))
+    anova = textbook.printed_anova(found, (n, k), df, p_df, 2 * reading.df)
     if rng.random() < 0.5:
         anova["eta2"] = f"{found['eta2']:.3f}"
     fields = {"n": n, "anova": anova, "scale": scale} | textbook.printed_cells(found, decimals)
-    if corrected and rng.random() < 0.5:
+    if reading.p and rng.random() < 0.5:
         fields["epsilon"] = f"{found['epsilon']:.3f}"
     p_adjust = str(rng.choice(["bonferroni", "holm", "none"]))
     p = adjusted(np.array([test.pvalue for test in found["pairs"]]), p_adjust)
@@ -73,26 +74,18 @@ def true_study(seed):
     return fields, p_adjust
 
 
-def rounded(text):
-    """The least and greatest number that prints so."""
-    if text.startswith("<"):
-        return 0.0, float(text[1:])
-    half = float(Decimal(1).scaleb(Decimal(text).as_tuple().exponent)) / 2
-    return max(float(text) - half, 0.0), float(text) + half
-
-
 def contradicts(fields):
     """Whether arithmetic alone refutes the F, p, η² and degrees of freedom that are printed."""
     n, k, anova = fields["n"], len(fields["mean"]), fields["anova"]
-    low, high = rounded(anova["F"])
+    low, high = textbook.rounded(anova["F"])
     if "eta2" in anova:
-        least, most = rounded(anova["eta2"])
+        least, most = textbook.rounded(anova["eta2"])
         if most < low / (low + n - 1) or least > high / (high + n - 1):
             return True
-    least, most = rounded(anova["p"])
+    least, most = textbook.rounded(anova["p"])
     df1 = np.linspace(1.0, k - 1.0, 200)
     p = [stats.f.sf(f, df1, df1 * (n - 1)) for f in (low, high)]
-    (low1, high1), (low2, high2) = rounded(anova["df1"]), rounded(anova["df2"])
+    (low1, high1), (low2, high2) = textbook.rounded(anova["df1"]), textbook.rounded(anova["df2"])
     return (
         most < np.min(p)
         or least > np.max(p)
@@ -115,15 +108,15 @@ def with_a_changed_digit(seed):
     return {**fields, "anova": {**fields["anova"], **changed}}, p_adjust
 
 
-def answer_of(fields, p_adjust):
-    return tl.feasibility(tl.PublishedStudy("s", **fields), p_adjust, explain=False).feasible
+def answer_of(fields, p_adjust="bonferroni"):
+    return tl.feasibility(tl.PublishedStudy("s", **fields), p_adjust, explain=False)
 
 
 @pytest.mark.parametrize("count", [20, pytest.param(300, marks=pytest.mark.long)])
 def test_data_are_found_for_what_true_data_print(count):
     studies = [true_study(seed) for seed in range(count)]
     assert not any(contradicts(fields) for fields, _ in studies)
-    answers = [answer_of(*study) for study in studies]
+    answers = [answer_of(*study).feasible for study in studies]
     assert answers.count(False) == 0
     assert answers.count(None) <= 0.01 * count
 
@@ -133,9 +126,15 @@ def test_a_changed_digit_is_seen(count):
     studies = filter(
         lambda study: contradicts(study[0]), map(with_a_changed_digit, itertools.count())
     )
-    answers = [answer_of(*study) for study in itertools.islice(studies, count)]
+    answers = [answer_of(*study).feasible for study in itertools.islice(studies, count)]
     assert answers.count(True) <= 0.01 * count
     assert answers.count(False) >= 0.97 * count
+
+
+def test_no_reading_of_true_data_is_called_a_contradiction():
+    for seed in range(1000, 1100):
+        fields, p_adjust = true_study(seed, (NEITHER, BOTH, ONLY_P, ONLY_DF))
+        assert contradictions(tl.PublishedStudy("s", **fields), p_adjust) == {}, seed
 
 
 @pytest.mark.slow
@@ -165,7 +164,7 @@ def test_a_paper_that_always_corrects_is_read_as_such():
         "sd": {"C1": "1.47", "C2": "1.91", "C3": "1.34"},
         "anova": {"F": "0.63", "df1": "1.60", "df2": "17.64", "p": ".509"},
     }
-    assert tl.feasibility(tl.PublishedStudy("gg", **printed)).feasible
+    assert answer_of(printed).feasible
     violated = tl.feasibility(tl.PublishedStudy("gg", **printed, not_spherical=True))
     assert violated.feasible is None
     assert not violated
@@ -174,15 +173,6 @@ def test_a_paper_that_always_corrects_is_read_as_such():
     assert "mauchly.violated" in violated.remedies
     assert table.loc["mauchly.violated", "remedy"]
     assert set(table.index[table["in_conflict"]]) == set(violated.conflict)
-
-
-def test_a_t_that_no_correlation_allows_is_a_contradiction():
-    """var(a − b) ≥ (s_a − s_b)², so that t is at most √n |m_a − m_b|/|s_a − s_b|."""
-    study = STUDIES["uav.followed"]
-    fields = {"n": study.n, "mean": study.mean, "sd": study.sd, "scale": study.scale}
-    answer = tl.feasibility(tl.PublishedStudy.from_dict({**fields, "t_test": {"t": "25.0"}}))
-    assert answer.feasible is False
-    assert "means and standard deviations allow" in answer.left_out["t_test.t"]
 
 
 @pytest.mark.parametrize(
@@ -200,44 +190,51 @@ THREE = {
     "mean": {"A": "5.0", "B": "4.25", "F": "3.50"},
     "sd": {"A": "1.0", "B": "1.10", "F": "0.90"},
 }
+# var(a − b) ≥ (s_a − s_b)², so that t is at most √n |m_a − m_b|/|s_a − s_b|.
+TWO = {"n": 36, "mean": {"A": "5.0", "B": "6.0"}, "sd": {"A": "1.0", "B": "2.0"}}
 
 
 @pytest.mark.parametrize(
-    ("changes", "name", "reason"),
+    ("fields", "changes", "name", "reason"),
     [
-        ({"anova": {"F": "8.1", "p": "1.2"}}, "anova.p", "must lie between 0 and 1"),
-        ({"anova": {"F": "8.1", "p": "<0"}}, "anova.p", "must lie between 0 and 1"),
-        ({"anova": {"eta2": "1.3"}}, "anova.eta2", "must lie between 0 and 1"),
-        ({"anova": {"df1": "3"}}, "anova.df1", r"\(k − 1\) = 2"),
-        ({"epsilon": "0.3"}, "epsilon", "needs ε from 0.25 to 0.35, which must lie between"),
-        ({"epsilon": "1.2"}, "epsilon", "= 0.5 and 1"),
-        ({"pairs": {"A-F": "1.2"}}, "pairs.A-F", "must lie between 0 and 1"),
-        ({"mauchly": {"df": "9"}}, "mauchly.df", r"k\(k − 1\)/2 − 1 = 2"),
-        ({"mauchly": {"chi2": "-1"}}, "mauchly.chi2", "must lie between"),
-        ({"sd": {"A": "-1", "B": "1", "F": "1"}}, "sd.A", "is negative"),
-        ({"sd": {"A": "3.5", "B": "1", "F": "1"}, "scale": (1, 7)}, "sd.A", "exceeds what 20"),
+        (THREE, {"anova": {"F": "8.1", "p": "1.2"}}, "anova.p", "must lie between 0 and 1"),
+        (THREE, {"anova": {"F": "8.1", "p": "<0"}}, "anova.p", "must lie between 0 and 1"),
+        (THREE, {"anova": {"eta2": "1.3"}}, "anova.eta2", "must lie between 0 and 1"),
+        (THREE, {"anova": {"df1": "3"}}, "anova.df1", r"\(k − 1\) = 2"),
+        (THREE, {"epsilon": "0.3"}, "epsilon", "must lie between 0.5 and 1"),
+        (THREE, {"epsilon": "1.2"}, "epsilon", "must lie between 0.5 and 1"),
+        (THREE, {"pairs": {"A-F": "1.2"}}, "pairs.A-F", "must lie between 0 and 1"),
+        (THREE, {"mauchly": {"df": "9"}}, "mauchly.df", r"k\(k − 1\)/2 − 1 = 2"),
+        (THREE, {"mauchly": {"chi2": "-1"}}, "mauchly.chi2", "must lie between"),
+        (THREE, {"mauchly": {"chi2": "9.9", "p": ".5"}}, "mauchly.p", "χ² gives 0.006"),
+        (THREE, {"sd": {"A": "-1", "B": "1", "F": "1"}}, "sd.A", "is negative"),
+        (THREE, {"sd": {"A": "3.5", "B": "1", "F": "1"}, "scale": (1, 7)}, "sd.A", "exceeds what"),
+        (THREE, {"mean": {"A": "8", "B": "4", "F": "3"}, "scale": (1, 7)}, "mean.A", "outside the"),
+        (THREE, {"t_test": {"t": "2"}}, "t_test.t", "compares two conditions, and there are 3"),
         (
-            {"mean": {"A": "8.0", "B": "4", "F": "3"}, "scale": (1, 7)},
-            "mean.A",
-            "outside the scale",
+            THREE,
+            {"n": 3, "mauchly": {"p": ".2"}, "conditions": tuple("ABFG")},
+            "mauchly.p",
+            "too few",
         ),
-        ({"t_test": {"t": "2"}}, "t_test.t", "compares two conditions, and there are 3"),
-        ({"n": 3, "mauchly": {"p": ".2"}, "conditions": tuple("ABFG")}, "mauchly.p", "too few"),
+        (TWO, {"t_test": {"t": "9.5"}}, "t_test.t", "means and standard deviations allow"),
+        (TWO, {"t_test": {"p": ".5"}}, "t_test.p", "means and standard deviations allow"),
+        (TWO, {"t_test": {"t": "2.10", "p": ".50"}}, "t_test.p", "t gives 0.04"),
     ],
 )
-def test_a_number_that_cannot_be_is_left_out_with_its_reason(changes, name, reason):
+def test_a_number_that_cannot_be_is_left_out_with_its_reason(fields, changes, name, reason):
     """A paper can print it: it is an answer, not an error."""
-    answer = tl.feasibility(tl.PublishedStudy.from_dict({**THREE, **changes}), explain=False)
+    answer = answer_of({**fields, **changes})
     assert answer.feasible is False
     assert list(answer.left_out) == [name]
-    assert re.search(reason, answer.left_out[name])
+    assert re.search(reason, answer.left_out[name]), answer.left_out[name]
     assert answer.left_out[name] in answer.message
 
 
 def test_degrees_of_freedom_say_where_they_belong():
     """F(2.1, 37.8) of three conditions: 37.8/2.1 = n − 1, and 2.1 = 3 ε."""
     anova = {"F": "5.2", "df1": "2.1", "df2": "37.8", "p": ".009"}
-    answer = tl.feasibility(tl.PublishedStudy("T3", **{**THREE, "n": 19}, anova=anova))
+    answer = answer_of({**THREE, "n": 19, "anova": anova})
     assert answer.feasible is False
     where = "2.1 and 37.8 belong to 4 conditions, n = 19, ε = 0.70"
     assert where in answer.left_out["anova.df1"]
@@ -266,8 +263,94 @@ def test_no_row_of_numbers_raises(count, seed):
             for key, named in listed.items()
         }
         fields["mean"] = fields["mean"] or {"A": "1"}
-        more = {"n": int(rng.integers(3, 30)), "conditions": tuple(names)}
-        more |= {"scale": (1.0, 7.0)} if rng.random() < 0.3 else {}
-        answer = tl.feasibility(tl.PublishedStudy("s", **fields, **more), explain=False)
+        fields |= {"n": int(rng.integers(3, 30)), "conditions": tuple(names)}
+        fields |= {"scale": (1.0, 7.0)} if rng.random() < 0.3 else {}
+        answer = answer_of(fields)
         assert answer.message
         assert len(answer.table()) >= 1
+
+
+# --- readings -------------------------------------------------------------------------------------
+
+FOUR = {
+    "n": 18,
+    "mean": {"A": "2.31", "B": "3.05", "C": "3.40", "D": "2.90"},
+    "sd": {"A": "0.84", "B": "0.79", "C": "0.95", "D": "1.02"},
+    "scale": (1, 7),
+}
+PLAIN = {"F": "4.10", "df1": "3", "df2": "51"}
+CORRECTED = {"F": "4.10", "df1": "1.65", "df2": "28.05"}
+# p of F = 4.1 with these degrees of freedom times ε.
+P, P_CORRECTED = (f"{stats.f.sf(4.1, 3 * e, 51 * e):.3f}" for e in (1.0, 0.55))
+
+
+@pytest.mark.parametrize(
+    ("anova", "p", "epsilon", "reading"),
+    [
+        (PLAIN, P, "", NEITHER),
+        (PLAIN, P, "0.55", NEITHER),
+        (CORRECTED, P_CORRECTED, "0.55", BOTH),
+        (CORRECTED, P_CORRECTED, "", BOTH),
+        (PLAIN, P_CORRECTED, "0.55", ONLY_P),
+        (PLAIN, P_CORRECTED, "", ONLY_P),
+        (PLAIN, ".03", "0.55", ONLY_P),
+        (CORRECTED, P, "0.55", ONLY_DF),
+    ],
+)
+def test_what_was_corrected_is_recognised(anova, p, epsilon, reading):
+    printed = tl.PublishedStudy("s", **FOUR, anova={**anova, "p": p}, epsilon=epsilon)
+    answer = tl.feasibility(printed)
+    assert answer.feasible
+    assert answer.read_as == reading
+    assert answer.reading == reading.words
+    assert reading.words in answer.message
+    data = reconstruct_study(printed)
+    assert data.table()["agrees"].all()
+    factors = [textbook.analysed(data.values)["epsilon"] if c else 1.0 for c in reading[1:3]]
+    assert textbook.misses(printed, data.values, *factors) == set()
+    if reading == ONLY_P:
+        assert f"uncorrected, p would be {P}".replace("be 0", "be ") in answer.message
+
+
+def test_a_rounded_epsilon_is_recognised():
+    anova = {**CORRECTED, "p": P_CORRECTED}
+    printed = tl.PublishedStudy("s", **FOUR, anova=anova, epsilon="0.554")
+    answer = tl.feasibility(printed)
+    assert answer.feasible
+    assert answer.reading.endswith("ε rounded to 0.55")
+    data = reconstruct_study(printed)
+    assert data.table()["agrees"].all()
+    assert textbook.misses(printed, data.values, 0.55, 0.55) == set()
+    # Negative control: a third ε fits nothing.
+    third = {**FOUR, "anova": {**CORRECTED, "p": ".034"}, "epsilon": "0.614"}
+    assert not answer_of(third).feasible
+
+
+def test_the_epsilon_that_would_fit_is_named():
+    def miss(epsilon, p, f):
+        return stats.f.sf(f, 3 * epsilon, 51 * epsilon) - p
+
+    answer = answer_of({**FOUR, "anova": {**PLAIN, "p": ".03"}})
+    # A larger ε gives a smaller p: the least ε belongs to the greatest p and the greatest F.
+    least = optimize.brentq(miss, 1 / 3, 1.0, args=(0.035, 4.105))
+    most = optimize.brentq(miss, 1 / 3, 1.0, args=(0.025, 4.095))
+    np.testing.assert_allclose(answer.epsilon, (least, most), atol=4e-4)
+    assert f"ε from {answer.epsilon[0]:.3f} to {answer.epsilon[1]:.3f}" in answer.message
+
+
+def test_a_contradiction_is_never_consistent():
+    """F(3, 57) with n = 18: degrees of freedom of 20 people."""
+    fields = {**FOUR, "anova": {"F": "4.10", "df1": "3", "df2": "57", "p": ".03"}}
+    answer = answer_of(fields)
+    assert not answer
+    assert answer.feasible is False
+    assert answer.rest_feasible
+    assert "belong to 4 conditions, n = 20" in answer.left_out["anova.df2"]
+    assert answer.left_out["anova.df2"] in answer.message
+    assert answer.table().loc["anova.df2", "left_out"] == answer.left_out["anova.df2"]
+    table = reconstruct_study(answer.study).table()
+    assert table.loc["anova.df2", "printed"] == "57"
+    assert table.loc["anova.df2", "reconstructed"] == 51.0
+    assert list(table.index[~table["agrees"]]) == ["anova.df2"]
+    # The n that the message names is consistent.
+    assert answer_of({**fields, "n": 20}).feasible

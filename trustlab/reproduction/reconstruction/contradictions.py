@@ -5,9 +5,8 @@ Of numbers that disagree, the fewest are named; of two, the one that is computed
 """
 
 import math
-from collections.abc import Sequence
-from functools import lru_cache
-from itertools import combinations
+from collections.abc import Mapping
+from itertools import combinations, permutations
 
 import numpy as np
 from scipy import optimize, special
@@ -16,34 +15,16 @@ from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import (
     Constraint,
-    Interval,
     Reading,
+    adjusted,
     constraints,
     readings,
-    size_interval,
 )
+from trustlab.studies.anova import mauchly_p_value
 
-# Printed numbers that fix one statistic: kind to its name and theirs; those first believed come
-# first.
-COMPARED = {
-    "epsilon": ("epsilon", ("epsilon", "anova.df2", "anova.df1")),
-    "f_ratio": ("F", ("anova.F", "anova.eta2")),
-    "chi2": ("chi-square", ("mauchly.chi2", "mauchly.p")),
-}
-
-# The most that a statistic can be; the least is 0.
-LIMITS = {
-    "anova.F": math.inf,
-    "anova.eta2": 1.0,
-    "anova.p": 1.0,
-    "mauchly.chi2": math.inf,
-    "mauchly.p": 1.0,
-    "t_test.p": 1.0,
-    "pairs": 1.0,
-}
+Interval = tuple[float, float]
 
 
-@lru_cache(maxsize=64)
 def reading_of(study: PublishedStudy) -> Reading:
     """Return the reading under which least contradicts by arithmetic; of several the most usual."""
     return min(readings(study), key=lambda reading: len(_of_the_tests(study, reading)))
@@ -58,7 +39,7 @@ def contradictions(study: PublishedStudy, p_adjust: str = "bonferroni") -> dict[
     chi-square, and F, t and p against what the means and standard deviations allow.
     """
     wrong = _of_the_tests(study, reading_of(study)) | _of_the_cells(study)
-    return _beside_the_cells(study, p_adjust, wrong) | wrong
+    return wrong | _beside_the_cells(study, p_adjust, wrong)
 
 
 def _of_the_cells(study: PublishedStudy) -> dict[str, str]:
@@ -91,86 +72,104 @@ def _of_the_cells(study: PublishedStudy) -> dict[str, str]:
 
 def _of_the_tests(study: PublishedStudy, reading: Reading) -> dict[str, str]:
     """Return what contradicts among the statistics of the tests, under a reading."""
-    listed = constraints(study, "none", reading)
-    wrong = _impossible(study, listed) | _wrong_degrees(study, reading)
-    by_name = {s.name: s for s in listed if s.name not in wrong}
-    ranges: dict[str, Interval] = {}
-    for kind, (label, names) in COMPARED.items():
-        group = [by_name[name] for name in names if name in by_name and by_name[name].kind == kind]
-        if not group:
-            continue
-        agreeing = _largest_agreement(group)
-        low, high = max(s.low for s in agreeing), min(s.high for s in agreeing)
-        ranges[kind] = low, high
-        believed = " and ".join(f"{s.name} = {s.text}" for s in agreeing)
-        wrong |= {
-            s.name: f"{s.name} = {s.text} needs {label} from {s.low:.6g} to {s.high:.6g}, but "
-            f"{believed} needs {low:.6g} to {high:.6g}"
-            for s in group
-            if s not in agreeing
-        }
-    if "anova.p" in by_name and "f_ratio" in ranges:
-        wrong |= _wrong_p_of_f(study, reading, ranges, wrong)
-    if {"t_test.t", "t_test.p"} <= by_name.keys():
-        p = 2.0 * special.stdtr(study.n - 1, -np.array(size_interval(study.t_test["t"])))
-        wrong |= _contradicted("t_test.p", study.t_test["p"], p, "t gives")
-    return wrong
-
-
-def _largest_agreement(group: Sequence[Constraint]) -> list[Constraint]:
-    """
-    Return the most constraints whose intervals have a point in common; the first named win a tie.
-    """
-    # If intervals have a common point, the lower end of one of them is one.
-    ends = [s.low if math.isfinite(s.low) else s.high for s in group]
-    return max(([s for s in group if s.low <= end <= s.high] for end in ends), key=len)
-
-
-def _impossible(study: PublishedStudy, listed: Sequence[Constraint]) -> dict[str, str]:
-    """Return numbers that no data have, and tests that there cannot be."""
-    k = study.k
-    wrong = {}
-    for s in listed:
-        test = s.name.split(".")[0]
-        if test == "mauchly" and not 2 < k <= study.n:
-            few = f"{study.n} subjects are too few for {k} conditions"
-            wrong[s.name] = few if k > 2 else "sphericity always holds for two conditions"
-        elif test == "t_test" and k != 2:
-            wrong[s.name] = f"a t-test compares two conditions, and there are {k}"
-        elif s.kind == "epsilon" and not (s.low <= 1.0 and s.high >= 1.0 / (k - 1)):
-            wrong[s.name] = (
-                f"{s.name} = {s.text} needs ε from {s.low:.4g} to {s.high:.4g}, which must lie "
-                f"between 1/(k − 1) = {1.0 / (k - 1):.4g} and 1{_where_degrees_belong(study)}"
-            )
-        most = LIMITS.get("pairs" if test == "pairs" else s.name)
-        if most is None or not s.text.strip()[-1].isdigit():  # "not significant"
-            continue
-        low, high = printed_interval(s.text)
-        if high < 0.0 or low > most or (high == 0.0 and "<" in s.text):
-            wrong[s.name] = f"{s.name} = {s.text} must lie between 0 and {most:g}"
-    return wrong
-
-
-def _wrong_degrees(study: PublishedStudy, reading: Reading) -> dict[str, str]:
-    """Return degrees of freedom that follow from n, k and the reading and are printed otherwise."""
     n, k = study.n, study.k
-    factor = reading.rounded or 1.0
-    by = f"{factor:g} " if reading.rounded else ""
-    follows: dict[tuple[str, str], tuple[str, float]] = {
-        ("mauchly", "df"): ("k(k − 1)/2 − 1", k * (k - 1) // 2 - 1),
-        ("t_test", "df"): ("n − 1", n - 1),
-    }
-    if not reading.df or reading.rounded:
-        follows["anova", "df1"] = f"{by}(k − 1)", factor * (k - 1)
-        follows["anova", "df2"] = f"{by}(k − 1)(n − 1)", factor * (k - 1) * (n - 1)
-    wrong = {}
-    for (test, name), (formula, value) in follows.items():
-        text = getattr(study, test).get(name, f"{value}")
-        low, high = printed_interval(text)
-        if not low <= value <= high:
-            where = _where_degrees_belong(study) if test == "anova" else ""
-            wrong[f"{test}.{name}"] = f"{test}.{name} = {text}, but {formula} = {value:g}{where}"
+    printed = {s.name: s for s in constraints(study)}
+    wrong = _impossible(study, reading, printed)
+    known = {name: np.array([s.low, s.high]) for name, s in printed.items() if name not in wrong}
+    epsilon, against = _epsilon(study, reading, known)
+    wrong |= {name: f"{name} = {printed[name].text} {why}" for name, why in against.items()}
+    f_ratio = np.maximum(known.get("anova.F", np.array([0.0, math.inf])), 0.0)
+    if "anova.eta2" in known:  # η² = F/(F + n − 1)
+        with np.errstate(divide="ignore"):
+            share = np.clip(known["anova.eta2"], 0.0, 1.0)
+            needed = (n - 1) * share / (1.0 - share)
+        conflict = _contradicted(printed["anova.eta2"], _eta2(f_ratio, n), "F gives")
+        if not conflict:
+            f_ratio = np.clip(f_ratio, *needed)
+        wrong |= conflict
+    if {"mauchly.chi2", "mauchly.p"} <= known.keys():
+        p = mauchly_p_value(np.maximum(known["mauchly.chi2"], 0.0), n, k)
+        wrong |= _contradicted(printed["mauchly.p"], p, "χ² gives")
+    if {"t_test.t", "t_test.p"} <= known.keys():
+        p = 2.0 * special.stdtr(n - 1, -known["t_test.t"])
+        wrong |= _contradicted(printed["t_test.p"], p, "t gives")
+    if "anova.p" in known and {"anova.F", "anova.eta2"} & known.keys():
+        wrong |= _wrong_p_of_f(study, reading, printed, f_ratio, epsilon, wrong)
     return wrong
+
+
+def _epsilon(
+    study: PublishedStudy, reading: Reading, known: Mapping[str, np.ndarray]
+) -> tuple[Interval, dict[str, str]]:
+    """
+    Return ε by most of what is printed of it, the first named winning a tie, and what needs another
+    one.
+    """
+    d = study.k - 1
+    units = {"epsilon": 1.0}
+    if reading.df and not reading.rounded:
+        units |= {"anova.df2": d * (study.n - 1), "anova.df1": d}
+    needed = {name: known[name] / unit for name, unit in units.items() if name in known}
+    if not needed:
+        return (1.0 / d, 1.0), {}
+    # If intervals have a common point, an end of one of them is one.
+    ends = [low if math.isfinite(low) else high for low, high in needed.values()]
+    agreeing = max(
+        ([name for name, (low, high) in needed.items() if low <= end <= high] for end in ends),
+        key=len,
+    )
+    low = max(needed[name][0] for name in agreeing)
+    high = min(needed[name][1] for name in agreeing)
+    believed = f"but {' and '.join(agreeing)} from {low:.6g} to {high:.6g}"
+    others = {name: ends for name, ends in needed.items() if name not in agreeing}
+    wrong = {
+        name: f"needs ε from {ends[0]:.6g} to {ends[1]:.6g}, {believed}"
+        for name, ends in others.items()
+    }
+    return (low, high), wrong
+
+
+def _impossible(
+    study: PublishedStudy, reading: Reading, printed: Mapping[str, Constraint]
+) -> dict[str, str]:
+    """Return numbers that no data have, and tests that there cannot be."""
+    n, k = study.n, study.k
+    d = k - 1
+    # The least and the greatest value of a statistic, and what it follows from.
+    limits: dict[str, tuple[float, float, str]] = {
+        "anova.eta2": (0.0, 1.0, ""),
+        "epsilon": (1.0 / d, 1.0, ", from 1/(k − 1) to 1"),
+        "mauchly.df": (k * d // 2 - 1, k * d // 2 - 1, "k(k − 1)/2 − 1"),
+        "t_test.df": (n - 1, n - 1, "n − 1"),
+    }
+    for name, df, text in (
+        ("anova.df1", d, "(k − 1)"),
+        ("anova.df2", d * (n - 1), "(k − 1)(n − 1)"),
+    ):
+        exact = df * (reading.rounded or 1.0)
+        limits[name] = exact, exact, f"{reading.rounded or ''}{text}"
+        if reading.df and not reading.rounded:
+            limits[name] = df / d, df, f", as {text} times ε, from 1/(k − 1) to 1"
+    wrong = {}
+    for name, s in printed.items():
+        test = name.split(".")[0]
+        least, most, text = limits.get(name, (0.0, 1.0 if s.is_p else math.inf, ""))
+        if test == "mauchly" and not 2 < k <= n:
+            few = f"{n} subjects are too few for {k} conditions"
+            wrong[name] = few if k > 2 else "sphericity always holds for two conditions"
+        elif test == "t_test" and k != 2:
+            wrong[name] = f"a t-test compares two conditions, and there are {k}"
+        elif test not in ("mean", "sd") and not _meets(s, least, most):
+            within = f"must lie between {least:.4g} and {most:.4g}{text}"
+            within = f"is printed, but {text} = {most:g}" if least == most else within
+            belong = _where_degrees_belong(study) if "df" in name or name == "epsilon" else ""
+            wrong[name] = f"{name} = {s.text} {within}{belong}"
+    return wrong
+
+
+def _meets(s: Constraint, least: float, most: float) -> bool:
+    """Return whether a number agrees with some value from least to most; none is below 0."""
+    return least <= s.high and s.low <= most and (s.low > -math.inf or s.high > 0.0)
 
 
 def _where_degrees_belong(study: PublishedStudy) -> str:
@@ -191,70 +190,79 @@ def _where_degrees_belong(study: PublishedStudy) -> str:
 
 
 def _wrong_p_of_f(
-    study: PublishedStudy, reading: Reading, ranges: dict[str, Interval], wrong: dict[str, str]
+    study: PublishedStudy,
+    reading: Reading,
+    printed: Mapping[str, Constraint],
+    f_ratio: np.ndarray,
+    epsilon: Interval,
+    wrong: Mapping[str, str],
 ) -> dict[str, str]:
     """Return the conflict of p with F, and with ε where p is corrected, if any."""
-    least = 1.0 / (study.k - 1)
+    d = study.k - 1
     factor = np.full(2, reading.rounded or 1.0)
     if reading.p and not reading.rounded:
-        factor = np.clip(ranges.get("epsilon", (least, 1.0)), least, 1.0)
-    text, f_ratio = study.anova["p"], np.maximum(ranges["f_ratio"], 0.0)
-    df = (study.k - 1) * factor[:, None]
+        factor = np.clip(epsilon, 1.0 / d, 1.0)
+    df = d * factor[:, None]
     p = special.fdtrc(df, df * (study.n - 1), f_ratio)
-    source = "F and its degrees of freedom give"
-    conflict = _contradicted("anova.p", text, p, source)
+    conflict = _contradicted(printed["anova.p"], p, "F and its degrees of freedom give")
     if conflict and {"anova.df1", "anova.df2"} <= wrong.keys():
-        df1, df2 = (np.array(printed_interval(study.anova[name])) for name in ("df1", "df2"))
-        p = special.fdtrc(df1[:, None], df2[:, None], f_ratio)
-        if not _contradicted("anova.p", text, p, ""):
+        df1, df2 = (printed_interval(study.anova[name]) for name in ("df1", "df2"))
+        p = special.fdtrc(np.reshape(df1, (2, 1)), np.reshape(df2, (2, 1)), f_ratio)
+        if not _contradicted(printed["anova.p"], p, ""):
             conflict["anova.p"] += "; it belongs to the printed degrees of freedom"
     return conflict
 
 
-def _contradicted(name: str, text: str, p: np.ndarray, source: str) -> dict[str, str]:
-    """Return the conflict of a printed p with those at the ends of other intervals, if any."""
-    low, high = printed_interval(text)
-    if p.min() <= high and p.max() >= low:
+def _contradicted(s: Constraint, values: np.ndarray, source: str) -> dict[str, str]:
+    """Return the conflict of a number with what it is at the ends of others, if any."""
+    least, most = np.min(values), np.max(values)
+    if least <= s.high and most >= s.low:
         return {}
-    return {name: f"{name} = {text}, but {source} {p.min():.4g} to {p.max():.4g}"}
+    return {s.name: f"{s.name} = {s.text}, but {source} {least:.4g} to {most:.4g}"}
 
 
 def _beside_the_cells(
-    study: PublishedStudy, p_adjust: str, wrong: dict[str, str]
+    study: PublishedStudy, p_adjust: str, wrong: Mapping[str, str]
 ) -> dict[str, str]:
     """
     Return F, t and p that printed means and standard deviations allow under no correlations.
 
     With T = tr(PS), F = n Σ(m − m̄)²/T, and t² is the F of two conditions.
     """
-    listed = constraints(study, p_adjust, reading_of(study), movable=True)
-    boxes = {
-        (s.kind, s.index): (s.low, s.high)
-        for s in listed
-        if s.kind in ("mean", "sd") and s.name not in wrong
-    }
-    pairs = list(combinations(range(study.k), 2))
+    n, m = study.n, study.k * (study.k - 1) // 2
+    printed = {s.name: s for s in constraints(study) if s.name not in wrong}
     conflicts = {}
-    for s in listed:
-        cells = pairs[s.index] if s.kind in ("p", "adjusted_p") else range(study.k)
-        known = all((kind, i) in boxes for kind in ("mean", "sd") for i in cells)
-        if s.name in wrong or not known or s.kind not in ("p", "adjusted_p", "f_ratio"):
+    for conditions in dict.fromkeys([study.conditions, *combinations(study.conditions, 2)]):
+        cells = [[printed.get(f"{cell}.{c}") for c in conditions] for cell in ("mean", "sd")]
+        if None in cells[0] + cells[1]:
             continue
-        mean, sd = (np.array([boxes[kind, i] for i in cells]) for kind in ("mean", "sd"))
+        mean, sd = (np.array([(s.low, s.high) for s in box]) for box in cells)
+        possible = {}
         with np.errstate(all="ignore"):  # an end that is open allows everything
-            least, most = _possible_f(mean, sd, study.n)
-        label = "F"
-        if s.kind != "f_ratio":
-            label = "p"
-            high, low = 2.0 * special.stdtr(study.n - 1, -np.sqrt([least, most]))
-            # Holm multiplies p by 1 to m.
-            least, most = low, high * (len(pairs) if s.kind == "adjusted_p" else 1.0)
-        if most < s.low or least > s.high:
-            conflicts[s.name] = (
-                f"{s.name} = {s.text} needs {label} from {max(s.low, 0.0):.4g} to {s.high:.4g}, "
-                f"but means and standard deviations allow {least:.4g} to {most:.4g}"
-            )
+            f_ratio = np.array(_possible_f(mean, sd, n))
+            if conditions == study.conditions:
+                possible = {"anova.F": f_ratio, "anova.eta2": _eta2(f_ratio, n)}
+            if len(conditions) == 2:
+                t = np.sqrt(f_ratio)
+                p = 2.0 * special.stdtr(n - 1, -t)
+                of_pair = adjusted(np.repeat(p[:, None], m, axis=1), p_adjust)
+                # Holm multiplies p by 1 to m.
+                of_pair = np.append(of_pair, p) if p_adjust == "holm" else of_pair
+                named = dict.fromkeys(
+                    (f"pairs.{'-'.join(c)}" for c in permutations(conditions)), of_pair
+                )
+                possible |= {"t_test.t": t, "t_test.p": p, **named}
+        for name in printed:
+            if name in possible:
+                source = "means and standard deviations allow"
+                conflicts |= _contradicted(printed[name], possible[name], source)
     return conflicts
+
+
+def _eta2(f_ratio: np.ndarray, n: int) -> np.ndarray:
+    """Return partial η² = F/(F + n − 1)."""
+    with np.errstate(divide="ignore"):
+        return 1.0 / (1.0 + (n - 1) / f_ratio)
 
 
 def _possible_f(mean: np.ndarray, sd: np.ndarray, n: int) -> Interval:

@@ -1,7 +1,7 @@
 """Whether a study's printed numbers can belong to one data set, and what conflicts if not."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
 
 import numpy as np
@@ -15,13 +15,11 @@ from trustlab.reproduction.published_study import PublishedStudy, published_stud
 from trustlab.reproduction.reconstruction.constraints import (
     ADJUSTMENTS,
     ONLY_P,
+    Reading,
     constraints,
-    select,
 )
 from trustlab.reproduction.reconstruction.contradictions import contradictions, reading_of
 from trustlab.reproduction.reconstruction.moments import MomentProblem, Moments
-
-REQUESTED = "left out on request"
 
 # Starts from which data without one of the printed numbers are sought.
 FEW_STARTS = 8
@@ -39,14 +37,15 @@ class Feasibility(Result):
     p_adjust : str
         How the printed pairwise p-values were taken to be adjusted.
     left_out : mapping of str to str
-        Reasons for statistics left out beforehand, by name: those asked for, and those that
-        contradict others by arithmetic.
+        Statistics left out beforehand as others contradict them by arithmetic, with the reason.
     conflict : tuple of str
         Where no data were found: the statistics that the closest ones do not have.
     remedies : tuple of str
         Statistics any one of which can be left out so that data with all others are found.
     moments : Moments
         Means and covariance that were found, or the closest ones.
+    read_as : Reading
+        What was corrected by ε.
     """
 
     study: PublishedStudy
@@ -54,7 +53,8 @@ class Feasibility(Result):
     left_out: Mapping[str, str]
     conflict: tuple[str, ...]
     remedies: tuple[str, ...]
-    moments: Moments = field(repr=False)
+    moments: Moments
+    read_as: Reading
 
     def __bool__(self) -> bool:
         return self.feasible is True
@@ -63,31 +63,19 @@ class Feasibility(Result):
     def feasible(self) -> bool | None:
         """
         True if data with everything that is printed were found; False if arithmetic contradicts
-        it; None if it was not decided: none were found, or something was left out on request.
+        it; None if none were found, which decides nothing.
         """
-        if any(why != REQUESTED for why in self.left_out.values()):
-            return False
-        return None if self.left_out else self.rest_feasible
+        return False if self.left_out else self.rest_feasible
 
     @property
     def rest_feasible(self) -> bool | None:
         """True if data with all that is not left out were found, None if none were."""
-        return True if self.status == "solved" else None
-
-    @property
-    def status(self) -> str:
-        """Of what is not left out: "solved" if data were found, otherwise "not found"."""
-        return "not found" if self.violation else "solved"
-
-    @property
-    def violation(self) -> float:
-        """Largest violation of the closest data, in half-widths of printed intervals; 0: none."""
-        return self.moments.violation
+        return None if self.moments.violation else True
 
     @property
     def reading(self) -> str:
         """How p and the degrees of freedom of F were read: what was corrected by ε."""
-        return reading_of(self.study).words
+        return self.read_as.words
 
     @property
     def epsilon(self) -> tuple[float, float] | None:
@@ -96,23 +84,17 @@ class Feasibility(Result):
         if study.k == 2 or not {"F", "p"} <= study.anova.keys():
             return None
         least, most = printed_interval(study.anova["p"])
-        f_ratio = np.maximum(printed_interval(study.anova["F"]), 0.0)
         epsilon = np.linspace(1.0 / (study.k - 1), 1.0, 2001)
-        df = (study.k - 1) * epsilon[:, None]
-        p = special.fdtrc(df, df * (study.n - 1), f_ratio)
+        p = _p_of_f(study, epsilon[:, None])
         fits = epsilon[(p.min(axis=1) <= most) & (p.max(axis=1) >= least)]
         return (float(fits[0]), float(fits[-1])) if fits.size else None
 
     @property
     def message(self) -> str:
         """The answer in words: what contradicts what, and the reading with its ε."""
-        study = self.study
-        wrong = [why for why in self.left_out.values() if why != REQUESTED]
-        requested = [name for name, why in self.left_out.items() if why == REQUESTED]
-        parts = [f"Left out: {reason}." for reason in wrong]
-        parts += [f"Left out on request: {', '.join(requested)}."] if requested else []
+        parts = [f"Left out: {reason}." for reason in self.left_out.values()]
         subject = "the rest" if self.left_out else "all that is printed"
-        if self.status == "solved":
+        if self.rest_feasible:
             parts.append(f"{subject.capitalize()} can hold together.")
         else:
             parts.append(
@@ -121,17 +103,15 @@ class Feasibility(Result):
             )
         if self.remedies:
             parts.append(f"Found without any one of {', '.join(self.remedies)}.")
-        if {"F", "p"} <= study.anova.keys() and study.k > 2:
+        if {"F", "p"} <= self.study.anova.keys() and self.study.k > 2:
             parts.append(f"Read as {self.reading}.")
-            doubtful = reading_of(study) == ONLY_P or "anova.p" in self.left_out
+            doubtful = self.read_as == ONLY_P or "anova.p" in self.left_out
             if self.epsilon and doubtful:
                 low, high = self.epsilon
-                f_ratio = np.maximum(printed_interval(study.anova["F"]), 0.0).mean()
-                df = study.k - 1
-                uncorrected = f"{special.fdtrc(df, df * (study.n - 1), f_ratio):.3f}"
+                uncorrected = f"{_p_of_f(self.study, 1.0).mean():.3f}".removeprefix("0")
                 parts.append(
                     f"A corrected p fits F with ε from {low:.3f} to {high:.3f}; uncorrected, p "
-                    f"would be {uncorrected.removeprefix('0')}."
+                    f"would be {uncorrected}."
                 )
         return " ".join(parts)
 
@@ -142,25 +122,28 @@ class Feasibility(Result):
 
     def table(self) -> pd.DataFrame:
         """
-        Return what is printed, what it allows, and its part in a conflict.
+        Return what is printed, what agrees with it, and its part in a conflict.
 
-        Index statistic; columns printed, low, high (of the statistic itself; p before adjustment,
-        but for Holm's), in_conflict, remedy, left_out (the reason, or empty).
+        Index statistic; columns printed, low, high, in_conflict, remedy, left_out (the reason, or
+        empty).
         """
-        rows = []
-        for s in constraints(self.study, self.p_adjust, reading_of(self.study)):
-            marks = s.name in self.conflict, s.name in self.remedies
-            rows.append((s.name, s.text, s.low, s.high, *marks, self.left_out.get(s.name, "")))
+        rows = [
+            (*s, s.name in self.conflict, s.name in self.remedies, self.left_out.get(s.name, ""))
+            for s in constraints(self.study)
+        ]
         columns = ["statistic", "printed", "low", "high", "in_conflict", "remedy", "left_out"]
         return pd.DataFrame(rows, columns=columns).set_index("statistic")
 
 
+def _p_of_f(study: PublishedStudy, epsilon: np.ndarray | float) -> np.ndarray:
+    """Return p at both ends of the printed F, with degrees of freedom times ε."""
+    df = (study.k - 1) * epsilon
+    f_ratio = np.maximum(printed_interval(study.anova["F"]), 0.0)
+    return special.fdtrc(df, df * (study.n - 1), f_ratio)
+
+
 def feasibility(
-    study: PublishedStudy,
-    p_adjust: str = "bonferroni",
-    without: Iterable[str] = (),
-    seed: int = 0,
-    explain: bool = True,
+    study: PublishedStudy, p_adjust: str = "bonferroni", seed: int = 0, explain: bool = True
 ) -> Feasibility:
     """
     Determine whether printed numbers can belong to one data set, and if not, what conflicts.
@@ -175,8 +158,6 @@ def feasibility(
         The study.
     p_adjust : {"bonferroni", "holm", "sidak", "none"}
         How the printed pairwise p-values were adjusted for the number of comparisons.
-    without : iterable of str
-        Statistics to leave out, by name ("anova.F", "pairs.C1-C3") or group ("mauchly", "pairs").
     seed : int
         Seed of the search.
     explain : bool
@@ -189,7 +170,7 @@ def feasibility(
     Raises
     ------
     ValueError
-        If an argument is wrong or nothing is left.
+        If an argument is wrong.
 
     Examples
     --------
@@ -198,42 +179,41 @@ def feasibility(
     >>> answer.feasible, answer.left_out
     (True, {})
     """
-    rng = np.random.default_rng(whole_number("seed", seed, least=0))
-    problem, left_out = moment_problem(study, p_adjust, without)
-    moments = problem.solve(rng)
-    conflict = tuple(s.name for s in problem.constraints if moments.outside[s.name] > 0.0)
-    # What presses on the closest data, most first.
-    pressing = sorted(moments.outside, key=lambda name: -moments.outside[name])
-    remedies = tuple(
-        name
-        for name in pressing
-        if explain
-        and name in conflict
-        and len(problem.constraints) > 1
-        and problem.without(name).solve(rng, FEW_STARTS).violation == 0.0
-    )
-    return Feasibility(study, p_adjust, left_out, conflict, remedies, moments)
+    check_study(study)
+    one_of("p_adjust", p_adjust, ADJUSTMENTS)
+    return search(study, p_adjust, whole_number("seed", seed, least=0), explain, {})
 
 
-def moment_problem(
-    study: PublishedStudy, p_adjust: str, without: Iterable[str]
-) -> tuple[MomentProblem, dict[str, str]]:
-    """Return the constraints that are to hold, and the reasons for those that are left out."""
+def check_study(study: object) -> None:
+    """Refuse what is no printed study; a name is answered with where the study is."""
     hint = ""
     if isinstance(study, str):
         near = get_close_matches(study, published_studies(), n=1) or ["uav.tlx"]
         hint = f"a printed one is published_studies()[{near[0]!r}]"
     of_class("study", study, PublishedStudy, hint)
-    one_of("p_adjust", p_adjust, ADJUSTMENTS)
+
+
+def search(
+    study: PublishedStudy, p_adjust: str, seed: int, explain: bool, aside: Mapping[str, str]
+) -> Feasibility:
+    """Return the answer about all statistics but some that are put aside with a reason."""
+    rng = np.random.default_rng(seed)
     reading = reading_of(study)
-    printed = constraints(study, p_adjust, reading)
-    rows = select(printed, without)
-    requested = {s.name: REQUESTED for s in printed if s not in rows}
-    if requested and not any(s.kind != "fixed" for s in rows):
-        raise ValueError(f"without: nothing of {study.name} is left")
-    reasons = contradictions(study, p_adjust) | requested
-    rows = [s for s in rows if s.name not in reasons and s.kind != "fixed"]
-    return MomentProblem(rows, study.n, study.k, reading.p, study.scale), reasons
+    left_out = contradictions(study, p_adjust) | dict(aside)
+    rows = [s for s in constraints(study) if s.name not in left_out]
+    moments = MomentProblem(study, reading, p_adjust, rows).solve(rng)
+    # What presses on the closest data, most first.
+    pressing = sorted(moments.outside, key=lambda name: -moments.outside[name])
+    conflict = tuple(s.name for s in rows if moments.outside[s.name] > 0.0)
+
+    def found_without(name: str) -> bool:
+        rest = [s for s in rows if s.name != name]
+        return MomentProblem(study, reading, p_adjust, rest).solve(rng, FEW_STARTS).violation == 0.0
+
+    remedies = tuple(
+        name for name in pressing if explain and name in conflict and found_without(name)
+    )
+    return Feasibility(study, p_adjust, left_out, conflict, remedies, moments, reading)
 
 
 def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) -> pd.DataFrame:
@@ -258,8 +238,8 @@ def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) ->
     for name, study in studies.items():
         for p_adjust in ADJUSTMENTS:
             result = feasibility(study, p_adjust, seed=seed, explain=False)
-            left_out = ", ".join(result.left_out)
-            possible = result.feasible, result.rest_feasible
-            rows.append((name, p_adjust, *possible, result.status, result.violation, left_out))
+            status = "solved" if result.rest_feasible else "not found"
+            possible = result.feasible, result.rest_feasible, status, result.moments.violation
+            rows.append((name, p_adjust, *possible, ", ".join(result.left_out)))
     columns = ["study", "p_adjust", "feasible", "rest_feasible", "status", "violation", "left_out"]
     return pd.DataFrame(rows, columns=columns).set_index(["study", "p_adjust"])
