@@ -8,8 +8,7 @@ studies; the posterior is what the regression says for the printed effects, plus
 (Beaumont, Zhang and Balding 2002, with every simulation accepted). Residuals are scaled to equal
 variance, e_i/√(1 − h_i), as they are too small by the coefficients that they were fitted with, and
 carry the regression's own error at the printed effects, √(1 + h_0).
-`Calibration.coverage` shows that intervals cover: with every simulated study in turn as the printed
-one. Where printed effects lie beyond all that simulated studies give, the regression extrapolates,
+Where printed effects lie beyond all that simulated studies give, the regression extrapolates,
 and the posterior means nothing (Frazier, Robert and Rousseau 2020): `Calibration.reach` tells, the
 table marks such assumptions, and `Calibration.given` conditions on the measures within reach.
 """
@@ -27,9 +26,9 @@ from scipy import special
 from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import between, in_order, one_of, whole_number
+from trustlab.models.checks import between, in_order, one_of, shown, whole_number
 from trustlab.models.digest import room_digest
-from trustlab.models.display import Result, axes_or_new
+from trustlab.models.display import Result
 from trustlab.models.files import write_atomically
 from trustlab.reproduction.effects import (
     TELEOPERATION,
@@ -146,42 +145,6 @@ class Calibration(Result):
         table["extrapolated"] = table["assumption"].isin(self.extrapolated)
         return table
 
-    def coverage(self) -> pd.DataFrame:
-        """
-        Return how often intervals cover the truth, with every simulated study in turn as the
-        printed one and left out of the others.
-
-        Returns
-        -------
-        pandas.DataFrame
-            assumption; covered_95, covered_50: shares of the studies whose assumption lies in the
-            central interval of 95 % and 50 %; error_95, error_50: their standard errors; score: the
-            mean interval score of the 95 % intervals in units of the prior's range (the width, plus
-            40 times the distance of a truth outside), smaller being better.
-
-        References
-        ----------
-        T. Gneiting and A. E. Raftery, J. Am. Stat. Assoc. 102 (2007) 359-378.
-        """
-        simulated, _ = self._beside(self.measures)
-        drawn = self.simulations[list(self.priors)]
-        truths = drawn.to_numpy(float)
-        ends = np.empty((len(drawn), 4, len(self.priors)))
-        for i in range(len(drawn)):
-            rest = np.arange(len(drawn)) != i
-            sample, _ = posterior_sample(drawn[rest], simulated[rest], simulated[i], self.priors)
-            ends[i] = np.quantile(sample.to_numpy(), [0.025, 0.25, 0.75, 0.975], axis=0)
-        outside = np.maximum(ends[:, 0] - truths, 0.0) + np.maximum(truths - ends[:, 3], 0.0)
-        low, high = np.transpose(list(self.priors.values()))
-        score = (ends[:, 3] - ends[:, 0] + 2.0 / 0.05 * outside) / (high - low)
-        table = pd.DataFrame({"assumption": list(self.priors)})
-        for name, first, last in (("95", 0, 3), ("50", 1, 2)):
-            share = ((ends[:, first] <= truths) & (truths <= ends[:, last])).mean(axis=0)
-            table[f"covered_{name}"] = share
-            table[f"error_{name}"] = np.sqrt(share * (1.0 - share) / len(drawn))
-        table["score"] = score.mean(axis=0)
-        return table
-
     def given(self, *measures: str) -> "Calibration":
         """
         Return the calibration from the same simulated studies that some measures' effects alone
@@ -293,28 +256,6 @@ class Calibration(Result):
             rows.append((effect.id, effect.printed, *prior, reached, low, high, predicted))
         names = ["id", "printed", "prior_low", "prior_high", "reached", "low", "high", "predicted"]
         return pd.DataFrame(rows, columns=names)
-
-    def plot(self):
-        """
-        Plot the posterior of every assumption over its prior.
-
-        Returns
-        -------
-        numpy.ndarray of matplotlib.axes.Axes
-        """
-        size = (min(2.2 * len(self.priors), 10.0), 2.6)
-        axes = axes_or_new(
-            columns=len(self.priors), title="simulated; dashed: prior", squeeze=False, figsize=size
-        )
-        for axis, (name, (low, high)) in zip(axes[0], self.priors.items(), strict=True):
-            axis.hist(
-                self.posterior[name], bins=20, range=(low, high), density=True, color="#0072b2"
-            )
-            axis.axhline(1.0 / (high - low), color="black", ls="--", lw=1.0)
-            axis.set(xlabel=name.replace("_", " "), yticks=[])
-            if name in self.extrapolated:
-                axis.set_title("extrapolated", fontsize="small")
-        return axes[0]
 
 
 def calibrate(
@@ -493,17 +434,13 @@ def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple
     """Return ranges of priors, each with mass and within what an operator allows."""
     if not isinstance(priors, Mapping) or not priors:
         raise ValueError(
-            f"priors must map at least one assumption to (low, high), got {priors!r:.60}"
+            f"priors must map at least one assumption to (low, high), got {shown(priors)}"
         )
     ranges = {}
     for name, pair in priors.items():
-        try:
-            low, high = pair
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"the prior of {name} must be two numbers, low and high, got {pair!r:.60}"
-            ) from None
-        ranges[name] = in_order(f"the prior's low end of {name}", low, "its high end", high)
+        if np.shape(pair) != (2,):
+            raise ValueError(f"the prior of {name} must be two numbers, got {shown(pair)}")
+        ranges[name] = in_order(f"the low end of {name}", pair[0], "its high end", pair[1])
     for end in (0, 1):
         all_checked({name: pair[end] for name, pair in ranges.items()})
     return ranges

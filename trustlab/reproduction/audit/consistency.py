@@ -1,6 +1,6 @@
 """
 Whether several printed numbers can go together: the parameters, limits and bounds of a participant;
-means, SDs, whole points and sample sizes; the pairwise p-values and F of a study.
+means, SDs, whole points and sample sizes; statistics that two studies share.
 """
 
 import math
@@ -16,7 +16,6 @@ from scipy import stats
 from trustlab.reproduction.audit.catalogue import (
     PARTICIPANTS,
     PrintedNumber,
-    conditions_of,
     study_names,
 )
 from trustlab.reproduction.audit.check import (
@@ -47,8 +46,6 @@ FARTHEST = 1e3
 MEASURES = published_facts("measures")
 TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].items()}
 MOST_ITEMS = 40
-
-ALPHA = 0.05
 
 
 @dataclass(frozen=True)
@@ -241,17 +238,6 @@ def attainable(number: PrintedNumber, units: Fraction) -> float:
     return nearest if least <= nearest <= most else math.nan
 
 
-def simplest_ratio(number: PrintedNumber, most: int = 60) -> Fraction | None:
-    """Return a percentage's simplest ratio with a denominator up to `most`, or None."""
-    least, top = number.compatible
-    for denominator in range(1, most + 1):
-        below = math.floor(number.value * denominator / 100)
-        for ratio in (Fraction(below, denominator), Fraction(below + 1, denominator)):
-            if least <= 100 * ratio <= top:
-                return ratio
-    return None
-
-
 def _measures(numbers: Numbers) -> dict[str, dict[str, str]]:
     """Return, per measure, condition to id of its mean."""
     measures: dict[str, dict[str, str]] = {}
@@ -362,21 +348,11 @@ def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Nu
     )
 
 
-def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Allows | Row:
+def _performance(measure: str, id: str, numbers: Numbers) -> Allows | Row:
     """Return the range of a mean of Table 2.5 that the participants' own ranges leave."""
-    name, forced = _kind(measure), ""
-    if condition == "C3" and name in ("P_r", "r"):
-        symbol = "r_" if name == "r" else "P_r"
-        low, high = (
-            np.mean([numbers[f"table_2.2/{symbol}{end}/{p}"].value for p in PARTICIPANTS])
-            for end in "lu"
-        )
-        forced = (
-            f"The bounds of Table 2.2, which hold in steady state, are {low:.4f} and "
-            f"{high:.4f} on average."
-        )
+    name, note = _kind(measure), ""
     if name == "r":
-        return row_about(numbers[id], f"Measured; a share between 0 and 1. {forced}")
+        return row_about(numbers[id], "Measured; a share between 0 and 1.")
     least, most = (
         Formula(
             f"mean of {name}_{end} of Table 2.1",
@@ -387,28 +363,20 @@ def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> All
     )
     top, _, _ = most.range(numbers)
     if numbers[id].value >= top:
-        forced = (
+        note = (
             f"Suspicious: it reaches the mean of the greatest values, {top:.4f}, as if every "
             "participant had been at their best throughout."
         )
-    return Allows(of=id, least=least, most=most, note=forced)
-
-
-def _followed(id: str, numbers: Numbers) -> Row:
-    """Return a remark on a share of Table 2.6: the simplest counts that give it."""
-    ratio = simplest_ratio(numbers[id])
-    simplest = f"; simplest is {ratio.numerator} of {ratio.denominator}" if ratio else ""
-    return row_about(numbers[id], f"Counts of suggestions are not printed{simplest}.")
+    return Allows(of=id, least=least, most=most, note=note)
 
 
 def sample_checks(numbers: Numbers) -> list[Finding]:
-    """Return the checks of the means and SDs in Tables 2.4-2.6 and 3.1 and in the studies."""
-    shares = [f"table_2.6/{condition}/{p}" for condition in ("C2", "C4") for p in PARTICIPANTS]
-    checks: list[Finding] = [_followed(id, numbers) for id in shares]
+    """Return the checks of the means and SDs in Tables 2.4, 2.5 and 3.1 and in the studies."""
+    checks: list[Finding] = []
     for measure, ids in _measures(numbers).items():
         checks += [_sd(measure, id, numbers) for id in ids.values()]
         if measure.startswith("table_2.5"):
-            checks += [_performance(measure, c, id, numbers) for c, id in ids.items()]
+            checks += [_performance(measure, id, numbers) for id in ids.values()]
         elif _kind(measure) in ("tlx", "trust", "satisfaction", "preference"):
             checks += _ratings(measure, ids, numbers)
     return checks
@@ -442,95 +410,6 @@ def _duplicates(first: str, second: str, numbers: Numbers) -> list[Row]:
 
 
 def study_checks(numbers: Numbers) -> list[Row]:
-    """Return the rows about pairs of studies, and about all pairs of conditions of a study."""
-    names = study_names(numbers)
-    return [
-        *(row for name in names for row in _adjustments(name, numbers)),
-        *(row for pair in combinations(names, 2) for row in _duplicates(*pair, numbers)),
-    ]
-
-
-def _adjustments(name: str, numbers: Numbers) -> list[Row]:
-    """
-    Return for which adjustment of p the printed pairs can go with the printed F, if F and all means
-    are printed.
-
-    The variances of all k(k − 1)/2 differences add up to k(k − 1) MS_error, and MS_error =
-    MS_conditions/F. A printed p fixes the variance of its difference, p < .0005 bounds it from
-    above, no significance from below. Šidák's and Holm's p lie between the unadjusted and
-    Bonferroni's. Not checkable, as neither the adjustment nor every pair is printed.
-    """
-    conditions = conditions_of(name)
-    k, ids = len(conditions), {f"M_{c}": f"{name}/mean.{c}" for c in conditions}
-    ids |= {"n": f"{name}/n", "F": f"{name}/anova.F"}
-    if not set(ids.values()) <= numbers.keys():
-        return []
-    text = "k(k − 1) MS_conditions/F"
-    formula = Formula(text, lambda v: k * (k - 1.0) * v.n * v.M.var(axis=0, ddof=1) / v.F, ids=ids)
-    value, low, high = formula.range(numbers)
-    times = {"unadjusted": 1.0, "Bonferroni": k * (k - 1) / 2}
-    spans = {way: _sum_of_variances(name, numbers, m) for way, m in times.items()}
-    fits = [way for way, (least, most) in spans.items() if least <= high and most >= low]
-    allowed = "; ".join(
-        f"{way}: from {least:.4g} to {most:.4g}" for way, (least, most) in spans.items()
-    )
-    reason = (
-        f"The variances of all differences add up to {value:.4g} by F, from {low:.4g} to "
-        f"{high:.4g} within rounding. The printed pairs allow {allowed}, with pairs that are not "
-        f"listed taken as not significant at {ALPHA}. "
-    )
-    if len(fits) == 2:
-        reason += "The adjustment is not printed; these numbers leave it open."
-    elif fits:
-        reason += f"The adjustment is not printed; of the two only {fits[0]} is possible."
-    else:
-        reason = f"Suspicious: {reason}Neither is possible."
-    number = numbers[ids["F"]]
-    row = row_about(
-        number,
-        reason,
-        span=(value, low, high),
-        formula=text,
-        inputs=listing(formula.inputs(numbers), numbers),
-        id=f"{name}/pairs/adjustment",
-        quantity=f"{number.quantity}, against the pairwise p-values",
-    )
-    return [row]
-
-
-def _printed_p(name: str, pair: tuple[str, str], numbers: Numbers) -> tuple[float, float]:
-    """Return least and greatest p of a pair; those not listed were not significant."""
-    for a, b in (pair, pair[::-1]):
-        if f"{name}/significant.{a}-{b}" in numbers:
-            return 0.0, ALPHA
-        if f"{name}/pairs.{a}-{b}" in numbers:
-            return numbers[f"{name}/pairs.{a}-{b}"].compatible
-    return ALPHA, 1.0
-
-
-def _distance(first: PrintedNumber, second: PrintedNumber) -> tuple[float, float]:
-    """Return least and greatest difference of two printed numbers within their rounding."""
-    apart, slack = abs(first.value - second.value), first.half + second.half
-    return max(apart - slack, 0.0), apart + slack
-
-
-def _sum_of_variances(name: str, numbers: Numbers, times: float) -> tuple[float, float]:
-    """Return least and greatest sum of the differences' variances, for p multiplied by `times`."""
-    n = numbers[f"{name}/n"].value
-    least = most = 0.0
-
-    def spread(p: float, difference: float) -> float:
-        """SD of a difference from its p and mean."""
-        return difference * np.sqrt(n) / stats.t.isf(min(p / times, 1.0) / 2.0, n - 1.0)
-
-    for pair in combinations(conditions_of(name), 2):
-        means, sds = ([numbers[f"{name}/{kind}.{c}"] for c in pair] for kind in ("mean", "sd"))
-        least_apart, most_apart = _distance(*means)
-        least_sd, _ = _distance(*sds)  # at a correlation of 1; the greatest is at −1
-        most_sd = sum(sd.value + sd.half for sd in sds)
-        low_p, high_p = _printed_p(name, pair, numbers)
-        below = spread(low_p, least_apart) if low_p > 0.0 else 0.0
-        above = spread(high_p, most_apart) if high_p < 1.0 else np.inf
-        least += max(below, least_sd) ** 2
-        most += min(above, most_sd) ** 2
-    return least, most
+    """Return the rows about pairs of studies."""
+    pairs = combinations(study_names(numbers), 2)
+    return [row for pair in pairs for row in _duplicates(*pair, numbers)]

@@ -13,8 +13,6 @@ import numpy as np
 from trustlab.reproduction.audit.catalogue import (
     PARTICIPANTS,
     claims,
-    conditions_of,
-    study_names,
     why_unchecked,
 )
 from trustlab.reproduction.audit.check import (
@@ -30,14 +28,12 @@ from trustlab.reproduction.audit.relations import (
     CHANGE,
     LIMIT_INPUTS,
     change,
-    chi2_of_epsilon,
     limits,
     related,
     relations,
     upper_limit,
 )
 from trustlab.reproduction.printed_number import ROUNDINGS
-from trustlab.studies.anova import mauchly_p_value
 
 SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
 HIGHER_IS_BETTER = {"error": False, "tlx": False, "trust": True, "preference": True}
@@ -156,26 +152,6 @@ def _captured_thresholds(numbers: Numbers) -> list[Row]:
     return rows
 
 
-def _unprinted_sphericity(numbers: Numbers) -> list[Row]:
-    """Return remarks on tests of sphericity whose χ² is not printed, from the ε that is."""
-    rows = []
-    for name in study_names(numbers):
-        if f"{name}/epsilon" not in numbers or f"{name}/mauchly.chi2" in numbers:
-            continue
-        epsilon, k = numbers[f"{name}/epsilon"], len(conditions_of(name))
-        n = numbers[f"{name}/n"].value
-        ends = epsilon.value + epsilon.half * np.array([-1.0, 0.0, 1.0])
-        chi2 = [chi2_of_epsilon(ends, n, k, greatest) for greatest in (False, True)]
-        low, high = np.min(chi2[0]), np.max(chi2[1])
-        p_low, p_high = (float(mauchly_p_value(x, n, k)) for x in (high, low))
-        reason = (
-            f"χ² is not printed; ε = {epsilon.printed} leaves χ² from {low:.1f} to "
-            f"{high:.1f}, that is p from {p_low:.2g} to {p_high:.2g}."
-        )
-        rows.append(row_about(numbers[f"{name}/sphericity"], reason))
-    return rows
-
-
 def _heaviest_handle(section: str, numbers: Numbers) -> Row:
     """Return a remark on (3.10) at rest, B ≥ M Λ."""
     damping, rate = numbers[f"{section}/B"], numbers[f"{section}/Lambda"]
@@ -189,29 +165,12 @@ def _heaviest_handle(section: str, numbers: Numbers) -> Row:
     return row_about(damping, f"{weight}; its mass is not printed.")
 
 
-def _rate_of_correction(numbers: Numbers) -> Row:
-    """Return a remark on how long the printed change of thresholds takes."""
-    section = "section_2_5/TSC_{}".format
-    changes = [
-        abs(numbers[section(f"{end}d")].value - numbers[section(f"{end}_0")].value) for end in "lu"
-    ]
-    rate = numbers["section_2_5/c_b"]
-    chosen = (
-        "Chosen by the author. The printed change of thresholds takes at least "
-        f"{60.0 * max(changes) / rate.value:.1f} min at this rate; the length of the tests is not "
-        "printed."
-    )
-    return row_about(rate, chosen)
-
-
 def remarks(numbers: Numbers) -> list[Row]:
     """Return the remarks on numbers that no other determines."""
     return [
         *_chosen_thresholds(numbers),
         *_captured_thresholds(numbers),
-        *_unprinted_sphericity(numbers),
         *(_heaviest_handle(section, numbers) for section in ("section_3_8_1", "section_3_9")),
-        _rate_of_correction(numbers),
     ]
 
 
