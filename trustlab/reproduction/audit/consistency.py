@@ -5,13 +5,12 @@ means, SDs, whole points and sample sizes; statistics that two studies share.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
 from trustlab.reproduction.audit.catalogue import (
     PARTICIPANTS,
@@ -48,8 +47,7 @@ TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].it
 MOST_ITEMS = 40
 
 
-@dataclass(frozen=True)
-class JointCheck:
+class JointCheck(NamedTuple):
     """
     Several printed outputs that should come from one set of parameters.
 
@@ -80,55 +78,50 @@ class JointCheck:
         """
         Search the box of rounding, but for `fixed` inputs, for the parameters that miss least.
         """
+        free = {name: self.numbers[id] for name, id in self.inputs.items() if name not in fixed}
+        middle = np.array([number.value for number in free.values()])
+        half = np.array([number.half for number in free.values()])
         least = FARTHEST
         for compute in self.readings:
-            least = min(least, self._search(compute, fixed))
+
+            def miss(point: np.ndarray, compute: Callable = compute) -> np.ndarray:
+                values = dict(zip(free, middle[:, None] + half[:, None] * point, strict=True))
+                values |= {name: np.full(point.shape[1], value) for name, value in fixed.items()}
+                return self.misfit(compute(values))
+
+            # A global search: the misfit has steps, as dwell times are whole numbers, and is flat
+            # where all outputs fit.
+            result = optimize.differential_evolution(
+                miss,
+                [(-1.0, 1.0)] * len(free),
+                rng=0,
+                maxiter=300,
+                popsize=12,
+                tol=1e-6,
+                polish=False,
+                vectorized=True,
+                updating="deferred",
+                callback=lambda intermediate_result: intermediate_result.fun == 0.0,
+            )
+            least = min(least, float(result.fun))
             if least == 0.0:
                 break
         return least
 
-    def _search(self, compute: Callable[[dict], dict], fixed: Mapping[str, float]) -> float:
-        from scipy.optimize import differential_evolution
-
-        free = {name: self.numbers[id] for name, id in self.inputs.items() if name not in fixed}
-        middle = np.array([number.value for number in free.values()])
-        half = np.array([number.half for number in free.values()])
-
-        def miss(point: np.ndarray) -> np.ndarray:
-            values = dict(zip(free, middle[:, None] + half[:, None] * point, strict=True))
-            values |= {name: np.full(point.shape[1], value) for name, value in fixed.items()}
-            return self.misfit(compute(values))
-
-        if miss(np.zeros((len(free), 1))).item() == 0.0:
-            return 0.0
-        # A global search: the misfit has steps, as dwell times are whole numbers, and is flat where
-        # all outputs fit.
-        result = differential_evolution(
-            miss,
-            [(-1.0, 1.0)] * len(free),
-            rng=0,
-            maxiter=300,
-            popsize=12,
-            tol=1e-6,
-            polish=False,
-            vectorized=True,
-            updating="deferred",
-            callback=lambda x, convergence: miss(x[:, None]).item() == 0.0,
-        )
-        return float(result.fun)
-
     def row(self, explain: Callable[["JointCheck"], str]) -> Row:
         """Return the verdict; `explain` says what would give the outputs where they do not fit."""
         names, miss = ", ".join(self.outputs), self.least_misfit()
-        verdict = "within rounding" if miss == 0.0 else "differs" if miss > 1.0 else "not checkable"
-        reason = f"{names} can all come from one set of parameters that round as printed."
-        if miss > 0.0:
-            reason = (
-                f"{'' if verdict == 'differs' else 'Suspicious: '}{names} cannot all come from "
-                "one set of parameters that round as printed; the nearest found still miss one "
-                f"of them by {miss:.2g} half units beyond its rounding. {explain(self)}"
-            )
-        return self.described(verdict, reason)
+        if miss == 0.0:
+            reason = f"{names} can all come from one set of parameters that round as printed."
+            return self.described("within rounding", reason)
+        reason = (
+            f"{names} cannot all come from one set of parameters that round as printed; the "
+            f"nearest found still miss one of them by {miss:.2g} half units beyond its rounding. "
+            f"{explain(self)}"
+        )
+        if miss > 1.0:
+            return self.described("differs", reason)
+        return self.described("not checkable", f"Suspicious: {reason}")
 
     def described(self, verdict: str, reason: str) -> Row:
         """Return a row with this verdict under the id of the second output."""
