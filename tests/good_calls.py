@@ -145,7 +145,6 @@ CALLS = {
     },
     "Panel.event": lambda: {"k": 0},
     "Panel.of": lambda: {"rows": [0, 1]},
-    "Panel.with_ratings": lambda: {"ratings": cases.panel().ratings},
     "PublishedStudy.pair": lambda: {"name": "A-B"},
     "RepeatedMeasures.pairs": dict,
     "RobotModel.simulate": lambda: {

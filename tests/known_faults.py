@@ -207,9 +207,6 @@ KNOWN = {
     "Panel.of": {
         "rows": "foreign errors",
     },
-    "Panel.with_ratings": {
-        "ratings": "anything is taken",
-    },
     "reconstruct": {
         "p_adjust": "no difference",
     },

@@ -1,5 +1,7 @@
 """Held-out scores by plain loops, pairs by SciPy's paired t test, and models told apart."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -34,7 +36,7 @@ def test_last_third_is_not_fitted_and_predicted_freely(compared):
     panel = tl.read_people("hybrid_vr")
     ratings = panel.ratings.copy()
     ratings[:, 8:] = 0.5
-    changed = panel.with_ratings(ratings)
+    changed = replace(panel, ratings=ratings)
     fit = tl.trust.fitting.fitted(panel, MODELS["performance"], until=7)
     again = tl.trust.fitting.fitted(changed, MODELS["performance"], until=7)
     np.testing.assert_array_equal(fit.centre, again.centre)
@@ -80,6 +82,6 @@ def test_bad_input_is_named():
         tl.compare_trust_models(panel.of(range(3)), FAST)
     ratings = panel.ratings.copy()
     ratings[:, 1:] = np.nan
-    unrated = panel.with_ratings(ratings)
+    unrated = replace(panel, ratings=ratings)
     with pytest.raises(ValueError, match="no rating after an event"):
         tl.fit_trust(unrated)

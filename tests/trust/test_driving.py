@@ -31,19 +31,15 @@ def test_trust_in_the_loop_is_the_models_on_the_loops_performance(name):
     assert np.ptp(trust) > 0.01
 
 
-def test_two_loops_do_not_share_their_memory():
-    driver = tl.trust.TrustInLoop(MODELS["asymmetric"](), every=0.1)
-    runs = [tl.simulate_teleoperation("TMIG", trust=driver, seed=0, duration=1.0) for _ in range(2)]
-    assert runs[0] == runs[1]
-
-
-def test_a_bare_model_is_one_trial_a_second():
+def test_loops_do_not_share_their_memory_and_a_bare_model_is_one_trial_a_second():
     model = MODELS["asymmetric"]()
-    bare = tl.simulate_teleoperation("TMIG", trust=model, seed=0, duration=2.5)
-    assert bare == tl.simulate_teleoperation(
-        "TMIG", trust=tl.trust.TrustInLoop(model), seed=0, duration=2.5
+    driver = tl.trust.TrustInLoop(model)
+    first, again, bare, usual = (
+        tl.simulate_teleoperation("TMIG", trust=trust, seed=0, duration=2.5)
+        for trust in (driver, driver, model, None)
     )
-    assert bare != tl.simulate_teleoperation("TMIG", seed=0, duration=2.5)
+    assert first == again == bare
+    assert bare != usual
 
 
 TEAM = {"goal": (0.5, -1.0, 0.2), "seed": 4, "trial": TeamTrial(0.01, record_every=0.01)}

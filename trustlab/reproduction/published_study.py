@@ -5,6 +5,7 @@ A within-subject study as printed: every number a string, so that "0.50" keeps i
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import permutations
+from typing import Any
 
 import pandas as pd
 
@@ -202,7 +203,7 @@ def _names(key: str, value: Iterable[str]) -> tuple[str, ...]:
     return names
 
 
-def _scale(key: str, value: object) -> tuple[float, float]:
+def _scale(key: str, value: Any) -> tuple[float, float]:
     """Return the ends of a scale, which may be infinite."""
     numbers = isinstance(value, tuple | list) and len(value) == 2
     numbers = numbers and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)

@@ -303,19 +303,6 @@ class TrustDynamics:
         """
         return self.rating(belief).mean
 
-    def reliance(self, belief: Any, bias: float = -2.0, slope: float = 4.0) -> np.ndarray:
-        """
-        Return the probability that a person relies on the robot, logistic in the preference.
-
-        Parameters
-        ----------
-        belief : Any
-            The belief now.
-        bias, slope : float
-            Log odds at a preference of 0, and their rise; `TrustFit.link` has those fitted.
-        """
-        return special.expit(bias + slope * self.preference(belief))
-
 
 def with_parameters(model: type[TrustDynamics], coordinates: np.ndarray) -> TrustDynamics:
     """

@@ -1,5 +1,6 @@
 """A model of trust run along a panel: predictions, their log-likelihood, draws from it."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -111,4 +112,4 @@ def simulate_ratings(model: TrustDynamics, panel: Panel, rng: np.random.Generato
         rounded = np.round(drawn * steps) / steps
         ratings[:, k + 1] = np.where(np.isnan(ratings[:, k + 1]), np.nan, rounded)
         belief = model.learn(belief, ratings[:, k + 1])
-    return panel.with_ratings(ratings)
+    return replace(panel, ratings=ratings)

@@ -77,35 +77,6 @@ class Panel:
         people = tuple(self.people[i] for i in rows)
         return replace(self, people=people, events=events, ratings=self.ratings[rows])
 
-    def with_ratings(self, ratings: np.ndarray) -> "Panel":
-        """
-        Return the same events with other ratings.
-
-        Parameters
-        ----------
-        ratings : numpy.ndarray, shape (N, K + 1)
-            0 to 1, or NaN.
-        """
-        return replace(self, ratings=ratings)
-
-    def table(self) -> pd.DataFrame:
-        """
-        Return a row per person and trial: person, trial, the signals and the rating after it.
-
-        Trial 0 has the first rating alone.
-        """
-        size, columns = self.ratings.shape
-        table = pd.DataFrame(
-            {
-                "person": np.repeat(np.array(self.people, dtype=object), columns),
-                "trial": np.tile(np.arange(columns), size),
-            }
-        )
-        for name, signal in self.events._asdict().items():
-            table[name] = np.column_stack([np.full(size, np.nan), signal]).ravel()
-        table["rating"] = self.ratings.ravel()
-        return table
-
 
 def panel_from_table(
     table: pd.DataFrame,

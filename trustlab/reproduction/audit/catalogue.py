@@ -11,6 +11,7 @@ from functools import cache
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, shown
+from trustlab.reproduction.printed_number import half_unit
 from trustlab.reproduction.published import (
     printed_pilot,
     published_facts,
@@ -72,8 +73,7 @@ class PrintedNumber:
             return 0.0
         if not math.isfinite(self.value):
             return math.nan
-        exponent = Decimal(self.printed.lstrip("<>")).as_tuple().exponent
-        return float(f"5e{int(exponent) - 1}")
+        return half_unit(self.printed.lstrip("<>"))
 
     @property
     def decimals(self) -> int:
@@ -125,20 +125,15 @@ def _pilot() -> Iterator[PrintedNumber]:
 
 def _studies() -> Iterator[PrintedNumber]:
     for name, study in published_studies().items():
-
-        def number(key: str, quantity: str, text: str, exact: bool = False) -> PrintedNumber:
-            return PrintedNumber(f"{name}/{key}", where, quantity, text, exact)  # noqa: B023
-
         where, title = study.where.split(" (")[0], study.title
-        yield number("n", "n", str(study.n), exact=True)
-        for field in ("mean", "sd", "mauchly", "anova", "pairs", "t_test"):
-            for entry, text in getattr(study, field).items():
-                degrees = field in ("mauchly", "anova") and text.isdecimal()
-                yield number(f"{field}.{entry}", f"{title}: {field} {entry}", text, degrees)
+        yield PrintedNumber(f"{name}/n", where, "n", str(study.n), exact=True)
+        for statistic, text in study.table()["printed"].items():
+            quantity = f"{title}: {statistic.replace('.', ' ', 1)}"
+            degrees = statistic.startswith(("mauchly.", "anova.")) and text.isdecimal()
+            yield PrintedNumber(f"{name}/{statistic}", where, quantity, text, degrees)
         for pair in study.significant_without_p:
-            yield number(f"significant.{pair}", f"{title}: {pair}", "significantly")
-        if study.epsilon:
-            yield number("epsilon", f"{title}: epsilon", study.epsilon)
+            id, quantity = f"{name}/significant.{pair}", f"{title}: {pair}"
+            yield PrintedNumber(id, where, quantity, "significantly")
 
 
 @cache
