@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import brentq, minimize
+from scipy.optimize import minimize
 from scipy.special import expit
 
 from trustlab.models.checks import of_class, one_of
@@ -19,15 +19,18 @@ from trustlab.trust.panel import Panel
 
 # A loss of each row of coordinates, shape (rows, parameters), on the person with its number.
 Losses = Callable[[np.ndarray, np.ndarray], np.ndarray]
-# A loss at coordinates, shape (parameters,), with its derivatives.
-Loss = Callable[[np.ndarray], tuple[float, np.ndarray]]
-# Step of the differences behind derivatives, in coordinates without bounds.
-STEP = 1e-3
+# Step of the differences behind first and second derivatives, in coordinates without bounds.
+CURVE = 3e-3
 # Beyond ±9 a parameter is at its bound for all purposes.
 EDGE = 9.0
 ROUNDS = 30
-# What the log-likelihood has fallen by at the ends of a 95 % interval.
-FALL = 1.92
+# A search has settled where no coordinate moves further.
+SETTLED = 1e-4
+# The root of twice the fall of the log-likelihood at the ends of a 95 % interval, and its error.
+FALL = 1.96
+NEAR = 0.02
+# Spread of a coordinate that is held where it is put.
+HELD = 1e-4
 LEAST_SPREAD = 0.05
 CRITERIA = ("step", "free")
 # Points drawn about the defaults, and how many of the best a search begins at.
@@ -105,12 +108,8 @@ class TrustFit(Result):
             return self.centre + np.outer([-1.96, 1.96], self.spread)
         if self.criterion == "free" or not self.centre.size:
             return np.full((2, self.centre.size), np.nan)
-        loss = _pooled(_losses(self.panel, type(self.model)), len(self.panel))
-        ends = [
-            [profile_end(loss, self.centre, i, side) for i in range(self.centre.size)]
-            for side in (-1.0, 1.0)
-        ]
-        return np.array(ends)
+        losses = _losses(self.panel, type(self.model))
+        return profile_ends(losses, self.centre, np.arange(len(self.panel)))
 
     @property
     def title(self) -> str:
@@ -139,9 +138,11 @@ class TrustFit(Result):
         low, high = self.ends
         at = [with_parameters(type(self.model), x) for x in (self.centre, low, high)]
         values = [np.array([getattr(end, name) for name in names], dtype=float) for end in at]
-        without = (np.isinf(low) & np.isinf(high)) | np.isnan(low)
-        free = self.criterion == "free"
-        reason = "free runs have no likelihood" if free else "the data leave it open"
+        is_open = np.isinf(low) & np.isinf(high)
+        without = is_open | np.isnan(self.ends).any(axis=0)
+        reason: Any = np.where(is_open, "the data leave it open", "its ends were not found")
+        if self.criterion == "free":
+            reason = "free runs have no likelihood"
         return pd.DataFrame(
             {
                 "parameter": names,
@@ -226,16 +227,17 @@ def fitted(
     if not ratings:
         raise ValueError("the panel has no rating after an event: nothing can be fitted")
     losses = _losses(panel, chosen, free, until)
-    loss = _pooled(losses, len(panel))
-    starts = _starts(loss, chosen, panel, free, until) if start is None else [start]
-    optima = [optimum(loss, x) for x in starts]
-    reached = np.array([loss(x)[0] for x in optima])
+    people = np.arange(len(panel))
+    starts = _starts(losses, chosen, panel, free, until) if start is None else start[None]
+    total = _of_all(losses, people)
+    optima = optima_from(total, starts)
+    reached = total(optima, people)
     # The first that is as good as the best: last bits do not decide.
     centre = optima[np.argmax(reached <= reached.min() + ALIKE)]
     spread = np.zeros(centre.size)
     coordinates = centre
     if pooling == "partial":
-        centre, spread, coordinates = _population(losses, centre, len(panel))
+        centre, spread, coordinates = _population(losses, centre, people)
     model = with_parameters(chosen, coordinates)
     return TrustFit(
         model=model,
@@ -251,19 +253,21 @@ def fitted(
 
 
 def _starts(
-    loss: Loss, chosen: type[TrustDynamics], panel: Panel, free: bool, until: int | None
-) -> list[np.ndarray]:
+    losses: Losses, chosen: type[TrustDynamics], panel: Panel, free: bool, until: int | None
+) -> np.ndarray:
     """
     Return where searches begin: at the defaults, at the best of points drawn about them, and where
     the model is (3.2) as fitted, if it contains (3.2).
     """
     first = coordinates_of(chosen())
     drawn = first + 2.0 * np.random.default_rng(0).standard_normal((DRAWN, first.size))
-    starts = [first, *sorted(drawn, key=lambda x: loss(x)[0])[:BEST]]
+    people = np.arange(len(panel))
+    order = np.argsort(_of_all(losses, people)(drawn, people), kind="stable")
+    starts = [first, *drawn[order[:BEST]]]
     if chosen.contains_performance:
         simple = fitted(panel, MODELS["performance"], free=free, until=until).typical
         starts.append(coordinates_of(chosen.as_performance(simple)))
-    return starts
+    return np.array(starts)
 
 
 def _losses(
@@ -277,86 +281,28 @@ def _losses(
     return losses
 
 
-def slopes(losses: Losses, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return each person's loss at their row of coordinates, and its derivatives."""
-    people, count = x.shape
-    moves = STEP * np.concatenate([np.zeros((1, count)), np.eye(count), -np.eye(count)])
-    rows = np.tile(np.arange(people), len(moves))
-    values = losses((x + moves[:, None]).reshape(-1, count), rows).reshape(len(moves), people)
-    centre, ahead, behind = np.split(values, [1, count + 1])
-    return centre[0], (ahead - behind).T / (2.0 * STEP)
+def _of_all(losses: Losses, people: np.ndarray) -> Losses:
+    """Return the loss of all people together at each row of coordinates, whosever it is."""
+
+    def total(x: np.ndarray, _: np.ndarray) -> np.ndarray:
+        each = losses(np.repeat(x, people.size, axis=0), np.tile(people, len(x)))
+        return each.reshape(len(x), people.size).sum(axis=1)
+
+    return total
 
 
-def _pooled(losses: Losses, people: int) -> Loss:
-    """Return the loss of all people together at the same coordinates, with its derivatives."""
-
-    def loss(x: np.ndarray) -> tuple[float, np.ndarray]:
-        values, slope = slopes(losses, np.tile(x, (people, 1)))
-        return float(values.sum()), slope.sum(axis=0)
-
-    return loss
-
-
-def optimum(loss: Loss, x: np.ndarray, held: int | None = None) -> np.ndarray:
-    """Return the coordinates of least loss, searched from x; the one `held` stays as it is."""
-    low, high = np.full((2, x.size), [[-EDGE], [EDGE]])
-    if held is not None:
-        low[held] = high[held] = x[held]
-    return minimize(loss, x, jac=True, bounds=np.transpose([low, high])).x if x.size else x
-
-
-def profile_end(loss: Loss, centre: np.ndarray, place: int, side: float) -> float:
-    """
-    Return an end of the 95 % interval of a pooled coordinate, below (−1) or above (1) its optimum.
-
-    At an end the log-likelihood, with all other coordinates at their best, is 1.92 less than at the
-    optimum: D. J. Venzon, S. H. Moolgavkar, Applied Statistics 37(1), 1988. It is infinite where a
-    parameter reaches its bound before.
-    """
-    least, _ = loss(centre)
-    near = centre.copy()
-
-    @cache
-    def best(value: float) -> np.ndarray:
-        """The other coordinates at their best, searched from the last point within."""
-        x = near.copy()
-        x[place] = value
-        return optimum(loss, x, place)
-
-    def fall(value: float) -> float:
-        """How much more than at an end the log-likelihood has fallen."""
-        return loss(best(value))[0] - least - FALL
-
-    distance = 0.25
-    while side * near[place] < EDGE:
-        beyond = float(np.clip(centre[place] + side * distance, -EDGE, EDGE))
-        if fall(beyond) > 0.0:
-            return brentq(fall, near[place], beyond, xtol=1e-3)
-        near = best(beyond)
-        distance *= 2.0
-    return side * np.inf
-
-
-def _population(
-    losses: Losses, centre: np.ndarray, people: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _population(losses: Losses, centre: np.ndarray, people: np.ndarray):
     """Return the mean of people, their spread, and everybody's coordinates."""
     spread = np.ones(centre.size)
-    x = np.tile(centre, (people, 1))
-
-    def loss(flat: np.ndarray) -> tuple[float, np.ndarray]:
-        values, slope = slopes(losses, flat.reshape(x.shape))
-        away = (flat.reshape(x.shape) - centre) / spread
-        return values.sum() + 0.5 * (away**2).sum(), (slope + away / spread).ravel()
-
-    unit = STEP * np.eye(centre.size)
+    x = np.tile(centre, (people.size, 1))
     for _ in range(ROUNDS):
-        x = optimum(loss, x.ravel()).reshape(x.shape)
+        for _ in range(4):
+            x, curvature, moved = newton_step(losses, x, people, centre, spread)
+            if moved.max() < 1e-3:
+                break
         # What a person's data leave open counts to the spread of people.
-        turns = [slopes(losses, x + each)[1] - slopes(losses, x - each)[1] for each in unit]
-        curvature = np.stack(turns, axis=1) / (2.0 * STEP) + np.diag(spread**-2.0)
-        values, vectors = np.linalg.eigh(curvature)
-        uncertain = (vectors**2 / np.maximum(values, 1e-3)[:, None]).sum(axis=2)
+        left = np.linalg.inv(definite(curvature + np.diag(spread**-2.0)))
+        uncertain = np.diagonal(left, axis1=1, axis2=2)
         new_centre = x.mean(axis=0)
         new_spread = np.sqrt(((x - new_centre) ** 2 + uncertain).mean(axis=0))
         new_spread = np.maximum(new_spread, LEAST_SPREAD)
@@ -365,6 +311,137 @@ def _population(
         if change < 1e-2:
             break
     return centre, spread, x
+
+
+def optima_from(
+    total: Losses, x: np.ndarray, spread: Any = np.inf, rounds: int = ROUNDS, still: float = SETTLED
+) -> np.ndarray:
+    """Return rows of coordinates after Newton's steps until none moves further than `still`."""
+    x, rows = x.copy(), np.arange(len(x))
+    spread = np.broadcast_to(spread, x.shape)
+    for _ in range(rounds if x.size else 0):
+        stepped, _, moved = newton_step(total, x[rows], rows, x[rows], spread[rows])
+        x[rows] = np.clip(stepped, -EDGE, EDGE)
+        rows = rows[moved >= still]
+        if not rows.size:
+            break
+    return x
+
+
+def profile_ends(losses: Losses, centre: np.ndarray, people: np.ndarray) -> np.ndarray:
+    """
+    Return the ends of 95 % intervals of pooled coordinates, shape (2, parameters).
+
+    At an end the log-likelihood, with all other coordinates at their best, is 1.92 less than at the
+    centre: D. J. Venzon, S. H. Moolgavkar, Applied Statistics 37(1), 1988. An end is infinite where
+    a parameter reaches its bound before, and NaN where the search did not settle.
+    """
+    # Every end is searched like a person whose coordinates are all free but one.
+    place = np.tile(np.arange(centre.size), 2)
+    side = np.repeat([-1.0, 1.0], centre.size)
+    spread = np.full((place.size, centre.size), np.inf)
+    spread[np.arange(place.size), place] = HELD
+
+    total = _of_all(losses, people)
+    least, _, curvature = derivatives(total, centre[None], place[:1])
+    covariance = np.linalg.inv(definite(curvature[0]))
+    variance = np.diag(covariance)
+    distance = np.minimum(FALL * np.sqrt(variance), 1.0)[place]
+    # How the others change with a coordinate while the loss is quadratic; those that it leaves open
+    # stay about where they are.
+    along = (covariance / variance).T[place] * distance[:, None]
+    along = np.clip(along, -1.0, 1.0) / distance[:, None]
+    ends = np.full(place.size, np.nan)
+    x = np.tile(centre, (place.size, 1))
+    rows = np.arange(place.size)
+    before = np.zeros(place.size)
+    reached = np.zeros(place.size)
+    for _ in range(ROUNDS):
+        at = np.clip(centre[place] + side * distance, -EDGE, EDGE)[rows]
+        change = at - x[rows, place[rows]]
+        x[rows] += change[:, None] * along[rows]
+        x[rows] = optima_from(total, x[rows], spread[rows], rounds=4, still=0.05)
+        fall = np.sqrt(2.0 * np.maximum(total(x[rows], rows) - least, 1e-12))
+        settled = np.abs(fall - before[rows]) < NEAR
+        beyond = settled & (np.abs(at) == EDGE) & (fall < FALL)
+        ends[rows] = np.where(beyond, np.inf * side[rows], at)
+        power = _power(fall, before[rows], distance[rows], reached[rows])
+        before[rows] = fall
+        reached[rows] = distance[rows]
+        distance[rows] *= np.clip((FALL / fall) ** (1.0 / power), 0.5, 2.0)
+        distance = np.minimum(distance, 2.0 * EDGE)
+        rows = rows[~beyond & ~(settled & (np.abs(fall - FALL) < NEAR))]
+        if not rows.size:
+            break
+    # Towards a bound the likelihood may level off before it has fallen enough.
+    ends[rows] = np.where(before[rows] < FALL, np.inf * side[rows], np.nan)
+    return ends.reshape(2, centre.size)
+
+
+def _power(fall, fall_before, distance, distance_before) -> np.ndarray:
+    """
+    Return the power of the distance that a fall is by its last two values.
+
+    It is 1 where the loss is quadratic, and more where a parameter leaves its bound.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        power = np.log(fall / fall_before) / np.log(distance / distance_before)
+    return np.where(np.isfinite(power), np.clip(power, 1.0, 20.0), 1.0)
+
+
+def derivatives(losses: Losses, x: np.ndarray, people: np.ndarray):
+    """Return every person's loss, gradient and matrix of second derivatives, by differences."""
+    size, count = x.shape
+    i, j = np.tril_indices(count)
+    unit = CURVE * np.eye(count)
+    moves = np.concatenate([np.zeros((1, count)), unit, -unit, unit[i] + unit[j]])
+    stacked = (x + moves[:, None]).reshape(-1, count)
+    values = losses(stacked, np.tile(people, len(moves))).reshape(len(moves), size)
+    centre, ahead, behind, both = np.split(values, [1, count + 1, 2 * count + 1])
+    slope = (ahead - behind).T / (2.0 * CURVE)
+    # ∂²f/∂i∂j ≈ (f(i + j) − f(i) − f(j) + f)/h²
+    mixed = (both - ahead[i] - ahead[j] + centre).T / CURVE**2
+    curvature = np.zeros((size, count, count))
+    curvature[:, i, j] = mixed
+    curvature[:, j, i] = mixed
+    return centre[0], slope, curvature
+
+
+def newton_step(
+    losses: Losses, x: np.ndarray, people: np.ndarray, centre: np.ndarray, spread: np.ndarray
+):
+    """
+    Return everybody's coordinates after a step that lowers the loss with a normal prior, the
+    curvature of the loss, and how far each moved.
+    """
+    loss, slope, curvature = derivatives(losses, x, people)
+    weight = spread**-2.0
+
+    def prior(coordinates: np.ndarray) -> np.ndarray:
+        return 0.5 * ((coordinates - centre) ** 2 * weight).sum(axis=1)
+
+    loss = loss + prior(x)
+    slope = slope + (x - centre) * weight
+    matrix = definite(curvature + weight[..., None] * np.eye(x.shape[1]))
+    direction = -np.linalg.solve(matrix, slope[..., None])[..., 0]
+    direction *= np.minimum(1.0, 2.0 / np.maximum(np.abs(direction).max(axis=1), 1e-12))[:, None]
+    share = np.ones(people.size)
+    for _ in range(6):
+        tried = x + share[:, None] * direction
+        worse = ~(losses(tried, people) + prior(tried) <= loss)
+        if not worse.any():
+            break
+        share[worse] *= 0.3
+    share[worse] = 0.0
+    step = share[:, None] * direction
+    return x + step, curvature, np.abs(step).max(axis=1)
+
+
+def definite(matrices: np.ndarray) -> np.ndarray:
+    """Return symmetric matrices with eigenvalues of at least 1e-3."""
+    values, vectors = np.linalg.eigh(matrices)
+    values = np.maximum(values, 1e-3)
+    return (vectors * values[..., None, :]) @ np.swapaxes(vectors, -1, -2)
 
 
 def reliance_link(model: TrustDynamics, panel: Panel, until: int | None = None) -> Link:

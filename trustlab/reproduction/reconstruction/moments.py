@@ -67,7 +67,10 @@ class MomentProblem:
     def __init__(
         self, study: PublishedStudy, reading: Reading, p_adjust: str, rows: Sequence[Constraint]
     ):
-        self.study, self.reading, self.p_adjust, self.rows = study, reading, p_adjust, rows
+        self.study = study
+        self.reading = reading
+        self.p_adjust = p_adjust
+        self.rows = rows
         k, scale = study.k, study.scale
         self._bounded = bool(np.isfinite(scale).all())
         self._is_p = np.array([s.is_p for s in rows], dtype=bool)
@@ -145,7 +148,8 @@ class MomentProblem:
 
     def _start(self, rng: np.random.Generator) -> np.ndarray:
         """Draw unknowns: means and standard deviations as printed, random correlations."""
-        k, spread, (means, sds) = self.study.k, self._spread, self._cells
+        k, spread = self.study.k, self._spread
+        means, sds = self._cells
         low, high = means.T
         drawn = np.clip(self._centre + spread * rng.standard_normal(k), *self.study.scale)
         mean = np.where(np.isfinite(low), low + (high - low) * rng.random(k), drawn)
