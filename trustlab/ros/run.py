@@ -60,7 +60,7 @@ class Topic:
             FieldPath(text)  # refuses one that cannot be read
 
     @cached_property
-    def paths(self) -> list[tuple]:
+    def paths(self) -> list[list]:
         """The steps that lead to each field."""
         return [FieldPath(text).steps for text in self.fields]
 
