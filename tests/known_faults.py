@@ -127,8 +127,11 @@ KNOWN = {
     },
     "compare_trust_models": {
         "models": "foreign errors",
+        "against": "foreign errors",
     },
-    "TrustComparison.paired": {},
+    "TrustComparison.paired": {
+        "against": "foreign errors",
+    },
     "cronbach_alpha": {
         "items": "NaN is taken",
     },

@@ -92,8 +92,9 @@ class SteadyStateBounds(SteadyRanges):
             axes[2].axhline(bound, color="0.5", ls="--", lw=0.8)
         axes[2].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
         axes[2].set(xlabel="time [s]", ylabel="utilization r")
-        for axis in axes:
+        for axis in axes[:2]:
             axis.legend(fontsize="small")
+        axes[2].legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4)
         return axes
 
 

@@ -15,7 +15,6 @@ import pandas as pd
 from trustlab.models.checks import of_class, one_of, shown, whole_number
 from trustlab.models.display import Result
 from trustlab.models.extras import extra
-from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.words import apa_number, apa_table, df_text, in_words, share
 
@@ -220,16 +219,14 @@ def _side_by_side(
 
 def _estimates(result: Any) -> pd.DataFrame:
     """Return value and stderr by parameter: time constants for a, nothing derived from others."""
-    table = result.table()
-    if "status" in table:
-        table = table[table["status"] != "derived"]
+    rows = result.table()
+    table = rows[rows["status"] != "derived"] if "status" in rows else rows
     table = table[["value", "stderr"]].rename_axis("parameter")
-    if isinstance(getattr(result, "model", None), TscModel | HumanModel | RobotModel):
-        for name in table.index.intersection(_TIMES):
-            a, error = table.loc[name]
-            seconds = -result.runs[0].step / np.log(a)
-            table.loc[name] = seconds, -error * seconds / (a * np.log(a))
-        table = table.rename(index=_TIMES)
+    for name, words in _TIMES.items():
+        time = f"{name[:-1]}time_constant"
+        if name in table.index and time in rows.index:
+            table.loc[name] = rows.loc[time, ["value", "stderr"]]
+            table = table.rename(index={name: words})
     return table
 
 

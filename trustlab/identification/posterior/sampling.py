@@ -2,7 +2,7 @@
 `sample_posterior`: from sessions to draws of every parameter.
 
 A fit's optima are raised to the posterior's maxima; t distributions there propose points, which are
-weighed, with Pareto-smoothed weights, and are adapted to what the weights show; walkers come last.
+weighed, with Pareto-smoothed weights, and whose mixture is adapted; walkers come last.
 
 [C] Cornuet, Marin, Mira and Robert, Adaptive multiple importance sampling, *Scandinavian Journal of
 Statistics* 39 (2012), 798-812.
@@ -274,16 +274,41 @@ def weighed(points: np.ndarray, values: np.ndarray, parts: list[Component]) -> S
     return Sample(points, weights, k_hat, float(1.0 / np.sum(weights**2)))
 
 
-def adapted(sample: Sample) -> Component:
-    """Return a proposal with the moments of a weighted sample, a little wider."""
+def fitted_mixture(sample: Sample, count: int, rng: np.random.Generator) -> list[Component]:
+    """Return a mixture of so many parts that resembles a weighted sample (EM, shrunk scales)."""
     weights = np.maximum(sample.weights, 1e-300)
     while 1.0 / np.sum(weights**2) < LEVEL:  # few points carry all weight: level them
         weights = weights**0.6
         weights /= weights.sum()
     kept = weights > 1e-4 * weights.max()
-    points, weights = sample.points[kept], weights[kept] / weights[kept].sum()
-    covariance = np.cov(points.T, aweights=weights) + 1e-6 * np.eye(points.shape[1])
-    return Component(1.0, weights @ points, 1.1 * covariance)
+    points = sample.points[kept]
+    weights = weights[kept] / weights[kept].sum()
+    size = points.shape[1]
+    mean = weights @ points
+    overall = np.cov(points.T, aweights=weights) + 1e-6 * np.eye(size)
+    if count == 1:
+        return [Component(1.0, mean, 1.1 * overall)]
+    effective = 1.0 / np.sum(weights**2)
+    first = rng.choice(len(points), count, p=weights, replace=False)
+    parts = [Component(1.0 / count, points[k], overall) for k in first]
+    for _ in range(8):
+        shares = special.softmax(log_parts(points, parts), axis=1) * weights[:, None]
+        parts = [_refitted(points, share, overall, effective) for share in shares.T]
+    return [Component(part.weight, part.centre, 1.1 * part.scale) for part in parts]
+
+
+def _refitted(
+    points: np.ndarray, share: np.ndarray, overall: np.ndarray, effective: float
+) -> Component:
+    """Return one part of a mixture from its share of every point's weight."""
+    weight = share.sum() + 1e-3
+    each = share / share.sum()
+    centre = each @ points
+    apart = points - centre
+    size = points.shape[1]
+    shrink = 2.0 * size / (2.0 * size + effective * weight)
+    scale = (1.0 - shrink) * (apart.T * each) @ apart + shrink * overall
+    return Component(float(weight), centre, scale + 1e-6 * np.eye(size))
 
 
 def resampled(sample: Sample, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -302,10 +327,11 @@ LOWER = 12.0
 # A sample is good if k̂ says so and it is worth at least so many independent draws.
 FEWEST = 1000.0
 
-# Points that are weighed first, and in each of the rounds of adaptation.
+# Points that are weighed first, and in each round of adaptation; parts of the mixtures of rounds:
+# first a single hill's true shape, then several for one that is bent.
 POINTS = 4000
 MORE_POINTS = 8000
-ROUNDS = 4
+ROUNDS = (1, 3, 3, 5)
 
 # Walkers keep one of so many steps. After each round of kept steps it is asked whether they have
 # gone for enough autocorrelation times, until there are the most.
@@ -501,7 +527,7 @@ def sample_target(
     wide = mixture[-1]._replace(weight=0.1)
     points, values = np.empty((0, wide.centre.size)), np.empty(0)
     proposed: list[Component] = []
-    for _ in range(1 + ROUNDS):
+    for parts in (*ROUNDS, None):
         more = drawn(mixture, count, rng)
         points = np.concatenate([points, more])
         values = np.concatenate([values, densities(more, target)])
@@ -510,7 +536,8 @@ def sample_target(
         sample = weighed(points, values, proposed)
         if good(sample):
             return sample, "importance" if len(points) == count else "adapted mixture"
-        mixture, count = [adapted(sample), wide], MORE_POINTS
+        if parts:
+            mixture, count = [*fitted_mixture(sample, parts, rng), wide], MORE_POINTS
     return walked(target, sample, rng), "ensemble"
 
 
