@@ -107,7 +107,8 @@ def test_closed_loops_and_printed_people(case):
     People of the prior under thresholds that know them, or a rule that knows what the log does; and
     a hundred logs of each printed kind.
     """
-    assert 0.91 <= covered(stored(*case)) <= 0.98
+    least = 0.92 if case[0].startswith("Table") else 0.91
+    assert least <= covered(stored(*case)) <= 0.98
 
 
 def test_the_page_has_the_stored_coverage():
