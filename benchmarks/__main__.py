@@ -53,9 +53,9 @@ results are checked against ours before anything is timed.
 :header-rows: 1
 :::
 
-## Peers that take long to install
+## Peers that are not measured again
 
-Measured on 2026-11-24; `make bench` does not measure them again.
+They take long to install or to write down. Measured on 2026-11-24, the last on 2026-11-28.
 
 | work | peer | ratio |
 | --- | --- | --- |
@@ -63,6 +63,7 @@ Measured on 2026-11-24; `make bench` does not measure them again.
 | its linear part, beside our whole loop | Drake, compiled linear blocks and delays | 16 |
 | Correction, N = 200, engine casadi | GEKKO with its own IPOPT | 155 |
 | ARX, 20,000 samples | SIPPY, least squares | 529 |
+| Joint fit, 20,000 samples, 8 unknowns | CasADi's example of system identification, IPOPT | 15 |
 """
 
 

@@ -12,10 +12,11 @@ import numpy as np
 
 import trustlab as tl
 from benchmarks.peers.correction_problem import in_turns
-from benchmarks.peers.opti_steps import OptiShooting
+from benchmarks.peers.opti_steps import shooting
 from benchmarks.peers.worker import Worker
-from benchmarks.timing import Row, beside, same, within
+from benchmarks.timing import Row, beside, same, tail, within
 from trustlab.allocation import TargetWarning
+from trustlab.allocation.correction_path import C_L, C_U, P_R, R
 
 TARGET, C_B, HORIZON, STEPS = (0.15, 0.56), 1e-5, 200, 300
 
@@ -74,8 +75,7 @@ def rows() -> Iterator[Row]:
         data[f"{name}_states"] = scaled(loops[name])
         yield from alone(name, loops[name])
     for name, states in loops.items():
-        opti = OptiShooting(data, HORIZON)
-        turns = in_turns(data, name, opti.solve)
+        turns = in_turns(data, name, shooting(data))
         yield compared(name, states, "CasADi Opti with IPOPT", turns, turns)
     with Worker("do_mpc_steps", data) as worker:
         for name, states in loops.items():
@@ -103,40 +103,27 @@ def alone(name: str, states: list[tuple]) -> Iterator[Row]:
     for engine, limit in ((None, 0.015), ("casadi", 50.0)):
         plan = corrector(engine)
         stepped(plan, states[:10])
-        times = stepped(plan, states)
-        p99 = float(np.percentile(times, 99))
         work = f"Correction, N = {HORIZON}, {name}, engine {engine or 'clipped'}"
-        goal = f"p99 ≤ {limit:g} ms"
-        yield Row(work, times, goal=goal, met=p99 <= limit, note=f"p99 {p99:.3g} ms")
+        yield tail(work, stepped(plan, states), limit)
 
 
 def compared(name: str, states: list[tuple], peer: str, result: Callable, side: Callable) -> Row:
     """
-    Return our CasADi engine beside a peer, each at one state after the other; the peer's cost is
-    checked at the first states.
+    Return our CasADi engine beside a peer, each at one state after the other; the peer's plan is
+    compared with the clipped one, which is optimal, at the first states.
     """
+    robot = pilot().robot
     engine, ahead = corrector("casadi"), itertools.cycle(states)
     ours = lambda: engine.step(*next(ahead))  # noqa: E731
     for state in states[:3]:
-        inputs = np.reshape(result(), (2, HORIZON))
-        best = corrector().step(*state).cost
-        same(peer, 1.0, 1.0 + (cost_of(inputs, state) - best) / max(best, C_B**2), 1e-4)
+        plan = corrector().step(*state).path[:, :-1]
+        # A peer's inputs are w = c/c_b + s, c_u first.
+        share = 0.5 * (plan[R] + (plan[P_R] - robot.p_min) / (robot.p_max - robot.p_min))
+        apart = np.reshape(result(), (2, HORIZON)) - share - plan[[C_U, C_L]] / C_B
+        same(peer, 1.0, 1.0 + np.abs(apart), 1e-2)
         ours()
     work = f"Correction, N = {HORIZON}, {name}, engine casadi"
     return beside(work, ours, peer, side, least=3.0, turns=60)
-
-
-def cost_of(inputs: np.ndarray, state: tuple) -> float:
-    """Return the cost of a peer's inputs in [0, 1], c_u first, under the hard switch."""
-    robot, (*start, mode), judge = pilot().robot, state, corrector()
-    actions = np.zeros(inputs.shape)
-    # C = c_b (w − s) needs s, which needs the modes, which need c: the same after as many rounds as
-    # switches.
-    for _ in range(8):
-        cost, _, path = judge.followed(np.array(start), mode, actions)
-        share = 0.5 * (path[0] + (path[1] - robot.p_min) / (robot.p_max - robot.p_min))[:-1]
-        actions = (C_B * (inputs - share))[::-1]
-    return cost
 
 
 def growth(states: list[tuple]) -> Row:

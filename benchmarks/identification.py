@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 import trustlab as tl
-from benchmarks.peers import casadi_fit, scipy_fit
+from benchmarks.peers import scipy_fit
 from benchmarks.peers.worker import Worker
 from benchmarks.timing import Row, beside, same, within
 from trustlab.identification import TSC
@@ -72,10 +72,10 @@ def regressions() -> Iterator[Row]:
 
 def joint_fits() -> Iterator[Row]:
     """
-    Yield `fit_tsc` beside SciPy and CasADi.
+    Yield `fit_tsc` beside SciPy.
 
-    Peers are given the weights of both outputs, so that all have one optimum. Somebody who takes
-    SciPy needs starting values too: our search of them counts on both sides, or on none.
+    SciPy is given the weights of both outputs, so that both have one optimum. Who takes it needs
+    starting values too: our search of them counts on both sides, or on none.
     """
     run = session()
     work = f"Joint fit, {SAMPLES:,} samples, 8 unknowns"
@@ -93,17 +93,12 @@ def joint_fits() -> Iterator[Row]:
         guess = TSC.starts(read_runs(run, "mode", "p_h", "p_r"), TSC.limits(fixed=FIXED))[0]
         return np.array([*(guess[name] for name in NAMES), guess["p_r0"][0]])
 
-    def compared(peer: str, call, **options) -> Row:
-        # A hundredth of a standard error is the same optimum.
-        same(peer, np.ones(8), 1.0 + (call() - values) / errors, 1e-2)
-        return beside(work, ours, peer, call, **options)
+    def scipy(first) -> np.ndarray:
+        return scipy_fit.fit(first, *data)
 
-    peer = "SciPy least_squares (trf) with compiled sensitivities, after our search of its start"
-    yield compared(peer, lambda: scipy_fit.fit(start(), *data), least=1 / 1.2)
     given = start()
-    yield compared("the same, its start given", lambda: scipy_fit.fit(given, *data))
-    c = tl.published_models()["pilot"].constants()
-    truth = np.array([c.a_r, c.beta, c.p_h_min, c.p_h_max, c.a_pr, c.p_r_min, c.p_r_max, c.p_r_min])
-    shooting = casadi_fit.SingleShooting(*data, truth)
-    peer = "CasADi's example (single shooting, IPOPT), its solver call alone"
-    yield compared(peer, lambda: shooting.solve(truth), least=15.0, turns=3)
+    # A hundredth of a standard error is the same optimum.
+    same("SciPy", np.ones(8), 1.0 + (scipy(given) - values) / errors, 1e-2)
+    peer = "SciPy least_squares (trf) with compiled sensitivities, after our search of its start"
+    yield beside(work, ours, peer, lambda: scipy(start()), least=1 / 1.2)
+    yield beside(work, ours, "the same, its start given", lambda: scipy(given))

@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Iterator
 
 import networkx as nx
 import numpy as np
 
 import trustlab as tl
-from benchmarks.timing import Row, beside, within
-
-MEMORY = (
-    "import resource, sys, trustlab as tl; tl.virtual_study(n=int(sys.argv[1]), seed=1).table(); "
-    "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
-)
+from benchmarks.timing import Row, within
 
 
 def logistic(state) -> tuple[np.ndarray, np.ndarray]:
@@ -35,14 +28,10 @@ def rows() -> Iterator[Row]:
     work = "virtual_study, 1,000 people, five sessions of eight laps, two cores"
     tl.virtual_study(n=10, n_jobs=2)  # processes are there, kernels are compiled
     yield within(work, lambda: tl.virtual_study(n=1000, seed=1, n_jobs=2), 10_000.0, turns=1)
-    small, large = map(peak, (20, 120))
-    note = f"peak of a process: {small:.0f} and {large:.0f} MB"
-    goal = "≤ 30 MB more"
-    yield Row("Memory of 120 people and of 20", [], goal=goal, met=large - small <= 30.0, note=note)
 
 
 def teleoperation() -> Iterator[Row]:
-    """Yield runs of two minutes, with parts of the package and of a user, and single steps."""
+    """Yield runs of two minutes, with parts of the package and of a user, and a step of the optimal share."""
 
     def run(scheme="TMIG", **options):
         return tl.simulate_teleoperation(scheme, seed=1, duration=120.0, **options)
@@ -54,16 +43,7 @@ def teleoperation() -> Iterator[Row]:
     np.testing.assert_allclose(run(mine).data, run().data, rtol=0.0, atol=1e-6)
     for name, scheme in (("a user's scheme, asked every sample", mine), ("scheme OMI", "OMI")):
         yield within(f"{work}, {name}", lambda s=scheme: run(s), 250.0)
-    loops = [tl.TeleoperationLoop(scheme, seed=1, duration=3600.0) for scheme in ("TMIG", mine)]
-    yield beside("One step of a loop", loops[0].step, "with a user's scheme", loops[1].step)
     rng, blending = np.random.default_rng(3), tl.OptimalBlending()
     states = iter([0.3 * rng.normal(size=(5, 3)) for _ in range(4000)] * 50)
     share = lambda: blending.step(*next(states))  # noqa: E731
     yield within("Optimal share of Appendix A, one step", share, 2.0)
-
-
-def peak(people: int) -> float:
-    """Return the peak memory of a process that runs a study [MB]."""
-    command = [sys.executable, "-c", MEMORY, str(people)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return float(done.stdout.split()[-1])

@@ -84,6 +84,23 @@ def within(
     return Row(work, times, goal=f"≤ {limit:g} ms", met=median(times) <= limit, note=note)
 
 
+def tail(
+    work: str,
+    times: Sequence[float],
+    limit: float,
+    more: str = "",
+    met: bool = True,
+    note: str = "",
+) -> Row:
+    """Return a row of times whose 99th percentile is to be at most a limit [ms], and `more`."""
+    import numpy as np
+
+    p99 = float(np.percentile(times, 99))
+    goal = f"p99 ≤ {limit:g} ms{more}"
+    note = "; ".join(filter(None, [f"p99 {p99:.3g} ms", note]))
+    return Row(work, times, goal=goal, met=met and p99 <= limit, note=note)
+
+
 def same(what: str, ours: object, theirs: object, tolerance: float) -> None:
     """Refuse to compare with a peer whose numbers differ from ours by more than a share of them."""
     import numpy as np

@@ -14,7 +14,6 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import trustlab as tl
-from tests.wheel import built, installed  # noqa: F401  fixtures
 from trustlab.reproduction import published_models
 
 settings.register_profile(

@@ -1,9 +1,11 @@
 """
-The book: links and anchors lead somewhere, pictures have words, and pages show well without a
-network.
+Notebooks are committed without outputs; links of the book lead somewhere, and pages show well.
 """
 
+import json
+import re
 import shutil
+from pathlib import Path
 from urllib.parse import quote
 
 import pytest
@@ -13,6 +15,69 @@ from tests.house.documents import ROOT
 from tests.publishing.walk import chromium, faults, pages, serious, sizes, walked
 from tests.publishing.world import publish, write_book
 from trustlab.publishing.chapter import empty_chapter
+
+# --- notebooks ------------------------------------------------------------------------------------
+
+
+# Of a cell, with lines of 100 columns that the formatter lays out.
+MOST_LINES = 60
+# Of a notebook, blank ones not counted.
+MOST_CODE = 250
+NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
+QUOTED = re.compile(r"“[^”]*”|```.*?```|`[^`]*`", re.S)
+DECIMAL = re.compile(r"(?<![\w.()\-])\d+\.\d+(?![\w.)])")
+EQUATION = re.compile(
+    r"\(\d\.\d+\)(?:[-–]\(\d\.\d+\))?"
+    r"|(?:Fig|Figs|Table|Tables|Section|Sections|Chapter|Algorithm)\.?\s+"
+    r"[\d.]+(?:(?:, | and |[-–])[\d.]+)*"
+)
+
+
+def decimals(text):
+    """
+    Decimal literals in prose: not equation, figure, table or section numbers, not quoted or in
+    code.
+    """
+    return DECIMAL.findall(EQUATION.sub("", QUOTED.sub("", text)))
+
+
+def load(path):
+    return json.loads(path.read_text())["cells"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_no_outputs(path):
+    for cell in load(path):
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == []
+            assert cell["execution_count"] is None
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_no_decimal_literals_in_prose(path):
+    found = {}
+    for i, cell in enumerate(load(path)):
+        if cell["cell_type"] == "markdown" and (numbers := decimals("".join(cell["source"]))):
+            found[i] = numbers
+    assert found == {}
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_code_cells_are_short(path):
+    cells = ["".join(cell["source"]) for cell in load(path) if cell["cell_type"] == "code"]
+    assert [source for source in cells if len(source.splitlines()) > MOST_LINES] == []
+    lines = [line for source in cells for line in source.splitlines() if line.strip()]
+    assert len(lines) <= MOST_CODE
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_begins_with_a_title_and_a_sentence(path):
+    first = "".join(load(path)[0]["source"])
+    assert re.match(r"# .+\n\n\w.+", first)
+
+
+# --- the book -------------------------------------------------------------------------------------
+
 
 MOST_BYTES = 2.5e6
 # What users type, and the page that they want among the first three.

@@ -1,18 +1,22 @@
-"""
-Links and figures of README, CONTRIBUTING and the documentation's sources are there, and their code
-runs.
-"""
+"""README, the documentation's sources and docstrings: complete, linked, and their code runs."""
 
+import doctest
+import importlib
+import inspect
 import re
 import tomllib
+from dataclasses import is_dataclass
 
 import matplotlib as mpl
 import pytest
 from matplotlib import pyplot as plt
+from numpydoc.docscrape import NumpyDocString
 
 import trustlab as tl
 from tests.house.documents import DOCUMENTS, ROOT, blocks, name_of, python, write_files
 from trustlab.sessions import load_recipe
+
+# --- pages ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("path", [*DOCUMENTS, ROOT / "CONTRIBUTING.md"], ids=name_of)
@@ -123,3 +127,99 @@ def test_the_checks_see_what_they_should(tmp_path):
         ("toml", "a.toml", True, "y = 3\n"),
     ]
     assert python(page) == "x = 1\n"
+
+
+# --- docstrings -----------------------------------------------------------------------------------
+
+
+ROOMS = [room for name in tl.__all__ if inspect.ismodule(room := getattr(tl, name))]
+THINGS = [getattr(room, name) for room in ROOMS for name in room.__all__]
+EXPORTED = {thing.__name__: thing for thing in THINGS if inspect.isroutine(thing)}
+EXPORTED |= {thing.__name__: thing for thing in THINGS if inspect.isclass(thing)}
+
+
+def documented(thing):
+    """The names that the docstrings of a function, or of a class and those above it, explain."""
+    docs = [
+        NumpyDocString(inspect.getdoc(each) or "") for each in getattr(thing, "__mro__", [thing])
+    ]
+    entries = [entry for doc in docs for entry in [*doc["Parameters"], *doc["Attributes"]]]
+    return {name.strip().lstrip("*") for entry in entries for name in entry.name.split(",")}
+
+
+def undocumented(thing, name):
+    """What of a function or class has no docstring, and arguments that its docstring leaves out."""
+    if not inspect.getdoc(thing):
+        return [name]
+    made_by_users = is_dataclass(thing) or "__init__" in vars(thing)
+    taken = inspect.isroutine(thing) or (
+        made_by_users and not getattr(thing, "_is_protocol", False)
+    )
+    arguments = set(inspect.signature(thing).parameters) - {"self", "cls"} if taken else set()
+    public = {argument for argument in arguments if not argument.startswith("_")}
+    faults = [f"{name}({argument})" for argument in public - documented(thing)]
+    for own, method in vars(thing).items() if inspect.isclass(thing) else ():
+        method = getattr(method, "__func__", method)
+        if inspect.isfunction(method) and not own.startswith("_"):
+            faults += undocumented(method, f"{name}.{own}")
+    return faults
+
+
+@pytest.mark.parametrize("name", sorted(EXPORTED))
+def test_every_public_argument_is_documented(name):
+    assert undocumented(EXPORTED[name], name) == []
+
+
+def test_the_check_sees_what_it_should():
+    def scaled(x, factor):
+        """
+        Scale.
+
+        Parameters
+        ----------
+        x : float
+            A number.
+        """
+
+    assert undocumented(scaled, "scaled") == ["scaled(factor)"]
+
+
+# --- examples -------------------------------------------------------------------------------------
+
+
+PACKAGE = ROOT / "trustlab"
+MODULES = [
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for path in sorted(PACKAGE.rglob("*.py"))
+    if ">>> " in path.read_text()
+]
+
+
+@pytest.mark.xdist_group("examples")
+def test_a_group_of_tests_stays_in_one_worker(request):
+    """pytest-xdist tells a group by a test's name; some versions of pytest undo that unseen."""
+    if not hasattr(request.config, "workerinput"):
+        pytest.skip("tests run in one process")
+    assert request.node.nodeid.endswith("@examples")
+
+
+# One worker compiles and reads what many examples need once.
+@pytest.mark.xdist_group("examples")
+@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.filterwarnings("ignore")
+def test_examples(name, monkeypatch, tmp_path):
+    (tmp_path / "data").symlink_to(ROOT / "data")  # some read it, and what they write is left here
+    monkeypatch.chdir(tmp_path)
+    done = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert done.attempted > 0
+    assert done.failed == 0
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in tl.__all__ if not inspect.ismodule(getattr(tl, name))]
+)
+def test_every_public_name_has_an_example(name):
+    doc = getattr(tl, name).__doc__
+    examples = doctest.DocTestParser().get_examples(doc)
+    assert any(name in example.source for example in examples)
+    assert not examples[-1].options.get(doctest.SKIP)

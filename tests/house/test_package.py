@@ -1,0 +1,296 @@
+"""The package as a whole: layers of rooms, dependencies, extras, and what is shipped."""
+
+import ast
+import functools
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from importlib.metadata import packages_distributions
+from types import ModuleType
+
+import pytest
+
+import trustlab as tl
+from tests.house.documents import ROOT
+from trustlab.models.digest import ROOMS
+
+# --- layers ---------------------------------------------------------------------------------------
+
+
+PACKAGE = ROOT / "trustlab"
+HEAVY = [
+    "pandas",
+    "scipy",
+    "numba",
+    "matplotlib",
+    "statsmodels",
+    "pingouin",
+    "casadi",
+    "emcee",
+    "rosbags",
+    "pyarrow",
+    "papermill",
+]
+
+
+def room_of(path):
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported(source):
+    """Every trustlab room that a module imports, wherever in it."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative import"
+            names = [node.module] + [
+                f"{node.module}.{alias.name}" for alias in node.names if node.module == "trustlab"
+            ]
+        else:
+            continue
+        for name in names:
+            parts = name.split(".")
+            if parts[0] == "trustlab" and len(parts) > 1:
+                yield parts[1]
+
+
+def faults(room, source):
+    if room not in ROOMS:
+        return [f"{room} is no room"]
+    return [
+        f"{room} imports {other}"
+        for other in imported(source)
+        if other in ROOMS and ROOMS.index(other) > ROOMS.index(room)
+    ]
+
+
+def test_rooms_import_upwards_only():
+    found = []
+    for path in PACKAGE.rglob("*.py"):
+        if path.parent != PACKAGE or path.name != "__init__.py":
+            found += [f"{path.name}: {fault}" for fault in faults(room_of(path), path.read_text())]
+    assert found == []
+
+
+def test_the_check_sees_what_it_should():
+    assert faults("models", "def f():\n    from trustlab.sessions.session import Session") == [
+        "models imports sessions"
+    ]
+    assert faults("models", "from trustlab import sessions") == ["models imports sessions"]
+    assert faults("helpers", "") == ["helpers is no room"]
+    assert faults("sessions", "import trustlab.models.tsc") == []
+
+
+def test_import_is_light():
+    code = f"import sys, trustlab; print([name for name in {HEAVY} if name in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_every_public_name_is_there():
+    rooms = [getattr(tl, name) for name in tl.__all__]
+    modules = [room for room in rooms if isinstance(room, ModuleType)]
+    assert [
+        f"{room.__name__}.{name}"
+        for room in modules
+        for name in room.__all__
+        if not hasattr(room, name)
+    ] == []
+    assert len(rooms) > 15
+    assert len(modules) >= 10
+
+
+# --- dependencies ---------------------------------------------------------------------------------
+
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+EXTRAS = PROJECT["project"]["optional-dependencies"]
+# Declared although no file imports them: JupyterLab is started by `make lab`, ipykernel by
+# papermill; docs/conf.py names extensions and a theme; a Dask client is the user's own.
+NOT_IMPORTED = {"jupyter", "ipykernel", "dask", "distributed"}
+NOT_IMPORTED |= {"myst-nb", "numpydoc", "pydata-sphinx-theme"}
+
+
+def names(requirements):
+    return {re.match(r"[\w.-]+", line)[0].lower().replace("_", "-") for line in requirements}
+
+
+CORE = names(PROJECT["project"]["dependencies"])
+OPTIONAL = set().union(*(names(lines) for extra, lines in EXTRAS.items() if extra != "all"))
+DEV = names(PROJECT["dependency-groups"]["dev"])
+
+
+ROS = names(PROJECT["dependency-groups"]["robot"])
+
+
+def sources_of(folder):
+    return [p for p in (ROOT / folder).rglob("*.py") if ".venv" not in p.parts]
+
+
+def imports(source):
+    """Top-level modules that a file imports: (name, whether it must be there)."""
+    tree = ast.parse(source)
+    guarded = {
+        inner
+        for node in ast.walk(tree)
+        if (isinstance(node, ast.With) and ast.unparse(node.items[0]).startswith("extra("))
+        or (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+        or (
+            isinstance(node, ast.Try)
+            and any("Import" in ast.unparse(h.type or node) for h in node.handlers)
+        )
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        modules = []
+        if isinstance(node, ast.Import):
+            modules = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            modules = [node.module]
+        for module in modules:
+            top = module.partition(".")[0]
+            own = ("trustlab", "tests", "benchmarks", "notebooks")
+            if top not in sys.stdlib_module_names and top not in own:
+                yield top, node not in guarded
+
+
+@functools.cache
+def distributions(folder):
+    """
+    Distributions that the files of a folder import: all, and those imported without `extra` or
+    another guard.
+    """
+    known = packages_distributions()
+    anywhere, needed = set(), set()
+    for path in sources_of(folder):
+        found: dict[bool, set] = {True: set(), False: set()}
+        for module, must in imports(path.read_text()):
+            found[must] |= {name.lower().replace("_", "-") for name in known.get(module, [module])}
+        anywhere |= found[True] | found[False]
+        needed |= found[True] - found[False]  # one guard in a file is enough
+    return anywhere, needed
+
+
+def test_what_trustlab_imports_is_declared():
+    anywhere, needed = distributions("trustlab")
+    assert anywhere - CORE - OPTIONAL == {"rclpy"}  # which a lab's own ROS 2 has
+    assert needed - CORE == {"rclpy"}
+
+
+def test_what_is_declared_is_imported():
+    imported = distributions("trustlab")[0] | distributions("docs")[0]
+    assert (CORE | OPTIONAL) - imported == NOT_IMPORTED
+
+
+@pytest.mark.parametrize("folder", ["tests", "data"])
+def test_what_tests_import_is_declared(folder):
+    beside = {path.stem for path in sources_of(folder)}
+    assert (
+        distributions(folder)[1] - CORE - OPTIONAL - DEV - ROS - beside - {"no-such-package"}
+        == set()
+    )
+
+
+# --- extras ---------------------------------------------------------------------------------------
+
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+USES = {
+    "read a bag": ("ros", "rosbags.highlevel", "tl.read_session('run.bag')"),
+    "write a bag": ("ros", "rosbags", "tl.write_session(session, 'new.mcap')"),
+    "publish": ("reports", "papermill", "import trustlab.publishing.run"),
+}
+
+
+@pytest.mark.parametrize("use", USES)
+def test_missing_extra_is_named(use, tmp_path):
+    extra, package, call = USES[use]
+    (tmp_path / "run.bag").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "notebooks").mkdir()
+    code = (
+        f"import sys; sys.modules[{package!r}] = None\n"
+        "import numpy as np, pandas as pd, trustlab as tl\n"
+        "frame = pd.DataFrame({'mode': [1.0, 0.0]}, index=pd.Index([0.0, 0.1], name='t'))\n"
+        f"session = tl.Session(frame)\n{call}\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert f'pip install "trustlab[{extra}]"' in done.stderr.splitlines()[-1]
+    assert package.partition(".")[0] in done.stderr.splitlines()[-1]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notebooks", "run.bag"]
+
+
+NO_LIVE = """
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {"anywidget", "tornado", "traitlets"}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+"""
+
+
+@pytest.mark.parametrize("module", ["tl", "tl.live"])
+def test_names_of_a_missing_extra_are_absent_and_asking_for_one_says_what_to_install(module):
+    """Oracle: the protocol of hasattr and inspect.getmembers, which pass over AttributeError."""
+    code = (
+        f"{NO_LIVE}\nimport inspect\nimport trustlab as tl\n"
+        f"names = [name for name, _ in inspect.getmembers({module})]\n"
+        f"print(hasattr({module}, 'LiveGroundRobot'), 'LiveGroundRobot' in names)\n"
+        f"print(hasattr({module}, 'DriveSettings'), 'DriveSettings' in names)\n"
+        f"{module}.LiveGroundRobot\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.split() == ["False", "False", "True", "True"], done.stderr
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("AttributeError: anywidget is not installed")
+    assert 'pip install "trustlab[live]"' in last
+
+
+def test_the_lock_has_every_dependency_and_names_no_registry():
+    lock = (ROOT / "environment.lock").read_text()
+    locked = {line.partition("==")[0] for line in lock.splitlines() if line[:1].isalpha()}
+    needed = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
+    names = {
+        line.partition(">")[0].replace("_", "-")
+        for group in needed
+        for line in group
+        if "[" not in line
+    }
+    assert names - locked == set()
+    assert "://" not in lock
+
+
+# --- wheel and sdist ------------------------------------------------------------------------------
+
+
+def test_wheel_and_sdist_are_whole(tmp_path):
+    source = tmp_path / "source"
+    listed = subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines()
+    tracked = [name for name in listed if (ROOT / name).is_file()]
+    for name in tracked:
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, source / name)
+    command = [sys.executable, "-m", "hatchling", "build", "-d", str(tmp_path)]
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (wheel,), (sdist,) = tmp_path.glob("*.whl"), tmp_path.glob("*.tar.gz")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    published = [name for name in tracked if name.startswith("data/published/")]
+    expected = {name for name in tracked if name.startswith("trustlab/")}
+    expected |= {f"trustlab/{name}" for name in [*published, "data/sessions/pilot.csv"]}
+    assert expected - names == set()
+    assert not any(name.startswith(("tests/", "benchmarks/")) for name in names)
+    with tarfile.open(sdist) as archive:
+        shipped = {name.split("/", 1)[-1] for name in archive.getnames()}
+    files = "pyproject.toml LICENSE README.md environment.lock Makefile tests/conftest.py"
+    assert {*files.split(), "docs/conf.py", *published} <= shipped

@@ -1,0 +1,99 @@
+"""Tools of the project: make, continuous integration, benchmarks, the run of changes."""
+
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from types import SimpleNamespace
+
+import pytest
+
+from benchmarks import __main__ as bench, timing
+from tests.house.documents import ROOT
+from tests.mutation.run import MODULES
+
+# --- make and continuous integration --------------------------------------------------------------
+
+
+def test_help_lists_every_target():
+    done = subprocess.run(
+        ["make", "--no-print-directory", "help"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    listed = {line.split()[1]: line.split(maxsplit=2)[2] for line in done.stdout.splitlines()}
+    phony = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.M)[1].split()
+    assert set(listed) == set(phony)
+    assert all(len(said) > 5 for said in listed.values())
+
+
+@pytest.mark.parametrize("broken", ["", "reports", "test"])
+def test_continuous_integration_makes_reports_then_tests_and_stops_at_a_failure(tmp_path, broken):
+    (tmp_path / ".ci").mkdir()
+    shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci")
+    rules = {name: "\t@echo $@" + "; exit 1" * (name == broken) for name in ("reports", "test")}
+    text = "\n".join(f"{name}:\n{recipe}" for name, recipe in rules.items())
+    (tmp_path / "Makefile").write_text(f"{text}\n")
+    done = subprocess.run(["bash", ".ci/run"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout.split() == (["reports"] if broken == "reports" else ["reports", "test"])
+    assert (done.returncode == 0) is (not broken)
+
+
+# --- benchmarks -----------------------------------------------------------------------------------
+
+
+def test_one_case_runs_alone_and_leaves_the_page(monkeypatch, capsys, tmp_path):
+    row = timing.beside("work", lambda: 1e-3, "peer", lambda: 2e-3, least=1.5, turns=2)
+    assert (row.ratios, row.met) == ([2.0, 2.0], True)
+    monkeypatch.setitem(sys.modules, "benchmarks.loops", SimpleNamespace(rows=lambda: iter([row])))
+    monkeypatch.setattr(bench, "PAGE", tmp_path / "page.md")
+    monkeypatch.setattr(bench, "RESULTS", tmp_path / "results.csv")
+    assert bench.main(["loops"]) == 0
+    said = capsys.readouterr().out
+    assert "1 of 1 goals met" in said
+    assert "work; 1 ms (1–1); peer: 2 ms (2–2); 2; ratio ≥ 1.5: met" in said
+    assert not bench.PAGE.exists()
+    assert not bench.RESULTS.exists()
+    bench.write([row])
+    assert bench.RESULTS.read_text().endswith(
+        "\nwork,1 ms (1–1),peer: 2 ms (2–2),2,ratio ≥ 1.5: met\n"
+    )
+    assert ":file: ../data/benchmarks/results.csv" in bench.PAGE.read_text()
+    with pytest.raises(SystemExit, match="no benchmark is called lops; there are: first_use"):
+        bench.main(["lops"])
+
+
+def test_a_peer_that_computes_something_else_is_not_compared(monkeypatch, capsys):
+    def rows():
+        timing.same("a peer", [1.0, 2.0], [1.0, 2.1], 1e-2)
+        yield None
+
+    monkeypatch.setitem(sys.modules, "benchmarks.loops", SimpleNamespace(rows=rows))
+    assert bench.main(["loops"]) == 1
+    assert "a peer: its results differ by 5.0e-02" in capsys.readouterr().err
+
+
+# --- the run of changes ---------------------------------------------------------------------------
+
+
+SURVIVORS = tomllib.loads((ROOT / "tests" / "mutation" / "survivors.toml").read_text())
+
+
+def test_every_module_and_its_tests_are_there():
+    for module, tests in MODULES.items():
+        assert (ROOT / "trustlab" / f"{module}.py").is_file()
+        assert all((ROOT / "tests" / name).is_file() for name in tests.split())
+
+
+def test_every_listed_survivor_is_a_line_of_its_module_with_a_reason():
+    for module, entries in SURVIVORS.items():
+        assert module in MODULES
+        source = (ROOT / "trustlab" / f"{module}.py").read_text().splitlines()
+        lines = {line.strip() for line in source}
+        for entry in entries:
+            assert entry["line"] in lines, (module, entry["line"])
+            assert entry["reason"]
+            assert entry["line"] not in entry.get("changes", ())
