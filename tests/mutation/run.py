@@ -25,10 +25,10 @@ LEAST = 0.95
 
 # Module of the package, and the tests that should notice a change of it, quick ones first.
 MODULES = {
-    "models/tsc": "models/test_tsc.py",
+    "models/tsc": "models/test_equations.py",
     "models/simulation": "models/test_simulation.py",
-    "models/trust": "models/test_trust.py",
-    "models/uav": "models/test_uav.py",
+    "models/trust": "models/test_equations.py",
+    "models/uav": "models/test_equations.py",
     "allocation/blending": "allocation/test_blending.py",
     "allocation/estimates": "allocation/test_thresholds.py testbeds/test_ground_robot.py",
     "allocation/simulation": "allocation/test_rules.py allocation/test_guarantees.py",

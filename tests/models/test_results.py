@@ -1,7 +1,6 @@
-"""
-What counts as a number, a whole number, an array and a model, and what an error advises.
-"""
+"""Checks of arguments, and how results show themselves."""
 
+from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from types import SimpleNamespace
@@ -23,6 +22,10 @@ from trustlab.models.checks import (
     spawned,
     whole_number,
 )
+from trustlab.models.display import Result, as_html
+
+# --- checks ---------------------------------------------------------------------------------------
+
 
 THREE = [3, 3.0, np.int8(3), np.float32(3), np.array(3), Fraction(3), Decimal(3)]
 # What Python or NumPy would convert, and a user did not mean as a number.
@@ -106,3 +109,48 @@ def test_warnings_point_at_the_users_line():
     with pytest.warns(UserWarning, match="moving window") as caught:
         tl.fit_human(tl.Session(data, tl.Metadata(participant=1)))
     assert caught[0].filename == __file__
+
+
+# --- display --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, repr=False)
+class Found(Result):
+    message: str
+    numbers: tuple
+
+    title = "A <b>"
+
+    def table(self):
+        return pd.DataFrame({"x": self.numbers}, index=pd.Index(["$y$", "<i>"], name="name"))
+
+
+def test_a_result_is_one_line_and_in_a_notebook_its_table_too():
+    result = Found("1 < 2 & more", (1.23456789, None))
+    assert repr(result) == "<A <b>: 1 < 2 & more>"
+    assert len(repr(Found("long " * 100, (1, 2)))) < 200
+    assert repr(Found("long " * 100, (1, 2))).endswith("long …>")
+    shown = result._repr_html_()
+    assert shown.startswith(
+        '<div class="tex2jax_ignore"><p><b>A &lt;b&gt;</b>: 1 &lt; 2 &amp; more'
+    )
+    assert "<td>1.23457</td>" in shown
+    assert "<td>–</td>" in shown
+    assert "&lt;i&gt;" in shown
+
+
+def test_a_plain_index_is_not_shown_nor_more_than_sixty_rows():
+    shown = as_html("", pd.DataFrame({"x": range(1000)}), pd.DataFrame({"y": [1]}))
+    assert shown.count("<tr>") < 70
+    assert shown.count("<table") == 2
+    assert "<th>0</th>" not in shown
+
+
+def test_a_single_row_that_is_wider_than_a_page_stands_upright():
+    row = pd.DataFrame([{f"column {i}": i / 3 for i in range(13)} | {"words": "of it"}])
+    shown = as_html("", row)
+    assert shown.count("<tr") >= 14
+    assert "<th>column 12</th>" in shown
+    assert "<td>0.333333</td>" in shown
+    assert "<td>of it</td>" in shown
+    assert as_html("", row.iloc[:, :12]).count("<tr") == 2
