@@ -1,18 +1,25 @@
 """
-Groups, enrolment, pictures and time limits of a study.
+From the plan to the report: groups, enrolment, pictures, time limits; where a participant is.
 
-Oracle: counting; R's design of a mixed analysis as `repeated_measures` is tested for; a browser.
+Oracles: counting; R's design of a mixed analysis as `repeated_measures` is tested for; what
+happened, written out, and the order in which it may not matter.
 """
 
 import base64
+import zipfile
 from collections import Counter
 
 import pytest
+from hypothesis import given, strategies as st
 
 import trustlab as tl
 from trustlab.live.study.pages import AnswerError
 from trustlab.live.study.participant import Participant
+from trustlab.live.study.progress import progress_of
 from trustlab.live.study.server import StudyServer
+
+# --- features -------------------------------------------------------------------------------------
+
 
 PNG = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
@@ -127,3 +134,51 @@ def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, client):
     with StudyServer(plan) as server:
         assert client(server.experimenter + "/state").json["join"] == ""
         assert client(server.base + "/join/" + join.rpartition("/")[2]).status == 404
+
+
+# --- a page is a fold over events -----------------------------------------------------------------
+
+
+COUNT = 8
+
+
+def done(page, **facts):
+    return {"kind": "page", "page": page, **facts}
+
+
+def test_a_restarted_drive_comes_back_and_what_follows_stays_done():
+    events = [done(0), done(1), done(2), {"kind": "restart", "page": 1}]
+    assert progress_of(events).page(COUNT) == 1
+    assert progress_of(events).attempt(1) == 1
+    assert progress_of([*events, done(1)]).page(COUNT) == 3
+    assert progress_of([*events, {"kind": "restart", "page": 1}]).attempt(1) == 2
+
+
+@given(st.lists(st.integers(0, COUNT - 2), max_size=12), st.randoms())
+def test_the_same_pages_done_lead_to_the_same_page_in_any_order_and_number(pages, random):
+    events = [done(page) for page in pages]
+    shuffled = [*events, *events]
+    random.shuffle(shuffled)
+    assert progress_of(shuffled).page(COUNT) == progress_of(events).page(COUNT)
+    assert progress_of(events).page(COUNT) == min(set(range(COUNT)) - set(pages))
+
+
+# --- the guide's ten minutes ----------------------------------------------------------------------
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore:.*do not fill whole squares")
+def test_a_study_from_plan_to_report(tmp_path):
+    """Driving comes to its report in `test_browser.py`."""
+    conditions = ["by_hand", "most_trusted"]
+    settings = {"duration": 20.0, "training": 5.0, "rehearsal": True, "whole_squares": False}
+    plan = tl.LiveStudy(tmp_path / "team", conditions, 3, task="team", seed=0, **settings)
+    plan.rehearse()
+    study = tl.read_live_study(plan.folder)
+    assert len(study.measures) == 6
+    assert study.analysis("force").n == 3
+    with zipfile.ZipFile(study.export()) as archive:
+        assert "measures.csv, measures.parquet: 6 rows" in archive.read("README.txt").decode()
+    page = study.report().read_text()
+    assert "scripted hands" in page.lower()
+    assert all(condition in page for condition in conditions)
