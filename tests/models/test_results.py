@@ -14,6 +14,7 @@ from trustlab.models.checks import (
     between,
     finite_array,
     finite_number,
+    finite_numbers,
     in_order,
     not_negative,
     of_class,
@@ -78,6 +79,8 @@ def test_arrays_are_floats_in_one_piece():
         finite_array("x", array, length=4)
     with pytest.raises(ValueError, match="x must be finite, but sample 1 is nan"):
         finite_array("x", [1, None])
+    with pytest.raises(ValueError, match="x must be finite, but sample 7 is nan"):
+        finite_numbers("x", np.where(np.arange(20).reshape(10, 2) == 15, np.nan, 1.0))
     with pytest.raises(ValueError, match="one-dimensional with at least one sample, got shape"):
         finite_array("x", [[1.0]])
 

@@ -134,3 +134,16 @@ def test_tracking_error_leaves_out_training_and_the_first_trial():
     every = tl.sessions.tracking_error(trials, drop_first=0)
     np.testing.assert_allclose(every["traj_err"], [168.0, 252.5])
     assert tl.sessions.tracking_error(trials[1], drop_first=0)["traj_err"].tolist() == [500.0]
+
+
+def test_signals_of_unequal_length_are_refused():
+    """One sample was taken for all."""
+    three, one = np.ones(3), np.ones(1)
+    for call in (
+        lambda: metrics.goal_speed(one, three, 0.1),
+        lambda: metrics.manoeuvring(three, one, three),
+        lambda: metrics.manoeuvring(one, three, three),
+        lambda: metrics.mixed_initiative(*[np.ones((3, 2))] * 4, one, 1.0, 1.0),
+    ):
+        with pytest.raises(ValueError, match="must have 3 samples, got 1"):
+            call()

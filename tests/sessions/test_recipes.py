@@ -5,6 +5,7 @@ Oracles: values computed by hand; the values of the log, written out.
 """
 
 import gzip
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,7 @@ from trustlab.sessions import (
     read_session,
 )
 from trustlab.sessions.patterns import PathPattern, natural_key
+from trustlab.sessions.recipe import Recipe
 
 # --- rules ----------------------------------------------------------------------------------------
 
@@ -288,3 +290,13 @@ def test_files_that_are_no_tables(tmp_path, name, content):
     with pytest.raises(tl.SessionError, match=name):
         tl.draft_recipe(tmp_path / name, tmp_path / "lab.toml")
     assert not (tmp_path / "lab.toml").exists()
+
+
+def test_a_window_of_ones_own_changes_no_other_recipe():
+    facts = {}
+    options = {"kind": "bag", "columns": {}, "metadata": facts}
+    first = Recipe(**options, performance_window=100)
+    second = replace(first, performance_window=50)
+    assert facts == {}
+    values = [each.metadata["performance_window"].value for each in (first, second)]
+    assert values == [100.0, 50.0]

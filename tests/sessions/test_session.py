@@ -29,8 +29,9 @@ def test_a_session_knows_its_time_and_names():
     again = tl.Session(table)
     table.loc[:, "mode"] = 0.0
     assert again == session
-    with pytest.raises(tl.SessionError, match=r"has no column .0."):
-        session[0]
+    for key in (0, ["p_r"]):
+        with pytest.raises(tl.SessionError, match=r"by a column's name, got .*table is \.data"):
+            session[key]
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
@@ -130,3 +131,10 @@ def test_paths_and_means_of_several_sessions():
     mean = tl.sessions.plot_by_participant(table, "error").lines[-1]
     assert mean.get_ydata().tolist() == [4.0, 6.0]
     plt.close("all")
+
+
+def test_a_part_has_facts_of_its_own():
+    whole = tl.Session(frame(p_r=0.5))
+    part = whole.between(0.0, 0.2)
+    part.metadata.more["excluded"] = True
+    assert "excluded" not in whole.metadata.more

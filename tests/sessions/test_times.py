@@ -149,7 +149,8 @@ def test_blanks_lie_on_a_line_between_neighbours_in_time_and_of_their_session(
 ):
     """Values are their times, so that a line keeps them; each session begins at another value."""
     t = np.cumsum([0, *steps])
-    t += np.arange(t.size) * (way == "sort")  # no two are the same
+    if way == "sort":  # no two are the same
+        t = np.argsort(np.argsort(t, kind="stable"))
     session = np.cumsum(np.diff(t, prepend=0) < 0) * (way == "jumps")
     values = t + 100.0 * session
     blank = data.draw(st.lists(st.booleans(), min_size=t.size, max_size=t.size))
@@ -162,14 +163,35 @@ def test_blanks_lie_on_a_line_between_neighbours_in_time_and_of_their_session(
         + RESAMPLED.format("linear", 1.0)
         + '[columns]\npath_error = { column = "a", blank = "linear", unit = "m" }\n'
     )
-    try:
-        sessions = read_sessions(folder, recipe)
-    except SessionError:  # no neighbour at the end of a session, or no two samples
-        sessions = []
+    known = frame.assign(session=session).dropna().groupby("session")["t"]
+    ends = known.agg(["min", "max"]).to_numpy()
+    hidden = len(ends) <= session.max() or (ends[1:, 0] >= ends[:-1, 1]).any()
+    if frame["a"].isna().all() or hidden or not (np.ptp(ends, axis=1) > 0).any():
+        with pytest.raises(
+            SessionError, match="missing|fill these cells|no part has two|1 samples"
+        ):
+            read_sessions(folder, recipe)
+        return
+    sessions = read_sessions(folder, recipe)
+    expected = [tuple(pair) for pair in ends if pair[0] < pair[1]]
+    assert [(each.t[0], each.t[-1]) for each in sessions] == expected
     for each in sessions:
         (start,) = {round(value) for value in each["path_error"] - each.t}
         assert start % 100 == 0
         np.testing.assert_allclose(each["path_error"], each.t + start, atol=1e-9)
+
+
+@pytest.mark.parametrize("blank", ["hold", "linear"])
+def test_blanks_at_the_edge_of_a_session_are_cut_and_not_filled_from_the_next(tmp_path, blank):
+    """They were held across the jump, or refused with the remedy that the recipe had taken."""
+    (tmp_path / "run.csv").write_text("t,a\n0,1\n1,2\n2,3\n3,\n0,\n1,5\n2,6\n")
+    recipe = table_recipe(
+        '[files]\npattern = "run.csv"\n[time]\nunit = "s"\njumps = "split"\n'
+        f'[columns]\npath_error = {{ column = "a", blank = "{blank}", unit = "m" }}\n'
+    )
+    first, second = read_sessions(tmp_path, recipe)
+    assert first["path_error"].tolist() == ([1, 2, 3, 3] if blank == "hold" else [1, 2, 3])
+    assert (second.t.tolist(), second["path_error"].tolist()) == ([1, 2], [5, 6])
 
 
 # --- resampling ---------------------------------------------------------------------------------

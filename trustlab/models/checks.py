@@ -215,8 +215,8 @@ def finite_numbers(name: str, values: Any) -> np.ndarray:
         ) from None
     finite = np.isfinite(array)
     if not finite.all():
-        k = int(np.argmin(finite))
-        raise ValueError(f"{name} must be finite, but sample {k} is {array.flat[k]}")
+        place = tuple(np.argwhere(~finite)[0])
+        raise ValueError(f"{name} must be finite, but sample {place[0]} is {array[place]}")
     return array.reshape(np.shape(values))
 
 

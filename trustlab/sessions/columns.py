@@ -72,25 +72,32 @@ def stream_of(
         t, place = t[order], lambda row: table.place(order[row])
         values = {name: column[order] for name, column in values.items()}
         table.notes[f"sorted {topic}".strip()] = f"{late} samples stood after a later one"
-    whole = np.True_  # the rows whose blanks have a neighbour to be filled from
+    # A blank is filled from neighbours in its own session: not from across a jump of time.
+    jumps = np.flatnonzero(np.diff(t) < 0.0) + 1 if time.jumps else []
+    whole = np.ones(t.size, dtype=bool)
     for rule in rules:
         blank = np.isnan(values[rule.name]) if rule.blank else np.True_
         if blank.all():  # of a column of blanks alone its check says so
             continue
         note = f"{blank.sum()} of {t.size} cells, filled by {rule.blank!r}"
         table.notes[f"blanks of {rule.name}"] = note
-        values[rule.name] = _filled(t, values[rule.name], rule.blank, time.jumps)
-        whole = whole & ~np.isnan(values[rule.name])
+        parts = zip(np.split(t, jumps), np.split(values[rule.name], jumps), strict=True)
+        values[rule.name] = np.concatenate([_filled(*part, rule.blank) for part in parts])
+        whole &= ~np.isnan(values[rule.name])
     if not whole.all():
         rows = np.flatnonzero(whole)
         if not rows.size:
             raise SessionError("no row has a value, or blanks to be filled, in every column")
-        first, stop = rows[0], rows[-1] + 1
-        cut = f"{first} at the start and {t.size - stop} at the end"
-        table.notes["rows cut"] = f"{cut}, where blanks have no neighbour"
+        if np.count_nonzero(np.diff(t[rows]) < 0.0) < len(jumps):
+            raise SessionError(
+                "without the rows whose blanks have no neighbour in their session, time does not "
+                "run back where the next begins; fill these cells in the log"
+            )
+        cut = f"{t.size - rows.size} of {t.size}, where blanks have no neighbour"
+        table.notes["rows cut"] = cut
         of_all = place
-        t, place = t[first:stop], lambda row: of_all(first + row)
-        values = {name: column[first:stop] for name, column in values.items()}
+        t, place = t[rows], lambda row: of_all(rows[row])
+        values = {name: column[rows] for name, column in values.items()}
     for rule in rules:
         column = rule.convert(values[rule.name])
         values[rule.name] = check_column(rule.name, column, t, place)
@@ -98,18 +105,14 @@ def stream_of(
     return Stream(frame, place, topic, any(rule.hold for rule in rules))
 
 
-def _filled(t: np.ndarray, values: np.ndarray, way: str, jumps: str | None) -> np.ndarray:
-    """Return a column whose blanks hold the value before, or lie on a line between neighbours."""
-    if way == "hold":
+def _filled(t: np.ndarray, values: np.ndarray, way: str) -> np.ndarray:
+    """Return values whose blanks hold the one before, or lie on a line between neighbours."""
+    known = np.flatnonzero(~np.isnan(values))
+    if way == "hold" or not known.size:
         return pd.Series(values).ffill().to_numpy()
-    # Neighbours on either side of a jump of time are those of two sessions.
-    back = np.flatnonzero(np.diff(t) < 0.0) + 1 if jumps else []
+    inside = slice(known[0], known[-1] + 1)
     filled = np.full_like(values, np.nan)
-    for rows in np.split(np.arange(t.size), back):
-        known = rows[~np.isnan(values[rows])]
-        if known.size:
-            inside = slice(known[0], known[-1] + 1)
-            filled[inside] = np.interp(t[inside], t[known], values[known])
+    filled[inside] = np.interp(t[inside], t[known], values[known])
     return filled
 
 

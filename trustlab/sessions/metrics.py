@@ -81,8 +81,9 @@ def goal_speed(
     numpy.ndarray, shape (N,)
         In m/s, the unit of the printed values (Remark 7).
     """
-    speed = finite_array("step_distance", step_distance) / positive("sample_time", sample_time)
-    return speed * nearness(path_error, e_max)
+    near = nearness(path_error, e_max)
+    step = finite_array("step_distance", step_distance, length=near.size)
+    return step / positive("sample_time", sample_time) * near
 
 
 def manoeuvring(
@@ -103,8 +104,9 @@ def manoeuvring(
         Greatest acceptable deviation [m].
     """
     near = nearness(path_error, e_max)
-    turning = np.abs(finite_array("w_command", w_command))
-    return finite_array("v_command", v_command) * near + turning * (1.0 - near)
+    forward = finite_array("v_command", v_command, length=near.size)
+    turning = np.abs(finite_array("w_command", w_command, length=near.size))
+    return forward * near + turning * (1.0 - near)
 
 
 def command_quality(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndarray:
@@ -151,7 +153,7 @@ def mixed_initiative(
         y_max of a command's deviation (unit of the commands) and of the tracking error [m].
     """
     off = np.abs(np.asarray(error, dtype=float)).sum(axis=1)
-    alpha = mode_array(alpha)
+    alpha = finite_array("alpha", mode_array(alpha), length=off.size)
     p_r = nearness(_norm1(u_a, u_i), u_max) * nearness((1.0 - alpha) * off, e_max)
     p_h = nearness(_norm1(u_h, u_i), u_max) * nearness(alpha * off, e_max)
     return p_r, p_h

@@ -504,7 +504,7 @@ class Recipe:
             self.time = parse(kind, self.time or {}, "[time]")
         if self.performance_window is not None:
             window = not_negative("performance_window", self.performance_window)
-            self.metadata["performance_window"] = MetadataRule(value=window)
+            self.metadata = self.metadata | {"performance_window": MetadataRule(value=window)}
         if "source" in self.metadata:
             raise ValueError("[metadata] source: this name is taken; choose another")
         self.name = self.name or self.source

@@ -174,6 +174,8 @@ class Session(Result):
         object.__setattr__(
             self, "data", pd.DataFrame(columns, index=pd.Index(t, name="t"), copy=True)
         )
+        # A part of a session has facts of its own to add to.
+        object.__setattr__(self, "metadata", replace(self.metadata))
 
     def __eq__(self, other):
         if not isinstance(other, Session):
@@ -204,6 +206,10 @@ class Session(Result):
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return one column, or "t", as an array of shape (N,)."""
+        if not isinstance(name, str):
+            raise SessionError(
+                f"a session is indexed by a column's name, got {shown(name)}; its table is .data"
+            )
         if name == "t":
             return self.t
         self.require(name)
