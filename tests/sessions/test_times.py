@@ -168,7 +168,7 @@ def test_blanks_lie_on_a_line_between_neighbours_in_time_and_of_their_session(
     hidden = len(ends) <= session.max() or (ends[1:, 0] >= ends[:-1, 1]).any()
     if frame["a"].isna().all() or hidden or not (np.ptp(ends, axis=1) > 0).any():
         with pytest.raises(
-            SessionError, match="missing|fill these cells|no part has two|1 samples"
+            SessionError, match=r"missing|fill these cells|no part has two|1 samples"
         ):
             read_sessions(folder, recipe)
         return

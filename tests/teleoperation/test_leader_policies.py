@@ -60,7 +60,7 @@ def test_leaders_stay_for_the_minimum(seed, name, dwell, robots):
         (GivenSequence(["c", "a"], times=[0.0, 0.45]), NOTHING, 0.2, [2] * 5 + [0] * 5),
         (GivenSequence(["a", "c"]), NOTHING, 0.15, [0, 0, 0, 2, 2, 2, 0, 0, 0, 2]),
         (GivenSequence(), NOTHING, 0.1, [0, 0, 1, 1, 2, 2, 0, 0, 1, 1]),
-        (GivenSequence(["b"]), NOTHING, 0.1, [1] * 10),
+        (GivenSequence(iter(["b"])), NOTHING, 0.1, [1] * 10),
     ],
 )
 def test_policies_by_hand(policy, trust, dwell, leaders):
@@ -71,3 +71,15 @@ def test_random_leaders_reach_everyone():
     chosen = lead(RandomLeaders(0.0), np.zeros((2000, 5)), 0.1)
     assert set(chosen) == set(range(5))
     assert (np.diff(chosen) != 0).all()  # another robot each time
+
+
+def test_a_sequence_of_names_that_are_tuples():
+    assert GivenSequence([(0, 0), (0, 1)], times=[0.0, 5.0]).robots == ((0, 0), (0, 1))
+    for arguments, says in (
+        ({"robots": 5}, "must be a list of names"),
+        ({"robots": "ab"}, "must be a list of names"),
+        ({"times": [0.0]}, "times need robots"),
+        ({"robots": ["a"], "times": [0.0, 1.0]}, "times must have 1 samples"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            GivenSequence(**arguments)

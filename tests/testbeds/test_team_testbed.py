@@ -6,6 +6,7 @@ Oracles: `simulate_team` with the same arguments; a deaf robot that leads stops 
 
 import networkx as nx
 import numpy as np
+import pytest
 
 import trustlab as tl
 from trustlab.teleoperation import TeamOperator, TeamRobot, TeamSettings, TeamTrial
@@ -20,6 +21,21 @@ class Nearest:
     def leader(self, now):
         away = ((now.positions - [1.0, 2.0, 0.5]) ** 2).sum(axis=1)
         return int(away.argmin())
+
+
+def test_a_policy_by_places_never_picks_who_has_left():
+    """Robot 0 is the nearest until it leaves; argmin took its NaN for the least."""
+    start = np.array([[1.0, 2.0, 0.5], [5.0, 2.0, 0.5], [9.0, 2.0, 0.5]])
+    graph = {0.0: nx.complete_graph(3), 4.0: nx.complete_graph([1, 2])}
+    run = tl.simulate_team(graph, Nearest(), duration=8.0, trial=TeamTrial(start=start))
+    leaders = run.data["number"].to_numpy()
+    assert leaders[0] == 0
+    assert set(leaders[run.t >= 4.2]) <= {1, 2}
+
+
+def test_an_assumption_is_checked_before_any_run():
+    with pytest.raises(ValueError, match="push"):
+        RobotTeam().people(3, {"push": -3.0})
 
 
 def test_a_session_is_a_run_of_the_team():

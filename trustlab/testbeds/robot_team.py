@@ -133,7 +133,7 @@ class TeamLoop(Loop):
     settings : TeamSettings, optional
         Device, scattering, trust and gains, the channel with its delays and filters, and τ_min.
     trial : TeamTrial, optional
-        Time steps, start, a force added to the hand's, and what is recorded.
+        Time steps, start, and what is recorded.
     performance : {"motion", "random"}
         What trust (4.1) in a robot comes from, at every decision. "motion": how well it moves as
         (4.22) asks, the leader's times the packets that arrived. "random": drawn, which says

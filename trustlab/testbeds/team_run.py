@@ -231,7 +231,7 @@ class TeamRun(Result):
             raise ValueError(
                 "axes must be four Matplotlib axes: distances, leader, force, energies"
             )
-        distance, leader, force, energy = axes
+        distance, leader, force, energy = np.ravel(axes)
         t, data = self.t, self.data
         distance.semilogy(t, np.maximum(self.distances, 1e-9), lw=0.8, color="C0", alpha=0.6)
         distance.axhline(self.tolerance, color="0.4", ls="--", lw=0.8)
@@ -247,7 +247,7 @@ class TeamRun(Result):
         energy.set(ylabel="energy [J]", xlabel="time [s], logarithmic from 2 s on", xlim=t[[0, -1]])
         for axis in (force, energy):
             axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-        return axes
+        return np.ravel(axes)
 
     def animate(self, path: str | Path, rate: float = 5.0) -> Path:
         """

@@ -124,6 +124,7 @@ class RobotTeam:
         assumed = dict(assumptions or {})
         for name in assumed:
             one_of("an assumption", name, HAND)
+        TeamOperator(**assumed)  # checks the values
 
         def draw(number: int, rng: np.random.Generator) -> dict[str, float]:
             shares = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(HAND))

@@ -547,7 +547,7 @@ def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.
         checked[name] = array.astype(float)
         rows = checked[name].reshape(count, -1)
         if name in DECIDED.names:  # where nothing is decided all of a row is NaN
-            rows = rows[~np.isnan(rows).all(axis=1)]
+            rows = np.where(np.isnan(rows).all(axis=1, keepdims=True), 0.0, rows)
         finite_numbers(name, rows)
     alpha, beta = (checked.get(name, np.full(1, np.nan)) for name in ("alpha", "beta"))
     ends.check_scales(alpha[~np.isnan(alpha)], beta[~np.isnan(beta)])

@@ -55,8 +55,8 @@ class TeamSituation:
 
     @property
     def positions(self) -> np.ndarray:
-        """Where the robots are [m], shape (N, 3)."""
-        return self.loop.positions
+        """Where the robots are [m], shape (N, 3); ∞ for absent ones, never the nearest."""
+        return np.where(self.present[:, None], self.loop.positions, np.inf)
 
     @property
     def free(self) -> bool:
@@ -153,11 +153,17 @@ class GivenSequence:
     title: ClassVar[str] = "given sequence"
 
     def __post_init__(self):
-        names: Any = self.robots
-        if names is not None and (isinstance(names, str) or not np.size(names)):
-            raise ValueError(f"robots must be a list of names, at least one, got {names!r:.60}")
+        if self.robots is not None:
+            listed = np.iterable(self.robots) and not isinstance(self.robots, str)
+            names = tuple(self.robots) if listed else ()
+            if not names:
+                found = f"{self.robots!r:.60}"
+                raise ValueError(f"robots must be a list of names, at least one, got {found}")
+            object.__setattr__(self, "robots", names)
         if self.times is not None:
-            times = finite_array("times", self.times, length=np.size(names))
+            if self.robots is None:
+                raise ValueError("times need robots: who leads from each of them on")
+            times = finite_array("times", self.times, length=len(self.robots))
             if times[0] != 0.0 or (np.diff(times) <= 0.0).any():
                 raise ValueError(f"times must begin at 0 and increase, got {times.tolist()}")
 
@@ -171,15 +177,16 @@ class GivenSequence:
             Time, and names of the robots.
         """
         robots = now.robots if self.robots is None else self.robots
+        for name in robots:
+            if name not in now.robots:
+                raise ValueError(
+                    f"the policy names robot {name!r}, which does not exist; robots are "
+                    f"{list(now.robots)}"
+                )
         if self.times is None:
             turn = int((now.t + SLACK) / (2.0 * now.dwell)) % len(robots)
         else:
             turn = bisect_right(self.times, now.t + SLACK) - 1
-        if robots[turn] not in now.robots:
-            raise ValueError(
-                f"the policy names robot {robots[turn]!r}, which does not exist; robots are "
-                f"{list(now.robots)}"
-            )
         return now.robots.index(robots[turn])
 
 

@@ -63,9 +63,11 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
             f"{names[i]!r} to {names[j]!r} it is {matrix[i, j]}"
         )
     if require_connected and not _linked(matrix).all(axis=0).any():
+        parts = np.unique(_linked(matrix + matrix.T), axis=0)[::-1]
+        groups = "; ".join(str([names[i] for i in np.flatnonzero(part)]) for part in parts)
         raise GraphError(
             "the graph has no robot whom all others see, directly or through others, so nobody "
-            "can lead them all: it is not connected, or has no spanning tree; add edges, or pass "
+            f"can lead them all: its connected parts are {groups}; add edges, or pass "
             "require_connected=False (in a TeamTrial to simulate_team) to see it"
         )
     return names, matrix
@@ -73,6 +75,8 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
 
 def _matrix(graph) -> tuple[tuple, np.ndarray]:
     """Return names and adjacency as a user gives them."""
+    if hasattr(graph, "is_multigraph") and graph.is_multigraph():
+        raise GraphError("the graph has parallel edges (a multigraph); pass networkx.Graph(graph)")
     try:
         if hasattr(graph, "nodes"):
             import networkx
@@ -109,7 +113,12 @@ def graphs_in_time(graph, require_connected: bool) -> tuple[tuple, list[TeamGrap
     times = [finite_number("a time of the graph", t) for t in graphs]
     if 0.0 not in times or min(times) < 0.0:
         raise ValueError(f"times of the graph must be 0 and others after 0, got {times}")
-    parts = [team_graph(graphs[t], require_connected) for t in sorted(graphs)]
+    parts = []
+    for t in sorted(graphs):
+        try:
+            parts.append(team_graph(graphs[t], require_connected))
+        except GraphError as error:
+            raise GraphError(f"from t = {t:g} s on: {error}" if t else str(error)) from None
     names = tuple(dict.fromkeys(name for members, _ in parts for name in members))
     changes = []
     for t, (members, part) in zip(sorted(times), parts, strict=True):
