@@ -1,17 +1,22 @@
 """Records of compiled loops: named columns that a kernel fills and a table shows."""
 
+from typing import Any
+
 import numpy as np
 
 from trustlab.models.checks import finite_numbers
 
 
-def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = "") -> np.dtype:
+def record(
+    vectors: str = "", numbers: str = "", counts: str = "", flags: str = "", **parts: Any
+) -> np.dtype:
     """
     Return a record of three-vectors, numbers, whole numbers and flags, each named in a text of
-    words.
+    words, and of parts by name: other records, or arrays, as (float, shape).
     """
     kinds = (vectors, (float, 3)), (numbers, float), (counts, np.int64), (flags, np.bool_)
-    return np.dtype([(name, kind) for names, kind in kinds for name in names.split()])
+    fields = [(name, kind) for names, kind in kinds for name in names.split()]
+    return np.dtype([*parts.items(), *fields])  # flags last, so that all else is aligned
 
 
 def columns_of(log: np.dtype) -> tuple[str, ...]:

@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import (
+    Checked,
+    Positive,
     of_class,
     one_of,
-    positive,
-    set_checked,
     spawned,
 )
 from trustlab.teleoperation.team.decisions import POLICIES, policy_named
@@ -36,7 +36,7 @@ HAND = ("push", "reach", "drag")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RobotTeam:
+class RobotTeam(Checked):
     """
     The team of Chapter 4, led to a goal by one operator; conditions are leader policies.
 
@@ -82,12 +82,12 @@ class RobotTeam:
 
     graph: Any = None
     robots: tuple[TeamRobot, ...] = ABILITIES
-    duration: float = 120.0
+    duration: Positive = 120.0
     blocks: TeamSettings | None = None
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
-        set_checked(self, positive, "duration")
+        super().__post_init__()
         if isinstance(self.robots, TeamRobot):
             raise ValueError("robots must be a sequence of TeamRobot, one for each robot")
         robots: Any = TeamSettings(robots=self.robots).robots

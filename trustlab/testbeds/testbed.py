@@ -14,8 +14,8 @@ import pandas as pd
 
 from trustlab.allocation.rules import prepared_rule
 from trustlab.models.checks import (
-    finite_number,
-    not_negative,
+    Checked,
+    NotNegative,
     of_class,
     one_of,
     whole_number,
@@ -128,7 +128,7 @@ def usual_population(testbed: str) -> OperatorPopulation:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ConditionTestbed(Testbed):
+class ConditionTestbed(Checked, Testbed):
     """
     What the testbeds of C1 to C5 have in common.
 
@@ -162,17 +162,15 @@ class ConditionTestbed(Testbed):
     measures: ClassVar[tuple[str, ...]] = ("p_r", "p_h", "r", "path_error")
     takes_rules: ClassVar[bool] = True
 
-    rest: float | None = None
+    rest: NotNegative | None = None
     population: OperatorPopulation | None = None
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
         check_rules(self.rules, KNOWN, "a rule, as a class or lambda: ThresholdRule(0.0, 0.3)")
         object.__setattr__(self, "conditions", (*KNOWN, *self.rules))
-        if self.rest is not None:
-            not_negative("rest", self.rest)
+        super().__post_init__()
         if self.population is not None:
-            of_class("population", self.population, OperatorPopulation)
             one_of("the testbed of population", self.population.testbed, [self.name])
 
     @property
@@ -349,8 +347,6 @@ class GroundRobot(ConditionTestbed):
     def __post_init__(self):
         super().__post_init__()
         whole_number("laps", self.laps, most=ground.MOST_LAPS)
-        of_class("robot", self.robot, Pioneer)
-        of_class("course", self.course, Course)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -392,7 +388,7 @@ class UavFollowing(ConditionTestbed):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class UavTracking(Testbed):
+class UavTracking(Checked, Testbed):
     """
     The teleoperated UAV of Chapter 3, with the settings of `simulate_teleoperation`.
 
@@ -419,10 +415,6 @@ class UavTracking(Testbed):
 
     duration: float = 120.0
     population: TeleoperatorPopulation = field(default_factory=TeleoperatorPopulation)
-
-    def __post_init__(self):
-        finite_number("duration", self.duration)
-        of_class("population", self.population, TeleoperatorPopulation)
 
     @property
     def operators(self) -> TeleoperatorPopulation:

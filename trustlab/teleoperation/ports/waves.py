@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trustlab.models.checks import (
-    between,
+    Checked,
+    Positive,
+    Share,
     finite_array,
-    finite_number,
     positive,
-    set_checked,
     whole_number,
 )
 from trustlab.models.compiled import njit
@@ -86,7 +86,7 @@ def robot_wave(end, f_s, v_r):
 
 
 @dataclass(frozen=True)
-class Scattering:
+class Scattering(Checked):
     """
     Wave variables at both ends of a channel whose powers are scaled by α(t) and β(t), equations
     (3.13) and (3.22).
@@ -122,28 +122,22 @@ class Scattering:
     0.7071
     """
 
-    b: float
+    b: Positive
     alpha_min: float = 1.0
-    alpha_max: float = 1.0
+    alpha_max: Share = 1.0
     beta_min: float = 1.0
     beta_max: float = 1.0
-    max_delay_rate: float = 0.0
+    max_delay_rate: Share = 0.0  # else nothing arrives (Theorem 3)
 
     def __post_init__(self):
-        set_checked(self, positive, "b")
-        between("max_delay_rate", self.max_delay_rate, 0.0, 1.0)  # else nothing arrives (Theorem 3)
-        set_checked(self, finite_number, "alpha_min", "alpha_max", "beta_min", "beta_max")
+        super().__post_init__()
         for name in ("alpha", "beta"):
             low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
-            if not low > 0.0:
+            if not 0.0 < low <= high:  # a scale of zero leaves one-way teleoperation
                 raise ValueError(
-                    f"{name}_min must be positive, got {low}: a scale of zero leaves one-way "
-                    "teleoperation (3.1)"
+                    f"{name}_min must be positive and must not exceed {name}_max (3.1), got {low} "
+                    f"and {high}"
                 )
-            if low > high:
-                raise ValueError(f"{name}_min must not exceed {name}_max, got {low} and {high}")
-        if self.alpha_max > 1.0:
-            raise ValueError(f"alpha_max must not exceed 1 (3.1), got {self.alpha_max}")
 
     @property
     def gain(self) -> float:
