@@ -91,14 +91,14 @@ class ReturnedError(ValueError):
 def checked(name: str, value: Any, bounds: Mapping[str, tuple[float, float]]) -> Any:
     """Return what a function decided: finite, three numbers for a vector, a scale within (3.1)."""
     if name in VECTORS:
-        value, allowed = np.asarray(value, float), "three finite numbers, for x, y and z"
+        value, remedy = np.asarray(value, float), "three finite numbers are wanted, for x, y and z"
         valid = value.shape == (3,) and np.isfinite(value).all()
     else:
         low, high = bounds.get(name, FINITE)
-        allowed = f"a number in [{low:g}, {high:g}]"
+        remedy = f"it must lie in [{low:g}, {high:g}]"
         valid = low * (1.0 - SLACK) <= value <= high * (1.0 + SLACK)
     if not valid:
-        raise ReturnedError(f"returned {name} = {value}; {allowed} is wanted (3.1)")
+        raise ReturnedError(f"returned {name} = {value}; {remedy}")
     return value
 
 
