@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -71,14 +71,14 @@ class RobotTeam(Checked):
     'time'
     """
 
-    name: ClassVar[str] = "robot_team"
-    title: ClassVar[str] = "the team of robots"
-    conditions: ClassVar[tuple[str, ...]] = tuple(POLICIES)
-    printed_conditions: ClassVar[tuple[str, ...]] = ("most_trusted", "sequence", "random")
-    printed_n: ClassVar[int] = 12
-    measures: ClassVar[tuple[str, ...]] = ("time", "distance", "force", "trust")
-    takes_rules: ClassVar[bool] = True
-    origin: ClassVar[str] = "hands within 30 % of the usual one"
+    name = "robot_team"
+    title = "the team of robots"
+    conditions = tuple(POLICIES)
+    printed_conditions = ("most_trusted", "sequence", "random")
+    printed_n = 12
+    measures = ("time", "distance", "force", "trust")
+    takes_rules = True
+    origin = "hands within 30 % of the usual one"
 
     graph: Any = None
     robots: tuple[TeamRobot, ...] = ABILITIES

@@ -282,20 +282,15 @@ def guide_through_channel(c, s):
     The guiding force at the robot's port, under the controller of Theorem 4: Chapter 3 as printed.
     """
     now, far = s.now, c.far
-    square = 0.0
-    compliance = 1.0 / far.b
     for i in range(3):
         s.pull[i] = now.f_s[i] = s.guiding[i]
-        free = far.arriving * s.v_r[i] / far.b
-        now.r_s[i] = now.alpha * (free - compliance * now.f_s[i])  # (3.12), (3.22)
-        square += now.r_s[i] ** 2
-    gain = square / (now.alpha * compliance)
+        now.r_s[i] = now.alpha * waves.robot_velocity(far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
+    gain = dot(now.r_s, now.r_s) * far.b / now.alpha
     share = passivity_share(c.guard, now.energy_robot, now.r_s, now.f_s, gain, c.sample_time)
     if share < 1.0:
         for i in range(3):
             now.r_s[i] = share * now.r_s[i]
-            free = far.arriving * s.v_r[i] / far.b
-            now.f_s[i] = (free - now.r_s[i] / now.alpha) / compliance
+            now.f_s[i] = far.arriving * s.v_r[i] - far.b * now.r_s[i] / now.alpha
     solve_operator_end(c, s)
     now.port_share = share
 
@@ -309,12 +304,11 @@ def guide_at_operator(c, s):
     The controller works on (r_m, f_m), of which the guiding force is a part: guidance spends what
     the operator's port has earned, or its budget.
     """
-    now, gain = s.now, 0.0
+    now = s.now
     for i in range(3):
         s.pull[i], now.f_s[i] = now.beta * s.guiding[i], 0.0
     solve_operator_end(c, s)
-    for i in range(3):
-        gain += now.r_m[i] ** 2 / c.admittance
+    gain = dot(now.r_m, now.r_m) / c.admittance
     share = passivity_share(c.guard, s.account, now.r_m, now.f_m, gain, c.sample_time)
     for i in range(3):
         if share < 1.0:

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.allocation.blending import DEGREE
-from trustlab.teleoperation.ports.device import Device
-from trustlab.teleoperation.ports.waves import End
+from trustlab.teleoperation.ports.device import DEVICE
+from trustlab.teleoperation.ports.waves import END
 from trustlab.teleoperation.records import columns_of, record
 
 # A row of the log: the state before the sample and the signals of the sample.
@@ -62,12 +62,6 @@ HAND = record(
 # The autonomous controller (PID on what the camera saw `delay` samples ago), and half its picture's
 # width.
 AUTONOMY = record(numbers="proportional integral derivative reach picture", counts="delay")
-
-# One end of the channel: what multiplies velocity or force and waves, see `waves.End`.
-END = record(numbers=" ".join(End._fields))
-
-# One axis of the haptic device in its hand.
-DEVICE = record(numbers=" ".join(Device._fields))
 
 NUMBERS = record(
     numbers="sample_time force_scaling gain guidance steepness command_range error_range "

@@ -16,6 +16,7 @@ from trustlab.models.checks import (
     rounded_up,
 )
 from trustlab.models.compiled import njit
+from trustlab.teleoperation.records import record
 
 ROUNDING = 1e-12
 
@@ -35,6 +36,9 @@ class Device(NamedTuple):
     held_stiffness: float
     inertia: float  # 2M/T + B + KT/2, device and arm: force per velocity at the midpoint
     lever: float  # r_m per velocity at the midpoint, 1 + ΛT/2
+
+
+DEVICE = record(numbers=" ".join(Device._fields))
 
 
 class Arm(NamedTuple):

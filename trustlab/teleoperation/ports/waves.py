@@ -19,6 +19,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.compiled import njit
+from trustlab.teleoperation.records import record
 
 
 class End(NamedTuple):
@@ -33,32 +34,16 @@ class End(NamedTuple):
     reflected: float
 
 
+END = record(numbers=" ".join(End._fields))
+
+
 @njit(error_model="numpy", forceinline=True, _nrt=False)
 def dot(a, b):
     """Return aᵀb of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-# These six functions are the only place where the wave equations stand.
-
-
-@njit(error_model="numpy", forceinline=True)
-def operator_end(b, beta_min, beta_max):
-    """Return the coefficients at the operator's end for an impedance and the bounds of β."""
-    return End(
-        b, np.sqrt(2.0 * b / beta_max), np.sqrt(2.0 * b * beta_min), np.sqrt(beta_min / beta_max)
-    )
-
-
-@njit(error_model="numpy", forceinline=True)
-def robot_end(b, alpha_min, alpha_max):
-    """Return the coefficients at the robot's end for an impedance and the bounds of α."""
-    return End(
-        b,
-        np.sqrt(2.0 * b / alpha_max),
-        np.sqrt(2.0 * alpha_min / b),
-        np.sqrt(alpha_min / alpha_max),
-    )
+# With `Scattering.at_operator` and `.at_robot` these four are the only place of the wave equations.
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -147,12 +132,14 @@ class Scattering(Checked):
     @property
     def at_operator(self) -> End:
         """Coefficients of the wave equations at the operator's end."""
-        return operator_end.py_func(self.b, self.beta_min, self.beta_max)
+        b, low, high = self.b, self.beta_min, self.beta_max
+        return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * b * low), math.sqrt(low / high))
 
     @property
     def at_robot(self) -> End:
         """Coefficients of the wave equations at the robot's end."""
-        return robot_end.py_func(self.b, self.alpha_min, self.alpha_max)
+        b, low, high = self.b, self.alpha_min, self.alpha_max
+        return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * low / b), math.sqrt(low / high))
 
     def check_scales(self, alpha: ArrayLike, beta: ArrayLike) -> None:
         """

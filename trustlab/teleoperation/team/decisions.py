@@ -3,7 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -147,7 +147,7 @@ class GivenSequence:
 
     robots: Sequence[Hashable] | None = None
     times: Sequence[float] | None = None
-    title: ClassVar[str] = "given sequence"
+    title = "given sequence"
 
     def __post_init__(self):
         names: Any = self.robots
@@ -197,7 +197,7 @@ class RandomLeaders(Checked):
     """
 
     waiting: NotNegative = 1.0
-    title: ClassVar[str] = "arbitrary random"
+    title = "arbitrary random"
 
     def leader(self, now: TeamSituation) -> int:
         """
