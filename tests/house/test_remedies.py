@@ -8,7 +8,6 @@ import pytest
 import trustlab as tl
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
-from trustlab.testbeds.ground_robot.course import Course
 
 NUMBER = r"([-+]?\d[\d.]*(?:e[-+]?\d+)?)"
 
@@ -39,16 +38,6 @@ def test_limits_part_below_the_advised_step(widest):
         )
         assert threshold_limits(model, 0.999 * most).feasible
         assert not threshold_limits(model, 1.01 * most).feasible
-
-
-def test_the_advised_resolution_of_a_course_is_accepted():
-    corners = np.array([[0.0, 0.0], [300.0, 7.0], [311.0, 213.0], [3.0, 207.0]])
-    around = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum()
-    for name, share in (("resolution", 1e-5), ("post_spacing", 1e-4)):
-        least = share * around
-        assert getattr(Course(corners, **{name: 1.001 * least}), name) == 1.001 * least
-        with pytest.raises(ValueError, match=r"too fine .* of which 1e-5 and 1e-4 are the least"):
-            Course(corners, **{name: 0.99 * least})
 
 
 @pytest.mark.parametrize("seed", range(20))

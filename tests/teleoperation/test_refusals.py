@@ -28,7 +28,10 @@ def trace(*packets):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: Scattering(1.0, alpha_min=0.9, alpha_max=0.3), "alpha_min must not exceed"),
+        (
+            lambda: Scattering(1.0, alpha_min=0.9, alpha_max=0.3),
+            "must not exceed alpha_max",
+        ),
         (lambda: send(delay_1=0.0), "at least one sample"),
         (lambda: send(alpha=1.5), "alpha must lie in"),
         (lambda: send([], leaders=np.zeros(50, int)), "numbers of the 0 robots"),

@@ -31,7 +31,7 @@ def run(condition, seed=7, laps=4, **assumed):
 
 COURSES = [
     Course(),
-    Course(((0, 0), (12, 0), (12, 9), (0, 9)), radius=2.0, resolution=0.4),
+    Course(((0, 0), (12, 0), (12, 9), (0, 9)), radius=2.0),
     Course(((0, 0), (9, 0), (9, 12)), radius=0),
 ]
 

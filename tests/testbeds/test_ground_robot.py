@@ -22,6 +22,7 @@ from trustlab.testbeds import (
 )
 from trustlab.testbeds.deciding import SETTLING
 from trustlab.testbeds.ground_robot.conditions import drive_modes
+from trustlab.testbeds.ground_robot.course import HALF_WIDTH, RESOLUTION
 from trustlab.testbeds.ground_robot.kernel import locate
 
 SEEDS = range(8)
@@ -120,10 +121,10 @@ def test_the_course_is_the_rounded_polygon():
     path = course.path
     assert (path[0, :2] == path[-1, :2]).all()
     direction = np.unwrap(np.arctan2(*np.diff(path[:, :2], axis=0).T[::-1]))
-    assert np.abs(np.diff(direction)).max() < 1.1 * course.resolution / course.radius
+    assert np.abs(np.diff(direction)).max() < 1.1 * RESOLUTION / course.radius
     assert (np.sign(np.diff(direction)) == -1).any()  # bends to the right as well as to the left
     assert (np.sign(np.diff(direction)) == 1).any()
-    np.testing.assert_allclose(distance(course, *course.posts.T), course.half_width, atol=0.01)
+    np.testing.assert_allclose(distance(course, *course.posts.T), HALF_WIDTH, atol=0.01)
 
 
 WEAK = Pioneer(

@@ -11,8 +11,10 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable
+from dataclasses import fields
+from functools import cache, partial
 from numbers import Integral, Real
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args
 
 import numpy as np
 
@@ -152,6 +154,13 @@ def flag(name: str, value: Any) -> bool:
     return bool(value)
 
 
+def function(name: str, value: Any) -> Callable:
+    """Return a function."""
+    if not callable(value):
+        raise ValueError(f"{name} must be a function, got {shown(value)}")
+    return value
+
+
 def one_of(name: str, value: Any, allowed: Iterable[str], also: str = "") -> str:
     """
     Return a word that is among those allowed; the error names `also` as well, what else an argument
@@ -263,3 +272,44 @@ def check_participant(participant: str | int) -> None:
         return
     if isinstance(participant, bool) or not isinstance(participant, int | np.integer):
         raise ValueError(f"participant must be a name or a whole number, got {shown(participant)}")
+
+
+# --- settings that check themselves -------------------------------------------------------------
+
+# Texts, or the least and the most: so they are legible in a signature.
+Positive = Annotated[float, "positive"]
+NotNegative = Annotated[float, "not negative"]
+Share = Annotated[float, (0.0, 1.0)]
+MEANT = {"positive": positive, "not negative": not_negative}
+
+
+class Checked:
+    """
+    A frozen dataclass whose fields are checked by their annotations: `Positive`, `NotNegative`, a
+    range, float (finite), bool, Callable, or a class of trustlab; None passes where the annotation
+    has it. All else is left to the class.
+    """
+
+    def __post_init__(self):
+        for name, check in field_checks(type(self)).items():  # type: ignore[arg-type]
+            self.__dict__[name] = check(name, getattr(self, name))
+
+
+@cache
+def field_checks(kind: type) -> dict[str, Callable[[str, Any], Any]]:
+    """Return what checks the fields of a dataclass, by name."""
+    known = {field.name: _check_of(field.type) for field in fields(kind)}
+    return {name: check for name, check in known.items() if check}
+
+
+def _check_of(hint: Any) -> Callable[[str, Any], Any] | None:
+    """Return what checks values of an annotation; None where it says nothing."""
+    first, *others = get_args(hint) or (hint,)
+    if type(None) in others:
+        check = _check_of(first)
+        return check and (lambda name, value: None if value is None else check(name, value))
+    if hasattr(hint, "__metadata__"):
+        return MEANT.get(others[0]) or (lambda name, value: between(name, value, *others[0]))
+    if getattr(hint, "__module__", "").startswith("trustlab."):
+        return partial(of_class, kind=hint)
+    return {float: finite_number, bool: flag, Callable: function}.get(hint)

@@ -5,45 +5,25 @@ Simulated operators of the ground robot: how well they drive, how fast they reac
 from collections import namedtuple
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from trustlab.models.checks import (
+    Checked,
+    NotNegative,
+    Positive,
+    Share,
     between,
     check_participant,
     of_class,
     one_of,
-    positive,
-    set_checked,
     set_in_order,
     shown,
     whole_number,
 )
 from trustlab.models.compiled import inner
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
-
-# Largest values of an operator's numbers, far beyond what people do. Times are in s.
-MOST = {
-    "robot_floor": 1.0,
-    "robot_gain": 10.0,
-    "delay": 5.0,
-    "noise": 100.0,
-    "hand_lag": 60.0,
-    "look_ahead": 100.0,
-    "steering_gain": 100.0,
-    "easing": 100.0,
-    "idle_share": 1.0,
-    "wander_time": 3600.0,
-    "reaction_lag": 60.0,
-    "reaction_spread": 5.0,
-    "follow_tsc": 1.0,
-    "follow_performance": 1.0,
-    "ignoring_time": 3600.0,
-    "lower_spread": 2.0,
-    "upper_spread": 2.0,
-}
-POSITIVE = ("look_ahead", "steering_gain", "wander_time", "hand_lag")
 
 # What may be assumed of people beyond the identified models, with its range; 0 is off.
 ASSUMPTIONS = {
@@ -56,8 +36,6 @@ ASSUMPTIONS = {
     "load_utilization": (0.0, 1.0),
     "load_switching": (0.0, 1.0),
 }
-RANGES = {name: (0.0, most) for name, most in MOST.items()} | ASSUMPTIONS
-
 MOST_SESSIONS = 10
 
 
@@ -89,7 +67,7 @@ def joystick(bearing, speed, gain, easing):
 
 
 @dataclass(frozen=True)
-class Operator:
+class Operator(Checked):
     """
     A simulated operator with a joystick: a stand-in for a person.
 
@@ -177,25 +155,25 @@ class Operator:
 
     participant: str | int
     human: HumanModel
-    robot_floor: float = 0.24
-    robot_gain: float = 0.326
-    delay: float = 0.3
-    noise: float = 1.0
-    hand_lag: float = 0.15
-    look_ahead: float = 2.4
-    steering_gain: float = 1.2
-    easing: float = 0.3
-    idle_share: float = 0.7
-    wander_time: float = 4.0
-    reaction_lag: float = 2.0
-    reaction_spread: float = 0.5
-    follow_tsc: float = 0.7857
-    follow_performance: float = 0.6389
-    ignoring_time: float = 30.0
+    robot_floor: Share = 0.24
+    robot_gain: NotNegative = 0.326
+    delay: Annotated[float, (0.0, 5.0)] = 0.3
+    noise: NotNegative = 1.0
+    hand_lag: Positive = 0.15
+    look_ahead: Positive = 2.4
+    steering_gain: Positive = 1.2
+    easing: NotNegative = 0.3
+    idle_share: Share = 0.7
+    wander_time: Positive = 4.0
+    reaction_lag: NotNegative = 2.0
+    reaction_spread: NotNegative = 0.5
+    follow_tsc: Share = 0.7857
+    follow_performance: Share = 0.6389
+    ignoring_time: NotNegative = 30.0
     lower: float = 0.0
     upper: float = 0.4
-    lower_spread: float = 0.1
-    upper_spread: float = 0.1
+    lower_spread: NotNegative = 0.1
+    upper_spread: NotNegative = 0.1
     attention_cost: float = 0.0
     trust_bias: float = 0.0
     take_over_lag: float = 0.0
@@ -208,9 +186,9 @@ class Operator:
 
     def __post_init__(self):
         of_class("human", self.human, HumanModel, "of a TscModel take .human")
+        super().__post_init__()
         check_participant(self.participant)
-        set_checked(self, positive, *POSITIVE)
-        set_checked(self, lambda name, value: between(name, value, *RANGES[name]), *RANGES)
+        checked_assumptions({name: getattr(self, name) for name in ASSUMPTIONS})
         set_in_order(self, "lower", "upper")
         sessions = whole_number("sessions", self.sessions, least=0, most=MOST_SESSIONS)
         object.__setattr__(self, "sessions", sessions)

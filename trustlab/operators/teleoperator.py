@@ -2,18 +2,18 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 
 from trustlab.models.checks import (
-    between,
+    Checked,
+    NotNegative,
+    Positive,
+    Share,
     check_participant,
-    not_negative,
     one_of,
-    positive,
-    set_checked,
 )
 from trustlab.models.simulation import filled
 from trustlab.teleoperation.loop.kernel import LAWS
@@ -32,17 +32,6 @@ RANGES = {
     "noise": (0.25, 0.05),
 }
 
-
-POSITIVE = ["reach", "lag", "noise_time", "patience", "compensation", "crossover", "adaptation"]
-MOST = {
-    "reaction": 2.0,
-    "lag": 5.0,
-    "shift": 1.0,
-    "preview": 10.0,
-    "allocation_cost": 0.99,
-    "fatigue": 100.0,
-}
-
 # What may be assumed of teleoperators: least, most, and the value at which an assumption is off.
 # `gain` and `crossover` are factors on the gains of the two laws, `lag` is added to the hand's [s],
 # `adapting` is the share of operators whose law is "crossover".
@@ -58,7 +47,7 @@ TELEOPERATOR_ASSUMPTIONS = {
 
 
 @dataclass(frozen=True)
-class Teleoperator:
+class Teleoperator(Checked):
     """
     Who holds the haptic device: sees the tracking error late, wants a command in proportion to it,
     and moves the hand there.
@@ -95,8 +84,6 @@ class Teleoperator:
         By how much the hand moves more than it should, to make up for the scales of the channel: 1
         not at all. The main study's channel passes at least 2√β̲ = 0.447 of a command, which 2.24
         makes up for.
-    preview : float
-        How far ahead the operator sees the target's path [s].
     law : {"proportional", "crossover"} or callable
         "proportional": `proportional` and `derivative` on the error seen, the same on any channel.
         "crossover": people keep the open loop near its crossover an integrator with a delay, ω_c
@@ -139,35 +126,30 @@ class Teleoperator:
     """
 
     participant: str | int = "simulated"
-    proportional: float = 1.0
-    derivative: float = 0.4
-    reaction: float = 0.25
-    lag: float = 0.15
-    reach: float = 1.5
-    stiffness: float = 60.0
-    damping: float = 2.0
-    noise: float = 0.15
-    noise_time: float = 0.2
-    shift: float = 0.1
-    patience: float = 3.0
-    compensation: float = 1.0
-    preview: float = 0.0
+    proportional: NotNegative = 1.0
+    derivative: NotNegative = 0.4
+    reaction: Annotated[float, (0.0, 2.0)] = 0.25
+    lag: Positive = 0.15
+    reach: Positive = 1.5
+    stiffness: NotNegative = 60.0
+    damping: NotNegative = 2.0
+    noise: NotNegative = 0.15
+    noise_time: Positive = 0.2
+    shift: Share = 0.1
+    patience: Positive = 3.0
+    compensation: Positive = 1.0
     law: Any = "proportional"
-    crossover: float = 1.2
-    adaptation: float = 10.0
-    allocation_cost: float = 0.0
-    fatigue: float = 0.0
-    mass: float = 0.0
+    crossover: Positive = 1.2
+    adaptation: Positive = 10.0
+    allocation_cost: Annotated[float, (0.0, 0.99)] = 0.0
+    fatigue: NotNegative = 0.0
+    mass: NotNegative = 0.0
 
     def __post_init__(self):
+        super().__post_init__()
         check_participant(self.participant)
         if not callable(self.law):
             one_of("law", self.law, LAWS, also="a function of the state")
-        for item in fields(self)[1:]:
-            if item.name != "law":
-                set_checked(self, positive if item.name in POSITIVE else not_negative, item.name)
-        for name, most in MOST.items():
-            between(name, getattr(self, name), 0.0, most)
 
     def numbers(self, sample_time: float, camera_delay: float) -> np.void:
         """

@@ -11,9 +11,8 @@ import numpy as np
 from trustlab.models.checks import finite_numbers, of_class, one_of, positive, shown
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.delays import delays_in_samples
-from trustlab.teleoperation.loop.records import END
 from trustlab.teleoperation.ports import waves
-from trustlab.teleoperation.ports.waves import READ_OUTS, Scattering, accounts, read_waves
+from trustlab.teleoperation.ports.waves import END, READ_OUTS, Scattering, accounts, read_waves
 from trustlab.teleoperation.records import signals
 
 

@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.models.checks import (
+    Checked,
+    NotNegative,
+    Positive,
     between,
     finite_array,
-    not_negative,
     of_class,
     positive,
-    set_checked,
 )
 from trustlab.teleoperation.delays import first_order
 from trustlab.teleoperation.ports.device import PassivityError
@@ -118,7 +119,7 @@ class FilterRun(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TwoPortFilter:
+class TwoPortFilter(Checked):
     """
     The two-port of Fig. 4.5 with one pole, equation (4.16), in discrete time by the midpoint rule.
 
@@ -145,14 +146,13 @@ class TwoPortFilter:
         If a number is not finite or has the wrong sign.
     """
 
-    cutoff: float
-    k12: float
-    k21: float
+    cutoff: Positive
+    k12: NotNegative
+    k21: NotNegative
     require_passive: bool = True
 
     def __post_init__(self):
-        set_checked(self, positive, "cutoff")
-        set_checked(self, not_negative, "k12", "k21")
+        super().__post_init__()
         product = self.k12 * self.k21
         if self.require_passive and product < 0.25 * (1.0 - SLACK):
             raise PassivityError(

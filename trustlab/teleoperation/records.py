@@ -1,24 +1,37 @@
 """Records of compiled loops: named columns that a kernel fills and a table shows."""
 
+from typing import Any
+
 import numpy as np
 
 from trustlab.models.checks import finite_numbers
 
 
-def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = "") -> np.dtype:
+def record(
+    vectors: str = "",
+    planar: str = "",
+    numbers: str = "",
+    counts: str = "",
+    flags: str = "",
+    **parts: Any,
+) -> np.dtype:
     """
-    Return a record of three-vectors, numbers, whole numbers and flags, each named in a text of
-    words.
+    Return a record of three-vectors, vectors of the plane as complex numbers, numbers, whole
+    numbers and flags, each named in a text of words, and of parts by name: other records, or
+    arrays, as (float, shape).
     """
-    kinds = (vectors, (float, 3)), (numbers, float), (counts, np.int64), (flags, np.bool_)
-    return np.dtype([(name, kind) for names, kind in kinds for name in names.split()])
+    names_of = vectors, planar, numbers, counts, flags
+    kinds = zip(names_of, ((float, 3), complex, float, np.int64, np.bool_), strict=True)
+    fields = [(name, kind) for names, kind in kinds for name in names.split()]
+    return np.dtype([*parts.items(), *fields])  # flags last, so that all else is aligned
 
 
 def columns_of(log: np.dtype) -> tuple[str, ...]:
     """Return the column names of a log record, vectors spelt out by axis."""
     names = []
     for name in log.names:
-        axes = "xyz"[: sum(log[name].shape)]
+        size = log[name].itemsize // 8
+        axes = "xyz"[: size if size > 1 else 0]
         names += [f"{name}_{axis}" for axis in axes] or [name]
     return tuple(names)
 

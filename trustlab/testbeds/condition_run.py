@@ -58,16 +58,14 @@ def condition_measures(
 
     Without an operator nobody's answers are simulated: people give their own.
     """
-    mode, in_laps = log["mode"], lap_times is not None
+    mode = log["mode"]
     measures: dict[str, float] = {name: float(log[name].mean()) for name in MEANS}
-    if in_laps:
-        measures["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
     switches = int(np.count_nonzero(np.diff(mode)))
     measures |= {"manual_share": float(mode.mean()), "switches": switches}
-    if in_laps:
-        measures["laps"] = int(lap_times.size)
     measures["duration"] = float(t[-1] - t[0])
-    if in_laps:
+    if lap_times is not None:
+        measures["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
+        measures["laps"] = int(lap_times.size)
         measures["lap_time"] = float(lap_times[-1] / lap_times.size) if lap_times.size else np.nan
     states = [state for *_, state in suggestion_episodes(t, mode, log["suggested_mode"], DEADLINE)]
     followed = states.count(FOLLOWED)

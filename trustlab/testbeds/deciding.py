@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
-from trustlab.allocation.rules import decision, performance_suggestion
+from trustlab.allocation.rules import decision, performance_suggestion, prepared_rule
 from trustlab.models.checks import one_of, shown, warn, whole_seed
 from trustlab.models.compiled import inner
 from trustlab.models.tsc import TscModel, next_utilization, performance_at, threshold_mode
@@ -101,39 +101,44 @@ def suggested_by_tsc(condition: str) -> bool:
 
 def task_for(
     condition: str | None,
-    operator: Operator,
-    model: TscModel,
+    rule: Any,
+    person: tuple[Operator, TscModel, tuple[float, float] | None],
     thresholds: tuple[float, float] | None,
-    default: tuple[float, float] | None,
-    e_max: float,
-    laps: int,
-) -> tuple[Task, tuple[float, float] | None]:
+    **bed: Any,
+) -> tuple[Task, tuple[float, float] | None, Callable | None]:
     """
-    Return the task of a condition and the thresholds of its suggestions, checked.
+    Return the task of a condition, or of a rule where there is one, with the thresholds of its
+    suggestions, checked, and what decides in the rule's place.
 
-    `thresholds` apply only to C2 and C3, where `default` takes their place if they are None.
+    `thresholds` apply only to C2 and C3, where those of the person, if any, are the usual ones.
+    bed: further fields of the task.
     """
+    operator, model, usual = person
+    if rule is not None:
+        rule, mode = prepared_rule(rule, None)
+        task = Task(SCHEDULE, first_mode=mode, r0=operator.r0, **bed)
+        return task.suggesting(model), None, obeying(rule)
     condition = one_of("condition", condition, KNOWN, "rule=")
     scheme, forced = KNOWN[condition]
-    if not suggested_by_tsc(condition):
-        if thresholds is not None:
+    if suggested_by_tsc(condition):
+        pair = usual if thresholds is None else thresholds
+        if pair is None:
             raise ValueError(
-                f"thresholds have no effect in {condition}, where the operator's own, "
-                "Operator(lower=, upper=), Algorithm 2 or chance decide; leave them out"
+                f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and "
+                ".upper of trustlab.choose_thresholds(model), or those of Table 2.2"
             )
-    elif thresholds is None and default is None:
-        raise ValueError(
-            f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and "
-            ".upper of trustlab.choose_thresholds(model), or those of Table 2.2"
-        )
-    else:
-        pair = threshold_pair("threshold", default if thresholds is None else thresholds)
+        pair = threshold_pair("threshold", pair)
         thresholds = check_thresholds(model, *pair, threshold_limits(model))
-    lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
+    elif thresholds is not None:
+        raise ValueError(
+            f"thresholds have no effect in {condition}, where the operator's own, "
+            "Operator(lower=, upper=), Algorithm 2 or chance decide; leave them out"
+        )
+    lower, upper = thresholds or (operator.lower, operator.upper)
     if condition == "own":  # switches in C1 come at these values of measured TSC
-        lower, upper = operator.lower - operator.trust_bias, operator.upper - operator.trust_bias
-    task = Task(scheme, e_max, forced, laps, lower, upper, r0=operator.r0)
-    return task.suggesting(model), thresholds
+        lower, upper = lower - operator.trust_bias, upper - operator.trust_bias
+    task = Task(scheme, forced=forced, lower=lower, upper=upper, r0=operator.r0, **bed)
+    return task.suggesting(model), thresholds, None
 
 
 def no_inputs(size: int) -> np.ndarray:

@@ -6,7 +6,7 @@ them.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -522,8 +522,8 @@ class TeleoperatorPopulation:
         If the study is unknown.
     """
 
-    testbed: ClassVar[str] = "uav_tracking"
-    origin: ClassVar[str] = "plausible ranges, not measured"
+    testbed = "uav_tracking"
+    origin = "plausible ranges, not measured"
 
     study: str = "main"
 

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import (
-    Kind,
     between,
     finite_array,
     finite_numbers,
@@ -23,6 +22,7 @@ from trustlab.models.simulation import Loop, PartError, Simulation, View, filled
 from trustlab.models.trust import trust_step
 from trustlab.teleoperation.delays import both_ways, coloured, delays_in_samples
 from trustlab.teleoperation.filters import corrected_filter
+from trustlab.teleoperation.ports import device as haptic
 from trustlab.teleoperation.ports.waves import accounts
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.decisions import (
@@ -45,6 +45,8 @@ DRIFT_TIME = 5.0
 MOST_SAMPLES = 1e7
 # Of the filters F1 and F2 of Fig. 4.1 [rad/s].
 CUTOFF = 10.0
+# Who holds the device, the blocks of Fig. 4.1 and how a run is made, where nothing else is said.
+OPERATOR, SETTINGS, TRIAL = TeamOperator(), TeamSettings(), TeamTrial()
 
 
 def simulate_team(
@@ -175,9 +177,9 @@ class TeamLoop(Loop):
         goal=(1.0, 2.0, 0.5),
         seed: int | np.random.SeedSequence = 0,
         duration: float = 300.0,
-        operator: TeamOperator | None = None,
-        settings: TeamSettings | None = None,
-        trial: TeamTrial | None = None,
+        operator: TeamOperator = OPERATOR,
+        settings: TeamSettings = SETTINGS,
+        trial: TeamTrial = TRIAL,
         performance: str = "motion",
         trust: TrustDynamics | TrustInLoop | None = None,
     ):
@@ -187,16 +189,16 @@ class TeamLoop(Loop):
         )
         self._policy = policy_named(policy)
         self._performance = one_of("performance", performance, ("motion", "random"))
-        self._settings = _settings_of("settings", settings, TeamSettings)
-        self._trial = _settings_of("trial", trial, TeamTrial)
-        operator = _settings_of("operator", operator, TeamOperator)
+        self._settings = of_class("settings", settings, TeamSettings)
+        self._trial = of_class("trial", trial, TeamTrial)
+        of_class("operator", operator, TeamOperator)
         driver = None
         if trust is not None:
             driver = of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trust.MODELS")
-        self.robots, self._graphs = graphs_in_time(graph, self._trial.require_connected)
+        self.robots, self._graphs = graphs_in_time(graph, trial.require_connected)
         self._goal = finite_array("goal", goal, length=3)
-        begins, drawn, self._rng, faults = map(np.random.default_rng, spawned(seed, 4))
-        T = self._trial.sample_time
+        begins, drawn, rng, faults = map(np.random.default_rng, spawned(seed, 4))
+        T = trial.sample_time
         self.count = round(between("duration", duration, 10.0 * T, MOST_SAMPLES * T) / T)
         per_decision = max(round(DECISION / T), 1)
         self._step = per_decision * T
@@ -205,34 +207,41 @@ class TeamLoop(Loop):
         self.state = View(self.simulation.state.now)
         robots = self.simulation.setup.robots
         self._range = robots["low"], robots["span"]
-        model = self._settings.human_to_robot
+        model = settings.human_to_robot
         self._rates = model.decay(self._step), model.b / model.a
         # Human-to-robot trust, as a share of its range.
         self._share = np.full(len(self.robots), driver.start if driver else 0.5)
         self._courses = [TrustCourse(driver, self._step) for _ in self.robots] if driver else []
         self._trust_title = driver.model.name if driver else "(4.1)"
         if performance == "random":
-            rate = min(self._step / self._settings.performance_time, 1.0)
+            rate = min(self._step / settings.performance_time, 1.0)
             self._drawn, start = _drawn(self._decisions, len(self.robots), rate, drawn)
             if driver is None:
                 self._share = start
         self._graph = self._graphs[0]
         self._levels: list[np.ndarray] = []  # of trust, at every decision
-        self._leader: int | None = None
         self._named: int | None = None
-        self._since = 0.0
         self._waits = 0  # decisions at which a wish to switch had to wait
-        self._memory: dict = {}
+        parts = self.robots, self._graph.present, self._share, None, 0.0, self._dwell, rng, {}, self
+        self._now = TeamSituation(0.0, *parts)
 
     def _begin(self, operator: TeamOperator, per_decision: int, begins, faults) -> Simulation:
         """Return the simulation at its start."""
         settings, trial = self._settings, self._trial
         count = self.count
         channel, T = settings.channel, trial.sample_time
-        robots = self._constants()
-        root, rate = robots["root"][:, None], robots["max_delay_rate"].max()
+        members = settings.per_robot(len(self.robots))
+        robots, ends = self._constants(members), [end for _, end in members]
+        root, rate = robots["root"][:, None], max(end.max_delay_rate for end in ends)
         delays = delays_in_samples(both_ways(channel.delay), rate, count, T)
-        self._delay, self._dwell = _times(settings, float(delays.max() * T))
+        self._delay = delay = float(delays.max() * T)
+        self._dwell = max(5.0 * delay, 5.0) if settings.min_dwell is None else settings.min_dwell
+        if not self._dwell > delay:
+            raise ValueError(
+                f"min_dwell = {self._dwell:g} s must be greater than the delay, {delay:g} s: waves "
+                "of one leader would arrive at the one after the next (Section 4.2 asks for "
+                "τ_min ≫ T)"
+            )
         shape = robots.size, 3
         start = begins.uniform(-5.0, 5.0, shape)
         if trial.start is not None:
@@ -243,13 +252,22 @@ class TeamLoop(Loop):
         budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2)))
         draws = faults.random((2, count))  # by these numbers packets are lost
         drift = 0.5 * T * _drifts(robots, self._decisions, self._step, faults) / root
-        corrected = corrected_filter(CUTOFF, robots["b"].mean().item())
+        corrected = corrected_filter(CUTOFF, float(np.mean([end.b for end in ends])))
+        pole = 0.5 * T * CUTOFF
+        low_pass = filled(
+            kernel.LOW_PASS,
+            corrected if channel.filters == "corrected" else None,
+            decay=1.0 / (1.0 + pole),
+            gate=pole / (1.0 + pole),
+        )
         numbers = filled(
             kernel.NUMBERS,
             settings,
             trial,
             operator,
-            corrected if channel.filters == "corrected" else None,
+            device=haptic.held_device.py_func(settings, haptic.NO_ARM, T),
+            filters=low_pass if FILTERS[channel.filters] == kernel.TWO_PORT else kernel.UNFILTERED,
+            low_pass=low_pass,
             filtering=FILTERS[channel.filters],
             cutoff=CUTOFF,
             gain=np.sqrt(1.0 - rate),
@@ -286,25 +304,33 @@ class TeamLoop(Loop):
         records = setup, state, inputs, log
         return Simulation(kernel.lead_team, *records, self._decide, per_decision, kernel.BLOCKS, T)
 
-    def _constants(self) -> np.ndarray:
+    def _constants(self, members: list) -> np.ndarray:
         """Return what is constant of every robot, records of ROBOT."""
         T, settings = self._trial.sample_time, self._settings
         hr, rh = settings.human_to_robot, settings.robot_to_human
-        trust = rh.decay(T), rh.b / rh.a, rh.t_min, rh.t_max, hr.t_min, hr.t_max - hr.t_min
         robots = [
-            (
-                *(np.sqrt(kind.speed), kind.drift, kind.loss),
-                *(end.b, end.beta_min, end.beta_max, end.max_delay_rate),
-                *trust,
+            filled(
+                kernel.ROBOT,
+                robot,
+                end,
+                rh,
+                root=np.sqrt(robot.speed),
+                near=end.at_operator,
+                far=end.at_robot,
+                decay=rh.decay(T),
+                gain=rh.b / rh.a,
+                low=hr.t_min,
+                span=hr.t_max - hr.t_min,
             )
-            for kind, end in settings.per_robot(len(self.robots))
+            for robot, end in members
         ]
-        return np.array(robots, kernel.ROBOT)
+        return np.array(robots)
 
     @property
     def leader(self) -> Hashable:
         """Name of the robot that leads; None before the first sample."""
-        return None if self._leader is None else self.robots[self._leader]
+        leader = self._now.leader
+        return None if leader is None else self.robots[leader]
 
     @property
     def trust(self) -> np.ndarray:
@@ -375,7 +401,7 @@ class TeamLoop(Loop):
         Return how well robots moved; the leader's counts times the share of the packets that it
         received, where it rests the share alone. NaN where there is nothing to judge by.
         """
-        run, leader = self.simulation, self._leader
+        run, leader = self.simulation, self._now.leader
         packets = state.arrives[0, run.done - run.every : run.done]
         received = np.count_nonzero(packets) / packets.size
         rated = state.rated.copy()
@@ -397,19 +423,9 @@ class TeamLoop(Loop):
 
     def _choose(self, t: float) -> int:
         """Return who leads: whom the operator named, or else the policy's pick, after τ_min."""
-        graph, leader = self._graph, self._leader
-        now = TeamSituation(
-            t,
-            self.robots,
-            graph.present,
-            np.where(graph.present, self._levels[-1], -np.inf),
-            leader,
-            self._since,
-            self._dwell,
-            self._rng,
-            self._memory,
-            self,
-        )
+        graph, now = self._graph, self._now
+        now.t, now.present = t, graph.present
+        now.trust = np.where(graph.present, self.trust, -np.inf)
         if self._named is not None and not graph.may_lead[self._named]:
             self._named = None
         pick = self._asked(now) if self._named is None else self._named
@@ -420,11 +436,11 @@ class TeamLoop(Loop):
                 f"at t = {t:g} s the policy picks robot {self.robots[pick]!r}, which {why}; who "
                 f"can: {self._able()}"
             )
-        if pick != leader:
-            if not now.free and graph.may_lead[leader]:
+        if pick != now.leader:
+            if not now.free and graph.may_lead[now.leader]:
                 self._waits += 1
-                return leader
-            self._leader, self._since = pick, t
+                return now.leader
+            now.leader, now.since = pick, t
         return pick
 
     def _asked(self, now: TeamSituation) -> int:
@@ -477,22 +493,6 @@ class TeamLoop(Loop):
             self._trial.tolerance,
             facts,
         )
-
-
-def _settings_of(name: str, value: Any, kind: type[Kind]) -> Kind:
-    """Return settings of a class, the usual ones where there are none."""
-    return kind() if value is None else of_class(name, value, kind)
-
-
-def _times(settings: TeamSettings, delay: float) -> tuple[float, float]:
-    """Return the greatest delay and τ_min [s]."""
-    dwell = max(5.0 * delay, 5.0) if settings.min_dwell is None else settings.min_dwell
-    if not dwell > delay:
-        raise ValueError(
-            f"min_dwell = {dwell:g} s must be greater than the delay, {delay:g} s: waves of one "
-            "leader would arrive at the one after the next (Section 4.2 asks for τ_min ≫ T)"
-        )
-    return delay, dwell
 
 
 def _drifts(robots: np.ndarray, decisions: int, step: float, rng) -> np.ndarray:

@@ -184,28 +184,8 @@ class TeamRun(Result):
             "switches": float(len(self.switches)),
         }
 
-    def summary(self) -> pd.DataFrame:
-        """Return one row: whether and when the team arrived, and what held on the way."""
-        rises = np.diff(self.data["v_t"] - self.data["supply_links"])
-        row = {
-            "robots": len(self.robots),
-            "policy": self.facts["policy"],
-            "filter": self.facts["filter"],
-            "switches": len(self.switches),
-            "converged": self.converged,
-            "time_to_goal": self.time_to_goal,
-            "distance": self.farthest[-1],
-            "spread": self.spread[-1],
-            "operator_passive": self.operator_passive,
-            "least_v_h": self.data["v_h"].min(),
-            "budget": self.budget,
-            "least_v_ch": self.data["v_ch"].min(),
-            "greatest_rise_v_t": rises.max(),
-        }
-        return pd.DataFrame([row])
-
     def _repr_html_(self) -> str:
-        return as_html(self.message, self.summary().T.set_axis([""], axis=1), title=self.title)
+        return as_html(self.message, pd.DataFrame([self.measures]), title=self.title)
 
     def plot(self, axes=None):
         """
@@ -273,15 +253,12 @@ class TeamRun(Result):
         ValueError
             If the file is no .gif, its folder does not exist, or the rate is not positive.
         """
-        from trustlab.testbeds.team_animation import pictures, samples_shown
+        from trustlab.testbeds.team_animation import write_film
 
         target, rate = path_of("path", path), positive("rate", rate)
-        if target.suffix != ".gif":
-            raise ValueError(f'path must be a file such as "team.gif", got {str(target)!r}')
-        if not target.parent.is_dir():
-            raise ValueError(f"there is no folder {target.parent} to write the animation to")
-        samples = samples_shown(self, rate)
-        first, *others = pictures(self, samples)
-        pause = 1000.0 * float(self.t[samples[-1]] - self.t[0]) / rate / samples.size  # [ms]
-        first.save(target, save_all=True, append_images=others, duration=pause, loop=0)
+        if target.suffix != ".gif" or not target.parent.is_dir():
+            raise ValueError(
+                f'path must be a file such as "team.gif" in a folder that exists, got "{target}"'
+            )
+        write_film(self, target, rate)
         return target

@@ -2,16 +2,16 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import (
+    Checked,
+    Positive,
     of_class,
     one_of,
-    positive,
-    set_checked,
     spawned,
 )
 from trustlab.teleoperation.team.decisions import POLICIES, policy_named
@@ -36,7 +36,7 @@ HAND = ("push", "reach", "drag")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RobotTeam:
+class RobotTeam(Checked):
     """
     The team of Chapter 4, led to a goal by one operator; conditions are leader policies.
 
@@ -71,23 +71,23 @@ class RobotTeam:
     'time'
     """
 
-    name: ClassVar[str] = "robot_team"
-    title: ClassVar[str] = "the team of robots"
-    conditions: ClassVar[tuple[str, ...]] = tuple(POLICIES)
-    printed_conditions: ClassVar[tuple[str, ...]] = ("most_trusted", "sequence", "random")
-    printed_n: ClassVar[int] = 12
-    measures: ClassVar[tuple[str, ...]] = ("time", "distance", "force", "trust")
-    takes_rules: ClassVar[bool] = True
-    origin: ClassVar[str] = "hands within 30 % of the usual one"
+    name = "robot_team"
+    title = "the team of robots"
+    conditions = tuple(POLICIES)
+    printed_conditions = ("most_trusted", "sequence", "random")
+    printed_n = 12
+    measures = ("time", "distance", "force", "trust")
+    takes_rules = True
+    origin = "hands within 30 % of the usual one"
 
     graph: Any = None
     robots: tuple[TeamRobot, ...] = ABILITIES
-    duration: float = 120.0
+    duration: Positive = 120.0
     blocks: TeamSettings | None = None
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
-        set_checked(self, positive, "duration")
+        super().__post_init__()
         if isinstance(self.robots, TeamRobot):
             raise ValueError("robots must be a sequence of TeamRobot, one for each robot")
         robots: Any = TeamSettings(robots=self.robots).robots

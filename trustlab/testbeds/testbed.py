@@ -7,15 +7,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from types import SimpleNamespace
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
 from trustlab.allocation.rules import prepared_rule
 from trustlab.models.checks import (
-    finite_number,
-    not_negative,
+    Checked,
+    NotNegative,
     of_class,
     one_of,
     whole_number,
@@ -43,14 +43,15 @@ Seed = int | np.random.SeedSequence
 Person = Mapping[str, Any]
 
 
-class Testbed(Protocol):
+class Testbed:
     """
     What studies know of a testbed.
 
     Attributes: `name`, one word everywhere; `title`, its name in sentences; `conditions`, all that
     can be run; `printed_conditions` and `printed_n`, those and the participants of the
     dissertation's study; `measures`, those that figures show by default; `takes_rules`, whether a
-    rule can be a condition.
+    rule can be a condition; `setting_names`, those of `settings`, the length of a run first;
+    `population`, from which people are drawn.
     """
 
     name: ClassVar[str]
@@ -60,19 +61,19 @@ class Testbed(Protocol):
     printed_n: ClassVar[int]
     measures: ClassVar[tuple[str, ...]]
     takes_rules: ClassVar[bool] = False
+    setting_names: ClassVar[tuple[str, ...]]
 
-    @property
-    def operators(self) -> Any:
-        """The population from which people are drawn."""
+    population: Any
 
     @property
     def origin(self) -> str:
         """Where the people come from."""
-        return self.operators.origin
+        return self.population.origin
 
     @property
     def settings(self) -> dict[str, Any]:
         """Settings of all runs, by name."""
+        return {name: getattr(self, name) for name in self.setting_names}
 
     def people(
         self, n: int, assumptions: Mapping[str, float] | None = None, seed: int = 0
@@ -89,7 +90,7 @@ class Testbed(Protocol):
         seed : int
             Seed of the draws; people of a smaller n are the first of a larger one.
         """
-        return self.operators.draw(n, seed, assumptions)
+        return self.population.draw(n, seed, assumptions)
 
     def run(self, condition: str, person: Person, seed: Seed) -> Any:
         """
@@ -128,7 +129,7 @@ def usual_population(testbed: str) -> OperatorPopulation:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ConditionTestbed(Testbed):
+class ConditionTestbed(Checked, Testbed):
     """
     What the testbeds of C1 to C5 have in common.
 
@@ -150,40 +151,26 @@ class ConditionTestbed(Testbed):
         If a setting is out of range or the population is of another testbed.
     """
 
-    name: ClassVar[str]
-    title: ClassVar[str]
     module: ClassVar[Any]  # with E_MAX, NOTE and MEASURED
     laps: ClassVar[int] = 0
-    extent: ClassVar[str]
     participant: ClassVar[Callable]
-    conditions: ClassVar[tuple[str, ...]] = tuple(KNOWN)
-    printed_conditions: ClassVar[tuple[str, ...]] = tuple(CONDITIONS)
-    printed_n: ClassVar[int] = 20
-    measures: ClassVar[tuple[str, ...]] = ("p_r", "p_h", "r", "path_error")
-    takes_rules: ClassVar[bool] = True
+    conditions = tuple(KNOWN)
+    printed_conditions = tuple(CONDITIONS)
+    printed_n = 20
+    measures = ("p_r", "p_h", "r", "path_error")
+    takes_rules = True
+    setting_names: ClassVar[tuple[str, ...]] = ("duration", "rest")
 
-    rest: float | None = None
+    rest: NotNegative | None = None
     population: OperatorPopulation | None = None
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
         check_rules(self.rules, KNOWN, "a rule, as a class or lambda: ThresholdRule(0.0, 0.3)")
-        object.__setattr__(self, "conditions", (*KNOWN, *self.rules))
-        if self.rest is not None:
-            not_negative("rest", self.rest)
-        if self.population is not None:
-            of_class("population", self.population, OperatorPopulation)
-            one_of("the testbed of population", self.population.testbed, [self.name])
-
-    @property
-    def operators(self) -> OperatorPopulation:
-        """The population given, or the usual one."""
-        return usual_population(self.name) if self.population is None else self.population
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Settings of all runs, by name."""
-        return {"rest": self.rest}
+        super().__post_init__()
+        population = self.population or usual_population(self.name)
+        one_of("the testbed of population", population.testbed, [self.name])
+        self.__dict__.update(conditions=(*KNOWN, *self.rules), population=population)
 
     def run(self, condition: str, person: Person, seed: Seed) -> ConditionRun:
         """
@@ -244,33 +231,31 @@ class ConditionTestbed(Testbed):
             The operator who drives, the model that rules and suggestions use, and the thresholds of
             suggestions where `thresholds` are not given.
         """
-        operator, model, usual = person
-        decide = None
-        if rule is None:
-            task, thresholds = deciding.task_for(
-                condition, operator, model, thresholds, usual, self.module.E_MAX, self.laps
-            )
-        else:
-            rule, mode = prepared_rule(rule, None)
-            decide = deciding.obeying(rule)
-            task = Task(
-                deciding.SCHEDULE,
-                self.module.E_MAX,
-                laps=self.laps,
-                first_mode=mode,
-                r0=operator.r0,
-            ).suggesting(model)
-        facts = {self.extent: getattr(self, self.extent), "settling": deciding.SETTLING}
+        operator, model, _ = person
+        task, thresholds, decide = deciding.task_for(
+            condition, rule, person, thresholds, e_max=self.module.E_MAX, laps=self.laps
+        )
+        facts = {
+            self.setting_names[0]: getattr(self, self.setting_names[0]),
+            "settling": deciding.SETTLING,
+        }
         if thresholds is not None:
             facts |= zip(("TSC_l", "TSC_u"), thresholds, strict=True)
         metadata = deciding.metadata_of(
             self.name, operator, condition, seed, self.module.NOTE, self.module.MEASURED, **facts
         )
-        who = {"operator": operator, "model": model, "thresholds": thresholds}
-        return self._simulated(task, decide, seed, metadata=metadata, **who)
+        log, lap_times = self._simulated(task, operator, seed, decide)
+        return ConditionRun(
+            log=log,
+            metadata=metadata,
+            operator=operator,
+            model=model,
+            thresholds=thresholds,
+            lap_times=lap_times,
+        )
 
-    def _simulated(self, task: Task, decide: Callable | None, seed: Seed, **facts: Any) -> Any:
-        """Return the run of a task; facts: operator, model, thresholds and metadata."""
+    def _simulated(self, task: Task, operator: Operator, seed: Seed, decide: Any) -> tuple:
+        """Return the log of a run, and when laps ended, where there are any."""
         raise NotImplementedError
 
     def identified(
@@ -291,10 +276,12 @@ class ConditionTestbed(Testbed):
             )
         if operator is not None:
             participant = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
+        if model is not None or isinstance(participant, Operator):
+            model = of_class("model", model, TscModel)
         if isinstance(participant, Operator):
-            return participant, of_class("model", model, TscModel), None
-        operator, known, thresholds = self.participant(str(participant))
-        return operator, known if model is None else of_class("model", model, TscModel), thresholds
+            return participant, model, None
+        person = self.participant(str(participant))
+        return person if model is None else (person[0], model, person[2])
 
     def next_session(self, person: Person, run: ConditionRun) -> Person:
         """
@@ -336,11 +323,11 @@ class GroundRobot(ConditionTestbed):
         If a setting is not understood.
     """
 
-    name: ClassVar[str] = "ground_robot"
-    title: ClassVar[str] = "the ground-robot testbed"
+    name = "ground_robot"
+    title = "the ground-robot testbed"
     module: ClassVar[Any] = ground
-    extent: ClassVar[str] = "laps"
-    participant: ClassVar[Callable] = staticmethod(printed_person)
+    participant = staticmethod(printed_person)
+    setting_names = ("laps", "rest")
 
     laps: int = 8  # type: ignore[misc]  # of other testbeds a constant
     robot: Pioneer = field(default_factory=Pioneer)
@@ -349,19 +336,9 @@ class GroundRobot(ConditionTestbed):
     def __post_init__(self):
         super().__post_init__()
         whole_number("laps", self.laps, most=ground.MOST_LAPS)
-        of_class("robot", self.robot, Pioneer)
-        of_class("course", self.course, Course)
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Settings of all runs, by name."""
-        return {"laps": self.laps} | super().settings
-
-    def _simulated(self, task, decide, seed, **facts):
-        log, lap_times = ground.driven(
-            task, self.robot, self.course, facts["operator"], seed, decide=decide
-        )
-        return ConditionRun(log=log, lap_times=lap_times, **facts)
+    def _simulated(self, task, operator, seed, decide):
+        return ground.driven(task, self.robot, self.course, operator, seed, decide=decide)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -380,19 +357,18 @@ class UavFollowing(ConditionTestbed):
         As for a `ConditionTestbed`; `OperatorPopulation.uav_following()` by default.
     """
 
-    name: ClassVar[str] = "uav_following"
-    title: ClassVar[str] = "the testbed of the UAV that follows a leader"
+    name = "uav_following"
+    title = "the testbed of the UAV that follows a leader"
     module: ClassVar[Any] = flight
-    extent: ClassVar[str] = "duration"
-    duration: ClassVar[float] = flight.DURATION
-    participant: ClassVar[Callable] = staticmethod(following_operator)
+    duration = flight.DURATION
+    participant = staticmethod(following_operator)
 
-    def _simulated(self, task, decide, seed, **facts):
-        return ConditionRun(log=flight.flown(task, facts["operator"], seed, decide), **facts)
+    def _simulated(self, task, operator, seed, decide):
+        return flight.flown(task, operator, seed, decide), None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class UavTracking(Testbed):
+class UavTracking(Checked, Testbed):
     """
     The teleoperated UAV of Chapter 3, with the settings of `simulate_teleoperation`.
 
@@ -410,29 +386,16 @@ class UavTracking(Testbed):
         If a setting is not understood.
     """
 
-    name: ClassVar[str] = "uav_tracking"
-    title: ClassVar[str] = "the UAV testbed"
-    conditions: ClassVar[tuple[str, ...]] = tuple(SCHEMES)
-    printed_conditions: ClassVar[tuple[str, ...]] = ("M", "OMI", "MMI", "TMIG")
-    printed_n: ClassVar[int] = 32
-    measures: ClassVar[tuple[str, ...]] = ("tracking_error", "p_r", "p_h", "hand_force")
+    name = "uav_tracking"
+    title = "the UAV testbed"
+    conditions = tuple(SCHEMES)
+    printed_conditions = ("M", "OMI", "MMI", "TMIG")
+    printed_n = 32
+    measures = ("tracking_error", "p_r", "p_h", "hand_force")
+    setting_names = ("duration",)
 
     duration: float = 120.0
     population: TeleoperatorPopulation = field(default_factory=TeleoperatorPopulation)
-
-    def __post_init__(self):
-        finite_number("duration", self.duration)
-        of_class("population", self.population, TeleoperatorPopulation)
-
-    @property
-    def operators(self) -> TeleoperatorPopulation:
-        """The population given, or the usual one."""
-        return self.population
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Settings of all runs, by name."""
-        return {"duration": self.duration}
 
     def run(self, condition: str, person: Person, seed: Seed) -> SimpleNamespace:
         """

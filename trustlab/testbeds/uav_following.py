@@ -48,46 +48,33 @@ MEAN_1, MEAN_2 = 2.0 * np.sqrt(2.0 / np.pi), np.sqrt(np.pi / 2.0)
 STRETCH = 1.2
 
 
-def planar(names: str) -> list[tuple]:
-    """Return fields of a record for vectors in the plane."""
-    return [(name, float, 2) for name in names.split()]
-
-
-# What is logged of each sample.
-LOG = np.dtype(
-    [
-        *record(numbers="mode suggested_mode").descr,
-        *planar("robot reference"),
-        ("path_error", float),
-        *planar("u_h u_i"),
-        *record(numbers="r p_r p_h tsc").descr,
-    ]
+# What is logged of each sample; points and vectors of the plane are complex numbers.
+LOG = record(
+    planar="robot reference u_h u_i", numbers="mode suggested_mode path_error r p_r p_h tsc"
 )
 
 # What a step reads and leaves. Of the hand what it has made of what it saw, where it wanders and
 # how it shakes; drift: how far beside the leader the autopilot believes it to be.
-STATE = np.dtype(
-    [
-        *planar("position velocity acceleration hand wander shake drift"),
-        *record(numbers=NUMBERS, counts=COUNTS, flags=FLAGS).descr,
-    ]
+STATE = record(
+    planar="position velocity acceleration hand wander shake drift",
+    numbers=NUMBERS,
+    counts=COUNTS,
+    flags=FLAGS,
 )
 
 # Shares that first-order lags keep over one sample, what the drift comes to [m], and the vehicle's
 # exact matrices over one sample, the same on x and y.
-FLIGHT = np.dtype(
-    [
-        *record(numbers="keeps_wander keeps_shake keeps_hand keeps_drift keeps_anchor drift").descr,
-        ("moves", float, (2, 2)),
-        ("driven", float, 2),
-    ]
+FLIGHT = record(
+    numbers="keeps_wander keeps_shake keeps_hand keeps_drift keeps_anchor drift",
+    moves=(float, (2, 2)),
+    driven=(float, 2),
 )
 
 
 class FlightSetup(NamedTuple):
     """
     What stays the same in all samples; `flight` is a record of FLIGHT, `person` an operator's
-    numbers, the leader's position and velocity have shape (N, 3).
+    numbers, the leader's position and velocity have shape (N,).
     """
 
     task: Task
@@ -135,8 +122,9 @@ def imperfection(performance, person):
 
 @inner
 def noise(before, keep, rng):
-    """Return the next value of coloured noise of unit variance."""
-    return keep * before + np.sqrt(1.0 - keep * keep) * rng.standard_normal()
+    """Return the next value of coloured noise of unit variance on x and y."""
+    fresh = complex(rng.standard_normal(), rng.standard_normal())
+    return keep * before + np.sqrt(1.0 - keep * keep) * fresh
 
 
 @inner
@@ -147,12 +135,10 @@ def operate(setup, seen, row, now, hand):
     """
     flight, person = setup.flight, setup.person
     wander, shaking = imperfection(deciding.skill_now(setup.task, person, now), person)
-    for i in range(2):
-        now.wander[i] = noise(now.wander[i], flight.keeps_wander, hand)
-    for i in range(2):
-        now.shake[i] = noise(now.shake[i], flight.keeps_shake, hand)
-        now.hand[i] = seen.u_i[i] + flight.keeps_hand * (now.hand[i] - seen.u_i[i])
-        row.u_h[i] = now.hand[i] + GAIN * wander * now.wander[i] + shaking * now.shake[i]
+    now.wander = noise(now.wander, flight.keeps_wander, hand)
+    now.shake = noise(now.shake, flight.keeps_shake, hand)
+    now.hand = seen.u_i + flight.keeps_hand * (now.hand - seen.u_i)
+    row.u_h = now.hand + GAIN * wander * now.wander + shaking * now.shake
 
 
 @inner
@@ -161,37 +147,34 @@ def fly(flight, row, now, sensing):
     Move the vehicle by one sample, under the operator's command or the autopilot's, whose belief of
     where the leader is drifts away and is anchored anew while the operator flies.
     """
-    for i in range(2):
-        if now.mode == 1:
-            now.drift[i] = flight.keeps_anchor * now.drift[i]
-            u = row.u_h[i]
-        else:
-            spread = flight.drift * np.sqrt(1.0 - flight.keeps_drift**2)
-            now.drift[i] = flight.keeps_drift * now.drift[i] + spread * sensing.standard_normal()
-            u = row.u_i[i] + GAIN * now.drift[i]
-        v, a = now.velocity[i], now.acceleration[i]
-        now.position[i] += SAMPLE_TIME * v
-        now.velocity[i] = flight.moves[0, 0] * v + flight.moves[0, 1] * a + flight.driven[0] * u
-        now.acceleration[i] = flight.moves[1, 0] * v + flight.moves[1, 1] * a + flight.driven[1] * u
+    if now.mode == 1:
+        now.drift = flight.keeps_anchor * now.drift
+        u = row.u_h
+    else:
+        spread = flight.drift * np.sqrt(1.0 - flight.keeps_drift**2)
+        fresh = complex(sensing.standard_normal(), sensing.standard_normal())
+        now.drift = flight.keeps_drift * now.drift + spread * fresh
+        u = row.u_i + GAIN * now.drift
+    v, a = now.velocity, now.acceleration
+    moves, driven = flight.moves, flight.driven
+    now.position += SAMPLE_TIME * v
+    now.velocity = moves[0, 0] * v + moves[0, 1] * a + driven[0] * u
+    now.acceleration = moves[1, 0] * v + moves[1, 1] * a + driven[1] * u
 
 
 @inner(_nrt=False)
 def sense(k, setup, state, log):
     """Come to the pause of sample k: see the leader, move the hand, measure performance."""
     now, row = state.now[0], log[k]
-    squares = deviation = 0.0
-    for i in range(2):
-        row.robot[i], row.reference[i] = now.position[i], setup.position[k, i]
-        off = row.reference[i] - row.robot[i]
-        squares += off * off
-        row.u_i[i] = setup.velocity[k, i] + GAIN * off
-    row.path_error = np.sqrt(squares)
+    row.robot, row.reference = now.position, setup.position[k]
+    off = row.reference - row.robot
+    row.u_i = setup.velocity[k] + GAIN * off
+    row.path_error = np.sqrt(off.real**2 + off.imag**2)
     seen = log[max(k - round(setup.person.delay / SAMPLE_TIME), 0)]
     operate(setup, seen, row, now, state.hand)
-    for i in range(2):
-        deviation += abs(row.u_i[i] - row.u_h[i])
+    deviation = row.u_i - row.u_h
     state.z_r[k] = 1.0 - row.path_error / E_MAX  # Section 2.4.2, P_r
-    state.z_h[k] = 1.0 - deviation / U_MAX  # Section 2.4.2, P_h
+    state.z_h[k] = 1.0 - (abs(deviation.real) + abs(deviation.imag)) / U_MAX  # Section 2.4.2, P_h
     deciding.measure(setup.task, k, state.z_r, state.z_h, now)
 
 
@@ -205,10 +188,9 @@ def follow(first, stop, setup, state, inputs, log):
     task, person = setup.task, setup.person
     now = state.now[0]
     if stop == 0:
-        for i in range(2):
-            now.position[i] = setup.position[0, i]
-            now.velocity[i] = now.hand[i] = setup.velocity[0, i]
-            now.wander[i] = state.hand.standard_normal()
+        now.position = setup.position[0]
+        now.velocity = now.hand = setup.velocity[0]
+        now.wander = complex(state.hand.standard_normal(), state.hand.standard_normal())
         deciding.begin(task, person, now, state.choices)
         sense(0, setup, state, log)
     for k in range(first, stop):
@@ -243,7 +225,8 @@ def flown(
     """Return the log of one test."""
     log, (z_r, z_h) = np.empty(SAMPLES, LOG), np.empty((2, SAMPLES))
     sensing, hand, choices, start = map(np.random.default_rng, spawned(seed, 4))
-    leader = LEADER.path(deciding.sample_times(SAMPLES), 0.0, start.uniform(0.0, 2.0 * np.pi))
+    phase = start.uniform(0.0, 2.0 * np.pi)
+    leader = np.array(LEADER.path(deciding.sample_times(SAMPLES), 0.0, phase)) @ (1.0, 1j, 0.0)
     setup = FlightSetup(task, flight_of(operator.hand_lag), operator.numbers, *leader)
     state = FlightState(np.zeros(1, STATE), sensing, hand, choices, z_r, z_h)
     run = Simulation(follow, setup, state, deciding.no_inputs(SAMPLES), log, decide)

@@ -10,15 +10,18 @@ is stepped or run, and what is drawn at random. One sample is `teleoperate` in
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import (
+    Checked,
+    NotNegative,
+    Positive,
     between,
     finite_numbers,
-    not_negative,
+    function,
     of_class,
     one_of,
     positive,
@@ -102,7 +105,7 @@ usual_vehicle = cache(tracking_vehicle)
 
 
 @dataclass(frozen=True)
-class TrackingTask:
+class TrackingTask(Checked):
     """
     What the target does and what goes wrong on the way.
 
@@ -147,28 +150,22 @@ class TrackingTask:
     4.99
     """
 
-    size_x: float = 1.5
-    size_y: float = 1.0
-    speed: float = 0.2
-    failure_every: float = 15.0
-    failure_length: float = 4.0
-    camera_delay: float = 0.1
-    proportional: float = 1.0
-    integral: float = 0.1
-    derivative: float = 0.1
-    reach: float = 1.5
-    view: float = 1e6
+    size_x: Positive = 1.5
+    size_y: Positive = 1.0
+    speed: NotNegative = 0.2
+    failure_every: Positive = 15.0
+    failure_length: Positive = 4.0
+    camera_delay: NotNegative = 0.1
+    proportional: NotNegative = 1.0
+    integral: NotNegative = 0.1
+    derivative: NotNegative = 0.1
+    reach: Positive = 1.5
+    view: Annotated[float, (1e-6, 1e6)] = 1e6
     autonomy: Callable | None = None
     vehicle: Any = None
 
     def __post_init__(self):
-        may_be_zero = ("speed", "camera_delay", "proportional", "integral", "derivative")
-        for name in set(self.__dataclass_fields__) - {"autonomy", "vehicle"}:
-            check = not_negative if name in may_be_zero else positive
-            object.__setattr__(self, name, check(name, getattr(self, name)))
-        between("view", self.view, 0.0, 1e6)
-        if self.autonomy is not None and not callable(self.autonomy):
-            raise ValueError(f"autonomy must be a function of the state, got {self.autonomy!r:.80}")
+        super().__post_init__()
         if is_state_space(self.vehicle):
             state_space(*self.vehicle)
         elif not (self.vehicle is None or callable(self.vehicle)):
@@ -337,8 +334,8 @@ class TeleoperationLoop(Loop):
         if isinstance(trust, TrustInLoop):
             ranges = settings.human_to_robot, settings.robot_to_human
             trust = trust.part(*ranges, settings.sample_time)
-        if not (trust is None or callable(trust)):
-            raise ValueError(f"trust must be a function of the state, got {shown(trust)}")
+        if trust is not None:
+            function("trust", trust)
         hooks = {
             "vehicle": vehicle,
             "trust": trust,
@@ -573,12 +570,8 @@ def drawn(settings, task, operator, count, seeds) -> np.ndarray:
     T = settings.sample_time
     t, inputs = T * np.arange(count), np.zeros(count, INPUT)
     phase = start.uniform(0.0, 2.0 * np.pi)
-    position, velocity = task.path(t, settings.height, phase)
-    inputs["reference"], inputs["reference_velocity"] = position, velocity
-    ahead = (
-        task.path(t + operator.preview, settings.height, phase)[0] if operator.preview else position
-    )
-    inputs["ahead"] = ahead - position
+    reference = task.path(t, settings.height, phase)
+    inputs["reference"], inputs["reference_velocity"] = reference
     inputs["detected"] = _losses(task, count, T, losses)
     inputs["motor"] = coloured(count, 3, operator.noise_time, T, noise)
     for name in DECIDED.names:

@@ -29,6 +29,8 @@ FOLLOWING = ("vehicle", "trust")
 VECTORS = ("robot", "velocity", "u_a", "wanted", "guiding")
 
 SLACK = 1e-12
+# Bounds of a number that has none.
+FINITE = (-1e300, 1e300)
 
 
 def asking(
@@ -89,20 +91,14 @@ class ReturnedError(ValueError):
 def checked(name: str, value: Any, bounds: Mapping[str, tuple[float, float]]) -> Any:
     """Return what a function decided: finite, three numbers for a vector, a scale within (3.1)."""
     if name in VECTORS:
-        value = np.asarray(value, float)
-        if value.shape != (3,) or not np.isfinite(value).all():
-            raise ReturnedError(
-                f"returned {name} = {value}; three finite numbers are wanted, for x, y and z"
-            )
-    elif name in bounds:
-        low, high = bounds[name]
-        if not low * (1.0 - SLACK) <= value <= high * (1.0 + SLACK):
-            raise ReturnedError(
-                f"returned {name} = {value:g}; it must lie in [{low:g}, {high:g}], for which the "
-                "channel's ends are set (3.1)"
-            )
-    elif not math.isfinite(value):
-        raise ReturnedError(f"returned {name} = {value:g}; a finite number is wanted")
+        value, remedy = np.asarray(value, float), "three finite numbers are wanted, for x, y and z"
+        valid = value.shape == (3,) and np.isfinite(value).all()
+    else:
+        low, high = bounds.get(name, FINITE)
+        remedy = f"it must lie in [{low:g}, {high:g}]"
+        valid = low * (1.0 - SLACK) <= value <= high * (1.0 + SLACK)
+    if not valid:
+        raise ReturnedError(f"returned {name} = {value}; {remedy}")
     return value
 
 

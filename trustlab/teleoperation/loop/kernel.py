@@ -68,12 +68,10 @@ def look(k, c, s, inputs, log):
     s.found_before = s.finds and inputs[before].detected and visible(log[before].error, widest)
     for i in range(3):
         if s.sees:  # else the operator remembers where the target was last seen
-            s.seen[i] = log[eye].error[i] + inputs[eye].ahead[i]
-            s.seen_before[i] = log[eye - 1].error[i] + inputs[eye - 1].ahead[i]
+            s.seen[i], s.seen_before[i] = log[eye].error[i], log[eye - 1].error[i]
         s.picture[i] = s.picture_before[i] = 0.0  # no force towards what nobody sees
         if shown:
-            s.picture[i] = log[camera].error[i]
-            s.picture_before[i] = log[before].error[i]
+            s.picture[i], s.picture_before[i] = log[camera].error[i], log[before].error[i]
         s.stretch[i] = s.picture[i] if c.guided_at == AT_OPERATOR else now.error[i]
 
 
@@ -216,15 +214,6 @@ def obey(c, s, external):
     now.alpha, now.beta = chosen(external.alpha, now.alpha), chosen(external.beta, now.beta)
 
 
-@step
-def distance(now):
-    """Return how far away and how fast the robot is, m and m/s added up."""
-    total = 0.0
-    for i in range(3):
-        total += abs(now.robot[i]) + abs(now.velocity[i])
-    return total
-
-
 # The hand.
 
 
@@ -293,20 +282,15 @@ def guide_through_channel(c, s):
     The guiding force at the robot's port, under the controller of Theorem 4: Chapter 3 as printed.
     """
     now, far = s.now, c.far
-    square = 0.0
-    compliance = 1.0 / far.b
     for i in range(3):
         s.pull[i] = now.f_s[i] = s.guiding[i]
-        free = far.arriving * s.v_r[i] / far.b
-        now.r_s[i] = now.alpha * (free - compliance * now.f_s[i])  # (3.12), (3.22)
-        square += now.r_s[i] ** 2
-    gain = square / (now.alpha * compliance)
+        now.r_s[i] = now.alpha * waves.robot_velocity(far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
+    gain = dot(now.r_s, now.r_s) * far.b / now.alpha
     share = passivity_share(c.guard, now.energy_robot, now.r_s, now.f_s, gain, c.sample_time)
     if share < 1.0:
         for i in range(3):
             now.r_s[i] = share * now.r_s[i]
-            free = far.arriving * s.v_r[i] / far.b
-            now.f_s[i] = (free - now.r_s[i] / now.alpha) / compliance
+            now.f_s[i] = far.arriving * s.v_r[i] - far.b * now.r_s[i] / now.alpha
     solve_operator_end(c, s)
     now.port_share = share
 
@@ -320,12 +304,11 @@ def guide_at_operator(c, s):
     The controller works on (r_m, f_m), of which the guiding force is a part: guidance spends what
     the operator's port has earned, or its budget.
     """
-    now, gain = s.now, 0.0
+    now = s.now
     for i in range(3):
         s.pull[i], now.f_s[i] = now.beta * s.guiding[i], 0.0
     solve_operator_end(c, s)
-    for i in range(3):
-        gain += now.r_m[i] ** 2 / c.admittance
+    gain = dot(now.r_m, now.r_m) / c.admittance
     share = passivity_share(c.guard, s.account, now.r_m, now.f_m, gain, c.sample_time)
     for i in range(3):
         if share < 1.0:
@@ -350,10 +333,10 @@ def send_output(c, s):
 
 
 @step
-def account(c, s, external):
+def account(k, c, s, external, sent):
     """
-    Book the energy of every port and set the robot's command; return |r_m|² + |f_m|², by which
-    device or channel are seen to diverge.
+    Send the waves, book the energy of every port and set the robot's command; return |r_m|² +
+    |f_m|², by which device or channel are seen to diverge.
     """
     T = c.sample_time
     scaling = c.force_scaling
@@ -365,6 +348,8 @@ def account(c, s, external):
         x, v = now.device[i], now.device_velocity[i]
         r_m, f_m = now.r_m[i], now.f_m[i]
         r_s, f_s = now.r_s[i], now.f_s[i]
+        sent[0, k, i] = waves.operator_wave(c.near, r_m, s.v_l[i])  # (3.22)
+        sent[1, k, i] = waves.robot_wave(c.far, f_s, s.v_r[i])  # (3.22)
         # (3.8)
         v_middle = haptic.midpoint_velocity(device, x, v, s.force[i], scaling * f_m)
         s.middle[i], x_middle = v_middle, x + 0.5 * T * v_middle
@@ -390,15 +375,6 @@ def account(c, s, external):
     # see ports/budget.py; without a budget the account is the port's energy
     s.account = min(s.account, c.budget_energy) + T * c.budget_power
     return magnitude
-
-
-@step
-def send(k, c, s, sent):
-    """Send the waves (3.22)."""
-    now = s.now
-    for i in range(3):
-        sent[0, k, i] = waves.operator_wave(c.near, now.r_m[i], s.v_l[i])
-        sent[1, k, i] = waves.robot_wave(c.far, now.f_s[i], s.v_r[i])
 
 
 @step
@@ -439,10 +415,14 @@ def next_trust(trust, model, p):
     counts as at its end.
     """
     share = min(max((p - model.p_min) / (model.p_max - model.p_min), 0.0), 1.0)
-    span = model.t_max - model.t_min
-    return model.t_min + span * trust_step(
-        (trust - model.t_min) / span, share, model.decay, model.gain
-    )
+    after = trust_step(share_of_range(trust, model), share, model.decay, model.gain)
+    return model.t_min + (model.t_max - model.t_min) * after
+
+
+@step
+def advanced(row, x, v, a, gain, u):
+    """Return x, v or a of an axis one sample later: a row of its exact matrices, u being held."""
+    return row[0] * x + row[1] * v + row[2] * a + gain * u
 
 
 @step
@@ -452,14 +432,12 @@ def move(c, s):
     for i in range(3):
         now.device[i] += c.sample_time * s.middle[i]
         now.device_velocity[i] = 2.0 * s.middle[i] - now.device_velocity[i]
-        if not c.asks_vehicle:  # by exact matrices, the command being held over the sample
-            phi, gamma = c.phi[i], c.gamma[i]
-            u = s.command[i]
-            x, v = now.robot[i], now.velocity[i]
-            a = s.acceleration[i]
-            now.robot[i] = phi[0, 0] * x + phi[0, 1] * v + phi[0, 2] * a + gamma[0] * u
-            now.velocity[i] = phi[1, 0] * x + phi[1, 1] * v + phi[1, 2] * a + gamma[1] * u
-            s.acceleration[i] = phi[2, 0] * x + phi[2, 1] * v + phi[2, 2] * a + gamma[2] * u
+        if not c.asks_vehicle:
+            phi, gamma, u = c.phi[i], c.gamma[i], s.command[i]
+            x, v, a = now.robot[i], now.velocity[i], s.acceleration[i]
+            now.robot[i] = advanced(phi[0], x, v, a, gamma[0], u)
+            now.velocity[i] = advanced(phi[1], x, v, a, gamma[1], u)
+            s.acceleration[i] = advanced(phi[2], x, v, a, gamma[2], u)
     if not c.asks_trust:
         now.trust_hr = next_trust(now.trust_hr, c.trust_hr, now.p_r)  # (3.2)
         now.trust_rh = next_trust(now.trust_rh, c.trust_rh, now.p_h)  # (3.3)
@@ -483,7 +461,7 @@ def teleoperate(first, stop, setup, state, inputs, log):
         external = inputs[k]
         obey(c, s, external)
         # written as "not <", so that NaN counts as diverged
-        if not distance(now) < 1e9:
+        if not dot(now.robot, now.robot) + dot(now.velocity, now.velocity) < 1e18:
             return k, ROBOT
         push(c, s, external)
         if c.guided_at == AT_OPERATOR:
@@ -492,9 +470,8 @@ def teleoperate(first, stop, setup, state, inputs, log):
             guide_through_channel(c, s)
         else:
             send_output(c, s)
-        magnitude = account(c, s, external)
+        magnitude = account(k, c, s, external, state.sent)
         judge(k, c, s, log)
-        send(k, c, s, state.sent)
         log[k] = now
         if not now.energy_device < 1e9:
             return k + 1, DEVICE

@@ -5,18 +5,16 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.allocation.blending import DEGREE
-from trustlab.teleoperation.ports.device import Device
-from trustlab.teleoperation.ports.waves import End
+from trustlab.teleoperation.ports.device import DEVICE
+from trustlab.teleoperation.ports.waves import END
 from trustlab.teleoperation.records import columns_of, record
 
 # A row of the log: the state before the sample and the signals of the sample.
-LOGGED = np.dtype(
-    record(
-        vectors="reference robot velocity device device_velocity r_m f_h f_m r_s f_s u_h u_a u_i",
-        numbers="alpha beta p_r p_h trust_hr trust_rh path_error port_share energy_operator "
-        "energy_device energy_dissipated energy_channel energy_robot",
-    ).descr
-    + record(vectors="guide", numbers="energy_port energy_target energy_guidance").descr
+LOGGED = record(
+    vectors="reference robot velocity device device_velocity r_m f_h f_m r_s f_s u_h u_a u_i guide",
+    numbers="alpha beta p_r p_h trust_hr trust_rh path_error port_share energy_operator "
+    "energy_device energy_dissipated energy_channel energy_robot energy_port energy_target "
+    "energy_guidance",
 )
 COLUMNS = columns_of(LOGGED)
 
@@ -24,41 +22,30 @@ COLUMNS = columns_of(LOGGED)
 SAMPLE = np.dtype([*LOGGED.descr, *record(vectors="error", numbers="good_r good_h").descr])
 
 # Room that scheme OMI computes in: what lies ahead, the cost as a series in α, its derivative.
-BLENDING = np.dtype(
-    [("ahead", float, (3, 5)), ("series", float, DEGREE + 1), ("slope", float, DEGREE + 2)]
+BLENDING = record(ahead=(float, (3, 5)), series=(float, DEGREE + 1), slope=(float, DEGREE + 2))
+
+# The state: what the loop carries on, what has arrived, what the steps of a sample tell each other,
+# and the sample. `account`: what the operator's port may spend [J].
+STATE = record(
+    vectors="reference_velocity acceleration wish integral picture picture_before seen seen_before "
+    "v_l v_r arrived wanted force free_output stretch guiding pull middle command",
+    numbers="t sample_time alpha_min alpha_max beta_min beta_max account effort square_m square_s "
+    "sum_r sum_h",
+    counts="waited",
+    flags="sees finds found_before",
+    now=SAMPLE,
+    blending=BLENDING,
 )
 
-# The state: the sample, what the loop carries on, what has arrived, and what the steps of a sample
-# tell each other. `account`: what the operator's port may spend [J].
-STATE = np.dtype(
-    [
-        ("now", SAMPLE),
-        *record(
-            vectors="reference_velocity acceleration wish integral picture picture_before seen "
-            "seen_before v_l v_r arrived wanted force free_output stretch guiding pull "
-            "middle command",
-            numbers="t sample_time alpha_min alpha_max beta_min beta_max account effort square_m "
-            "square_s sum_r sum_h",
-            counts="waited",
-            flags="sees finds found_before",
-        ).descr,
-        ("blending", BLENDING),
-    ]
-)
-
-# What comes from outside in a sample: where the robot should be and how fast it should move, how
-# far the target moves on within the operator's preview, noise of the hand, a force added to the
-# hand's, whether the controller's camera finds its target; and what is decided. There NaN leaves a
-# value to what is built in.
+# What is decided in a sample; NaN leaves it to what is built in.
 DECIDED = record(
     vectors="robot velocity u_a wanted guiding hand", numbers="alpha beta trust_hr trust_rh"
 )
-INPUT = np.dtype(
-    [
-        *record(vectors="reference reference_velocity ahead motor push", flags="detected").descr,
-        *DECIDED.descr,
-    ]
-)
+# What comes from outside in a sample: where the robot should be and how fast it should move, noise
+# of the hand, a force added to the hand's, whether the controller's camera finds its target; and
+# what is decided.
+EXTERNAL = record(vectors="reference reference_velocity motor push", flags="detected")
+INPUT = np.dtype([*EXTERNAL.descr, *DECIDED.descr])
 
 # A `TrustModel` for one sample time; `gain` is b/a.
 TRUST = record(numbers="decay gain p_min p_max t_min t_max")
@@ -76,32 +63,22 @@ HAND = record(
 # width.
 AUTONOMY = record(numbers="proportional integral derivative reach picture", counts="delay")
 
-# One end of the channel: what multiplies velocity or force and waves, see `waves.End`.
-END = record(numbers=" ".join(End._fields))
-
-# One axis of the haptic device in its hand.
-DEVICE = record(numbers=" ".join(Device._fields))
-
-NUMBERS = np.dtype(
-    [
-        *record(
-            numbers="sample_time force_scaling gain guidance steepness command_range error_range "
-            "budget_energy budget_power admittance",
-            counts="window rule law guard guided_at",
-            flags="asks_vehicle asks_trust",
-        ).descr,
-        ("trust_hr", TRUST),
-        ("trust_rh", TRUST),
-        ("hand", HAND),
-        ("auto", AUTONOMY),
-        ("device", DEVICE),
-        ("near", END),
-        ("far", END),
-        # exact one-sample matrices of (position, velocity, acceleration) per axis
-        ("phi", float, (3, 3, 3)),
-        ("gamma", float, (3, 3)),
-        ("blend", float, (3, DEGREE + 1, 5, 5)),  # the cost of Appendix A
-    ]
+NUMBERS = record(
+    numbers="sample_time force_scaling gain guidance steepness command_range error_range "
+    "budget_energy budget_power admittance",
+    counts="window rule law guard guided_at",
+    flags="asks_vehicle asks_trust",
+    trust_hr=TRUST,
+    trust_rh=TRUST,
+    hand=HAND,
+    auto=AUTONOMY,
+    device=DEVICE,
+    near=END,
+    far=END,
+    # exact one-sample matrices of (position, velocity, acceleration) per axis
+    phi=(float, (3, 3, 3)),
+    gamma=(float, (3, 3)),
+    blend=(float, (3, DEGREE + 1, 5, 5)),  # the cost of Appendix A
 )
 
 

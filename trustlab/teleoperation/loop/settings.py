@@ -6,20 +6,12 @@ the constants that the compiled loop takes.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 
 from trustlab.allocation.blending import OptimalBlending, best_share
-from trustlab.models.checks import (
-    between,
-    finite_number,
-    flag,
-    of_class,
-    one_of,
-    positive,
-    set_checked,
-    shown,
-)
+from trustlab.models.checks import Checked, NotNegative, Positive, one_of, shown
 from trustlab.models.compiled import njit
 from trustlab.models.simulation import filled
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
@@ -27,12 +19,12 @@ from trustlab.models.uav import held_over
 from trustlab.teleoperation.loop.kernel import BY_HAND, GUIDANCE, LOGISTIC, MANUAL, STEPS
 from trustlab.teleoperation.loop.records import SAMPLE, STATE
 from trustlab.teleoperation.ports.budget import GuidanceBudget
-from trustlab.teleoperation.ports.device import GAINS, METHODS, HapticDevice
+from trustlab.teleoperation.ports.device import METHODS, HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
 
 
 @dataclass(frozen=True)
-class LoopSettings:
+class LoopSettings(Checked):
     """
     Settings of one teleoperation loop.
 
@@ -43,7 +35,7 @@ class LoopSettings:
     scattering : Scattering
         Impedance b, bounds of α and β, and Ṫ_max.
     k_ffa : float
-        Stiffness of the force feedback f'_s = −k_ffa e [N/m].
+        Stiffness of the force feedback f'_s = −k_ffa e [N/m], 0 or more; see `printed_sign`.
     height : float
         z_d, how far above its target the robot should fly [m].
     human_to_robot, robot_to_human : TrustModel
@@ -80,34 +72,24 @@ class LoopSettings:
     stiffness: float
     weight: float
     scattering: Scattering
-    k_ffa: float
+    k_ffa: NotNegative
     height: float
     human_to_robot: TrustModel = field(default_factory=lambda: TrustModel(a=0.2, b=0.2))
     robot_to_human: TrustModel = field(default_factory=lambda: TrustModel(a=0.2, b=0.2))
     steepness: float = 10.0
     force_scaling: float = 1.0
-    window: float = 10.0
-    command_range: float = 3.0
-    error_range: float = 3.0
+    window: Positive = 10.0
+    command_range: Positive = 3.0
+    error_range: Positive = 3.0
     printed_sign: bool = False
     require_passive: bool = True
     title: str = "own settings"
     study: str = "main"
-    sample_time: float = 0.01
+    sample_time: Annotated[float, (1e-5, 0.1)] = 0.01
 
     def __post_init__(self):
-        set_checked(self, finite_number, *GAINS, "height", "k_ffa")
-        set_checked(self, positive, "window", "command_range", "error_range")
-        of_class("scattering", self.scattering, Scattering)
-        for name in ("human_to_robot", "robot_to_human"):
-            of_class(name, getattr(self, name), TrustModel)
+        super().__post_init__()
         one_of("study", self.study, ("preliminary", "main"))
-        between("sample_time", self.sample_time, 1e-5, 0.1)
-        if self.k_ffa < 0.0:
-            raise ValueError(
-                f"k_ffa must not be negative, got {self.k_ffa}; printed_sign=True gives the "
-                "printed direction"
-            )
         self.scalings("logistic")
         HapticDevice(  # refused if it is not r-passive with the damping that its port always has
             self.mass,
@@ -128,17 +110,13 @@ class LoopSettings:
         kind : {"logistic", "step"}
             (3.5) or (3.6).
         """
-        pairs = (
-            (self.scattering.alpha_min, self.scattering.alpha_max, self.human_to_robot),
-            (self.scattering.beta_min, self.scattering.beta_max, self.robot_to_human),
-        )
+        ends, (hr, rh) = self.scattering, (self.human_to_robot, self.robot_to_human)
+        alpha = ends.alpha_min, ends.alpha_max, None, hr.t_min, hr.t_max
+        beta = ends.beta_min, ends.beta_max, None, rh.t_min, rh.t_max
         if kind == "step":
-            return tuple(
-                StepScaling(low, high, None, trust.t_min, trust.t_max) for low, high, trust in pairs
-            )
+            return StepScaling(*alpha), StepScaling(*beta)
         return tuple(
-            LogisticScaling(low, high, self.steepness, None, trust.t_min, trust.t_max)
-            for low, high, trust in pairs
+            LogisticScaling(low, high, self.steepness, *rest) for low, high, *rest in (alpha, beta)
         )
 
 
@@ -217,7 +195,7 @@ def optimal_share(numbers, whole):
 
 
 @dataclass(frozen=True)
-class Scheme:
+class Scheme(Checked):
     """
     Who sets the scales, and whether the operator feels a force.
 
@@ -262,9 +240,9 @@ class Scheme:
     bilateral: bool = True
 
     def __post_init__(self):
+        super().__post_init__()
         if not isinstance(self.name, str) or not self.name:
             raise ValueError(f"name must be a text, got {shown(self.name)}")
-        flag("bilateral", self.bilateral)
         if not callable(self.shares):
             one_of("shares", self.shares, RULES, also="a function of the state")
 
@@ -294,7 +272,7 @@ def scheme_named(name: str | Scheme) -> Scheme:
 
 
 @dataclass(frozen=True)
-class Guidance:
+class Guidance(Checked):
     """
     How a guiding force reaches the operator, and what keeps it passive.
 
@@ -336,14 +314,11 @@ class Guidance:
     force: Callable | None = None
 
     def __post_init__(self):
+        super().__post_init__()
         one_of("where", self.where, GUIDANCE)
         one_of("guard", self.guard, METHODS)
-        if self.force is not None and not callable(self.force):
-            raise ValueError(f"force must be a function of the state, got {shown(self.force)}")
-        if self.budget is not None:
-            of_class("budget", self.budget, GuidanceBudget)
-            if self.where != "at_operator":
-                raise ValueError(f"budget is for guidance at_operator, got {self.where!r}")
+        if self.budget and self.where != "at_operator":
+            raise ValueError(f"budget is for guidance at_operator, got {self.where!r}")
 
 
 def guidance_named(guidance: str | Guidance) -> Guidance:

@@ -20,11 +20,11 @@ channel, delays, losses and vehicle do. With power = 0 the port is passive in th
 
 from dataclasses import dataclass
 
-from trustlab.models.checks import not_negative, set_checked
+from trustlab.models.checks import Checked, NotNegative, not_negative
 
 
 @dataclass(frozen=True)
-class GuidanceBudget:
+class GuidanceBudget(Checked):
     """
     Energy that guidance at the operator may give out beyond what its port took.
 
@@ -53,11 +53,8 @@ class GuidanceBudget:
     True
     """
 
-    energy: float = 0.0
-    power: float = 0.0
-
-    def __post_init__(self):
-        set_checked(self, not_negative, "energy", "power")
+    energy: NotNegative = 0.0
+    power: NotNegative = 0.0
 
     def bound(self, seconds: float) -> float:
         """

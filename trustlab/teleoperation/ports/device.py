@@ -6,19 +6,19 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.models.checks import (
+    Checked,
+    NotNegative,
+    Positive,
     finite_array,
-    flag,
-    not_negative,
     one_of,
     positive,
     rounded_down,
     rounded_up,
-    set_checked,
 )
 from trustlab.models.compiled import njit
+from trustlab.teleoperation.records import record
 
 ROUNDING = 1e-12
-GAINS = ("mass", "damping", "stiffness", "weight")
 
 
 class Device(NamedTuple):
@@ -36,6 +36,9 @@ class Device(NamedTuple):
     held_stiffness: float
     inertia: float  # 2M/T + B + KT/2, device and arm: force per velocity at the midpoint
     lever: float  # r_m per velocity at the midpoint, 1 + ΛT/2
+
+
+DEVICE = record(numbers=" ".join(Device._fields))
 
 
 class Arm(NamedTuple):
@@ -116,7 +119,7 @@ class PassivityError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class HapticDevice:
+class HapticDevice(Checked):
     """
     A haptic device made r-passive by a local PD loop, equations (3.8)-(3.11).
 
@@ -157,18 +160,16 @@ class HapticDevice:
     0.00917
     """
 
-    mass: float
-    damping: float
-    stiffness: float
-    weight: float
-    force_scaling: float = 1.0
-    port_damping: float = 0.0
+    mass: Positive
+    damping: Positive
+    stiffness: NotNegative
+    weight: Positive
+    force_scaling: Positive = 1.0
+    port_damping: NotNegative = 0.0
     require_passive: bool = True
 
     def __post_init__(self):
-        set_checked(self, positive, "mass", "damping", "weight", "force_scaling")
-        set_checked(self, not_negative, "stiffness", "port_damping")
-        set_checked(self, flag, "require_passive")
+        super().__post_init__()
         if self.require_passive and not self.is_passive:
             damping = self.mass * self.weight - self.force_scaling * self.port_damping
             raise PassivityError(

@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trustlab.models.checks import (
-    between,
+    Checked,
+    Positive,
+    Share,
     finite_array,
-    finite_number,
     positive,
-    set_checked,
     whole_number,
 )
 from trustlab.models.compiled import njit
+from trustlab.teleoperation.records import record
 
 
 class End(NamedTuple):
@@ -33,32 +34,16 @@ class End(NamedTuple):
     reflected: float
 
 
+END = record(numbers=" ".join(End._fields))
+
+
 @njit(error_model="numpy", forceinline=True, _nrt=False)
 def dot(a, b):
     """Return aᵀb of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-# These six functions are the only place where the wave equations stand.
-
-
-@njit(error_model="numpy", forceinline=True)
-def operator_end(b, beta_min, beta_max):
-    """Return the coefficients at the operator's end for an impedance and the bounds of β."""
-    return End(
-        b, np.sqrt(2.0 * b / beta_max), np.sqrt(2.0 * b * beta_min), np.sqrt(beta_min / beta_max)
-    )
-
-
-@njit(error_model="numpy", forceinline=True)
-def robot_end(b, alpha_min, alpha_max):
-    """Return the coefficients at the robot's end for an impedance and the bounds of α."""
-    return End(
-        b,
-        np.sqrt(2.0 * b / alpha_max),
-        np.sqrt(2.0 * alpha_min / b),
-        np.sqrt(alpha_min / alpha_max),
-    )
+# With `Scattering.at_operator` and `.at_robot` these four are the only place of the wave equations.
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -86,7 +71,7 @@ def robot_wave(end, f_s, v_r):
 
 
 @dataclass(frozen=True)
-class Scattering:
+class Scattering(Checked):
     """
     Wave variables at both ends of a channel whose powers are scaled by α(t) and β(t), equations
     (3.13) and (3.22).
@@ -122,28 +107,22 @@ class Scattering:
     0.7071
     """
 
-    b: float
+    b: Positive
     alpha_min: float = 1.0
-    alpha_max: float = 1.0
+    alpha_max: Share = 1.0
     beta_min: float = 1.0
     beta_max: float = 1.0
-    max_delay_rate: float = 0.0
+    max_delay_rate: Share = 0.0  # else nothing arrives (Theorem 3)
 
     def __post_init__(self):
-        set_checked(self, positive, "b")
-        between("max_delay_rate", self.max_delay_rate, 0.0, 1.0)  # else nothing arrives (Theorem 3)
-        set_checked(self, finite_number, "alpha_min", "alpha_max", "beta_min", "beta_max")
+        super().__post_init__()
         for name in ("alpha", "beta"):
             low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
-            if not low > 0.0:
+            if not 0.0 < low <= high:  # a scale of zero leaves one-way teleoperation
                 raise ValueError(
-                    f"{name}_min must be positive, got {low}: a scale of zero leaves one-way "
-                    "teleoperation (3.1)"
+                    f"{name}_min must be positive and must not exceed {name}_max (3.1), got {low} "
+                    f"and {high}"
                 )
-            if low > high:
-                raise ValueError(f"{name}_min must not exceed {name}_max, got {low} and {high}")
-        if self.alpha_max > 1.0:
-            raise ValueError(f"alpha_max must not exceed 1 (3.1), got {self.alpha_max}")
 
     @property
     def gain(self) -> float:
@@ -153,12 +132,14 @@ class Scattering:
     @property
     def at_operator(self) -> End:
         """Coefficients of the wave equations at the operator's end."""
-        return operator_end.py_func(self.b, self.beta_min, self.beta_max)
+        b, low, high = self.b, self.beta_min, self.beta_max
+        return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * b * low), math.sqrt(low / high))
 
     @property
     def at_robot(self) -> End:
         """Coefficients of the wave equations at the robot's end."""
-        return robot_end.py_func(self.b, self.alpha_min, self.alpha_max)
+        b, low, high = self.b, self.alpha_min, self.alpha_max
+        return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * low / b), math.sqrt(low / high))
 
     def check_scales(self, alpha: ArrayLike, beta: ArrayLike) -> None:
         """

@@ -3,11 +3,11 @@
 from bisect import bisect_right
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, not_negative, one_of, set_checked
+from trustlab.models.checks import Checked, NotNegative, finite_array, one_of
 
 # Times [s] so near each other are the same.
 SLACK = 1e-9
@@ -86,7 +86,7 @@ class LeaderPolicy(Protocol):
 
 
 @dataclass(frozen=True)
-class MostTrusted:
+class MostTrusted(Checked):
     """
     The robot that is trusted most leads, as soon as the present leader has stayed for τ_min
     (Section 4.3).
@@ -103,10 +103,7 @@ class MostTrusted:
         If the margin is negative.
     """
 
-    margin: float = 0.0
-
-    def __post_init__(self):
-        set_checked(self, not_negative, "margin")
+    margin: NotNegative = 0.0
 
     @property
     def title(self) -> str:
@@ -150,7 +147,7 @@ class GivenSequence:
 
     robots: Sequence[Hashable] | None = None
     times: Sequence[float] | None = None
-    title: ClassVar[str] = "given sequence"
+    title = "given sequence"
 
     def __post_init__(self):
         if self.robots is not None:
@@ -191,7 +188,7 @@ class GivenSequence:
 
 
 @dataclass(frozen=True)
-class RandomLeaders:
+class RandomLeaders(Checked):
     """
     Any other robot takes over at any time once τ_min has passed.
 
@@ -206,11 +203,8 @@ class RandomLeaders:
         If it is negative.
     """
 
-    waiting: float = 1.0
-    title: ClassVar[str] = "arbitrary random"
-
-    def __post_init__(self):
-        set_checked(self, not_negative, "waiting")
+    waiting: NotNegative = 1.0
+    title = "arbitrary random"
 
     def leader(self, now: TeamSituation) -> int:
         """

@@ -17,7 +17,8 @@ import numpy as np
 from trustlab.models.compiled import inner, njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
-from trustlab.teleoperation.ports.waves import LEDGER, dot, read_waves
+from trustlab.teleoperation.ports.device import DEVICE
+from trustlab.teleoperation.ports.waves import END, LEDGER, dot, read_waves
 from trustlab.teleoperation.records import columns_of, record
 
 # What only the kernel calls, compiled into it.
@@ -66,23 +67,33 @@ WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=POWERS, counts
 STATE = np.dtype([*LOG.descr, *WITHIN.descr])
 
 # One robot of speed s: √s, the velocity by which it drifts [m/s], the probability that it loses a
-# packet, its end of the channel, its trust in the operator, and the operator's trust in it, from
-# one decision to the next.
+# packet, its trust in the operator, the operator's trust in it, from one decision to the next, and
+# the ends of the channel while it leads.
 ROBOT = record(
-    numbers=("root drift loss b beta_min beta_max max_delay_rate decay gain t_min t_max low span")
+    numbers="root drift loss beta_min beta_max decay gain t_min t_max low span", near=END, far=END
 )
 
+# Low-pass filters under the midpoint rule, and the gains of a two-port, (4.16). In the middle of a
+# sample they give out decay · level + gate · input; the level is as far beyond that at its end as
+# it was before it at its start.
+LOW_PASS = record(numbers="decay gate k12 k21")
 
-# Device, filters, operator and how delays are read; see `TeamSettings` and `TeamOperator`.
+# What comes in goes out.
+UNFILTERED = (0.0, 1.0, 0.0, 0.0)
+
+# Device, two-port or none, filter of waves, operator and how delays are read; see `TeamSettings`
+# and `TeamOperator`.
 NUMBERS = record(
     numbers=(
-        "sample_time mass damping stiffness weight gain cutoff k12 k21 push grip reach drag budget "
-        "reserve error_range steepness lead_gain force_gain"
+        "sample_time gain cutoff push grip reach drag budget reserve error_range steepness "
+        "lead_gain force_gain"
     ),
     counts="filtering vision per_decision per_row",
     flags="guarded drifting switching",
+    device=DEVICE,
+    filters=LOW_PASS,
+    low_pass=LOW_PASS,
 )
-
 
 # What comes from outside in each sample: where a live hand wants the device to be (NaN without
 # one), who leads, and the number of the graph.
@@ -118,14 +129,6 @@ TeamState = namedtuple("TeamState", "now q zeta middle rated trust arrives u_l u
 # samples. places, shape (rows, N, 3): distances to the goal over √s.
 TeamLog = namedtuple("TeamLog", "samples table places")
 
-# Low-pass filters under the midpoint rule, and the gains of a two-port, (4.16). In the middle of a
-# sample they give out decay · level + gate · input; the level is as far beyond that at its end as
-# it was before it at its start.
-LowPass = namedtuple("LowPass", "decay gate k12 k21")
-
-# What comes in goes out.
-UNFILTERED = LowPass(0.0, 1.0, 0.0, 0.0)
-
 
 @njit(error_model="numpy", forceinline=True)
 def push_share(budget, power, pull, square, still, drag):
@@ -146,18 +149,18 @@ def push_share(budget, power, pull, square, still, drag):
 
 
 @part
-def store_energy(n, device, state, now):
+def store_energy(n, state, now):
     """Set the storages of device, filters and error system at the start of the sample."""
     now.v_hd = squares = 0.0
     for i in range(3):
         # (3.9)
-        now.v_hd += haptic.device_storage(device, now.device[i], now.device_velocity[i])
+        now.v_hd += haptic.device_storage(n.device, now.device[i], now.device_velocity[i])
     for j in range(state.trust.size):
         squares += dot(state.q[j], state.q[j]) + dot(state.zeta[j], state.zeta[j])
     now.v_e = 0.5 * squares / n.lead_gain  # (4.29)
     velocities = dot(now.near_velocity, now.near_velocity) + dot(now.far_velocity, now.far_velocity)
     forces = dot(now.near_force, now.near_force) + dot(now.far_force, now.far_force)
-    now.v_filter = (n.k21 * velocities + n.k12 * forces) / n.cutoff
+    now.v_filter = (n.filters.k21 * velocities + n.filters.k12 * forces) / n.cutoff
 
 
 @part
@@ -202,7 +205,7 @@ def share_force(n, robots, lead, trust, performance, state):
 
 
 @part
-def receive(n, setup, lead, k, low_pass, state, now):
+def receive(n, setup, lead, k, state, now):
     """Set the waves that arrive at both ends, (3.16), filtered where waves are."""
     for way in range(2):
         state.arrives[way, k] = setup.draws[way, k] >= setup.robots[lead].loss
@@ -210,8 +213,8 @@ def receive(n, setup, lead, k, low_pass, state, now):
     how = n.gain, LEDGER, n.sample_time
     read_waves(*waves_there, k, setup.delays, *how, state.accounts, now.v_l, now.v_r)
     if n.filtering == WAVES:
-        filter_wave(low_pass, now.v_r, now.filtered_r)
-        filter_wave(low_pass, now.v_l, now.filtered_l)
+        filter_wave(n.low_pass, now.v_r, now.filtered_r)
+        filter_wave(n.low_pass, now.v_l, now.filtered_l)
 
 
 @part
@@ -229,7 +232,7 @@ def filter_wave(low_pass, wave, level):
 
 
 @part
-def operator_side(n, device, filters, end, spendable, state, u_l):
+def operator_side(n, end, spendable, state, u_l):
     """
     Solve the operator's end of the channel with filter, device and hand, and the device's velocity.
 
@@ -237,6 +240,7 @@ def operator_side(n, device, filters, end, spendable, state, u_l):
     force = channel_force + echo · r_m, f_m = offset + resistance · r_m, and the device yields to a
     force by `mobility`. `spendable` is what V_h leaves above the reserve [J], `u_l` the wave sent.
     """
+    device, filters = n.device, n.filters
     loaded = 1.0 + state.beta * end.b * filters.k12
     echo = state.beta * end.b * filters.gate / loaded
     resistance = filters.k21 + filters.gate * echo
@@ -436,10 +440,6 @@ def lead_team(first, stop, setup, state, inputs, log):
     """
     n, now = setup.numbers[0], state.now[0]
     robots = setup.robots
-    device = haptic.held_device(n, haptic.NO_ARM, n.sample_time)
-    pole = 0.5 * n.sample_time * n.cutoff
-    low_pass = LowPass(1.0 / (1.0 + pole), pole / (1.0 + pole), n.k12, n.k21)
-    filters = low_pass if n.filtering == TWO_PORT else UNFILTERED
     for k in range(first, stop):
         given, sample = inputs[k], log.samples[k]
         past = log.samples[max(k - n.vision, 0)]
@@ -453,18 +453,15 @@ def lead_team(first, stop, setup, state, inputs, log):
             now.supply_links += stored_by(setup, graph, state) - before
             now.graph = graph
         drift = setup.drift[k // n.per_decision]
-        store_energy(n, device, state, now)
+        store_energy(n, state, now)
         performance = look_up_past(n, k, given, past, now)
         share_force(n, robots, lead, state.trust, performance, now)
-        receive(n, setup, lead, k, low_pass, state, now)
-        head = robots[now.head]
-        near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)  # (4.7)
+        receive(n, setup, lead, k, state, now)
         spendable = now.v_h + n.budget - n.reserve
-        operator_side(n, device, filters, near_end, spendable, now, state.u_l[k])
+        operator_side(n, robots[now.head].near, spendable, now, state.u_l[k])  # (4.7)
         rest(n, matrices, leader, lead, state, now)
         stiffness = n.force_gain * n.lead_gain * setup.stiffness[graph, lead]
-        far_end = waves.robot_end(leader.b, 1.0, 1.0)
-        robot_side(filters, far_end, stiffness, now, state.u_r[k])
+        robot_side(n.filters, leader.far, stiffness, now, state.u_r[k])
         logged, at = k % n.per_row == 0, k // n.per_row
         if logged:
             log_places(setup, graph, state, now, log.places[at])

@@ -4,19 +4,19 @@ operator of (4.30).
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from trustlab.models.checks import (
-    between,
-    finite_number,
-    flag,
+    Checked,
+    NotNegative,
+    Positive,
+    Share,
     not_negative,
     of_class,
     one_of,
     positive,
-    set_checked,
 )
 from trustlab.models.trust import TrustModel
 from trustlab.teleoperation.ports.device import HapticDevice
@@ -29,7 +29,7 @@ FILTERS = {"none": NO_FILTER, "corrected": TWO_PORT, "waves": WAVES, "printed": 
 
 
 @dataclass(frozen=True, eq=False)
-class TeamChannel:
+class TeamChannel(Checked):
     """
     The channel between the operator and the team, beside its scattering.
 
@@ -54,12 +54,12 @@ class TeamChannel:
     switch_scattering: bool = True
 
     def __post_init__(self):
-        set_checked(self, flag, "switch_scattering")
+        super().__post_init__()
         one_of("filters", self.filters, FILTERS)
 
 
 @dataclass(frozen=True, eq=False)
-class TeamTrial:
+class TeamTrial(Checked):
     """
     How a run of a team is made: its time steps, its start, and what is recorded.
 
@@ -83,18 +83,11 @@ class TeamTrial:
         If an argument is not understood.
     """
 
-    sample_time: float = 1e-3
-    record_every: float | None = None
-    tolerance: float = 1e-3
+    sample_time: Annotated[float, (1e-6, 0.1)] = 1e-3
+    record_every: Positive | None = None
+    tolerance: Positive = 1e-3
     start: np.ndarray | None = None
     require_connected: bool = True
-
-    def __post_init__(self):
-        set_checked(self, positive, "sample_time", "tolerance")
-        between("sample_time", self.sample_time, 0.0, 0.1)
-        set_checked(self, flag, "require_connected")
-        if self.record_every is not None:
-            set_checked(self, positive, "record_every")
 
     @property
     def samples_per_row(self) -> int:
@@ -110,7 +103,7 @@ class TeamTrial:
 
 
 @dataclass(frozen=True)
-class TeamRobot:
+class TeamRobot(Checked):
     """
     What one robot makes of (4.22): a faultless one by default.
 
@@ -135,15 +128,9 @@ class TeamRobot:
         If a number is out of range.
     """
 
-    speed: float = 1.0
-    drift: float = 0.0
-    loss: float = 0.0
-
-    def __post_init__(self):
-        set_checked(self, positive, "speed")
-        set_checked(self, not_negative, "drift", "loss")
-        between("speed", self.speed, 0.0, 1.0)
-        between("loss", self.loss, 0.0, 1.0)
+    speed: Annotated[float, (1e-9, 1.0)] = 1.0
+    drift: NotNegative = 0.0
+    loss: Share = 0.0
 
 
 SCATTERING = Scattering(2.0, beta_min=0.5, beta_max=1.0)
@@ -153,7 +140,7 @@ PER_ROBOT: dict[str, Any] = {"robots": TeamRobot, "scattering": Scattering}
 
 
 @dataclass(frozen=True)
-class TeamSettings:
+class TeamSettings(Checked):
     """
     Settings of the blocks of Fig. 4.1 other than the graph. Chapter 4 prints no numbers; these are
     ours.
@@ -209,19 +196,15 @@ class TeamSettings:
     robot_to_human: TrustModel = TRUST
     robots: TeamRobot | tuple[TeamRobot, ...] = TeamRobot()
     steepness: float = 10.0
-    performance_time: float = 15.0
-    lead_gain: float = 1.0
-    force_gain: float = 1.0
-    coupling: float = 1.0
+    performance_time: Positive = 15.0
+    lead_gain: Positive = 1.0
+    force_gain: Positive = 1.0
+    coupling: Positive = 1.0
     channel: TeamChannel = TeamChannel()
     min_dwell: float | None = None
 
     def __post_init__(self):
-        of_class("channel", self.channel, TeamChannel)
-        if self.min_dwell is not None:
-            set_checked(self, finite_number, "min_dwell")
-        set_checked(self, finite_number, "mass", "damping", "stiffness", "weight", "steepness")
-        set_checked(self, positive, "performance_time", "lead_gain", "force_gain", "coupling")
+        super().__post_init__()
         if not self.steepness >= 10.0:
             raise ValueError(f"steepness must be at least 10 (3.5), got {self.steepness}")
         for name, kind in PER_ROBOT.items():
@@ -234,7 +217,7 @@ class TeamSettings:
                 if kind is Scattering and (entry.alpha_min, entry.alpha_max) != (1.0, 1.0):
                     raise ValueError(f"{name}: α is 1 in Chapter 4, got {entry}")
         for name in ("human_to_robot", "robot_to_human"):
-            model = of_class(name, getattr(self, name), TrustModel)
+            model = getattr(self, name)
             if (model.p_min, model.p_max) != (0.0, 1.0):
                 raise ValueError(f"{name}: performance lies between 0 and 1 here, got {model}")
         HapticDevice(self.mass, self.damping, self.stiffness, self.weight)  # refused if not passive
@@ -304,7 +287,7 @@ class TeamSettings:
 
 
 @dataclass(frozen=True)
-class TeamOperator:
+class TeamOperator(Checked):
     """
     A simulated operator: the hand pushes towards where the goal is seen from the leader, within an
     energy budget.
@@ -342,25 +325,22 @@ class TeamOperator:
         If a number is not finite or out of range.
     """
 
-    push: float = 4.0
-    reach: float = 6.0
+    push: NotNegative = 4.0
+    reach: Positive = 6.0
     drag: float = 1.0
-    budget: float = 4.0
-    reserve: float = 0.5
+    budget: Positive = 4.0
+    reserve: Annotated[float, (0.0, 0.999)] = 0.5
     guarded: bool = True
     slow_down: bool = True
-    cautious: float = 2.0
-    grip: float = 100.0
+    cautious: NotNegative = 2.0
+    grip: NotNegative = 100.0
 
     def __post_init__(self):
-        set_checked(self, flag, "guarded", "slow_down")
-        set_checked(self, positive, "reach", "budget")
-        set_checked(self, not_negative, "push", "reserve", "cautious", "grip")
+        super().__post_init__()
         # a hand that drives (negative drag) is active: allowed only where nothing is promised of
         # V_h
-        set_checked(self, not_negative if self.guarded else finite_number, "drag")
-        if not self.reserve < 1.0:
-            raise ValueError(f"reserve must be below 1, got {self.reserve}")
+        if self.guarded:
+            not_negative("drag", self.drag)
 
     def stiffness(self, delay: float) -> float:
         """

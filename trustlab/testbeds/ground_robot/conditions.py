@@ -45,7 +45,9 @@ def drive_modes(
     """
     of_class("operator", operator, Operator, MAKE_OPERATOR)
     task = deciding.Task(deciding.SCHEDULE, E_MAX, first_mode=int(mode[0]), r0=r0)
-    log, _ = driven(task, robot or Pioneer(), default_course(), operator, seed, mode)
+    inputs = deciding.no_inputs(mode.size)
+    inputs["mode"] = mode
+    log, _ = driven(task, robot or Pioneer(), default_course(), operator, seed, inputs)
     metadata = deciding.metadata_of("ground_robot", operator, condition, seed, NOTE, MEASURED)
     return Session(deciding.framed(log).drop(columns=["tsc", "suggested_mode"]), metadata)
 
@@ -86,27 +88,23 @@ def driven(
     course: Course,
     operator: Operator,
     seed: int | np.random.SeedSequence,
-    modes: np.ndarray | None = None,
+    inputs: np.ndarray | None = None,
     decide: Callable | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the log of a run, and when laps ended; all that are wanted must be done in time.
 
-    Without laps a run has as many samples as `modes`.
+    Without laps a run has as many samples as `inputs`.
     """
-    if modes is None:
+    if inputs is None:
         seconds = task.laps * course.length / SLOWEST
         if seconds > MOST_SECONDS:
             raise ValueError(
                 f"{task.laps} laps of {course.length:.3g} m would take up to {seconds:.3g} s, more "
                 f"than the {MOST_SECONDS:g} s that one run may last; split it into several runs"
             )
-        size = int(np.ceil(seconds / deciding.SAMPLE_TIME)) + 1
-        inputs = deciding.no_inputs(size)
-    else:
-        size = modes.size
-        inputs = deciding.no_inputs(size)
-        inputs["mode"] = modes
+        inputs = deciding.no_inputs(int(np.ceil(seconds / deciding.SAMPLE_TIME)) + 1)
+    size = inputs.size
     rates = kernel.rates_of(operator, robot, task.sample_time)
     setup = kernel.DriveSetup(task, course.numbers, robot.numbers, operator.numbers, rates)
     sensing, hand, choices = map(np.random.default_rng, spawned(seed, 3))

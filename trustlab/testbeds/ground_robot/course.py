@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_numbers, not_negative, positive, set_checked, shown
+from trustlab.models.checks import Checked, NotNegative, finite_numbers, shown
 from trustlab.models.compiled import inner, njit
 
 CORNERS = (
@@ -21,8 +21,12 @@ CORNERS = (
 )
 
 
-# How far from the origin a corner may lie [m].
-FARTHEST = 1e5
+# How far from the origin a corner may lie, and how long a lap may be [m].
+FARTHEST, LONGEST = 1e5, 1e4
+
+# About how far apart the posts of a row stand, how far from the path the two rows, and the length
+# of the straight pieces that bends are made of [m].
+POST_SPACING, HALF_WIDTH, RESOLUTION = 2.5, 1.25, 0.1
 
 # The nearest point of the path is looked for so far before and behind that of the last sample [m].
 SEARCH = 2.0
@@ -104,7 +108,7 @@ def path_point(s, path):
 
 
 @dataclass(frozen=True)
-class Course:
+class Course(Checked):
     """
     A closed course: a polygon with rounded corners, between two rows of guide posts.
 
@@ -119,18 +123,12 @@ class Course:
         The polygon's corners in driving order [m]; at least three.
     radius : float
         Radius of every bend [m]; 0 leaves the polygon as it is, a closed polyline of any shape.
-    post_spacing : float
-        About how far apart the posts of a row stand [m]; made to fit a whole number in.
-    half_width : float
-        How far from the path the two rows stand [m].
-    resolution : float
-        Length of the straight pieces that bends are made of [m].
 
     Raises
     ------
     ValueError
-        If a corner is not two finite numbers, a length is not positive, or a side is too short for
-        its bends.
+        If a corner is not two finite numbers, the radius is negative, a side is too short for its
+        bends, or a lap is longer than 10 km.
 
     Examples
     --------
@@ -141,10 +139,7 @@ class Course:
     """
 
     corners: tuple[tuple[float, float], ...] = CORNERS
-    radius: float = 1.75
-    post_spacing: float = 2.5
-    half_width: float = 1.25
-    resolution: float = 0.1
+    radius: NotNegative = 1.75
     _path: np.ndarray = field(init=False, repr=False, compare=False)
     _posts: np.ndarray = field(init=False, repr=False, compare=False)
 
@@ -155,17 +150,13 @@ class Course:
                 f"corners must be three pairs (x, y) or more, within {FARTHEST:g} m of the origin, "
                 f"got {shown(self.corners)}"
             )
-        set_checked(self, not_negative, "radius")
-        set_checked(self, positive, "post_spacing", "half_width", "resolution")
+        super().__post_init__()
         around = float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
-        if around > 10_000 * min(self.post_spacing, 10.0 * self.resolution):
-            raise ValueError(
-                f"resolution or post_spacing is too fine for a course of about {around:.4g} m, of "
-                "which 1e-5 and 1e-4 are the least"
-            )
-        object.__setattr__(self, "corners", tuple(map(tuple, corners.tolist())))
-        object.__setattr__(self, "_path", self._rounded(corners))
-        object.__setattr__(self, "_posts", self._post_rows())
+        if around > LONGEST:
+            raise ValueError(f"a lap may be {LONGEST:g} m long, got corners {around:.4g} m around")
+        self.__dict__["corners"] = tuple(map(tuple, corners.tolist()))
+        self.__dict__["_path"] = self._rounded(corners)
+        self.__dict__["_posts"] = self._post_rows()
 
     def _rounded(self, corners: np.ndarray) -> np.ndarray:
         """Return the path with its arc length, closed; points of the plane are complex numbers."""
@@ -190,7 +181,7 @@ class Course:
             )
         bends = []
         for begins, u, angle in zip(places - cut * into, into, turn, strict=True):
-            count = max(2, int(np.ceil(self.radius * abs(angle) / self.resolution)) + 1)
+            count = max(2, int(np.ceil(self.radius * abs(angle) / RESOLUTION)) + 1)
             spoke = -self.radius * np.sign(angle) * 1j * u
             bends.append(begins - spoke + spoke * np.exp(1j * np.linspace(0.0, angle, count)))
         path = np.concatenate([*bends, bends[0][:1]])
@@ -200,14 +191,11 @@ class Course:
         return np.column_stack([path.real, path.imag, s])
 
     def _post_rows(self) -> np.ndarray:
-        count = max(2, round(self.length / self.post_spacing))
+        count = max(2, round(self.length / POST_SPACING))
         rows = []
         for i in range(count):
             x, y, tx, ty = path_point((i + 0.5) * self.length / count, self._path)
-            rows += [
-                (x - side * self.half_width * ty, y + side * self.half_width * tx)
-                for side in (1.0, -1.0)
-            ]
+            rows += [(x - side * ty, y + side * tx) for side in (HALF_WIDTH, -HALF_WIDTH)]
         return np.array(rows)
 
     @property

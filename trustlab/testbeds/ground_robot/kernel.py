@@ -13,6 +13,7 @@ atomic and would take a third of its time. It allocates nothing, and its caller 
 given.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,10 +71,10 @@ class Rates(NamedTuple):
 
 def rates_of(person: Any, robot: Any, dt: float) -> Rates:
     """Return the shares for an operator and a robot."""
-    stays, shakes = np.exp(-dt / person.wander_time), np.exp(-dt / SHAKING)
-    grip, anchor = 1.0 - np.exp(-dt / person.hand_lag), 1.0 - np.exp(-dt / robot.anchoring_time)
-    shares = stays, shakes, np.sqrt(1.0 - stays**2), np.sqrt(1.0 - shakes**2), grip, anchor
-    return Rates(*map(float, shares))
+    times = person.wander_time, SHAKING, person.hand_lag, robot.anchoring_time
+    stays, shakes, lags, drifts = (float(np.exp(-dt / time)) for time in times)
+    new_wander, new_shaking = math.sqrt(1.0 - stays**2), math.sqrt(1.0 - shakes**2)
+    return Rates(stays, shakes, new_wander, new_shaking, grip=1.0 - lags, anchor=1.0 - drifts)
 
 
 class DriveSetup(NamedTuple):

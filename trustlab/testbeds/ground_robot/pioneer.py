@@ -1,12 +1,12 @@
 """The ground robot: limits, laser scanner, odometry and autonomous controller."""
 
 from collections import namedtuple
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import finite_number, not_negative, positive
+from trustlab.models.checks import Checked, NotNegative, Positive, Share
 from trustlab.models.compiled import inner
 
 
@@ -72,16 +72,8 @@ def scan(posts, robot, state, sensing):
     return state.est_x - state.x + off_x, state.est_y - state.y + off_y, turn, seen
 
 
-# Largest number of a robot, in its unit.
-LARGEST = 1000.0
-
-LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration")
-POSITIVE = (*LIMITS, "anchoring_time", "look_ahead", "steering_gain", "cruise_speed")
-SHARES = ("detection", "position_gain", "heading_gain")
-
-
 @dataclass(frozen=True)
-class Pioneer:
+class Pioneer(Checked):
     """
     A Pioneer-like robot (a unicycle) that finds its way by a laser scanner, guide posts and
     odometry.
@@ -127,7 +119,7 @@ class Pioneer:
     Raises
     ------
     ValueError
-        If a number is not finite, negative, above 1000, or a share above 1.
+        If a number is not finite, negative, or a share above 1.
 
     Notes
     -----
@@ -136,35 +128,25 @@ class Pioneer:
     measurements of a robot.
     """
 
-    max_speed: float = 0.7
-    max_turn_rate: float = 1.0
-    max_acceleration: float = 0.5
-    max_turn_acceleration: float = 3.0
-    scan_range: float = 4.0
-    field_of_view: float = np.pi
-    detection: float = 0.8
-    range_noise: float = 0.05
-    bearing_noise: float = 0.02
+    max_speed: Positive = 0.7
+    max_turn_rate: Positive = 1.0
+    max_acceleration: Positive = 0.5
+    max_turn_acceleration: Positive = 3.0
+    scan_range: NotNegative = 4.0
+    field_of_view: NotNegative = np.pi
+    detection: Share = 0.8
+    range_noise: NotNegative = 0.05
+    bearing_noise: NotNegative = 0.02
     heading_drift: float = -0.042
-    heading_noise: float = 0.01
-    position_gain: float = 0.003
-    heading_gain: float = 0.0016
-    anchoring_time: float = 2.0
-    look_ahead: float = 1.2
-    steering_gain: float = 1.2
-    cruise_speed: float = 0.425
-    speed_gain: float = 0.03
-    search_speed: float = 0.3
-
-    def __post_init__(self):
-        for item in fields(self):
-            check = positive if item.name in POSITIVE else not_negative
-            check = finite_number if item.name == "heading_drift" else check
-            value = check(item.name, getattr(self, item.name))
-            most = 1.0 if item.name in SHARES else LARGEST
-            if abs(value) > most:
-                raise ValueError(f"{item.name} must be at most {most:g}, got {value:g}")
-            object.__setattr__(self, item.name, value)
+    heading_noise: NotNegative = 0.01
+    position_gain: Share = 0.003
+    heading_gain: Share = 0.0016
+    anchoring_time: Positive = 2.0
+    look_ahead: Positive = 1.2
+    steering_gain: Positive = 1.2
+    cruise_speed: Positive = 0.425
+    speed_gain: NotNegative = 0.03
+    search_speed: NotNegative = 0.3
 
     @property
     def numbers(self) -> Any:
