@@ -152,7 +152,6 @@ def test_habits_differ_as_they_should():
         table = run.table()
         assert table["remaining"].is_monotonic_decreasing
         assert (table["held"] == 0).all()
-        assert len(run.plot()) == 2
         assert "simulated" in run._repr_html_()
 
 

@@ -5,8 +5,6 @@ import re
 import numpy as np
 import pytest
 
-import trustlab as tl
-from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
 from trustlab.testbeds.ground_robot.course import Course
 
@@ -21,24 +19,6 @@ def advised(call, *patterns):
     matches = [re.search(pattern.replace("#", NUMBER), message) for pattern in patterns]
     assert all(matches), message
     return [float(match[1]) for match in matches]
-
-
-@pytest.mark.parametrize("widest", [4.0, 1.08])
-def test_limits_part_below_the_advised_step(widest):
-    rng = np.random.default_rng(97)
-    for _ in range(20):
-        h_min, r_min = rng.uniform(0.2, 0.5), rng.uniform(0.1, 0.2)
-        human = tl.HumanModel(rng.uniform(0.9, 0.999), rng.uniform(0.3, 0.8), h_min, 1.05 * h_min)
-        robot = tl.RobotModel(rng.uniform(0.9, 0.999), r_min, widest * r_min, human.p_max)
-        model = tl.TscModel(robot, human)
-        apart = threshold_limits(model, 0.0)
-        assert (apart.upper - apart.lower > 1.0) == (widest == 4.0)
-        (most,) = advised(
-            lambda m=model: check_thresholds(m, 0.0, 0.1, threshold_limits(m, 10.0)),
-            "below # they part",
-        )
-        assert threshold_limits(model, 0.999 * most).feasible
-        assert not threshold_limits(model, 1.01 * most).feasible
 
 
 def test_the_advised_resolution_of_a_course_is_accepted():

@@ -27,8 +27,6 @@ from trustlab.allocation.correction_path import (
     C_U,
     COLUMNS,
     MODE,
-    L,
-    U,
     follow,
     follow_with,
     incentive_box,
@@ -37,7 +35,6 @@ from trustlab.allocation.correction_path import (
 from trustlab.allocation.limits import threshold_limits, threshold_pair
 from trustlab.allocation.steady import limit_cycle
 from trustlab.models.checks import (
-    between,
     finite_number,
     of_class,
     one_of,
@@ -48,7 +45,6 @@ from trustlab.models.checks import (
 )
 from trustlab.models.simulation import compiled_for
 from trustlab.models.tsc import (
-    RobotModel,
     TscModel,
     human_at,
     threshold_mode,
@@ -220,8 +216,11 @@ class ThresholdCorrector:
         self.c_b = positive("c_b", c_b)
         self.horizon = whole_number("horizon", horizon, most=1_000_000)
         self.incentive = incentive
-        if incentive is not incentive_box:
-            _check_incentive(incentive, self.c_b, tsc.robot)
+        if not callable(incentive):
+            raise ValueError(
+                "incentive must be a function of r, p_r, c_b, p_min and p_max that returns the "
+                f"least and the greatest correction, got {shown(incentive)}"
+            )
         options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
         given: Any = {name: value for name, value in options.items() if value is not None}
         self.program: Any = None
@@ -267,22 +266,10 @@ class ThresholdCorrector:
         ValueError
             If an argument is not a number or out of range.
         """
-        r = between("r", r, 0.0, 1.0)
+        r = within_range("r", finite_number("r", r), 0.0, 1.0)
         p_r = within_range("p_r", finite_number("p_r", p_r), *self._range)
         lower, upper = threshold_pair("threshold", (lower, upper))
-        return self.plan(r, p_r, lower, upper, whole_number("mode", mode, least=0, most=1))
-
-    def plan(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
-        """
-        Return what `step` does, of a state that has been checked.
-
-        Parameters
-        ----------
-        r, p_r, lower, upper : float
-            The state.
-        mode : int
-            Mode before now.
-        """
+        mode = whole_number("mode", mode, least=0, most=1)
         state = np.array([r, p_r, lower, upper])
         cost, bound, path = self.followed(state, mode, self._clipped)
         message = OPTIMAL if cost == bound else BOUNDED
@@ -293,10 +280,8 @@ class ThresholdCorrector:
             cost, path, message = self.program.improved(self, state, mode)
         held = np.isnan(cost)
         if held:  # nothing is predicted
-            path = np.full(path.shape, np.nan)
-            path[:4, 0] = state
-            path[[L, U]] = state[2:, None]
-            path[[C_L, C_U], :-1] = 0.0
+            path[:, 1:] = np.nan
+            path[[C_L, C_U], 0] = 0.0
         c = self._problem[0]
         tsc = tsc_at.py_func(p_r, human_at.py_func(r, c), c)
         return CorrectionPlan(
@@ -343,22 +328,6 @@ def suggestion_now(tsc: float, lower: float, upper: float) -> int:
 
 
 # --- checks ---------------------------------------------------------------------------------------
-
-
-def _check_incentive(incentive: Callable, c_b: float, robot: RobotModel) -> None:
-    """Refuse a user's incentive that does not return bounds in the middle of the ranges."""
-    middle = 0.5, 0.5 * (robot.p_min + robot.p_max), c_b, robot.p_min, robot.p_max
-    try:
-        low, high = map(float, incentive(*middle))
-        sound = -c_b * (1.0 + 1e-9) <= low <= 0.0 <= high <= c_b * (1.0 + 1e-9)
-        answer = f"gives [{low:g}, {high:g}]"
-    except Exception as error:
-        sound, answer = False, f"raises {type(error).__name__}: {error}"
-    if not sound:
-        raise ValueError(
-            "incentive must be a function of r, p_r, c_b, p_min and p_max that returns the least "
-            f"and the greatest correction, in [−c_b, 0] and [0, c_b]; {shown(incentive)} {answer}"
-        )
 
 
 def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, float]:

@@ -9,10 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.limits import check_thresholds
-from trustlab.allocation.ranges import SteadyRanges, ends
-from trustlab.allocation.steady import EFFORT, endless_phase
-from trustlab.models.checks import whole_number
+from trustlab.allocation.steady import EFFORT, SteadyRanges, endless_phase, ends
+from trustlab.models.checks import in_order, of_class, whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, advance, human_at, human_range, tsc_at
 
@@ -345,7 +343,8 @@ def invariant_bounds(
     dwell time manual      217.000  219.000
     dwell time autonomous   65.000   65.000
     """
-    lower, upper = check_thresholds(tsc, lower, upper)
+    of_class("tsc", tsc, TscModel)
+    lower, upper = in_order("lower", lower, "upper", upper)
     cells = whole_number("cells", cells)
     cycles = whole_number("cycles", cycles)
     c = tsc.constants()

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.limits import check_thresholds
-from trustlab.allocation.ranges import SteadyRanges, ends
+from trustlab.models.checks import in_order, of_class
 from trustlab.models.compiled import njit
-from trustlab.models.display import axes_or_new
+from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscModel, advance, human_at, tsc_at
 
 # Most samples that one model is simulated for: some seconds.
@@ -171,6 +170,95 @@ def grid_of_pairs(low: float, high: float, count: int) -> np.ndarray:
 
 # --- one pair of thresholds -----------------------------------------------------------------------
 
+# Rows of tables of ranges, and how the names of their ends begin.
+QUANTITIES = {
+    "r": "r",
+    "P_r": "p_r",
+    "TSC": "tsc",
+    "dwell time manual": "dwell_manual",
+    "dwell time autonomous": "dwell_autonomous",
+}
+
+
+def ends(**ranges: Any) -> dict[str, Any]:
+    """Return the fields of `SteadyRanges` from the ranges by name."""
+    fields: dict[str, Any] = {}
+    for name, (low, high) in ranges.items():
+        fields |= {f"{name}_low": float(low), f"{name}_high": float(high)}
+    return fields
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SteadyRanges(Result):
+    """
+    Ranges of a steady motion; NaN where there is none.
+
+    Parameters
+    ----------
+    model : TscModel
+        The model.
+    lower, upper : float
+        Thresholds TSC_l and TSC_u.
+    reason : str
+        Where the ranges come from, or why there are none.
+    r_low, r_high : float
+        Utilization.
+    p_r_low, p_r_high : float
+        Robot performance.
+    tsc_low, tsc_high : float
+        TSC; it passes the thresholds by the overshoot of a step.
+    dwell_manual_low, dwell_manual_high : float
+        Consecutive samples in the manual mode.
+    dwell_autonomous_low, dwell_autonomous_high : float
+        Consecutive samples in the autonomous mode.
+    """
+
+    model: TscModel
+    lower: float
+    upper: float
+    reason: str
+    r_low: float = math.nan
+    r_high: float = math.nan
+    p_r_low: float = math.nan
+    p_r_high: float = math.nan
+    tsc_low: float = math.nan
+    tsc_high: float = math.nan
+    dwell_manual_low: float = math.nan
+    dwell_manual_high: float = math.nan
+    dwell_autonomous_low: float = math.nan
+    dwell_autonomous_high: float = math.nan
+
+    @property
+    def message(self) -> str:
+        """Where the ranges come from, or why there are none."""
+        return self.reason
+
+    @property
+    def dwell_manual(self) -> tuple[float, float]:
+        """Least and greatest number of consecutive samples in the manual mode."""
+        return self.dwell_manual_low, self.dwell_manual_high
+
+    @property
+    def dwell_autonomous(self) -> tuple[float, float]:
+        """Least and greatest number of consecutive samples in the autonomous mode."""
+        return self.dwell_autonomous_low, self.dwell_autonomous_high
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the ranges.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `quantity` (r, P_r, TSC, dwell time manual, dwell time autonomous); columns low,
+            high.
+        """
+        ends = {
+            end: [getattr(self, f"{name}_{end}") for name in QUANTITIES.values()]
+            for end in ("low", "high")
+        }
+        return pd.DataFrame(ends, index=pd.Index(QUANTITIES, name="quantity"))
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LimitCycle(SteadyRanges):
@@ -186,8 +274,8 @@ class LimitCycle(SteadyRanges):
         Whether it does from every start; where not, `reason` says from which it does not.
     encloses_beta : bool
         Whether utilization encloses β, at which the operator performs best, from both starts.
-    mean_r, mean_p_r, mean_p_h : float
-        Long-run averages of utilization, robot and human performance; from β, where it goes on.
+    mean_r, mean_p_r : float
+        Long-run averages of utilization and robot performance; from β, where it goes on.
     """
 
     title = "Steady cycle"
@@ -197,7 +285,6 @@ class LimitCycle(SteadyRanges):
     encloses_beta: bool = False
     mean_r: float = math.nan
     mean_p_r: float = math.nan
-    mean_p_h: float = math.nan
 
     def table(self) -> pd.DataFrame:
         """
@@ -208,18 +295,12 @@ class LimitCycle(SteadyRanges):
         pandas.DataFrame
             Index `quantity`; columns low, high, mean.
         """
-        table = super().table()
-        means = {"r": self.mean_r, "P_r": self.mean_p_r}
-        return table.assign(mean=table.index.map(means).astype(float))
+        means = pd.Series({"r": self.mean_r, "P_r": self.mean_p_r})
+        return super().table().assign(mean=means)
 
-    def plot(self, axes=None):
+    def plot(self):
         """
         Plot rule (2.8) over utilization and robot performance, with a run, as in Fig. 2.4.
-
-        Parameters
-        ----------
-        axes : matplotlib.axes.Axes, optional
-            Where to plot; a new figure when not given.
 
         Returns
         -------
@@ -228,7 +309,7 @@ class LimitCycle(SteadyRanges):
         from trustlab.allocation.simulation import simulate_allocation
 
         model, robot = self.model, self.model.robot
-        axes = axes_or_new(axes, figsize=(7, 4.2))
+        axes = axes_or_new(figsize=(7, 4.2))
         r = np.linspace(0.0, 1.0, 300)
         p_h = model.human.performance(r)
         for threshold, label in (
@@ -287,7 +368,8 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     >>> cycle.exists, round(cycle.mean_p_r, 3)
     (True, 0.325)
     """
-    lower, upper = check_thresholds(tsc, lower, upper)
+    of_class("tsc", tsc, TscModel)
+    lower, upper = in_order("lower", lower, "upper", upper)
     settling, cycles = ALONE
     settle = settling * max(tsc.robot.time_constant, tsc.human.time_constant)
     motions = np.empty((2, 6, 3))
@@ -312,7 +394,6 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
         encloses_beta=bool(around.all()),
         mean_r=float(mean[R]),
         mean_p_r=float(mean[P_R]),
-        mean_p_h=float(mean[P_H]),
         **pair,
         **ends(
             r=rows[R],

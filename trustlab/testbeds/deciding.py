@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
+from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.rules import decision, performance_suggestion
 from trustlab.models.checks import one_of, shown, warn, whole_seed
 from trustlab.models.compiled import inner
@@ -127,8 +127,7 @@ def task_for(
             ".upper of trustlab.choose_thresholds(model), or those of Table 2.2"
         )
     else:
-        pair = threshold_pair("threshold", default if thresholds is None else thresholds)
-        thresholds = check_thresholds(model, *pair, threshold_limits(model))
+        thresholds = check_thresholds(model, default if thresholds is None else thresholds)
     lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
     if condition == "own":  # switches in C1 come at these values of measured TSC
         lower, upper = operator.lower - operator.trust_bias, operator.upper - operator.trust_bias
