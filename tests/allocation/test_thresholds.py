@@ -200,7 +200,7 @@ def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n):
             key: exactly(printed.loc[(side, "mean"), name], printed.loc[(side, "sd"), name], n)
             for key, side in (("lower", "TSC_l"), ("upper", "TSC_u"))
         }
-        separation, p[name] = _apart(groups, 4000, rng)
+        separation, p[name] = _apart(groups, rng)
         assert (separation < 1.0) == (name == "3")
         assert name != "3" or separation == pytest.approx(0.414 / 0.42)
     assert max(p["1"], p["2"]) < 0.01
@@ -218,7 +218,7 @@ def test_the_test_keeps_its_level_with_few_switches(sizes):
             "lower": rng.normal(0.0, 0.1, sizes[0]),
             "upper": rng.normal(0.3, 0.2, sizes[1]),
         }
-        rejected += _apart(groups, 400, rng)[1] < 0.05
+        rejected += _apart(groups, rng)[1] < 0.05
     assert 0.01 < rejected / 1500 < 0.065
 
 

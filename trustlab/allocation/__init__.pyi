@@ -1,4 +1,4 @@
-from .blending import BlendingStep as BlendingStep, OptimalBlending as OptimalBlending
+from .blending import OptimalBlending as OptimalBlending
 from .bounds import (
     SteadyStateBounds as SteadyStateBounds,
     steady_state_bounds as steady_state_bounds,
