@@ -228,8 +228,7 @@ class ThresholdCorrector:
             one_of("engine", engine, ("casadi",), "None")
             from trustlab.allocation.casadi_correction import CorrectionProgram
 
-            settings = self.tsc, self.target, self.c_b, self.horizon, incentive
-            self.program = CorrectionProgram(*settings, **given)
+            self.program = CorrectionProgram(self, **given)
         elif given:
             raise ValueError(f'{", ".join(given)} would do nothing without engine="casadi"')
         self._range = tsc.robot.p_min, tsc.robot.p_max
@@ -277,7 +276,7 @@ class ThresholdCorrector:
             message = UNSOUND
         elif self.program is not None:
             bound = np.nan
-            cost, path, message = self.program.improved(self, state, mode)
+            cost, path, message = self.program.improved(state, mode)
         held = np.isnan(cost)
         if held:  # nothing is predicted
             path[:, 1:] = np.nan
