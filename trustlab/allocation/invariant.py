@@ -27,9 +27,6 @@ SETTLED = 1e-3
 # its range alone.
 STEEP = 1e-6
 
-# Width of bounds on utilization from which on they tell nothing.
-VACUOUS = 0.98
-
 
 class PhaseImage(NamedTuple):
     """Bounds of a phase: states at its end, overshoot of its threshold, dwell time, samples."""
@@ -157,18 +154,9 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
                 before_high = max(before_high, last_high)
             if (manual and t_low >= target) or (not manual and t_high <= target):
                 over = overshoot(manual, before_low, before_high, target, c)
-                image = PhaseImage(
-                    end_low,
-                    end_high,
-                    over,
-                    float(first),
-                    float(n),
-                    least_p,
-                    most_p,
-                    least_tsc,
-                    most_tsc,
-                )
-                return True, image
+                dwells = float(first), float(n)
+                ranges = least_p, most_p, least_tsc, most_tsc
+                return True, PhaseImage(end_low, end_high, over, *dwells, *ranges)
         last_low, last_high = low, high
         low, p_r_low = advance(low, p_r_low, p_low, mode, c)
         high, p_r_high = advance(high, p_r_high, p_high, mode, c)
@@ -204,9 +192,8 @@ def enclose(low, high, over, lower, upper, c, cells, most):
     TSC begins within `over` below TSC_l. Returns whether all phases end within `most` samples, the
     images of both phases, and the greatest r as the autonomous one begins.
     """
-    first_phase = (
-        cells > 0
-    )  # no literals True and False: numba would compile `phase_image` once for each
+    # No literals True and False: numba would compile `phase_image` once for each.
+    first_phase = cells > 0
     ends, manual = phase_image(first_phase, low, high, lower, over, upper, c, cells, most)
     if not ends:
         return False, NO_IMAGE, NO_IMAGE, 1.0
@@ -384,11 +371,6 @@ def invariant_bounds(
     reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
     if not settled:
         reason += " and were still shrinking, so that tighter bounds exist"
-    if r_high - r_low > VACUOUS:
-        reason += (
-            f"; but the bounds on utilization, {r_low:.3g} to {r_high:.3g}, exclude next to "
-            "nothing: more cells may narrow them, and limit_cycle shows the motion"
-        )
     return InvariantBounds(
         guaranteed=True,
         reason=reason,
