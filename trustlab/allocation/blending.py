@@ -147,22 +147,14 @@ class OptimalBlending:
 
         An axis of order one has no fifth state.
         """
-        model = self.vehicle[axis]
+        motion, drive = self.vehicle[axis].matrices()
+        own = slice(3, 3 + len(drive))
         p, d = self.gains[axis]
         a = np.zeros((5, 5))
-        a[1, 3] = p
         a[2, 3] = 1.0
-        pull = (-model.gain * alpha, -model.gain * (1.0 - alpha))
-        if model.order == 2:
-            a[1, 4] = d
-            a[3, 4] = 1.0
-            a[4, 0], a[4, 1] = pull
-            a[4, 3] = -model.denominator[1]
-            a[4, 4] = -model.denominator[0]
-        else:
-            a[3, 0], a[3, 1] = pull
-            a[3, 3] = -model.denominator[0]
-            a[1] += d * a[3]
+        a[own, own] = motion
+        a[own, :2] = -np.outer(drive, (alpha, 1.0 - alpha))
+        a[1] = p * a[2] + d * a[3]
         return a
 
     def _series(self) -> np.ndarray:

@@ -168,8 +168,8 @@ def estimate_thresholds(
         )
     rng = np.random.default_rng(0)
     groups = {side: switches["tsc"][switches["threshold"] == side].to_numpy() for side in SIDES}
-    rows = [_row(values, rng) for values in groups.values()]
-    summary = pd.DataFrame(rows, pd.Index(SIDES, name="threshold"), SUMMARY)
+    sides = [_row(values, rng) for values in groups.values()]
+    summary = pd.DataFrame(sides, pd.Index(SIDES, name="threshold"), SUMMARY)
     return ThresholdEstimate(switches, summary, *_apart(groups, rng))
 
 

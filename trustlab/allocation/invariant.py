@@ -205,20 +205,6 @@ def enclose(low, high, over, lower, upper, c, cells, most):
     return ends, manual, autonomous, last
 
 
-class Nested(NamedTuple):
-    """
-    Bounds of a cycle: utilizations as manual and as autonomous phases begin, and the images of
-    both; after how many cycles, and whether they had settled.
-    """
-
-    low: float
-    high: float
-    manual: PhaseImage
-    autonomous: PhaseImage
-    cycles: int
-    settled: bool
-
-
 def nest(lower, upper, c, cells, cycles, most):
     """
     Shrink the utilizations with which manual phases begin from [0, 1], cycle by cycle.
@@ -226,7 +212,9 @@ def nest(lower, upper, c, cells, cycles, most):
     What encloses every trajectory after k cycles encloses it after k + 1 as well as its image does:
     the intersection. Intervals are cut into COARSE cells at first, and into twice as many, up to
     `cells`, whenever a cycle has shrunk them by less than SHRINK, until they have settled, or the
-    cycles or EFFORT run out. Returns `Nested`, or None where a phase was not shown to end.
+    cycles or EFFORT run out. Returns the utilizations with which manual and autonomous phases
+    begin, the images of both, after how many cycles, and whether they had settled; nothing where a
+    phase was not shown to end.
     """
     low = 0.0
     high = 1.0
@@ -238,11 +226,11 @@ def nest(lower, upper, c, cells, cycles, most):
     while True:
         ends, manual, autonomous, last = enclose(low, high, over, lower, upper, c, count, most)
         if not ends:
-            return None
+            return ()
         samples = manual.dwell_high + autonomous.dwell_high
         # The image of the last utilizations is what is reported.
         if done == cycles or settled or (done > 0 and effort < count * samples):
-            return Nested(low, last, manual, autonomous, done, settled)
+            return low, last, manual, autonomous, done, settled
         next_low = max(low, autonomous.r_low - ROUNDING)
         next_high = min(high, autonomous.r_high + ROUNDING)
         shrunk = 1.0 - (next_high - next_low) / (high - low)
@@ -341,7 +329,7 @@ def invariant_bounds(
         coarse = min(COARSE, cells)
         most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
         nested = nest(lower, upper, c, cells, cycles, most)
-        if nested is None:
+        if not nested:
             reason = (
                 f"a phase from some utilization was not shown to end within {most} samples; "
                 f"cells= below {coarse} allow longer phases"

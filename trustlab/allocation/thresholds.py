@@ -257,15 +257,15 @@ def choose_thresholds(
         nothing = pd.DataFrame(columns=COLUMNS, dtype=float)
         words = f"No thresholds: {reason}", reason
         choice = ThresholdChoice(np.nan, np.nan, np.nan, False, *words, limits, nothing, source)
-    doubtful = isinstance(tsc, FitResult) and not tsc.success
-    if doubtful:
-        message = (
+    doubt = ""
+    if isinstance(tsc, FitResult) and not tsc.success:
+        doubt = (
             f"The fit has success = False: {tsc.message} With posterior = "
             "trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers thresholds "
-            f"with a probability, or says what to record. {choice.message}"
+            "with a probability, or says what to record. "
         )
-        choice = replace(choice, message=message)
-    if choice.reason or doubtful:
+    choice = replace(choice, message=doubt + choice.message)
+    if choice.reason or doubt:
         warn(choice.message)
     return choice
 
