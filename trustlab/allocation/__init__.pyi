@@ -7,8 +7,6 @@ from .correction import (
     CorrectionPlan as CorrectionPlan,
     TargetWarning as TargetWarning,
     ThresholdCorrector as ThresholdCorrector,
-)
-from .correction_path import (
     incentive_bounds as incentive_bounds,
     incentive_box as incentive_box,
 )

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.allocation.correction_path import C_L, C_U, MODE, P_R, L, R, U
+from trustlab.allocation.correction import C_L, C_U, MODE, P_R, L, R, U
 from trustlab.models.checks import not_negative, positive
 from trustlab.models.tsc import next_performance, next_utilization, tsc_at
 

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.correction import ThresholdCorrector, suggestion_now
-from trustlab.allocation.correction_path import ROUNDING
+from trustlab.allocation.correction import ROUNDING, ThresholdCorrector, suggestion_now
 from trustlab.allocation.limits import threshold_pair
 from trustlab.allocation.simulation import run_model
 from trustlab.models.checks import (
