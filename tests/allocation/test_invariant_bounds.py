@@ -129,13 +129,6 @@ def test_the_printed_upper_bound_is_left():
     assert run["r"].min() >= printed.r_low
 
 
-def test_thresholds_that_are_never_reached_are_not_guaranteed(operators):
-    bounds = invariant_bounds(operators["1"], 0.15, 0.9)
-    assert not bounds.guaranteed
-    assert "from full load (r = 1) the mode stays manual" in bounds.reason
-    assert bounds.dwell_manual_high == np.inf
-
-
 def extreme(rng):
     """
     Models at the ends of what is allowed: r that saturates, β near 0 and 1, hair-thin and wide

@@ -225,8 +225,7 @@ def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) ->
     75.0
     """
     low, high = in_order("p_min", p_min, "p_max", p_max)
-    values = np.array([finite_number("p_r", p_r)]) if np.isscalar(p_r) else finite_array("p_r", p_r)
-    return 100.0 * (float(values.mean()) - low) / (high - low)
+    return 100.0 * (float(finite_array("p_r", np.ravel(p_r)).mean()) - low) / (high - low)
 
 
 # --- suggestions ---------------------------------------------------------------------------------

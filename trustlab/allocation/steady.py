@@ -91,13 +91,6 @@ def steady_motion(c, lower, upper, rested, settle, cycles, most, rows):
     rows[AUTONOMOUS:, MEAN] /= recorded
 
 
-@njit
-def _survey(c, pairs, rested, settle, cycles, most, motions):
-    """Fill the motion under every pair of thresholds."""
-    for j in range(len(pairs)):
-        steady_motion(c, pairs[j, 0], pairs[j, 1], rested, settle, cycles, most, motions[j])
-
-
 def longest_phase(tsc: TscModel) -> int:
     """Return after how many samples a phase counts as endless."""
     slowest = max(tsc.robot.time_constant, tsc.human.time_constant)
@@ -130,14 +123,14 @@ def survey(
     TSC_l, or `rested` at r = 0 and P_r,min. Where models times pairs times the slower time constant
     [samples] exceeds `effort`, the sample time is coarse.
     """
-    pairs = np.ascontiguousarray(pairs, dtype=float)
     motions = np.empty((len(models), len(pairs), 6, 3))
     for own, rows in zip(models, motions, strict=True):
         slow = max(own.robot.time_constant, own.human.time_constant)
         tsc, ratio = coarse(own, len(models) * len(pairs) * slow / effort)
         settling, cycles = SCREEN if ratio > 1 else EXACT
-        settle = settling * slow / ratio
-        _survey(tsc.constants(), pairs, rested, settle, cycles, longest_phase(tsc), rows)
+        c, lengths = tsc.constants(), (settling * slow / ratio, cycles, longest_phase(tsc))
+        for pair, motion in zip(pairs.tolist(), rows, strict=True):
+            steady_motion(c, *pair, rested, *lengths, motion)
         rows[:, AUTONOMOUS:] *= ratio
     return motions
 
