@@ -113,7 +113,11 @@ def coarse(tsc: TscModel, ratio: float) -> tuple[TscModel, int]:
 
 
 def survey(
-    models: list[TscModel], pairs: np.ndarray, effort: float = np.inf, rested: bool = False
+    models: list[TscModel],
+    pairs: np.ndarray,
+    effort: float = np.inf,
+    rested: bool = False,
+    lengths: tuple[float, int] = EXACT,
 ) -> np.ndarray:
     """
     Return the motions of models under pairs of thresholds, shape (models, pairs, 6, 3).
@@ -121,24 +125,33 @@ def survey(
     Rows are r, P_r, P_h, TSC and the dwell times in either mode [samples], columns least, greatest
     and mean; NaN where a mode stays for ever. All begin in the manual mode, at β where TSC meets
     TSC_l, or `rested` at r = 0 and P_r,min. Where models times pairs times the slower time constant
-    [samples] exceeds `effort`, the sample time is coarse.
+    [samples] exceeds `effort`, the sample time is coarse. `lengths` are time constants left to
+    settle, and cycles recorded.
     """
     motions = np.empty((len(models), len(pairs), 6, 3))
     for own, rows in zip(models, motions, strict=True):
         slow = max(own.robot.time_constant, own.human.time_constant)
         tsc, ratio = coarse(own, len(models) * len(pairs) * slow / effort)
-        settling, cycles = SCREEN if ratio > 1 else EXACT
-        c, lengths = tsc.constants(), (settling * slow / ratio, cycles, longest_phase(tsc))
+        settling, cycles = SCREEN if ratio > 1 else lengths
+        c, ends_of = tsc.constants(), (settling * slow / ratio, cycles, longest_phase(tsc))
         for pair, motion in zip(pairs.tolist(), rows, strict=True):
-            steady_motion(c, *pair, rested, *lengths, motion)
+            steady_motion(c, *pair, rested, *ends_of, motion)
         rows[:, AUTONOMOUS:] *= ratio
     return motions
+
+
+def from_both_starts(
+    models: list[TscModel], pair: tuple[float, float], lengths: tuple[float, int] = EXACT
+) -> np.ndarray:
+    """Return the motions of models under one pair, from β and from rest: (2, models, 1, 6, 3)."""
+    pairs = np.array([pair])
+    return np.array([survey(models, pairs, np.inf, start, lengths) for start in (False, True)])
 
 
 def encloses_beta(motions: np.ndarray, models: list[TscModel]) -> np.ndarray:
     """Return whether steady utilization encloses β, by model and pair."""
     beta = np.array([tsc.human.beta for tsc in models])[:, None]
-    return (motions[:, :, R, LOW] <= beta) & (beta <= motions[:, :, R, HIGH])
+    return (motions[..., R, LOW] <= beta) & (beta <= motions[..., R, HIGH])
 
 
 def points(motions: np.ndarray, models: list[TscModel], weight: float) -> np.ndarray:
@@ -363,12 +376,7 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     """
     of_class("tsc", tsc, TscModel)
     lower, upper = in_order("lower", lower, "upper", upper)
-    settling, cycles = ALONE
-    settle = settling * max(tsc.robot.time_constant, tsc.human.time_constant)
-    motions = np.empty((2, 6, 3))
-    for rested, rows in enumerate(motions):
-        system = tsc.constants(), lower, upper, bool(rested)
-        steady_motion(*system, settle, cycles, longest_phase(tsc), rows)
+    motions = from_both_starts([tsc], (lower, upper), ALONE)[:, 0, 0]
     motions = motions[~np.isnan(motions[:, R, LOW])]
     endless = endless_phase(tsc, lower, upper)
     always = len(motions) == 2 and not endless
@@ -378,13 +386,12 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     reason = "keeps switching" + (f"; but {endless}" if endless else "")
     if np.ptp(motions[:, R, :MEAN], axis=0).max() > COEXIST:
         reason += "; from rest it settles to another motion than from β, and ranges enclose both"
-    mean, beta = motions[0, :, MEAN], tsc.human.beta
-    around = (motions[:, R, LOW] <= beta) & (beta <= motions[:, R, HIGH])
+    mean = motions[0, :, MEAN]
     rows = np.column_stack([motions[:, :, LOW].min(axis=0), motions[:, :, HIGH].max(axis=0)])
     return LimitCycle(
         exists=True,
         reason=reason,
-        encloses_beta=bool(around.all()),
+        encloses_beta=bool(encloses_beta(motions, [tsc]).all()),
         mean_r=float(mean[R]),
         mean_p_r=float(mean[P_R]),
         **pair,

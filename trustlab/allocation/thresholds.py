@@ -17,6 +17,7 @@ from trustlab.allocation.steady import (
     LimitCycle,
     R,
     encloses_beta,
+    from_both_starts,
     grid_of_pairs,
     limit_cycle,
     points as points_of,
@@ -309,7 +310,7 @@ class _Search:
 
     def holds(self, motions: np.ndarray, models: list[TscModel]) -> np.ndarray:
         """Return whether models do what is asked, by model and pair."""
-        return encloses_beta(motions, models) if self.enclose else ~np.isnan(motions[:, :, R, LOW])
+        return encloses_beta(motions, models) if self.enclose else ~np.isnan(motions[..., R, LOW])
 
     def choice(self, source: Any, limits: ThresholdLimits, of_fit: bool) -> ThresholdChoice:
         """
@@ -323,13 +324,12 @@ class _Search:
         order = np.lexsort((-second, -first, ~able))
         probability = -1.0
         for k in order[: FOLLOWED if able.any() else 1]:
-            pair = self.pairs[[k]]
-            both = [survey(self.models, pair, rested=rested) for rested in (False, True)]
-            holds = np.all([self.holds(each, self.models) for each in both], axis=0).mean()
+            motions = from_both_starts(self.models, self.pairs[k])
+            holds = self.holds(motions, self.models).all(axis=0).mean()
             if holds > probability:
-                probability, (lower, upper) = float(holds), pair[0].tolist()
-                around = np.all([encloses_beta(each, self.models) for each in both], axis=0).mean()
-                r_low, r_high, _ = both[0][0, 0, R]
+                probability, (lower, upper) = float(holds), self.pairs[k].tolist()
+                around = encloses_beta(motions, self.models).all(axis=0).mean()
+                r_low, r_high, _ = motions[0, 0, 0, R]
             if probability >= self.asked:
                 break
         reason = ""
