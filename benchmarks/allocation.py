@@ -16,7 +16,7 @@ from benchmarks.peers.opti_steps import shooting
 from benchmarks.peers.worker import Worker
 from benchmarks.timing import Row, beside, same, tail, within
 from trustlab.allocation import TargetWarning
-from trustlab.allocation.correction_path import C_L, C_U, P_R, R
+from trustlab.allocation.correction import C_L, C_U, P_R, R
 
 TARGET, C_B, HORIZON, STEPS = (0.15, 0.56), 1e-5, 200, 300
 

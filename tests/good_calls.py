@@ -154,7 +154,6 @@ NOT_WALKED = {
     "Prior.vectors": "a part of sample_posterior",
     "Teleoperator.numbers": "a part of the loop",
     "ThresholdCorrector.followed": "a part of step",
-    "ThresholdCorrector.plan": "a part of step",
     "allocation.incentive_box": "is the kernel of incentive_bounds",
     "calibrate": "simulates studies for minutes",
     "fit_population": "takes seconds; sample_posterior checks the same arguments",

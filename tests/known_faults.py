@@ -27,9 +27,6 @@ ALLOWED = {
     "equivalence": {"missing": "nothing is missing"},
     "estimate_thresholds": {
         "model": "a drive of four laps has too few switches",
-        "within": "a drive of four laps has too few switches",
-        "resamples": "a drive of four laps has too few switches",
-        "seed": "a drive of four laps has too few switches",
         "after": "a drive of four laps has too few switches",
         "sessions": "a drive of four laps has too few switches",
     },
@@ -78,9 +75,6 @@ KNOWN = {
         "conditions": "foreign errors",
         "participants": "foreign errors",
         "pages": "foreign errors",
-    },
-    "OptimalBlending": {
-        "gains": "foreign errors",
     },
     "Prior": {
         "correlation": "foreign errors",
@@ -157,9 +151,6 @@ KNOWN = {
         "lower": "NaN is taken",
         "upper": "NaN is taken",
     },
-    "LimitCycle.plot": {
-        "axes": "foreign errors",
-    },
     "optimal_allocation": {
         "sample_time": "no difference",
     },
@@ -206,9 +197,6 @@ KNOWN = {
     "simulated_effects": {
         "n": "foreign errors, no difference",
         "trust": "anything is taken, no difference",
-    },
-    "SteadyStateBounds.plot": {
-        "sample_time": "foreign errors, NaN is taken",
     },
     "teleoperation_measures": {
         "sessions": "foreign errors",

@@ -462,9 +462,7 @@ CASES = {
     "incentive_bounds": lambda: tl.incentive_bounds(0.7, 0.3, 1e-5, model()),
     "choose_thresholds": thresholds,
     "choose_thresholds_of_a_posterior": probable_thresholds,
-    "estimate_thresholds": lambda: tl.estimate_thresholds(
-        driven(), model(), within=1.0, resamples=100
-    ).table(),
+    "estimate_thresholds": lambda: tl.estimate_thresholds(driven(), model()).table(),
     "followed_suggestions": lambda: tl.followed_suggestions(driven("C2")),
     "optimal_allocation": optimum,
     "ThresholdCorrector": corrections,

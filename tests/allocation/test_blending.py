@@ -22,7 +22,7 @@ def situation(seed):
 
 def cost(blending, alpha, now):
     """The cost that `step` minimizes, of an α that is held."""
-    states = blending._states(*now)
+    states = np.column_stack(now)
     series = np.einsum("ai,amij,aj->m", states, blending.weights, states)
     return np.polynomial.chebyshev.chebval(2.0 * alpha - 1.0, series)
 
@@ -62,25 +62,21 @@ def test_cost_is_that_of_the_printed_equations(seed):
 @given(st.integers(0, 100_000), st.floats(0.0, 0.8))
 def test_share_is_the_global_minimum(seed, low):
     blending, now = OptimalBlending(alpha_min=low), situation(seed)
-    step = blending.step(*now)
-    assert low <= step.alpha <= 1.0
+    alpha = blending.step(*now)
+    assert low <= alpha <= 1.0
     grid = [cost(blending, alpha, now) for alpha in np.linspace(low, 1.0, 301)]
-    assert step.cost <= min(grid) * (1 + 1e-12)
-    assert step.cost == pytest.approx(cost(blending, step.alpha, now), rel=1e-12)
+    assert cost(blending, alpha, now) <= min(grid) * (1 + 1e-12)
 
 
-def test_with_a_deviation_alone_the_operator_drives():
+def test_without_an_error_the_operator_drives():
+    """The horizon is so short that no command leads to one."""
     now = (np.array([0.2, -0.1, 0.3]), ZERO, ZERO, ZERO, ZERO)
-    step = OptimalBlending(error_weight=0.0).step(*now)
-    assert step.alpha == pytest.approx(1.0, abs=1e-12)
+    assert OptimalBlending(horizon=1e-3).step(*now) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_the_better_command_gets_the_authority():
     # an error to the right: the controller steers towards it, the operator away, and the reverse
     e, right = np.array([2.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
-    against = [
-        OptimalBlending(error_weight=w).step(-right, right, e, ZERO, ZERO).alpha
-        for w in (20.0, 200.0, 2e4)
-    ]
-    assert 1.0 >= against[0] > against[1] > against[2] == 0.2
-    assert OptimalBlending().step(right, -right, e, ZERO, ZERO).alpha == 1.0
+    assert OptimalBlending().step(-right, right, e, ZERO, ZERO) < 1.0
+    assert OptimalBlending(horizon=1.0).step(-right, right, e, ZERO, ZERO) == 0.2
+    assert OptimalBlending().step(right, -right, e, ZERO, ZERO) == 1.0

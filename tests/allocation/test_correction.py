@@ -155,9 +155,11 @@ def test_an_incentive_that_fails_on_the_way_holds_the_thresholds():
     plan = corrector(incentive=late, horizon=8).step(0.97, 0.3, *START)
     assert (plan.status, plan.c_l, plan.c_u) == ("held", 0.0, 0.0)
     assert "the incentive leaves" in plan.message
-    assert (plan.table()["upper"] == START[1]).all()
-    with pytest.raises(ValueError, match=r"incentive must be a function.*gives"):
-        corrector(incentive=lambda r, p_r, c_b, low, high: (-c_b, 2.0 * c_b))
+    assert plan.table()["upper"][0] == START[1]
+    wide = corrector(incentive=lambda r, p_r, c_b, low, high: (-c_b, 2.0 * c_b))
+    assert wide.step(0.5, 0.3, *START).status == "held"
+    with pytest.raises(ValueError, match="incentive must be a function"):
+        corrector(incentive=0.5)
 
 
 @LIGHT

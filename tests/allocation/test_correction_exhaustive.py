@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tests.allocation.cases import shape
-from trustlab.allocation.correction_path import follow
+from trustlab.allocation.correction import follow
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
 

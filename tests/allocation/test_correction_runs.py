@@ -11,9 +11,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
-from tests.allocation import cases
-from tests.allocation.cases import PILOT, SECOND
-from trustlab.allocation import TargetWarning, incentive_box
+from tests.allocation.cases import SECOND
+from trustlab.allocation import incentive_box
 from trustlab.allocation.correction import OPTIMAL
 from trustlab.allocation.correction_run import MISSING, NEAREST, OUTSIDE, _deciding
 from trustlab.allocation.simulation import STATE
@@ -152,7 +151,6 @@ def test_habits_differ_as_they_should():
         table = run.table()
         assert table["remaining"].is_monotonic_decreasing
         assert (table["held"] == 0).all()
-        assert len(run.plot()) == 2
         assert "simulated" in run._repr_html_()
 
 
@@ -170,12 +168,3 @@ def test_a_suggestion_that_is_withdrawn_is_not_followed():
         now["mode"] = inputs[0]
         modes.append(inputs[0])
     assert modes == [1.0] * 13 + [0.0]
-
-
-def test_the_pilot_warns_but_runs():
-    with pytest.warns(TargetWarning):
-        corrector = tl.ThresholdCorrector(PILOT, cases.TARGET)
-    assert len(tl.run_correction(corrector, cases.START, 1, duration=5).data) == 50
-    for wrong in ({"start": (0.4, 0.1)}, {"duration": 1e308}, {"lag": math.nan}):
-        with pytest.raises(ValueError, match=next(iter(wrong))):
-            tl.run_correction(corrector, **({"start": cases.START} | wrong))

@@ -129,13 +129,6 @@ def test_the_printed_upper_bound_is_left():
     assert run["r"].min() >= printed.r_low
 
 
-def test_thresholds_that_are_never_reached_are_not_guaranteed(operators):
-    bounds = invariant_bounds(operators["1"], 0.15, 0.9)
-    assert not bounds.guaranteed
-    assert "from full load (r = 1) the mode stays manual" in bounds.reason
-    assert bounds.dwell_manual_high == np.inf
-
-
 def extreme(rng):
     """
     Models at the ends of what is allowed: r that saturates, β near 0 and 1, hair-thin and wide
@@ -181,16 +174,6 @@ def test_no_trajectory_leaves_them_at_the_ends_of_what_is_allowed():
     assert checked > 370
 
 
-def test_bounds_that_exclude_nothing_say_so():
-    # An operator as quick as a sample: utilization goes from rest to full load in one phase.
-    robot = tl.RobotModel(a=0.99, p_min=0.2, p_max=0.5, p_h_max=0.4)
-    tsc = tl.TscModel(robot, tl.HumanModel(a=0.05, beta=0.6, p_min=0.39, p_max=0.4))
-    bounds = tl.invariant_bounds(tsc, -0.3, 0.3)
-    assert bounds.guaranteed
-    assert bounds.r_high - bounds.r_low > 0.98
-    assert "exclude next to nothing" in bounds.reason
-
-
 def test_bounds_that_have_not_settled_say_so_and_more_cycles_tighten_them(operators):
     few, many = (invariant_bounds(operators["2"], 0.0, 0.35, cycles=n) for n in (3, 6))
     assert "were still shrinking" in few.reason
@@ -209,4 +192,3 @@ def test_bounds_for_printed_people_are_near_the_cycles(operators):
         low, high = bounds.table().loc["dwell time manual"]
         assert bounds.dwell_manual == (low, high)
         assert "shrinking" not in bounds.reason
-        assert "exclude" not in bounds.reason

@@ -168,22 +168,6 @@ def test_choices_say_which_limits_they_keep(operators):
         assert "does not cover" not in within.message
 
 
-def test_results_read_short_in_a_terminal_and_as_tables_in_a_notebook(operators):
-    model = operators["2"]
-    choice = choose_thresholds(model, points=4)
-    bounds = tl.steady_state_bounds(model, choice.lower, choice.upper)
-    for result in (choice, choice.cycle, choice.bounds, bounds, choice.limits):
-        assert len(repr(result)) < 200
-        assert "<table" in result._repr_html_()
-    assert "no thresholds fit" in repr(tl.allocation.ThresholdLimits(0.3, 0.1, 1e-3))
-
-
-def test_thresholds_that_cannot_be_told_apart():
-    estimate = estimate_thresholds([switched(0.2, 0.25, 0.3, seed) for seed in range(3)])
-    assert not estimate.distinguishable
-    assert estimate.p_overlap > 0.5
-
-
 def exactly(mean, sd, n):
     """A sample of this size with exactly this mean and SD."""
     values = np.sin(np.arange(1.0, n + 1.0))
@@ -200,7 +184,7 @@ def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n):
             key: exactly(printed.loc[(side, "mean"), name], printed.loc[(side, "sd"), name], n)
             for key, side in (("lower", "TSC_l"), ("upper", "TSC_u"))
         }
-        separation, p[name] = _apart(groups, 4000, rng)
+        separation, p[name] = _apart(groups, rng)
         assert (separation < 1.0) == (name == "3")
         assert name != "3" or separation == pytest.approx(0.414 / 0.42)
     assert max(p["1"], p["2"]) < 0.01
@@ -218,7 +202,7 @@ def test_the_test_keeps_its_level_with_few_switches(sizes):
             "lower": rng.normal(0.0, 0.1, sizes[0]),
             "upper": rng.normal(0.3, 0.2, sizes[1]),
         }
-        rejected += _apart(groups, 400, rng)[1] < 0.05
+        rejected += _apart(groups, rng)[1] < 0.05
     assert 0.01 < rejected / 1500 < 0.065
 
 
@@ -252,8 +236,6 @@ def test_suggestions_are_followed_in_time_or_not():
     assert list(table["followed"]) == [True, False, False]
     assert table["delay"].iloc[0] == pytest.approx(8.0)
     assert followed_suggestions(session, deadline=25.0)["followed"].tolist() == [True, True, False]
-    with pytest.raises(ValueError, match="deadline"):
-        followed_suggestions(session, deadline=0.0)
     with pytest.raises(tl.SessionError, match="suggested_mode"):
         followed_suggestions(tl.Session(session.data[["mode"]]))
 
@@ -268,5 +250,3 @@ def test_relative_performance_of_remark_7():
     assert percent["C2"] - percent["C1"] == pytest.approx(8.75, abs=1e-9)
     assert percent["C5"] - percent["C3"] == pytest.approx(11.86, abs=0.02)
     assert relative_performance([0.24, 0.4], 0.24, 0.4) == pytest.approx(50.0)
-    with pytest.raises(ValueError, match="below"):
-        relative_performance(0.3, 0.4, 0.24)

@@ -32,17 +32,17 @@ MODULES = {
     "allocation/blending": "allocation/test_blending.py",
     "allocation/estimates": "allocation/test_thresholds.py testbeds/test_ground_robot.py",
     "allocation/simulation": "allocation/test_rules.py allocation/test_guarantees.py",
-    "allocation/correction_path": "allocation/test_correction.py "
+    "allocation/correction": "allocation/test_correction.py "
     "allocation/test_correction_exhaustive.py",
     "allocation/invariant": "allocation/test_invariant_bounds.py",
     "allocation/optimum": "allocation/test_optimum.py",
-    "allocation/limits": "allocation/test_bounds_as_printed.py house/test_remedies.py",
+    "allocation/limits": "allocation/test_bounds_as_printed.py",
     "allocation/rules": "allocation/test_rules.py",
     "allocation/bounds": "allocation/test_bounds_as_printed.py",
     "allocation/steady": "allocation/test_limit_cycle.py",
     "allocation/thresholds": "allocation/test_thresholds.py allocation/test_posterior_choice.py",
     "teleoperation/ports/device": "teleoperation/test_haptic_device.py "
-    "teleoperation/test_passivity.py house/test_remedies.py",
+    "teleoperation/test_passivity.py",
     "teleoperation/ports/waves": "teleoperation/test_ledger.py teleoperation/test_channel.py "
     "teleoperation/test_transparency.py",
     "sessions/metrics": "sessions/test_metrics.py",

@@ -2,6 +2,8 @@
 (3.8)-(3.11) and Proposition 2: energy balance to rounding, python-control as oracle of passivity.
 """
 
+import re
+
 import control
 import numpy as np
 import pytest
@@ -97,3 +99,33 @@ def test_passive_exactly_where_storage_and_loss_are_positive(seed, port_damping)
     b, k = damping + 1.5 * port_damping, stiffness + 1.5 * port_damping * weight
     conditions = [b - mass * weight, k + weight * b - weight * mass * weight]
     assert device.is_passive == (min(conditions) >= 0.0)
+
+
+NUMBER = r"([-+]?\d[\d.]*(?:e[-+]?\d+)?)"
+
+
+def advised(call, *patterns):
+    """Return the numbers that the call's error advises."""
+    with pytest.raises(ValueError) as refused:
+        call()
+    message = str(refused.value)
+    matches = [re.search(pattern.replace("#", NUMBER), message) for pattern in patterns]
+    assert all(matches), message
+    return [float(match[1]) for match in matches]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_advised_mass_and_damping_of_a_device_are_passive(seed):
+    rng = np.random.default_rng([98, seed])
+    mass = rng.uniform(2.0, 3.0)
+    settings = {"stiffness": rng.uniform(5.0, 50.0), "weight": rng.uniform(1.0, 3.0)}
+
+    def device(mass, damping):
+        return HapticDevice(mass=mass, damping=damping, **settings)
+
+    most, least = advised(lambda: device(mass, 0.5), "up to # kg", "raise damping to # N s/m")
+    assert device(most, 0.5).is_passive
+    assert device(mass, least).is_passive
+    for weaker in ((1.01 * most, 0.5), (mass, 0.99 * least)):
+        with pytest.raises(PassivityError):
+            device(*weaker)

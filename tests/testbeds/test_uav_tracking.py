@@ -234,7 +234,7 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
         answer = blending.step(
             said[k], columns(data, "u_a")[k], error[k], rate[k], -acceleration[k]
         )
-        assert data["alpha"].iloc[k] == pytest.approx(answer.alpha, abs=1e-6)
+        assert data["alpha"].iloc[k] == pytest.approx(answer, abs=1e-6)
     assert data["alpha"].nunique() > 10
 
 

@@ -1,4 +1,4 @@
-from .blending import BlendingStep as BlendingStep, OptimalBlending as OptimalBlending
+from .blending import OptimalBlending as OptimalBlending
 from .bounds import (
     SteadyStateBounds as SteadyStateBounds,
     steady_state_bounds as steady_state_bounds,
@@ -7,8 +7,6 @@ from .correction import (
     CorrectionPlan as CorrectionPlan,
     TargetWarning as TargetWarning,
     ThresholdCorrector as ThresholdCorrector,
-)
-from .correction_path import (
     incentive_bounds as incentive_bounds,
     incentive_box as incentive_box,
 )
@@ -38,7 +36,6 @@ from .optimum import (
     OptimalAllocation as OptimalAllocation,
     optimal_allocation as optimal_allocation,
 )
-from .ranges import SteadyRanges as SteadyRanges
 from .rules import PerformanceRule as PerformanceRule, ThresholdRule as ThresholdRule
 from .simulation import simulate_allocation as simulate_allocation
 from .steady import LimitCycle as LimitCycle, limit_cycle as limit_cycle

@@ -1,11 +1,9 @@
 """Optimal mixed initiative (OMI, Appendix A): a share α that weighs error against departure."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import linalg
 
-from trustlab.models.checks import between, finite_array, in_order, positive
+from trustlab.models.checks import between, finite_array, finite_numbers, in_order, positive
 from trustlab.models.compiled import njit
 from trustlab.models.uav import TransferFunction, three_axes
 
@@ -83,23 +81,6 @@ def _chebyshev(series, x):
     return x * last - before_last + series[0]
 
 
-@dataclass(frozen=True)
-class BlendingStep:
-    """
-    One optimal share.
-
-    Parameters
-    ----------
-    alpha : float
-        α to apply.
-    cost : float
-        Cost (A.3) over the horizon, α held.
-    """
-
-    alpha: float
-    cost: float
-
-
 class OptimalBlending:
     """
     The allocation of Appendix A: the share α that minimises (A.3) over a short horizon.
@@ -121,9 +102,7 @@ class OptimalBlending:
     alpha_min, alpha_max : float
         Bounds of α, 0 ≤ alpha_min < alpha_max ≤ 1.
     horizon : float
-        Length of the prediction [s].
-    error_weight, deviation_weight : float
-        Weights of ‖e‖² and of (1 − α)²‖u_a − u_h‖².
+        Length of the prediction [s], in (0, 2].
 
     Raises
     ------
@@ -139,8 +118,8 @@ class OptimalBlending:
     >>> blending = OptimalBlending(alpha_min=0.2)
     >>> still = [0.0, 0.0, 0.0]
     >>> commands = {"u_h": [0.1, 0, 0], "u_a": [0.3, 0, 0]}
-    >>> step = blending.step(**commands, e=[1.0, 0, 0], rate=still, acceleration=still)
-    >>> bool(0.2 <= step.alpha <= 1.0)
+    >>> alpha = blending.step(**commands, e=[1.0, 0, 0], rate=still, acceleration=still)
+    >>> 0.2 <= alpha <= 1.0
     True
     """
 
@@ -151,19 +130,15 @@ class OptimalBlending:
         alpha_min: float = 0.2,
         alpha_max: float = 1.0,
         horizon: float = 0.2,
-        error_weight: float = 200.0,
-        deviation_weight: float = 1.0,
     ):
         self.vehicle = three_axes(vehicle)
-        if np.shape(gains) != (3, 2):
-            raise ValueError(f"gains must be three pairs (proportional, derivative), got {gains!r}")
-        self.gains = tuple(tuple(finite_array("gains", pair).tolist()) for pair in gains)
+        self.gains = finite_numbers("gains", gains)
+        if self.gains.shape != (3, 2):
+            raise ValueError(f"gains must be three pairs (proportional, derivative), got {gains}")
         self.alpha_min = between("alpha_min", alpha_min, 0.0, 1.0)
         self.alpha_max = between("alpha_max", alpha_max, 0.0, 1.0)
         in_order("alpha_min", self.alpha_min, "alpha_max", self.alpha_max)
         self.horizon = between("horizon", positive("horizon", horizon), 0.0, 2.0)
-        self.error_weight = between("error_weight", error_weight, 0.0, 1e12)
-        self.deviation_weight = between("deviation_weight", deviation_weight, 0.0, 1e12)
         self.weights = self._series()
 
     def _matrix(self, axis: int, alpha: float) -> np.ndarray:
@@ -172,22 +147,14 @@ class OptimalBlending:
 
         An axis of order one has no fifth state.
         """
-        model = self.vehicle[axis]
-        (p, d) = self.gains[axis]
+        motion, drive = self.vehicle[axis].matrices()
+        own = slice(3, 3 + len(drive))
+        p, d = self.gains[axis]
         a = np.zeros((5, 5))
-        a[1, 3] = p
         a[2, 3] = 1.0
-        pull = (-model.gain * alpha, -model.gain * (1.0 - alpha))
-        if model.order == 2:
-            a[1, 4] = d
-            a[3, 4] = 1.0
-            a[4, 0], a[4, 1] = pull
-            a[4, 3] = -model.denominator[1]
-            a[4, 4] = -model.denominator[0]
-        else:
-            a[3, 0], a[3, 1] = pull
-            a[3, 3] = -model.denominator[0]
-            a[1] += d * a[3]
+        a[own, own] = motion
+        a[own, :2] = -np.outer(drive, (alpha, 1.0 - alpha))
+        a[1] = p * a[2] + d * a[3]
         return a
 
     def _series(self) -> np.ndarray:
@@ -202,18 +169,17 @@ class OptimalBlending:
             for k, alpha in enumerate(0.5 * (nodes + 1.0)):
                 a = self._matrix(axis, alpha)
                 q = np.zeros((5, 5))
-                q[2, 2] = self.error_weight
-                difference = np.array([1.0, -1.0, 0.0, 0.0, 0.0])
-                q += self.deviation_weight * (1.0 - alpha) ** 2 * np.outer(difference, difference)
+                q[2, 2] = 200.0
+                q[:2, :2] = (1.0 - alpha) ** 2 * np.array([[1.0, -1.0], [-1.0, 1.0]])
                 block = np.block([[-a.T, q], [np.zeros((5, 5)), a]])
                 whole = linalg.expm(block * self.horizon)  # Van Loan
                 gram = whole[5:, 5:].T @ whole[:5, 5:]
                 values[axis, k] = 0.5 * (gram + gram.T)
         return (fit @ values.reshape(3, count, 25)).reshape(values.shape)
 
-    def step(self, u_h, u_a, e, rate, acceleration) -> BlendingStep:
+    def step(self, u_h, u_a, e, rate, acceleration) -> float:
         """
-        Return the optimal share for this sample.
+        Return the optimal α for this sample.
 
         Parameters
         ----------
@@ -223,25 +189,13 @@ class OptimalBlending:
             Tracking error [m], its first and second derivative; the last is not used on an axis of
             order one.
 
-        Returns
-        -------
-        BlendingStep
-            α and its cost.
-
         Raises
         ------
         ValueError
             If an argument is not three finite numbers.
         """
-        states = self._states(u_h, u_a, e, rate, acceleration)
+        signals = {"u_h": u_h, "u_a": u_a, "e": e, "rate": rate, "acceleration": acceleration}
+        columns = [finite_array(name, value, length=3) for name, value in signals.items()]
         room = np.empty(DEGREE + 1), np.empty(DEGREE + 2)
-        return BlendingStep(
-            *best_share(self.weights, states, self.alpha_min, self.alpha_max, *room)
-        )
-
-    def _states(self, *signals) -> np.ndarray:
-        names = ("u_h", "u_a", "e", "rate", "acceleration")
-        columns = [
-            finite_array(name, value, length=3) for name, value in zip(names, signals, strict=True)
-        ]
-        return np.array(columns).T.copy()
+        states = np.column_stack(columns)
+        return best_share(self.weights, states, self.alpha_min, self.alpha_max, *room)[0]

@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.limits import check_thresholds, step_bounds, threshold_limits
-from trustlab.allocation.ranges import SteadyRanges, ends
+from trustlab.allocation.limits import check_thresholds, step_bounds
 from trustlab.allocation.simulation import simulate_allocation
-from trustlab.allocation.steady import limit_cycle, longest_phase
+from trustlab.allocation.steady import SteadyRanges, ends, limit_cycle, longest_phase
 from trustlab.models.checks import between
 from trustlab.models.tsc import TscConstants, TscModel
 
@@ -39,14 +38,9 @@ class SteadyStateBounds(SteadyRanges):
 
     delta_tsc: float
 
-    def plot(self, sample_time: float = 0.1):
+    def plot(self):
         """
-        Plot dwell times and utilization in steady state, as in Figs. 2.5, 2.6 and 2.7.
-
-        Parameters
-        ----------
-        sample_time : float
-            Time between samples [s].
+        Plot dwell times and utilization in steady state at 10 Hz, as in Figs. 2.5, 2.6 and 2.7.
 
         Returns
         -------
@@ -60,24 +54,22 @@ class SteadyStateBounds(SteadyRanges):
         best, worst = (robot.steady_state(1.0, p_h) for p_h in (human.p_max, human.p_min))
         short, long = self.dwell_manual
         rest = self.dwell_autonomous_high
-        dwells = [dwell for dwell in (rest, short, long) if math.isfinite(dwell)]
-        steps = np.arange(2 * max(dwells, default=500.0))
+        steps = np.arange(8.0 * robot.time_constant)
         for axis, start, goal, dwell, label in (
             (axes[0], self.p_r_high, robot.p_min, rest, r"$\tau_{da}$"),
             (axes[1], self.p_r_low, best, short, r"$\tau_{dml}$, greatest $P_h$"),
             (axes[1], self.p_r_low, worst, long, r"$\tau_{dmu}$, least $P_h$"),
         ):
-            p_r = goal + (start - goal) * robot.a**steps
-            (line,) = axis.plot(steps * sample_time, p_r, label=label)
-            if math.isfinite(dwell):
-                k = int(dwell)
-                axis.plot(k * sample_time, p_r[k], "o", color=line.get_color())
+            curve, at_dwell = (goal + (start - goal) * robot.a**k for k in (steps, dwell))
+            (line,) = axis.plot(0.1 * steps, curve, label=label)
+            axis.plot(0.1 * dwell, at_dwell, "o", color=line.get_color())
         titles = ("autonomous, from $P_{ru}$", "manual, from $P_{rl}$")
         for axis, title in zip(axes[:2], titles, strict=True):
             for bound in (self.p_r_low, self.p_r_high):
                 axis.axhline(bound, color="0.5", lw=0.8)
             axis.set(xlabel="dwell time [s]", ylabel="robot performance $P_r$", title=title)
-        time = np.arange(4000) * sample_time
+            axis.legend(fontsize="small")
+        time = 0.1 * np.arange(4000)
         settled = longest_phase(self.model)
         run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)
         axes[2].plot(time, run["r"].iloc[settled:], label="r under (2.8)")
@@ -85,15 +77,13 @@ class SteadyStateBounds(SteadyRanges):
             (self.r_low, self.r_low, short, "to $r_l$"),
             (self.r_high, self.r_high * human.a**rest, long, "to $r_u$"),
         ):
-            if math.isfinite(manual) and math.isfinite(rest):
+            if math.isfinite(manual + rest):
                 phases = np.repeat([1.0, 0.0], [int(manual), int(rest)])
                 r, _ = human.simulate(np.resize(phases, time.size), start)
                 axes[2].plot(time, r, lw=1, label=label)
             axes[2].axhline(bound, color="0.5", ls="--", lw=0.8)
         axes[2].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
         axes[2].set(xlabel="time [s]", ylabel="utilization r")
-        for axis in axes[:2]:
-            axis.legend(fontsize="small")
         axes[2].legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4)
         return axes
 
@@ -198,7 +188,7 @@ def steady_state_bounds(
     dwell time manual      353.000  701.000
     dwell time autonomous      NaN  195.000
     """
-    lower, upper = check_thresholds(tsc, lower, upper, threshold_limits(tsc))
+    lower, upper = check_thresholds(tsc, (lower, upper))
     if delta_tsc is None:
         cycle = limit_cycle(tsc, lower, upper)
         visited = (cycle.r_low, cycle.r_high) if cycle.exists else ()

@@ -10,17 +10,20 @@ thresholds are held.
 """
 
 from collections.abc import Callable
+from operator import itemgetter
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from trustlab.allocation.correction_path import C_L, C_U, MODE, P_R, L, R, U
+from trustlab.allocation.correction import C_L, C_U, MODE, P_R, L, R, U
 from trustlab.models.checks import not_negative, positive
-from trustlab.models.tsc import TscModel, next_performance, next_utilization, tsc_at
+from trustlab.models.tsc import next_performance, next_utilization, tsc_at
 
 # How near to rest and full load (2.6) is differentiated.
 STEEP = 1e-9
+
+COST = itemgetter(0)
 
 UNSOLVED = "The thresholds are held, as the solver found no plan: {reason}."
 SOLVED = (
@@ -35,19 +38,11 @@ class CorrectionProgram:
 
     Parameters
     ----------
-    tsc : TscModel
-        The model.
-    target : (float, float)
-        TSC_ld and TSC_ud.
-    c_b : float
-        Largest correction per step.
-    horizon : int
-        N, steps.
-    incentive : callable
-        The bounds of the corrections; called with CasADi symbols.
-    extra_cost : callable, optional
+    corrector : ThresholdCorrector
+        The problem, and who follows corrections under the hard switch.
+    extra_cost : callable
         extra_cost(x, u, k), a scalar added to (2.43), with x = [r, P_r, TSC_u, TSC_l] and u = [c_u,
-        c_l] of step k.
+        c_l] of step k; called with CasADi symbols, as the incentive is.
     switch_width : float
         Width of the smoothed switch, in units of TSC; 0 takes the modes of the clipped plan.
     limit : float
@@ -61,29 +56,23 @@ class CorrectionProgram:
 
     def __init__(
         self,
-        tsc: TscModel,
-        target: tuple[float, float],
-        c_b: float,
-        horizon: int,
-        incentive: Callable,
-        extra_cost: Callable | None = None,
+        corrector: Any,
+        extra_cost: Callable = lambda x, u, k: 0.0,
         switch_width: float = 1e-3,
         limit: float = 1.0,
     ):
         import casadi as ca
 
+        self.corrector = corrector
         self.width = not_negative("switch_width", switch_width)
         self.limit = positive("limit", limit)
-        self.horizon, self.c_b = horizon, c_b
-        robot = tsc.robot
-        self.zero = np.array([0.0, robot.p_min, target[1], target[0]])
+        robot, (lower, upper), c_b = corrector.tsc.robot, corrector.target, corrector.c_b
+        self.zero = np.array([0.0, robot.p_min, upper, lower])
         self.units = np.array([1.0, robot.p_max - robot.p_min, c_b, c_b])
-        x, u = ca.MX.sym("x", 4), ca.MX.sym("u", 2)
-        k = ca.MX.sym("k")
+        x, u, k = ca.MX.sym("x", 4), ca.MX.sym("u", 2), ca.MX.sym("k")
         try:
-            added = 0.0 if extra_cost is None else extra_cost(x, u, k)
-            bounds = incentive(x[0], x[1], c_b, robot.p_min, robot.p_max)
-            added = ca.Function("added", [x, u, k], [ca.MX(added)])
+            added = ca.Function("added", [x, u, k], [ca.MX(extra_cost(x, u, k))])
+            bounds = corrector.incentive(x[0], x[1], c_b, robot.p_min, robot.p_max)
             box = ca.Function("box", [x], [ca.MX(bound) for bound in bounds])
         except Exception as error:
             raise ValueError(
@@ -93,10 +82,11 @@ class CorrectionProgram:
             ) from error
         if added.numel_out() != 1:
             raise ValueError(f"extra_cost must return one number, got {added.numel_out()}")
-        self._added, self._boxes = added.map(horizon), box.map(horizon)
-        self._solver = self._program(self._stage(tsc, box, added))
+        n = corrector.horizon
+        self._added, self._boxes = added.map(n), box.map(n)
+        self._solver = self._program(self._stage(box, added).map(n), n)
 
-    def _stage(self, tsc: TscModel, box: Any, added: Any) -> Any:
+    def _stage(self, box: Any, added: Any) -> Any:
         """
         Return one step of (2.44) as a function.
 
@@ -105,6 +95,7 @@ class CorrectionProgram:
         """
         import casadi as ca
 
+        tsc, c_b = self.corrector.tsc, self.corrector.c_b
         robot, human = tsc.robot, tsc.human
         # Scaled r, P_r, TSC_u and TSC_l, and the mode before.
         z, w = ca.MX.sym("z", 5), ca.MX.sym("w", 2)
@@ -125,54 +116,48 @@ class CorrectionProgram:
         after_r = next_utilization.py_func(r, mode, human.a)
         after_p = next_performance.py_func(p_r, p_h, mode, robot.a, robot.b, robot.p_min)
         step = least + w * (most - least)
-        moved = z[2:4] + step / self.c_b
+        moved = z[2:4] + step / c_b
         after = ca.vertcat(after_r, (after_p - robot.p_min) / self.units[1], moved, mode)
-        cost = added(state, step, k) / self.c_b**2 + ca.sumsqr(moved)
+        cost = added(state, step, k) / c_b**2 + ca.sumsqr(moved)
         return ca.Function("stage", [z, w, given, k], [after, cost])
 
-    def _program(self, stage: Any) -> Any:
+    def _program(self, stages: Any, n: int) -> Any:
         """Return the solver of all steps, the states between them being unknowns."""
         import casadi as ca
 
-        n = self.horizon
         states, shares = ca.MX.sym("states", 5, n), ca.MX.sym("shares", 2, n)
-        start, rho = ca.MX.sym("start", 5), ca.MX.sym("rho")
-        modes = ca.MX.sym("modes", 1, n)
+        start, modes, scale = ca.MX.sym("start", 5), ca.MX.sym("modes", 1, n), ca.MX.sym("scale")
         before = ca.horzcat(start, states[:, :-1])
-        reached, costs = stage.map(n)(before, shares, modes, np.arange(n)[None, :])
+        reached, costs = stages(before, shares, modes, np.arange(n)[None, :])
         program = {
             "x": ca.veccat(states, shares),
-            "p": ca.veccat(start, modes, rho),
-            "f": rho * ca.sum2(costs),
+            "p": ca.veccat(start, modes, scale),
+            "f": scale * ca.sum2(costs),
             "g": ca.vec(states - reached),
         }
-        quiet = {"print_level": 0, "sb": "yes", "tol": 1e-7, "max_wall_time": self.limit}
-        quiet |= {"mumps_pivot_order": 0}  # quicker than the choice by size that MUMPS makes
+        ipopt = {"print_level": 0, "sb": "yes", "tol": 1e-7, "max_wall_time": self.limit}
+        ipopt |= {"mumps_pivot_order": 0}  # quicker than the choice by size that MUMPS makes
         # The solver begins at a good plan, and must not push it far from its bounds.
-        quiet |= {"mu_init": 1e-5, "bound_push": 1e-7, "bound_frac": 1e-7}
-        options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": quiet}
+        ipopt |= {"mu_init": 1e-5, "bound_push": 1e-7, "bound_frac": 1e-7}
+        options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": ipopt}
         return ca.nlpsol("correction", "ipopt", program, options)
 
-    def improved(
-        self, corrector: Any, state: np.ndarray, mode: int
-    ) -> tuple[float, np.ndarray, str]:
+    def improved(self, state: np.ndarray, mode: int) -> tuple[float, np.ndarray, str]:
         """
         Return cost and path of the best plan found, and what to say of it; the cost is NaN where
         there is none.
 
         Parameters
         ----------
-        corrector : ThresholdCorrector
-            Who follows corrections under the hard switch.
         state : numpy.ndarray, shape (4,)
             r, P_r, TSC_l and TSC_u now.
         mode : int
             Mode before now.
         """
         began = perf_counter()
-        simple = np.full((2, self.horizon), np.nan), np.zeros((2, self.horizon))
-        plans = [self._judged(corrector, state, mode, each) for each in simple]
-        cost, path = min(plans, key=lambda plan: plan[0])
+        size = 2, self.corrector.horizon
+        simple = [self._judged(state, mode, np.full(size, each)) for each in (np.nan, 0.0)]
+        cost, path = best = min(simple, key=COST)
         corrections, reason = self._solved(state, mode, path)
         if perf_counter() - began > self.limit:
             reason = f"it takes longer than limit = {self.limit:g} s"
@@ -180,36 +165,34 @@ class CorrectionProgram:
             reason = "no plan has a finite cost"
         if reason:
             return np.nan, path, UNSOLVED.format(reason=reason)
-        plans.append(self._judged(corrector, state, mode, corrections))
-        return *min(plans, key=lambda plan: plan[0]), SOLVED
+        return *min(best, self._judged(state, mode, corrections), key=COST), SOLVED
 
     def _judged(
-        self, corrector: Any, state: np.ndarray, mode: int, corrections: np.ndarray
+        self, state: np.ndarray, mode: int, corrections: np.ndarray
     ) -> tuple[float, np.ndarray]:
         """Return (2.43) with the user's cost, and the path, of corrections."""
-        cost, _, path = corrector.followed(state, mode, corrections)
-        steps = np.arange(self.horizon)[None, :]
+        cost, _, path = self.corrector.followed(state, mode, corrections)
+        steps = np.arange(self.corrector.horizon)[None, :]
         added = self._added(path[[R, P_R, U, L], :-1], path[[C_U, C_L], :-1], steps)
         total = cost + float(np.sum(np.asarray(added)))
         return (total if np.isfinite(total) else np.inf), path
 
     def _solved(self, state: np.ndarray, mode: int, guess: np.ndarray) -> tuple[np.ndarray, str]:
         """Return c_l and c_u to which the solver comes from a path, and why not to use them."""
-        n = self.horizon
+        n = self.corrector.horizon
         x = guess[[R, P_R, U, L]]
-        scaled = (x - self.zero[:, None]) / self.units[:, None]
-        z = np.vstack([scaled, np.r_[mode, guess[MODE, :-1]]])
+        z = np.vstack([(x.T - self.zero).T / self.units[:, None], np.r_[mode, guess[MODE, :-1]]])
         low, high = (np.asarray(ends) for ends in self._boxes(x[:, :-1]))
         shares = (guess[[C_U, C_L], :-1] - low) / np.where(high > low, high - low, 1.0)
         # Both thresholds stay between their values now and their targets, which are 0.
-        least, most = np.full((2, 5, n), np.inf)
-        least *= -1.0
+        most = np.full((5, n), np.inf)
+        least = -most
         now = z[2:4, :1]
         least[2:4], most[2:4] = np.minimum(now, 0.0) - 1e-6, np.maximum(now, 0.0) + 1e-6
         try:
             solution = self._solver(
                 x0=np.r_[z[:, 1:].ravel("F"), np.clip(shares, 0.0, 1.0).ravel("F")],
-                p=np.r_[z[:, 0], guess[MODE, :-1], 1.0 / max(1.0, np.sum(z[2:4] ** 2))],
+                p=np.r_[z[:, 0], guess[MODE, :-1], 1.0 / max(1.0, np.sum(now**2))],
                 lbx=np.r_[least.ravel("F"), np.zeros(2 * n)],
                 ubx=np.r_[most.ravel("F"), np.ones(2 * n)],
                 lbg=0.0,
@@ -218,6 +201,6 @@ class CorrectionProgram:
         except RuntimeError as error:
             return shares, str(error).strip().splitlines()[-1][-200:]
         reached = np.asarray(solution["x"]).ravel()[: 5 * n].reshape(5, n, order="F")
-        steps = np.diff(np.c_[now, reached[2:4]], axis=1)[::-1] * self.c_b
+        steps = np.diff(np.c_[now, reached[2:4]], axis=1)[::-1] * self.corrector.c_b
         stats = self._solver.stats()
         return steps, "" if stats["success"] else str(stats["return_status"])

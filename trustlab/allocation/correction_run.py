@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.correction import ThresholdCorrector, suggestion_now
-from trustlab.allocation.correction_path import ROUNDING
+from trustlab.allocation.correction import ROUNDING, ThresholdCorrector, suggestion_now
 from trustlab.allocation.limits import threshold_pair
 from trustlab.allocation.simulation import run_model
 from trustlab.models.checks import (
@@ -24,7 +23,7 @@ from trustlab.models.checks import (
     positive,
     whole_number,
 )
-from trustlab.models.display import Result, axes_or_new
+from trustlab.models.display import Result
 from trustlab.models.tsc import next_utilization, threshold_mode, tsc_at
 
 # Why thresholds are held, and what a plan takes for a measurement out of range.
@@ -51,8 +50,6 @@ class OnlineStep(NamedTuple):
 
     Parameters
     ----------
-    sample : int
-        Number of the sample, from 0.
     suggestion : int
         0 autonomous, 1 manual, −1 nothing.
     tsc : float
@@ -73,7 +70,6 @@ class OnlineStep(NamedTuple):
         Computing time [s].
     """
 
-    sample: int
     suggestion: int
     tsc: float
     lower: float
@@ -178,7 +174,7 @@ class OnlineCorrection:
             message = OUTSIDE
             if inside or self._nearest:
                 in_range = min(max(p_r, c.p_r_min), c.p_r_max)
-                plan = self.corrector.plan(r, in_range, lower, upper, now)
+                plan = self.corrector.step(r, in_range, lower, upper, now)
                 c_l, c_u = plan.c_l, plan.c_u
                 cost, bound = plan.cost, plan.cost_lower_bound
                 status = plan.status
@@ -187,7 +183,7 @@ class OnlineCorrection:
         self.mode = now
         self.r = next_utilization.py_func(r, now, c.a_r)
         step = OnlineStep(
-            *(len(self._steps), suggestion, tsc, lower, upper, c_l, c_u, r, cost, bound),
+            *(suggestion, tsc, lower, upper, c_l, c_u, r, cost, bound),
             *(status, message, perf_counter() - began),
         )
         self._steps.append(step)
@@ -221,7 +217,7 @@ class CorrectionRun(Result):
     Parameters
     ----------
     data : pandas.DataFrame
-        One row per sample: what `OnlineStep` has but for `sample`, then test, t [s] from the start
+        One row per sample: what `OnlineStep` has, then test, t [s] from the start
         of its test, p_r, p_h and mode.
     start, target : (float, float)
         TSC_l and TSC_u at the beginning, and their targets.
@@ -276,25 +272,6 @@ class CorrectionRun(Result):
             )
         return pd.DataFrame(rows)
 
-    def plot(self):
-        """
-        Plot TSC, thresholds and targets of every test, as Fig. 2.18 does.
-
-        Returns
-        -------
-        numpy.ndarray of matplotlib.axes.Axes, shape (tests,)
-        """
-        tests = self.data.groupby("test")
-        size: Any = {"sharey": True, "squeeze": False, "figsize": (10, 3.2)}
-        axes = axes_or_new(columns=len(tests), title=self.message, **size)[0]
-        for axis, (test, part) in zip(axes, tests, strict=True):
-            axis.plot(part["t"], part["tsc"], lw=0.8, label="TSC")
-            axis.plot(part["t"], part[["lower", "upper"]], "--", color="C3", label="thresholds")
-            for value in self.target:
-                axis.axhline(value, ls="-.", lw=1, color="0.4")
-            axis.set(xlabel="time [s]", title=f"test {test}")
-        return axes
-
 
 def run_correction(
     corrector: ThresholdCorrector,
@@ -333,7 +310,7 @@ def run_correction(
     Returns
     -------
     CorrectionRun
-        With `.data`, `.table()` and `.plot()`.
+        With `.data` and `.table()`.
 
     Raises
     ------
@@ -369,7 +346,7 @@ def run_correction(
         clock = {"test": number, "t": np.arange(samples) * sample_time}
         parts.append(online.table().assign(**clock, **run[["p_r", "p_h", "mode"]]))
         thresholds = online.lower, online.upper
-    data = pd.concat(parts, ignore_index=True).drop(columns="sample")
+    data = pd.concat(parts, ignore_index=True)
     return CorrectionRun(data, start, corrector.target, habit)
 
 

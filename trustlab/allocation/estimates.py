@@ -15,12 +15,17 @@ from trustlab.models.checks import (
     in_order,
     of_class,
     positive,
-    whole_number,
 )
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
+
+# Half width of the band around the means that `share_within` counts, as Table 2.3 does; bootstrap
+# resamples of the means, and draws for `p_overlap`.
+WITHIN, RESAMPLES = 0.15, 2000
+SIDES = ("lower", "upper")
+SUMMARY = ["n", "mean", "sd", "ci_low", "ci_high", "share_within"]
 
 STATES = ("followed", "not followed", "withdrawn", "open")
 FOLLOWED, NOT_FOLLOWED, WITHDRAWN, OPEN = range(4)
@@ -78,9 +83,6 @@ class ThresholdEstimate:
 def estimate_thresholds(
     sessions: Session | Iterable[Session],
     model: TscModel | None = None,
-    within: float = 0.15,
-    resamples: int = 2000,
-    seed: int = 0,
     after: float | None = None,
 ) -> ThresholdEstimate:
     """
@@ -92,12 +94,6 @@ def estimate_thresholds(
         Runs with column mode (0 or 1) and tsc, or p_r and p_h with a model to compute it from.
     model : TscModel, optional
         The operator's model (2.1), for sessions without column tsc.
-    within : float
-        Half width of the band around the means that `share_within` counts.
-    resamples : int
-        Bootstrap resamples for the intervals of the means, and draws for `p_overlap`; at least 100.
-    seed : int
-        Seed of both.
     after : float, optional
         Leave out switches before this time [s], in every run; all count when not given.
 
@@ -110,7 +106,7 @@ def estimate_thresholds(
     SessionError
         If a column is missing, mode is a share, or no run has a switch (after `after`).
     ValueError
-        If `within` is not positive, or another argument is not understood.
+        If an argument is not understood.
 
     Notes
     -----
@@ -134,15 +130,12 @@ def estimate_thresholds(
     >>> import trustlab as tl
     >>> run = tl.run_condition("C3", participant=2, laps=4, seed=0)
     >>> model = tl.published_models()["2"]
-    >>> estimate = tl.estimate_thresholds(run.session, model, within=1.0, resamples=100)
+    >>> estimate = tl.estimate_thresholds(run.session, model)
     >>> estimate.table().index.tolist()
     ['lower', 'upper']
     """
-    within = positive("within", within)
     if model is not None:
         of_class("model", model, TscModel)
-    resamples = whole_number("resamples", resamples, least=100, most=10**5)
-    seed = whole_number("seed", seed, least=0)
     after = -np.inf if after is None else finite_number("after", after)
     runs = [sessions] if isinstance(sessions, Session) else list(sessions)
     rows = []
@@ -173,49 +166,38 @@ def estimate_thresholds(
         raise SessionError(
             f"mode never changes{when} in these sessions, so no threshold can be estimated"
         )
-    return _summarise(switches, within, resamples, np.random.default_rng(seed))
+    rng = np.random.default_rng(0)
+    groups = {side: switches["tsc"][switches["threshold"] == side].to_numpy() for side in SIDES}
+    sides = [_row(values, rng) for values in groups.values()]
+    summary = pd.DataFrame(sides, pd.Index(SIDES, name="threshold"), SUMMARY)
+    return ThresholdEstimate(switches, summary, *_apart(groups, rng))
 
 
-def _apart(
-    groups: dict[str, np.ndarray], draws: int, rng: np.random.Generator
-) -> tuple[float, float]:
+def _apart(groups: dict[str, np.ndarray], rng: np.random.Generator) -> tuple[float, float]:
     """Return the separation of two groups of switches, and p that it is 1 or less."""
-    numbers = []
+    samples = []
     drawn = []
     for values in groups.values():
         n = values.size
         if n < 2 or not values.std() > 0.0:
             return np.nan, np.nan
         mean, sd = values.mean(), values.std(ddof=1)
-        spread = sd * np.sqrt((n - 1) / rng.chisquare(n - 1, draws))
-        numbers += [mean, sd]
-        drawn += [mean + spread * rng.standard_normal(draws) / np.sqrt(n), spread]
-    ratio, ratios = ((high - low) / (a + b) for low, a, high, b in (numbers, drawn))
+        spread = sd * np.sqrt((n - 1) / rng.chisquare(n - 1, RESAMPLES))
+        samples += [mean, sd]
+        drawn += [mean + spread * rng.standard_normal(RESAMPLES) / np.sqrt(n), spread]
+    ratio, ratios = ((high - low) / (a + b) for low, a, high, b in (samples, drawn))
     return float(ratio), float((ratios <= 1.0).mean())
 
 
-def _summarise(
-    switches: pd.DataFrame, within: float, resamples: int, rng: np.random.Generator
-) -> ThresholdEstimate:
-    """Return thresholds from all switches."""
-    groups = {
-        name: switches.loc[switches["threshold"] == name, "tsc"].to_numpy()
-        for name in ("lower", "upper")
-    }
-    rows = {}
-    for name, values in groups.items():
-        sd = low = high = np.nan
-        if values.size > 0:
-            means = rng.choice(values, (resamples, values.size)).mean(axis=1)
-        if values.size > 1:
-            sd = values.std(ddof=1)
-            low, high = np.quantile(means, [0.025, 0.975])
-        mean = values.mean() if values.size else np.nan
-        share = np.mean(np.abs(values - mean) <= within) if values.size else np.nan
-        rows[name] = (values.size, mean, sd, low, high, share)
-    columns = ["n", "mean", "sd", "ci_low", "ci_high", "share_within"]
-    summary = pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("threshold")
-    return ThresholdEstimate(switches, summary, *_apart(groups, resamples, rng))
+def _row(values: np.ndarray, rng: np.random.Generator) -> list[float]:
+    """Return a row of the summary, NaN where there are too few switches."""
+    n = values.size
+    if n == 0:
+        return [n, *[np.nan] * 5]
+    mean = values.mean()
+    means = rng.choice(values, (RESAMPLES, n)).mean(axis=1)
+    spread = [np.nan] * 3 if n == 1 else [values.std(ddof=1), *np.quantile(means, [0.025, 0.975])]
+    return [n, mean, *spread, np.mean(np.abs(values - mean) <= WITHIN)]
 
 
 def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) -> float:
@@ -243,8 +225,7 @@ def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) ->
     75.0
     """
     low, high = in_order("p_min", p_min, "p_max", p_max)
-    values = np.array([finite_number("p_r", p_r)]) if np.isscalar(p_r) else finite_array("p_r", p_r)
-    return 100.0 * (float(values.mean()) - low) / (high - low)
+    return 100.0 * (float(finite_array("p_r", np.ravel(p_r)).mean()) - low) / (high - low)
 
 
 # --- suggestions ---------------------------------------------------------------------------------
@@ -291,14 +272,9 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
     of_class("session", session, Session, "trustlab.read_session(path) reads one")
     deadline = positive("deadline", deadline)
     session.require("mode", "suggested_mode")
-    for name, allowed in (("mode", (0.0, 1.0)), ("suggested_mode", (-1.0, 0.0, 1.0))):
-        odd = ~np.isin(session[name], allowed)
-        if odd.any():
-            k = int(np.argmax(odd))
-            raise SessionError(
-                f"column {name!r}, t = {session.t[k]:g} s: {session[name][k]} is not one of "
-                f"{allowed}"
-            )
+    for name in ("mode", "suggested_mode"):
+        if not np.isin(session[name], (-1.0, 0.0, 1.0)).all():
+            raise SessionError(f"column {name!r} holds shares; suggestions need modes of 0 or 1")
     episodes = suggestion_episodes(session.t, session["mode"], session["suggested_mode"], deadline)
     rows = [
         (start, float(to), delay, state == FOLLOWED, STATES[state])

@@ -9,10 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.limits import check_thresholds
-from trustlab.allocation.ranges import SteadyRanges, ends
-from trustlab.allocation.steady import EFFORT, endless_phase
-from trustlab.models.checks import whole_number
+from trustlab.allocation.steady import EFFORT, SteadyRanges, endless_phase, ends
+from trustlab.models.checks import in_order, of_class, whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, advance, human_at, human_range, tsc_at
 
@@ -28,9 +26,6 @@ SETTLED = 1e-3
 # Nearer than this to rest or full load (2.6) is so steep that its one-step changes are bounded by
 # its range alone.
 STEEP = 1e-6
-
-# Width of bounds on utilization from which on they tell nothing.
-VACUOUS = 0.98
 
 
 class PhaseImage(NamedTuple):
@@ -159,18 +154,9 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
                 before_high = max(before_high, last_high)
             if (manual and t_low >= target) or (not manual and t_high <= target):
                 over = overshoot(manual, before_low, before_high, target, c)
-                image = PhaseImage(
-                    end_low,
-                    end_high,
-                    over,
-                    float(first),
-                    float(n),
-                    least_p,
-                    most_p,
-                    least_tsc,
-                    most_tsc,
-                )
-                return True, image
+                dwells = float(first), float(n)
+                ranges = least_p, most_p, least_tsc, most_tsc
+                return True, PhaseImage(end_low, end_high, over, *dwells, *ranges)
         last_low, last_high = low, high
         low, p_r_low = advance(low, p_r_low, p_low, mode, c)
         high, p_r_high = advance(high, p_r_high, p_high, mode, c)
@@ -206,9 +192,8 @@ def enclose(low, high, over, lower, upper, c, cells, most):
     TSC begins within `over` below TSC_l. Returns whether all phases end within `most` samples, the
     images of both phases, and the greatest r as the autonomous one begins.
     """
-    first_phase = (
-        cells > 0
-    )  # no literals True and False: numba would compile `phase_image` once for each
+    # No literals True and False: numba would compile `phase_image` once for each.
+    first_phase = cells > 0
     ends, manual = phase_image(first_phase, low, high, lower, over, upper, c, cells, most)
     if not ends:
         return False, NO_IMAGE, NO_IMAGE, 1.0
@@ -220,20 +205,6 @@ def enclose(low, high, over, lower, upper, c, cells, most):
     return ends, manual, autonomous, last
 
 
-class Nested(NamedTuple):
-    """
-    Bounds of a cycle: utilizations as manual and as autonomous phases begin, and the images of
-    both; after how many cycles, and whether they had settled.
-    """
-
-    low: float
-    high: float
-    manual: PhaseImage
-    autonomous: PhaseImage
-    cycles: int
-    settled: bool
-
-
 def nest(lower, upper, c, cells, cycles, most):
     """
     Shrink the utilizations with which manual phases begin from [0, 1], cycle by cycle.
@@ -241,7 +212,9 @@ def nest(lower, upper, c, cells, cycles, most):
     What encloses every trajectory after k cycles encloses it after k + 1 as well as its image does:
     the intersection. Intervals are cut into COARSE cells at first, and into twice as many, up to
     `cells`, whenever a cycle has shrunk them by less than SHRINK, until they have settled, or the
-    cycles or EFFORT run out. Returns `Nested`, or None where a phase was not shown to end.
+    cycles or EFFORT run out. Returns the utilizations with which manual and autonomous phases
+    begin, the images of both, after how many cycles, and whether they had settled; nothing where a
+    phase was not shown to end.
     """
     low = 0.0
     high = 1.0
@@ -253,11 +226,11 @@ def nest(lower, upper, c, cells, cycles, most):
     while True:
         ends, manual, autonomous, last = enclose(low, high, over, lower, upper, c, count, most)
         if not ends:
-            return None
+            return ()
         samples = manual.dwell_high + autonomous.dwell_high
         # The image of the last utilizations is what is reported.
         if done == cycles or settled or (done > 0 and effort < count * samples):
-            return Nested(low, last, manual, autonomous, done, settled)
+            return low, last, manual, autonomous, done, settled
         next_low = max(low, autonomous.r_low - ROUNDING)
         next_high = min(high, autonomous.r_high + ROUNDING)
         shrunk = 1.0 - (next_high - next_low) / (high - low)
@@ -345,7 +318,8 @@ def invariant_bounds(
     dwell time manual      217.000  219.000
     dwell time autonomous   65.000   65.000
     """
-    lower, upper = check_thresholds(tsc, lower, upper)
+    of_class("tsc", tsc, TscModel)
+    lower, upper = in_order("lower", lower, "upper", upper)
     cells = whole_number("cells", cells)
     cycles = whole_number("cycles", cycles)
     c = tsc.constants()
@@ -355,7 +329,7 @@ def invariant_bounds(
         coarse = min(COARSE, cells)
         most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
         nested = nest(lower, upper, c, cells, cycles, most)
-        if nested is None:
+        if not nested:
             reason = (
                 f"a phase from some utilization was not shown to end within {most} samples; "
                 f"cells= below {coarse} allow longer phases"
@@ -385,11 +359,6 @@ def invariant_bounds(
     reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
     if not settled:
         reason += " and were still shrinking, so that tighter bounds exist"
-    if r_high - r_low > VACUOUS:
-        reason += (
-            f"; but the bounds on utilization, {r_low:.3g} to {r_high:.3g}, exclude next to "
-            "nothing: more cells may narrow them, and limit_cycle shows the motion"
-        )
     return InvariantBounds(
         guaranteed=True,
         reason=reason,

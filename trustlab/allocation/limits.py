@@ -12,7 +12,6 @@ from trustlab.models.checks import (
     in_order,
     not_negative,
     of_class,
-    rounded_down,
     shown,
 )
 from trustlab.models.display import Result
@@ -184,22 +183,15 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = 0.0) -> ThresholdL
     return ThresholdLimits(float(lower), float(upper), float(delta_p_h))
 
 
-def check_thresholds(
-    tsc: TscModel, lower: float, upper: float, limits: ThresholdLimits | None = None
-) -> tuple[float, float]:
-    """Return two thresholds as floats if they are finite, in order, and within limits, if given."""
-    of_class("tsc", tsc, TscModel)
-    lower, upper = in_order("lower", lower, "upper", upper)
-    if limits is None:
-        return lower, upper
+def check_thresholds(tsc: TscModel, pair: tuple[float, float]) -> tuple[float, float]:
+    """Return two thresholds as floats if they keep within the limits of Theorem 1 at δ_Ph = 0."""
+    limits = threshold_limits(tsc)
+    lower, upper = threshold_pair("threshold", pair)
     if not limits.feasible:
-        slack = tsc.b_T * limits.delta_p_h / (1.0 - tsc.robot.a)
-        gap = limits.upper - limits.lower + 2.0 * slack
-        remedy = "widen the range of robot performance (p_max − p_min)"
-        if gap > 0.0:
-            most = rounded_down(gap / 2.0 * (1.0 - tsc.robot.a) / tsc.b_T)
-            remedy += f", or take a smaller δ_Ph: below {most:g} they part"
-        raise ValueError(f"no thresholds keep switching: {limits.message}; {remedy}")
+        raise ValueError(
+            f"no thresholds keep switching: {limits.message}; widen the range of robot performance "
+            "(p_max − p_min)"
+        )
     if not limits.contains(lower, upper):
         raise ValueError(
             f"thresholds ({lower:g}, {upper:g}) must lie strictly between {limits.message} "

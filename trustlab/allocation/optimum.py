@@ -26,15 +26,17 @@ from trustlab.allocation.steady import (
 from trustlab.models.checks import between, not_negative, of_class, open_unit, positive
 from trustlab.models.compiled import njit
 from trustlab.models.display import Result
-from trustlab.models.tsc import HumanModel, TscModel, human_at
+from trustlab.models.tsc import HumanModel, TscModel, human_at, next_utilization
 
 # Utilizations at which the certificate is evaluated.
 GRID = 20_001
 
-# The longest phase of a pattern, in time constants of utilization and in least dwell times.
+# The longest phase of a pattern, in time constants of utilization and in least dwell times, and how
+# many manual phases are tried with the least rest that a limit of mean r allows.
 LONGEST = 4.0
 MOST_DWELLS = 40
 MOST_SAMPLES = 20_000
+DENSE = 300
 
 # Effort of a coarse survey of thresholds on TSC, and how many of its best pairs are followed sample
 # by sample.
@@ -57,9 +59,6 @@ class OptimalAllocation(Result):
         Utilization at which the bound is attained without dwell times.
     pattern : tuple of int
         Samples of manual and of autonomous control, in turn.
-    r_low, r_high : float
-        Utilization at the beginning and at the end of manual phases: thresholds on utilization that
-        make the pattern.
     mean_r, mean_p_r : float
         Mean utilization and robot performance.
     thresholds : tuple of float or None
@@ -67,8 +66,6 @@ class OptimalAllocation(Result):
         limit of mean r; None where no pair does.
     threshold_value : float
         What they earn; NaN where there are none.
-    weight : float
-        Weight of robot performance.
     """
 
     title = "Optimal allocation"
@@ -77,13 +74,10 @@ class OptimalAllocation(Result):
     upper_bound: float
     r_star: float
     pattern: tuple[int, int]
-    r_low: float
-    r_high: float
     mean_r: float
     mean_p_r: float
     thresholds: tuple[float, float] | None
     threshold_value: float
-    weight: float
 
     @property
     def gap(self) -> float:
@@ -177,20 +171,17 @@ def optimal_allocation(
     limit = 1.0 if max_mean_r is None else open_unit("max_mean_r", max_mean_r)
     upper_bound, r_star = certificate(tsc, weight, limit)
     manual, autonomous = _best_pattern(tsc, weight, least, limit)
-    value, driven, low = earn(tsc.constants(), manual, autonomous, *_scales(tsc, weight))
+    value, driven = earn(tsc.constants(), manual, autonomous, *_scales(tsc, weight))
     thresholds, threshold_value = _best_thresholds(tsc, weight, least, limit)
     return OptimalAllocation(
         value=float(value),
         upper_bound=upper_bound,
         r_star=r_star,
         pattern=(manual, autonomous),
-        r_low=float(low),
-        r_high=float(1.0 - (1.0 - low) * tsc.human.a**manual),
         mean_r=manual / (manual + autonomous),
         mean_p_r=float(tsc.robot.p_min + tsc.robot.b / (1.0 - tsc.robot.a) * driven),
         thresholds=thresholds,
         threshold_value=threshold_value,
-        weight=weight,
     )
 
 
@@ -275,80 +266,57 @@ def _over_cells(human: HumanModel, r: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 @njit
 def earn(c, manual, autonomous, of_robot, of_human):
-    """Return points and mean(M P_h) of a pattern in steady state, and r as it begins."""
-    whole = c.a_r ** (manual + autonomous)
-    begin = (1.0 - c.a_r**manual) * c.a_r**autonomous / (1.0 - whole)
-    r = begin
+    """Return points and mean(M P_h) of a pattern in steady state."""
+    samples = manual + autonomous
+    r = (1.0 - c.a_r**manual) * c.a_r**autonomous / (1.0 - c.a_r**samples)
     driven = 0.0
     sum_p_h = 0.0
-    for k in range(manual + autonomous):
+    for k in range(samples):
         mode = 1.0 if k < manual else 0.0
         p_h = human_at(r, c)
         driven += mode * p_h
         sum_p_h += p_h
-        r = c.a_r * r + (1.0 - c.a_r) * mode
-    samples = manual + autonomous
+        r = next_utilization(r, mode, c.a_r)
     value = (of_robot * driven + of_human * (sum_p_h - samples * c.p_h_min)) / samples
-    return value, driven / samples, begin
-
-
-@njit
-def earned(c, patterns, of_robot, of_human):
-    """Return the points of patterns, shape (N, 2)."""
-    points = np.empty(len(patterns))
-    for k in range(len(patterns)):
-        points[k] = earn(c, patterns[k, 0], patterns[k, 1], of_robot, of_human)[0]
-    return points
+    return value, driven / samples
 
 
 def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tuple[int, int]:
-    """Return samples of manual and autonomous control: first coarsely, then to the sample."""
-    c, scales = tsc.constants(), _scales(tsc, weight)
-
-    def best_of(manual: np.ndarray, autonomous: np.ndarray) -> np.ndarray:
-        patterns = _patterns(manual, autonomous, least, longest, limit)
-        return patterns[earned(c, patterns, *scales).argmax()]
-
-    longest = 1000.0
-    if least > 1:
-        rest = LONGEST / (1.0 - tsc.human.a)
-        longest = max(min(MOST_DWELLS * least, MOST_SAMPLES), rest, least + rest)
-    if limit < 1.0:  # whatever keeps the limit with the shortest phases
-        longest = max(longest, least * (1.0 - limit) / limit, least * limit / (1.0 - limit)) + 1
-    coarse = np.unique(np.round(np.geomspace(least, longest, 36)).astype(int))
-    best = best_of(coarse, coarse)
-    reach = max(4, int(0.1 * best.max()))
-    while reach > 0:
-        offsets = np.unique(np.round(np.linspace(-reach, reach, 11)).astype(int))
-        best = best_of(best[0] + offsets, best[1] + offsets)
-        reach //= 3
-    return int(best[0]), int(best[1])
-
-
-def _patterns(
-    manual: np.ndarray, autonomous: np.ndarray, least: int, longest: float, limit: float
-) -> np.ndarray:
     """
-    Return the patterns of two lists of dwell times that keep a limit of mean r, and with one those
-    between them that just keep it.
+    Return samples of manual and autonomous control: first coarsely, then to the sample.
 
     By (2.5) mean r is the share of manual samples.
     """
-    pairs = np.array(np.meshgrid(manual, autonomous)).reshape(2, -1)
-    if limit < 1.0:
-        odds = limit / (1.0 - limit) * (1.0 + 1e-12)
-        drive, rest = _all_between(manual), _all_between(autonomous)
-        just = [drive, np.ceil(drive / odds)], [np.floor(odds * rest), rest]
-        pairs = np.hstack([pairs, *just]).astype(int)
-        pairs = pairs[:, pairs[0] <= odds * pairs[1]]
-    able = (pairs.min(axis=0) >= least) & (pairs.max(axis=0) <= longest)
-    return np.unique(pairs.T[able], axis=0)
+    c, scales = tsc.constants(), _scales(tsc, weight)
+    least_rest = max(1.0 - limit, 1e-12) / limit * (1.0 - 1e-12)  # for each manual sample
+    many = DENSE if limit < 1.0 else 0
+    longest = 1000.0
+    if least > 1:
+        settling = LONGEST / (1.0 - tsc.human.a)
+        longest = max(min(MOST_DWELLS * least, MOST_SAMPLES), settling, least + settling)
+    if limit < 1.0:  # whatever keeps the limit with the shortest phases
+        longest = max(longest, least * least_rest, least / least_rest) + 1.0
 
+    def best_of(manual: np.ndarray, autonomous: np.ndarray) -> np.ndarray:
+        """
+        Return the best of all pairs, and of many manual phases between them with the least rest.
+        """
+        manual, autonomous = np.clip([manual, autonomous], least, longest)
+        pairs = np.array(np.meshgrid(manual, autonomous)).reshape(2, -1)
+        between = np.geomspace(manual.min(), manual.max(), many)
+        drive, rest = np.round(np.hstack([pairs, [between, np.full(many, least)]]))
+        rest = np.maximum(rest, np.ceil(drive * least_rest))
+        patterns = np.unique(np.column_stack([drive, rest])[rest <= longest], axis=0).astype(int)
+        return patterns[np.argmax([earn(c, *pattern, *scales)[0] for pattern in patterns])]
 
-def _all_between(dwells: np.ndarray) -> np.ndarray:
-    """Return all numbers in the range of a list, or some where they are many, small ones all."""
-    low, high = max(dwells.min(), 1), dwells.max()
-    return np.unique(np.round(np.geomspace(low, high, min(high - low + 1, 300))).astype(int))
+    coarse = np.geomspace(least, longest, 36)
+    best = best_of(coarse, coarse)
+    reach = max(4, int(0.1 * best.max()))
+    while reach > 0:
+        offsets = np.linspace(-reach, reach, 11)
+        best = best_of(best[0] + offsets, best[1] + offsets)
+        reach //= 3
+    return int(best[0]), int(best[1])
 
 
 def _best_thresholds(

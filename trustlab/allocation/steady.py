@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.limits import check_thresholds
-from trustlab.allocation.ranges import SteadyRanges, ends
+from trustlab.models.checks import in_order, of_class
 from trustlab.models.compiled import njit
-from trustlab.models.display import axes_or_new
+from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscModel, advance, human_at, tsc_at
 
 # Most samples that one model is simulated for: some seconds.
@@ -92,13 +91,6 @@ def steady_motion(c, lower, upper, rested, settle, cycles, most, rows):
     rows[AUTONOMOUS:, MEAN] /= recorded
 
 
-@njit
-def _survey(c, pairs, rested, settle, cycles, most, motions):
-    """Fill the motion under every pair of thresholds."""
-    for j in range(len(pairs)):
-        steady_motion(c, pairs[j, 0], pairs[j, 1], rested, settle, cycles, most, motions[j])
-
-
 def longest_phase(tsc: TscModel) -> int:
     """Return after how many samples a phase counts as endless."""
     slowest = max(tsc.robot.time_constant, tsc.human.time_constant)
@@ -121,7 +113,11 @@ def coarse(tsc: TscModel, ratio: float) -> tuple[TscModel, int]:
 
 
 def survey(
-    models: list[TscModel], pairs: np.ndarray, effort: float = np.inf, rested: bool = False
+    models: list[TscModel],
+    pairs: np.ndarray,
+    effort: float = np.inf,
+    rested: bool = False,
+    lengths: tuple[float, int] = EXACT,
 ) -> np.ndarray:
     """
     Return the motions of models under pairs of thresholds, shape (models, pairs, 6, 3).
@@ -129,24 +125,33 @@ def survey(
     Rows are r, P_r, P_h, TSC and the dwell times in either mode [samples], columns least, greatest
     and mean; NaN where a mode stays for ever. All begin in the manual mode, at β where TSC meets
     TSC_l, or `rested` at r = 0 and P_r,min. Where models times pairs times the slower time constant
-    [samples] exceeds `effort`, the sample time is coarse.
+    [samples] exceeds `effort`, the sample time is coarse. `lengths` are time constants left to
+    settle, and cycles recorded.
     """
-    pairs = np.ascontiguousarray(pairs, dtype=float)
     motions = np.empty((len(models), len(pairs), 6, 3))
     for own, rows in zip(models, motions, strict=True):
         slow = max(own.robot.time_constant, own.human.time_constant)
         tsc, ratio = coarse(own, len(models) * len(pairs) * slow / effort)
-        settling, cycles = SCREEN if ratio > 1 else EXACT
-        settle = settling * slow / ratio
-        _survey(tsc.constants(), pairs, rested, settle, cycles, longest_phase(tsc), rows)
+        settling, cycles = SCREEN if ratio > 1 else lengths
+        c, ends_of = tsc.constants(), (settling * slow / ratio, cycles, longest_phase(tsc))
+        for pair, motion in zip(pairs.tolist(), rows, strict=True):
+            steady_motion(c, *pair, rested, *ends_of, motion)
         rows[:, AUTONOMOUS:] *= ratio
     return motions
+
+
+def from_both_starts(
+    models: list[TscModel], pair: tuple[float, float], lengths: tuple[float, int] = EXACT
+) -> np.ndarray:
+    """Return the motions of models under one pair, from β and from rest: (2, models, 1, 6, 3)."""
+    pairs = np.array([pair])
+    return np.array([survey(models, pairs, np.inf, start, lengths) for start in (False, True)])
 
 
 def encloses_beta(motions: np.ndarray, models: list[TscModel]) -> np.ndarray:
     """Return whether steady utilization encloses β, by model and pair."""
     beta = np.array([tsc.human.beta for tsc in models])[:, None]
-    return (motions[:, :, R, LOW] <= beta) & (beta <= motions[:, :, R, HIGH])
+    return (motions[..., R, LOW] <= beta) & (beta <= motions[..., R, HIGH])
 
 
 def points(motions: np.ndarray, models: list[TscModel], weight: float) -> np.ndarray:
@@ -171,6 +176,95 @@ def grid_of_pairs(low: float, high: float, count: int) -> np.ndarray:
 
 # --- one pair of thresholds -----------------------------------------------------------------------
 
+# Rows of tables of ranges, and how the names of their ends begin.
+QUANTITIES = {
+    "r": "r",
+    "P_r": "p_r",
+    "TSC": "tsc",
+    "dwell time manual": "dwell_manual",
+    "dwell time autonomous": "dwell_autonomous",
+}
+
+
+def ends(**ranges: Any) -> dict[str, Any]:
+    """Return the fields of `SteadyRanges` from the ranges by name."""
+    fields: dict[str, Any] = {}
+    for name, (low, high) in ranges.items():
+        fields |= {f"{name}_low": float(low), f"{name}_high": float(high)}
+    return fields
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SteadyRanges(Result):
+    """
+    Ranges of a steady motion; NaN where there is none.
+
+    Parameters
+    ----------
+    model : TscModel
+        The model.
+    lower, upper : float
+        Thresholds TSC_l and TSC_u.
+    reason : str
+        Where the ranges come from, or why there are none.
+    r_low, r_high : float
+        Utilization.
+    p_r_low, p_r_high : float
+        Robot performance.
+    tsc_low, tsc_high : float
+        TSC; it passes the thresholds by the overshoot of a step.
+    dwell_manual_low, dwell_manual_high : float
+        Consecutive samples in the manual mode.
+    dwell_autonomous_low, dwell_autonomous_high : float
+        Consecutive samples in the autonomous mode.
+    """
+
+    model: TscModel
+    lower: float
+    upper: float
+    reason: str
+    r_low: float = math.nan
+    r_high: float = math.nan
+    p_r_low: float = math.nan
+    p_r_high: float = math.nan
+    tsc_low: float = math.nan
+    tsc_high: float = math.nan
+    dwell_manual_low: float = math.nan
+    dwell_manual_high: float = math.nan
+    dwell_autonomous_low: float = math.nan
+    dwell_autonomous_high: float = math.nan
+
+    @property
+    def message(self) -> str:
+        """Where the ranges come from, or why there are none."""
+        return self.reason
+
+    @property
+    def dwell_manual(self) -> tuple[float, float]:
+        """Least and greatest number of consecutive samples in the manual mode."""
+        return self.dwell_manual_low, self.dwell_manual_high
+
+    @property
+    def dwell_autonomous(self) -> tuple[float, float]:
+        """Least and greatest number of consecutive samples in the autonomous mode."""
+        return self.dwell_autonomous_low, self.dwell_autonomous_high
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the ranges.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `quantity` (r, P_r, TSC, dwell time manual, dwell time autonomous); columns low,
+            high.
+        """
+        ends = {
+            end: [getattr(self, f"{name}_{end}") for name in QUANTITIES.values()]
+            for end in ("low", "high")
+        }
+        return pd.DataFrame(ends, index=pd.Index(QUANTITIES, name="quantity"))
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LimitCycle(SteadyRanges):
@@ -186,8 +280,8 @@ class LimitCycle(SteadyRanges):
         Whether it does from every start; where not, `reason` says from which it does not.
     encloses_beta : bool
         Whether utilization encloses β, at which the operator performs best, from both starts.
-    mean_r, mean_p_r, mean_p_h : float
-        Long-run averages of utilization, robot and human performance; from β, where it goes on.
+    mean_r, mean_p_r : float
+        Long-run averages of utilization and robot performance; from β, where it goes on.
     """
 
     title = "Steady cycle"
@@ -197,7 +291,6 @@ class LimitCycle(SteadyRanges):
     encloses_beta: bool = False
     mean_r: float = math.nan
     mean_p_r: float = math.nan
-    mean_p_h: float = math.nan
 
     def table(self) -> pd.DataFrame:
         """
@@ -208,18 +301,12 @@ class LimitCycle(SteadyRanges):
         pandas.DataFrame
             Index `quantity`; columns low, high, mean.
         """
-        table = super().table()
-        means = {"r": self.mean_r, "P_r": self.mean_p_r}
-        return table.assign(mean=table.index.map(means).astype(float))
+        means = pd.Series({"r": self.mean_r, "P_r": self.mean_p_r})
+        return super().table().assign(mean=means)
 
-    def plot(self, axes=None):
+    def plot(self):
         """
         Plot rule (2.8) over utilization and robot performance, with a run, as in Fig. 2.4.
-
-        Parameters
-        ----------
-        axes : matplotlib.axes.Axes, optional
-            Where to plot; a new figure when not given.
 
         Returns
         -------
@@ -228,7 +315,7 @@ class LimitCycle(SteadyRanges):
         from trustlab.allocation.simulation import simulate_allocation
 
         model, robot = self.model, self.model.robot
-        axes = axes_or_new(axes, figsize=(7, 4.2))
+        axes = axes_or_new(figsize=(7, 4.2))
         r = np.linspace(0.0, 1.0, 300)
         p_h = model.human.performance(r)
         for threshold, label in (
@@ -287,13 +374,9 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     >>> cycle.exists, round(cycle.mean_p_r, 3)
     (True, 0.325)
     """
-    lower, upper = check_thresholds(tsc, lower, upper)
-    settling, cycles = ALONE
-    settle = settling * max(tsc.robot.time_constant, tsc.human.time_constant)
-    motions = np.empty((2, 6, 3))
-    for rested, rows in enumerate(motions):
-        system = tsc.constants(), lower, upper, bool(rested)
-        steady_motion(*system, settle, cycles, longest_phase(tsc), rows)
+    of_class("tsc", tsc, TscModel)
+    lower, upper = in_order("lower", lower, "upper", upper)
+    motions = from_both_starts([tsc], (lower, upper), ALONE)[:, 0, 0]
     motions = motions[~np.isnan(motions[:, R, LOW])]
     endless = endless_phase(tsc, lower, upper)
     always = len(motions) == 2 and not endless
@@ -303,16 +386,14 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     reason = "keeps switching" + (f"; but {endless}" if endless else "")
     if np.ptp(motions[:, R, :MEAN], axis=0).max() > COEXIST:
         reason += "; from rest it settles to another motion than from β, and ranges enclose both"
-    mean, beta = motions[0, :, MEAN], tsc.human.beta
-    around = (motions[:, R, LOW] <= beta) & (beta <= motions[:, R, HIGH])
+    mean = motions[0, :, MEAN]
     rows = np.column_stack([motions[:, :, LOW].min(axis=0), motions[:, :, HIGH].max(axis=0)])
     return LimitCycle(
         exists=True,
         reason=reason,
-        encloses_beta=bool(around.all()),
+        encloses_beta=bool(encloses_beta(motions, [tsc]).all()),
         mean_r=float(mean[R]),
         mean_p_r=float(mean[P_R]),
-        mean_p_h=float(mean[P_H]),
         **pair,
         **ends(
             r=rows[R],

@@ -17,6 +17,7 @@ from trustlab.allocation.steady import (
     LimitCycle,
     R,
     encloses_beta,
+    from_both_starts,
     grid_of_pairs,
     limit_cycle,
     points as points_of,
@@ -233,10 +234,10 @@ def choose_thresholds(
         raise ValueError(f"margin must lie in (0, 0.5), got {margin}")
     count = (14 if of_posterior else 24) if points is None else points
     count = whole_number("points", count, least=4, most=500)
-    if not isinstance(objective, str):
-        between("objective", objective, 0.0, 1.0)
-    else:
+    if isinstance(objective, str):
         one_of("objective", objective, OBJECTIVES, "a weight in [0, 1]")
+    else:
+        between("objective", objective, 0.0, 1.0)
     flag("enclose_beta", enclose_beta)
     if confidence is not None and not of_posterior:
         raise ValueError(
@@ -245,27 +246,26 @@ def choose_thresholds(
         )
     asked = 0.95 if confidence is None else open_unit("confidence", confidence)
     source: Any = tsc.model if isinstance(tsc, FitResult) else tsc
-    models = source.models if isinstance(source, Posterior) else [of_class("tsc", source, TscModel)]
+    models = source.models if of_posterior else [of_class("tsc", source, TscModel)]
     limits = _limits_of(models, delta_p_h)
     if limits.feasible:
         margin = share * (limits.upper - limits.lower)
         pairs = grid_of_pairs(limits.lower + margin, limits.upper - margin, count)
-        choice = _Search(models, pairs, objective, asked, enclose_beta).choice(tsc, limits, source)
+        search = _Search(models, pairs, objective, asked, enclose_beta)
+        choice = search.choice(source, limits, isinstance(tsc, FitResult))
     else:
         reason = _no_room(models, limits)
         nothing = pd.DataFrame(columns=COLUMNS, dtype=float)
-        message = f"No thresholds: {reason}"
-        values = np.nan, np.nan, np.nan, False, message, reason, limits, nothing
-        choice = ThresholdChoice(*values, tsc=source)
+        words = f"No thresholds: {reason}", reason
+        choice = ThresholdChoice(np.nan, np.nan, np.nan, False, *words, limits, nothing, source)
     doubt = ""
-    if isinstance(tsc, FitResult):
-        if not tsc.success:
-            doubt = (
-                f"The fit has success = False: {tsc.message} With posterior = "
-                "trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers "
-                "thresholds with a probability, or says what to record. "
-            )
-        choice = replace(choice, probability=np.nan, message=doubt + choice.message)
+    if isinstance(tsc, FitResult) and not tsc.success:
+        doubt = (
+            f"The fit has success = False: {tsc.message} With posterior = "
+            "trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers thresholds "
+            "with a probability, or says what to record. "
+        )
+    choice = replace(choice, message=doubt + choice.message)
     if choice.reason or doubt:
         warn(choice.message)
     return choice
@@ -293,104 +293,89 @@ class _Search:
         self.models, self.pairs = models, pairs
         self.asked, self.enclose = asked, enclose
         self.best = OBJECTIVES.get(str(objective), "greatest weighted performance")
+        self.condition = "keeps switching around β" if enclose else "keeps switching"
         some = models[:SCREENED]
         motions = survey(some, pairs, EFFORT)
-        switches = ~np.isnan(motions[:, :, R, LOW])
-        around = encloses_beta(motions, some)
-        self.share = (around if enclose else switches).mean(axis=0)
         beta = np.array([tsc.human.beta for tsc in some])[:, None]
-        apart = np.maximum(motions[:, :, R, LOW] - beta, beta - motions[:, :, R, HIGH])
-        self.apart = _expected(np.maximum(apart, 0.0))
-        peak = _expected(motions[:, :, P_R, HIGH])
-        value = peak
+        r_low, r_high, _ = motions[:, :, R].T.swapaxes(1, 2)
+        self.apart = _expected(np.maximum(np.maximum(r_low - beta, beta - r_high), 0.0))
+        value = peak = _expected(motions[:, :, P_R, HIGH])
         if objective != "peak":
             weight = 1.0 if objective == "mean" else float(objective)
             value = _expected(points_of(motions, some, weight))
-        shares = [each.mean(axis=0) for each in (switches, around)]
-        means = [_expected(motions[:, :, row, MEAN]) for row in (R, P_R)]
-        columns = *pairs.T, *shares, means[0], peak, means[1], value
+        shares = (~np.isnan(r_low)).mean(axis=0), encloses_beta(motions, some).mean(axis=0)
+        mean_r, mean_p_r = (_expected(motions[:, :, row, MEAN]) for row in (R, P_R))
+        columns = *pairs.T, *shares, mean_r, peak, mean_p_r, value
         self.table = pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
-
-    @property
-    def condition(self) -> str:
-        """What a pair is to do."""
-        return "keeps switching around β" if self.enclose else "keeps switching"
 
     def holds(self, motions: np.ndarray, models: list[TscModel]) -> np.ndarray:
         """Return whether models do what is asked, by model and pair."""
-        return encloses_beta(motions, models) if self.enclose else ~np.isnan(motions[:, :, R, LOW])
+        return encloses_beta(motions, models) if self.enclose else ~np.isnan(motions[..., R, LOW])
 
-    def choice(
-        self, tsc: TscModel | FitResult | Posterior, limits: ThresholdLimits, source: Any
-    ) -> ThresholdChoice:
+    def choice(self, source: Any, limits: ThresholdLimits, of_fit: bool) -> ThresholdChoice:
         """
         Return the best pair that does what is asked, or the nearest and why it is not offered;
         decided sample by sample, from β and from rest, for all models.
         """
-        able = self.share >= self.asked
-        value, mean = self.table[["objective", "mean_p_r"]].fillna(-np.inf).to_numpy().T
-        best_first = np.lexsort((-mean, -value))
-        nearest_first = np.lexsort((np.nan_to_num(self.apart, nan=np.inf), -self.share))
-        order = [*best_first[able[best_first]], *nearest_first[~able[nearest_first]]]
+        share = self.table["p_encloses" if self.enclose else "p_switches"]
+        able = share >= self.asked
+        first = np.where(able, self.table["objective"], share)
+        second = np.where(able, self.table["mean_p_r"], -self.apart)
+        order = np.lexsort((-second, -first, ~able))
         probability = -1.0
         for k in order[: FOLLOWED if able.any() else 1]:
-            pair = self.pairs[k : k + 1]
-            both = [survey(self.models, pair, rested=rested) for rested in (False, True)]
-            holds = self.holds(both[0], self.models) & self.holds(both[1], self.models)
-            if holds.mean() > probability:
-                probability, (lower, upper) = float(holds.mean()), pair[0].tolist()
-                around = np.all([encloses_beta(each, self.models) for each in both], axis=0)
-                r_low, r_high, _ = both[0][0, 0, R]
+            motions = from_both_starts(self.models, self.pairs[k])
+            holds = self.holds(motions, self.models).all(axis=0).mean()
+            if holds > probability:
+                probability, (lower, upper) = float(holds), self.pairs[k].tolist()
+                around = encloses_beta(motions, self.models).all(axis=0).mean()
+                r_low, r_high, _ = motions[0, 0, 0, R]
             if probability >= self.asked:
                 break
-        if probability >= self.asked:
-            reason, message = "", self._offered((lower, upper), limits, probability, tsc)
-        else:
+        reason = ""
+        if probability < self.asked:
             low, high = self.pairs.min(), self.pairs.max()
             reason = f"no pair between {low:.3f} and {high:.3f} {self.condition}"
-            beta = self.models[0].human.beta
-            if isinstance(tsc, Posterior):
+            if not isinstance(source, TscModel):
                 reason += (
                     f" with probability {self.asked:g}; the nearest does with {probability:.2f}. "
-                    + self._what_would_help(tsc)
+                    + self._what_would_help(source)
                 )
             elif self.enclose:
                 reason += (
-                    f" = {beta:.3g}; under the nearest utilization stays within {r_low:.3f} to "
-                    f"{r_high:.3f}. A smaller margin may come nearer, a wider range of robot "
-                    "performance moves the limits apart, and enclose_beta=False asks for "
+                    f" = {source.human.beta:.3g}; under the nearest utilization stays within "
+                    f"{r_low:.3f} to {r_high:.3f}. A smaller margin may come nearer, a wider range "
+                    "of robot performance moves the limits apart, and enclose_beta=False asks for "
                     "switching only."
                 )
-            message = f"No thresholds: {reason}"
-        encloses = bool(around.mean() >= self.asked)
-        values = lower, upper, probability, encloses, message, reason, limits, self.table
-        return ThresholdChoice(*values, tsc=source)
-
-    def _offered(
-        self,
-        pair: tuple[float, float],
-        limits: ThresholdLimits,
-        probability: float,
-        tsc: TscModel | FitResult | Posterior,
-    ) -> str:
-        """Say what is offered, how sure it is, and where it lies beside the limits."""
-        sure = "for exactly this model"
-        if isinstance(tsc, Posterior):
-            sure = f"with probability {probability:.2f} (asked for: {self.asked:g})"
-        elif isinstance(tsc, FitResult):
-            sure = "for the estimate alone (trustlab.sample_posterior gives a probability)"
-        message = (
-            f"Thresholds {pair[0]:.3f} and {pair[1]:.3f}: the rule {self.condition} {sure}; of the "
-            f"pairs that do they reach the {self.best}. Limits: {limits.message}."
+        message = f"No thresholds: {reason}"
+        if not reason:
+            sure = "for exactly this model"
+            if not isinstance(source, TscModel):
+                sure = f"with probability {probability:.2f} (asked for: {self.asked:g})"
+            elif of_fit:
+                sure = "for the estimate alone (trustlab.sample_posterior gives a probability)"
+            message = (
+                f"Thresholds {lower:.3f} and {upper:.3f}: the rule {self.condition} {sure}; of the "
+                f"pairs that do they reach the {self.best}. Limits: {limits.message}."
+                + self._beside_theorem_1(lower, upper)
+            )
+        probability = np.nan if of_fit else probability
+        words = message, reason
+        encloses = bool(around >= self.asked)
+        return ThresholdChoice(
+            lower, upper, probability, encloses, *words, limits, self.table, source
         )
-        if len(self.models) == 1:
-            own = threshold_limits(self.models[0], None)
-            if not own.contains(*pair):
-                message += (
-                    f" Theorem 1 does not cover the pair at the model's own δ_Ph: {own.message}; "
-                    "that it keeps switching is seen from its motion."
-                )
-        return message
+
+    def _beside_theorem_1(self, lower: float, upper: float) -> str:
+        """Say where a model's own δ_Ph leaves the pair outside the limits of Theorem 1."""
+        own = threshold_limits(self.models[0], None)
+        if len(self.models) > 1 or own.contains(lower, upper):
+            return ""
+        return (
+            f" Theorem 1 does not cover the pair at the model's own δ_Ph: {own.message}; that it "
+            "keeps switching is seen from its motion."
+        )
 
     def _what_would_help(self, posterior: Posterior) -> str:
         """Say how much longer to record, as if draws came nearer to their mean."""

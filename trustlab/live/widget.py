@@ -11,7 +11,7 @@ from weakref import WeakValueDictionary
 
 import pandas as pd
 
-from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
+from trustlab.allocation.limits import check_thresholds
 from trustlab.live.log import LogError
 from trustlab.live.study.pages import read_words
 from trustlab.live.task import LiveTask, prepare
@@ -249,8 +249,7 @@ class LiveGroundRobot(LiveWidget):
                     f"{condition} needs thresholds=(TSC_l, TSC_u); take them from "
                     "trustlab.choose_thresholds(model)"
                 )
-            pair = threshold_pair("threshold", thresholds)
-            thresholds = check_thresholds(model, *pair, threshold_limits(model))
+            thresholds = check_thresholds(model, thresholds)
         elif thresholds is not None:
             raise ValueError(f"thresholds have no effect in {condition}; leave them out")
         config = ground_robot.drive_config(

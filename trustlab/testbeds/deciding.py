@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
+from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.rules import decision, performance_suggestion, prepared_rule
 from trustlab.models.checks import one_of, shown, warn, whole_seed
 from trustlab.models.compiled import inner
@@ -127,8 +127,7 @@ def task_for(
                 f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and "
                 ".upper of trustlab.choose_thresholds(model), or those of Table 2.2"
             )
-        pair = threshold_pair("threshold", pair)
-        thresholds = check_thresholds(model, *pair, threshold_limits(model))
+        thresholds = check_thresholds(model, pair)
     elif thresholds is not None:
         raise ValueError(
             f"thresholds have no effect in {condition}, where the operator's own, "

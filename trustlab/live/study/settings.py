@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
+from trustlab.allocation.limits import check_thresholds
 from trustlab.live.task import MOST_DELAY
 from trustlab.models.checks import between, of_class, positive, shown, whole_number
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
@@ -86,8 +86,7 @@ class DriveSettings:
         """Return the settings as plain values for `study.json`."""
         model = self.model or published_model(STAND_IN)
         pair = self.thresholds or published_thresholds(STAND_IN)
-        of_class("model", model, TscModel)
-        pair = check_thresholds(model, *threshold_pair("threshold", pair), threshold_limits(model))
+        pair = check_thresholds(model, pair)
         return {
             "laps": whole_number("laps", self.laps, most=1000),
             "training": positive("training", self.training),
