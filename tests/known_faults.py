@@ -239,9 +239,6 @@ KNOWN = {
         "topics": "foreign errors",
         "facts": "NaN is taken",
     },
-    "studies.Simulation": {
-        "n_jobs": "anything is taken",
-    },
     "studies.StudyColumns": {
         "dv": "NaN is taken",
         "within": "NaN is taken",

@@ -19,7 +19,7 @@ from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.reading import read_session
 from trustlab.sessions.session import Session
 from trustlab.sessions.writing import write_recording, write_session
-from trustlab.studies.planning.virtual_study import KEYS
+from trustlab.studies.virtual_study import KEYS
 from trustlab.testbeds.condition_run import condition_measures
 
 LOG = ".jsonl"

@@ -24,16 +24,17 @@ from .paired import (
     paired_t_test as paired_t_test,
 )
 from .pairs import holm as holm
-from .planning.conditions import (
+from .power import (
     Conditions as Conditions,
+    PowerAnalysis as PowerAnalysis,
     Simulation as Simulation,
+    SmallestN as SmallestN,
     StudyColumns as StudyColumns,
     clopper_pearson as clopper_pearson,
     graded_covariance as graded_covariance,
+    power_analysis as power_analysis,
+    smallest_n as smallest_n,
 )
-from .planning.power import PowerAnalysis as PowerAnalysis, power_analysis as power_analysis
-from .planning.smallest_n import SmallestN as SmallestN, smallest_n as smallest_n
-from .planning.virtual_study import VirtualStudy as VirtualStudy, virtual_study as virtual_study
 from .questionnaires import (
     NASA_TLX as NASA_TLX,
     TRUST_CHECKLIST as TRUST_CHECKLIST,
@@ -50,5 +51,6 @@ from .repeated_measures import (
     repeated_measures as repeated_measures,
 )
 from .report import StudyReport as StudyReport, report as report
+from .virtual_study import VirtualStudy as VirtualStudy, virtual_study as virtual_study
 from .winsorize import Winsorized as Winsorized, winsorize as winsorize
 from .words import apa_p as apa_p

@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from numpy.random import SeedSequence
 
@@ -32,8 +31,8 @@ ORIGIN = "simulated operators"
 # Columns of the table of measures that identify a session.
 KEYS = ("participant", "position", "condition", "synthetic")
 
-TEST = ("n", "k", "F", "df1", "df2", "p", "correction", "epsilon_gg")
-EFFECT = ("eta2_partial", "eta2_partial_low", "eta2_partial_high")
+TEST = ["n", "k", "F", "df1_corrected", "df2_corrected", "p_corrected", "correction"]
+TEST += ["epsilon_gg", "eta2_partial", "eta2_partial_low", "eta2_partial_high"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,13 +97,15 @@ class VirtualStudy(Result):
         ValueError
             If a column is missing or unknown, a condition is not the study's, or a participant is.
         """
-        for name in (*KEYS, *measures.columns):
-            one_of("a column of measures", name, [*KEYS, *self.names])
-            one_of("a column of measures", name, measures.columns)
+        names = {*measures.columns}
+        if not {*KEYS} <= names <= {*KEYS, *self.names}:
+            raise ValueError(
+                f"measures must have the columns {KEYS}, and of {self.names} those that were "
+                f"measured, got {[*measures.columns]}"
+            )
         for condition in measures["condition"].unique():
             one_of("condition", condition, self.conditions)
-        twice = set(measures["participant"]) & set(self.measures["participant"])
-        if twice:
+        if twice := {*measures["participant"]} & {*self.measures["participant"]}:
             raise ValueError(f"participant {twice.pop()!r} is in the study already; rename theirs")
         kind = self.measures["condition"].dtype
         frames = [self.measures.astype({"condition": object}), measures]
@@ -155,21 +156,15 @@ class VirtualStudy(Result):
             measured = [condition for condition in self.conditions if complete[condition]]
             lacking = ", ".join(name for name in self.conditions if name not in measured)
             note = f"without {lacking}, which do not have it for everyone" if lacking else ""
-            row: dict[str, Any] = dict.fromkeys([*TEST, *EFFECT], np.nan)
+            row = {"measure": name, "conditions": " ".join(measured), "correction": ""}
             try:
-                if len(measured) < 2:
-                    raise ValueError(
-                        "fewer than two conditions have this measure for every participant"
-                    )
-                result = self.analysis(name, measured)
+                row |= self.analysis(name, measured).tests.loc[0, TEST].to_dict()
             except ValueError as error:
-                row, note = row | {"correction": ""}, str(error)
-            else:
-                row = {key: getattr(result, key) for key in row}
-                row |= {key: getattr(result, f"{key}_corrected") for key in ("df1", "df2", "p")}
-            conditions = " ".join(measured)
-            rows.append({"measure": name, "conditions": conditions, **row, "note": note})
-        return labelled(pd.DataFrame(rows), self.origin)
+                note = str(error)
+            rows.append(row | {"note": note})
+        table = pd.DataFrame(rows, columns=["measure", "conditions", *TEST, "note"])
+        table.columns = table.columns.str.removesuffix("_corrected")
+        return labelled(table, self.origin)
 
     def plot(self, measures: Sequence[str] | None = None):
         """
@@ -186,13 +181,11 @@ class VirtualStudy(Result):
         """
         measures = self.testbed.measures if measures is None else measures
         names = [measures] if isinstance(measures, str) else list(measures)
-        results = [self.analysis(name) for name in names]
         title = f"{self.origin}, n = {self.measures['participant'].nunique()}"
         size = (2.5 * len(names), 3.2)
         axes = axes_or_new(None, 1, len(names), title, squeeze=False, figsize=size)[0]
-        for axis, result in zip(axes, results, strict=True):
-            result.plot(axis)
-            axis.set(title="", xlabel="")
+        for axis, name in zip(axes, names, strict=True):
+            self.analysis(name).plot(axis).set(title="", xlabel="")
         return axes
 
     @property
@@ -357,19 +350,14 @@ def _fitting(
         (item.title, partial(copy, item)) if hasattr(item, "leader") else item
         for item in conditions or ()
     ]
-    pairs = [item for item in listed if isinstance(item, tuple) and len(item) == 2]
-    rules = dict(pairs)
-    names: Any = tuple(item[0] if item in pairs else item for item in listed)
+    rules = dict(item for item in listed if isinstance(item, tuple))
+    names = tuple(item[0] if isinstance(item, tuple) else item for item in listed)
     if any("/" in str(name) for name in rules):  # it becomes part of file names
         raise ValueError(f"conditions: the name of a rule must be text without /, got {[*rules]}")
     if testbed is None:
         kinds: Mapping[str, Any] = TESTBEDS
-        printed = [name for name in names if name not in [*rules]]
-        fitting = [
-            title
-            for title, kind in kinds.items()
-            if all(name in kind.conditions for name in printed)
-        ]
+        known = {title: [*kind.conditions, *rules] for title, kind in kinds.items()}
+        fitting = [title for title in known if all(name in known[title] for name in names)]
         testbed = fitting[0] if fitting else "ground_robot"
     bed = named_testbed(testbed, laps)
     if rules:
@@ -428,35 +416,24 @@ def _study_folder(out: str | os.PathLike) -> Path:
     if not isinstance(out, str | os.PathLike):
         raise ValueError(f"out must be the path of a folder, got {shown(out)}")
     folder = Path(out)
-    if not (folder / "campaign" / "campaign.json").is_file():
-        strange = [path.name for path in folder.rglob("*") if path.is_file()]
-        if strange:
-            raise ValueError(
-                f"out: {folder} holds {min(strange)}, which is not known to be of this study; give "
-                "a new or empty folder"
-            )
+    begun = (folder / "campaign" / "campaign.json").is_file()
+    if not begun and any(path.is_file() for path in folder.rglob("*")):
+        raise ValueError(
+            f"out: {folder} holds files that are not known to be of this study; give a new or "
+            "empty folder"
+        )
     (folder / "sessions").mkdir(parents=True, exist_ok=True)
     return folder
 
 
 def _finish(folder: Path, study: VirtualStudy) -> None:
-    """Check that every session is there, and write the tables beside them."""
-    orders = study.design.orders()
-    rows = orders[~orders["participant"].isin(study.failures["participant"])]
-    names = [session_file(*row) for row in rows.itertuples(index=False)]
-    missing = [name for name in names if not (folder / "sessions" / name).is_file()]
-    if missing:
-        raise ValueError(
-            f"{len(missing)} of {len(names)} sessions are missing from {folder / 'sessions'} "
-            f"({missing[0]} first), although the campaign beside it says that they were run; "
-            "remove the folder and run the study again"
-        )
+    """Write the tables beside the sessions."""
     about = (
         f"SIMULATED. {study.title}: {study.message}\nOne file per session in sessions/: "
         "trustlab.read_sessions reads them.\n"
     )
     study.participants.to_csv(folder / "participants.csv", index=False)
-    orders.to_csv(folder / "orders.csv", index=False)
+    study.design.orders().to_csv(folder / "orders.csv", index=False)
     study.measures.to_csv(folder / "measures.csv", index=False)
     (folder / "about.txt").write_text(about, encoding="utf-8")
 

@@ -1,0 +1,245 @@
+"""
+Power. Oracles: the noncentral F of SciPy, a plain loop of tl.repeated_measures over the same draws,
+sums of squares by hand, theorems.
+"""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy import stats
+
+import trustlab as tl
+from tests.studies.scores import COLUMNS, drawn, long
+from trustlab.studies import Conditions, Simulation, StudyColumns, graded_covariance
+from trustlab.studies.power import TESTS
+
+MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
+SMALL = Simulation(replicates=200, seed=3)
+
+
+def noncentral_f(n, k, strength, alpha=0.05):
+    df1, df2 = k - 1, (k - 1) * (n - 1)
+    return stats.ncf.sf(stats.f.isf(alpha, df1, df2), df1, df2, strength)
+
+
+# --- populations ----------------------------------------------------------------------------------
+
+
+@given(st.integers(2, 9), st.floats(0.0, 1.0), st.floats(0.02, 1.0), st.floats(0.01, 100.0))
+@settings(max_examples=150, deadline=None, derandomize=True)
+def test_a_graded_covariance_has_what_was_asked_for(k, place, share, sd):
+    d = k - 1
+    rho = -1.0 / d + (1.0 / d + 0.99) * (0.001 + 0.998 * place)
+    epsilon = 1.0 if d == 1 else 1.0 / d + (1.0 - 1.0 / d) * share
+    matrix = graded_covariance(k, rho, epsilon, sd)
+    population = Conditions(tuple(range(k)), np.arange(float(k)), matrix)
+    assert np.trace(matrix) / k == pytest.approx(sd**2, rel=1e-9)
+    assert population.correlation == pytest.approx(rho, abs=1e-9)
+    assert population.epsilon == pytest.approx(epsilon, abs=1e-7)
+    assert np.linalg.eigvalsh(matrix)[0] > 0.0
+
+
+@given(st.floats(0.001, 0.95), st.integers(0, 50))
+@settings(max_examples=50, deadline=None, derandomize=True)
+def test_an_effect_is_reached_and_its_pattern_kept(eta2, seed):
+    """Oracle: S/(S + tr M), the covariance of contrasts by centring rows and columns."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((4, 4))
+    population = Conditions(range(4), rng.normal(size=4), root @ root.T + 0.1 * np.eye(4))
+    scaled = population.with_effect(eta2)
+    s = ((scaled.mean - scaled.mean.mean()) ** 2).sum()
+    trace = np.trace((np.eye(4) - 0.25) @ population.covariance)
+    assert s / (s + trace) == pytest.approx(eta2, rel=1e-9)
+    assert scaled.mean.mean() == pytest.approx(population.mean.mean(), abs=1e-9)
+    assert np.corrcoef(scaled.mean, population.mean)[0, 1] == pytest.approx(1.0, abs=1e-9)
+    assert np.ptp(population.with_effect(0.0).mean) == 0.0
+
+
+# --- simulation beside closed forms ---------------------------------------------------------------
+
+
+def test_fifteen_cases_agree_with_the_noncentral_f():
+    """36 × 5, 10,000 studies each; cases of one size share their draws."""
+    of = {"n": [12, 36, 60], "effect_size": [0.01, 0.03, 0.05, 0.08, 0.12]}
+    many = Simulation(replicates=10_000, seed=4)
+    found = tl.power_analysis(MEANS, graded_covariance(5), **of, simulation=many)
+    rows = found.table().query("test == 'none'")
+    oracle = noncentral_f(rows["n"], 5, rows["n"] * 4 / (1.0 / rows["effect_size"] - 1.0))
+    np.testing.assert_allclose(rows["closed_form"], oracle, atol=1e-10)
+    z = (rows["power"] - oracle) / np.sqrt(oracle * (1.0 - oracle) / rows["replicates"])
+    assert len(z) == 15
+    assert z.abs().max() < 4.0
+    assert (rows["ci_low"] < rows["power"]).all()
+    assert (rows["power"] < rows["ci_high"]).all()
+
+
+@pytest.mark.parametrize(("n", "k"), [(12, 4), (3, 5)])
+def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
+    claims = [(k, 1), (2, k)]
+    matrix, mean = graded_covariance(k, 0.4, 0.5, 1.0), np.linspace(0.0, 1.5, k)
+    found = tl.power_analysis(mean, matrix, n=n, simulation=SMALL, claims=claims)
+    rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(n,)))
+    scores = rng.standard_normal((200, n, k)) @ np.linalg.cholesky(matrix).T + mean
+    hits, together = 0, 0
+    for study in scores:
+        result = tl.repeated_measures(long(study, range(1, k + 1)), **COLUMNS)
+        hits = hits + (pd.Series([result.p, result.p_gg, result.p_hf], TESTS) < 0.05)
+        table = result.pairs().set_index(["a", "b"])
+        right = (table["p_holm"] < 0.05) & (table["mean_difference"] < 0)  # means rise
+        together += bool(right[(1, k)] and right[(2, k)] and result.p_gg < 0.05)
+    rows = found.table().set_index("test")["power"] * 200
+    assert rows.round().to_dict() == hits.to_dict()
+    claimed = found.claims().set_index("adjust").loc["holm"]
+    assert (round(claimed["power"] * 200), claimed["claims"]) == (together, 2)
+
+
+CELLS = pd.MultiIndex.from_product([["low", "high"], ["easy", "medium", "hard"]])
+TWO_WAY = pd.Series([0.0, 0.3, 0.1, 0.2, 0.6, 0.7], CELLS)
+MIXED = pd.Series({("g", 0.0): 0.0, ("g", 1.0): 0.3, ("h", 0.0): 0.0, ("h", 1.0): 0.8})
+FACTORS = StudyColumns(within=["autonomy", "difficulty"])
+
+
+@pytest.mark.parametrize(
+    ("mean", "covariance", "columns"),
+    [
+        (TWO_WAY, graded_covariance(6), FACTORS),
+        (MIXED, graded_covariance(2, 0.4), StudyColumns(within="test", between="group")),
+    ],
+)
+def test_several_factors_agree_with_the_closed_form(mean, covariance, columns):
+    simulation = Simulation(replicates=4000)
+    power = tl.power_analysis(mean, covariance, columns=columns, n=[12, 24], simulation=simulation)
+    closed = power.table().dropna(subset="closed_form")
+    assert set(closed["effect"]) == set(power.table()["effect"])
+    exact = closed["closed_form"]
+    error = np.sqrt(exact * (1.0 - exact) / 4000)
+    assert ((closed["power"] - exact).abs() < 4.0 * error + 1e-12).all()
+
+
+def test_closed_form_is_the_noncentral_f_written_out():
+    """Autonomy has one contrast; difficulty by sums of squares of the marginal means."""
+    power = tl.power_analysis(
+        TWO_WAY, graded_covariance(6), columns=FACTORS, n=24, simulation=SMALL
+    )
+    closed = power.table().query("test == 'none'").set_index("effect")["closed_form"]
+    wide = TWO_WAY.to_numpy().reshape(2, 3)
+    difference = np.diff(wide.mean(axis=1)).item() ** 2
+    variance = 2.0 / 3.0 * (1.0 - 0.5)  # of a difference of means of three cells
+    assert closed["autonomy"] == pytest.approx(noncentral_f(24, 2, 24 * difference / variance))
+    spread = ((wide.mean(axis=0) - wide.mean()) ** 2).sum() * 2
+    assert closed["difficulty"] == pytest.approx(noncentral_f(24, 3, 24 * spread / (1.0 - 0.5)))
+
+
+def test_a_grid_is_drawn():
+    grid = {"n": [5, 9], "effect_size": [0.1, 0.3], "simulation": SMALL}
+    found = tl.power_analysis([0, 1], graded_covariance(2), **grid)
+    assert len(found.table()) == 2 * 2 * len(TESTS)
+    axes = found.plot()
+    assert axes.get_xlabel() == "participants n"
+    assert len(axes.get_legend().get_texts()) == 2
+    assert "simulated studies" in found._repr_html_()
+
+
+# --- pilot studies --------------------------------------------------------------------------------
+
+
+def test_a_pilot_study_is_the_population():
+    """Oracle: means and pooled covariance of the groups, given as such."""
+    order = {"autonomy": ["low", "high"], "difficulty": ["easy", "medium", "hard"]}
+    frame = drawn(20, **order)
+    frame.attrs["synthetic"] = True
+    columns = StudyColumns("score", [*order], "person", "group", order)
+    with pytest.warns(UserWarning, match="covariance is that of synthetic data"):
+        found = tl.power_analysis(data=frame, n=8, columns=columns, simulation=SMALL)
+    wide = frame.pivot_table(index=["group", "person"], columns=[*order], values="score")
+    wide = wide[list(CELLS)]
+    residual = wide - wide.groupby("group").transform("mean")
+    index = pd.MultiIndex.from_tuples([(g, *cell) for g in ("expert", "novice") for cell in CELLS])
+    mean = pd.Series(wide.groupby("group").mean().to_numpy().ravel(), index)
+    covariance = residual.T @ residual / 18
+    given = tl.power_analysis(mean, covariance, n=8, columns=columns, simulation=SMALL)
+    pd.testing.assert_frame_equal(found.table(), given.table(), rtol=1e-9)
+    assert "synthetic data" in found.plot().get_title()
+
+
+PILOT = drawn(30, mode=["C1", "C2", "C3"]).assign(score=lambda f: 2.0 + 0.3 * f["score"])
+
+
+def planned(*population, **more):
+    columns = StudyColumns(**COLUMNS) if "data" in more else StudyColumns()
+    return tl.smallest_n(0.8, *population, **more, columns=columns, simulation=SMALL)
+
+
+def test_means_beside_data_take_the_spread_of_the_pilot():
+    wide = PILOT.pivot_table(index="person", columns="mode", values="score")[["C3", "C1"]]
+    plan = planned({"C3": 2.1, "C1": 2.0}, data=PILOT)
+    expected = planned([2.1, 2.0], np.cov(wide.to_numpy().T))
+    assert (plan.n, plan.power) == (expected.n, expected.power)
+    assert plan.population.labels == ("C3", "C1")
+    with pytest.raises(ValueError, match=r"mean names \['C9'\], but data hold"):
+        planned({"C1": 2.0, "C9": 2.1}, data=PILOT)
+
+
+def test_a_plan_says_what_it_assumes():
+    with pytest.warns(UserWarning, match="covariance is that of synthetic data"):
+        plan = planned({"C1": 2.0, "C3": 2.1}, data=PILOT.assign(synthetic=True))
+    for words in (
+        f"A sample of {plan.n} participants",
+        "200 simulated studies (seed 3)",
+        "95% CI [",
+        "C1 2 (",
+        "The covariance is that of synthetic data",
+    ):
+        assert words in plan.apa()
+    wide = tl.smallest_n(0.8, [0, 1], np.eye(2), simulation=Simulation(replicates=100, level=0.8))
+    assert "80% CI [" in wide.apa()
+
+
+@pytest.mark.parametrize(
+    ("chosen", "test", "closed"),
+    [
+        ({"effect_size": 0.1, "test": "none"}, "F, none", lambda n: noncentral_f(n, 5, n * 4 / 9)),
+        (
+            {"pair": (5, 1), "test": "bonferroni"},
+            "5 – 1, bonferroni",
+            lambda n: noncentral_f(n, 2, n * 0.5**2, 0.005),
+        ),
+    ],
+)
+def test_the_smallest_n_is_that_of_the_closed_form(chosen, test, closed):
+    many = Simulation(replicates=4000, seed=2)
+    found = tl.smallest_n(0.8, MEANS, graded_covariance(5), **chosen, simulation=many)
+    exact = next(n for n in range(3, 400) if closed(n) >= 0.8)
+    assert abs(found.n - exact) <= 0.05 * exact
+    assert found.ci_low <= closed(found.n) <= found.ci_high
+    assert found.test == test
+    assert found.whole_squares % 10 == 0
+    assert found.whole_squares >= found.n
+    if "pair" not in chosen:
+        of = {"n": [found.n - 1, found.n], "effect_size": 0.1, "simulation": many}
+        power = tl.power_analysis(MEANS, graded_covariance(5), **of).table()
+        less, enough = power.query("test == 'none'")["power"]
+        assert less < 0.8 <= enough == found.power
+
+
+# --- refusals -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"covariance": np.eye(3) + np.eye(3, k=1)}, "symmetric and positive definite"),
+        ({"covariance": np.ones((3, 3))}, "positive definite; its least eigenvalue"),
+        ({"claims": [(1, 2), (2, 1)]}, r"claims must be different pairs \(a, b\) of \[1, 2, 3\]"),
+        ({"claims": [(1, 1)]}, "claims must be different pairs"),
+        ({"data": pd.DataFrame()}, "data= takes the place of covariance="),
+        ({"mean": TWO_WAY.iloc[:-1], "columns": FACTORS}, r"no number for cell \('high', 'hard'\)"),
+        ({"mean": TWO_WAY, "columns": FACTORS, "effect_size": 0.2}, "effect_size has no effect"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(arguments, message):
+    size = 6 if "columns" in arguments else 3
+    population = {"mean": [0.0, 0.5, 1.0], "covariance": graded_covariance(size)}
+    with pytest.raises(ValueError, match=message):
+        tl.power_analysis(**population | arguments, simulation=SMALL)

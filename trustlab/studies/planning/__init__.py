@@ -1,1 +1,0 @@
-"""Planning of studies: power by simulation, and whole studies with simulated participants."""

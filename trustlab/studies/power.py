@@ -1,0 +1,892 @@
+"""
+Power of within-subject, factorial and mixed designs by simulated studies, and the smallest n that
+reaches a power.
+"""
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations, product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.random import SeedSequence
+from numpy.typing import ArrayLike
+from scipy import special
+from scipy.optimize import brentq
+
+from trustlab.models.checks import (
+    finite_number,
+    finite_numbers,
+    of_class,
+    one_of,
+    open_unit,
+    positive,
+    shown,
+    warn,
+    whole_number,
+)
+from trustlab.models.display import axes_or_new
+from trustlab.studies.anova import (
+    Design,
+    effect_name,
+    effects,
+    orthonormal_contrasts,
+    regress,
+    sphericity,
+)
+from trustlab.studies.designs import participants_needed
+from trustlab.studies.pairs import condition_pairs
+from trustlab.studies.repeated_measures import repeated_measures
+from trustlab.studies.table import Tested, labelled, labels_of, names_of
+from trustlab.studies.words import apa_number
+
+# What power is computed against, and how a figure labels it.
+AXES = {
+    "n": "participants n",
+    "effect": "effect",
+    "effect_size": "population partial η²",
+    "epsilon": "ε of the population",
+}
+# Corrections of the omnibus F, and adjustments of the pairs: their p-values by name.
+TESTS = {"none": "p", "greenhouse-geisser": "p_gg", "huynh-feldt": "p_hf"}
+ADJUSTMENTS = {"none": "p", "bonferroni": "p_bonferroni", "holm": "p_holm"}
+# The correction that `repeated_measures` makes by default.
+USUAL_TEST = "greenhouse-geisser"
+MOST_N = 100_000
+# Scores drawn at once.
+SCORES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """
+    How studies are simulated and tested.
+
+    Parameters
+    ----------
+    replicates : int
+        Simulated studies per cell, at least 100.
+    seed : int
+        Seed of the draws. All populations of a size share their draws, whatever their place in
+        a grid.
+    alpha : float
+        Level of all tests, in (0, 1).
+    level : float
+        Coverage of the Monte-Carlo intervals (Clopper–Pearson), in (0, 1).
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    """
+
+    replicates: int = 10_000
+    seed: int = 0
+    alpha: float = 0.05
+    level: float = 0.95
+
+    def __post_init__(self):
+        open_unit("alpha", self.alpha)
+        open_unit("level", self.level)
+        whole_number("replicates", self.replicates, least=100, most=10_000_000)
+        whole_number("seed", self.seed, least=0)
+
+
+@dataclass(frozen=True)
+class StudyColumns:
+    """
+    Columns of a pilot study's table, or levels of the index of its means.
+
+    Parameters
+    ----------
+    dv, subject : hashable
+        Columns of the measure and of the participants.
+    within : hashable or list of hashable
+        The factor or factors within subjects.
+    between : hashable or list of hashable, optional
+        Factors between subjects, which come first in the index of the means.
+    order : sequence or dict, optional
+        Order of the conditions; of several factors, a dict of factor to levels.
+    """
+
+    dv: Hashable = "value"
+    within: Hashable | list[Hashable] = "condition"
+    subject: Hashable = "subject"
+    between: Hashable | list[Hashable] | None = None
+    order: Any = None
+
+
+USUAL_SIMULATION = Simulation()
+USUAL_COLUMNS = StudyColumns()
+
+
+# --- the population -------------------------------------------------------------------------------
+
+
+def graded_covariance(
+    k: int, correlation: float = 0.5, epsilon: float = 1.0, sd: float = 1.0
+) -> np.ndarray:
+    """
+    Return a covariance of k conditions with a wanted mean correlation and ε.
+
+    The variances of the k − 1 orthonormal polynomial contrasts (linear first) form a geometric
+    sequence, falling so steeply that ε comes out; their mean is σ² (1 − ρ), and that of the sum
+    over conditions is σ² (1 + (k − 1) ρ). ε = 1 is compound symmetry. Mean variance and mean
+    covariance are σ² and ρ σ². With ε below 1 power depends on which contrasts vary most: this is
+    one choice.
+
+    Parameters
+    ----------
+    k : int
+        Conditions, at least 2.
+    correlation : float
+        ρ, between −1/(k − 1) and 1.
+    epsilon : float
+        ε, above 1/(k − 1) and at most 1; for k = 2 it is 1.
+    sd : float
+        σ, the root of the mean variance.
+
+    Returns
+    -------
+    numpy.ndarray, shape (k, k)
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+    """
+    d = whole_number("k", k, least=2, most=1000) - 1
+    rho, eps = finite_number("correlation", correlation), finite_number("epsilon", epsilon)
+    sd = positive("sd", sd)
+    possible = 1.0 / d < eps <= 1.0 or eps == d == 1
+    if not (possible and -1.0 / d < rho < 1.0):
+        raise ValueError(
+            f"correlation = {rho:g}, epsilon = {eps:g}: {d + 1} conditions have a correlation "
+            f"between {-1.0 / d:.4g} and 1, and an ε above {1.0 / d:.4g} up to 1"
+        )
+
+    def shares(log_ratio: float) -> np.ndarray:
+        return special.softmax(log_ratio * np.arange(d))
+
+    def excess(log_ratio: float) -> float:
+        return 1.0 / (d * (shares(log_ratio) ** 2).sum()) - eps
+
+    ratio = brentq(excess, -60.0, 0.0, xtol=1e-14, rtol=1e-14) if eps < 1.0 - 1e-12 else 0.0
+    variances = d * sd**2 * (1.0 - rho) * shares(ratio)
+    # Powers of x span the same spaces, but are nearly dependent beyond a dozen conditions.
+    basis = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, d + 1), d))[0]
+    together = sd**2 * (1.0 + d * rho)
+    return basis @ np.diag(np.r_[together, variances]) @ basis.T
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """
+    Population from which studies are drawn: normal scores with these means and this covariance.
+
+    Parameters
+    ----------
+    labels : tuple
+        Conditions; of several factors the cells, the last factor varying fastest.
+    mean : numpy.ndarray, shape (k,) or (groups, k)
+        Their means, in each group.
+    covariance : numpy.ndarray, shape (k, k)
+        Positive definite.
+    origin : str
+        Where they come from, if not given as numbers ("reconstructed data" …).
+    within, between : mapping of str to sequence
+        Factors and their levels; "condition" with the labels when not given.
+
+    Raises
+    ------
+    ValueError
+        If sizes differ, labels repeat, or the covariance is not positive definite.
+    """
+
+    labels: Sequence[Hashable]
+    mean: np.ndarray
+    covariance: np.ndarray
+    origin: str = ""
+    within: Mapping[Any, Sequence] = field(default_factory=dict)
+    between: Mapping[Any, Sequence] = field(default_factory=dict)
+
+    def __post_init__(self):
+        labels = labels_of("labels", self.labels, 2)
+        mean = finite_numbers("mean", self.mean)
+        covariance = finite_numbers("covariance", self.covariance)
+        k = len(labels)
+        if mean.shape[-1:] != (k,) or covariance.shape != (k, k):
+            raise ValueError(
+                f"mean and covariance must be of the {k} conditions {[*labels]}, got shapes "
+                f"{mean.shape} and {covariance.shape}"
+            )
+        least, *_, greatest = np.linalg.eigvalsh(covariance)
+        asymmetry = np.abs(covariance - covariance.T).max()
+        if asymmetry > 1e-8 * greatest or least <= 1e-12 * greatest:
+            raise ValueError(
+                f"covariance must be symmetric and positive definite; its least eigenvalue is "
+                f"{least:.6g}, the greatest {greatest:.6g}"
+            )
+        within = self.within or {"condition": labels}
+        self.__dict__.update(labels=labels, mean=mean, covariance=covariance, within=within)
+
+    @property
+    def simulated_origin(self) -> str:
+        """Where results of studies drawn from this population come from, for captions."""
+        return "simulated studies" + (f", from {self.origin}" if self.origin else "")
+
+    @property
+    def contrasts(self) -> np.ndarray:
+        """Covariance of orthonormal contrasts, shape (k − 1, k − 1)."""
+        c = orthonormal_contrasts(len(self.labels))
+        return c.T @ self.covariance @ c
+
+    @property
+    def epsilon(self) -> float:
+        """ε of the population; 1 where sphericity holds."""
+        return float(sphericity(self.contrasts, len(self.labels))["epsilon_gg"])
+
+    @property
+    def correlation(self) -> float:
+        """Mean covariance between conditions over their mean variance."""
+        trace = np.trace(self.covariance)
+        return float((self.covariance.sum() / trace - 1.0) / (len(self.labels) - 1))
+
+    @property
+    def signal(self) -> float:
+        """Noncentrality per subject and contrast, η²/(1 − η²) = Σ (μ_j − μ)² / tr M."""
+        return float(((self.mean - self.mean.mean()) ** 2).sum() / np.trace(self.contrasts))
+
+    def design(self, n: int) -> tuple[np.ndarray, Design]:
+        """
+        Return the group of every participant and the design.
+
+        Parameters
+        ----------
+        n : int
+            Participants in each group.
+        """
+        groups = np.repeat(np.arange(len(np.atleast_2d(self.mean))), n)
+        codes = np.unravel_index(groups, [len(levels) for levels in self.between.values()] or [1])
+        numbers = dict(zip(self.between, codes, strict=False))
+        return groups, Design(len(groups), self.within, self.between, numbers)
+
+    def with_effect(self, eta2_partial: float) -> "Conditions":
+        """
+        Return the population with its means scaled about their mean, to a given partial η².
+
+        Parameters
+        ----------
+        eta2_partial : float
+            In [0, 1).
+
+        Raises
+        ------
+        ValueError
+            If it is out of range, or all means are the same, so that no factor separates them.
+        """
+        eta2 = finite_number("effect_size", eta2_partial)
+        if not 0.0 <= eta2 < 1.0:
+            raise ValueError(f"effect_size is a population partial η², in [0, 1), got {eta2}")
+        if eta2 > 0.0 and np.ptp(self.mean) <= 1e-12 * np.abs(self.mean).max():
+            raise ValueError(
+                "effect_size scales differences between means, but all means are the same"
+            )
+        centre = self.mean.mean()
+        scale = np.sqrt(eta2 / (1.0 - eta2) / self.signal) if eta2 > 0.0 else 0.0
+        return replace(self, mean=centre + (self.mean - centre) * scale)
+
+    def varied(self, effect_size: float | None, epsilon: float | None) -> "Conditions":
+        """
+        Return the population with a given partial η², and with `graded_covariance` of the same
+        mean variance and correlation; what is None stays as it is.
+
+        Parameters
+        ----------
+        effect_size : float or None
+            As for `with_effect`.
+        epsilon : float or None
+            As for `graded_covariance`.
+        """
+        people = self
+        if epsilon is not None:
+            k = len(self.labels)
+            sd = float(np.sqrt(np.trace(self.covariance) / k))
+            people = replace(self, covariance=graded_covariance(k, self.correlation, epsilon, sd))
+        return people if effect_size is None else people.with_effect(effect_size)
+
+
+def population_of(
+    mean: Any, covariance: Any, data: pd.DataFrame | None, columns: StudyColumns
+) -> Conditions:
+    """
+    Return the population that means and a covariance, or those of data, make.
+
+    Means are an array, or a mapping or Series that names the conditions, or of several factors is
+    indexed by their levels. Of data, the sample means and covariance are taken for the
+    population's; means given beside data replace those of the conditions that they name, and leave
+    the others out.
+    """
+    of_class("columns", columns, StudyColumns)
+    origin, several = "", _several(columns)
+    mean = pd.Series(mean, dtype=float) if isinstance(mean, dict) else mean
+    if data is not None:
+        if covariance is not None or (several and mean is not None):
+            raise ValueError(
+                "data= takes the place of covariance=, of several factors of mean= too"
+            )
+        roles = (columns.dv, columns.within, columns.subject)
+        pilot = repeated_measures(data, *roles, between=columns.between, order=columns.order)
+        origin, covariance = pilot.origin, pilot.residual_covariance()
+        means = pilot.descriptives()["mean"].to_numpy()
+        if several:
+            levels = [*pilot.between.values(), *pilot.within.values()]
+            mean = pd.Series(means, pd.MultiIndex.from_product(levels))
+        elif mean is None:
+            mean = pd.Series(means, pd.Index(pilot.conditions, tupleize_cols=False))
+        elif isinstance(mean, pd.Series):
+            if unknown := [name for name in mean.index if name not in pilot.conditions]:
+                raise ValueError(f"mean names {unknown}, but data hold {[*pilot.conditions]}")
+            places = [pilot.conditions.index(name) for name in mean.index]
+            covariance = covariance[np.ix_(places, places)]
+        if origin:
+            warn(
+                f"the covariance is that of {origin}: how much people differ is assumed there, and "
+                "n goes with the square of it"
+            )
+    if mean is None or covariance is None:
+        raise ValueError("give mean= and covariance= of the conditions, or data= to take both from")
+    if several:
+        return _population_of_cells(pd.Series(mean, dtype=float), covariance, columns, origin)
+    means = finite_numbers("mean", mean)
+    labels = [*mean.index] if isinstance(mean, pd.Series) else range(1, means.size + 1)
+    return Conditions(labels, means, covariance, origin)
+
+
+def _several(columns: StudyColumns) -> bool:
+    """Return whether there is more than one factor."""
+    return len(names_of(columns.within)) > 1 or columns.between is not None
+
+
+def _population_of_cells(
+    mean: pd.Series, covariance: Any, columns: StudyColumns, origin: str
+) -> Conditions:
+    """Return the population of means indexed by the levels of several factors."""
+    names = [*names_of(columns.between), *names_of(columns.within)]
+    if mean.index.nlevels != len(names):
+        raise ValueError(f"mean must be indexed by {', '.join(map(str, names))}")
+    levels = {name: tuple(mean.index.unique(i)) for i, name in enumerate(names)}
+    cells = mean.reindex(pd.MultiIndex.from_product(levels.values()))
+    if cells.isna().any():
+        raise ValueError(f"mean: no number for cell {cells.index[cells.isna()][0]!r} of {names}")
+    between = {name: levels.pop(name) for name in names_of(columns.between)}
+    labels = tuple(product(*levels.values()))
+    means = cells.to_numpy().reshape(-1, len(labels))
+    return Conditions(labels, means if between else means[0], covariance, origin, levels, between)
+
+
+# --- simulated studies ----------------------------------------------------------------------------
+
+
+def findings(
+    population: Conditions, n: int, simulation: Simulation, claims: np.ndarray | None
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """
+    Draw studies from a normal population and count those that are significant.
+
+    The first table has a row per effect, a column per correction of F. The second has a row per
+    adjustment of the pairs: in how many studies all claimed pairs are significant ("pairs"), and in
+    how many they are so in the population's direction, and F as well ("claims").
+    """
+    # By n alone: all populations of a size share their draws, which makes them easier to compare.
+    rng = np.random.default_rng(SeedSequence(simulation.seed, spawn_key=(n,)))
+    groups, design = population.design(n)
+    root = np.linalg.cholesky(population.covariance).T
+    mean = np.atleast_2d(population.mean)[groups]
+    a, b = np.triu_indices(len(population.labels), 1)
+    tests: Any = 0
+    pairs = pd.DataFrame(0, [*ADJUSTMENTS], ["pairs", "claims"])
+    # In parts, so that memory does not grow with the number of studies.
+    step = max(1, SCORES // mean.size)
+    for first in range(0, simulation.replicates, step):
+        size = (min(step, simulation.replicates - first), *mean.shape)
+        scores = rng.standard_normal(size) @ root + mean
+        hits = effects(scores, design)[[*TESTS.values()]].set_axis([*TESTS], axis=1)
+        hits = hits < simulation.alpha
+        tests = tests + hits.groupby("effect", sort=False).sum()
+        if claims is None:
+            continue
+        compared = condition_pairs(scores)
+        rising = compared.mean_difference * (population.mean[a] - population.mean[b]) > 0.0
+        for name, attribute in ADJUSTMENTS.items():
+            found = getattr(compared, attribute) < simulation.alpha
+            right = (found & rising)[:, claims].all(axis=1) & hits[USUAL_TEST].to_numpy()
+            pairs.loc[name] += [found[:, claims].all(axis=1).sum(), right.sum()]
+    return tests, pairs
+
+
+def claims_mask(claims: Sequence[tuple] | None, population: Conditions) -> np.ndarray | None:
+    """Return which pairs are claimed, over all pairs a < b; None without claims."""
+    if claims is None:
+        return None
+    pairs = [{*pair} for pair in combinations(population.labels, 2)]
+    claimed = [{*pair} if isinstance(pair, list | tuple) else pair for pair in claims]
+    for pair in claimed or [None]:
+        if pair not in pairs or claimed.count(pair) > 1:
+            raise ValueError(
+                f"claims must be different pairs (a, b) of {[*population.labels]}, got "
+                f"{shown(claims)}"
+            )
+    return np.array([pair in claimed for pair in pairs])
+
+
+def clopper_pearson(
+    count: ArrayLike, total: int, level: float = 0.95
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the exact interval of a share of which `count` in `total` draws were found (Clopper and
+    Pearson, 1934).
+
+    Parameters
+    ----------
+    count : array_like of int
+        How often, from 0 to `total`.
+    total : int
+        Draws.
+    level : float
+        Coverage.
+
+    Returns
+    -------
+    low, high : numpy.ndarray
+        Limits, of the shape of `count`.
+
+    Raises
+    ------
+    ValueError
+        If a count is not whole or lies outside 0 to `total`.
+    """
+    total, level = whole_number("total", total), open_unit("level", level)
+    counts = np.asarray(count)
+    if counts.dtype.kind not in "iu" or ((counts < 0) | (counts > total)).any():
+        raise ValueError(f"count must hold whole numbers from 0 to {total}, got {count!r:.60}")
+    from statsmodels.stats.proportion import proportion_confint
+
+    low, high = proportion_confint(counts, total, alpha=1.0 - level, method="beta")
+    return np.asarray(low), np.asarray(high)
+
+
+def _share(count: int, simulation: Simulation) -> dict[str, float]:
+    """Return power and its interval."""
+    low, high = clopper_pearson(count, simulation.replicates, simulation.level)
+    power = count / simulation.replicates
+    return {"power": power, "ci_low": float(low), "ci_high": float(high)}
+
+
+def exceeds_critical(df1: float, df2: float, strength: float, alpha: float) -> float:
+    """Return the probability that noncentral F exceeds its critical value."""
+    return float(1.0 - special.ncfdtr(df1, df2, strength, special.fdtri(df1, df2, 1.0 - alpha)))
+
+
+# --- power ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PowerAnalysis(Tested):
+    """
+    Power of every F, and of F with all claimed pairs, by simulation.
+
+    Parameters
+    ----------
+    population : Conditions
+        The population, before it is varied.
+    simulation : Simulation
+        Replicates, seed and levels.
+    varied : tuple of str
+        Columns of `table` that take several values; of several factors n and effect.
+    tests, together : pandas.DataFrame
+        What `table()` and `claims()` return.
+    """
+
+    population: Conditions
+    simulation: Simulation
+    varied: tuple[str, ...]
+    tests: pd.DataFrame
+    together: pd.DataFrame
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the power of every F.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per cell, effect and test: n (in each group), effect, effect_size (partial η² of
+            the population), correlation, epsilon, noncentrality, test ("none",
+            "greenhouse-geisser", "huynh-feldt"), power, ci_low, ci_high, replicates, closed_form
+            (noncentral F; NaN where sphericity does not hold or the test is corrected).
+        """
+        return super().table()
+
+    def claims(self) -> pd.DataFrame:
+        """
+        Return the probability that one study finds F and all claimed pairs, each in the
+        population's direction.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per cell and adjustment: n, effect_size, epsilon, adjust, claims (how many
+            pairs), power, ci_low, ci_high. No rows without claims.
+        """
+        return self.together.copy()
+
+    @property
+    def origin(self) -> str:
+        """Where these numbers come from, for headers and captions."""
+        return self.population.simulated_origin
+
+    @property
+    def title(self) -> str:
+        """What was simulated."""
+        return f"Power, {self.origin}"
+
+    @property
+    def message(self) -> str:
+        """How many studies, at which level."""
+        of = self.simulation
+        return (
+            f"{of.replicates} per cell, level {of.alpha:g}, {100 * of.level:g} % Monte-Carlo "
+            "intervals"
+        )
+
+    def plot(self, test: str | Sequence[str] = USUAL_TEST, axes=None):
+        """
+        Plot the power of F with its Monte-Carlo intervals against the first column that takes
+        several values, a line per combination of the others; crosses mark the closed form.
+
+        Parameters
+        ----------
+        test : {"greenhouse-geisser", "huynh-feldt", "none"} or sequence of them
+            Which test, or several to compare.
+        axes : matplotlib.axes.Axes, optional
+            Where to draw.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ValueError
+            If a test is none of those.
+        """
+        tests = [
+            one_of("test", name, TESTS) for name in ([test] if isinstance(test, str) else test)
+        ]
+        against, *others = self.varied or ("n",)
+        # Values as computed differ in the last bits between the cells of one line.
+        table = self.tests.round(dict.fromkeys(others, 9)).sort_values(against)
+        axes = axes_or_new(axes, figsize=(6.0, 3.8))
+        for values, part in table[table["test"].isin(tests)].groupby([*others, "test"]):
+            label = ", ".join(
+                value if isinstance(value, str) else f"{AXES[axis]} {value + 0.0:.3g}"
+                for axis, value in zip([*others, "test"], values, strict=True)
+            )
+            power = part["power"]
+            bars = np.maximum([power - part["ci_low"], part["ci_high"] - power], 0.0)
+            drawn = axes.errorbar(part[against], power, bars, fmt="o-", capsize=3, label=label)
+            axes.plot(part[against], part["closed_form"], "x", ms=8, color=drawn[0].get_color())
+        axes.set(xlabel=AXES[against], ylabel="power of F", ylim=(-0.02, 1.02))
+        axes.set_title(f"{self.origin}; level {self.simulation.alpha:g}", fontsize="small")
+        axes.legend(fontsize="small")
+        return axes
+
+
+def power_analysis(
+    mean: Any = None,
+    covariance: Any = None,
+    *,
+    data: pd.DataFrame | None = None,
+    columns: StudyColumns = USUAL_COLUMNS,
+    n: int | Sequence[int] = 36,
+    effect_size: float | Sequence[float] | None = None,
+    epsilon: float | Sequence[float] | None = None,
+    claims: Sequence[tuple] | None = None,
+    simulation: Simulation = USUAL_SIMULATION,
+) -> PowerAnalysis:
+    """
+    Simulate studies drawn from a normal population and count how many find its effects.
+
+    The population has the given means and covariance, or those of `data`: a pilot study, a virtual
+    study, or data reconstructed from printed statistics. Each study is analysed as
+    `repeated_measures` does. Power at the effect that a study itself has estimated ("observed
+    power") restates its p-value and says nothing more about it.
+
+    Parameters
+    ----------
+    mean : array_like, shape (k,), mapping or Series, optional
+        Means of the conditions, named by a mapping or Series. With several factors or groups
+        (`columns`) it is a Series indexed by their levels.
+    covariance : array_like, shape (k, k), optional
+        Their covariance; `graded_covariance` makes one with a chosen correlation and ε.
+    data : pandas.DataFrame, optional
+        A long table, from which both are estimated; only the covariance where means are given too.
+    columns : StudyColumns
+        Columns of `data`; factors within and between subjects.
+    n : int or sequence of int
+        Subjects; at least 3. With groups, in each of them.
+    effect_size : float or sequence of float, optional
+        Partial η² of the population: means keep their pattern and are scaled about their mean. When
+        left out, means are used as given.
+    epsilon : float or sequence of float, optional
+        Replaces the covariance by `graded_covariance` of the same mean variance and correlation.
+    claims : sequence of (a, b), optional
+        Pairs that must be found together with F, in the direction of the population's difference.
+    simulation : Simulation
+        Replicates, seed and levels.
+
+    Returns
+    -------
+    PowerAnalysis
+        With several factors or groups effect_size, epsilon and claims have no effect
+        and are refused.
+
+    Raises
+    ------
+    ValueError
+        If means and covariance do not fit together, the covariance is not positive definite (the
+        eigenvalue is named), n is too small, or another argument is out of range.
+
+    Examples
+    --------
+    >>> from trustlab.studies import Simulation, graded_covariance
+    >>> quick = Simulation(replicates=1000)
+    >>> power = power_analysis([0.0, 0.3, 0.6], graded_covariance(3), n=20, simulation=quick)
+    >>> power.table()["test"].tolist()
+    ['none', 'greenhouse-geisser', 'huynh-feldt']
+    """
+    of_class("simulation", simulation, Simulation)
+    population = population_of(mean, covariance, data, columns)
+    several = _several(columns)
+    axes: dict[str, Any] = {"effect_size": effect_size, "epsilon": epsilon}
+    for name, value in (axes | {"claims": claims}).items():
+        if several and value is not None:
+            raise ValueError(f"{name} has no effect here; leave it out")
+    mask = claims_mask(claims, population)
+    # None, a text or a dict are one value, which is refused where it is used.
+    grid = {
+        name: list(value) if np.ndim(value) else [value] for name, value in {"n": n, **axes}.items()
+    }
+    sizes = [whole_number("n", size, least=3, most=MOST_N) for size in grid.pop("n")]
+    cells = [*product(sizes, [population.varied(*shape) for shape in product(*grid.values())])]
+    if not cells:
+        raise ValueError("n, effect_size or epsilon is empty: give a number")
+    rows, together = [], []
+    for size, cell in cells:
+        tests, pairs = findings(cell, size, simulation, mask)
+        rows += _tests_of(cell, size, tests, simulation)
+        if mask is not None:
+            where = {name: rows[-1][name] for name in ("n", *axes)}
+            together += [
+                where | {"adjust": name, "claims": int(mask.sum())} | _share(int(count), simulation)
+                for name, count in pairs["claims"].items()
+            ]
+    varied = [name for name, values in {"n": sizes, **grid}.items() if len(values) > 1]
+    return PowerAnalysis(
+        population,
+        simulation,
+        ("n", "effect") if several else tuple(varied),
+        labelled(pd.DataFrame(rows), population.simulated_origin),
+        labelled(pd.DataFrame(together), population.simulated_origin),
+    )
+
+
+def _tests_of(
+    population: Conditions, n: int, tests: pd.DataFrame, simulation: Simulation
+) -> list[dict]:
+    """Return the rows of every F, by effect and test; closed forms need sphericity."""
+    groups, design = population.design(n)
+    regression = regress(np.atleast_2d(population.mean)[groups][None], design)
+    table = []
+    for block, names in design.effects:
+        contrasts, rows = design.contrasts(names), design.rows(block)
+        d, variances = contrasts.shape[1], contrasts.T @ population.covariance @ contrasts
+        squares = float(regression.sum_of_squares(contrasts, rows)[0])
+        strength = squares * d / np.trace(variances)
+        epsilon = float(sphericity(variances, design.df_error)["epsilon_gg"])
+        closed = exceeds_critical(d * len(rows), d * design.df_error, strength, simulation.alpha)
+        effect = effect_name(block, names)
+        where = {
+            "n": n,
+            "effect": effect,
+            "effect_size": strength / (strength + len(groups) * d),
+            "correlation": population.correlation,
+            "epsilon": epsilon,
+            "noncentrality": strength,
+        }
+        for test in TESTS:
+            power = _share(int(tests.loc[effect, test]), simulation)
+            spherical = epsilon > 1.0 - 1e-9 and test == "none"
+            last = {"closed_form": closed if spherical else np.nan}
+            table.append(
+                where | {"test": test} | power | {"replicates": simulation.replicates} | last
+            )
+    return table
+
+
+# --- the smallest n -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SmallestN(Tested):
+    """
+    The smallest number of subjects whose simulated power reaches what was wanted.
+
+    Columns of `table` are attributes too: test, which one; wanted, the power to reach; n, subjects;
+    power, ci_low and ci_high, simulated power there and its Monte-Carlo interval; whole_squares,
+    the next number that fills whole Latin squares of the conditions.
+
+    Parameters
+    ----------
+    tests : pandas.DataFrame
+        What `table` returns, a row.
+    population : Conditions
+        Means and covariance that were assumed.
+    simulation : Simulation
+        How studies were simulated.
+    """
+
+    title = "Smallest number of participants"
+
+    tests: pd.DataFrame
+    population: Conditions
+    simulation: Simulation
+
+    @property
+    def origin(self) -> str:
+        """Where the numbers come from, for headers and captions."""
+        return self.population.simulated_origin
+
+    @property
+    def message(self) -> str:
+        """Where the numbers come from."""
+        return self.origin
+
+    def apa(self) -> str:
+        """
+        Return the sentences of a methods section: the number, and all that was assumed for it.
+        """
+        people, simulation = self.population, self.simulation
+        sds = np.sqrt(np.diag(people.covariance))
+        rows = zip(people.labels, people.mean, sds, strict=True)
+        conditions = ", ".join(f"{label} {mean:.4g} ({sd:.3g})" for label, mean, sd in rows)
+        source = f" The covariance is that of {people.origin}." if people.origin else ""
+        return (
+            f"A sample of {self.n} participants ({self.whole_squares} to fill whole Latin squares) "
+            f"has a power of {apa_number(self.power, below_one=True)} "
+            f"({100 * simulation.level:g}% CI [{apa_number(self.ci_low, below_one=True)}, "
+            f"{apa_number(self.ci_high, below_one=True)}]) in {simulation.replicates} simulated "
+            f"studies (seed {simulation.seed}), for the test {self.test} at α = "
+            f"{simulation.alpha:g}. Assumed means (SDs) are {conditions}, with a mean correlation "
+            f"of {apa_number(people.correlation)} between conditions.{source} Standard deviations "
+            "twice as large would ask for about four times as many."
+        )
+
+
+def smallest_n(
+    power: float = 0.8,
+    mean: Any = None,
+    covariance: Any = None,
+    *,
+    data: pd.DataFrame | None = None,
+    columns: StudyColumns = USUAL_COLUMNS,
+    effect_size: float | None = None,
+    pair: tuple | None = None,
+    test: str | None = None,
+    most: int = 2000,
+    simulation: Simulation = USUAL_SIMULATION,
+) -> SmallestN:
+    """
+    Return an n whose simulated power reaches `power` while that of n − 1 does not, by bisection.
+
+    Every n has draws of its own from the seed, so that the answer is the same at every call. Within
+    the Monte-Carlo error neighbouring n can be as good.
+
+    Parameters
+    ----------
+    power : float
+        The power to reach, in (0, 1).
+    mean, covariance, data, columns : object
+        The population, as for `power_analysis`, with one factor. Means given beside `data` replace
+        those of the conditions that they name: an improvement of your own with a pilot's spread.
+    effect_size : float, optional
+        Partial η² of the population; as given when left out.
+    pair : (a, b), optional
+        Two conditions: the power of their comparison instead of that of F.
+    test : str, optional
+        Correction of F, "greenhouse-geisser" (by default), "huynh-feldt" or "none"; of a pair, the
+        adjustment of its p-value, "holm" (by default), "bonferroni" or "none".
+    most : int
+        The largest n to try.
+    simulation : Simulation
+        As for `power_analysis`.
+
+    Returns
+    -------
+    SmallestN
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or even `most` subjects do not reach the power.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> from trustlab.studies import Simulation, graded_covariance
+    >>> quick = Simulation(replicates=500)
+    >>> plan = tl.smallest_n(0.8, [0.0, 0.3, 0.6], graded_covariance(3), simulation=quick)
+    >>> plan.n
+    30
+    """
+    of_class("simulation", simulation, Simulation)
+    if _several(of_class("columns", columns, StudyColumns)):
+        raise ValueError(
+            "columns: smallest_n takes one factor within subjects; for several factors or groups "
+            "compare values of n by power_analysis"
+        )
+    population = population_of(mean, covariance, data, columns).varied(effect_size, None)
+    target = open_unit("power", power)
+    most = whole_number("most", most, least=3, most=MOST_N)
+    mask = None if pair is None else claims_mask([pair], population)
+    if mask is None:
+        test = one_of("test", USUAL_TEST if test is None else test, TESTS)
+        name = f"F, {test}"
+    else:
+        test = one_of("test of a pair", "holm" if test is None else test, ADJUSTMENTS)
+        name = f"{pair[0]} – {pair[1]}, {test}"
+    counts: dict[int, int] = {}
+
+    def enough(n: int) -> bool:
+        tests, pairs = findings(population, n, simulation, mask)
+        counts[n] = int(tests.iloc[0][test] if mask is None else pairs.loc[test, "pairs"])
+        return counts[n] >= target * simulation.replicates
+
+    low, high = 2, 3
+    while not enough(high):
+        if high == most:
+            raise ValueError(
+                f"{most} subjects reach a power of {counts[most] / simulation.replicates:.3g} "
+                f"only, {target:g} was wanted. Raise most=, measure each condition more often, "
+                "which makes people differ less, or look for a greater effect"
+            )
+        low, high = high, min(2 * high, most)
+    while high - low > 1:
+        n = (low + high) // 2
+        low, high = (low, n) if enough(n) else (n, high)
+    row = {"test": name, "wanted": target, "n": high} | _share(counts[high], simulation)
+    row["whole_squares"] = participants_needed(len(population.labels), high)
+    tests = labelled(pd.DataFrame([row]), population.simulated_origin)
+    return SmallestN(tests, population, simulation)
