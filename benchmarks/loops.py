@@ -31,7 +31,7 @@ def rows() -> Iterator[Row]:
 
 
 def teleoperation() -> Iterator[Row]:
-    """Yield runs of two minutes, with parts of the package and of a user, and a step of the optimal share."""
+    """Yield runs of two minutes, with our schemes and a user's, and a step of the optimal share."""
 
     def run(scheme="TMIG", **options):
         return tl.simulate_teleoperation(scheme, seed=1, duration=120.0, **options)

@@ -121,7 +121,7 @@ class RobotTeam(Checked):
         seed : int
             Seed of the draws.
         """
-        assumed = dict(assumptions or {})
+        assumed: dict[str, Any] = dict(assumptions or {})
         for name in assumed:
             one_of("an assumption", name, HAND)
         TeamOperator(**assumed)  # checks the values
