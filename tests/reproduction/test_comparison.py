@@ -5,7 +5,7 @@ import math
 import pytest
 
 from trustlab.reproduction.audit.catalogue import PrintedNumber
-from trustlab.reproduction.printed_number import half_unit, printed_interval
+from trustlab.reproduction.printed import half_unit, printed_interval
 
 
 @pytest.mark.parametrize(
@@ -32,6 +32,6 @@ def test_printed_words_have_values():
         return PrintedNumber("x", "Table", "x", text, exact)
 
     assert number("36", exact=True).half == 0.0
-    assert number("worst").value == 1.0
+    assert number("worst").value == 5.0  # of five schemes
     assert number("4 and 11").value == 2.0
     assert math.isnan(number("met").value)

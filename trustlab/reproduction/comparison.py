@@ -6,7 +6,7 @@ from decimal import Decimal
 import numpy as np
 import pandas as pd
 
-from trustlab.reproduction.printed_number import ROUNDINGS, half_unit, printed_decimal, rounds_to
+from trustlab.reproduction.printed import ROUNDINGS, half_unit, printed_decimal, rounds_to
 
 
 def matching_digits(value: float, printed: str) -> int:

@@ -8,12 +8,12 @@ import pandas as pd
 from trustlab.models.display import axes_or_new
 from trustlab.reproduction.audit.catalogue import printed_numbers, why_unchecked
 from trustlab.reproduction.audit.check import VERDICTS, Row, row_about, rows_of
-from trustlab.reproduction.audit.consistency import joint_rows, sample_checks, study_checks
-from trustlab.reproduction.audit.statements import (
-    claim_checks,
+from trustlab.reproduction.audit.consistency import (
+    joint_rows,
     relation_checks,
     remarks,
-    statement_checks,
+    sample_checks,
+    study_checks,
 )
 from trustlab.reproduction.published import published_facts
 
@@ -22,8 +22,6 @@ MAKERS = (
     remarks,
     study_checks,
     sample_checks,
-    claim_checks,
-    statement_checks,
     joint_rows,
 )
 

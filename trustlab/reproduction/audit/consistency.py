@@ -4,10 +4,13 @@ means, SDs, whole points and sample sizes; statistics that two studies share.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
 from itertools import combinations
-from typing import Any, NamedTuple
+from statistics import mode
+from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize, stats
@@ -15,27 +18,34 @@ from scipy import optimize, stats
 from trustlab.reproduction.audit.catalogue import (
     PARTICIPANTS,
     PrintedNumber,
+    conditions_of,
     study_names,
+    why_unchecked,
 )
 from trustlab.reproduction.audit.check import (
     Allows,
     Finding,
+    Follows,
     Formula,
     Numbers,
     Row,
     listing,
     row_about,
+    row_within,
     show,
 )
 from trustlab.reproduction.audit.relations import (
     BOUNDS,
     LIMIT_INPUTS,
     PERFORMANCE,
-    ZERO,
     bounds,
+    claim_checks,
     limits,
     related,
+    relations,
+    upper_limit,
 )
+from trustlab.reproduction.printed import ROUNDINGS, greatest_sd, possible_f
 from trustlab.reproduction.published import published_facts
 
 LIMITS = ("TSC_lb", "TSC_ub", "b_pr")
@@ -255,24 +265,17 @@ def _kind(measure: str) -> str:
     return measure.replace("/", ".").split(".")[-1]
 
 
-def _sd(measure: str, mean: str, numbers: Numbers) -> Allows | Row:
+def _sd(measure: str, mean: str, numbers: Numbers) -> Row:
     """Return the range of an SD that the mean and the ends of the scale leave."""
-    sd = mean.replace("_mean", "_sd").replace("/mean.", "/sd.")
-    if measure not in MEASURES["scales"]:
+    number = numbers[mean.replace("_mean", "_sd").replace("/mean.", "/sd.")]
+    scale = MEASURES["scales"].get(measure)
+    if scale is None:
         unknown = "Depends on scores that are not printed, on a scale that is not printed."
-        return row_about(numbers[sd], unknown)
-    least, most = MEASURES["scales"][measure]
-
-    def at_the_ends(v: Any) -> np.ndarray:
-        if math.isinf(most):
-            return v.M * np.sqrt(v.n)
-        variance = v.n / (v.n - 1.0) * (v.M - least) * (most - v.M)
-        return np.sqrt(np.maximum(variance, 0.0))
-
-    text = f"√(n/(n − 1) (M − {least:g})({most:g} − M)), all scores at the ends of the scale"
-    text = "M √n, all but one score 0" if math.isinf(most) else text
-    greatest = Formula(text, at_the_ends, ids={"M": mean, "n": _size(measure)})
-    return Allows(of=sd, least=ZERO, most=greatest)
+        return row_about(number, unknown)
+    size = _size(measure)
+    most = greatest_sd(numbers[mean].compatible, numbers[size].value, scale)
+    text = f"all scores at the ends of the scale, {scale[0]:g} to {scale[1]:g}"
+    return row_within(number, (0.0, most), text, {"M": mean, "n": size}, numbers)
 
 
 def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Row]:
@@ -402,7 +405,181 @@ def _duplicates(first: str, second: str, numbers: Numbers) -> list[Row]:
     return rows
 
 
+def _allowed_rows(study: str, unusual: set[str], numbers: Numbers) -> Iterator[Row]:
+    """
+    Return the ranges that means and standard deviations leave F, t and p of pairs, and which p are
+    bounded otherwise than most, "<.0005".
+    """
+    conditions, size = conditions_of(study), f"{study}/n"
+    n, pairs = numbers[size].value, list(combinations(conditions, 2))
+    for chosen in (conditions, *pairs):
+        cells = {f"M_{c}": f"{study}/mean.{c}" for c in chosen}
+        cells |= {f"SD_{c}": f"{study}/sd.{c}" for c in chosen}
+        if not numbers.keys() >= set(cells.values()):
+            continue
+        mean, sd = np.split(np.array([numbers[id].compatible for id in cells.values()]), 2)
+        f_ratio = np.array(possible_f(mean, sd, n))
+        allowed = {"anova.F": f_ratio}
+        if chosen in pairs:
+            t = np.sqrt(f_ratio)
+            p = 2.0 * stats.t.sf(t, n - 1.0)
+            # Whether it is adjusted for the number of pairs, and how, is open.
+            ends = np.array([p[1], min(len(pairs) * p[0], 1.0)])
+            allowed = {"t_test.t": t, f"pairs.{'-'.join(chosen)}": ends}
+        for statistic, (low, high) in allowed.items():
+            if (id := f"{study}/{statistic}") in numbers:
+                note = ""
+                if id in unusual:
+                    note = "Suspicious: most of its kind have another bound; probably a zero is "
+                    note += "missing."
+                text, inputs = "at any correlations", cells | {"n": size}
+                yield row_within(numbers[id], (low, high), text, inputs, numbers, note)
+
+
+def _unusual_bounds(numbers: Numbers) -> set[str]:
+    """Return the p-values of pairs that are bounded otherwise than most are."""
+    bounds = {id: x.printed for id, x in numbers.items() if "/pairs." in id and x.is_bound}
+    usual = mode(bounds.values()) if bounds else ""
+    return {id for id, text in bounds.items() if text != usual}
+
+
 def study_checks(numbers: Numbers) -> list[Row]:
-    """Return the rows about pairs of studies."""
-    pairs = combinations(study_names(numbers), 2)
-    return [row for pair in pairs for row in _duplicates(*pair, numbers)]
+    """Return the rows about what the cells of studies allow, and about pairs of studies."""
+    names, unusual = study_names(numbers), _unusual_bounds(numbers)
+    rows = [row for name in names for row in _allowed_rows(name, unusual, numbers)]
+    return rows + [row for pair in combinations(names, 2) for row in _duplicates(*pair, numbers)]
+
+
+# Where numbers are printed a second time, their first place, and its name.
+PRINTED_TWICE = (
+    ("figure_2_18", "section_2_5", "The text of Section 2.5"),
+    ("appendix_a/state", "appendix_a/model", "The transfer function"),
+)
+
+
+def _notes_on_limits(numbers: Numbers) -> dict[str, str]:
+    """Say where the chosen TSC_u lies above TSC_ub, and where b_pr breaks (2.3)."""
+    notes = {}
+    for p in PARTICIPANTS:
+        id = f"table_2.1/TSC_ub/{p}"
+        check, chosen = related(id, numbers), numbers[f"table_2.2/TSC_u/{p}"]
+        limit, _, _ = check.range(numbers)
+        below = ""
+        if limit < chosen.value:
+            below = (
+                f"The chosen TSC_u = {chosen.printed} of Table 2.2 lies above TSC_ub = "
+                f"{limit:.3f} as recomputed."
+            )
+        notes[f"section_2_4_1_2/limits/{p}"] = below
+        notes[id] = f"{below} {_untied_gain(check, p, numbers)}".strip()
+    return notes
+
+
+def _untied_gain(check: Follows, p: str, numbers: Numbers) -> str:
+    """Say so if the printed limit needs a b_pr that rounds as printed but violates (2.3)."""
+    untied = replace(check, as_printed=())
+    if check.row(numbers).verdict != "differs" or untied.row(numbers).verdict == "differs":
+        return ""
+    gain = numbers[f"table_2.1/b_pr/{p}"]
+    by_equation, _, _ = related(gain.id, numbers).range(numbers)
+    return (
+        f"Only a b_pr that does not obey (2.3) and still rounds to {gain.printed}, from "
+        f"{gain.value - gain.half:.5f} to {gain.value + gain.half:.5f}, could reach "
+        f"{numbers[check.of].printed}; the text chooses b_pr by (2.3), here {by_equation:.5f}."
+    )
+
+
+def relation_checks(numbers: Numbers) -> list[Finding]:
+    """Return the checks of all relations and claims, and of numbers that are printed twice."""
+    notes = _notes_on_limits(numbers)
+    checks = [
+        replace(check, note=f"{notes.get(check.of + check.suffix, '')} {check.note}".strip())
+        for check in relations(numbers)
+    ]
+    again = [
+        _restated(id, id.replace(second, first, 1), where, numbers)
+        for second, first, where in PRINTED_TWICE
+        for id in numbers
+        if id.startswith(f"{second}/")
+    ]
+    return [*checks, *claim_checks(numbers), *again]
+
+
+def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
+    """
+    Return whether a number printed in a second place is the one of the first, or that one rounded.
+    """
+    number, source = numbers[id], numbers[first]
+    here, there = Decimal(number.printed), Decimal(source.printed)
+    same = here in (there.quantize(here, rule) for rule in ROUNDINGS)
+    reason = f"{where} has {source.printed}."
+    if not same:
+        rounded = there.quantize(here, ROUND_HALF_UP)
+        neither = "neither is the other one rounded"
+        why = f"{source.printed} rounds to {rounded}" if rounded != there else neither
+        reason = (
+            f"{reason[:-1]}, here {number.printed} is printed: one of the two is wrong, as {why}."
+        )
+    return row_about(
+        number,
+        reason,
+        "reproduced" if same else "differs",
+        (float(there),) * 3,
+        formula="the same number in two places",
+        inputs=f"{source.printed} ({source.id})",
+    )
+
+
+def _chosen_thresholds(numbers: Numbers) -> list[Row]:
+    """Return remarks on the thresholds that Section 2.5 chooses for the pilot operator."""
+    ids = {name: f"pilot/{name}" for name in (*LIMIT_INPUTS, "b_pr")}
+    lower = Formula("TSC_lb", lambda v: limits(v.named(*LIMIT_INPUTS))["TSC_lb"], ids=ids)
+    upper = Formula("TSC_ub", lambda v: upper_limit(v, "b_pr"), ids=ids, as_printed=("b_pr",))
+    limit, least, most = upper.range(numbers)
+    allowed = (
+        f"The pilot's own numbers give TSC_ub = {limit:.3f} by (2.10), from {least:.3f} to "
+        f"{most:.3f} within rounding, and TSC_lb = {lower.range(numbers)[0]:.3f}."
+    )
+    over = "Suspicious: above the limit under which Theorem 1 guarantees switching."
+    chosen = [numbers[f"section_2_5/{name}"] for name in ("TSC_l_0", "TSC_u_0", "TSC_ld", "TSC_ud")]
+    return [
+        row_about(x, f"{over if x.value > most else 'Chosen by the author.'} {allowed}")
+        for x in chosen
+    ]
+
+
+def _captured_thresholds(numbers: Numbers) -> list[Row]:
+    """Return remarks on upper thresholds of Table 2.3 above TSC_ub."""
+    rows = []
+    for p in PARTICIPANTS:
+        upper, limit = numbers[f"table_2.3/TSC_u.mean/{p}"], numbers[f"table_2.1/TSC_ub/{p}"]
+        if upper.value > limit.value:
+            above = (
+                f"{why_unchecked(upper.id)} It lies above TSC_ub = {limit.printed} of Table 2.1, "
+                "so that Theorem 1 does not cover this participant's own switching (its condition "
+                "is sufficient, not necessary)."
+            )
+            rows.append(row_about(upper, above))
+    return rows
+
+
+def _heaviest_handle(section: str, numbers: Numbers) -> Row:
+    """Return a remark on (3.10) at rest, B ≥ M Λ."""
+    damping, rate = numbers[f"{section}/B"], numbers[f"{section}/Lambda"]
+    grams = 1000.0 * damping.value / rate.value
+    weight = (
+        f"(3.10) needs B ≥ MΛ: with B = {damping.printed} and Λ = {rate.printed} the handle may "
+        f"weigh {grams:.3g} g"
+    )
+    if grams < 50.0:  # no handle of a haptic device is so light
+        weight = f"Suspicious: {weight}, less than any that a hand holds"
+    return row_about(damping, f"{weight}; its mass is not printed.")
+
+
+def remarks(numbers: Numbers) -> list[Row]:
+    """Return the remarks on numbers that no other determines."""
+    return [
+        *_chosen_thresholds(numbers),
+        *_captured_thresholds(numbers),
+        *(_heaviest_handle(section, numbers) for section in ("section_3_8_1", "section_3_9")),
+    ]
