@@ -11,7 +11,6 @@ from trustlab.reproduction.audit.check import VERDICTS, Row, row_about, rows_of
 from trustlab.reproduction.audit.consistency import (
     joint_rows,
     relation_checks,
-    remarks,
     sample_checks,
     study_checks,
 )
@@ -19,7 +18,6 @@ from trustlab.reproduction.published import published_facts
 
 MAKERS = (
     relation_checks,
-    remarks,
     study_checks,
     sample_checks,
     joint_rows,

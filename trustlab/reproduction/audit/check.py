@@ -283,21 +283,27 @@ class Follows(Relation, Formula):
 
 @dataclass(frozen=True, kw_only=True)
 class Allows(Relation):
-    """The range, from `least` to `most`, that other printed numbers leave a number."""
+    """
+    The range, from `least` to `most`, that other printed numbers leave a number.
+
+    Where `binding` is given, a number may lie beyond it, and `binding` says what that means.
+    """
 
     least: Formula
     most: Formula
+    binding: str = ""
 
     def row(self, numbers: Numbers) -> Row:
         """Return the verdict: "not checkable" inside the range, "differs" outside."""
         number, note = numbers[self.of], self.note
         at_least, low, _ = self.least.range(numbers)
         at_most, _, high = self.most.range(numbers)
-        least, most = number.compatible
-        if least > at_most or most < at_least:
-            note = f"Suspicious: as printed they allow {show(at_least)} to {show(at_most)}."
+        if not at_least <= number.value < at_most:
+            note = f"As printed they allow {show(at_least)} to {show(at_most)}."
+            note = note if self.binding else f"Suspicious: {note}"
         text = f"{self.least.text} … {self.most.text}"
-        return row_within(number, (low, high), text, self.most.inputs(numbers), numbers, note)
+        inputs = self.least.inputs(numbers) | self.most.inputs(numbers)
+        return row_within(number, (low, high), text, inputs, numbers, note, self.binding)
 
 
 def row_within(
@@ -307,16 +313,17 @@ def row_within(
     inputs: Mapping[str, str],
     numbers: Numbers,
     note: str = "",
+    binding: str = "",
 ) -> Row:
     """Return the row of a number of which others say only within which ends it lies."""
     low, high = allowed
     least, most = number.compatible
     between, verdict = f"from {show(low)} to {show(high)}", "not checkable"
     if most < low or least > high:
-        verdict = "differs"
-        reason = (
-            f"Impossible: other printed numbers allow it {between} only, whatever their rounding."
-        )
+        verdict, reason = "not checkable", f"{binding} Other printed numbers give {between}."
+        if not binding:
+            verdict = "differs"
+            reason = f"Impossible: other printed numbers allow it {between}, however rounded."
     elif np.isnan(low) or np.isnan(high):
         reason = "Other printed numbers leave it open."
     else:

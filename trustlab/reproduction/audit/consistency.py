@@ -5,7 +5,6 @@ means, SDs, whole points and sample sizes; statistics that two studies share.
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
 from itertools import combinations
@@ -20,19 +19,14 @@ from trustlab.reproduction.audit.catalogue import (
     PrintedNumber,
     conditions_of,
     study_names,
-    why_unchecked,
 )
 from trustlab.reproduction.audit.check import (
-    Allows,
     Finding,
-    Follows,
-    Formula,
     Numbers,
     Row,
     listing,
     row_about,
     row_within,
-    show,
 )
 from trustlab.reproduction.audit.relations import (
     BOUNDS,
@@ -43,7 +37,6 @@ from trustlab.reproduction.audit.relations import (
     limits,
     related,
     relations,
-    upper_limit,
 )
 from trustlab.reproduction.printed import ROUNDINGS, greatest_sd, possible_f
 from trustlab.reproduction.published import published_facts
@@ -226,19 +219,14 @@ def joint_rows(numbers: Numbers) -> list[Row]:
     return rows
 
 
-def attainable(number: PrintedNumber, units: Fraction) -> float:
+def is_attainable(number: PrintedNumber, units: Fraction) -> bool:
     """
-    Return the mean nearest to a printed one that whole points can have (the GRIM test).
-
-    NaN if none rounds to it.
+    Return whether some mean of whole points rounds to a printed one (the GRIM test).
 
     `units` are whole points per unit of the scale: respondents × items for ratings in steps of 1.
     """
-    least, most = number.compatible
-    points = round(number.value * units)
-    means = [float(Fraction(points + i) / units) for i in (-1, 0, 1)]
-    nearest = min(means, key=lambda x: abs(x - number.value))
-    return nearest if least <= nearest <= most else math.nan
+    least, most = (Fraction(end) * units for end in number.compatible)
+    return math.ceil(least) <= most
 
 
 def _measures(numbers: Numbers) -> dict[str, dict[str, str]]:
@@ -268,73 +256,47 @@ def _kind(measure: str) -> str:
 def _sd(measure: str, mean: str, numbers: Numbers) -> Row:
     """Return the range of an SD that the mean and the ends of the scale leave."""
     number = numbers[mean.replace("_mean", "_sd").replace("/mean.", "/sd.")]
-    scale = MEASURES["scales"].get(measure)
-    if scale is None:
-        unknown = "Depends on scores that are not printed, on a scale that is not printed."
-        return row_about(number, unknown)
-    size = _size(measure)
+    size, scale = _size(measure), MEASURES["scales"][measure]
     most = greatest_sd(numbers[mean].compatible, numbers[size].value, scale)
     text = f"all scores at the ends of the scale, {scale[0]:g} to {scale[1]:g}"
     return row_within(number, (0.0, most), text, {"M": mean, "n": size}, numbers)
 
 
 def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Row]:
-    """Return a questionnaire's remarks, one per mean, and a row on its items or its scoring."""
-    is_tlx, respondents = _kind(measure) == "tlx", numbers[_size(measure)]
-    rules = TLX_RULES
-    if not is_tlx:
+    """
+    Return a row on the items of a questionnaire, or on its rule of scoring, that all means fit, and
+    remarks on means that no whole points give.
+    """
+    kind, respondents = _kind(measure), numbers[_size(measure)]
+    word, tried, rules = "scoring", "; ".join(TLX_RULES), TLX_RULES
+    if kind != "tlx":
+        word, tried = "items", f"up to {MOST_ITEMS} items"
         rules = {f"{items} items": Fraction(items) for items in range(1, MOST_ITEMS + 1)}
 
-    def nearest(condition: str, rule: str) -> float:
+    def fits(condition: str, rule: str) -> bool:
         # Table 2.4 may rest on two sets of tests under C1.
         twice = measure.startswith("table_2.4") and condition == "C1"
         sets = numbers["section_2_4_1_3/sets"].value if twice else 1
-        return attainable(numbers[ids[condition]], int(respondents.value * sets) * rules[rule])
+        return is_attainable(numbers[ids[condition]], int(respondents.value * sets) * rules[rule])
 
-    fitting = [rule for rule in rules if not any(math.isnan(nearest(c, rule)) for c in ids)]
+    fitting = [rule for rule in rules if all(fits(condition, rule) for condition in ids)]
     listed = MEASURES["expected_items"]
-    expected, source = listed.get(measure) or listed.get(_kind(measure)) or ("", "")
+    expected, source = listed.get(measure) or listed.get(kind) or ("", "")
     rows = []
     for condition, id in ids.items():
-        reason = "Follows from answers that are not printed."
-        if fitting:
-            mean = nearest(condition, fitting[0])
-            reason += f" Whole points ({fitting[0]}) can give {show(mean, numbers[id], 2)}."
-        if expected and math.isnan(nearest(condition, expected)):
-            reason += f" With {expected} no whole points round to it."
-        if is_tlx and all(math.isnan(nearest(condition, rule)) for rule in rules):
-            reason = (
-                f"Suspicious: for n = {respondents.printed} no whole points give it, raw or "
-                f"weighted (GRIM). {reason}"
-            )
-        rows.append(row_about(numbers[id], reason))
-    items = _items(measure, ids, fitting, numbers)
+        if kind == "tlx" and not any(fits(condition, rule) for rule in rules):
+            remark = f"Suspicious: for n = {respondents.printed} no whole points give it, raw or "
+            rows.append(row_about(numbers[id], f"{remark}weighted (GRIM)."))
+        elif expected and not fits(condition, expected):
+            rows.append(row_about(numbers[id], f"With {expected} no whole points round to it."))
+    reason = f"The number or rule of {word} is not printed. "
+    reason += f"All means are whole points for: {'; '.join(fitting[:4]) or 'none of ' + tried}."
     if expected and expected not in fitting:
-        items = items._replace(reason=f"Suspicious: not {expected} ({source}). {items.reason}")
-    return [*rows, items]
-
-
-def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Numbers) -> Row:
-    """
-    Return which numbers of items, or rules of scoring, all means fit.
-
-    Not checkable, as neither is printed.
-    """
-    kind, fewest = _kind(measure), math.nan
-    if kind == "tlx":
-        word, unknown = "scoring", "The rule of scoring is not printed."
-        fit, tried = ": " + "; ".join(fitting[:4]), "any of: " + "; ".join(TLX_RULES)
-    else:
-        word, unknown = "items", "The number of items is not printed."
-        counts = [rule.removesuffix(" items") for rule in fitting]
-        fit, tried = f" {', '.join(counts[:4])} items", f"up to {MOST_ITEMS} items"
-        fewest = float(counts[0]) if counts else math.nan
-    fits = f"All means are whole points for{fit}"
-    if not fitting:
-        fits = f"Not all means are whole points for {tried}"
-    return row_about(
+        reason = f"Suspicious: not {expected} ({source}). {reason}"
+    fewest = float(rules[fitting[0]]) if fitting and word == "items" else math.nan
+    items = row_about(
         numbers[next(iter(ids.values()))],
-        f"{unknown} {fits}.",
+        reason,
         span=(fewest, math.nan, math.nan),
         formula="mean × respondents × items is a whole number",
         inputs=listing({**ids, "n": _size(measure)}, numbers),
@@ -342,40 +304,18 @@ def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Nu
         quantity=f"{kind}: {word} that all means fit",
         printed=", ".join(numbers[id].printed for id in ids.values()),
     )
+    return [*rows, items]
 
 
-def _performance(measure: str, id: str, numbers: Numbers) -> Allows | Row:
-    """Return the range of a mean of Table 2.5 that the participants' own ranges leave."""
-    name, note = _kind(measure), ""
-    if name == "r":
-        return row_about(numbers[id], "Measured; a share between 0 and 1.")
-    least, most = (
-        Formula(
-            f"mean of {name}_{end} of Table 2.1",
-            lambda v: v.x.mean(axis=0),
-            ids={f"x_{p}": f"table_2.1/{name}_{end}/{p}" for p in PARTICIPANTS},
-        )
-        for end in ("min", "max")
-    )
-    top, _, _ = most.range(numbers)
-    if numbers[id].value >= top:
-        note = (
-            f"Suspicious: it reaches the mean of the greatest values, {top:.4f}, as if every "
-            "participant had been at their best throughout."
-        )
-    return Allows(of=id, least=least, most=most, note=note)
-
-
-def sample_checks(numbers: Numbers) -> list[Finding]:
+def sample_checks(numbers: Numbers) -> list[Row]:
     """Return the checks of the means and SDs in Tables 2.4, 2.5 and 3.1 and in the studies."""
-    checks: list[Finding] = []
+    rows: list[Row] = []
     for measure, ids in _measures(numbers).items():
-        checks += [_sd(measure, id, numbers) for id in ids.values()]
-        if measure.startswith("table_2.5"):
-            checks += [_performance(measure, id, numbers) for id in ids.values()]
-        elif _kind(measure) in ("tlx", "trust", "satisfaction", "preference"):
-            checks += _ratings(measure, ids, numbers)
-    return checks
+        if measure in MEASURES["scales"]:
+            rows += [_sd(measure, id, numbers) for id in ids.values()]
+        if _kind(measure) in ("tlx", "trust", "satisfaction", "preference"):
+            rows += _ratings(measure, ids, numbers)
+    return rows
 
 
 def _duplicates(first: str, second: str, numbers: Numbers) -> list[Row]:
@@ -457,52 +397,15 @@ PRINTED_TWICE = (
 )
 
 
-def _notes_on_limits(numbers: Numbers) -> dict[str, str]:
-    """Say where the chosen TSC_u lies above TSC_ub, and where b_pr breaks (2.3)."""
-    notes = {}
-    for p in PARTICIPANTS:
-        id = f"table_2.1/TSC_ub/{p}"
-        check, chosen = related(id, numbers), numbers[f"table_2.2/TSC_u/{p}"]
-        limit, _, _ = check.range(numbers)
-        below = ""
-        if limit < chosen.value:
-            below = (
-                f"The chosen TSC_u = {chosen.printed} of Table 2.2 lies above TSC_ub = "
-                f"{limit:.3f} as recomputed."
-            )
-        notes[f"section_2_4_1_2/limits/{p}"] = below
-        notes[id] = f"{below} {_untied_gain(check, p, numbers)}".strip()
-    return notes
-
-
-def _untied_gain(check: Follows, p: str, numbers: Numbers) -> str:
-    """Say so if the printed limit needs a b_pr that rounds as printed but violates (2.3)."""
-    untied = replace(check, as_printed=())
-    if check.row(numbers).verdict != "differs" or untied.row(numbers).verdict == "differs":
-        return ""
-    gain = numbers[f"table_2.1/b_pr/{p}"]
-    by_equation, _, _ = related(gain.id, numbers).range(numbers)
-    return (
-        f"Only a b_pr that does not obey (2.3) and still rounds to {gain.printed}, from "
-        f"{gain.value - gain.half:.5f} to {gain.value + gain.half:.5f}, could reach "
-        f"{numbers[check.of].printed}; the text chooses b_pr by (2.3), here {by_equation:.5f}."
-    )
-
-
 def relation_checks(numbers: Numbers) -> list[Finding]:
     """Return the checks of all relations and claims, and of numbers that are printed twice."""
-    notes = _notes_on_limits(numbers)
-    checks = [
-        replace(check, note=f"{notes.get(check.of + check.suffix, '')} {check.note}".strip())
-        for check in relations(numbers)
-    ]
     again = [
         _restated(id, id.replace(second, first, 1), where, numbers)
         for second, first, where in PRINTED_TWICE
         for id in numbers
         if id.startswith(f"{second}/")
     ]
-    return [*checks, *claim_checks(numbers), *again]
+    return [*relations(numbers), *claim_checks(numbers), *again]
 
 
 def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
@@ -528,58 +431,3 @@ def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
         formula="the same number in two places",
         inputs=f"{source.printed} ({source.id})",
     )
-
-
-def _chosen_thresholds(numbers: Numbers) -> list[Row]:
-    """Return remarks on the thresholds that Section 2.5 chooses for the pilot operator."""
-    ids = {name: f"pilot/{name}" for name in (*LIMIT_INPUTS, "b_pr")}
-    lower = Formula("TSC_lb", lambda v: limits(v.named(*LIMIT_INPUTS))["TSC_lb"], ids=ids)
-    upper = Formula("TSC_ub", lambda v: upper_limit(v, "b_pr"), ids=ids, as_printed=("b_pr",))
-    limit, least, most = upper.range(numbers)
-    allowed = (
-        f"The pilot's own numbers give TSC_ub = {limit:.3f} by (2.10), from {least:.3f} to "
-        f"{most:.3f} within rounding, and TSC_lb = {lower.range(numbers)[0]:.3f}."
-    )
-    over = "Suspicious: above the limit under which Theorem 1 guarantees switching."
-    chosen = [numbers[f"section_2_5/{name}"] for name in ("TSC_l_0", "TSC_u_0", "TSC_ld", "TSC_ud")]
-    return [
-        row_about(x, f"{over if x.value > most else 'Chosen by the author.'} {allowed}")
-        for x in chosen
-    ]
-
-
-def _captured_thresholds(numbers: Numbers) -> list[Row]:
-    """Return remarks on upper thresholds of Table 2.3 above TSC_ub."""
-    rows = []
-    for p in PARTICIPANTS:
-        upper, limit = numbers[f"table_2.3/TSC_u.mean/{p}"], numbers[f"table_2.1/TSC_ub/{p}"]
-        if upper.value > limit.value:
-            above = (
-                f"{why_unchecked(upper.id)} It lies above TSC_ub = {limit.printed} of Table 2.1, "
-                "so that Theorem 1 does not cover this participant's own switching (its condition "
-                "is sufficient, not necessary)."
-            )
-            rows.append(row_about(upper, above))
-    return rows
-
-
-def _heaviest_handle(section: str, numbers: Numbers) -> Row:
-    """Return a remark on (3.10) at rest, B ≥ M Λ."""
-    damping, rate = numbers[f"{section}/B"], numbers[f"{section}/Lambda"]
-    grams = 1000.0 * damping.value / rate.value
-    weight = (
-        f"(3.10) needs B ≥ MΛ: with B = {damping.printed} and Λ = {rate.printed} the handle may "
-        f"weigh {grams:.3g} g"
-    )
-    if grams < 50.0:  # no handle of a haptic device is so light
-        weight = f"Suspicious: {weight}, less than any that a hand holds"
-    return row_about(damping, f"{weight}; its mass is not printed.")
-
-
-def remarks(numbers: Numbers) -> list[Row]:
-    """Return the remarks on numbers that no other determines."""
-    return [
-        *_chosen_thresholds(numbers),
-        *_captured_thresholds(numbers),
-        *(_heaviest_handle(section, numbers) for section in ("section_3_8_1", "section_3_9")),
-    ]

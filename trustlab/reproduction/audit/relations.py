@@ -8,10 +8,11 @@ conditions. `ids` says where a symbol stands otherwise, "./" beside the number, 
 it several.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from fnmatch import filter as matching, fnmatchcase
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -171,7 +172,31 @@ def left_over(orders: int) -> Callable[[Any], np.ndarray]:
     return lambda v: v.participants % orders
 
 
+def mean_of(row: str) -> Formula:
+    """Return the mean over participants of a row of Table 2.1."""
+    ids = {"x": f"table_2.1/{row}/*"}
+    return Formula(f"mean of {row} of Table 2.1", lambda v: v.x.mean(axis=0), ids=ids)
+
+
+def lower_limit(v: Any) -> np.ndarray:
+    """Return TSC_lb by (2.9)."""
+    return limits(v.named(*LIMIT_INPUTS))["TSC_lb"]
+
+
+def within_limits(of: str, binding: str, where: Mapping[str, str] = MappingProxyType({})) -> Allows:
+    """Return that thresholds lie between the limits by (2.9) and (2.10), which need not be so."""
+    return Allows(
+        of=of,
+        least=Formula("TSC_lb (2.9)", lower_limit, ids=where),
+        most=Formula(
+            "TSC_ub (2.10)", lambda v: upper_limit(v, "b_pr"), ids=where, as_printed=("b_pr",)
+        ),
+        binding=binding,
+    )
+
+
 STEP = "a_T δ_Pr + b_T δ_Ph"
+BEYOND = "Beyond the limits between which Theorem 1 guarantees switching."
 UPPER = "a'_3 P_h + b'_3 (2.10)"
 CHANGE = "100 |after − before|/before"
 ZERO = Formula("0", lambda v: 0)
@@ -201,7 +226,7 @@ MODELS: tuple[Follows | Allows, ...] = (
     ),
     Follows(
         "a_T b'_1 − b_T P_h_min (2.9)",
-        lambda v: limits(v.named(*LIMIT_INPUTS))["TSC_lb"],
+        lower_limit,
         of="table_2.1/TSC_lb/*",
     ),
     Follows(
@@ -223,6 +248,15 @@ MODELS: tuple[Follows | Allows, ...] = (
             )
             for other in PARTICIPANTS
         ),
+        note="A b_pr that rounds as printed but does not obey (2.3) may reach further.",
+    ),
+    within_limits("table_2.2/TSC_[lu]/*", BEYOND),
+    within_limits("section_2_5/TSC_*", f"Suspicious: {BEYOND}", at("pilot", *LIMIT_INPUTS, "b_pr")),
+    Allows(
+        of="table_2.3/TSC_u.mean/*",
+        least=Formula("TSC_lb", lambda v: v.TSC_lb),
+        most=Formula("TSC_ub", lambda v: v.TSC_ub),
+        binding=f"{BEYOND} It is captured, and the condition is sufficient, not necessary.",
     ),
     Allows(
         of="*/delta_P_r*",
@@ -280,7 +314,7 @@ def thresholds_of(p: str) -> Iterator[Follows]:
     yield apart
 
 
-CASE_STUDY = (
+CASE_STUDY: tuple[Follows | Allows, ...] = (
     *(relation for p in PARTICIPANTS for relation in thresholds_of(p)),
     Follows(
         "σ_l + σ_u of participant 3 less the greatest of the others",
@@ -296,6 +330,10 @@ CASE_STUDY = (
     lies_above("robot_performance", "23", "1", "table_2.5/P_r"),
     lies_above("human_performance", "23", "1", "table_2.5/P_h"),
     lies_above("utilization", "1", "23", "table_2.5/r"),
+    *(
+        Allows(of=f"table_2.5/*/{p}_mean", least=mean_of(f"{p}_min"), most=mean_of(f"{p}_max"))
+        for p in ("P_r", "P_h")
+    ),
     Follows("mean of the five", lambda v: v.x.mean(axis=0), of="table_2.6/*/mean", ids=FIVE),
     Follows(
         "SD of the five",
@@ -403,7 +441,7 @@ COUNTED = (
 )
 SEVENTH = "The seventh, uav.followed, has two conditions and was compared by a t-test."
 
-PERCENTAGES_AND_COUNTS = (
+PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
     Follows(
         "√(1 − Ṫ_max)",
         lambda v: (1 - v.T_max) ** 0.5,
@@ -479,6 +517,13 @@ PERCENTAGES_AND_COUNTS = (
             ("section_2_4_2_2", "section_2_4_2_2", 10),
             ("section_3_9_3", "section_3_9_2", 4),
         )
+    ),
+    # (3.10) at rest, of a handle of 50 g: no handle of a haptic device is so light.
+    Allows(
+        of="section_3_*/B",
+        least=Formula("0.05 Λ", lambda v: 0.05 * v.Lambda),
+        most=Formula("∞", lambda v: INFINITE),
+        binding="Suspicious: (3.10) needs B ≥ MΛ, for a handle lighter than any that a hand holds.",
     ),
     Follows("sets × laps", lambda v: v.sets * v.laps, of="section_2_4_1_3/laps_in_all"),
     Follows("female + male", lambda v: v.female + v.male, of="section_*/participants"),
