@@ -43,16 +43,7 @@ CALLS = {
     "allocation.step_bounds": lambda: {"tsc": cases.model()},
     "models.StepScaling": lambda: {"low": 0.2, "high": 0.8},
     "operators.operator": lambda: {"participant": 1, "model": cases.model()},
-    "reproduction.matching_digits": lambda: {"value": 0.3204, "printed": "0.320"},
-    "reproduction.part_of": lambda: {"where": "Table 2.1"},
     "reproduction.read_calibration": lambda: {"study": "uav", "folder": "data/calibration"},
-    "reproduction.smallest_change": lambda: {
-        "compute": twice,
-        "inputs": {"x": "1.0"},
-        "output": "y",
-        "printed": "2.2",
-        "units": 20,
-    },
     "studies.apa_p": lambda: {"p": 0.01},
     "studies.holm": lambda: {"p": np.array([0.01, 0.2, 0.03])},
     "studies.clopper_pearson": lambda: {"count": 3, "total": 10},
@@ -164,8 +155,6 @@ NOT_WALKED = {
     "publishing.use_house_style": "changes all figures that follow",
     "reproduction.compare_adjustments": "for one chapter",
     "reproduction.plot_ranges": "for one chapter",
-    "reproduction.plot_slips": "for one chapter",
-    "reproduction.plot_verdicts": "for one chapter",
     "reproduction.verdict_counts": "for one chapter",
     "reproduction.write_calibration": "for the script that makes the stored calibrations",
     "ros.measures_table": "needs a run of a robot",
@@ -180,7 +169,3 @@ NOT_WALKED = {
     "teleoperation.plot_scales": "for one chapter",
 }
 """Names that are not walked over, with the reason."""
-
-
-def twice(values):
-    return {"y": 2.0 * values["x"]}

@@ -54,7 +54,6 @@ ALLOWED = {
     "bayes_factor": {"missing": "nothing is missing"},
     "read_people": {"recipe": "the name has a recipe of its own"},
     "testbeds.Pioneer": {"heading_drift": "positive is a word of the description, not the range"},
-    "reproduction.smallest_change": {"units": "few are needed"},
     "teleoperation.packet_delay": {"sent": "the answer holds a function"},
     "teleoperation.random_walk_delay": {
         "seed": "the answer holds a function",
@@ -210,12 +209,6 @@ KNOWN = {
     },
     "VirtualStudy.plot": {
         "measures": "foreign errors, no argument named",
-    },
-    "reproduction.matching_digits": {
-        "value": "foreign errors, NaN is taken",
-    },
-    "reproduction.part_of": {
-        "where": "foreign errors, no argument named",
     },
     "reproduction.read_calibration": {
         "study": "no argument named",

@@ -468,7 +468,7 @@ DRIVERS = (None, "performance", "series", "asymmetric", "optimo")
 def simulated_people(name: str) -> tl.trust.Panel:
     """Return the people of hybrid_vr with ratings that follow a model fitted to them."""
     panel = tl.read_people("hybrid_vr")
-    model = tl.fit_trust(panel, name, criterion="free").typical
+    model = tl.fit_trust(panel, name, criterion="free").model
     drawn = tl.trust.simulate_ratings(model, panel, np.random.default_rng([SEED, len(name)]))
     return replace(drawn, source=f"simulated: {name}", cautions=("Nobody rated this.",))
 
@@ -507,7 +507,7 @@ def trust_recovery() -> pd.DataFrame:
 
 def residuals(panel: tl.trust.Panel, name: str) -> pd.DataFrame:
     """Return each person's mean rating minus that of a free run, by fifths of successes so far."""
-    model = tl.fit_trust(panel, name, criterion="free").typical
+    model = tl.fit_trust(panel, name, criterion="free").model
     left = panel.ratings[:, 1:] - tl.trust.predict(model, panel, free=True).mean
     share = np.cumsum(panel.events.p_r >= 0.5, axis=1) / np.arange(1, panel.trials + 1)
     fifth = np.digitize(share, [0.2, 0.4, 0.6, 0.8], right=True)
@@ -533,7 +533,7 @@ def driver(name: str | None, rate: float) -> tl.trust.TrustInLoop | None:
         return None
     panel = tl.read_people("hybrid_vr")
     printed, model = (
-        tl.fit_trust(panel, each, criterion="free").typical for each in ("performance", name)
+        tl.fit_trust(panel, each, criterion="free").model for each in ("performance", name)
     )
     return tl.trust.TrustInLoop(model, every=printed.a / rate)
 

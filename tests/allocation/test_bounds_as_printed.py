@@ -19,7 +19,7 @@ from trustlab.allocation import (
 )
 from trustlab.allocation.bounds import utilization_as_printed
 from trustlab.reproduction import published_table
-from trustlab.reproduction.printed_number import half_unit
+from trustlab.reproduction.printed import half_unit
 
 
 @pytest.fixture(scope="module")

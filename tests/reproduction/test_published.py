@@ -2,7 +2,8 @@
 
 import pytest
 
-from trustlab.reproduction import compare, matching_digits, published_models, published_table
+from trustlab.reproduction import compare, published_models, published_table
+from trustlab.reproduction.comparison import matching_digits
 
 
 def test_models_have_the_printed_parameters():

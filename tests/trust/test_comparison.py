@@ -39,7 +39,7 @@ def test_last_third_is_not_fitted_and_predicted_freely(compared):
     changed = replace(panel, ratings=ratings)
     fit = tl.trust.fitting.fitted(panel, MODELS["performance"], until=7)
     again = tl.trust.fitting.fitted(changed, MODELS["performance"], until=7)
-    np.testing.assert_array_equal(fit.centre, again.centre)
+    np.testing.assert_array_equal(fit.coordinates, again.coordinates)
     free = [predict(fit.model, p, free=True, known=7).mean for p in (panel, changed)]
     np.testing.assert_array_equal(free[0], free[1])
     scores = compared.scores.query("split == 'last third' and model == 'performance'")

@@ -12,7 +12,6 @@ from scipy import optimize, stats
 
 import trustlab as tl
 from trustlab.trust.dynamics import BASELINES, MODELS
-from trustlab.trust.fitting import fitted
 from trustlab.trust.interface import coordinates_of, with_parameters
 from trustlab.trust.likelihood import log_likelihood
 
@@ -251,8 +250,8 @@ def test_parameters_return_from_simulations(name):
     )
     fit = tl.fit_trust(drawn, name)
     low, high = fit.ends
-    error = coordinates_of(truth) - fit.centre
-    reach = np.where(error > 0.0, high - fit.centre, fit.centre - low)
+    error = coordinates_of(truth) - fit.coordinates
+    reach = np.where(error > 0.0, high - fit.coordinates, fit.coordinates - low)
     assert np.isfinite(reach).sum() >= 3
     assert (np.abs(error) < 2.0 * reach).all(), dict(zip(truth.parameters(), error, strict=True))
 
@@ -274,7 +273,7 @@ def test_ends_are_where_the_likelihood_has_fallen(name):
                 model = with_parameters(MODELS[name], np.insert(rest, i, end))
                 return -log_likelihood(model, drawn).sum()
 
-            rest = optimize.minimize(loss, np.delete(fit.centre, i), method="BFGS")
+            rest = optimize.minimize(loss, np.delete(fit.coordinates, i), method="BFGS")
             fall = 2.0 * (fit.log_likelihood + rest.fun)
             assert fall == pytest.approx(stats.chi2.ppf(0.95, 1), abs=0.2)
     table = fit.table().set_index("parameter")
@@ -315,25 +314,6 @@ def test_intervals_cover_as_they_say(name):
     share = np.mean(hits, axis=0)
     said = np.array([COVERED.get((name, each), 0.95) for each in MODELS[name].parameters()])
     assert (np.abs(share - said) < 4.0 * np.sqrt(said * (1.0 - said) / runs)).all(), share
-
-
-def test_partial_pooling_finds_how_people_differ():
-    people = panel(80, 20, seed=5, resolution=0.01)
-    model = MODELS["performance"]
-    rng = np.random.default_rng(6)
-    centre = coordinates_of(model(a=0.3, gain=0.7, process_sd=0.03, rating_sd=0.03))
-    names = list(model.parameters())
-    truth = np.tile(centre, (80, 1))
-    truth[:, names.index("a")] += 0.8 * rng.standard_normal(80)
-    drawn = tl.trust.simulate_ratings(with_parameters(model, truth), people, rng)
-    fit = tl.fit_trust(drawn, "performance", pooling="partial")
-    spread = dict(zip(names, fit.spread, strict=True))
-    assert spread["a"] == pytest.approx(0.8, abs=0.25)
-    assert spread["gain"] < 0.35
-    rate = np.log(fit.model.a)
-    assert np.corrcoef(rate, truth[:, names.index("a")])[0, 1] > 0.8
-    pooled = fitted(drawn, model)
-    assert fit.log_likelihood > pooled.log_likelihood + 50.0
 
 
 # --- nested models --------------------------------------------------------------------------------

@@ -1,9 +1,6 @@
 from .audit.audit import (
     audit as audit,
-    part_of as part_of,
     plot_ranges as plot_ranges,
-    plot_slips as plot_slips,
-    plot_verdicts as plot_verdicts,
     verdict_counts as verdict_counts,
 )
 from .calibration import (
@@ -12,11 +9,7 @@ from .calibration import (
     read_calibration as read_calibration,
     write_calibration as write_calibration,
 )
-from .comparison import (
-    compare as compare,
-    matching_digits as matching_digits,
-    smallest_change as smallest_change,
-)
+from .comparison import compare as compare
 from .effects import (
     model_effects as model_effects,
     printed_effects as printed_effects,

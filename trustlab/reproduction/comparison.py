@@ -1,15 +1,12 @@
-"""Computed numbers beside printed ones: digits, and the least change that explains."""
+"""Computed numbers beside printed ones, digit by digit."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from decimal import Decimal
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import one_of, shown, whole_number
-from trustlab.reproduction.printed_number import ROUNDINGS, half_unit, printed_decimal, rounds_to
-
-Compute = Callable[[dict[str, float]], Mapping[str, float]]
+from trustlab.reproduction.printed import ROUNDINGS, half_unit, printed_decimal, rounds_to
 
 
 def matching_digits(value: float, printed: str) -> int:
@@ -104,60 +101,3 @@ def compare(
     counted = "matching_digits", "printed_digits"
     columns = ["quantity", "ours", "stderr", "printed", *counted, "verdict"]
     return pd.DataFrame(rows, columns=columns).set_index("quantity")
-
-
-def smallest_change(
-    compute: Compute,
-    inputs: Mapping[str, str] | pd.Series,
-    output: str,
-    printed: str,
-    units: int = 400,
-) -> pd.DataFrame:
-    """
-    Find which single printed input, changed least, makes an output round to its printed value.
-
-    Parameters
-    ----------
-    compute : callable
-        Takes inputs as a dictionary of floats and returns outputs by name; may raise ValueError
-        where inputs are impossible, which is passed over.
-    inputs : mapping of str to str, or pandas.Series
-        Numbers as printed.
-    output : str
-        The output to explain.
-    printed : str
-        Its printed value.
-    units : int
-        Greatest change to try, in units of an input's last digit.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row per input that can explain it, least change first: input, printed, needed, units (of
-        its last digit).
-
-    Raises
-    ------
-    ValueError
-        If the output is not computed, or an argument is not understood.
-    """
-    if not isinstance(inputs, Mapping | pd.Series) or not len(inputs):
-        raise ValueError(f"inputs must map names to numbers as printed, got {shown(inputs)}")
-    units_of = {name: 2.0 * half_unit(text) for name, text in inputs.items()}
-    reach, units = half_unit(printed), whole_number("units", units, most=10**5)
-    middle = {name: float(text) for name, text in inputs.items()}
-    if not callable(compute):
-        raise ValueError(f"compute must be a function of a dictionary, got {shown(compute)}")
-    one_of("output", output, compute(dict(middle)))
-    target, rows = float(printed), []
-    for name, unit in units_of.items():
-        for k in sorted(range(-units, units + 1), key=abs):
-            try:
-                value = compute(middle | {name: middle[name] + k * unit})[output]
-            except ValueError:
-                continue
-            if abs(value - target) <= reach:
-                rows.append((name, inputs[name], middle[name] + k * unit, k))
-                break
-    table = pd.DataFrame(rows, columns=["input", "printed", "needed", "units"])
-    return table.sort_values("units", key=np.abs, ignore_index=True)

@@ -20,7 +20,7 @@ from trustlab.models.checks import one_of, shown, whole_number
 from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import ASSUMPTIONS, checked_assumptions
 from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS
-from trustlab.reproduction.printed_number import printed_decimal, printed_interval
+from trustlab.reproduction.printed import printed_decimal, printed_interval
 from trustlab.reproduction.published import published_facts, published_models, published_table
 from trustlab.reproduction.published_study import published_studies
 from trustlab.studies.virtual_study import virtual_study

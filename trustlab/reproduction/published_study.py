@@ -11,7 +11,7 @@ import pandas as pd
 
 from trustlab.models.checks import flag, one_of, set_checked, shown, whole_number
 from trustlab.models.published import ByName
-from trustlab.reproduction.printed_number import printed_decimal, printed_interval
+from trustlab.reproduction.printed import printed_decimal, printed_interval
 from trustlab.reproduction.published import published_facts
 
 # What a study may print of each test.

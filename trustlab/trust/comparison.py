@@ -174,7 +174,7 @@ def compare_trust_models(
     ]
     splits += [("last third", panel, later, panel)] if later < panel.trials else []
     # Where all people are fitted best is a good place to start from, and nothing more.
-    starts = {name: fitted(panel, model, free=free).centre for name, model in chosen.items()}
+    starts = {name: fitted(panel, model, free=free).coordinates for name, model in chosen.items()}
     tables = []
     for split, seen, until, unseen in splits:
         for name, model in chosen.items():
@@ -257,7 +257,7 @@ def recover_trust_models(
             drawn = simulate_ratings(truth.model, panel, np.random.default_rng(child))
             # The search starts where people are fitted best.
             bic = {
-                candidate: fitted(drawn, chosen[candidate], start=fit.centre).bic
+                candidate: fitted(drawn, chosen[candidate], start=fit.coordinates).bic
                 for candidate, fit in fits.items()
             }
             shares.loc[name, min(bic, key=bic.__getitem__)] += 1.0 / n

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.reproduction import plot_ranges, plot_slips
+from trustlab.reproduction import plot_ranges
 from trustlab.reproduction.audit.audit import MAKERS, audit
 from trustlab.reproduction.audit.catalogue import printed_numbers
 from trustlab.reproduction.audit.check import VERDICTS, Follows, rows_of
@@ -217,10 +217,7 @@ def test_a_gain_that_breaks_its_equation_is_no_excuse_but_is_named(verdicts):
     upper = (a_t * b_pr / (1.0 - a_pr) - b_t) * p_h_max + a_t * p_r_min - gap
     assert upper == pytest.approx(0.507, abs=0.005)
     assert f"{(1.0 - a_pr) * (p_r_max - p_r_min) / p_h_max:.4f}" == "0.0010"
-    named = verdicts["reason"].str.contains("does not obey (2.3)", regex=False)
-    assert list(verdicts.index[named]) == ["table_2.1/TSC_ub/5"]
-    reason = verdicts.loc["table_2.1/TSC_ub/5", "reason"]
-    assert "from 0.00105 to 0.00115, could reach 0.507" in reason
+    assert "does not obey (2.3)" in verdicts.loc["table_2.1/TSC_ub/5", "reason"]
 
 
 def test_impossible_numbers_differ():
@@ -285,8 +282,7 @@ def test_every_reason_for_an_unchecked_number_is_used(verdicts):
     assert unused == []
 
 
-def test_ranges_and_slips_are_where_the_table_has_them(verdicts):
-    """Figures show the numbers of the table."""
+def test_the_figure_of_ranges_shows_the_numbers_of_the_table(verdicts):
     verdicts = verdicts.reset_index()
     rows = verdicts[verdicts["id"].str.startswith("table_2.1/delta_TSC")]
     ax = plot_ranges(rows)
@@ -294,7 +290,3 @@ def test_ranges_and_slips_are_where_the_table_has_them(verdicts):
     assert labels == [f"participant {p}" for p in range(1, 6)]
     printed = [line.get_xdata()[0] for line in ax.lines if line.get_marker() == "D"]
     assert printed == [float(text) for text in rows["printed"]]
-    slips = verdicts[(verdicts["verdict"] == "differs") & (verdicts["high"] > verdicts["low"])]
-    places = [line.get_xdata()[0] for line in plot_slips(slips).lines if line.get_marker() == "D"]
-    assert len(places) == len(slips) > 3
-    assert all(abs(place) > 1.0 for place in places)

@@ -3,29 +3,23 @@
 import re
 from collections.abc import Mapping
 
-import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import shown
 from trustlab.models.display import axes_or_new
 from trustlab.reproduction.audit.catalogue import printed_numbers, why_unchecked
 from trustlab.reproduction.audit.check import VERDICTS, Row, row_about, rows_of
-from trustlab.reproduction.audit.consistency import joint_rows, sample_checks, study_checks
-from trustlab.reproduction.audit.statements import (
-    claim_checks,
+from trustlab.reproduction.audit.consistency import (
+    joint_rows,
     relation_checks,
-    remarks,
-    statement_checks,
+    sample_checks,
+    study_checks,
 )
 from trustlab.reproduction.published import published_facts
 
 MAKERS = (
     relation_checks,
-    remarks,
     study_checks,
     sample_checks,
-    claim_checks,
-    statement_checks,
     joint_rows,
 )
 
@@ -100,24 +94,10 @@ def _ancestors(id: str) -> list[str]:
 COLOURS = dict(zip(VERDICTS, ("C2", "C5", "C1", "#bbbbbb"), strict=True))
 
 
-def part_of(where: str) -> str:
-    """
-    Return the part of the dissertation that a printed number belongs to.
-
-    Parameters
-    ----------
-    where : str
-        Column `where` of the audit, for example "Table 2.1, participant 2".
-
-    Raises
-    ------
-    ValueError
-        If the place is in no part.
-    """
-    for part, starts in published_facts("parts").items():
-        if where.startswith(tuple(starts)):
-            return part
-    raise ValueError(f"no part of the dissertation for {shown(where)}")
+def _part_of(where: str) -> str:
+    """Return the part of the dissertation that the place of a printed number belongs to."""
+    parts = published_facts("parts").items()
+    return next(part for part, starts in parts if where.startswith(tuple(starts)))
 
 
 def verdict_counts(verdicts: pd.DataFrame) -> pd.DataFrame:
@@ -134,29 +114,9 @@ def verdict_counts(verdicts: pd.DataFrame) -> pd.DataFrame:
     pandas.DataFrame
         Index part; a column per verdict, and all.
     """
-    parts = verdicts["where"].map(part_of).rename("part")
+    parts = verdicts["where"].map(_part_of).rename("part")
     counts = pd.crosstab(parts, verdicts["verdict"]).reindex(columns=list(VERDICTS), fill_value=0)
     return counts.assign(all=counts.sum(axis=1))
-
-
-def plot_verdicts(verdicts: pd.DataFrame, ax=None):
-    """
-    Draw how many numbers have each verdict, part by part.
-
-    Parameters
-    ----------
-    verdicts : pandas.DataFrame
-        What `audit` returns.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure when not given.
-    """
-    ax, counts = axes_or_new(ax, figsize=(7.2, 3.0)), verdict_counts(verdicts)[list(VERDICTS)]
-    counts.plot.barh(
-        stacked=True, color=COLOURS, width=0.8, ax=ax, xlabel="numbers and statements", ylabel=""
-    )
-    ax.invert_yaxis()
-    ax.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.35, 1.0), frameon=False)
-    return ax
 
 
 def plot_ranges(rows: pd.DataFrame, ax=None):
@@ -178,28 +138,4 @@ def plot_ranges(rows: pd.DataFrame, ax=None):
     ax.set_yticks(range(len(rows)), [where.partition(", ")[2] for where in rows["where"]])
     ax.invert_yaxis()
     ax.set_xlabel("recomputed (dot), its range within rounding (bar), printed (diamond)")
-    return ax
-
-
-def plot_slips(rows: pd.DataFrame, ax=None):
-    """
-    Draw how far printed numbers lie outside their ranges, in half-widths of the range.
-
-    Parameters
-    ----------
-    rows : pandas.DataFrame
-        Rows of the audit with a range; those without one are left out.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure when not given.
-    """
-    rows = rows[rows["high"] > rows["low"]]
-    middle, half = 0.5 * (rows["low"] + rows["high"]), 0.5 * (rows["high"] - rows["low"])
-    places = (rows["printed"].astype(float) - middle) / half
-    scaled = rows.assign(printed=places, recomputed=np.nan, low=-1.0, high=1.0)
-    ax = plot_ranges(scaled, ax)
-    names = rows["where"] + ": " + rows["quantity"].str.replace(" [%]", "", regex=False)
-    ax.set_yticks(range(len(rows)), names, fontsize=8)
-    ax.set_xscale("symlog", linthresh=2)
-    ax.set_xlim(min(1.3 * places.min(), -3), max(1.3 * places.max(), 3))
-    ax.set_xlabel("printed (diamond), range within rounding (bar); unit: half the range")
     return ax

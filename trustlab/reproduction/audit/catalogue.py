@@ -11,7 +11,7 @@ from functools import cache
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, shown
-from trustlab.reproduction.printed_number import half_unit
+from trustlab.reproduction.printed import half_unit
 from trustlab.reproduction.published import (
     printed_pilot,
     published_facts,

@@ -1,13 +1,17 @@
 """How a verdict is made: a formula of printed numbers, its range, and what is printed."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fnmatch import filter as matching
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.reproduction.audit.catalogue import PrintedNumber
+from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber, conditions_of
+
+# Names of printed numbers that formulas write as letters.
+LETTERS = {"epsilon": "ε", "chi2": "χ2", "beta": "β"}
 
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
@@ -69,15 +73,22 @@ class Values:
     Printed numbers by the symbols of a formula, as attributes; notes which are used.
 
     A symbol that stands for several numbers, x for x_1, x_2 …, is their stack along a new first
-    axis. `value` gives the value of a symbol and its id.
+    axis. `value` gives the value of a symbol and its id; those that are `fixed` are no inputs.
     """
 
-    def __init__(self, ids: Mapping[str, str], value: Callable[[str, str], Any]) -> None:
-        self._ids, self._value = ids, value
+    def __init__(
+        self,
+        ids: Mapping[str, str],
+        value: Callable[[str, str], Any],
+        fixed: Mapping[str, float],
+    ) -> None:
+        self._ids, self._value, self._fixed = ids, value, fixed
         self.used: dict[str, str] = {}
 
     def __getattr__(self, symbol: str) -> Any:
         """Return the value of a symbol, or the values of the numbers that it stands for."""
+        if symbol in self._fixed:
+            return self._fixed[symbol]
         family = {x: id for x, id in self._ids.items() if x.startswith(f"{symbol}_")}
         named = {symbol: self._ids[symbol]} if symbol in self._ids else family
         if not named:
@@ -98,8 +109,8 @@ class Formula:
 
     `text` is the formula as one reads it; `compute` takes `Values`; `label` names the convention,
     or says what an explanation assumes; `ids` maps symbols to ids of printed numbers. `as_printed`
-    names symbols that are used with the printed digits as they stand; `changed` has symbols put in
-    place of printed values, without rounding (the change that an explanation tries).
+    names symbols that are used with the printed digits as they stand; `fixed` has symbols that no
+    printed number stands for, such as k, or that an explanation puts in place of one.
     """
 
     text: str
@@ -107,27 +118,27 @@ class Formula:
     label: str = ""
     ids: Mapping[str, str] = field(default_factory=dict)
     as_printed: tuple[str, ...] = ()
-    changed: Mapping[str, float] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
     def inputs(self, numbers: Numbers) -> dict[str, str]:
         """Return the ids of the numbers that the formula uses, by symbol."""
-        values = Values(self.ids, lambda _, id: np.asarray(numbers[id].value))
+        values = Values(self.ids, lambda _, id: np.asarray(numbers[id].value), self.fixed)
         with np.errstate(all="ignore"):
             self.compute(values)
         return values.used
 
     def at(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the value of the formula at arrays of its inputs."""
-        return self.compute(Values(self.ids, lambda symbol, _: values[symbol]))
+        return self.compute(Values(self.ids, lambda symbol, _: values[symbol], self.fixed))
 
     def range(self, numbers: Numbers) -> Span:
         """
         Return the value, and its least and greatest when every input varies within its rounding.
         """
         inputs = self.inputs(numbers)
-        middle = {symbol: numbers[id].value for symbol, id in inputs.items()} | dict(self.changed)
-        fixed = {*self.changed, *self.as_printed}
-        half = {symbol: numbers[id].half for symbol, id in inputs.items() if symbol not in fixed}
+        middle = {symbol: numbers[id].value for symbol, id in inputs.items()}
+        free = inputs.keys() - set(self.as_printed)
+        half = {symbol: numbers[inputs[symbol]].half for symbol in free}
         return reach(self.at, middle, half)
 
     def result(self, value: float, number: PrintedNumber) -> str:
@@ -175,16 +186,19 @@ def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
 @dataclass(frozen=True, kw_only=True)
 class Relation:
     """
-    What other printed numbers say of the number `of`.
+    What other printed numbers say of the number `of`, or of all that match it.
 
     `suffix` is appended to the id where a number is checked more than once, with a `quantity` of
-    its own.
+    its own. Of those that match, `printed` chooses by the text, and where the name `unless` is
+    printed beside a number nothing is said.
     """
 
     of: str
     note: str = ""
     suffix: str = ""
     quantity: str = ""
+    printed: str = ""
+    unless: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,37 +283,117 @@ class Follows(Relation, Formula):
 
 @dataclass(frozen=True, kw_only=True)
 class Allows(Relation):
-    """The range, from `least` to `most`, that other printed numbers leave a number."""
+    """
+    The range, from `least` to `most`, that other printed numbers leave a number.
+
+    Where `binding` is given, a number may lie beyond it, and `binding` says what that means.
+    """
 
     least: Formula
     most: Formula
+    binding: str = ""
 
     def row(self, numbers: Numbers) -> Row:
         """Return the verdict: "not checkable" inside the range, "differs" outside."""
-        number, verdict = numbers[self.of], "not checkable"
-        _, low, _ = self.least.range(numbers)
-        _, _, high = self.most.range(numbers)
-        least, most = number.compatible
-        between = f"from {show(low)} to {show(high)}"
-        if most < low or least > high:
+        number, note = numbers[self.of], self.note
+        at_least, low, _ = self.least.range(numbers)
+        at_most, _, high = self.most.range(numbers)
+        if not at_least <= number.value < at_most:
+            note = f"As printed they allow {show(at_least)} to {show(at_most)}."
+            note = note if self.binding else f"Suspicious: {note}"
+        text = f"{self.least.text} … {self.most.text}"
+        inputs = self.least.inputs(numbers) | self.most.inputs(numbers)
+        return row_within(number, (low, high), text, inputs, numbers, note, self.binding)
+
+
+def row_within(
+    number: PrintedNumber,
+    allowed: tuple[float, float],
+    formula: str,
+    inputs: Mapping[str, str],
+    numbers: Numbers,
+    note: str = "",
+    binding: str = "",
+) -> Row:
+    """Return the row of a number of which others say only within which ends it lies."""
+    low, high = allowed
+    least, most = number.compatible
+    between, verdict = f"from {show(low)} to {show(high)}", "not checkable"
+    if most < low or least > high:
+        verdict, reason = "not checkable", f"{binding} Other printed numbers give {between}."
+        if not binding:
             verdict = "differs"
-            reason = (
-                f"Impossible: other printed numbers allow it {between} only, whatever their "
-                "rounding."
-            )
-        elif np.isnan(low) or np.isnan(high):
-            reason = "Other printed numbers leave it open."
-        else:
-            reason = f"Not determined by other printed numbers, which allow it {between}."
-        first = self.note.startswith("Suspicious")
-        return row_about(
-            number,
-            f"{self.note} {reason}" if first else f"{reason} {self.note}",
-            verdict,
-            (np.nan, low, high),
-            formula=f"{self.least.text} … {self.most.text}",
-            inputs=listing(self.most.inputs(numbers) or self.least.inputs(numbers), numbers),
-        )
+            reason = f"Impossible: other printed numbers allow it {between}, however rounded."
+    elif np.isnan(low) or np.isnan(high):
+        reason = "Other printed numbers leave it open."
+    else:
+        reason = f"Not determined by other printed numbers, which allow it {between}."
+    first = note.startswith("Suspicious")
+    return row_about(
+        number,
+        f"{note} {reason}" if first else f"{reason} {note}",
+        verdict,
+        (np.nan, low, high),
+        formula=formula,
+        inputs=listing(inputs, numbers),
+    )
+
+
+def _beside(place: str, end: str, numbers: Numbers) -> dict[str, str]:
+    """Return the ids of numbers in a place or of a participant by the names that formulas use."""
+    starts: tuple[str, ...] = (f"{place}/",)
+    if f"{place}/n" in numbers:
+        starts = tuple(f"{place}/{test}" for test in ("t_test.", "mauchly.", "anova.", ""))
+    if end:
+        starts = ("table_2.2/", "table_2.1/")
+    ids = {}
+    for start in starts:
+        for id in numbers:
+            if id.startswith(start) and id.endswith(end):
+                name = id.removeprefix(start).removesuffix(end)
+                ids[LETTERS.get(name, name)] = id
+    return ids
+
+
+def completed(relation: Follows | Allows, numbers: Numbers) -> Follows | Allows:
+    """Return a relation whose formulas say where all their symbols stand."""
+    place, _, _ = relation.of.rpartition("/")
+    _, _, last = f"{relation.of}{relation.suffix}".rpartition("/")
+    beside = _beside(place, f"/{last}" if last in PARTICIPANTS else "", numbers)
+    if relation.unless in beside:
+        raise NotPrintedError(relation.unless)
+    fixed = {"k": len(conditions_of(place))} if f"{place}/n" in numbers else {}
+
+    def formula(way: Any, ids: Mapping[str, str]) -> Any:
+        listed = _listed(way.ids, place, numbers)
+        way = replace(way, ids={**ids, **listed}, fixed={**fixed, **way.fixed})
+        way.inputs(numbers)  # all of them are printed
+        return way
+
+    if isinstance(relation, Allows):
+        ends = formula(relation.least, beside), formula(relation.most, beside)
+        return replace(relation, least=ends[0], most=ends[1])
+    first = formula(relation, beside)
+    return replace(
+        first,
+        conventions=tuple(formula(way, first.ids) for way in relation.conventions),
+        explanations=tuple(formula(way, first.ids) for way in relation.explanations),
+    )
+
+
+def _listed(ids: Mapping[str, str], place: str, numbers: Numbers) -> dict[str, str]:
+    """Return ids by symbol; a pattern gives a symbol for each number that matches."""
+    listed = {}
+    for symbol, where in ids.items():
+        pattern = where.replace("./", f"{place}/", 1) if where.startswith("./") else where
+        if pattern in numbers:
+            listed[symbol] = pattern
+            continue
+        start = pattern.partition("*")[0].partition("[")[0]
+        for id in matching(numbers, pattern):
+            name, _, _ = id.removeprefix(start).partition("/")
+            listed[f"{symbol}_{name}"] = id
+    return listed
 
 
 # What a maker of checks returns: a row, or what gives one.

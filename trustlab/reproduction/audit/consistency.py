@@ -4,10 +4,12 @@ means, SDs, whole points and sample sizes; statistics that two studies share.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
 from itertools import combinations
-from typing import Any, NamedTuple
+from statistics import mode
+from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize, stats
@@ -15,27 +17,28 @@ from scipy import optimize, stats
 from trustlab.reproduction.audit.catalogue import (
     PARTICIPANTS,
     PrintedNumber,
+    conditions_of,
     study_names,
 )
 from trustlab.reproduction.audit.check import (
-    Allows,
     Finding,
-    Formula,
     Numbers,
     Row,
     listing,
     row_about,
-    show,
+    row_within,
 )
 from trustlab.reproduction.audit.relations import (
     BOUNDS,
     LIMIT_INPUTS,
     PERFORMANCE,
-    ZERO,
     bounds,
+    claim_checks,
     limits,
     related,
+    relations,
 )
+from trustlab.reproduction.printed import ROUNDINGS, greatest_sd, possible_f
 from trustlab.reproduction.published import published_facts
 
 LIMITS = ("TSC_lb", "TSC_ub", "b_pr")
@@ -216,19 +219,14 @@ def joint_rows(numbers: Numbers) -> list[Row]:
     return rows
 
 
-def attainable(number: PrintedNumber, units: Fraction) -> float:
+def is_attainable(number: PrintedNumber, units: Fraction) -> bool:
     """
-    Return the mean nearest to a printed one that whole points can have (the GRIM test).
-
-    NaN if none rounds to it.
+    Return whether some mean of whole points rounds to a printed one (the GRIM test).
 
     `units` are whole points per unit of the scale: respondents × items for ratings in steps of 1.
     """
-    least, most = number.compatible
-    points = round(number.value * units)
-    means = [float(Fraction(points + i) / units) for i in (-1, 0, 1)]
-    nearest = min(means, key=lambda x: abs(x - number.value))
-    return nearest if least <= nearest <= most else math.nan
+    least, most = (Fraction(end) * units for end in number.compatible)
+    return math.ceil(least) <= most
 
 
 def _measures(numbers: Numbers) -> dict[str, dict[str, str]]:
@@ -255,83 +253,50 @@ def _kind(measure: str) -> str:
     return measure.replace("/", ".").split(".")[-1]
 
 
-def _sd(measure: str, mean: str, numbers: Numbers) -> Allows | Row:
+def _sd(measure: str, mean: str, numbers: Numbers) -> Row:
     """Return the range of an SD that the mean and the ends of the scale leave."""
-    sd = mean.replace("_mean", "_sd").replace("/mean.", "/sd.")
-    if measure not in MEASURES["scales"]:
-        unknown = "Depends on scores that are not printed, on a scale that is not printed."
-        return row_about(numbers[sd], unknown)
-    least, most = MEASURES["scales"][measure]
-
-    def at_the_ends(v: Any) -> np.ndarray:
-        if math.isinf(most):
-            return v.M * np.sqrt(v.n)
-        variance = v.n / (v.n - 1.0) * (v.M - least) * (most - v.M)
-        return np.sqrt(np.maximum(variance, 0.0))
-
-    text = f"√(n/(n − 1) (M − {least:g})({most:g} − M)), all scores at the ends of the scale"
-    text = "M √n, all but one score 0" if math.isinf(most) else text
-    greatest = Formula(text, at_the_ends, ids={"M": mean, "n": _size(measure)})
-    return Allows(of=sd, least=ZERO, most=greatest)
+    number = numbers[mean.replace("_mean", "_sd").replace("/mean.", "/sd.")]
+    size, scale = _size(measure), MEASURES["scales"][measure]
+    most = greatest_sd(numbers[mean].compatible, numbers[size].value, scale)
+    text = f"all scores at the ends of the scale, {scale[0]:g} to {scale[1]:g}"
+    return row_within(number, (0.0, most), text, {"M": mean, "n": size}, numbers)
 
 
 def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Row]:
-    """Return a questionnaire's remarks, one per mean, and a row on its items or its scoring."""
-    is_tlx, respondents = _kind(measure) == "tlx", numbers[_size(measure)]
-    rules = TLX_RULES
-    if not is_tlx:
+    """
+    Return a row on the items of a questionnaire, or on its rule of scoring, that all means fit, and
+    remarks on means that no whole points give.
+    """
+    kind, respondents = _kind(measure), numbers[_size(measure)]
+    word, tried, rules = "scoring", "; ".join(TLX_RULES), TLX_RULES
+    if kind != "tlx":
+        word, tried = "items", f"up to {MOST_ITEMS} items"
         rules = {f"{items} items": Fraction(items) for items in range(1, MOST_ITEMS + 1)}
 
-    def nearest(condition: str, rule: str) -> float:
+    def fits(condition: str, rule: str) -> bool:
         # Table 2.4 may rest on two sets of tests under C1.
         twice = measure.startswith("table_2.4") and condition == "C1"
         sets = numbers["section_2_4_1_3/sets"].value if twice else 1
-        return attainable(numbers[ids[condition]], int(respondents.value * sets) * rules[rule])
+        return is_attainable(numbers[ids[condition]], int(respondents.value * sets) * rules[rule])
 
-    fitting = [rule for rule in rules if not any(math.isnan(nearest(c, rule)) for c in ids)]
+    fitting = [rule for rule in rules if all(fits(condition, rule) for condition in ids)]
     listed = MEASURES["expected_items"]
-    expected, source = listed.get(measure) or listed.get(_kind(measure)) or ("", "")
+    expected, source = listed.get(measure) or listed.get(kind) or ("", "")
     rows = []
     for condition, id in ids.items():
-        reason = "Follows from answers that are not printed."
-        if fitting:
-            mean = nearest(condition, fitting[0])
-            reason += f" Whole points ({fitting[0]}) can give {show(mean, numbers[id], 2)}."
-        if expected and math.isnan(nearest(condition, expected)):
-            reason += f" With {expected} no whole points round to it."
-        if is_tlx and all(math.isnan(nearest(condition, rule)) for rule in rules):
-            reason = (
-                f"Suspicious: for n = {respondents.printed} no whole points give it, raw or "
-                f"weighted (GRIM). {reason}"
-            )
-        rows.append(row_about(numbers[id], reason))
-    items = _items(measure, ids, fitting, numbers)
+        if kind == "tlx" and not any(fits(condition, rule) for rule in rules):
+            remark = f"Suspicious: for n = {respondents.printed} no whole points give it, raw or "
+            rows.append(row_about(numbers[id], f"{remark}weighted (GRIM)."))
+        elif expected and not fits(condition, expected):
+            rows.append(row_about(numbers[id], f"With {expected} no whole points round to it."))
+    reason = f"The number or rule of {word} is not printed. "
+    reason += f"All means are whole points for: {'; '.join(fitting[:4]) or 'none of ' + tried}."
     if expected and expected not in fitting:
-        items = items._replace(reason=f"Suspicious: not {expected} ({source}). {items.reason}")
-    return [*rows, items]
-
-
-def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Numbers) -> Row:
-    """
-    Return which numbers of items, or rules of scoring, all means fit.
-
-    Not checkable, as neither is printed.
-    """
-    kind, fewest = _kind(measure), math.nan
-    if kind == "tlx":
-        word, unknown = "scoring", "The rule of scoring is not printed."
-        fit, tried = ": " + "; ".join(fitting[:4]), "any of: " + "; ".join(TLX_RULES)
-    else:
-        word, unknown = "items", "The number of items is not printed."
-        counts = [rule.removesuffix(" items") for rule in fitting]
-        fit, tried = f" {', '.join(counts[:4])} items", f"up to {MOST_ITEMS} items"
-        fewest = float(counts[0]) if counts else math.nan
-    fits = f"All means are whole points for{fit}"
-    if not fitting:
-        fits = f"Not all means are whole points for {tried}"
-    return row_about(
+        reason = f"Suspicious: not {expected} ({source}). {reason}"
+    fewest = float(rules[fitting[0]]) if fitting and word == "items" else math.nan
+    items = row_about(
         numbers[next(iter(ids.values()))],
-        f"{unknown} {fits}.",
+        reason,
         span=(fewest, math.nan, math.nan),
         formula="mean × respondents × items is a whole number",
         inputs=listing({**ids, "n": _size(measure)}, numbers),
@@ -339,40 +304,18 @@ def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Nu
         quantity=f"{kind}: {word} that all means fit",
         printed=", ".join(numbers[id].printed for id in ids.values()),
     )
+    return [*rows, items]
 
 
-def _performance(measure: str, id: str, numbers: Numbers) -> Allows | Row:
-    """Return the range of a mean of Table 2.5 that the participants' own ranges leave."""
-    name, note = _kind(measure), ""
-    if name == "r":
-        return row_about(numbers[id], "Measured; a share between 0 and 1.")
-    least, most = (
-        Formula(
-            f"mean of {name}_{end} of Table 2.1",
-            lambda v: v.x.mean(axis=0),
-            ids={f"x_{p}": f"table_2.1/{name}_{end}/{p}" for p in PARTICIPANTS},
-        )
-        for end in ("min", "max")
-    )
-    top, _, _ = most.range(numbers)
-    if numbers[id].value >= top:
-        note = (
-            f"Suspicious: it reaches the mean of the greatest values, {top:.4f}, as if every "
-            "participant had been at their best throughout."
-        )
-    return Allows(of=id, least=least, most=most, note=note)
-
-
-def sample_checks(numbers: Numbers) -> list[Finding]:
+def sample_checks(numbers: Numbers) -> list[Row]:
     """Return the checks of the means and SDs in Tables 2.4, 2.5 and 3.1 and in the studies."""
-    checks: list[Finding] = []
+    rows: list[Row] = []
     for measure, ids in _measures(numbers).items():
-        checks += [_sd(measure, id, numbers) for id in ids.values()]
-        if measure.startswith("table_2.5"):
-            checks += [_performance(measure, id, numbers) for id in ids.values()]
-        elif _kind(measure) in ("tlx", "trust", "satisfaction", "preference"):
-            checks += _ratings(measure, ids, numbers)
-    return checks
+        if measure in MEASURES["scales"]:
+            rows += [_sd(measure, id, numbers) for id in ids.values()]
+        if _kind(measure) in ("tlx", "trust", "satisfaction", "preference"):
+            rows += _ratings(measure, ids, numbers)
+    return rows
 
 
 def _duplicates(first: str, second: str, numbers: Numbers) -> list[Row]:
@@ -402,7 +345,89 @@ def _duplicates(first: str, second: str, numbers: Numbers) -> list[Row]:
     return rows
 
 
+def _allowed_rows(study: str, unusual: set[str], numbers: Numbers) -> Iterator[Row]:
+    """
+    Return the ranges that means and standard deviations leave F, t and p of pairs, and which p are
+    bounded otherwise than most, "<.0005".
+    """
+    conditions, size = conditions_of(study), f"{study}/n"
+    n, pairs = numbers[size].value, list(combinations(conditions, 2))
+    for chosen in (conditions, *pairs):
+        cells = {f"M_{c}": f"{study}/mean.{c}" for c in chosen}
+        cells |= {f"SD_{c}": f"{study}/sd.{c}" for c in chosen}
+        if not numbers.keys() >= set(cells.values()):
+            continue
+        mean, sd = np.split(np.array([numbers[id].compatible for id in cells.values()]), 2)
+        f_ratio = np.array(possible_f(mean, sd, n))
+        allowed = {"anova.F": f_ratio}
+        if chosen in pairs:
+            t = np.sqrt(f_ratio)
+            p = 2.0 * stats.t.sf(t, n - 1.0)
+            # Whether it is adjusted for the number of pairs, and how, is open.
+            ends = np.array([p[1], min(len(pairs) * p[0], 1.0)])
+            allowed = {"t_test.t": t, f"pairs.{'-'.join(chosen)}": ends}
+        for statistic, (low, high) in allowed.items():
+            if (id := f"{study}/{statistic}") in numbers:
+                note = ""
+                if id in unusual:
+                    note = "Suspicious: most of its kind have another bound; probably a zero is "
+                    note += "missing."
+                text, inputs = "at any correlations", cells | {"n": size}
+                yield row_within(numbers[id], (low, high), text, inputs, numbers, note)
+
+
+def _unusual_bounds(numbers: Numbers) -> set[str]:
+    """Return the p-values of pairs that are bounded otherwise than most are."""
+    bounds = {id: x.printed for id, x in numbers.items() if "/pairs." in id and x.is_bound}
+    usual = mode(bounds.values()) if bounds else ""
+    return {id for id, text in bounds.items() if text != usual}
+
+
 def study_checks(numbers: Numbers) -> list[Row]:
-    """Return the rows about pairs of studies."""
-    pairs = combinations(study_names(numbers), 2)
-    return [row for pair in pairs for row in _duplicates(*pair, numbers)]
+    """Return the rows about what the cells of studies allow, and about pairs of studies."""
+    names, unusual = study_names(numbers), _unusual_bounds(numbers)
+    rows = [row for name in names for row in _allowed_rows(name, unusual, numbers)]
+    return rows + [row for pair in combinations(names, 2) for row in _duplicates(*pair, numbers)]
+
+
+# Where numbers are printed a second time, their first place, and its name.
+PRINTED_TWICE = (
+    ("figure_2_18", "section_2_5", "The text of Section 2.5"),
+    ("appendix_a/state", "appendix_a/model", "The transfer function"),
+)
+
+
+def relation_checks(numbers: Numbers) -> list[Finding]:
+    """Return the checks of all relations and claims, and of numbers that are printed twice."""
+    again = [
+        _restated(id, id.replace(second, first, 1), where, numbers)
+        for second, first, where in PRINTED_TWICE
+        for id in numbers
+        if id.startswith(f"{second}/")
+    ]
+    return [*relations(numbers), *claim_checks(numbers), *again]
+
+
+def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
+    """
+    Return whether a number printed in a second place is the one of the first, or that one rounded.
+    """
+    number, source = numbers[id], numbers[first]
+    here, there = Decimal(number.printed), Decimal(source.printed)
+    same = here in (there.quantize(here, rule) for rule in ROUNDINGS)
+    reason = f"{where} has {source.printed}."
+    if not same:
+        rounded = there.quantize(here, ROUND_HALF_UP)
+        neither = "neither is the other one rounded"
+        why = f"{source.printed} rounds to {rounded}" if rounded != there else neither
+        reason = (
+            f"{reason[:-1]}, here {number.printed} is printed: one of the two is wrong, as {why}."
+        )
+    return row_about(
+        number,
+        reason,
+        "reproduced" if same else "differs",
+        (float(there),) * 3,
+        formula="the same number in two places",
+        inputs=f"{source.printed} ({source.id})",
+    )

@@ -1,16 +1,18 @@
 """
 Relations between printed numbers: what follows from what, and the range that other numbers allow.
 
-A relation is a line of arithmetic: `Follows(text, lambda v: …, of=number)`. v has the printed
-numbers by their own names: those of the same participant, of the same study, or beside the number
-that is checked. `ids` says where a symbol stands otherwise, and a * there makes it several.
+A relation is a line of arithmetic: `Follows(text, lambda v: …, of=number)`, where * in the number
+makes it a line for each that matches. v has the printed numbers by their own names: those of the
+same participant, of the same study, or beside the number that is checked; k is the number of
+conditions. `ids` says where a symbol stands otherwise, "./" beside the number, and a * there makes
+it several.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from fnmatch import fnmatchcase
-from functools import partial
+from fnmatch import filter as matching, fnmatchcase
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,21 +21,20 @@ from scipy import stats
 from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
 from trustlab.allocation.limits import limits_as_printed
 from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
-from trustlab.reproduction.audit.catalogue import PARTICIPANTS, conditions_of, study_names
+from trustlab.reproduction.audit.catalogue import PARTICIPANTS, claims
 from trustlab.reproduction.audit.check import (
     Allows,
     Follows,
     Formula,
     NotPrintedError,
     Numbers,
+    completed,
 )
 from trustlab.studies.anova import mauchly_factor, mauchly_p_value
 
 INFINITE = float("inf")
 POSITIVE = (1e-12, INFINITE)  # of a difference that must not be 0
-
-# Names of printed numbers that formulas write as letters.
-LETTERS = {"epsilon": "ε", "chi2": "χ2", "beta": "β"}
+AT_LEAST_0 = (0.0, INFINITE)
 
 PERFORMANCE = ("P_r_min", "P_r_max", "P_h_min", "P_h_max")
 LIMIT_INPUTS = (*PERFORMANCE, "a_pr", "delta_P_h")
@@ -112,30 +113,6 @@ def chi2_of_epsilon(
         return -mauchly_factor(n, k) * np.log(w)
 
 
-def f_of_moments(v: Any, k: int, greatest: bool) -> np.ndarray:
-    """Return F at an average correlation of −1/(k − 1), the least, or 1, the greatest."""
-    means, sds = v.M, v.SD
-    if len(means) < k:
-        raise NotPrintedError("a mean")
-    variance = (sds**2).mean(axis=0)
-    covariance = (sds.sum(axis=0) ** 2 - (sds**2).sum(axis=0)) / (k * (k - 1.0))
-    error = variance - covariance if greatest else variance * k / (k - 1.0)
-    return v.n * means.var(axis=0, ddof=1) / error
-
-
-def t_of_moments(v: Any, correlation: int) -> np.ndarray:
-    """Return the size of a paired t at a correlation of 1 (the greatest) or −1 (the least)."""
-    means, sds = v.M, v.SD
-    sd = np.abs(sds[0] - correlation * sds[1])
-    return np.abs(means[0] - means[1]) * np.sqrt(v.n) / np.maximum(sd, 1e-12)
-
-
-def p_of_moments(v: Any, correlation: int, times: float) -> np.ndarray:
-    """Return a paired t-test's p at a correlation, times a number of comparisons, at most 1."""
-    p = 2.0 * stats.t.sf(t_of_moments(v, correlation), v.n - 1.0)
-    return np.minimum(times * p, 1.0)
-
-
 def gain(v: Any) -> np.ndarray:
     """Return b_pr by (2.3)."""
     return robot_gain(v.named("a_pr", "P_r_min", "P_r_max", "P_h_max"))
@@ -160,49 +137,28 @@ def change(v: Any) -> np.ndarray:
     return 100 * abs(v.after - v.before) / v.before
 
 
-def above(of: str, higher: str, lower: str, column: str) -> Follows:
-    """Return that the means of some conditions lie above those of others."""
+def at(section: str, *names: str) -> dict[str, str]:
+    """Return where numbers of another section stand."""
+    return {name: f"{section}/{name}" for name in names}
 
-    def end(word: str, conditions: str) -> str:
-        names = [f"x_C{c}" for c in conditions]
-        return f"{word}({', '.join(names)})" if len(names) > 1 else names[0]
 
+def lies_above(of: str, higher: str, lower: str, column: str) -> Follows:
+    """Return that the means of some conditions of a table lie above those of others."""
+    table, measure = column.split("/")
+    mean = f"{table}/C[{{}}]/{measure}_mean".format
     return Follows(
-        f"{end('min', higher)} − {end('max', lower)}",
-        lambda v: (
-            np.min([getattr(v, f"x_C{c}") for c in higher], axis=0)
-            - np.max([getattr(v, f"x_C{c}") for c in lower], axis=0)
-        ),
+        "min(above) − max(below)",
+        lambda v: v.above.min(axis=0) - v.below.max(axis=0),
         of=f"section_2_4_1_3/{of}",
-        ids={"x": f"table_2.{column}_mean"},
+        ids={"above": mean(higher), "below": mean(lower)},
         target=POSITIVE,
     )
 
 
-def participants_left(v: Any, orders: int) -> np.ndarray:
-    """Return how many participants are more than the last whole square of orders needs."""
-    return v.participants % orders
-
-
 def spread_of_participant_3(v: Any) -> np.ndarray:
     """Return σ_l + σ_u of participant 3 less the greatest of the others."""
-    sums = {p: getattr(v, f"l_{p}") + getattr(v, f"u_{p}") for p in "31245"}
-    return sums["3"] - np.max([sums[p] for p in "1245"], axis=0)
-
-
-STEP = "a_T δ_Pr + b_T δ_Ph"
-GAIN = "(1 − a_pr)(P_r_max − P_r_min)/P_h_max"
-UPPER = "a'_3 P_h + b'_3 (2.10)"
-CHANGE = "100 |after − before|/before"
-GREATEST_STEP = Formula(
-    "(1 − a_pr)(P_r_max − P_r_min)", lambda v: (1 - v.a_pr) * (v.P_r_max - v.P_r_min)
-)
-ZERO = Formula("0", lambda v: 0)
-FIVE = {c: {"x": f"table_2.6/{c}/[1-5]"} for c in ("C2", "C4")}
-MEAN_OF_PRODUCTS = (
-    "(2.4) is a mean of products, which is below the product of the means where the robot is "
-    "faster the farther it is from the path."
-)
+    spread = v.l + v.u
+    return spread[2] - np.delete(spread, 2, axis=0).max(axis=0)
 
 
 def against_mmi(scheme: str) -> dict[str, str]:
@@ -211,14 +167,48 @@ def against_mmi(scheme: str) -> dict[str, str]:
     return {"after": mean(scheme), "before": mean("MMI")}
 
 
-def of_participant(p: str) -> Iterator[Follows | Allows]:
-    """Return the relations of Tables 2.1 and 2.2 about a participant."""
-    yield Follows("1 − a_r", lambda v: 1 - v.a_r, of=f"table_2.1/b_r/{p}")
-    yield Follows(GAIN, gain, of=f"table_2.1/b_pr/{p}")
-    yield Follows(
+def left_over(orders: int) -> Callable[[Any], np.ndarray]:
+    """Return how many participants are more than whole squares of so many orders need."""
+    return lambda v: v.participants % orders
+
+
+def mean_of(row: str) -> Formula:
+    """Return the mean over participants of a row of Table 2.1."""
+    ids = {"x": f"table_2.1/{row}/*"}
+    return Formula(f"mean of {row} of Table 2.1", lambda v: v.x.mean(axis=0), ids=ids)
+
+
+def lower_limit(v: Any) -> np.ndarray:
+    """Return TSC_lb by (2.9)."""
+    return limits(v.named(*LIMIT_INPUTS))["TSC_lb"]
+
+
+def within_limits(of: str, binding: str, where: Mapping[str, str] = MappingProxyType({})) -> Allows:
+    """Return that thresholds lie between the limits by (2.9) and (2.10), which need not be so."""
+    return Allows(
+        of=of,
+        least=Formula("TSC_lb (2.9)", lower_limit, ids=where),
+        most=Formula(
+            "TSC_ub (2.10)", lambda v: upper_limit(v, "b_pr"), ids=where, as_printed=("b_pr",)
+        ),
+        binding=binding,
+    )
+
+
+STEP = "a_T δ_Pr + b_T δ_Ph"
+BEYOND = "Beyond the limits between which Theorem 1 guarantees switching."
+UPPER = "a'_3 P_h + b'_3 (2.10)"
+CHANGE = "100 |after − before|/before"
+ZERO = Formula("0", lambda v: 0)
+FIVE = {"x": "./[1-5]"}
+
+MODELS: tuple[Follows | Allows, ...] = (
+    Follows("1 − a_r", lambda v: 1 - v.a_r, of="*/b_r*"),
+    Follows("(1 − a_pr)(P_r_max − P_r_min)/P_h_max", gain, of="*/b_pr*"),
+    Follows(
         STEP,
         step,
-        of=f"table_2.1/delta_TSC/{p}",
+        of="table_2.1/delta_TSC/*",
         explanations=(
             Formula(
                 "a_T δ_Pr − b_T δ_Ph",
@@ -227,17 +217,23 @@ def of_participant(p: str) -> Iterator[Follows | Allows]:
                 "sum",
             ),
         ),
-    )
-    yield Follows(
+    ),
+    Follows(
+        STEP,
+        step,
+        of="claim/remark_3/delta_tsc_of_the_pilot_operator",
+        ids=at("pilot", *PERFORMANCE, "delta_P_r", "delta_P_h"),
+    ),
+    Follows(
         "a_T b'_1 − b_T P_h_min (2.9)",
-        lambda v: limits(v.named(*LIMIT_INPUTS))["TSC_lb"],
-        of=f"table_2.1/TSC_lb/{p}",
-    )
-    yield Follows(
+        lower_limit,
+        of="table_2.1/TSC_lb/*",
+    ),
+    Follows(
         UPPER,
         lambda v: upper_limit(v, "b_pr"),
         "b_pr as printed",
-        of=f"table_2.1/TSC_ub/{p}",
+        of="table_2.1/TSC_ub/*",
         as_printed=("b_pr",),  # (2.3) ties it to the other parameters
         conventions=(
             Formula(UPPER, upper_limit, "b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb"),
@@ -252,11 +248,32 @@ def of_participant(p: str) -> Iterator[Follows | Allows]:
             )
             for other in PARTICIPANTS
         ),
-    )
-    yield Allows(of=f"table_2.1/delta_P_r/{p}", least=ZERO, most=GREATEST_STEP)
-    for name in BOUNDS:
-        equation = "(2.33)" if name.startswith("r") else "(2.15)"
-        yield Follows(f"{name} of {equation}", bound(name), of=f"table_2.2/{name}/{p}")
+        note="A b_pr that rounds as printed but does not obey (2.3) may reach further.",
+    ),
+    within_limits("table_2.2/TSC_[lu]/*", BEYOND),
+    within_limits("section_2_5/TSC_*", f"Suspicious: {BEYOND}", at("pilot", *LIMIT_INPUTS, "b_pr")),
+    Allows(
+        of="table_2.3/TSC_u.mean/*",
+        least=Formula("TSC_lb", lambda v: v.TSC_lb),
+        most=Formula("TSC_ub", lambda v: v.TSC_ub),
+        binding=f"{BEYOND} It is captured, and the condition is sufficient, not necessary.",
+    ),
+    Allows(
+        of="*/delta_P_r*",
+        least=ZERO,
+        most=Formula(
+            "(1 − a_pr)(P_r_max − P_r_min)", lambda v: (1 - v.a_pr) * (v.P_r_max - v.P_r_min)
+        ),
+    ),
+    *(
+        Follows(
+            f"{name} of {'(2.33)' if name.startswith('r') else '(2.15)'}",
+            bound(name),
+            of=f"table_2.2/{name}/*",
+        )
+        for name in BOUNDS
+    ),
+)
 
 
 def thresholds_of(p: str) -> Iterator[Follows]:
@@ -267,7 +284,7 @@ def thresholds_of(p: str) -> Iterator[Follows]:
         of="section_2_4_1_2/enclose_beta",
         suffix=f"/{p}",
         quantity=f"r_l ≤ β ≤ r_u, participant {p}",
-        target=(0.0, INFINITE),
+        target=AT_LEAST_0,
     )
     yield Follows(
         "least gap in TSC_lb < TSC_l < TSC_u < TSC_ub",
@@ -277,15 +294,14 @@ def thresholds_of(p: str) -> Iterator[Follows]:
         quantity=f"TSC_lb < TSC_l < TSC_u < TSC_ub, participant {p}",
         target=POSITIVE,
     )
-    ends = {end: f"table_2.3/TSC_{end}" for end in "ul"}
     apart = Follows(
         "(μ_u − σ_u) − (μ_l + σ_l)",
         lambda v: v.u_mean - v.u_sd - v.l_mean - v.l_sd,
-        ids={f"{end}_{x}": f"{id}.{x}/{p}" for end, id in ends.items() for x in ("mean", "sd")},
+        ids={f"{end}_{x}": f"table_2.3/TSC_{end}.{x}/{p}" for end in "ul" for x in ("mean", "sd")},
         of="section_2_4_1_3/follow",
         suffix=f"/{p}",
         quantity=f"μ ± σ of TSC_l and TSC_u apart, participant {p}",
-        target=(0.0, INFINITE),
+        target=AT_LEAST_0,
     )
     if p == "3":
         apart = replace(
@@ -298,236 +314,119 @@ def thresholds_of(p: str) -> Iterator[Follows]:
     yield apart
 
 
-PILOT_AND_THRESHOLDS = (
-    Follows("1 − a_r", lambda v: 1 - v.a_r, of="pilot/b_r"),
-    Follows(GAIN, gain, of="pilot/b_pr"),
-    Follows(
-        STEP,
-        step,
-        of="claim/remark_3/delta_tsc_of_the_pilot_operator",
-        ids={x: f"pilot/{x}" for x in (*PERFORMANCE, "delta_P_r", "delta_P_h")},
-    ),
-    Allows(of="pilot/delta_P_r", least=ZERO, most=GREATEST_STEP),
+CASE_STUDY: tuple[Follows | Allows, ...] = (
+    *(relation for p in PARTICIPANTS for relation in thresholds_of(p)),
     Follows(
         "σ_l + σ_u of participant 3 less the greatest of the others",
         spread_of_participant_3,
         of="section_2_4_1_3/higher_sd",
         ids={"l": "table_2.3/TSC_l.sd/*", "u": "table_2.3/TSC_u.sd/*"},
         target=POSITIVE,
+        note="Largest for both thresholds together, not for each alone.",
+    ),
+    lies_above("trust", "23", "145", "table_2.4/trust"),
+    lies_above("satisfaction", "23", "145", "table_2.4/satisfaction"),
+    lies_above("workload", "145", "23", "table_2.4/tlx"),
+    lies_above("robot_performance", "23", "1", "table_2.5/P_r"),
+    lies_above("human_performance", "23", "1", "table_2.5/P_h"),
+    lies_above("utilization", "1", "23", "table_2.5/r"),
+    *(
+        Allows(of=f"table_2.5/*/{p}_mean", least=mean_of(f"{p}_min"), most=mean_of(f"{p}_max"))
+        for p in ("P_r", "P_h")
+    ),
+    Follows("mean of the five", lambda v: v.x.mean(axis=0), of="table_2.6/*/mean", ids=FIVE),
+    Follows(
+        "SD of the five",
+        lambda v: v.x.std(axis=0, ddof=1),
+        "divided by n − 1",
+        of="table_2.6/*/sd",
+        ids=FIVE,
+        conventions=(Formula("SD of the five", lambda v: v.x.std(axis=0), "divided by n"),),
     ),
 )
 
-TABLES_2_4_TO_2_6 = (
-    above("trust", "23", "145", "4/*/trust"),
-    above("satisfaction", "23", "145", "4/*/satisfaction"),
-    above("workload", "145", "23", "4/*/tlx"),
-    above("robot_performance", "23", "1", "5/*/P_r"),
-    above("human_performance", "23", "1", "5/*/P_h"),
-    above("utilization", "1", "23", "5/*/r"),
-    *(
-        Follows(
-            "mean of the five",
-            lambda v: v.x.mean(axis=0),
-            of=f"table_2.6/{condition}/mean",
-            ids=five,
-        )
-        for condition, five in FIVE.items()
-    ),
-    *(
-        Follows(
-            "SD of the five",
-            lambda v: v.x.std(axis=0, ddof=1),
-            "divided by n − 1",
-            of=f"table_2.6/{condition}/sd",
-            ids=five,
-            conventions=(Formula("SD of the five", lambda v: v.x.std(axis=0), "divided by n"),),
-        )
-        for condition, five in FIVE.items()
-    ),
-)
-
-
-def of_section(numbers: Numbers) -> Iterator[Follows]:
-    """Return the relations about statements that are compared with, or rest on, other numbers."""
-    omi = numbers["teleop.tracking_error/mean.OMI"]
-    used = Formula(CHANGE, change, f"the value of OMI, {omi.printed}, was used", {"after": omi.id})
-    lower = Follows(
-        CHANGE,
-        change,
-        "relative change",
-        against_mmi("TMIG"),
-        of="section_3_1/error",
-        explanations=(used,),
-    )
-    yield lower
-    claim = "claim/section_3_9_5/tmig_and_omi_lower_tracking_error_against_mmi_by"
-    for scheme, suffix in (("OMI", ""), ("TMIG", "/TMIG")):
-        yield replace(
-            lower,
-            ids=against_mmi(scheme),
-            of=claim,
-            suffix=suffix,
-            quantity=f"{scheme} lowers tracking error against MMI by [%]",
-        )
-    means = [x.value for id, x in numbers.items() if id.startswith("uav.human_performance/mean.")]
-    # Nobody who is measured performs better than a perfect operator, u_h = u_i.
-    yield Follows(
-        "(u_i − u_h)/du_max at u_h = u_i",
-        lambda v: 0 * v.x.max(axis=0),
-        of="section_2_4_2/Z_Ph",
-        ids={"x": "uav.human_performance/mean.*"},
-        target=(max(means), INFINITE),
-        note="The means are printed as performance: a quality would be 1 − |u_i − u_h|/du_max.",
-    )
-    study = "section_2_4_2_3/study"
-    yield Follows(
-        "(tutorial + identification + 5 trials task)/60",
-        lambda v: (v.tutorial + v.identification + 5 * v.trials * v.task) / 60,
-        "five conditions",
-        {"trials": "section_2_4_2_2/trials"},
-        of=study,
-        target=(0.0, numbers[study].value),
-        note="The rest is for questionnaires, consent and breaks.",
-    )
-
-
-def of_study(study: str, numbers: Numbers) -> Iterator[Follows | Allows]:
-    """Return the relations about F, its degrees of freedom, t and the number of subjects."""
-    d = len(conditions_of(study)) - 1
-    of = f"{study}/{{}}".format
-    cells = {"M": of("mean.*"), "SD": of("sd.*")}
-    section = "section_3_9_2"
-    trials: tuple[Formula, ...] = ()
-    if study.startswith("uav."):
-        section = "section_2_4_2_2"
-        counted = Formula(
-            "trials (participants − dropped)",
-            lambda v: v.trials * (v.participants - v.dropped),
-            "each trial of a person was counted as a person",
-        )
-        trials = (counted,)
-    yield Follows(
-        "participants − dropped",
-        lambda v: v.participants - v.dropped,
-        of=of("n"),
-        ids={x: f"{section}/{x}" for x in ("participants", "dropped", "trials")},
-        explanations=trials,
-    )
-    yield Follows("P(F(df1, df2) > F)", lambda v: stats.f.sf(v.F, v.df1, v.df2), of=of("anova.p"))
-    eta2 = Formula(
-        "F df1/(F df1 + df2)",
-        lambda v: v.F * v.df1 / (v.F * v.df1 + v.df2),
-        "partial η² with the printed df",
-    )
-    yield Follows(
+# F, its degrees of freedom, ε, t and Mauchly's test of a study; with an ε, each of ε and the
+# degrees of freedom follows from another.
+TESTS: tuple[Follows | Allows, ...] = (
+    Follows("P(F(df1, df2) > F)", lambda v: stats.f.sf(v.F, v.df1, v.df2), of="*/anova.p"),
+    Follows(
         "F/(F + n − 1)",
         lambda v: v.F / (v.F + v.n - 1),
         "partial η²",
-        of=of("anova.eta2"),
-        conventions=(eta2,),
-    )
-    yield from degrees_of_freedom(of, d, of("epsilon") in numbers)
-    yield Allows(
-        of=of("anova.F"),
-        least=Formula(
-            "F at the least average correlation, −1/(k − 1)",
-            lambda v: f_of_moments(v, d + 1, greatest=False),
-            ids=cells,
+        of="*/anova.eta2",
+        conventions=(
+            Formula(
+                "F df1/(F df1 + df2)",
+                lambda v: v.F * v.df1 / (v.F * v.df1 + v.df2),
+                "partial η² with the printed df",
+            ),
         ),
-        most=Formula(
-            "F at correlations of 1", lambda v: f_of_moments(v, d + 1, greatest=True), ids=cells
-        ),
-    )
-    yield Follows("2 P(t(n − 1) > t)", lambda v: 2 * stats.t.sf(v.t, v.n - 1), of=of("t_test.p"))
-    yield Allows(
-        of=of("t_test.t"),
-        least=Formula("t at a correlation of −1", lambda v: t_of_moments(v, -1), ids=cells),
-        most=Formula("t at a correlation of 1", lambda v: t_of_moments(v, 1), ids=cells),
-    )
-
-
-def degrees_of_freedom(of: Callable[[str], str], d: int, corrected: bool) -> Iterator[Follows]:
-    """Return the relations about degrees of freedom and ε; with an ε, each follows from another."""
-    if not corrected:
-        text = f"k = {d + 1}"
-        yield Follows(f"k − 1, {text}", lambda v: d, of=of("anova.df1"))
-        yield Follows(f"(k − 1)(n − 1), {text}", lambda v: d * (v.n - 1), of=of("anova.df2"))
-        return
-    yield Follows(
+    ),
+    Follows("k − 1", lambda v: v.k - 1, "k conditions", of="*/anova.df1", unless="ε"),
+    Follows("(k − 1)(n − 1)", lambda v: (v.k - 1) * (v.n - 1), of="*/anova.df2", unless="ε"),
+    Follows(
         "df2/(n − 1)",
         lambda v: v.df2 / (v.n - 1),
-        of=of("anova.df1"),
-        conventions=(Formula(f"{d} ε", lambda v: d * v.ε),),
-    )
-    yield Follows(
-        f"{d} ε (n − 1)",
-        lambda v: d * v.ε * (v.n - 1),
-        of=of("anova.df2"),
+        of="*/anova.df1",
+        conventions=(Formula("(k − 1) ε", lambda v: (v.k - 1) * v.ε),),
+    ),
+    Follows(
+        "(k − 1) ε (n − 1)",
+        lambda v: (v.k - 1) * v.ε * (v.n - 1),
+        of="*/anova.df2",
         conventions=(Formula("df1 (n − 1)", lambda v: v.df1 * (v.n - 1)),),
-    )
-    yield Follows(
-        f"df2/({d} (n − 1))",
-        lambda v: v.df2 / (d * (v.n - 1)),
-        of=of("epsilon"),
-        conventions=(Formula(f"df1/{d}", lambda v: v.df1 / d),),
-    )
-
-
-def of_sphericity(study: str, numbers: Numbers) -> Iterator[Follows | Allows]:
-    """Return the relations about Mauchly's test."""
-    k = len(conditions_of(study))
-    of = f"{study}/{{}}".format
-    yield Follows(f"k(k − 1)/2 − 1, k = {k}", lambda v: k * (k - 1) / 2 - 1, of=of("mauchly.df"))
-    first_order = Formula(
-        "P(χ²(df) > χ²)", lambda v: stats.chi2.sf(v.χ2, v.df), "first-order approximation"
-    )
-    yield Follows(
+    ),
+    Follows(
+        "df2/((k − 1)(n − 1))",
+        lambda v: v.df2 / ((v.k - 1) * (v.n - 1)),
+        of="*/epsilon",
+        conventions=(Formula("df1/(k − 1)", lambda v: v.df1 / (v.k - 1)),),
+    ),
+    Follows("2 P(t(n − 1) > t)", lambda v: 2 * stats.t.sf(v.t, v.n - 1), of="*/t_test.p"),
+    Follows("k(k − 1)/2 − 1", lambda v: v.k * (v.k - 1) / 2 - 1, of="*/mauchly.df"),
+    Follows(
         "P(χ²(df) > χ²) + ω [P(χ²(df + 4) > χ²) − P(χ²(df) > χ²)]",
-        lambda v: mauchly_p_value(v.χ2, v.n, k),
+        lambda v: mauchly_p_value(v.χ2, v.n, v.k),
         "second-order approximation, as statistical packages give it",
-        of=of("mauchly.p"),
-        conventions=(first_order,),
-    )
-    if of("sphericity") in numbers:
-        met = numbers[of("sphericity")].printed == "met"
-        yield Follows(
+        of="*/mauchly.p",
+        conventions=(
+            Formula(
+                "P(χ²(df) > χ²)", lambda v: stats.chi2.sf(v.χ2, v.df), "first-order approximation"
+            ),
+        ),
+    ),
+    *(
+        Follows(
             "p",
             lambda v: v.p_of_Mauchly,
-            of=of("sphericity"),
-            ids={"p_of_Mauchly": of("mauchly.p")},
-            target=(0.05, 1.0) if met else (0.0, 0.05),
+            of="*/sphericity",
+            printed=word,
+            ids={"p_of_Mauchly": "./mauchly.p"},
+            target=ends,
             note="Sphericity is rejected below 0.05.",
         )
-    yield Allows(
-        of=of("mauchly.chi2"),
-        least=Formula("least χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, k, False)),
-        most=Formula("greatest χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, k, True)),
-    )
-
-
-def of_pairs(study: str, numbers: Numbers) -> Iterator[Allows]:
-    """Return the relations about pairs of conditions."""
-    k = len(conditions_of(study))
-    m = k * (k - 1) // 2
-    start = f"{study}/pairs."
-    for id in [id for id in numbers if id.startswith(start)]:
-        pair = zip("ab", id.removeprefix(start).split("-"), strict=True)
-        ids = {"n": f"{study}/n"}
-        for letter, condition in pair:
-            ids |= {f"M_{letter}": f"{study}/mean.{condition}"}
-            ids |= {f"SD_{letter}": f"{study}/sd.{condition}"}
-        yield Allows(
-            of=id,
-            least=Formula(
-                "p unadjusted at a correlation of 1", lambda v: p_of_moments(v, 1, 1), ids=ids
-            ),
-            most=Formula(
-                f"{m} p (Bonferroni) at a correlation of −1",
-                lambda v: p_of_moments(v, -1, m),
-                ids=ids,
-            ),
+        for word, ends in (
+            ("met", (0.05, 1.0)),
+            ("not met", (0.0, 0.05)),
+            ("violated", (0.0, 0.05)),
         )
+    ),
+    Allows(
+        of="*/mauchly.chi2",
+        least=Formula("least χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, v.k, False)),
+        most=Formula("greatest χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, v.k, True)),
+    ),
+)
 
+USED = Formula(CHANGE, change, "the value of OMI was used", against_mmi("OMI"))
+LOWER = Follows(
+    CHANGE,
+    change,
+    "relative change",
+    against_mmi("TMIG"),
+    of="section_3_1/error",
+    explanations=(USED,),
+)
 
 # What is counted, where, and the numbers of which there should be as many.
 COUNTED = (
@@ -542,24 +441,21 @@ COUNTED = (
 )
 SEVENTH = "The seventh, uav.followed, has two conditions and was compared by a t-test."
 
-PERCENTAGES_AND_COUNTS = (
+PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
     Follows(
         "√(1 − Ṫ_max)",
-        lambda v: (1 - v.T) ** 0.5,
+        lambda v: (1 - v.T_max) ** 0.5,
         of="claim/section_3_8_1/f_i_for_a_delay_growing_at_most_0_5_s_s",
-        ids={"T": "section_3_8_1/T_max"},
+        ids=at("section_3_8_1", "T_max"),
     ),
     *(
         Follows(
             "v (1 − e/e_max)",
             lambda v: v.v * (1 - v.e / v.e_max),
             of=f"remark_7/P_r_{end}",
-            ids={
-                "v": f"remark_7/v_{end}",
-                "e": f"remark_7/e_{end}",
-                "e_max": "section_2_2_2/e_max",
-            },
-            binding=MEAN_OF_PRODUCTS,
+            ids={"v": f"./v_{end}", "e": f"./e_{end}", "e_max": "section_2_2_2/e_max"},
+            binding="(2.4) is a mean of products, which is below the product of the means where "
+            "the robot is faster the farther it is from the path.",
         )
         for end in ("min", "max")
     ),
@@ -568,6 +464,17 @@ PERCENTAGES_AND_COUNTS = (
         lambda v: (v.W / v.T + 1) / (v.W / v.T),
         "W + 1 terms from k − W to k, divided by W",
         of="section_2_2_2/weights",
+    ),
+    LOWER,
+    *(
+        replace(
+            LOWER,
+            ids=against_mmi(scheme),
+            of="claim/section_3_9_5/tmig_and_omi_lower_tracking_error_against_mmi_by",
+            suffix=suffix,
+            quantity=f"{scheme} lowers tracking error against MMI by [%]",
+        )
+        for scheme, suffix in (("OMI", ""), ("TMIG", "/TMIG"))
     ),
     *(
         Follows(
@@ -580,11 +487,28 @@ PERCENTAGES_AND_COUNTS = (
         for counted, of, pattern in COUNTED
     ),
     *(
+        Follows("participants − dropped", lambda v: v.participants - v.dropped, **about)
+        for about in (
+            {
+                "of": "uav.*/n",
+                "ids": at("section_2_4_2_2", "participants", "dropped", "trials"),
+                "explanations": (
+                    Formula(
+                        "trials (participants − dropped)",
+                        lambda v: v.trials * (v.participants - v.dropped),
+                        "each trial of a person was counted as a person",
+                    ),
+                ),
+            },
+            {"of": "teleop.*/n", "ids": at("section_3_9_2", "participants", "dropped")},
+        )
+    ),
+    *(
         Follows(
             f"participants modulo {orders}",
-            partial(participants_left, orders=orders),
+            left_over(orders),
             of=f"{section}/square",
-            ids={"participants": f"{group}/participants"},
+            ids=at(group, "participants"),
             target=(0.0, 0.0),
             note=f"A square balanced for order and carry-over has {orders} orders; those dropped "
             "break the balance.",
@@ -594,11 +518,15 @@ PERCENTAGES_AND_COUNTS = (
             ("section_3_9_3", "section_3_9_2", 4),
         )
     ),
-    Follows("sets × laps", lambda v: v.sets * v.laps, of="section_2_4_1_3/laps_in_all"),
-    *(
-        Follows("female + male", lambda v: v.female + v.male, of=f"{section}/participants")
-        for section in ("section_2_4_2_2", "section_3_8_2_1", "section_3_9_2")
+    # (3.10) at rest, of a handle of 50 g: no handle of a haptic device is so light.
+    Allows(
+        of="section_3_*/B",
+        least=Formula("0.05 Λ", lambda v: 0.05 * v.Lambda),
+        most=Formula("∞", lambda v: INFINITE),
+        binding="Suspicious: (3.10) needs B ≥ MΛ, for a handle lighter than any that a hand holds.",
     ),
+    Follows("sets × laps", lambda v: v.sets * v.laps, of="section_2_4_1_3/laps_in_all"),
+    Follows("female + male", lambda v: v.female + v.male, of="section_*/participants"),
     Follows(
         "objective + subjective",
         lambda v: v.objective + v.subjective,
@@ -611,28 +539,68 @@ PERCENTAGES_AND_COUNTS = (
         ids={"df1": "teleop.tlx/anova.df1"},
     ),
     Follows(
-        "damping (stiffness + gain d) − gain p",
-        lambda v: v.damping * (v.stiffness + v.gain * v.d) - v.gain * v.p,
+        "study − (tutorial + identification + 5 trials task)/60",
+        lambda v: v.study - (v.tutorial + v.identification + 5 * v.trials * v.task) / 60,
+        "five conditions",
+        at("section_2_4_2_2", "trials"),
+        of="section_2_4_2_3/study",
+        target=AT_LEAST_0,
+        note="The rest is for questionnaires, consent and breaks.",
+    ),
+    # Nobody who is measured performs better than a perfect operator, u_h = u_i.
+    Follows(
+        "(u_i − u_h)/du_max at u_h = u_i, less the greatest printed mean",
+        lambda v: -v.x.max(axis=0),
+        of="section_2_4_2/Z_Ph",
+        ids={"x": "uav.human_performance/mean.*"},
+        target=AT_LEAST_0,
+        note="The means are printed as performance: a quality would be 1 − |u_i − u_h|/du_max.",
+    ),
+    Follows(
+        "x_damping (x_stiffness + x_gain d_xy) − x_gain p_xy",
+        lambda v: v.x_damping * (v.x_stiffness + v.x_gain * v.d_xy) - v.x_gain * v.p_xy,
         "Routh: positive where the loop is stable",
-        {
-            "damping": "appendix_a/model/x_damping",
-            "stiffness": "appendix_a/model/x_stiffness",
-            "gain": "appendix_a/model/x_gain",
-            "d": "appendix_a/pd/d_xy",
-            "p": "appendix_a/pd/p_xy",
-        },
+        at("appendix_a/model", "x_damping", "x_stiffness", "x_gain"),
         of="appendix_a/pd/p_xy",
         suffix="/stable",
-        target=(0.0, INFINITE),
+        target=AT_LEAST_0,
         note="The error rows of Appendix A with α = 0 diverge along x: the autonomous control "
         "alone is unstable.",
     ),
 )
 
-STATEMENTS: tuple[Follows | Allows, ...] = (
-    *PILOT_AND_THRESHOLDS,
-    *TABLES_2_4_TO_2_6,
+SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
+# Measures of Table 3.1, and 1 where more is better.
+RANKED = (("error", -1), ("tlx", -1), ("trust", 1), ("preference", 1))
+
+
+def rank_of(scheme: str, sign: int) -> Callable[[Any], np.ndarray]:
+    """Return how a scheme's rank among all is computed, 1 for the best."""
+
+    def rank(v: Any) -> np.ndarray:
+        this = getattr(v, f"x_{scheme}")
+        return 1.0 + (sign * v.x > sign * this).sum(axis=0)
+
+    return rank
+
+
+RANKS = tuple(
+    Follows(
+        f"rank of {scheme}, the best first",
+        rank_of(scheme, sign),
+        of=f"section_3_8_3/{scheme}_{measure}",
+        ids={"x": f"table_3.1/*/{measure}_mean"},
+    )
+    for scheme in SCHEMES
+    for measure, sign in RANKED
+)
+
+RELATIONS: tuple[Follows | Allows, ...] = (
+    *MODELS,
+    *CASE_STUDY,
+    *TESTS,
     *PERCENTAGES_AND_COUNTS,
+    *RANKS,
 )
 
 
@@ -642,22 +610,11 @@ def relations(numbers: Numbers, pattern: str = "*") -> Iterator[Follows | Allows
 
     A study need not print everything that its relations use.
     """
-    groups: list[tuple[Iterable[Follows | Allows], dict[str, str]]] = []
-    for p in PARTICIPANTS:
-        beside = _named(("table_2.2/", "table_2.1/"), numbers, f"/{p}")
-        groups += [(of_participant(p), beside), (thresholds_of(p), beside)]
-    for study in study_names(numbers):
-        starts = tuple(f"{study}/{test}" for test in ("t_test.", "mauchly.", "anova.", ""))
-        beside = _named(starts, numbers)
-        groups += [(about(study, numbers), beside) for about in (of_study, of_sphericity, of_pairs)]
-    for statement in (*STATEMENTS, *of_section(numbers)):
-        folder = statement.of.rpartition("/")[0]
-        groups.append(([statement], _named((f"{folder}/",), numbers)))
-    for group, beside in groups:
-        for relation in group:
-            if relation.of in numbers and fnmatchcase(relation.of, pattern):
+    for relation in RELATIONS:
+        for id in matching(numbers, relation.of):
+            if fnmatchcase(id, pattern) and relation.printed in ("", numbers[id].printed):
                 with suppress(NotPrintedError):
-                    yield _completed(relation, beside, numbers)
+                    yield completed(replace(relation, of=id), numbers)
 
 
 def related(number: str, numbers: Numbers) -> Follows:
@@ -665,48 +622,74 @@ def related(number: str, numbers: Numbers) -> Follows:
     return next(check for check in relations(numbers, number) if isinstance(check, Follows))
 
 
-def _named(starts: tuple[str, ...], numbers: Numbers, end: str = "") -> dict[str, str]:
-    """Return ids by the names that formulas use, without their beginning and end."""
-    ids = {}
-    for start in starts:
-        for id in numbers:
-            if id.startswith(start) and id.endswith(end):
-                name = id.removeprefix(start).removesuffix(end)
-                ids[LETTERS.get(name, name)] = id
-    return ids
-
-
-def _completed(
-    relation: Follows | Allows, beside: Mapping[str, str], numbers: Numbers
-) -> Follows | Allows:
-    """Return a relation whose formulas say where all their symbols stand."""
-
-    def formula(way: Formula, ids: Mapping[str, str]) -> Any:
-        way = replace(way, ids={**ids, **_listed(way.ids, numbers)})
-        way.inputs(numbers)  # all of them are printed
-        return way
-
-    if isinstance(relation, Allows):
-        ends = formula(relation.least, beside), formula(relation.most, beside)
-        return replace(relation, least=ends[0], most=ends[1])
-    first = formula(relation, beside)
-    return replace(
-        first,
-        conventions=tuple(formula(way, first.ids) for way in relation.conventions),
-        explanations=tuple(formula(way, first.ids) for way in relation.explanations),
+def _by_range(number: str, after: str, before: str) -> Follows:
+    """Return the check of a difference in % of the range of P_r, or relative to the first."""
+    ends = {end: f"remark_7/{end}" for end in ("P_r_min", "P_r_max")}
+    relative = Formula(
+        "100 (after − before)/(before − P_r_min)",
+        lambda v: 100 * (v.after - v.before) / (v.before - v.P_r_min),
+        "relative change of (2.39)",
+        {"after": after, "before": before, **ends},
+    )
+    return Follows(
+        "100 (after − before)/(P_r_max − P_r_min)",
+        lambda v: 100 * (v.after - v.before) / (v.P_r_max - v.P_r_min),
+        "difference of two values of (2.39)",
+        relative.ids,
+        of=number,
+        conventions=(relative,),
     )
 
 
-def _listed(ids: Mapping[str, str], numbers: Numbers) -> dict[str, str]:
-    """Return ids by symbol; a pattern gives a symbol for each number that matches."""
-    listed = {}
-    for symbol, pattern in ids.items():
-        if pattern in numbers:
-            listed[symbol] = pattern
-            continue
-        start = pattern.partition("*")[0].partition("[")[0]
-        for id in numbers:
-            if fnmatchcase(id, pattern):
-                name, _, _ = id.removeprefix(start).partition("/")
-                listed[f"{symbol}_{name}"] = id
-    return listed
+def _in_points(relative: Follows, scale: float, numbers: Numbers) -> Follows:
+    """Return the check of a difference times `scale`, 100 for shares, or of a relative change."""
+    would, _, _ = relative.range(numbers)
+    times = "" if scale == 1.0 else f"{scale:g} "
+    return replace(
+        relative,
+        text=f"{times}|after − before|",
+        compute=lambda v: scale * abs(v.after - v.before),
+        label="percentage points" if times else "difference in units of the measure, printed as %",
+        conventions=(relative,),
+        note="Printed with a % sign, which reads as a relative change; that would be "
+        f"{would:.1f} %.",
+    )
+
+
+def _as_change(relative: Follows, numbers: Numbers) -> Follows:
+    """
+    Return the check of a relative change; a mean of two decimals may have been used with three.
+    """
+    after = relative.ids["after"]
+    mean, condition = numbers[after], after.partition("/")[2].removeprefix("mean.")
+    finer = [mean.value + k / 1000 for k in (-1, 1, -2, 2, -3, 3, -4, 4) if mean.decimals == 2]
+
+    def with_mean(value: float) -> Formula:
+        label = f"the mean of {condition} was {value:.3f}, printed as {mean.printed}"
+        return replace(relative, label=label, fixed={"after": value})
+
+    return replace(relative, explanations=tuple(map(with_mean, finer)))
+
+
+def _claim(number: str, reading: str, after: str, before: str, numbers: Numbers) -> Follows:
+    """Return the check of a claim by its reading."""
+    if reading == "range":
+        return _by_range(number, after, before)
+    ids = {"after": after, "before": before}
+    relative = Follows(CHANGE, change, "relative change", ids, of=number)
+    if reading == "relative":
+        return _as_change(relative, numbers)
+    return _in_points(relative, 100.0 if reading == "share" else 1.0, numbers)
+
+
+def claim_checks(numbers: Numbers) -> list[Follows]:
+    """Return the checks of the printed percentages and differences."""
+    mean = "teleop.tlx/mean.{}".format
+    return [
+        *(
+            _claim(claim.id, reading, after, before, numbers)
+            for claim, reading, after, before in claims()
+            if reading
+        ),
+        _claim("section_3_1/workload", "points", mean("TMIG"), mean("MMI"), numbers),
+    ]

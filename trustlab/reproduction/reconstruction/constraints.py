@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from trustlab.reproduction.printed_number import printed_decimal, printed_interval
+from trustlab.reproduction.printed import printed_decimal, printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.studies.anova import orthonormal_contrasts, sphericity
 from trustlab.studies.pairs import bonferroni, holm

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from itertools import combinations, permutations
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
-from trustlab.reproduction.printed_number import printed_interval
+from trustlab.reproduction.printed import Interval, greatest_sd, possible_f, printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import (
     Constraint,
@@ -21,8 +21,6 @@ from trustlab.reproduction.reconstruction.constraints import (
     readings,
 )
 from trustlab.studies.anova import mauchly_p_value
-
-Interval = tuple[float, float]
 
 
 def reading_of(study: PublishedStudy) -> Reading:
@@ -56,12 +54,9 @@ def _of_the_cells(study: PublishedStudy) -> dict[str, str]:
         name, (least, most) = f"sd.{condition}", printed_interval(text)
         if most < 0.0:
             wrong[name] = f"{name} = {text} is negative"
-        if condition not in study.mean or math.isinf(high - low) or f"mean.{condition}" in wrong:
+        if condition not in study.mean or f"mean.{condition}" in wrong:
             continue
-        # The variance is greatest with all values at the ends of the scale, and with the mean as
-        # near its middle as can be.
-        mean = float(np.clip(0.5 * (low + high), *printed_interval(study.mean[condition])))
-        spread = math.sqrt(max((mean - low) * (high - mean), 0.0) * study.n / (study.n - 1))
+        spread = greatest_sd(printed_interval(study.mean[condition]), study.n, study.scale)
         if least > spread:
             wrong[name] = (
                 f"{name} = {text} exceeds what {study.n} values from {low:g} to {high:g} with "
@@ -216,7 +211,7 @@ def _beside_the_cells(
     """
     Return F, t and p that printed means and standard deviations allow under no correlations.
 
-    With T = tr(PS), F = n Σ(m − m̄)²/T, and t² is the F of two conditions.
+    t² is the F of two conditions.
     """
     n, m = study.n, study.k * (study.k - 1) // 2
     printed = {s.name: s for s in constraints(study) if s.name not in wrong}
@@ -228,7 +223,7 @@ def _beside_the_cells(
         mean, sd = (np.array([(s.low, s.high) for s in box]) for box in cells)
         possible = {}
         with np.errstate(all="ignore"):  # an end that is open allows everything
-            f_ratio = np.array(_possible_f(mean, sd, n))
+            f_ratio = np.array(possible_f(mean, sd, n))
             if conditions == study.conditions:
                 possible = {"anova.F": f_ratio, "anova.eta2": _eta2(f_ratio, n)}
             if len(conditions) == 2:
@@ -252,25 +247,3 @@ def _eta2(f_ratio: np.ndarray, n: int) -> np.ndarray:
     """Return partial η² = F/(F + n − 1)."""
     with np.errstate(divide="ignore"):
         return 1.0 / (1.0 + (n - 1) / f_ratio)
-
-
-def _possible_f(mean: np.ndarray, sd: np.ndarray, n: int) -> Interval:
-    """Return bounds of F over boxes (k, 2) of means and standard deviations."""
-    largest = np.maximum(sd[:, 1], 0.0)
-    # T is least where all correlations are 1, and greatest where the sum of conditions is constant.
-    least_error = _least_spread(np.maximum(sd, 0.0))
-    most_error = 0.5 * largest.sum() ** 2 if len(sd) == 2 else (largest**2).sum()
-    most_effect = (np.abs(mean - mean.mean()).max(axis=1) ** 2).sum()
-    return np.divide(n * _least_spread(mean), most_error), np.divide(n * most_effect, least_error)
-
-
-def _least_spread(boxes: np.ndarray) -> float:
-    """Return a lower bound of Σ(m − m̄)², the least of Σ(m − c)² by c, over intervals (k, 2)."""
-    low, high = boxes.T
-    if low.max() <= high.min():
-        return 0.0
-
-    def spread(c: float) -> float:
-        return float((np.maximum(np.maximum(low - c, c - high), 0.0) ** 2).sum())
-
-    return optimize.minimize_scalar(spread, (high.min(), low.max())).fun * (1.0 - 1e-6)

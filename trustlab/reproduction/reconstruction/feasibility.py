@@ -10,7 +10,7 @@ from scipy import special
 
 from trustlab.models.checks import of_class, one_of, whole_number
 from trustlab.models.display import Result
-from trustlab.reproduction.printed_number import printed_interval
+from trustlab.reproduction.printed import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy, published_studies
 from trustlab.reproduction.reconstruction.constraints import (
     ADJUSTMENTS,

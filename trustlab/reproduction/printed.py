@@ -1,10 +1,18 @@
-"""Numbers as printed: text whose last digit says how far they were rounded."""
+"""
+Numbers as printed: text whose last digit says how far they were rounded; and what printed means and
+standard deviations allow, whatever the data.
+"""
 
 import math
 import re
 from decimal import ROUND_HALF_EVEN, ROUND_HALF_UP, Decimal, InvalidOperation
 
+import numpy as np
+from scipy import optimize
+
 from trustlab.models.checks import shown
+
+Interval = tuple[float, float]
 
 # Both conventions for a 5 that is rounded off; which one a printed number followed is not known.
 ROUNDINGS = (ROUND_HALF_EVEN, ROUND_HALF_UP)
@@ -66,3 +74,43 @@ def rounds_to(value: float, target: Decimal) -> bool:
     """Return whether a value rounds to a printed number, by either convention for a final 5."""
     exact = Decimal(float(value))
     return any(exact.quantize(target, rule) == target for rule in ROUNDINGS)
+
+
+def greatest_sd(mean: Interval, n: float, scale: Interval) -> float:
+    """Return the greatest standard deviation of n values within a scale, with a mean as printed."""
+    low, high = scale
+    if math.isinf(low):
+        return math.inf
+    if math.isinf(high):  # all values but one are the lowest
+        return (mean[1] - low) * math.sqrt(n)
+    # All values lie at the ends of the scale, and the mean as near its middle as can be.
+    middle = float(np.clip(0.5 * (low + high), *mean))
+    return math.sqrt(max((middle - low) * (high - middle), 0.0) * n / (n - 1))
+
+
+def possible_f(mean: np.ndarray, sd: np.ndarray, n: float) -> Interval:
+    """
+    Return bounds of F over boxes (k, 2) of means and standard deviations, at any correlations.
+
+    With T = tr(PS), F = n Σ(m − m̄)²/T.
+    """
+    largest = np.maximum(sd[:, 1], 0.0)
+    # T is least where all correlations are 1, and greatest where the sum of conditions is constant.
+    least_error = _least_spread(np.maximum(sd, 0.0))
+    most_error = 0.5 * largest.sum() ** 2 if len(sd) == 2 else (largest**2).sum()
+    most_effect = (np.abs(mean - mean.mean()).max(axis=1) ** 2).sum()
+    with np.errstate(all="ignore"):  # an end that is open allows everything
+        least = np.divide(n * _least_spread(mean), most_error)
+        return least, np.divide(n * most_effect, least_error)
+
+
+def _least_spread(boxes: np.ndarray) -> float:
+    """Return a lower bound of Σ(m − m̄)², the least of Σ(m − c)² by c, over intervals (k, 2)."""
+    low, high = boxes.T
+    if low.max() <= high.min():
+        return 0.0
+
+    def spread(c: float) -> float:
+        return float((np.maximum(np.maximum(low - c, c - high), 0.0) ** 2).sum())
+
+    return optimize.minimize_scalar(spread, (high.min(), low.max())).fun * (1.0 - 1e-6)
