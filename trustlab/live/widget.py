@@ -380,9 +380,9 @@ class LiveTracking(LiveWidget):
         given |= {"task": task}
         parts = {name: part for name, part in given.items() if not isinstance(part, str | None)}
         where = guidance.where if isinstance(guidance, Guidance) else guidance
-        settings = TeleoperationSettings(duration, study=loop.study, guidance=where).as_json()
+        settings = TeleoperationSettings(duration=duration, study=loop.study, guidance=where)
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
-        config = teleoperation.flight_config(settings, self.scheme.name, {}, seed, task)
+        config = teleoperation.flight_config(settings.as_json(), self.scheme.name, {}, seed, task)
         # what parts of your own are recognized by after a restart of the kernel
         names = {name: str(getattr(part, "__qualname__", part)) for name, part in parts.items()}
         config |= {"parts": names}

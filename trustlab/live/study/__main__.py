@@ -33,7 +33,7 @@ def main(words: list[str] | None = None) -> int:
                 "trustlab.LiveStudy first."
             )
         plan.serve(options.address, options.port, url=options.url)
-    except (ValueError, OSError) as error:
+    except (ModuleNotFoundError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0

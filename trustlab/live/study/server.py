@@ -395,13 +395,13 @@ class StudyServer:
     def participant(self, code: str) -> Participant:
         """Return a participant, read from the disk the first time."""
         with self.lock:
+            if self.plan.is_deleted(code):
+                if code in self.participants:
+                    self.participants.pop(code).close()
+                raise DeletedError(f"participant {code} was deleted")
             if code not in self.participants:
                 self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
-            participant = self.participants[code]
-            if not participant.folder.is_dir():
-                self.participants.pop(code).close()
-                raise DeletedError(f"participant {code} was deleted")
-            return participant
+            return self.participants[code]
 
     async def ask(self, code: str, request: str, body: dict) -> Any:
         """Let a participant answer a request, in a thread, after those before it."""
