@@ -117,11 +117,21 @@ def test_answers_that_a_page_takes(toml):
             pages[name].check(answers)
 
 
+def test_a_page_that_belongs_to_no_drive_has_no_number(toml):
+    text = '[consent]\ntitle = "Part {number}"\n\n[drive]\ntitle = "{number}"'
+    titles = [step.page.title for step in steps_of(read_pages(files=toml(text)), ["C1"])]
+    assert (titles[0], titles[3]) == ("Part {number}", "1")
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("[a", "is no TOML file"),
-        ("[mine]\nafter='drive'\ntitel='x'", "got 'titel'; did you mean 'title'"),
+        ("[mine]\nafter='drive'\ntitel='x'", "pages.toml, .* got 'titel'; did you mean 'title'"),
+        ("[pause]\nskip=true\ntitel='x'", "pages.toml, .*'low'.*'skip', got 'titel'"),
+        ("[trust]\nitems=[{name='a', text='t', chioces=[]}]", "'choices'.* got 'chioces'"),
+        ("[trust]\nshuffled=1", r"pages.toml, \[trust\]: shuffled must be of type bool"),
+        ("[trust]\nsection='sometimes'", "section must be one of 'start', 'each', 'end'"),
         ("[trust]\nitems=3", "items must be a list, got 3"),
         ("[trust]\nitems=[{name='a', text='t', reversed=1}]", "reversed must be of type bool"),
         (
@@ -178,7 +188,7 @@ def test_words_may_be_required_and_attention_checked(toml):
     page = next(page for page in read_pages(files=toml(CHECKED)) if page.name == "about")
     answers = {"why": "so", "attention": 5, "a": 1, "b": 1, "c": 1}
     assert page.check(answers) == answers
-    with pytest.raises(AnswerError, match="why: this answer cannot be taken"):
+    with pytest.raises(AnswerError, match="why: the answer must be 1 to 1000 characters"):
         page.check(answers | {"why": " "})
     with pytest.raises(ValueError, match=r"item 'attention': expected = 9 is no answer to it"):
         read_pages(files=toml(CHECKED.replace("expected = 3", "expected = 9")))

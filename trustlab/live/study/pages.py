@@ -22,6 +22,7 @@ LARGEST_PICTURE = 1_000_000
 LONGEST_ANSWER = 1000
 """Characters that a participant may write in one answer."""
 
+SECTIONS = ("start", "each", "end")
 KINDS = ("form", "drive", "end")
 ITEMS = ("scale", "choice", "text", "check")
 SCORED = ("nasa_tlx", "trust", "satisfaction", "likert")
@@ -77,7 +78,19 @@ class Item:
             fits = fits and (self.kind == "text" or answer in self.choices)
             fits = fits and not (self.required and not answer.strip())
         if not fits:
-            raise AnswerError(f"{self.name}: this answer cannot be taken")
+            raise AnswerError(f"{self.name}: the answer must be {self.allowed}")
+
+    @property
+    def allowed(self) -> str:
+        """What may be answered, in words."""
+        if self.kind == "scale":
+            return f"{self.low} to {self.high} in steps of {self.step}"
+        if self.kind == "check":
+            return "given"
+        if self.kind == "choice":
+            return f"one of {', '.join(self.choices)}"
+        least = int(self.required)
+        return f"{least} to {LONGEST_ANSWER} characters that files can hold"
 
 
 @dataclass(frozen=True)
@@ -161,10 +174,16 @@ def steps_of(pages: Iterable[StudyPage], order: Iterable[str], group: str = "") 
         for page in own:
             if page.section != section or (page.name == "pause" and position == len(order)):
                 continue
-            title = page.title.replace("{number}", str(position))
-            title = title.replace("{count}", str(len(order)))
+            title = page.title
+            if position is not None:
+                title = title.replace("{number}", str(position))
+                title = title.replace("{count}", str(len(order)))
             steps.append(Step(replace(page, title=title), len(steps), condition, position))
     return steps
+
+
+KEYS = (*list(StudyPage.__annotations__)[1:], *SCALE, "before", "after", "skip")
+"""What the table of a page may hold."""
 
 
 # from files
@@ -194,15 +213,18 @@ def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPa
     """
     tables = _tables(language)
     del tables["words"]
+    places = {name: f"[{name}]" for name in tables}
     for path in files:
         for name, table in _content(path).items():
-            where = f"{path}, [{name}]"
+            where = places[name] = f"{path}, [{name}]"
             if not isinstance(table, dict) or not NAME.fullmatch(name):
                 raise ValueError(f"{where} must be a table, [name], in small letters, digits and _")
+            for key in table:
+                one_of(f"a key of {where}", key, KEYS)
             if "picture" in table:
                 table["picture"] = _data_uri(where, path.parent / str(table["picture"]))
             tables = _changed(tables, name, table, where)
-    return [_page(name, table) for name, table in tables.items()]
+    return [_page(places[name], name, table) for name, table in tables.items()]
 
 
 def _content(path: Path) -> dict:
@@ -254,7 +276,7 @@ def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dic
 
 def _made(where: str, kind: type, table: dict, **parts: Any) -> Any:
     """Return an item or a page of its parts and a table: keys are fields, values of their types."""
-    types = {key: wanted for key, wanted in kind.__annotations__.items() if key not in parts}
+    types = kind.__annotations__
     for key, value in table.items():
         wanted = types[one_of(f"a key of {where}", key, types)]
         if wanted is not Any and type(value) is not wanted:
@@ -272,9 +294,8 @@ def _list(where: str, table: dict, key: str) -> list:
     return value
 
 
-def _page(name: str, table: dict) -> StudyPage:
+def _page(where: str, name: str, table: dict) -> StudyPage:
     """Return a page from its table in TOML files."""
-    where = f"[{name}]"
     common = {key: table[key] for key in SCALE if key in table}
     own = {key: value for key, value in table.items() if key not in SCALE}
     items = tuple(_item(where, item, common) for item in _list(where, own, "items"))
@@ -284,6 +305,7 @@ def _page(name: str, table: dict) -> StudyPage:
     # A page of a lab's own is a form.
     one_of(f"{where}: kind", page.kind, KINDS if name in FIXED else ("form",))
     one_of(f"{where}: scored", page.scored, ("", *SCORED))
+    one_of(f"{where}: section", page.section, SECTIONS)
     whole_number(f"{where}: seconds", page.seconds, least=0, most=3600)
     names = [item.name for item in page.items]
     if len(set(names)) < len(names):
