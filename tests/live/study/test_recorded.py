@@ -194,6 +194,26 @@ def test_questionnaires_on_other_scales_are_scored(tmp_path, pages):
     assert study.export().exists()
 
 
+PRACTICE = """
+[training]
+section = "each"
+"""
+
+
+def test_practice_before_each_drive_is_no_data(tmp_path):
+    (tmp_path / "pages.toml").write_text(PRACTICE)
+    settings = {"duration": 2.0, "training": 1.0, "rehearsal": True, "task": "team"}
+    conditions = ["by_hand", "most_trusted"]
+    plan = tl.LiveStudy(tmp_path / "s", conditions, 2, pages=tmp_path / "pages.toml", **settings)
+    for analysis in ("analysis", "order_effects"):
+        with pytest.raises(ValueError, match="0 participants have all conditions; excl"):
+            getattr(tl.read_live_study(plan.folder), analysis)("force")
+    plan.rehearse(0)
+    study = tl.read_live_study(plan.folder)
+    assert len(study.measures) == len(study.sessions()) == 4
+    assert len(study.complete()) == 4
+
+
 # what is changed afterwards
 # --------------------------------------------------------------------------------------------------
 
