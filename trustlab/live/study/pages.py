@@ -3,7 +3,6 @@ The pages of a study: their words and items from TOML files, their order for a p
 which answers are accepted.
 """
 
-import base64
 import re
 import tomllib
 from collections.abc import Iterable
@@ -11,14 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from trustlab.models.checks import one_of, shown, whole_number
+from trustlab.models.checks import one_of, shown
 
 FOLDER = Path(__file__).parents[1] / "words"
 LANGUAGES = {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
 """The files of words that come with the package."""
 
-PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".webp": "image/webp"}
-LARGEST_PICTURE = 1_000_000
 LONGEST_ANSWER = 1000
 """Characters that a participant may write in one answer."""
 
@@ -99,9 +96,7 @@ class StudyPage:
     One page: a form with any number of items, a drive, or the end.
 
     `section` says whether it comes once at the start, after each drive, or once at the end;
-    `scored` how its items are scored; `shuffled` whether everybody gets them in an order of their
-    own; `group` who sees it, all if empty; `picture` an image as a data URI; `seconds` when a form
-    is handed in as it is, 0 for never.
+    `scored` how its items are scored; `group` who sees it, all if empty.
     """
 
     name: str
@@ -111,37 +106,32 @@ class StudyPage:
     kind: str = "form"
     scored: str = ""
     items: tuple[Item, ...] = ()
-    shuffled: bool = False
     group: str = ""
-    picture: str = ""
-    seconds: int = 0
 
     @property
     def scales(self) -> list[Item]:
         """The items that are scales."""
         return [item for item in self.items if item.kind == "scale"]
 
-    def check(self, answers: Any, late: bool = False) -> dict:
+    def check(self, answers: Any) -> dict:
         """
         Return the answers, one to each item and none besides, in the items' order; or raise
-        `AnswerError`. Where time was over, answers may be missing.
+        `AnswerError`.
         """
         if not isinstance(answers, dict) or set(answers) - {item.name for item in self.items}:
             raise AnswerError("the answers must be names of items with values")
-        items = self.items
-        if late and self.seconds:
-            items = tuple(item for item in items if item.name in answers)
-        for item in items:
+        for item in self.items:
             item.check(answers.get(item.name))
-        return {item.name: answers[item.name] for item in items}
+        return {item.name: answers[item.name] for item in self.items}
 
     @classmethod
     def read(cls, content: dict) -> "StudyPage":
-        """Return a page from what `asdict` made of it."""
+        """Return a page from what `asdict` made of it; older plans hold more."""
         items = tuple(
             Item(**item | {"choices": tuple(item["choices"])}) for item in content["items"]
         )
-        return cls(**{**content, "items": items})
+        parts = {name: content[name] for name in cls.__annotations__}
+        return cls(**parts | {"items": items})
 
 
 @dataclass(frozen=True)
@@ -221,8 +211,6 @@ def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPa
                 raise ValueError(f"{where} must be a table, [name], in small letters, digits and _")
             for key in table:
                 one_of(f"a key of {where}", key, KEYS)
-            if "picture" in table:
-                table["picture"] = _data_uri(where, path.parent / str(table["picture"]))
             tables = _changed(tables, name, table, where)
     return [_page(places[name], name, table) for name, table in tables.items()]
 
@@ -235,17 +223,6 @@ def _content(path: Path) -> dict:
         raise ValueError(f"the pages in {path} cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise ValueError(f"{path} is no TOML file in UTF-8: {error}") from None
-
-
-def _data_uri(where: str, path: Path) -> str:
-    """Return the picture of a page as it is kept in a plan."""
-    kind = PICTURES.get(path.suffix.lower())
-    if kind is None or not path.is_file() or path.stat().st_size > LARGEST_PICTURE:
-        raise ValueError(
-            f"{where}: picture must be a file of {', '.join(PICTURES)} with at most "
-            f"{LARGEST_PICTURE} bytes, got {path}"
-        )
-    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dict[str, dict]:
@@ -306,7 +283,6 @@ def _page(where: str, name: str, table: dict) -> StudyPage:
     one_of(f"{where}: kind", page.kind, KINDS if name in FIXED else ("form",))
     one_of(f"{where}: scored", page.scored, ("", *SCORED))
     one_of(f"{where}: section", page.section, SECTIONS)
-    whole_number(f"{where}: seconds", page.seconds, least=0, most=3600)
     names = [item.name for item in page.items]
     if len(set(names)) < len(names):
         raise ValueError(f"{where}: two items have the same name: {names}")
@@ -314,10 +290,6 @@ def _page(where: str, name: str, table: dict) -> StudyPage:
     if page.scored and len(scales) != 1:
         raise ValueError(
             f"{where}: a scored page has items on one scale, got {sorted(scales) or 'none'}"
-        )
-    if page.seconds and (page.kind != "form" or page.scored):
-        raise ValueError(
-            f"{where}: seconds is for a form without a score, as answers may be missing"
         )
     return replace(page, text=re.sub(r"(?<!\n)\n(?!\n)", " ", page.text.strip()))
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from trustlab.live.log import Log
-from trustlab.live.study.drives import Attempt, identified, item_order, planned_minutes, stand_in
+from trustlab.live.study.drives import Attempt, identified, planned_minutes, stand_in
 from trustlab.live.study.pages import AnswerError, Item, Step
 from trustlab.live.study.plan import EVENTS, DeletedError, Plan, file_origin, note_link
 from trustlab.live.study.progress import Progress, progress_of
@@ -118,12 +118,10 @@ class Participant:
             "words": content["words"],
             "minutes": self.minutes,
             **shown,
-            "picture": step.page.picture,
-            "seconds": step.page.seconds,
             "completion": progress.completion if step.page.kind == "end" else "",
             "items": [
                 {name: value for name, value in vars(item).items() if name not in PRIVATE}
-                for item in item_order(self.plan, self.code, step)
+                for item in step.page.items
             ],
         }
 
@@ -132,7 +130,7 @@ class Participant:
         step = self.step
         if body.get("page") != step.index or step.page.kind != "form":
             raise RefusedError("this page is done")
-        answers = step.page.check(body.get("answers"), late=body.get("late") is True)
+        answers = step.page.check(body.get("answers"))
         self._add_done(step, answers=answers)
         return self.state()
 
