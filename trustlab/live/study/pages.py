@@ -26,6 +26,8 @@ SCORED = ("nasa_tlx", "trust", "satisfaction", "likert")
 SCALE = ("low", "high", "step", "left", "right")
 """What a page may give for all its items."""
 
+LISTS = ("items", "choices")
+
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 FIXED = ("training", "identification", "drive", "debriefing")
 """Pages whose kind the study fixes."""
@@ -188,12 +190,7 @@ def task_pages(task: str, language: str) -> list[Path]:
 
 def read_words(language: str = "en") -> dict[str, str]:
     """Return the messages of a language."""
-    return _tables(language)["words"]
-
-
-def _tables(language: str) -> dict:
-    """Return what the file of a language holds: its messages, and a table of each page."""
-    return _content(LANGUAGES[one_of("language", language, LANGUAGES)])
+    return _content(LANGUAGES[one_of("language", language, LANGUAGES)])["words"]
 
 
 def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPage]:
@@ -201,7 +198,7 @@ def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPa
     Return the pages of a study: those of a language, as the files change them, add to them and
     leave some out.
     """
-    tables = _tables(language)
+    tables = _content(LANGUAGES[one_of("language", language, LANGUAGES)])
     del tables["words"]
     places = {name: f"[{name}]" for name in tables}
     for path in files:
@@ -251,33 +248,27 @@ def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dic
     return {key: tables[key] for key in order}
 
 
-def _made(where: str, kind: type, table: dict, **parts: Any) -> Any:
-    """Return an item or a page of its parts and a table: keys are fields, values of their types."""
-    types = kind.__annotations__
+def _check(where: str, kind: type, table: dict) -> None:
+    """Refuse what is no field of a page or an item, and values of other types."""
+    types = kind.__annotations__ | {key: list for key in LISTS if key in kind.__annotations__}
     for key, value in table.items():
         wanted = types[one_of(f"a key of {where}", key, types)]
         if wanted is not Any and type(value) is not wanted:
             raise ValueError(
                 f"{where}: {key} must be of type {wanted.__name__}, got {shown(value)}"
             )
-    return kind(**table, **parts)
-
-
-def _list(where: str, table: dict, key: str) -> list:
-    """Take a list out of a table."""
-    value = table.pop(key, [])
-    if not isinstance(value, list):
-        raise ValueError(f"{where}: {key} must be a list, got {shown(value)}")
-    return value
 
 
 def _page(where: str, name: str, table: dict) -> StudyPage:
     """Return a page from its table in TOML files."""
     common = {key: table[key] for key in SCALE if key in table}
-    own = {key: value for key, value in table.items() if key not in SCALE}
-    items = tuple(_item(where, item, common) for item in _list(where, own, "items"))
-    page = _made(where, StudyPage, {"title": "", "text": ""} | own, name=name, items=items)
-    if not page.title.strip() or not page.text.strip():
+    own = {"title": "", "text": "", "items": []} | table | {"name": name}
+    own = {key: value for key, value in own.items() if key not in SCALE}
+    _check(where, StudyPage, own)
+    items = tuple(_item(where, item, common) for item in own["items"])
+    text = re.sub(r"(?<!\n)\n(?!\n)", " ", own["text"].strip())
+    page = StudyPage(**own | {"items": items, "text": text})
+    if not page.title.strip() or not text:
         raise ValueError(f"{where} needs a title and a text")
     # A page of a lab's own is a form.
     one_of(f"{where}: kind", page.kind, KINDS if name in FIXED else ("form",))
@@ -291,7 +282,7 @@ def _page(where: str, name: str, table: dict) -> StudyPage:
         raise ValueError(
             f"{where}: a scored page has items on one scale, got {sorted(scales) or 'none'}"
         )
-    return replace(page, text=re.sub(r"(?<!\n)\n(?!\n)", " ", page.text.strip()))
+    return page
 
 
 def _item(where: str, table: Any, common: dict) -> Item:
@@ -299,9 +290,10 @@ def _item(where: str, table: Any, common: dict) -> Item:
     if not isinstance(table, dict) or not {"name", "text"} <= set(table):
         raise ValueError(f"{where}: an item needs a name and a text, got {shown(table)}")
     where = f"{where}, item {table['name']!r}"
-    own = common | table
-    choices = tuple(_list(where, own, "choices"))
-    item = _made(where, Item, own, choices=choices)
+    own = {"choices": []} | common | table
+    _check(where, Item, own)
+    choices = tuple(own["choices"])
+    item = Item(**own | {"choices": choices})
     if not NAME.fullmatch(item.name):
         raise ValueError(
             f"{where}: a name has small letters, digits and _, at most 40, and begins with a letter"
