@@ -12,6 +12,7 @@ from weakref import WeakValueDictionary
 import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds, threshold_limits, threshold_pair
+from trustlab.live.condition import given_thresholds
 from trustlab.live.log import LogError
 from trustlab.live.study.pages import read_words
 from trustlab.live.task import LiveTask, prepare
@@ -32,7 +33,7 @@ from trustlab.teleoperation.loop.settings import (
     scheme_named,
     study_named,
 )
-from trustlab.testbeds.deciding import CONDITIONS, suggested_by_tsc
+from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.uav_tracking import TrackingTask
 
 if TYPE_CHECKING:
@@ -243,20 +244,14 @@ class LiveGroundRobot(LiveWidget):
     ):
         one_of("condition", condition, CONDITIONS)
         self.model = of_class("model", model, TscModel)
-        if suggested_by_tsc(condition):
-            if thresholds is None:
-                raise ValueError(
-                    f"{condition} needs thresholds=(TSC_l, TSC_u); take them from "
-                    "trustlab.choose_thresholds(model)"
-                )
-            pair = threshold_pair("threshold", thresholds)
-            thresholds = check_thresholds(model, *pair, threshold_limits(model))
-        elif thresholds is not None:
-            raise ValueError(f"thresholds have no effect in {condition}; leave them out")
+        pair = given_thresholds(condition, thresholds)
+        if pair is not None:
+            pair = threshold_pair("threshold", pair)
+            check_thresholds(self.model, *pair, threshold_limits(self.model))
         config = ground_robot.drive_config(
             condition,
             model,
-            thresholds or (0.0, 0.0),
+            pair or (0.0, 0.0),
             whole_number("laps", laps, most=8),
             whole_number("seed", seed, least=0, most=2**53 - 1),  # JSON keeps no larger one
             show_map=flag("show_map", show_map),

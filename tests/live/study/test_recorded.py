@@ -54,16 +54,15 @@ def rehearsed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("studies")
     (folder / "pages.toml").write_text(OWN_PAGE)
     plan = planned(folder, 2, 10.0, pages=folder / "pages.toml")
-    do = Trial._do
+    finish = Trial.finish
 
-    def changed(trial, commands):
-        do(trial, commands)
-        if trial.log.path == plan.folder / "P01" / "09-drive.jsonl" and trial.rows:
+    def changed(trial, why):
+        if trial.log.path == plan.folder / "P01" / "09-drive.jsonl":
             trial.rows[7][trial.settings["columns"].index("p_r")] += 1e-6
-            patched.undo()
+        finish(trial, why)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(Trial, "_do", changed)
+        patched.setattr(Trial, "finish", changed)
         plan.rehearse(seed=1)
     return tl.read_live_study(plan.folder)
 
