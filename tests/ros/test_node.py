@@ -4,6 +4,7 @@ import math
 import shutil
 import struct
 import time
+from threading import Event
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from rosbags.highlevel import AnyReader
 
 import trustlab as tl
 from tests.ros import fake_ros
+from trustlab.live.log import read_log
 from trustlab.ros import (
     Allocation,
     CoreSettings,
@@ -21,6 +23,7 @@ from trustlab.ros import (
     read_run,
     read_toml,
 )
+from trustlab.ros.node import Recorder
 from trustlab.ros.run import RUN
 from trustlab.sessions.errors import SessionError
 
@@ -44,6 +47,27 @@ class Broken:
     def step(self, tsc, p_r):
         if p_r > 0.1:
             raise RuntimeError("no idea")
+
+
+def test_a_recorder_ends_though_a_message_comes_behind_its_end(tmp_path):
+    """As of a callback that another thread runs while the node finishes."""
+    recorder = Recorder(tmp_path / "a.jsonl", print)
+    entered, go_on, append = Event(), Event(), recorder.log.append
+
+    def slow(entries):
+        entered.set()
+        go_on.wait(10.0)
+        append(entries)
+
+    recorder.log.append = slow
+    recorder.write("/a", 1, b"x")
+    assert entered.wait(10.0)
+    recorder.queue.put(None)
+    recorder.write("/a", 2, b"y")
+    go_on.set()
+    recorder.thread.join(5.0)
+    assert not recorder.thread.is_alive()
+    assert [entry[1] for entry in read_log(recorder.log.path).entries] == [1, 2]
 
 
 def half(tsc, p_r):

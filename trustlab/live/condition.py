@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from trustlab.allocation.limits import threshold_pair
 from trustlab.live.tick import SCORE, SIGNALS
 from trustlab.models.checks import finite_number, flag, not_negative, one_of, shown
-from trustlab.testbeds.deciding import CONDITIONS, OWN, PERFORMANCE, TSC
+from trustlab.testbeds.deciding import CONDITIONS, OWN, PERFORMANCE, TSC, suggested_by_tsc
 
 NOTICE = 3.0
 """
@@ -17,6 +17,22 @@ accepted it before [s].
 
 SUGGESTIONS = {"none": OWN, "tsc": TSC, "performance": PERFORMANCE}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
+
+
+def given_thresholds(
+    condition: str, thresholds: tuple[float, float] | None
+) -> tuple[float, float] | None:
+    """Return TSC_l and TSC_u: C2 and C3 need them, and elsewhere they have no effect."""
+    if not suggested_by_tsc(condition):
+        if thresholds is not None:
+            raise ValueError(f"thresholds have no effect in {condition}; leave them out")
+        return None
+    if thresholds is None:
+        raise ValueError(
+            f"{condition} needs thresholds=(TSC_l, TSC_u): take them from "
+            "trustlab.choose_thresholds(model)"
+        )
+    return thresholds
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def trust_of(content: dict) -> TrustInLoop | None:
     return TrustInLoop(model, stored["every"], stored["start"])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HandSettings:
     """
     What the settings of flights and of a team's runs have in common: lengths [s], the least delay

@@ -98,15 +98,14 @@ class Record:
         if self.other_maker:
             return f"made by {self.other_maker}, not verified here"
         try:
-            rows = replay(task, self.settings, self.commands)
+            rows = stepped(task.begin(self.settings), self.commands)
         except Exception as error:  # of a user's own part, or settings that nobody wrote
             return f"a replay fails: {type(error).__name__}: {error}"
         return difference(task, self.settings, self.rows, rows)
 
 
-def replay(task: LiveTask, settings: dict, commands: list) -> list:
+def stepped(run: Any, commands: list) -> list:
     """Return the rows that commands lead to, up to the end of the run."""
-    run = task.begin(settings)
     return [run.step(*command) for command in commands if not run.done]
 
 
@@ -198,18 +197,13 @@ class Trial:
                     f"{path}: begun by {self.record.other_maker}; a drive in progress is continued "
                     "by the version that began it alone: begin another one"
                 )
-            self._do(self.record.commands)
+            self.rows += stepped(self.run, self.record.commands)
             fault = difference(task, self.settings, self.record.rows, self.rows)
             if fault:
                 raise LogError(f"{path}: {fault}, so that the drive cannot go on")
         except LogError:
             self.log.close()
             raise
-
-    def _do(self, commands: list) -> None:
-        for command in commands:
-            if not self.run.done:
-                self.rows.append(self.run.step(*command))
 
     @property
     def done(self) -> bool:
@@ -273,7 +267,7 @@ class Trial:
             self.task.check(self.settings, command)
         if commands:
             self._keep(commands=commands, seen=min(float(seen), float(have)))
-            self._do(commands)
+            self.rows += stepped(self.run, commands)
         if self.run.done or len(self.rows) >= most:
             self.finish("complete")
 

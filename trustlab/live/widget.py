@@ -12,6 +12,7 @@ from weakref import WeakValueDictionary
 import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds
+from trustlab.live.condition import given_thresholds
 from trustlab.live.log import LogError
 from trustlab.live.study.pages import read_words
 from trustlab.live.task import LiveTask, prepare
@@ -32,7 +33,7 @@ from trustlab.teleoperation.loop.settings import (
     scheme_named,
     study_named,
 )
-from trustlab.testbeds.deciding import CONDITIONS, suggested_by_tsc
+from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.uav_tracking import TrackingTask
 
 if TYPE_CHECKING:
@@ -243,19 +244,13 @@ class LiveGroundRobot(LiveWidget):
     ):
         one_of("condition", condition, CONDITIONS)
         self.model = of_class("model", model, TscModel)
-        if suggested_by_tsc(condition):
-            if thresholds is None:
-                raise ValueError(
-                    f"{condition} needs thresholds=(TSC_l, TSC_u); take them from "
-                    "trustlab.choose_thresholds(model)"
-                )
-            thresholds = check_thresholds(model, thresholds)
-        elif thresholds is not None:
-            raise ValueError(f"thresholds have no effect in {condition}; leave them out")
+        pair = given_thresholds(condition, thresholds)
+        if pair is not None:
+            pair = check_thresholds(self.model, pair)
         config = ground_robot.drive_config(
             condition,
             model,
-            thresholds or (0.0, 0.0),
+            pair or (0.0, 0.0),
             whole_number("laps", laps, most=8),
             whole_number("seed", seed, least=0, most=2**53 - 1),  # JSON keeps no larger one
             show_map=flag("show_map", show_map),
@@ -379,9 +374,9 @@ class LiveTracking(LiveWidget):
         given |= {"task": task}
         parts = {name: part for name, part in given.items() if not isinstance(part, str | None)}
         where = guidance.where if isinstance(guidance, Guidance) else guidance
-        settings = TeleoperationSettings(duration, study=loop.study, guidance=where).as_json()
+        settings = TeleoperationSettings(duration=duration, study=loop.study, guidance=where)
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
-        config = teleoperation.flight_config(settings, self.scheme.name, {}, seed, task)
+        config = teleoperation.flight_config(settings.as_json(), self.scheme.name, {}, seed, task)
         # what parts of your own are recognized by after a restart of the kernel
         names = {name: str(getattr(part, "__qualname__", part)) for name, part in parts.items()}
         config |= {"parts": names}

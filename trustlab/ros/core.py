@@ -16,6 +16,7 @@ import numpy as np
 from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.allocation.correction_run import OnlineCorrection
 from trustlab.allocation.rules import PerformanceRule, ThresholdRule, decision, prepared_rule
+from trustlab.live.condition import given_thresholds
 from trustlab.models.checks import between, finite_number, of_class, one_of, whole_number
 from trustlab.models.tsc import TscModel, next_utilization
 from trustlab.ros.inputs import FIELDS, CoreSettings, Input
@@ -462,15 +463,9 @@ def _rule_of(
             raise ValueError("thresholds have no effect beside a rule or a share; leave them out")
         return None, True
     _, forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
-    if condition in ("C2", "C3"):
-        if thresholds is None:
-            raise ValueError(
-                f"{condition} needs thresholds=(TSC_l, TSC_u): take those of "
-                "trustlab.choose_thresholds(model)"
-            )
-        return ThresholdRule(*thresholds), forced
-    if thresholds is not None:
-        raise ValueError(f"thresholds have no effect in {condition}; leave them out")
+    pair = given_thresholds(condition, thresholds)
+    if pair is not None:
+        return ThresholdRule(*pair), forced
     if condition == "C1":
         return None, False
     return PerformanceRule(model.robot.p_min, model.robot.p_max), forced

@@ -51,7 +51,7 @@ class Recorder:
                 messages = [self.queue.get()]
                 while not self.queue.empty():
                     messages.append(self.queue.get())
-                ended = messages[-1] is None
+                ended = None in messages
                 self.log.append(log_entry(*message) for message in messages if message)
         except OSError as error:
             self.report(f"{self.log.path}: recording ends here, {error.strerror or error}")

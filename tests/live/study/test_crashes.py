@@ -19,7 +19,7 @@ import pytest
 from trustlab.live.log import read_log
 from trustlab.live.study.live_study import LiveStudy
 from trustlab.live.study.plan import file_origin, read_tokens
-from trustlab.live.trial import read_record, replay
+from trustlab.live.trial import read_record, stepped
 from trustlab.trust.dynamics import MODELS
 
 
@@ -128,7 +128,7 @@ def check(plan, client, driving_page, count, seed, command=steered):
     assert record.commands == made
     assert acknowledged == len(made)
     task = plan.task
-    rows = replay(task, record.settings, made)
+    rows = stepped(task.begin(record.settings), made)
     assert record.rows == rows[: len(record.rows)]
     assert len(record.rows) > 0
     assert record.fault(task) == ""

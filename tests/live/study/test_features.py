@@ -1,11 +1,10 @@
 """
-From the plan to the report: groups, enrolment, pictures, time limits; where a participant is.
+From the plan to the report: groups, enrolment, attention; where a participant is.
 
 Oracles: counting; R's design of a mixed analysis as `repeated_measures` is tested for; what
 happened, written out, and the order in which it may not matter.
 """
 
-import base64
 import zipfile
 from collections import Counter
 
@@ -13,7 +12,6 @@ import pytest
 from hypothesis import given, strategies as st
 
 import trustlab as tl
-from trustlab.live.study.pages import AnswerError
 from trustlab.live.study.participant import Participant
 from trustlab.live.study.progress import progress_of
 from trustlab.live.study.server import StudyServer
@@ -21,16 +19,11 @@ from trustlab.live.study.server import StudyServer
 # --- features -------------------------------------------------------------------------------------
 
 
-PNG = base64.b64decode(
-    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
-)
 PAGES = """
 [hurry]
 after = "consent"
 title = "Quickly"
 text = "Answer at once."
-seconds = 1
-picture = "dot.png"
 items = [
     {name = "first", text = "First?", low = 1, high = 5},
     {name = "second", text = "Write no.", kind = "text", expected = "no"},
@@ -49,7 +42,6 @@ skip = true
 
 @pytest.fixture
 def pages(tmp_path):
-    (tmp_path / "dot.png").write_bytes(PNG)
     path = tmp_path / "pages.toml"
     path.write_text(PAGES)
     return path
@@ -93,22 +85,13 @@ def test_groups_are_the_factor_between_subjects(tmp_path):
         study.analysis("forces")
 
 
-def test_after_its_time_a_form_is_handed_in_as_it_is(make_plan, pages):
+def test_checks_of_attention_are_counted(make_plan, pages):
     plan = make_plan(participants={"told": 2, "untold": 2}, pages=pages)
     participation = Participant(plan, "P01")
     participation.answers({"page": 0, "answers": {"consent": True}})
-    now = participation.state()
-    assert now["seconds"] == 1
-    assert base64.b64decode(now["picture"].partition(",")[2]) == PNG
-    for refused in (
-        {"answers": {"second": "yes"}},
-        {"late": True, "answers": {"first": 9}},
-    ):
-        with pytest.raises(AnswerError):
-            participation.answers({"page": 1, **refused})
-    participation.answers({"page": 1, "late": True, "answers": {"second": "yes"}})
+    participation.answers({"page": 1, "answers": {"first": 2, "second": "yes"}})
     study = tl.read_live_study(plan.folder)
-    assert study.answers().query("page == 'hurry'")["item"].tolist() == ["second"]
+    assert study.answers().query("page == 'hurry'")["item"].tolist() == ["first", "second"]
     assert study.participants["attention"].tolist() == [1, 0, 0, 0]
 
 

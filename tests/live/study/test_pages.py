@@ -8,7 +8,6 @@ from dataclasses import asdict
 
 import pytest
 
-from trustlab.live.study.drives import item_order
 from trustlab.live.study.pages import (
     LANGUAGES,
     AnswerError,
@@ -117,12 +116,22 @@ def test_answers_that_a_page_takes(toml):
             pages[name].check(answers)
 
 
+def test_a_page_that_belongs_to_no_drive_has_no_number(toml):
+    text = '[consent]\ntitle = "Part {number}"\n\n[drive]\ntitle = "{number}"'
+    titles = [step.page.title for step in steps_of(read_pages(files=toml(text)), ["C1"])]
+    assert (titles[0], titles[3]) == ("Part {number}", "1")
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("[a", "is no TOML file"),
-        ("[mine]\nafter='drive'\ntitel='x'", "got 'titel'; did you mean 'title'"),
-        ("[trust]\nitems=3", "items must be a list, got 3"),
+        ("[mine]\nafter='drive'\ntitel='x'", "pages.toml, .* got 'titel'; did you mean 'title'"),
+        ("[pause]\nskip=true\ntitel='x'", "pages.toml, .*'low'.*'skip', got 'titel'"),
+        ("[trust]\nitems=[{name='a', text='t', chioces=[]}]", "'choices'.* got 'chioces'"),
+        ("[trust]\ngroup=1", r"pages.toml, \[trust\]: group must be of type str"),
+        ("[trust]\nsection='sometimes'", "section must be one of 'start', 'each', 'end'"),
+        ("[trust]\nitems=3", "items must be of type list, got 3"),
         ("[trust]\nitems=[{name='a', text='t', reversed=1}]", "reversed must be of type bool"),
         (
             "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t'}, "
@@ -165,33 +174,19 @@ CHECKED = """
 after = "consent"
 title = "You"
 text = "About you."
-shuffled = true
 items = [
     {name = "why", kind = "text", text = "Why?", required = true},
     {name = "attention", text = "Mark 3 here.", expected = 3},
-    {name = "a", text = "A"}, {name = "b", text = "B"}, {name = "c", text = "C"},
+    {name = "a", text = "A"},
 ]
 """
 
 
 def test_words_may_be_required_and_attention_checked(toml):
     page = next(page for page in read_pages(files=toml(CHECKED)) if page.name == "about")
-    answers = {"why": "so", "attention": 5, "a": 1, "b": 1, "c": 1}
+    answers = {"why": "so", "attention": 5, "a": 1}
     assert page.check(answers) == answers
-    with pytest.raises(AnswerError, match="why: this answer cannot be taken"):
+    with pytest.raises(AnswerError, match="why: the answer must be 1 to 1000 characters"):
         page.check(answers | {"why": " "})
     with pytest.raises(ValueError, match=r"item 'attention': expected = 9 is no answer to it"):
         read_pages(files=toml(CHECKED.replace("expected = 3", "expected = 9")))
-    with pytest.raises(ValueError, match="shuffled"):
-        read_pages(files=toml(CHECKED.replace("shuffled = true", "shuffled = 1")))
-
-
-def test_everybody_gets_shuffled_items_in_an_order_of_their_own(toml, make_plan):
-    plan = make_plan(pages=toml(CHECKED))
-    orders = {}
-    for code in plan.orders:
-        step = next(step for step in plan.steps(code) if step.page.name == "about")
-        orders[code] = [item.name for item in item_order(plan, code, step)]
-        assert orders[code] == [item.name for item in item_order(plan, code, step)]
-        assert sorted(orders[code]) == sorted(item.name for item in step.page.items)
-    assert len({tuple(order) for order in orders.values()}) > 1

@@ -4,17 +4,21 @@ square of the design.
 """
 
 import json
+import shutil
+import sys
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import trustlab as tl
+from trustlab.live import LeadingSettings, TeleoperationSettings
 from trustlab.live.hands import HumanHand
 from trustlab.live.study import live_study as planning
 from trustlab.live.study.__main__ import main
 from trustlab.live.study.drives import drive_of
 from trustlab.live.study.plan import read_tokens
+from trustlab.live.study.server import StudyServer
 from trustlab.live.tasks.ground_robot import TASK, Drive
 from trustlab.testbeds.ground_robot.kernel import COLUMNS
 
@@ -70,18 +74,58 @@ def test_folders_that_hold_no_study(tmp_path):
 def test_the_command_line_plans_and_complains(tmp_path, monkeypatch, capsys):
     served = []
 
-    def serve(plan, *where, **options):
-        served.append(where)
+    def serve(plan, port):
+        served.append(port)
 
     monkeypatch.setattr(planning.LiveStudy, "serve", serve)
     folder = str(tmp_path / "mystudy")
     assert main([folder]) == main([folder, "--port", "9000"]) == 0
-    assert served == [("127.0.0.1", 8765), ("127.0.0.1", 9000)]
+    assert served == [8765, 9000]
     assert len(tl.LiveStudy.open(folder).orders) == 20
     assert main([str(tmp_path)]) == 2
     said = capsys.readouterr()
     assert "A new study: C1 to C5, 20 participants" in said.out
     assert "has other files in it" in said.err
+
+
+def test_without_tornado_the_command_line_says_what_to_install(tmp_path, monkeypatch, capsys):
+    monkeypatch.delitem(sys.modules, "trustlab.live.study.server", raising=False)
+    monkeypatch.setitem(sys.modules, "tornado", None)
+    assert main([str(tmp_path / "s")]) == 2
+    assert 'pip install "trustlab[live]"' in capsys.readouterr().err
+
+
+def test_a_deletion_that_fails_is_told_and_the_next_one_finishes_it(make_plan, monkeypatch):
+    plan = make_plan()
+    (plan.folder / "P01" / "events.jsonl").touch()
+
+    def refused(folder, ignore_errors=False):
+        if not ignore_errors:
+            raise PermissionError(13, "Permission denied")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(shutil, "rmtree", refused)
+        with pytest.raises(PermissionError):
+            plan.delete("P01")
+    assert plan.deleted() == ["P01"]
+    plan.delete("P01")
+    assert not list(plan.folder.rglob("events.jsonl"))
+    assert (plan.deleted(), plan.present()) == (["P01"], ["P02", "P03"])
+
+
+def test_a_folder_lost_in_a_copy_is_nobody_who_was_deleted(make_plan, client):
+    """Some copies leave empty folders out."""
+    plan = make_plan()
+    (plan.folder / "P02").rmdir()
+    assert tl.read_live_study(plan.folder).deleted == ()
+    with StudyServer(plan) as server:
+        assert client(server.links()["P02"] + "/state").json["page"] == 0
+
+
+def test_settings_of_flights_and_teams_are_named():
+    for settings in (LeadingSettings, TeleoperationSettings):
+        with pytest.raises(TypeError, match="positional"):
+            settings(5, 3)
 
 
 def drive_rows(config, switched):

@@ -54,16 +54,15 @@ def rehearsed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("studies")
     (folder / "pages.toml").write_text(OWN_PAGE)
     plan = planned(folder, 2, 10.0, pages=folder / "pages.toml")
-    do = Trial._do
+    finish = Trial.finish
 
-    def changed(trial, commands):
-        do(trial, commands)
-        if trial.log.path == plan.folder / "P01" / "09-drive.jsonl" and trial.rows:
+    def changed(trial, why):
+        if trial.log.path == plan.folder / "P01" / "09-drive.jsonl":
             trial.rows[7][trial.settings["columns"].index("p_r")] += 1e-6
-            patched.undo()
+        finish(trial, why)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(Trial, "_do", changed)
+        patched.setattr(Trial, "finish", changed)
         plan.rehearse(seed=1)
     return tl.read_live_study(plan.folder)
 
@@ -192,6 +191,26 @@ def test_questionnaires_on_other_scales_are_scored(tmp_path, pages):
     if pages == ONE_ITEM:
         assert own["trust_mean"] == one.item()
     assert study.export().exists()
+
+
+PRACTICE = """
+[training]
+section = "each"
+"""
+
+
+def test_practice_before_each_drive_is_no_data(tmp_path):
+    (tmp_path / "pages.toml").write_text(PRACTICE)
+    settings = {"duration": 2.0, "training": 1.0, "rehearsal": True, "task": "team"}
+    conditions = ["by_hand", "most_trusted"]
+    plan = tl.LiveStudy(tmp_path / "s", conditions, 2, pages=tmp_path / "pages.toml", **settings)
+    for analysis in ("analysis", "order_effects"):
+        with pytest.raises(ValueError, match="0 participants have all conditions; excl"):
+            getattr(tl.read_live_study(plan.folder), analysis)("force")
+    plan.rehearse(0)
+    study = tl.read_live_study(plan.folder)
+    assert len(study.measures) == len(study.sessions()) == 4
+    assert len(study.complete()) == 4
 
 
 # what is changed afterwards

@@ -165,7 +165,10 @@ def test_words_that_no_file_can_hold_are_refused(served, client):
     answers = '{"satisfaction": 4, "comfort": 4, "control": 4, "remark": "\\ud800 hi"}'
     body = f'{{"page": {page}, "answers": {answers}}}'.encode()
     refused = client(f"{url}/answers", body)
-    assert (refused.status, refused.json["error"]) == (400, "remark: this answer cannot be taken")
+    assert (refused.status, refused.json["error"]) == (
+        400,
+        "remark: the answer must be 0 to 1000 characters that files can hold",
+    )
     note = b'{"participant": "P01", "action": "note", "text": "\\ud800"}'
     assert client(f"{served.server.experimenter}/act", note).status == 400
     assert client(f"{served.server.experimenter}/export").status == 200
@@ -297,7 +300,7 @@ def test_the_experimenter_sees_adds_and_ends(served, client, page):
     page.drive(0, 5)
     note = {"participant": "P01", "action": "note", "text": "<script>alert(1)</script> spoke"}
     seen = {person["code"]: person for person in client(f"{experimenter}/act", note).json["people"]}
-    assert seen["P01"]["rows"] == 5
+    assert (seen["P01"]["rows"], seen["P01"]["delay"]) == (5, 0.0)
     assert [one["text"] for one in seen["P01"]["notes"]] == [note["text"]]
     assert seen["P02"]["seconds_ago"] is None
     for body in (
@@ -306,6 +309,8 @@ def test_the_experimenter_sees_adds_and_ends(served, client, page):
         note | {"text": "x" * 1001},
     ):
         assert client(f"{experimenter}/act", body).status == 400
+    long = client(f"{experimenter}/act", note | {"text": "x" * 1001}).json["error"]
+    assert long.startswith("note: the answer must be 1 to 1000 characters")
     archive = client(f"{experimenter}/export")
     assert (archive.status, archive.headers["Content-Type"]) == (200, "application/zip")
     assert zipfile.is_zipfile(io.BytesIO(archive.content))

@@ -9,7 +9,7 @@ import pandas as pd
 import trustlab as tl
 from trustlab.live.hands import HumanHand
 from trustlab.live.task import scripted_commands
-from trustlab.live.tasks.ground_robot import TASK, drive_config
+from trustlab.live.tasks.ground_robot import TASK, Drive, drive_config
 
 MODEL = tl.published_models()["2"]
 
@@ -29,6 +29,16 @@ def test_the_live_task_is_as_hard_as_people_found_it():
         ("p_h", [model.human.p_max for model in people]),
     ):
         assert min(most) - 0.02 < hand[signal] < max(most) + 0.02, signal
+
+
+def test_settings_of_a_log_from_before_they_were_split_give_the_same_session():
+    """Once the task held what its switching needs, too."""
+    rest = tl.LiveCondition("rest", {"r": 1.0}, thresholds=(0.1, 0.3))
+    config = drive_config(rest, MODEL, seconds=2.0)
+    rows = [Drive(config).step(0.1, 0.0, 1.0)] * 3
+    old = {**config, "task": config["task"] | config["switching"]}
+    del old["switching"]
+    assert TASK.session(old, rows).metadata == TASK.session(config, rows).metadata
 
 
 def test_an_identification_drive_is_fitted():

@@ -40,6 +40,7 @@ function buttons(who) {
 function pace(who) {
   const parts = [];
   if (who.rows !== null) parts.push(`${who.rows} rows`);
+  if (who.delay) parts.push(`pictures ${who.delay.toFixed(2)} s late`);
   if (who.pauses) parts.push(`${who.pauses} pauses`);
   return parts.join(", ");
 }

@@ -100,7 +100,6 @@ function showForm(now) {
     {},
     element("h2", { textContent: now.title }),
     ...paragraphs(now.text),
-    ...(now.picture ? [element("img", { src: now.picture, alt: now.title })] : []),
     ...now.items.map(field),
   );
   const button = element("button", { textContent: words.next });
@@ -111,20 +110,13 @@ function showForm(now) {
   form.append(button);
   main.replaceChildren(form);
   return new Promise((next) => {
-    let late = false;
-    const timer = now.seconds && setTimeout(() => handIn((late = true)), 1000 * now.seconds);
-    async function handIn() {
-      clearTimeout(timer);
+    form.addEventListener("submit", async (event) => {
+      event.preventDefault();
       button.disabled = true;
-      const items = late ? now.items.filter(({ name }) => new FormData(form).get(name)) : now.items;
-      const answer = await ask("answers", { page: now.page, late, answers: read(form, items) });
+      const answer = await ask("answers", { page: now.page, answers: read(form, now.items) });
       button.disabled = false;
       if (answer.status === 200 || answer.status === 409) next();
       else complain(filled(words.not_taken, { error: answer.error }));
-    }
-    form.addEventListener("submit", (event) => {
-      event.preventDefault();
-      handIn();
     });
   });
 }

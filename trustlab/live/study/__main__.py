@@ -14,15 +14,12 @@ from trustlab.live.study.plan import PLAN
 def main(words: list[str] | None = None) -> int:
     """Do what the command line says; return 0, or 2 where it cannot be done."""
     parser = argparse.ArgumentParser(prog="python -m trustlab.live.study", description=__doc__)
-    add = parser.add_argument
-    add(
+    parser.add_argument(
         "folder",
         metavar="DIR",
         help="the study's folder; without a study in it, C1 to C5 with 20 participants are planned",
     )
-    add("--address", default="127.0.0.1", help="where to listen; elsewhere needs --url")
-    add("--port", type=int, default=8765, help="port (default: 8765)")
-    add("--url", default="", help="the address of a proxy that ends TLS, https://…")
+    parser.add_argument("--port", type=int, default=8765, help="port (default: 8765)")
     options = parser.parse_args(words)
     try:
         new = not (Path(options.folder) / PLAN).exists()
@@ -32,8 +29,8 @@ def main(words: list[str] | None = None) -> int:
                 "A new study: C1 to C5, 20 participants, seed 0. For another one, plan it with "
                 "trustlab.LiveStudy first."
             )
-        plan.serve(options.address, options.port, url=options.url)
-    except (ValueError, OSError) as error:
+        plan.serve(port=options.port)
+    except (ModuleNotFoundError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.live.study.pages import Item, Step
+from trustlab.live.study.pages import Step
 from trustlab.live.study.plan import Plan, file_origin
 from trustlab.live.study.settings import model_of
 from trustlab.live.task import PERIOD, task_named
@@ -111,15 +111,6 @@ def drive_of(content: dict, condition: str, known: dict, seed: int) -> dict:
     if content["rehearsal"]:
         config["clock"] = "accelerated"
     return json.loads(json.dumps(config))
-
-
-def item_order(plan: Plan, code: str, step: Step) -> list[Item]:
-    """Return a page's items as a participant sees them: in an order of their own if shuffled."""
-    items = list(step.page.items)
-    if step.page.shuffled:
-        rng = np.random.default_rng(Attempt(plan, code, step, 0).seed)
-        items = [items[i] for i in rng.permutation(len(items))]
-    return items
 
 
 def planned_minutes(plan: Plan) -> int:

@@ -145,8 +145,8 @@ class LiveStudy(Plan):
 
     def delete(self, code: str) -> None:
         """
-        Delete a participant: folder, link, and reports made with their data. The plan keeps the
-        count.
+        Delete a participant: folder, link, and reports made with their data. An empty file keeps
+        the count.
 
         Parameters
         ----------

@@ -3,7 +3,6 @@ The pages of a study: their words and items from TOML files, their order for a p
 which answers are accepted.
 """
 
-import base64
 import re
 import tomllib
 from collections.abc import Iterable
@@ -11,22 +10,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from trustlab.models.checks import one_of, shown, whole_number
+from trustlab.models.checks import one_of, shown
 
 FOLDER = Path(__file__).parents[1] / "words"
 LANGUAGES = {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
 """The files of words that come with the package."""
 
-PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".webp": "image/webp"}
-LARGEST_PICTURE = 1_000_000
 LONGEST_ANSWER = 1000
 """Characters that a participant may write in one answer."""
 
+SECTIONS = ("start", "each", "end")
 KINDS = ("form", "drive", "end")
 ITEMS = ("scale", "choice", "text", "check")
 SCORED = ("nasa_tlx", "trust", "satisfaction", "likert")
 SCALE = ("low", "high", "step", "left", "right")
 """What a page may give for all its items."""
+
+LISTS = ("items", "choices")
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 FIXED = ("training", "identification", "drive", "debriefing")
@@ -77,7 +77,19 @@ class Item:
             fits = fits and (self.kind == "text" or answer in self.choices)
             fits = fits and not (self.required and not answer.strip())
         if not fits:
-            raise AnswerError(f"{self.name}: this answer cannot be taken")
+            raise AnswerError(f"{self.name}: the answer must be {self.allowed}")
+
+    @property
+    def allowed(self) -> str:
+        """What may be answered, in words."""
+        if self.kind == "scale":
+            return f"{self.low} to {self.high} in steps of {self.step}"
+        if self.kind == "check":
+            return "given"
+        if self.kind == "choice":
+            return f"one of {', '.join(self.choices)}"
+        least = int(self.required)
+        return f"{least} to {LONGEST_ANSWER} characters that files can hold"
 
 
 @dataclass(frozen=True)
@@ -86,9 +98,7 @@ class StudyPage:
     One page: a form with any number of items, a drive, or the end.
 
     `section` says whether it comes once at the start, after each drive, or once at the end;
-    `scored` how its items are scored; `shuffled` whether everybody gets them in an order of their
-    own; `group` who sees it, all if empty; `picture` an image as a data URI; `seconds` when a form
-    is handed in as it is, 0 for never.
+    `scored` how its items are scored; `group` who sees it, all if empty.
     """
 
     name: str
@@ -98,37 +108,32 @@ class StudyPage:
     kind: str = "form"
     scored: str = ""
     items: tuple[Item, ...] = ()
-    shuffled: bool = False
     group: str = ""
-    picture: str = ""
-    seconds: int = 0
 
     @property
     def scales(self) -> list[Item]:
         """The items that are scales."""
         return [item for item in self.items if item.kind == "scale"]
 
-    def check(self, answers: Any, late: bool = False) -> dict:
+    def check(self, answers: Any) -> dict:
         """
         Return the answers, one to each item and none besides, in the items' order; or raise
-        `AnswerError`. Where time was over, answers may be missing.
+        `AnswerError`.
         """
         if not isinstance(answers, dict) or set(answers) - {item.name for item in self.items}:
             raise AnswerError("the answers must be names of items with values")
-        items = self.items
-        if late and self.seconds:
-            items = tuple(item for item in items if item.name in answers)
-        for item in items:
+        for item in self.items:
             item.check(answers.get(item.name))
-        return {item.name: answers[item.name] for item in items}
+        return {item.name: answers[item.name] for item in self.items}
 
     @classmethod
     def read(cls, content: dict) -> "StudyPage":
-        """Return a page from what `asdict` made of it."""
+        """Return a page from what `asdict` made of it; older plans hold more."""
         items = tuple(
             Item(**item | {"choices": tuple(item["choices"])}) for item in content["items"]
         )
-        return cls(**{**content, "items": items})
+        parts = {name: content[name] for name in cls.__annotations__}
+        return cls(**parts | {"items": items})
 
 
 @dataclass(frozen=True)
@@ -161,10 +166,16 @@ def steps_of(pages: Iterable[StudyPage], order: Iterable[str], group: str = "") 
         for page in own:
             if page.section != section or (page.name == "pause" and position == len(order)):
                 continue
-            title = page.title.replace("{number}", str(position))
-            title = title.replace("{count}", str(len(order)))
+            title = page.title
+            if position is not None:
+                title = title.replace("{number}", str(position))
+                title = title.replace("{count}", str(len(order)))
             steps.append(Step(replace(page, title=title), len(steps), condition, position))
     return steps
+
+
+KEYS = (*list(StudyPage.__annotations__)[1:], *SCALE, "before", "after", "skip")
+"""What the table of a page may hold."""
 
 
 # from files
@@ -179,12 +190,7 @@ def task_pages(task: str, language: str) -> list[Path]:
 
 def read_words(language: str = "en") -> dict[str, str]:
     """Return the messages of a language."""
-    return _tables(language)["words"]
-
-
-def _tables(language: str) -> dict:
-    """Return what the file of a language holds: its messages, and a table of each page."""
-    return _content(LANGUAGES[one_of("language", language, LANGUAGES)])
+    return _content(LANGUAGES[one_of("language", language, LANGUAGES)])["words"]
 
 
 def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPage]:
@@ -192,17 +198,18 @@ def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPa
     Return the pages of a study: those of a language, as the files change them, add to them and
     leave some out.
     """
-    tables = _tables(language)
+    tables = _content(LANGUAGES[one_of("language", language, LANGUAGES)])
     del tables["words"]
+    places = {name: f"[{name}]" for name in tables}
     for path in files:
         for name, table in _content(path).items():
-            where = f"{path}, [{name}]"
+            where = places[name] = f"{path}, [{name}]"
             if not isinstance(table, dict) or not NAME.fullmatch(name):
                 raise ValueError(f"{where} must be a table, [name], in small letters, digits and _")
-            if "picture" in table:
-                table["picture"] = _data_uri(where, path.parent / str(table["picture"]))
+            for key in table:
+                one_of(f"a key of {where}", key, KEYS)
             tables = _changed(tables, name, table, where)
-    return [_page(name, table) for name, table in tables.items()]
+    return [_page(places[name], name, table) for name, table in tables.items()]
 
 
 def _content(path: Path) -> dict:
@@ -213,17 +220,6 @@ def _content(path: Path) -> dict:
         raise ValueError(f"the pages in {path} cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise ValueError(f"{path} is no TOML file in UTF-8: {error}") from None
-
-
-def _data_uri(where: str, path: Path) -> str:
-    """Return the picture of a page as it is kept in a plan."""
-    kind = PICTURES.get(path.suffix.lower())
-    if kind is None or not path.is_file() or path.stat().st_size > LARGEST_PICTURE:
-        raise ValueError(
-            f"{where}: picture must be a file of {', '.join(PICTURES)} with at most "
-            f"{LARGEST_PICTURE} bytes, got {path}"
-        )
-    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dict[str, dict]:
@@ -252,39 +248,32 @@ def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dic
     return {key: tables[key] for key in order}
 
 
-def _made(where: str, kind: type, table: dict, **parts: Any) -> Any:
-    """Return an item or a page of its parts and a table: keys are fields, values of their types."""
-    types = {key: wanted for key, wanted in kind.__annotations__.items() if key not in parts}
+def _check(where: str, kind: type, table: dict) -> None:
+    """Refuse what is no field of a page or an item, and values of other types."""
+    types = kind.__annotations__ | {key: list for key in LISTS if key in kind.__annotations__}
     for key, value in table.items():
         wanted = types[one_of(f"a key of {where}", key, types)]
         if wanted is not Any and type(value) is not wanted:
             raise ValueError(
                 f"{where}: {key} must be of type {wanted.__name__}, got {shown(value)}"
             )
-    return kind(**table, **parts)
 
 
-def _list(where: str, table: dict, key: str) -> list:
-    """Take a list out of a table."""
-    value = table.pop(key, [])
-    if not isinstance(value, list):
-        raise ValueError(f"{where}: {key} must be a list, got {shown(value)}")
-    return value
-
-
-def _page(name: str, table: dict) -> StudyPage:
+def _page(where: str, name: str, table: dict) -> StudyPage:
     """Return a page from its table in TOML files."""
-    where = f"[{name}]"
     common = {key: table[key] for key in SCALE if key in table}
-    own = {key: value for key, value in table.items() if key not in SCALE}
-    items = tuple(_item(where, item, common) for item in _list(where, own, "items"))
-    page = _made(where, StudyPage, {"title": "", "text": ""} | own, name=name, items=items)
-    if not page.title.strip() or not page.text.strip():
+    own = {"title": "", "text": "", "items": []} | table | {"name": name}
+    own = {key: value for key, value in own.items() if key not in SCALE}
+    _check(where, StudyPage, own)
+    items = tuple(_item(where, item, common) for item in own["items"])
+    text = re.sub(r"(?<!\n)\n(?!\n)", " ", own["text"].strip())
+    page = StudyPage(**own | {"items": items, "text": text})
+    if not page.title.strip() or not text:
         raise ValueError(f"{where} needs a title and a text")
     # A page of a lab's own is a form.
     one_of(f"{where}: kind", page.kind, KINDS if name in FIXED else ("form",))
     one_of(f"{where}: scored", page.scored, ("", *SCORED))
-    whole_number(f"{where}: seconds", page.seconds, least=0, most=3600)
+    one_of(f"{where}: section", page.section, SECTIONS)
     names = [item.name for item in page.items]
     if len(set(names)) < len(names):
         raise ValueError(f"{where}: two items have the same name: {names}")
@@ -293,11 +282,7 @@ def _page(name: str, table: dict) -> StudyPage:
         raise ValueError(
             f"{where}: a scored page has items on one scale, got {sorted(scales) or 'none'}"
         )
-    if page.seconds and (page.kind != "form" or page.scored):
-        raise ValueError(
-            f"{where}: seconds is for a form without a score, as answers may be missing"
-        )
-    return replace(page, text=re.sub(r"(?<!\n)\n(?!\n)", " ", page.text.strip()))
+    return page
 
 
 def _item(where: str, table: Any, common: dict) -> Item:
@@ -305,9 +290,10 @@ def _item(where: str, table: Any, common: dict) -> Item:
     if not isinstance(table, dict) or not {"name", "text"} <= set(table):
         raise ValueError(f"{where}: an item needs a name and a text, got {shown(table)}")
     where = f"{where}, item {table['name']!r}"
-    own = common | table
-    choices = tuple(_list(where, own, "choices"))
-    item = _made(where, Item, own, choices=choices)
+    own = {"choices": []} | common | table
+    _check(where, Item, own)
+    choices = tuple(own["choices"])
+    item = Item(**own | {"choices": choices})
     if not NAME.fullmatch(item.name):
         raise ValueError(
             f"{where}: a name has small letters, digits and _, at most 40, and begins with a letter"

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from trustlab.live.log import Log
-from trustlab.live.study.drives import Attempt, identified, item_order, planned_minutes, stand_in
+from trustlab.live.study.drives import Attempt, identified, planned_minutes, stand_in
 from trustlab.live.study.pages import AnswerError, Item, Step
 from trustlab.live.study.plan import EVENTS, DeletedError, Plan, file_origin, note_link
 from trustlab.live.study.progress import Progress, progress_of
@@ -45,7 +45,7 @@ class Participant:
         self.scripted = scripted
         self.folder = plan.folder / code
         self.steps = plan.steps(code)
-        self._check_folder()
+        self.folder.mkdir(exist_ok=True)  # some copies leave empty folders out
         self.log = Log(self.folder / f"{EVENTS}.jsonl", file_origin(plan.digest, code, EVENTS))
         self.events: list[dict] = self.log.entries
         self.trial: Trial | None = None
@@ -59,13 +59,10 @@ class Participant:
         if self.trial is not None:
             self.trial.log.close()
 
-    def _check_folder(self) -> None:
-        if not self.folder.is_dir():
-            raise DeletedError(f"participant {self.code} has no folder any more")
-
     def add(self, kind: str, **facts: Any) -> None:
         """Append an event; it is on the disk when this returns."""
-        self._check_folder()
+        if self.plan.is_deleted(self.code):
+            raise DeletedError(f"participant {self.code} was deleted")
         event = {"at": round(time.time(), 3), "kind": kind, **facts}
         self.log.append([event])
         self.events.append(event)
@@ -121,12 +118,10 @@ class Participant:
             "words": content["words"],
             "minutes": self.minutes,
             **shown,
-            "picture": step.page.picture,
-            "seconds": step.page.seconds,
             "completion": progress.completion if step.page.kind == "end" else "",
             "items": [
                 {name: value for name, value in vars(item).items() if name not in PRIVATE}
-                for item in item_order(self.plan, self.code, step)
+                for item in step.page.items
             ],
         }
 
@@ -135,7 +130,7 @@ class Participant:
         step = self.step
         if body.get("page") != step.index or step.page.kind != "form":
             raise RefusedError("this page is done")
-        answers = step.page.check(body.get("answers"), late=body.get("late") is True)
+        answers = step.page.check(body.get("answers"))
         self._add_done(step, answers=answers)
         return self.state()
 
@@ -227,7 +222,7 @@ class Participant:
 
     def experimenter_note(self, body: dict) -> None:
         """Add a note of the experimenter's."""
-        Item("text", "", "text", required=True).check(body.get("text"))
+        Item("note", "", "text", required=True).check(body.get("text"))
         self.add("note", page=self.step.index, text=body["text"])
 
     def experimenter_end(self, body: dict) -> None:
@@ -262,4 +257,5 @@ class Participant:
             "drives": drives,
             "notes": progress.notes[-5:],
             "pauses": 0 if trial is None else len(trial.record.pauses),
+            "delay": trial.record.delays[-1] if trial and trial.record.delays else None,
         }

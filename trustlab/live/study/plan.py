@@ -26,6 +26,9 @@ EXPERIMENTER = "experimenter"
 JOIN = ".join"
 """The name of the link for joining; no code has a full stop."""
 
+TOMBSTONE = ".deleted"
+"""The suffix of an empty file, which says that a participant was deleted."""
+
 
 class DeletedError(ValueError):
     """What is asked for belongs to a participant who was deleted."""
@@ -136,12 +139,16 @@ class Plan:
         return steps_of(self.pages, order, self.groups.get(code, ""))
 
     def deleted(self) -> list[str]:
-        """Return the codes of the participants who were deleted: they have no folder any more."""
-        return [code for code in self.orders if not (self.folder / code).is_dir()]
+        """Return the codes of the participants who were deleted."""
+        return [code for code in self.orders if self.is_deleted(code)]
 
     def present(self) -> list[str]:
         """Return the codes of all who were not deleted."""
-        return [code for code in self.orders if (self.folder / code).is_dir()]
+        return [code for code in self.orders if not self.is_deleted(code)]
+
+    def is_deleted(self, code: str) -> bool:
+        """Whether a participant was deleted."""
+        return (self.folder / f"{code}{TOMBSTONE}").exists()
 
 
 _links_lock = threading.Lock()
@@ -227,19 +234,23 @@ def write_tokens(folder: Path, tokens: dict[str, str]) -> None:
 
 
 def delete_participant(folder: Path, code: str) -> None:
-    """Delete folder and token of a participant, and what was made from them."""
+    """
+    Delete folder and token of a participant, and what was made from them; an empty file says that
+    there was someone. What was interrupted is finished by another call.
+    """
     home, gone = folder / code, folder / f".{code}.going"
+    # First of all: a server that runs meanwhile turns this participant away from now on.
+    (folder / f"{code}{TOMBSTONE}").touch()
     if home.exists():
-        # Renamed first: a server that runs meanwhile turns this participant away from now on, and
-        # no row arrives in a folder that is half gone.
-        home.rename(gone)
-        sync_folder(folder)
+        home.rename(gone)  # no row arrives in a folder that is half gone
+    sync_folder(folder)
     if tokens_path(folder).exists():
         tokens = read_tokens(folder)
         tokens.pop(code, None)
         write_tokens(folder, tokens)
     note_link(folder, code, None)
-    shutil.rmtree(gone, ignore_errors=True)
+    if gone.exists():
+        shutil.rmtree(gone)
     # They show this participant's numbers.
     for report in (*folder.glob("report*.html"), *folder.glob("report*.zip")):
         report.unlink()

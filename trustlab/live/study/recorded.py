@@ -175,7 +175,7 @@ class RecordedStudy:
         """
         drives = []
         for drive in self._drives:
-            if drive.finished and drive.attempt.step.condition:
+            if drive.finished and drive.attempt.step.page.name == "drive":
                 faults = filter(None, (self.records[drive.attempt.code].fault, drive.fault))
                 drives.append(drive._replace(fault="; ".join(faults)))
         return drives
@@ -382,7 +382,7 @@ class RecordedStudy:
         between = "group" if self.plan.groups else None
         order = self.plan.content["conditions"]
         return repeated_measures(
-            self.complete(), dv, "condition", "participant", between=between, order=order
+            self._for_analysis(), dv, "condition", "participant", between=between, order=order
         )
 
     def order_effects(self, dv: str) -> OrderEffects:
@@ -402,8 +402,14 @@ class RecordedStudy:
         """
         order = self.plan.content["conditions"]
         return order_effects(
-            self.complete(), dv, "condition", "position", subject="participant", order=order
+            self._for_analysis(), dv, "condition", "position", subject="participant", order=order
         )
+
+    def _for_analysis(self) -> pd.DataFrame:
+        frame = self.complete()
+        if frame.empty:
+            raise ValueError("0 participants have all conditions; exclusions() says why")
+        return frame
 
     def summary(self) -> str:
         """

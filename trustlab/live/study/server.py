@@ -371,7 +371,6 @@ class StudyServer:
         self.files = {path.name: path.read_bytes() for path in files}
         self.queues: dict[str, asyncio.Lock] = {}
         self.participants: dict[str, Participant] = {}
-        self.lock = threading.Lock()
         self.tokens: dict[str, str] = {}
         self.tokens_at = 0
         self.started = threading.Event()
@@ -393,15 +392,12 @@ class StudyServer:
         return holder
 
     def participant(self, code: str) -> Participant:
-        """Return a participant, read from the disk the first time."""
-        with self.lock:
-            if code not in self.participants:
-                self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
-            participant = self.participants[code]
-            if not participant.folder.is_dir():
-                self.participants.pop(code).close()
-                raise DeletedError(f"participant {code} was deleted")
-            return participant
+        """Return a participant."""
+        if self.plan.is_deleted(code):
+            if participant := self.participants.pop(code, None):
+                participant.close()
+            raise DeletedError(f"participant {code} was deleted")
+        return self.participants[code]
 
     async def ask(self, code: str, request: str, body: dict) -> Any:
         """Let a participant answer a request, in a thread, after those before it."""
@@ -561,6 +557,8 @@ class StudyServer:
             training = drive_of(self.plan.content, "training", stand_in(self.plan, ""), seed=0)
             prepare(self.plan.task, training)
             self.holder("")
+            for code in self.plan.present():
+                self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
             try:
                 sockets = tornado.netutil.bind_sockets(self.port, self.address)
             except (OSError, UnicodeError) as error:

@@ -31,22 +31,20 @@ def occasions(session: Session, dwell: float) -> pd.DataFrame:
         A row per occasion: t, when it begins [s]; most_trusted and hysteresis, whom the policies
         would pick then; chosen, who leads at its end.
     """
-    free, leader = session["may_switch"] > 0, session["leader"].astype(int)
+    leader = session["leader"].astype(int)
     length = round(dwell / session.sample_time)
     rows = []
-    k = 0
-    while k < len(session):
-        if not free[k]:
-            k += 1
+    end = 0
+    for k in np.flatnonzero(session["may_switch"] > 0):
+        if k < end:
             continue
         ahead = leader[k : k + length + 1]
-        if len(ahead) <= length and (ahead == leader[k]).all():
-            break  # the run ended before the person had the time
         switched = np.flatnonzero(ahead != leader[k])
-        end = k + int(switched[0]) if switched.size else k + length
+        if len(ahead) <= length and not switched.size:
+            break  # the run ended before the person had the time
+        end = int(k + (switched[0] if switched.size else length))
         picks = (int(session[f"leader_{name}"][k]) for name in ADVISERS)
         rows.append((session.t[k], *picks, leader[end]))
-        k = end
     return pd.DataFrame(rows, columns=["t", *ADVISERS, "chosen"])
 
 

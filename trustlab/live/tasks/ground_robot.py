@@ -221,9 +221,10 @@ def study_config(content: dict, condition: str, known: dict, seed: int) -> dict:
 def drive_facts(config: dict, table: pd.DataFrame) -> dict:
     """Return what metadata say of a drive; laps are no signal of the session."""
     task = config["task"]
+    switching = config.get("switching", task)  # logs of before these were split hold one mapping
     laps = table.pop("laps")
     facts = {
-        "settling": config["switching"]["settling"],
+        "settling": switching["settling"],
         "performance_window": task["window"] * SAMPLE_TIME,
         "stamp_error": 0.0,  # the drive switches on a sample
         "lap_times": (SAMPLE_TIME * (np.flatnonzero(np.diff(laps) > 0.0) + 1)).tolist(),
@@ -233,7 +234,7 @@ def drive_facts(config: dict, table: pd.DataFrame) -> dict:
     if task["scheme"] == TSC:
         facts |= {"TSC_l": task["lower"], "TSC_u": task["upper"]}
     if task["scheme"] == SCORE:
-        weights = {signal: config["switching"][signal] for signal in SIGNALS}
+        weights = {signal: switching[signal] for signal in SIGNALS}
         facts["rule"] = {signal: weight for signal, weight in weights.items() if weight}
         facts["rule_thresholds"] = [task["lower"], task["upper"]]
     return facts

@@ -64,7 +64,7 @@ START = 1.0
 """Goals lie within ± FIELD, at least NEAREST from the one before; robots begin within START [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LeadingSettings(HandSettings):
     """
     The runs of a live study of a team.

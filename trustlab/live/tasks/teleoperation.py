@@ -49,7 +49,7 @@ UNBOUNDED = 1e6
 """The `view` of a task whose camera always has its target in the picture [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TeleoperationSettings(HandSettings):
     """
     The flights of a live study of shared teleoperation.
