@@ -3,7 +3,7 @@ Data that cannot tell a parameter: it is named, its interval is wide, or the fit
 reason.
 """
 
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -110,6 +110,30 @@ def test_ranges_that_give_no_weights_are_an_identification_error():
     assert "robot_p_min" in caught.value.parameters
 
 
+def test_a_robot_needs_no_weights_of_its_operator():
+    """TSC needs them, which `fit_robot` does not return."""
+    noisy = session()
+    lower = noisy.with_columns(p_r=noisy["p_r"] - 0.5)
+    robots = [tl.fit_robot(each).model for each in (noisy, lower)]
+    assert robots[1].p_min == pytest.approx(robots[0].p_min - 0.5, abs=1e-4)
+    assert robots[1].a == pytest.approx(robots[0].a, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"p_h_max": 0.4}, r"^p_h_max, .*is 0\.4, but the measured p_h is .*in the median"),
+        ({"p_h_max": 1000.0}, "give it in this unit"),
+        ({"fixed": {"b": 0.1}}, r"fixed names 'b'.*\(a, p_min, p_max, p_h_max, p_r0\)"),
+        ({"bounds": {"p_max": (0.5, 0.4)}}, "^bounds of p_max must be"),
+        ({"bounds": {"p_min": (0.6, 0.9), "p_max": (0.1, 0.3)}}, "^p_min is at least 0.6, not"),
+    ],
+)
+def test_a_robot_is_refused_in_its_own_words(arguments, says):
+    with pytest.raises(ValueError, match=says):
+        tl.fit_robot(session(), **arguments)
+
+
 def test_bounds_hold_and_are_reported():
     fit = tl.fit_human(session(), bounds={"beta": (None, 0.7)})
     assert fit.model.beta == pytest.approx(0.7, abs=1e-12)
@@ -124,6 +148,7 @@ def test_bounds_hold_and_are_reported():
     ("arguments", "says"),
     [
         ({"fixed": {"betta": 0.7}}, "did you mean 'beta'"),
+        ({"bounds": {"p_min": (0.6, 0.9), "p_max": (0.1, 0.3)}}, "p_min is at least 0.6, not"),
         ({"bounds": {"beta": (1.5, 2.0)}}, "lie outside"),
         ({"fixed": {"a": 0.9}, "bounds": {"a": (0.8, 0.95)}}, "both fixed and bounded"),
         ({"step": 0.03}, "does not divide"),
@@ -132,6 +157,18 @@ def test_bounds_hold_and_are_reported():
 def test_arguments_that_are_not_understood(arguments, says):
     with pytest.raises(ValueError, match=says):
         tl.fit_human(session(), **arguments)
+
+
+def test_misspelt_names_are_told_what_was_meant():
+    noisy = session()
+    with pytest.raises(TypeError, match="did you mean 'mode_delay'"):
+        tl.fit_tsc(noisy, mode_dely=True)
+    with pytest.raises(ValueError, match="did you mean 'human_a' or 'robot_a'"):
+        tl.fit_tsc(noisy, fixed={"a": 0.99})
+    with pytest.raises(ValueError, match="p_h_max must be"):
+        tl.fit(ROBOT, noisy, fixed={"p_h_max": 0.0})
+    held = tl.fit_human(noisy, fixed=MappingProxyType({"beta": 0.7}))
+    assert held.model.beta == 0.7
 
 
 def test_sessions_that_do_not_fit_together():

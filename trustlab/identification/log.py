@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from trustlab.identification.model import IdentificationError, Model
-from trustlab.models.checks import flag, not_negative, of_class, positive, warn
+from trustlab.models.checks import did_you_mean, flag, not_negative, of_class, positive, warn
 from trustlab.sessions.session import Session
 
 HOW_TO_GET = (
@@ -81,6 +81,11 @@ class LogSettings:
 
 def log_settings(log: LogSettings | None, changes: Mapping[str, Any]) -> LogSettings:
     """Return a user's settings of the log: an object, keywords, or an object changed by them."""
+    known = LogSettings.__dataclass_fields__
+    for name in changes:
+        if name not in known:
+            hint = did_you_mean(name, known)
+            raise TypeError(f"{name!r} is no argument, nor a setting ({', '.join(known)}){hint}")
     return replace(LogSettings() if log is None else of_class("log", log, LogSettings), **changes)
 
 

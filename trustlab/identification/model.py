@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import did_you_mean, finite_number, flag, of_class, one_of
+from trustlab.models.checks import did_you_mean, finite_number, flag, of_class, one_of, shown
 
 # How close to 0 and 1 an unknown in (0, 1) may come during the search.
 UNIT_MARGIN = 1e-9
@@ -229,10 +229,12 @@ class Model:
         bounds : mapping, optional
             (low, high) by name; None for an open side.
         """
-        fixed = of_class("fixed", {} if fixed is None else fixed, dict, "give values by name")
-        bounds = of_class("bounds", {} if bounds is None else bounds, dict, "give pairs by name")
-        self.check_names(fixed, "fixed")
-        self.check_names(bounds, "bounds")
+        fixed = {} if fixed is None else fixed
+        bounds = {} if bounds is None else bounds
+        for argument, given in (("fixed", fixed), ("bounds", bounds)):
+            if not isinstance(given, Mapping):
+                raise ValueError(f"{argument} must give values by name, got {shown(given)}")
+            self.check_names(given, argument)
         for name in set(fixed) & set(bounds):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")
         limits = {}

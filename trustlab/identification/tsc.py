@@ -5,9 +5,10 @@ HUMAN, ROBOT and TSC share one simulation, and the operator's grid starts their 
 driven by the measured P_h; `fit_robot` is TSC, of which it keeps the robot's part.
 """
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -29,6 +30,7 @@ from trustlab.models.tsc import (
     next_utilization,
     yerkes_dodson,
 )
+from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
 
 # --- the simulation -------------------------------------------------------------------------------
@@ -143,9 +145,18 @@ def _with(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
     return {f"{prefix}{name}": value for name, value in values.items()}
 
 
+def check_order(limits: Mapping, prefix: str = "") -> tuple[str, str]:
+    """Refuse limits by which the least performance is not below the greatest; name both."""
+    low, high = f"{prefix}p_min", f"{prefix}p_max"
+    least, most = limits[low][0], limits[high][1]
+    if least >= most:
+        raise ValueError(f"{low} is at least {least:g}, not below {high}, at most {most:g}")
+    return low, high
+
+
 def check_excitation(runs: list[Run], limits: Mapping, prefix: str = "") -> None:
     """Refuse data in which nothing separates the least from the greatest robot performance."""
-    ranges = (f"{prefix}p_min", f"{prefix}p_max")
+    ranges = check_order(limits, prefix)
     modes = joined(runs, "mode")
     if np.ptp(modes) > 0.0 or any(limits[name][0] == limits[name][1] for name in ranges):
         return
@@ -160,13 +171,14 @@ def check_excitation(runs: list[Run], limits: Mapping, prefix: str = "") -> None
 
 
 def _check_tsc(runs: list[Run], limits: Mapping) -> None:
-    """Refuse data that say nothing of the robot, and a greatest P_h in another unit."""
+    """Refuse data that say nothing of the robot, and a greatest P_h that is not of these data."""
+    check_order(limits, "human_")
     check_excitation(runs, limits, "robot_")
-    fixed, most = limits["human_p_max"][0], joined(runs, "p_h").max()
-    if fixed > 1e3 * abs(most):
+    (low, high), p_h = limits["human_p_max"], joined(runs, "p_h")
+    if low == high and not np.median(p_h) <= low <= 1e3 * abs(p_h.max()):
         raise ValueError(
-            f"the greatest human performance, {fixed:g}, is over a thousand times the measured "
-            f"p_h, {most:.4g}; give it in the unit of p_h"
+            f"human_p_max, the greatest human performance, is {low:g}, but the measured p_h is "
+            f"{np.median(p_h):.4g} in the median and {p_h.max():.4g} at most; give it in this unit"
         )
 
 
@@ -179,6 +191,7 @@ def _check_driven(runs: list[Run], limits: Mapping) -> None:
             "refers: give fixed={'p_h_max': …}",
             ("p_h_max",),
         )
+    positive("p_h_max", limits["p_h_max"][0])
 
 
 # --- where the search starts ----------------------------------------------------------------------
@@ -334,6 +347,7 @@ HUMAN = Model(
     build=build_human,
     derived={"b": lambda a, **_: 1.0 - a},
     hints=HINTS,
+    check=lambda runs, limits: check_order(limits),
 )
 
 ROBOT = Model(
@@ -548,14 +562,19 @@ def fit_robot(
     """
     if p_h_max is not None:
         fixed = {**(fixed or {}), "p_h_max": positive("p_h_max", p_h_max)}
+    fixed, bounds = _joint("fixed", fixed), _joint("bounds", bounds)
+    model = replace(TSC, build=_robot_part)
     try:
-        joint = fit(TSC, sessions, _joint(fixed), _joint(bounds), noise, log=log, **settings)
+        return _robot_of(fit(model, sessions, fixed, bounds, noise, log=log, **settings))
     except IdentificationError as error:
         text = _robots(str(error))
         if any(name.startswith("human_") for name in error.parameters):
             text = f"{text}; {DRIVEN}"
         raise IdentificationError(text, tuple(map(_robots, error.parameters))) from error
-    return _robot_of(joint)
+    except SessionError:
+        raise
+    except ValueError as error:
+        raise ValueError(_robots(str(error))) from error
 
 
 # What to do where (2.5)-(2.6) do not describe the operator.
@@ -567,16 +586,23 @@ DRIVEN = (
 OF_JOINT = {name: f"robot_{name}" for name in ROBOT_NAMES} | {"p_h_max": "human_p_max"}
 
 
-def _joint(values: Any) -> Any:
+def _robot_part(**values: float) -> RobotModel:
+    """Return the robot of a joint fit; whoever drove it need not make a model."""
+    return build_robot(**_without("robot_", values), p_h_max=values["human_p_max"], prefix="robot_")
+
+
+def _joint(argument: str, values: Any) -> Any:
     """Return values by the names of the joint fit."""
     if not isinstance(values, Mapping):
         return values  # which `fit` refuses, or None
+    ROBOT.check_names([name for name in values if name != "mode_delay"], argument)
     return {OF_JOINT.get(name, name): value for name, value in values.items()}
 
 
 def _robots(text: str) -> str:
     """Return a name of the joint fit, or a text of such names, with the robot's own."""
-    return text.replace("robot_", "").replace("human_p_max", "p_h_max")
+    text = re.sub(r"\brobot_(a|b|p_min|p_max|time_constant)\b", r"\1", text)
+    return re.sub(r"\bhuman_p_max\b", "p_h_max", text)
 
 
 def _robot_of(joint: FitResult) -> FitResult:
@@ -602,7 +628,6 @@ def _robot_of(joint: FitResult) -> FitResult:
     free = parameters.index.intersection(covariance.index)
     return replace(
         joint,
-        model=cast(TscModel, joint.model).robot,
         parameters=parameters,
         covariance=covariance.loc[free, free],
         initial_states=joint.initial_states[["p_r0", "p_r0_stderr"]],

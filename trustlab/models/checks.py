@@ -44,8 +44,10 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
 def did_you_mean(name: object, known: Iterable[object]) -> str:
     """Return "; did you mean …?" for a misspelt name, or nothing when no known name is close."""
     words = {str(word).lower(): str(word) for word in known}
-    close = difflib.get_close_matches(str(name)[:100].lower(), list(words), n=1, cutoff=0.6)
-    return f"; did you mean {words[close[0]]!r}?" if close else ""
+    meant = str(name)[:100].lower()
+    close = [word for word in words if word.endswith(f"_{meant}")]
+    close = close or difflib.get_close_matches(meant, list(words), n=1, cutoff=0.6)
+    return f"; did you mean {' or '.join(repr(words[word]) for word in close)}?" if close else ""
 
 
 def rounded_down(value: float, digits: int = 3) -> float:
