@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 
 from trustlab.identification.model import IdentificationError, Model
-from trustlab.models.checks import did_you_mean, flag, not_negative, of_class, positive, warn
+from trustlab.models.checks import (
+    Checked,
+    NotNegative,
+    Positive,
+    did_you_mean,
+    not_negative,
+    of_class,
+    warn,
+)
 from trustlab.sessions.session import Session
 
 HOW_TO_GET = (
@@ -22,7 +30,7 @@ HOW_TO_GET = (
 
 
 @dataclass(frozen=True)
-class LogSettings:
+class LogSettings(Checked):
     """
     How a log shows the model: averaging, time step, errors of the time stamps, outliers.
 
@@ -64,19 +72,11 @@ class LogSettings:
     True
     """
 
-    window: float | None = None
-    step: float | None = None
+    window: NotNegative | None = None
+    step: Positive | None = None
     mode_delay: bool = False
-    stamp_error: float | None = None
+    stamp_error: NotNegative | None = None
     robust: bool = True
-
-    def __post_init__(self):
-        checks = {"window": not_negative, "step": positive, "stamp_error": not_negative}
-        for name, check in checks.items():
-            if getattr(self, name) is not None:
-                check(name, getattr(self, name))
-        flag("mode_delay", self.mode_delay)
-        flag("robust", self.robust)
 
 
 def log_settings(log: LogSettings | None, changes: Mapping[str, Any]) -> LogSettings:

@@ -104,11 +104,12 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 
 from trustlab.models.checks import (
+    Checked,
+    Positive,
     did_you_mean,
     finite_number,
     not_negative,
     one_of,
-    positive,
     shown,
     whole_number,
 )
@@ -429,24 +430,18 @@ class FilesRule:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Resampling:
+class Resampling(Checked):
     """How logs come to a uniform time axis, and its sample time [s]."""
 
     method: Method
-    sample_time: float
-
-    def __post_init__(self):
-        positive("sample_time", self.sample_time)
+    sample_time: Positive
 
 
 @dataclass(frozen=True, kw_only=True)
-class Splitting:
+class Splitting(Checked):
     """The gap [s] at which a log is split into several sessions."""
 
-    gap: float
-
-    def __post_init__(self):
-        positive("gap", self.gap)
+    gap: Positive
 
 
 @dataclass(kw_only=True)
