@@ -36,12 +36,12 @@ def performance_suggestion(p_r, p_min, p_max, tolerance=PERFORMANCE_TOLERANCE):
     return -1
 
 
-@dataclass
+@dataclass(slots=True)
 class ThresholdRule:
     """
     Rule (2.8): manual once TSC falls to TSC_l, autonomous once it rises to TSC_u.
 
-    Thresholds and mode may be assigned while the rule runs.
+    Thresholds and mode may be assigned while the rule runs; each step checks them.
 
     Parameters
     ----------
@@ -85,8 +85,11 @@ class ThresholdRule:
         Raises
         ------
         ValueError
-            If TSC is not a finite number; the mode stays what it was.
+            If TSC is not a finite number, or what was assigned is no rule; the mode stays.
         """
+        numbers = type(self.lower) is type(self.upper) is float
+        if not (numbers and self.lower < self.upper and self.mode in (0, 1)):
+            self.__post_init__()
         tsc = finite_number("tsc, which rule (2.8) needs,", tsc)
         self.mode = int(threshold_mode(tsc, self.lower, self.upper, self.mode))
         return self.mode
