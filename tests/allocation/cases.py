@@ -16,6 +16,19 @@ def shape(r, beta):
     return (r / beta) ** beta * ((1 - r) / (1 - beta)) ** (1 - beta)
 
 
+def drawn_model(rng, human, robot, betas=(0.3, 0.95), spans=((0.02, 0.5), (0.1, 1.0))):
+    """
+    A model at random: log10(1 − a) of the human and of the robot, β, and by which shares of their
+    least values performances range, from uniform distributions.
+    """
+    h_min, r_min = rng.uniform(0.2, 0.5), rng.uniform(0.1, 0.4)
+    h_max, r_max = (
+        low * (1 + rng.uniform(*s)) for low, s in zip((h_min, r_min), spans, strict=True)
+    )
+    operator = tl.HumanModel(1 - 10 ** rng.uniform(*human), rng.uniform(*betas), h_min, h_max)
+    return tl.TscModel(tl.RobotModel(1 - 10 ** rng.uniform(*robot), r_min, r_max, h_max), operator)
+
+
 def phases(mode):
     """Modes of the whole phases of a run, and their lengths."""
     mode = np.asarray(mode)

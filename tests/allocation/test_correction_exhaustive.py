@@ -14,21 +14,18 @@ import casadi
 import numpy as np
 import pytest
 
-from tests.allocation.cases import shape
+from tests.allocation.cases import drawn_model, shape
 from trustlab.allocation.correction import follow
-from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
 
 def instance(rng):
     """A model and a state near a switch, with corrections as fast as TSC, in any direction."""
-    h_min, r_min = rng.uniform(0.2, 0.5), rng.uniform(0.1, 0.4)
-    h_max, r_max = h_min * (1 + rng.uniform(0.05, 0.5)), r_min * (1 + rng.uniform(0.2, 1.0))
-    human = HumanModel(1 - 10 ** rng.uniform(-2.5, -0.5), rng.uniform(0.3, 0.9), h_min, h_max)
-    tsc = TscModel(RobotModel(1 - 10 ** rng.uniform(-2, -0.5), r_min, r_max, h_max), human)
+    spans = (0.05, 0.5), (0.2, 1.0)
+    tsc = drawn_model(rng, (-2.5, -0.5), (-2.0, -0.5), (0.3, 0.9), spans)
     r = rng.uniform(0.05, 0.95)
-    p_r = rng.uniform(r_min, r_max)
+    p_r = rng.uniform(tsc.robot.p_min, tsc.robot.p_max)
     mode = int(rng.integers(2))
-    now = float(tsc.value(p_r, human.performance(r)))
+    now = float(tsc.value(p_r, tsc.human.performance(r)))
     after = tsc.simulate(np.full(4, mode), r, p_r)["tsc"].to_numpy()
     pace = abs(after[3] - after[0]) / 3 + 1e-4
     c_b = pace * 10 ** rng.uniform(-0.7, 0.5)

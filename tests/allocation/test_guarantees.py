@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.allocation.cases import shape
+from tests.allocation.cases import drawn_model, shape
 from trustlab.allocation import invariant_bounds, limit_cycle
 
 STARTS = list(itertools.product((0.0, 1.0), (0.0, 1.0), (0.0, 1.0)))
@@ -23,15 +23,12 @@ def random_pair(rng):
     """
     A fast model with thresholds inside and outside the limits of TSC, as often one as the other.
     """
-    h_min, r_min = rng.uniform(0.2, 0.5), rng.uniform(0.1, 0.4)
-    h_max, r_max = h_min * (1 + rng.uniform(0.02, 0.5)), r_min * (1 + rng.uniform(0.1, 1.0))
-    human = tl.HumanModel(1 - 10 ** rng.uniform(-1.8, -1.0), rng.uniform(0.3, 0.95), h_min, h_max)
-    model = tl.TscModel(
-        tl.RobotModel(1 - 10 ** rng.uniform(-1.6, -0.7), r_min, r_max, h_max), human
-    )
+    model = drawn_model(rng, (-1.8, -1.0), (-1.6, -0.7))
+    robot, human = model.robot, model.human
     a_T, b_T = weights(model)
-    rest = a_T * r_min - b_T * h_min
-    load = a_T * (r_min + (r_max - r_min) * h_min / h_max) - b_T * h_min
+    rest = a_T * robot.p_min - b_T * human.p_min
+    rise = (robot.p_max - robot.p_min) * human.p_min / human.p_max
+    load = rest + a_T * rise
     while True:
         lower, upper = rest + rng.normal() * 0.1, load + rng.normal() * 0.1
         if min(abs(lower - rest), abs(upper - load)) > 1e-3 and upper - lower > 0.02:

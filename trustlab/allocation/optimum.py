@@ -36,7 +36,7 @@ GRID = 20_001
 LONGEST = 4.0
 MOST_DWELLS = 40
 MOST_SAMPLES = 20_000
-DENSE = 300
+DENSE = 600
 
 # Effort of a coarse survey of thresholds on TSC, and how many of its best pairs are followed sample
 # by sample.
