@@ -65,6 +65,8 @@ class CorrectionProgram:
 
         self.corrector = corrector
         self.width = not_negative("switch_width", switch_width)
+        # Where modes are given, corrections move the thresholds alone.
+        self.moving = [0, 1, 2, 3, 4] if self.width else [2, 3]
         self.limit = positive("limit", limit)
         robot, (lower, upper), c_b = corrector.tsc.robot, corrector.target, corrector.c_b
         self.zero = np.array([0.0, robot.p_min, upper, lower])
@@ -125,15 +127,19 @@ class CorrectionProgram:
         """Return the solver of all steps, the states between them being unknowns."""
         import casadi as ca
 
-        states, shares = ca.MX.sym("states", 5, n), ca.MX.sym("shares", 2, n)
-        start, modes, scale = ca.MX.sym("start", 5), ca.MX.sym("modes", 1, n), ca.MX.sym("scale")
-        before = ca.horzcat(start, states[:, :-1])
-        reached, costs = stages(before, shares, modes, np.arange(n)[None, :])
+        moving, shares = ca.MX.sym("moving", len(self.moving), n), ca.MX.sym("shares", 2, n)
+        path, scale = ca.MX.sym("path", 5, n + 1), ca.MX.sym("scale")
+        rows = ca.vertsplit(path[:, 1:])
+        for place, row in zip(self.moving, ca.vertsplit(moving), strict=True):
+            rows[place] = row
+        states = ca.vertcat(*rows)
+        before = ca.horzcat(path[:, :1], states[:, :-1])
+        reached, costs = stages(before, shares, path[4, 1:], np.arange(n)[None, :])
         program = {
-            "x": ca.veccat(states, shares),
-            "p": ca.veccat(start, modes, scale),
+            "x": ca.veccat(moving, shares),
+            "p": ca.veccat(path, scale),
             "f": scale * ca.sum2(costs),
-            "g": ca.vec(states - reached),
+            "g": ca.vec((states - reached)[self.moving, :]),
         }
         ipopt = {"print_level": 0, "sb": "yes", "tol": 1e-7, "max_wall_time": self.limit}
         ipopt |= {"mumps_pivot_order": 0}  # quicker than the choice by size that MUMPS makes
@@ -157,15 +163,15 @@ class CorrectionProgram:
         began = perf_counter()
         size = 2, self.corrector.horizon
         simple = [self._judged(state, mode, np.full(size, each)) for each in (np.nan, 0.0)]
-        cost, path = best = min(simple, key=COST)
+        best = min(simple, key=COST)
+        path = best[1]
         corrections, reason = self._solved(state, mode, path)
         if perf_counter() - began > self.limit:
             reason = f"it takes longer than limit = {self.limit:g} s"
-        if not np.isfinite(cost):
+        best = min(best, self._judged(state, mode, corrections), key=COST)
+        if not np.isfinite(best[0]):
             reason = "no plan has a finite cost"
-        if reason:
-            return np.nan, path, UNSOLVED.format(reason=reason)
-        return *min(best, self._judged(state, mode, corrections), key=COST), SOLVED
+        return (np.nan, path, UNSOLVED.format(reason=reason)) if reason else (*best, SOLVED)
 
     def _judged(
         self, state: np.ndarray, mode: int, corrections: np.ndarray
@@ -189,18 +195,20 @@ class CorrectionProgram:
         least = -most
         now = z[2:4, :1]
         least[2:4], most[2:4] = np.minimum(now, 0.0) - 1e-6, np.maximum(now, 0.0) + 1e-6
+        moving = self.moving
         try:
             solution = self._solver(
-                x0=np.r_[z[:, 1:].ravel("F"), np.clip(shares, 0.0, 1.0).ravel("F")],
-                p=np.r_[z[:, 0], guess[MODE, :-1], 1.0 / max(1.0, np.sum(now**2))],
-                lbx=np.r_[least.ravel("F"), np.zeros(2 * n)],
-                ubx=np.r_[most.ravel("F"), np.ones(2 * n)],
+                x0=np.r_[z[moving, 1:].ravel("F"), np.clip(shares, 0.0, 1.0).ravel("F")],
+                p=np.r_[z.ravel("F"), 1.0 / max(1.0, np.sum(now**2))],
+                lbx=np.r_[least[moving].ravel("F"), np.zeros(2 * n)],
+                ubx=np.r_[most[moving].ravel("F"), np.ones(2 * n)],
                 lbg=0.0,
                 ubg=0.0,
             )
         except RuntimeError as error:
             return shares, str(error).strip().splitlines()[-1][-200:]
-        reached = np.asarray(solution["x"]).ravel()[: 5 * n].reshape(5, n, order="F")
-        steps = np.diff(np.c_[now, reached[2:4]], axis=1)[::-1] * self.corrector.c_b
+        reached = np.asarray(solution["x"])[: len(moving) * n].reshape(n, -1).T
+        both = slice(moving.index(2), moving.index(3) + 1)
+        steps = np.diff(np.c_[now, reached[both]], axis=1)[::-1] * self.corrector.c_b
         stats = self._solver.stats()
         return steps, "" if stats["success"] else str(stats["return_status"])
