@@ -8,9 +8,8 @@ from statsmodels.stats.sandwich_covariance import S_hac_simple
 from statsmodels.tsa.stattools import acf
 
 import trustlab as tl
+from tests.identification import cases
 from trustlab.identification.problem import hac_matrix, pooled_correlation
-
-from . import cases
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import trustlab as tl
-
-from .cases import log
+from tests.identification.cases import log
 
 STEP = 1e-100  # of the complex-step derivative: no cancellation, so it may be as small as one likes
 SAMPLES = 2000

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import trustlab as tl
+from tests.identification.cases import PILOT, SWITCHING, log, scores, session, truth
 from trustlab.identification import ROBOT, IdentificationError
-
-from .cases import PILOT, SWITCHING, log, scores, session, truth
 
 ROBOTS_FITS = pytest.mark.parametrize("fit", [tl.fit_robot, tl.fit_tsc])
 

@@ -15,11 +15,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import trustlab as tl
-from trustlab.identification.log import undo_window, window_means
-from trustlab.identification.problem import Noise, whiten
-from trustlab.sessions.metrics import window_mean
-
-from .cases import (
+from tests.identification.cases import (
     NOISE,
     PILOT,
     ROOT,
@@ -31,6 +27,9 @@ from .cases import (
     session,
     truth,
 )
+from trustlab.identification.log import undo_window, window_means
+from trustlab.identification.problem import Noise, whiten
+from trustlab.sessions.metrics import window_mean
 
 STORED = ROOT / "data" / "coverage" / "fits.csv"
 TRUTH = truth()

@@ -17,13 +17,12 @@ from scipy.signal import lfilter
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 
 import trustlab as tl
+from tests.identification.cases import PILOT, SWITCHING, log, scores, session
+from tests.identification.test_independent import human_output, robot_output
 from trustlab.identification import HUMAN, ROBOT, TSC
 from trustlab.identification.log import read_runs
 from trustlab.identification.problem import Problem, hac_lags
 from trustlab.identification.search import robust_search
-
-from .cases import PILOT, SWITCHING, log, scores, session
-from .test_independent import human_output, robot_output
 
 T = 0.1
 

@@ -7,8 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 import trustlab as tl
-
-from .cases import MODELS, PILOT, ROOT, SWITCHING, scores, session, truth
+from tests.identification.cases import MODELS, PILOT, ROOT, SWITCHING, scores, session, truth
 
 DESIGNS = {
     "manual first, rested": (SWITCHING, 0.0, None),

@@ -12,6 +12,7 @@ import pytest
 from scipy import stats
 
 import trustlab as tl
+from tests.identification.posterior import simulated_logs
 from trustlab.identification.log import read_runs
 from trustlab.identification.posterior import density as kernel
 from trustlab.identification.posterior.density import (
@@ -26,8 +27,6 @@ from trustlab.identification.posterior.sampling import prior_thetas, target_of
 from trustlab.identification.problem import Problem, filter_columns, process
 from trustlab.identification.tsc import TSC
 from trustlab.sessions.metrics import window_mean
-
-from . import simulated_logs
 
 
 def target_and_runs(rng, minutes=(1.0, 0.7), **settings):

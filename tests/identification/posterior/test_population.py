@@ -15,13 +15,12 @@ from scipy.special import logit
 
 import trustlab as tl
 from tests.house.documents import ROOT
+from tests.identification.posterior import simulated_logs
+from tests.identification.posterior.make_coverage import GROUPS, ORIGINS, PEOPLE, population_of
 from trustlab.identification.posterior import population as pooling
 from trustlab.identification.posterior.result import MODEL
 from trustlab.testbeds import GroundRobot
 from trustlab.testbeds.populations import OperatorPopulation
-
-from . import simulated_logs
-from .make_coverage import GROUPS, ORIGINS, PEOPLE, population_of
 
 
 def group(rng, kind, count, minutes):

@@ -16,6 +16,8 @@ from scipy import stats
 
 import trustlab as tl
 from tests.house.documents import ROOT
+from tests.identification.posterior import simulated_logs
+from tests.identification.posterior.make_coverage import LOGS, NOISES, ranks_of
 from trustlab.identification.log import read_runs
 from trustlab.identification.posterior import sampling
 from trustlab.identification.posterior.density import physical, to_thetas
@@ -35,9 +37,6 @@ from trustlab.identification.posterior.sampling import (
 from trustlab.identification.search import rough_optima
 from trustlab.identification.tsc import TSC
 from trustlab.sessions.metrics import window_mean
-
-from . import simulated_logs
-from .make_coverage import LOGS, NOISES, ranks_of
 
 RANKS = pd.read_csv(Path(__file__).with_name("ranks.csv"))
 
