@@ -109,6 +109,26 @@ def test_ranges_that_give_no_weights_are_an_identification_error():
     assert "robot_p_min" in caught.value.parameters
 
 
+def test_an_autonomous_robot_with_a_known_p_min_says_nothing_of_p_max():
+    alone = session(np.zeros(3000))
+    fixed = {"robot_p_min": PILOT.robot.p_min}
+    with pytest.raises(IdentificationError, match="do not determine robot_p_max: mode never"):
+        tl.fit_tsc(alone, fixed=fixed)
+
+
+def test_where_all_is_fixed_errors_are_those_of_the_model():
+    noisy, human = session(), PILOT.human
+    values = {"a": human.a, "beta": human.beta, "p_min": human.p_min, "p_max": human.p_max}
+    fit = tl.fit_human(noisy, fixed=values | {"r0": 0.3}, noise="white")
+    np.testing.assert_allclose(fit.runs[0].errors["p_h"], fit.residuals()[0], atol=1e-12)
+    assert fit.sigma["p_h"] == pytest.approx(0.003, rel=0.02)
+
+
+def test_a_guess_for_the_robot_has_its_names():
+    guess = {"a": 0.99, "p_h_max": 0.46}
+    assert tl.fit_robot(session(), guess=guess).model.a == pytest.approx(PILOT.robot.a, abs=1e-4)
+
+
 def test_a_robot_needs_no_weights_of_its_operator():
     """TSC needs them, which `fit_robot` does not return."""
     noisy = session()

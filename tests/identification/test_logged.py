@@ -27,8 +27,10 @@ from tests.identification.cases import (
     session,
     truth,
 )
-from trustlab.identification.log import undo_window, window_means
-from trustlab.identification.problem import Noise, whiten
+from trustlab.identification import TSC
+from trustlab.identification.log import read_runs, undo_window, window_means
+from trustlab.identification.problem import Noise, Problem, whiten
+from trustlab.identification.search import _deviance_with_noise, rough_optima
 from trustlab.sessions.metrics import window_mean
 
 STORED = ROOT / "data" / "coverage" / "fits.csv"
@@ -113,6 +115,16 @@ def test_a_second_valley_as_deep_is_named():
     assert "Other values" not in tl.fit_human(windowed(30.0, 42, "open", "after")).message
 
 
+def test_how_noise_is_seen_depends_on_no_other_search():
+    """Searches of one log wrote to the same buffers, and the noise was fitted to the last one's."""
+    runs = read_runs(windowed(30.0, 0), "mode", "p_h", "p_r")
+    optima = rough_optima(TSC, runs, TSC.limits())
+    before = _deviance_with_noise(optima[0])
+    elsewhere = Problem(TSC, optima[0].problem.runs, TSC.limits(), optima[0].problem.unwindow)
+    elsewhere.equations(optima[0].x + 0.01)
+    assert _deviance_with_noise(optima[0]) == pytest.approx(before, abs=1e-6)
+
+
 def test_a_log_of_a_lab_that_says_nothing_of_its_window_is_warned_of_once():
     short = session(SWITCHING[:6000]).with_metadata(synthetic=False)
     with pytest.warns(UserWarning, match=r"state window=… \[s\], or window=0") as caught:
@@ -194,7 +206,7 @@ def test_coarse_numbers_and_slow_noise_are_doubted():
     drifting = session().with_columns(p_h=session()["p_h"] + walk)
     for doubtful, says in (
         (of_setting("quantised at 0.01", 1)[0], "logged in steps of 0.01"),
-        (drifting, "too few for an honest interval"),
+        (drifting, "too few for reliable intervals"),
     ):
         fit = tl.fit_human(doubtful)
         assert not fit.success

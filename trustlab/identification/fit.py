@@ -1,6 +1,16 @@
 """
 `fit`: a model identified from sessions, and what to say of it.
 
+1. Sessions become `Run`s, and the model what the log shows of it (log.py).
+2. The model gives starts, from block means (tsc.py); a rough search goes from each, and samples far
+   from the model are left out (search.py: `rough_optima`, `robust_search`).
+3. From the best a fine search; the noise of its residuals is modelled, and the search goes on
+   (`estimated`).
+4. The covariance: of noise, of errors of the mode's stamps, of states at a bound.
+5. Here: the table, what is weak, remarks, and doubts.
+
+The likelihood of one point is problem.py's.
+
 Remarks tell what a reader should know; doubtful are a mode stamped early or late, coarse numbers,
 slow noise, and other values that explain the data as well.
 """
@@ -58,8 +68,8 @@ def fit(
         What the likelihood and the standard errors allow for. "white": white noise. "correlated":
         an AR(1) process plus white noise on each output, by the prediction errors of its Kalman
         filter; process noise of a first-order state looks the same. "hac": any autocorrelation that
-        dies out (Newey–West), in the standard errors only. "auto" starts with the first and moves
-        on to the next where a Ljung–Box test at 0.001 rejects it.
+        dies out (Newey–West), in the standard errors only. "auto" starts with the first, and it as
+        well as "correlated" moves on to the next where a Ljung–Box test at 0.001 rejects it.
     guess : mapping, optional
         Starting values by name, in place of the model's own.
     log : LogSettings, optional
@@ -92,7 +102,7 @@ def fit(
     of_class("model", model, Model)
     log = log_settings(log, settings)
     runs = read_runs(sessions, *dict.fromkeys((*model.inputs, *model.outputs)), log=log)
-    # What is logged as a mean over a window drives the model as it was.
+    # The values themselves drive the model, not their means over a window.
     driving = {"p_h", "p_r"} & set(model.inputs)
     runs = [run.changed({n: undo_window(run[n], run.window) for n in driving}) for run in runs]
     model = logged_model(model, runs[0].sample_time, log)
@@ -138,10 +148,8 @@ def result_of(estimate: Estimate) -> FitResult:
     if not estimate.optimum.converged:
         search = f"Stopped after {steps} evaluations without a minimum; do not use the numbers."
     sentences = [search, *marks, *remarks(estimate), *reasons]
-    if (weak or reasons) and "p_h" in model.outputs:
-        sentences.append(
-            "What mode, p_h and p_r do tell of (2.3)-(2.6), trustlab.sample_posterior says."
-        )
+    if (weak or reasons) and {"p_h", "p_r"} <= set(model.outputs):
+        sentences.append("trustlab.sample_posterior says what these data do determine.")
     states = {}
     for j, name in enumerate(model.states):
         column = slice(shared + j, None, len(model.states))
@@ -271,11 +279,11 @@ def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
         )
 
 
-# Standard errors from which on a delay counts: of sound fits one in a thousand is doubted.
+# Standard errors from which on a delay counts: a false alarm in a thousand sound fits.
 CERTAIN = 3.3
 
-# Correlation times that a record must hold for intervals that cover: with process noise they fall
-# short below in simulations.
+# Least length of a record in correlation times of its noise: below, intervals of simulated fits
+# with process noise cover too rarely.
 STRETCHES = 200
 
 
@@ -327,8 +335,8 @@ def _dropouts(problem: Problem) -> Iterator[str]:
         if lost:
             first = problem.runs[lost[0].run].t[~lost[0].known][0]
             yield (
-                f"{sum((~series.known).sum() for series in lost)} samples of {name} are far from "
-                f"the model all of a sudden, the first at {first:g} s (dropouts?); they are left "
+                f"{sum((~series.known).sum() for series in lost)} samples of {name} jump away "
+                f"from the model, the first at {first:g} s (dropouts?); they are left "
                 "out, robust=False keeps them."
             )
 
@@ -366,7 +374,7 @@ def doubts(estimate: Estimate) -> Iterator[str]:
 
 def _rivals(estimate: Estimate) -> Iterator[str]:
     """Find other values that explain the data as well, beyond what standard errors allow."""
-    for rival in estimate.rivals:
+    for rival in estimate.rivals[1:]:
         others = rival.problem.values(rival.x)
         # Where the likelihood is Gaussian, values z standard errors away cost a deviance of z² at
         # least.
@@ -422,7 +430,8 @@ def _slow(estimate: Estimate) -> Iterator[str]:
     """Find noise so slow that one record does not tell its size."""
     problem = estimate.problem
     samples = sum(run.size for run in problem.runs)
-    memory = [1.0 / (1.0 - noise.memory) for noise in problem.noise if noise.share > 0.01]
+    correlated = [noise for noise in problem.noise if noise.share > 0.01 and noise.memory > 0.0]
+    memory = [-1.0 / np.log(noise.memory) for noise in correlated]
     if estimate.sandwiched:
         memory.append(
             max(hac_lags([s.white[:, 0] for s in of_output]) for of_output in problem.by_output())
@@ -431,5 +440,5 @@ def _slow(estimate: Estimate) -> Iterator[str]:
         step = problem.runs[0].sample_time
         yield (
             f"Noise is correlated over {max(memory) * step:.3g} s, and there are only "
-            f"{samples * step:.4g} s of data: too few for an honest interval; record more."
+            f"{samples * step:.4g} s of data: too few for reliable intervals; record more."
         )

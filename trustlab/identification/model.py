@@ -53,7 +53,7 @@ class Coordinate(NamedTuple):
 
 
 # (2.6) goes as r^β at r = 0 and as (1 − r)^(1 − β) at r = 1, with infinite slopes there: a power of
-# the odds removes them.
+# the odds makes them less steep.
 POWER = 0.7
 
 COORDINATES = {
@@ -120,7 +120,8 @@ class Model:
         ``build(**values)`` makes `FitResult.model` from the estimates; a dictionary of them when
         not given.
     derived : mapping, optional
-        Further rows of the table, by name: functions of the estimates, ``f(**values)``.
+        Further rows of the table, by name: functions of the estimates, ``f(**values)``, analytic
+        ones, which are called with complex numbers for their derivatives.
     hints : mapping, optional
         What to record where an unknown is weak, by name.
     check : callable, optional

@@ -29,7 +29,7 @@ from trustlab.identification.model import COORDINATES, IdentificationError, Mode
 from trustlab.models.checks import counted
 from trustlab.models.compiled import njit
 
-# Lags of the Ljung–Box test that chooses between white and robust standard errors.
+# Lags of the Ljung–Box test that chooses what the noise model and standard errors allow for.
 LAGS = 25
 
 # p value of the Ljung–Box test below which residuals do not count as white.
@@ -332,7 +332,8 @@ class Problem:
     """
 
     def __init__(self, model: Model, runs: list[Run], limits: Mapping, unwindow: bool = False):
-        self.model, self.runs = model, runs
+        # Of runs of its own, in whose buffers no other problem writes.
+        self.model, self.runs = model, [run.changed({}) for run in runs]
         self.unwindow = unwindow
         self.noise = [Noise()] * len(model.outputs)
         shared, states = len(model.names), len(model.states)
@@ -406,7 +407,8 @@ class Problem:
         """Return the outputs, shape (N,), of a run in place of run i at a full vector."""
         columns = self.values(x)[self.of_run[i], None]
         values = dict(zip(self.model.unknowns, columns, strict=True))
-        return [output[:, 0].copy() for output in self.model.outputs_of(run, values)]
+        # In buffers of its own: those of a run hold the errors and derivatives of the last point.
+        return [output[:, 0] for output in self.model.outputs_of(run.changed({}), values)]
 
     def observed(self, series: Series, values: np.ndarray) -> np.ndarray:
         """Return simulated values as the log has them: averaged, where noise is in the means."""

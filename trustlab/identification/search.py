@@ -1,9 +1,9 @@
 """
 From runs to an estimate: the search, the optimum, and its covariance.
 
-A search starts from every start of the model. The covariance is of noise, of errors of the mode's
-stamps, of states held by a bound, in coordinates of the search, in which the likelihood is most
-nearly Gaussian.
+A rough search goes from every start of the model, a fine one on from the best. The covariance adds
+three parts: of noise, of errors of the mode's stamps, of states held by a bound; in coordinates of
+the search, in which the likelihood is most nearly Gaussian.
 
 [L] Ljung, *System Identification: Theory for the User*, 2nd ed., 1999.
 [S] Söderström and Stoica, *System Identification*, 1989.
@@ -215,8 +215,8 @@ class Estimate:
 
     `covariance` is that of the values: 0 in rows of fixed unknowns and NaN in rows of those at a
     bound. `simple_p` is the p value of the whiteness test before the noise was modelled;
-    `sandwiched` says that the covariance allows for remaining correlation. `rivals` are optima
-    nearly as likely.
+    `sandwiched` says that the covariance allows for remaining correlation. `rivals` are the best
+    of the rough optima and others nearly as likely.
     """
 
     optimum: Optimum
@@ -487,12 +487,12 @@ def estimate_runs(
     optima = rough_optima(model, runs, limits, guess, robust)
     best = optima[0]
     others = [optimum for optimum in optima[1:] if not optimum.same_as(best)]
-    rivals = tuple(o for o in others if o.deviance < best.deviance + RIVAL)
+    rivals = [optimum for optimum in others if optimum.deviance < best.deviance + RIVAL]
     for optimum in rivals:
         # Raises where one that is nearly as likely does not determine the unknowns.
         optimum.inverse_information()
     optimum = _beside_ends(robust_search(best.problem, best.x, robust))
-    return replace(estimated(optimum, noise), rivals=rivals)
+    return replace(estimated(optimum, noise), rivals=(best, *rivals))
 
 
 def rough_optima(

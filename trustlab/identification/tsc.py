@@ -1,8 +1,15 @@
 """
-Robot (2.3) and operator (2.5)-(2.6) identified: `fit_tsc`, `fit_human`, `fit_robot`.
+Robot and operator identified: `fit_tsc`, `fit_human`, `fit_robot`.
 
-HUMAN, ROBOT and TSC share one simulation, and the operator's grid starts their searches. ROBOT is
-driven by the measured P_h; `fit_robot` is TSC, of which it keeps the robot's part.
+With mode M, 1 manual and 0 autonomous, of the trust-based shared control (TSC) of Section 2.2:
+
+    P_r(k + 1) = a P_r(k) + b M P_h(k) + (1 − a) P_r,min                       (2.3)
+    r(k + 1) = a r(k) + (1 − a) M                                               (2.5)
+    P_h = P_h,min + (P_h,max − P_h,min) (r/β)^β ((1 − r)/(1 − β))^(1 − β)       (2.6)
+
+HUMAN simulates the operator, ROBOT the robot under the measured P_h, and TSC both, one driving the
+other; a grid of operators starts the searches of HUMAN and TSC. `fit_robot` is TSC, of which it
+keeps the robot's part.
 """
 
 import re
@@ -158,9 +165,11 @@ def check_excitation(runs: list[Run], limits: Mapping, prefix: str = "") -> None
     """Refuse data in which nothing separates the least from the greatest robot performance."""
     ranges = check_order(limits, prefix)
     modes = joined(runs, "mode")
-    if np.ptp(modes) > 0.0 or any(limits[name][0] == limits[name][1] for name in ranges):
+    fixed = {name for name in ranges if limits[name][0] == limits[name][1]}
+    # A mode that never changes leaves one steady state: under manual control either limit fixes the
+    # other, but an autonomous robot says nothing of p_max.
+    if np.ptp(modes) > 0.0 or (fixed and (modes[0] > 0.0 or ranges[1] in fixed)):
         return
-    # An autonomous robot says nothing of p_max; one that is driven, something of both together.
     lost = ranges[1:] if modes[0] == 0.0 else ranges
     raise IdentificationError(
         f"these data do not determine {' and '.join(lost)}: mode never changes (it is "
@@ -183,7 +192,7 @@ def _check_tsc(runs: list[Run], limits: Mapping) -> None:
 
 
 def _check_driven(runs: list[Run], limits: Mapping) -> None:
-    """Refuse what says nothing of the robot under measured P_h, as no p_h_max to refer to does."""
+    """Refuse data that say nothing of the robot, and a p_h_max that is not fixed and positive."""
     check_excitation(runs, limits)
     if limits["p_h_max"][0] != limits["p_h_max"][1]:
         raise IdentificationError(
@@ -420,8 +429,8 @@ def fit_tsc(
         What the standard errors allow for; see `fit`.
     log : LogSettings, optional
         How the log shows the model: window, step, mode_delay, stamp_error, robust.
-    **settings : float or bool
-        Fields of `LogSettings` as keywords; they replace those of `log`.
+    **settings : float, bool or mapping
+        Fields of `LogSettings` as keywords; they replace those of `log`. And `guess`, as of `fit`.
 
     Returns
     -------
@@ -435,6 +444,8 @@ def fit_tsc(
         and b_T of (2.2).
     SessionError
         If a column is missing.
+    TypeError
+        If a setting is not known.
     ValueError
         If an argument is not understood.
 
@@ -471,8 +482,8 @@ def fit_human(
         What the standard errors allow for; see `fit`.
     log : LogSettings, optional
         How the log shows the model: window, step, mode_delay, stamp_error, robust.
-    **settings : float or bool
-        Fields of `LogSettings` as keywords; they replace those of `log`.
+    **settings : float, bool or mapping
+        Fields of `LogSettings` as keywords; they replace those of `log`. And `guess`, as of `fit`.
 
     Returns
     -------
@@ -485,6 +496,8 @@ def fit_human(
         If the data do not determine a parameter; it is named.
     SessionError
         If a column is missing.
+    TypeError
+        If a setting is not known.
     ValueError
         If an argument is not understood.
 
@@ -527,8 +540,8 @@ def fit_robot(
         What the standard errors allow for; see `fit`.
     log : LogSettings, optional
         How the log shows the model: window, step, mode_delay, stamp_error, robust.
-    **settings : float or bool
-        Fields of `LogSettings` as keywords; they replace those of `log`.
+    **settings : float, bool or mapping
+        Fields of `LogSettings` as keywords; they replace those of `log`. And `guess`, as of `fit`.
 
     Returns
     -------
@@ -563,6 +576,8 @@ def fit_robot(
     if p_h_max is not None:
         fixed = {**(fixed or {}), "p_h_max": positive("p_h_max", p_h_max)}
     fixed, bounds = _joint("fixed", fixed), _joint("bounds", bounds)
+    if "guess" in settings:
+        settings["guess"] = _joint("guess", settings["guess"])
     model = replace(TSC, build=_robot_part)
     try:
         return _robot_of(fit(model, sessions, fixed, bounds, noise, log=log, **settings))
@@ -587,7 +602,7 @@ OF_JOINT = {name: f"robot_{name}" for name in ROBOT_NAMES} | {"p_h_max": "human_
 
 
 def _robot_part(**values: float) -> RobotModel:
-    """Return the robot of a joint fit; whoever drove it need not make a model."""
+    """Return the robot of a joint fit; the operator's estimates need not make a model."""
     return build_robot(**_without("robot_", values), p_h_max=values["human_p_max"], prefix="robot_")
 
 
