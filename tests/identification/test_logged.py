@@ -118,11 +118,12 @@ def test_a_second_valley_as_deep_is_named():
 def test_how_noise_is_seen_depends_on_no_other_search():
     """Searches of one log wrote to the same buffers, and the noise was fitted to the last one's."""
     runs = read_runs(windowed(30.0, 0), "mode", "p_h", "p_r")
-    optima = rough_optima(TSC, runs, TSC.limits())
-    before = _deviance_with_noise(optima[0])
-    elsewhere = Problem(TSC, optima[0].problem.runs, TSC.limits(), optima[0].problem.unwindow)
-    elsewhere.equations(optima[0].x + 0.01)
-    assert _deviance_with_noise(optima[0]) == pytest.approx(before, abs=1e-6)
+    (best, *_) = rough_optima(TSC, runs, TSC.limits())
+    assert best.problem.unwindow
+    before = _deviance_with_noise(best)
+    best.problem.equations(best.x)
+    Problem(TSC, best.problem.runs, TSC.limits(), True).equations(best.x + 0.01)
+    assert _deviance_with_noise(best) == pytest.approx(before, abs=1e-6)
 
 
 def test_a_log_of_a_lab_that_says_nothing_of_its_window_is_warned_of_once():
