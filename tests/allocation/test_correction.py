@@ -160,6 +160,8 @@ def test_an_incentive_that_fails_on_the_way_holds_the_thresholds():
     assert wide.step(0.5, 0.3, *START).status == "held"
     with pytest.raises(ValueError, match="incentive must be a function"):
         corrector(incentive=0.5)
+    with pytest.raises(TypeError, match="positional"):
+        corrector(incentive=lambda r, p_r: (0.0, 0.0))
 
 
 @LIGHT

@@ -257,7 +257,7 @@ class CorrectionPlan:
     message : str
         How good the plan is, or why the thresholds are held.
     path : numpy.ndarray, shape (7, N + 1)
-        The whole plan; `table` names its rows.
+        The whole plan, or where thresholds are held what is now; `table` names its rows.
     """
 
     c_l: float
@@ -398,6 +398,8 @@ class ThresholdCorrector:
                 "incentive must be a function of r, p_r, c_b, p_min and p_max that returns the "
                 f"least and the greatest correction, got {shown(incentive)}"
             )
+        robot = tsc.robot
+        incentive(0.5, robot.p_max, self.c_b, robot.p_min, robot.p_max)  # fails here, not in a loop
         options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
         given: Any = {name: value for name, value in options.items() if value is not None}
         self.program: Any = None
@@ -408,7 +410,7 @@ class ThresholdCorrector:
             self.program = CorrectionProgram(self, **given)
         elif given:
             raise ValueError(f'{", ".join(given)} would do nothing without engine="casadi"')
-        self._range = tsc.robot.p_min, tsc.robot.p_max
+        self._range = robot.p_min, robot.p_max
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
         self._clipped = np.full((2, self.horizon), np.nan)
         state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
