@@ -158,6 +158,14 @@ def test_an_incentive_that_fails_on_the_way_holds_the_thresholds():
     assert plan.table()["upper"][0] == START[1]
     wide = corrector(incentive=lambda r, p_r, c_b, low, high: (-c_b, 2.0 * c_b))
     assert wide.step(0.5, 0.3, *START).status == "held"
+
+    def tired(r, p_r, c_b, low, high):
+        if r > 0.8:
+            raise RuntimeError("too tired")
+        return -c_b, c_b
+
+    with pytest.raises(RuntimeError, match="too tired"):  # where it is made, not on the way
+        corrector(incentive=tired)
     with pytest.raises(ValueError, match="incentive must be a function"):
         corrector(incentive=0.5)
     with pytest.raises(TypeError, match="positional"):

@@ -399,7 +399,8 @@ class ThresholdCorrector:
                 f"least and the greatest correction, got {shown(incentive)}"
             )
         robot = tsc.robot
-        incentive(0.5, robot.p_max, self.c_b, robot.p_min, robot.p_max)  # fails here, not in a loop
+        for r in (0.1, 0.5, 0.9):  # fails here, not in a loop
+            incentive(r, robot.p_max, self.c_b, robot.p_min, robot.p_max)
         options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
         given: Any = {name: value for name, value in options.items() if value is not None}
         self.program: Any = None
