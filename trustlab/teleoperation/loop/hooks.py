@@ -95,9 +95,10 @@ def checked(name: str, value: Any, bounds: Mapping[str, tuple[float, float]]) ->
         valid = value.shape == (3,) and np.isfinite(value).all()
     else:
         low, high = bounds.get(name, FINITE)
-        remedy = f"it must lie in [{low:g}, {high:g}]"
+        remedy = "it must lie in [{:g}, {:g}]"
         valid = low * (1.0 - SLACK) <= value <= high * (1.0 + SLACK)
     if not valid:
+        remedy = remedy.format(*bounds.get(name, FINITE))
         raise ReturnedError(f"returned {name} = {value}; {remedy}")
     return value
 
