@@ -6,20 +6,16 @@ arrived: pictures, waves, trust in what was done before, and what the built-in c
 operator propose. `obey` puts what was decided in their place; then hand, ports, books,
 performance and motion follow, and `arrive` leads to the pause of the next sample. c: constants, s:
 state, now: the row of the log.
-
-Steps do without reference counts (_nrt=False): counts are atomic and would take half of the time.
-They allocate nothing, and their caller keeps the arrays.
 """
-
-import functools
 
 import numpy as np
 
-from trustlab.models.compiled import inner, njit
+from trustlab.models.compiled import njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.device import activation, demanded
 from trustlab.teleoperation.ports.waves import LEDGER, dot, read_waves
+from trustlab.teleoperation.records import step
 
 BLOCKS = ("the haptic device", "the channel", "the robot")
 DEVICE, CHANNEL, ROBOT = range(3)
@@ -36,8 +32,6 @@ AT_OPERATOR, THROUGH_CHANNEL, NOWHERE = range(3)
 
 # Speed of the hand [m/s] above which an operator notices what the channel makes of it.
 FLOOR = 0.05
-
-step = functools.partial(inner, error_model="numpy", forceinline=True, _nrt=False)
 
 
 # What has arrived at the pause.

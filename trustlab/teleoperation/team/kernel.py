@@ -4,25 +4,18 @@ The teleoperated team (Fig. 4.1), compiled, with dense matrices: O(N²) a sample
 `lead_team` is a kernel of `Simulation`: a sample is a row of named steps, each on the record of
 STATE of operator and channel and on arrays of the robots. Who leads and on which graph comes from
 outside and may change at any sample.
-
-Steps do without reference counts (_nrt=False), as in `loop/kernel.py`: counts are atomic and would
-take half of the time. They allocate nothing, and their caller keeps the arrays.
 """
 
 from collections import namedtuple
-from functools import partial
 
 import numpy as np
 
-from trustlab.models.compiled import inner, njit
+from trustlab.models.compiled import njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.device import DEVICE
 from trustlab.teleoperation.ports.waves import END, LEDGER, dot, read_waves
-from trustlab.teleoperation.records import columns_of, record
-
-# What only the kernel calls, compiled into it.
-part = partial(inner, error_model="numpy", forceinline=True, _nrt=False)
+from trustlab.teleoperation.records import block, columns_of, record, step
 
 NO_FILTER = 0
 TWO_PORT = 1
@@ -130,7 +123,7 @@ TeamState = namedtuple("TeamState", "now q zeta middle rated trust arrives u_l u
 TeamLog = namedtuple("TeamLog", "samples table places")
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def push_share(budget, power, pull, square, still, drag):
     """
     Return the greatest share σ ≤ 1 of a push whose power does not exceed `power`.
@@ -148,7 +141,7 @@ def push_share(budget, power, pull, square, still, drag):
     return min(2.0 * free / (pull + np.sqrt(pull * pull + 4.0 * square * free)), 1.0)
 
 
-@part
+@step
 def store_energy(n, state, now):
     """Set the storages of device, filters and error system at the start of the sample."""
     now.v_hd = squares = 0.0
@@ -163,7 +156,7 @@ def store_energy(n, state, now):
     now.v_filter = (n.filters.k21 * velocities + n.filters.k12 * forces) / n.cutoff
 
 
-@part
+@step
 def stored_by(setup, graph, state):
     """Return V_fs (4.23) on a graph; NaN on a directed one."""
     matrices, v_fs = setup.formations[graph], 0.0
@@ -174,7 +167,7 @@ def stored_by(setup, graph, state):
     return v_fs * setup.storing[graph]
 
 
-@part
+@step
 def look_up_past(n, k, given, past, state):
     """
     Set what the operator sees, the leader of `vision` samples ago and what it was told to do;
@@ -191,7 +184,7 @@ def look_up_past(n, k, given, past, state):
     return 0.0
 
 
-@part
+@step
 def share_force(n, robots, lead, trust, performance, state):
     """Set β by the leader's trust in the operator, and step the trust of all."""
     leader = robots[lead]
@@ -204,7 +197,7 @@ def share_force(n, robots, lead, trust, performance, state):
         trust[i] = trust_step(trust[i], performance, robots[i].decay, robots[i].gain)  # (4.2)
 
 
-@part
+@step
 def receive(n, setup, lead, k, state, now):
     """Set the waves that arrive at both ends, (3.16), filtered where waves are."""
     for way in range(2):
@@ -217,13 +210,13 @@ def receive(n, setup, lead, k, state, now):
         filter_wave(n.low_pass, now.v_l, now.filtered_l)
 
 
-@part
+@step
 def middle_of(low_pass, u, level):
     """Return what a low-pass filter gives out in the middle of a sample."""
     return low_pass.decay * level + low_pass.gate * u
 
 
-@part
+@step
 def filter_wave(low_pass, wave, level):
     """Filter a wave in place; `level` is the filter's state."""
     for i in range(3):
@@ -231,7 +224,7 @@ def filter_wave(low_pass, wave, level):
         level[i] = 2.0 * wave[i] - level[i]
 
 
-@part
+@step
 def operator_side(n, end, spendable, state, u_l):
     """
     Solve the operator's end of the channel with filter, device and hand, and the device's velocity.
@@ -287,7 +280,7 @@ def operator_side(n, end, spendable, state, u_l):
     state.hand_power = dot(state.r_m, state.f_h)
 
 
-@part
+@step
 def robot_side(filters, end, stiffness, state, u_r):
     """
     Solve the robots' end of the channel with filter and leader: f_s = open_force + stiffness · r_s.
@@ -317,7 +310,7 @@ def robot_side(filters, end, stiffness, state, u_r):
         state.far_force[i] = 2.0 * passed_force - state.far_force[i]
 
 
-@part
+@step
 def add_row(matrix, j, vectors, out):
     """Add row j of a matrix times the robots' vectors to `out`."""
     for m in range(matrix.shape[0]):
@@ -325,7 +318,7 @@ def add_row(matrix, j, vectors, out):
             out[i] += matrix[j, m] * vectors[m, i]
 
 
-@part
+@step
 def rest(n, matrices, leader, lead, state, now):
     """
     Set where robots would be in the middle of the sample if the leader were not driven, and the
@@ -343,7 +336,7 @@ def rest(n, matrices, leader, lead, state, now):
         now.open_force[i] *= n.force_gain * leader.root
 
 
-@part
+@step
 def move(n, matrices, leader, lead, drift, state, now):
     """Step (4.22); set the leader's place in the middle of the sample, and what is lost."""
     h = 0.5 * n.sample_time
@@ -368,7 +361,7 @@ def move(n, matrices, leader, lead, drift, state, now):
         now.leader[i] = leader.root * state.middle[lead, i]
 
 
-@part
+@step
 def rate_motion(n, robots, drift, state):
     """
     Rate how each robot moved, v, against how (4.22) asks a faultless one in its place to, v̂:
@@ -390,7 +383,7 @@ def rate_motion(n, robots, drift, state):
             state.rated[j] = np.rint(1000.0 * (1.0 - np.sqrt(off) / moving)) / 1000.0
 
 
-@part
+@step
 def account_energy(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
     T = n.sample_time
@@ -412,7 +405,7 @@ def account_energy(n, seen_loss, state):
     state.lost_error_delayed += T * seen_loss
 
 
-@part
+@step
 def diverged(state):
     """Return the block whose storage grew without bound, −1: none; "not <" counts NaN as such."""
     if not state.v_hd < 1e12:
@@ -422,7 +415,7 @@ def diverged(state):
     return -1 if state.v_e < 1e12 else 2
 
 
-@part
+@step
 def log_places(setup, graph, state, now, places):
     """Log where the robots are, and set what the formation stores."""
     now.v_fs = stored_by(setup, graph, state)

@@ -126,6 +126,17 @@ def course_numbers(path: Any, posts: Any) -> CourseNumbers:
     return CourseNumbers(path[:, :2] @ (1.0, 1j), path[:, 2].copy(), posts @ (1.0, 1j))
 
 
+def post_rows(path: CourseNumbers) -> np.ndarray:
+    """Return where posts stand beside a path, left and right in turn."""
+    length = path.arcs[-1]
+    count = max(2, round(length / POST_SPACING))
+    rows = []
+    for i in range(count):
+        point, tangent = path_point((i + 0.5) * length / count, path)
+        rows += [point + side * tangent for side in (1j * HALF_WIDTH, -1j * HALF_WIDTH)]
+    return np.array(rows)
+
+
 @dataclass(frozen=True)
 class Course(Checked):
     """
@@ -173,12 +184,11 @@ class Course(Checked):
         if around > LONGEST:
             raise ValueError(f"a lap may be {LONGEST:g} m long, got corners {around:.4g} m around")
         self.__dict__["corners"] = tuple(map(tuple, corners.tolist()))
-        path = self._rounded(corners)
-        self.__dict__["_numbers"] = numbers = course_numbers(path, np.empty((0, 2)))
-        self.__dict__["_numbers"] = numbers._replace(posts=self._post_rows())
+        path = CourseNumbers(*self._rounded(corners), posts=np.empty(0))
+        self.__dict__["_numbers"] = path._replace(posts=post_rows(path))
 
-    def _rounded(self, corners: np.ndarray) -> np.ndarray:
-        """Return the path with its arc length, closed; points of the plane are complex numbers."""
+    def _rounded(self, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points of the path, closed, and their arc lengths."""
         places = corners @ (1.0, 1j)
         ahead = np.roll(places, -1) - places
         side = np.abs(ahead)
@@ -206,17 +216,7 @@ class Course(Checked):
         path = np.concatenate([*bends, bends[0][:1]])
         path = path[np.r_[True, np.abs(np.diff(path)) > 1e-9]]
         path[-1] = path[0]
-        s = np.r_[0.0, np.cumsum(np.abs(np.diff(path)))]
-        return np.column_stack([path.real, path.imag, s])
-
-    def _post_rows(self) -> np.ndarray:
-        """Return where posts stand, left and right in turn."""
-        count = max(2, round(self.length / POST_SPACING))
-        rows = []
-        for i in range(count):
-            point, tangent = path_point((i + 0.5) * self.length / count, self._numbers)
-            rows += [point + side * tangent for side in (1j * HALF_WIDTH, -1j * HALF_WIDTH)]
-        return np.array(rows)
+        return path, np.r_[0.0, np.cumsum(np.abs(np.diff(path)))]
 
     @property
     def numbers(self) -> CourseNumbers:
