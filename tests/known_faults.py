@@ -94,9 +94,9 @@ KNOWN = {
     "PublishedStudy.pair": {
         "name": "foreign errors",
     },
-    "Scattering.check_scales": {
-        "alpha": "foreign errors",
-        "beta": "foreign errors",
+    "Scattering.check_scale": {
+        "name": "foreign errors",
+        "values": "foreign errors",
     },
     "Scheme": {
         "title": "anything is taken",

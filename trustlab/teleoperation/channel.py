@@ -165,7 +165,8 @@ def channel_run(
     alphas = _scale("alpha", alpha, np.array([end.alpha_max for end in ends])[far])
     betas = _scale("beta", beta, np.array([end.beta_max for end in ends])[near])
     if leaders is None:
-        ends[0].check_scales(alphas, betas)
+        ends[0].check_scale("alpha", alphas)
+        ends[0].check_scale("beta", betas)
     rate = max(end.max_delay_rate for end in ends)
     delays = {"delay_1": delay_1, "delay_2": delay_2}
     f_m, r_s, u_l, v_l, u_r, v_r = np.zeros((6, *r_m.shape))

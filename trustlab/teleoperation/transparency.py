@@ -9,10 +9,9 @@ import numpy as np
 
 from trustlab.models.checks import of_class
 from trustlab.models.display import axes_or_new
+from trustlab.models.trust import logistic_scale
 from trustlab.teleoperation.loop.settings import STUDIES, LoopSettings
 from trustlab.teleoperation.ports.waves import Scattering
-
-COLORS = ("C0", "C1")
 
 # Gains that are mapped over the ranges of both scales; of the leaks the drag, as with b = 1 the
 # drift is the same.
@@ -92,10 +91,13 @@ def plot_scales(settings: LoopSettings, ax=None):
     -------
     matplotlib.axes.Axes
     """
-    ax, trust = axes_or_new(ax), np.linspace(0.0, 1.0, 401)
-    for kind, style in (("logistic", "-"), ("step", ":")):
-        for symbol, scaling, color in zip("αβ", settings.scalings(kind), COLORS, strict=True):
-            ax.plot(trust, scaling.value(trust), color + style, label=f"{symbol}, {kind}")
+    ax, trust, s = axes_or_new(ax), np.linspace(0.0, 1.0, 401), settings.scattering
+    bounds = (("α", s.alpha_min, s.alpha_max, "C0"), ("β", s.beta_min, s.beta_max, "C1"))
+    for symbol, low, high, color in bounds:
+        logistic = logistic_scale.py_func(low, high, settings.steepness, 0.5, trust)  # (3.5)
+        ax.plot(trust, logistic, color, label=f"{symbol}, logistic")
+        step = np.where(trust >= 0.5, low, high)  # (3.6)
+        ax.plot(trust, step, f"{color}:", label=f"{symbol}, step")
     ax.set(xlabel="trust, share of its range", ylabel="scale", title=f"{settings.study} study")
     return ax
 

@@ -541,13 +541,12 @@ def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.
         array = np.asarray(values)
         if array.dtype.kind not in "biuf" or array.shape != shape:
             raise ValueError(f"{name} must be numbers of shape {shape}, got {shown(values)}")
-        checked[name] = array.astype(float)
-        rows = checked[name].reshape(count, -1)
-        if name in DECIDED.names:  # where nothing is decided all of a row is NaN
-            rows = rows[~np.isnan(rows).all(axis=1)]
-        finite_numbers(name, rows)
-    alpha, beta = (checked.get(name, np.full(1, np.nan)) for name in ("alpha", "beta"))
-    ends.check_scales(alpha[~np.isnan(alpha)], beta[~np.isnan(beta)])
+        array = checked[name] = array.astype(float)
+        # where nothing is decided all of a row is NaN
+        decided = ~np.isnan(array.reshape(count, -1)).all(axis=1) | (name not in DECIDED.names)
+        finite_numbers(name, array[decided])
+        if name in ("alpha", "beta"):
+            ends.check_scale(name, array[decided])
     return checked
 
 

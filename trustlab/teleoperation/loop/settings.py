@@ -14,7 +14,7 @@ from trustlab.allocation.blending import OptimalBlending, best_share
 from trustlab.models.checks import Checked, NotNegative, Positive, one_of, shown
 from trustlab.models.compiled import njit
 from trustlab.models.simulation import filled
-from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
+from trustlab.models.trust import TrustModel
 from trustlab.models.uav import held_over
 from trustlab.teleoperation.loop.kernel import BY_HAND, GUIDANCE, LOGISTIC, MANUAL, STEPS
 from trustlab.teleoperation.loop.records import SAMPLE, STATE
@@ -41,7 +41,7 @@ class LoopSettings(Checked):
     human_to_robot, robot_to_human : TrustModel
         (3.2) and (3.3).
     steepness : float
-        s_α = s_β of (3.5).
+        s_α = s_β of (3.5), at least 10.
     force_scaling : float
         γ of (3.25).
     window : float
@@ -76,7 +76,7 @@ class LoopSettings(Checked):
     height: float
     human_to_robot: TrustModel = field(default_factory=lambda: TrustModel(a=0.2, b=0.2))
     robot_to_human: TrustModel = field(default_factory=lambda: TrustModel(a=0.2, b=0.2))
-    steepness: float = 10.0
+    steepness: Annotated[float, (10.0, 1e6)] = 10.0
     force_scaling: float = 1.0
     window: Positive = 10.0
     command_range: Positive = 3.0
@@ -90,7 +90,6 @@ class LoopSettings(Checked):
     def __post_init__(self):
         super().__post_init__()
         one_of("study", self.study, ("preliminary", "main"))
-        self.scalings("logistic")
         HapticDevice(  # refused if it is not r-passive with the damping that its port always has
             self.mass,
             self.damping,
@@ -99,24 +98,6 @@ class LoopSettings(Checked):
             force_scaling=self.force_scaling,
             port_damping=self.scattering.beta_min * self.scattering.b,
             require_passive=self.require_passive,
-        )
-
-    def scalings(self, kind: str = "logistic") -> tuple:
-        """
-        Return α as a function of human-to-robot trust, and β of robot-to-human trust.
-
-        Parameters
-        ----------
-        kind : {"logistic", "step"}
-            (3.5) or (3.6).
-        """
-        ends, (hr, rh) = self.scattering, (self.human_to_robot, self.robot_to_human)
-        alpha = ends.alpha_min, ends.alpha_max, None, hr.t_min, hr.t_max
-        beta = ends.beta_min, ends.beta_max, None, rh.t_min, rh.t_max
-        if kind == "step":
-            return StepScaling(*alpha), StepScaling(*beta)
-        return tuple(
-            LogisticScaling(low, high, self.steepness, *rest) for low, high, *rest in (alpha, beta)
         )
 
 

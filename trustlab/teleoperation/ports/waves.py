@@ -140,30 +140,31 @@ class Scattering(Checked):
         b, low, high = self.b, self.alpha_min, self.alpha_max
         return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * low / b), math.sqrt(low / high))
 
-    def check_scales(self, alpha: ArrayLike, beta: ArrayLike) -> None:
+    def check_scale(self, name: str, values: ArrayLike) -> None:
         """
-        Refuse scales outside their bounds.
+        Refuse a scale outside its bounds.
 
         Parameters
         ----------
-        alpha, beta : array_like
-            α and β, any shape.
+        name : {"alpha", "beta"}
+            Which.
+        values : array_like
+            α or β, any shape.
 
         Raises
         ------
         ValueError
-            If a scale is not finite or outside its bounds; the sample is named.
+            If a value is not finite or outside its bounds; the sample is named.
         """
-        for name, values in (("alpha", alpha), ("beta", beta)):
-            values = np.atleast_1d(np.asarray(values, dtype=float))
-            low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
-            bad = ~((values >= low * (1 - 1e-12)) & (values <= high * (1 + 1e-12)))
-            if bad.any():
-                k = int(np.argmax(bad))
-                raise ValueError(
-                    f"{name} must lie in [{low}, {high}] ({name}_min, {name}_max), but sample {k} "
-                    f"is {values.flat[k]}"
-                )
+        values = np.ravel(np.asarray(values, dtype=float))
+        low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
+        bad = ~((values >= low * (1 - 1e-12)) & (values <= high * (1 + 1e-12)))
+        if bad.any():
+            k = int(np.argmax(bad))
+            raise ValueError(
+                f"{name} must lie in [{low}, {high}] ({name}_min, {name}_max), but sample {k} is "
+                f"{values[k]}"
+            )
 
 
 # --- waves that arrive late ---------------------------------------------------------------------

@@ -195,7 +195,7 @@ class TeamSettings(Checked):
     human_to_robot: TrustModel = TRUST
     robot_to_human: TrustModel = TRUST
     robots: TeamRobot | tuple[TeamRobot, ...] = TeamRobot()
-    steepness: float = 10.0
+    steepness: Annotated[float, (10.0, 1e6)] = 10.0
     performance_time: Positive = 15.0
     lead_gain: Positive = 1.0
     force_gain: Positive = 1.0
@@ -205,8 +205,6 @@ class TeamSettings(Checked):
 
     def __post_init__(self):
         super().__post_init__()
-        if not self.steepness >= 10.0:
-            raise ValueError(f"steepness must be at least 10 (3.5), got {self.steepness}")
         for name, kind in PER_ROBOT.items():
             value = getattr(self, name)
             if np.iterable(value):
