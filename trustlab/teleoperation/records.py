@@ -14,6 +14,8 @@ from trustlab.models.compiled import inner, njit
 block = partial(njit, error_model="numpy", forceinline=True)
 step = partial(inner, error_model="numpy", forceinline=True, _nrt=False)
 
+AXES = (0, 1, 2)
+
 
 def record(
     vectors: str = "",

@@ -15,7 +15,7 @@ from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.device import DEVICE
 from trustlab.teleoperation.ports.waves import END, LEDGER, dot, read_waves
-from trustlab.teleoperation.records import block, columns_of, record, step
+from trustlab.teleoperation.records import AXES, block, columns_of, record, step
 
 NO_FILTER = 0
 TWO_PORT = 1
@@ -145,7 +145,7 @@ def push_share(budget, power, pull, square, still, drag):
 def store_energy(n, state, now):
     """Set the storages of device, filters and error system at the start of the sample."""
     now.v_hd = squares = 0.0
-    for i in range(3):
+    for i in AXES:
         # (3.9)
         now.v_hd += haptic.device_storage(n.device, now.device[i], now.device_velocity[i])
     for j in range(state.trust.size):
@@ -175,7 +175,7 @@ def look_up_past(n, k, given, past, state):
     """
     in_sight, live = k >= n.vision, not np.isnan(given.hand[0])
     state.spring = n.grip if live else n.push
-    for i in range(3):
+    for i in AXES:
         state.error[i] = -past.seen[i] if in_sight else 0.0  # r_q − y_h(t − T), (4.26)
         state.way[i] = given.hand[i] - state.device[i] if live else state.error[i]
     state.seen_power = dot(past.sent, state.error) if in_sight else 0.0
@@ -219,7 +219,7 @@ def middle_of(low_pass, u, level):
 @step
 def filter_wave(low_pass, wave, level):
     """Filter a wave in place; `level` is the filter's state."""
-    for i in range(3):
+    for i in AXES:
         wave[i] = middle_of(low_pass, wave[i], level[i])
         level[i] = 2.0 * wave[i] - level[i]
 
@@ -242,7 +242,7 @@ def operator_side(n, end, spendable, state, u_l):
     mobility = admittance / under
     pushing = state.spring * np.sqrt(dot(state.way, state.way))
     spring = state.spring * min(1.0, n.reach / pushing) if pushing > 0.0 else 0.0
-    for i in range(3):  # f_m and r_m as if the hand did not push
+    for i in AXES:  # f_m and r_m as if the hand did not push
         held = waves.operator_force(end, filters.decay * state.near_velocity[i], state.v_l[i])
         state.channel_force[i] = state.beta * held / loaded  # (3.22), (3.12)
         state.f_m[i] = middle_of(filters, state.channel_force[i], state.near_force[i])
@@ -257,7 +257,7 @@ def operator_side(n, end, spendable, state, u_l):
         still = dot(state.r_m, state.r_m)
         state.push = push_share(spendable, power, pull, square, still, n.drag)  # (4.30)
     state.device_power = state.device_loss = state.near_power = 0.0
-    for i in range(3):
+    for i in AXES:
         state.r_m[i] += mobility * state.push * state.aim[i]
         state.f_m[i] += resistance * state.r_m[i]
         state.f_h[i] = state.push * state.aim[i] - n.drag * state.r_m[i]
@@ -293,7 +293,7 @@ def robot_side(filters, end, stiffness, state, u_r):
     under = 1.0 + filters.k12 * stiffness
     share = filters.gate / under
     resistance = filters.k21 + filters.gate * stiffness * share
-    for i in range(3):
+    for i in AXES:
         loose = filters.decay * state.far_velocity[i]
         offset = (loose - filters.k12 * state.open_force[i]) / under
         held = middle_of(filters, state.open_force[i] + stiffness * offset, state.far_force[i])
@@ -314,7 +314,7 @@ def robot_side(filters, end, stiffness, state, u_r):
 def add_row(matrix, j, vectors, out):
     """Add row j of a matrix times the robots' vectors to `out`."""
     for m in range(matrix.shape[0]):
-        for i in range(3):
+        for i in AXES:
             out[i] += matrix[j, m] * vectors[m, i]
 
 
@@ -325,14 +325,14 @@ def rest(n, matrices, leader, lead, state, now):
     force (4.24) that it would report then.
     """
     for j in range(state.trust.size):
-        for i in range(3):
+        for i in AXES:
             state.middle[j, i] = 0.0
         add_row(matrices[SOLVED], j, state.q, state.middle[j])
         add_row(matrices[INNER], j, state.zeta, state.middle[j])
-    for i in range(3):
+    for i in AXES:
         now.open_force[i] = 0.0
     add_row(matrices[LAPLACIAN], lead, state.middle, now.open_force)
-    for i in range(3):
+    for i in AXES:
         now.open_force[i] *= n.force_gain * leader.root
 
 
@@ -342,22 +342,22 @@ def move(n, matrices, leader, lead, drift, state, now):
     h = 0.5 * n.sample_time
     now.team_loss = now.error_loss = 0.0
     for j in range(state.trust.size):
-        for i in range(3):
+        for i in AXES:
             drive = h * n.lead_gain * leader.root * now.r_s[i]
             state.middle[j, i] += drive * matrices[SOLVED, j, lead]
         if n.drifting:
             add_row(matrices[SOLVED], j, drift, state.middle[j])
     for j in range(state.trust.size):
-        for i in range(3):
+        for i in AXES:
             now.pulled[i] = 0.0
         add_row(matrices[LAPLACIAN], j, state.middle, now.pulled)
-        for i in range(3):
+        for i in AXES:
             # (4.22): q̇ = Lᵀζ − L q + D r_s, ζ̇ = −L q
             state.q[j, i] = 2.0 * state.middle[j, i] - state.q[j, i]
             state.zeta[j, i] -= 2.0 * h * now.pulled[i]
         now.team_loss += dot(now.pulled, now.pulled) * n.force_gain / n.lead_gain  # (4.25)
         now.error_loss += dot(now.pulled, state.middle[j]) / n.lead_gain  # (4.33)
-    for i in range(3):
+    for i in AXES:
         now.leader[i] = leader.root * state.middle[lead, i]
 
 
@@ -371,7 +371,7 @@ def rate_motion(n, robots, drift, state):
     h = 0.5 * n.sample_time
     for j in range(robots.size):
         off = moved = asked = 0.0
-        for i in range(3):
+        for i in AXES:
             way = state.q[j, i] - state.middle[j, i]  # in half a sample, over √s
             velocity = robots[j].root * way / h
             faultless = (way - drift[j, i]) / (robots[j].root * h)
@@ -388,7 +388,7 @@ def account_energy(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
     T = n.sample_time
     filter_power = 0.0
-    for i in range(3):
+    for i in AXES:
         state.device[i] += T * state.middle[i]
         state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
         filter_power += state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i]
@@ -420,7 +420,7 @@ def log_places(setup, graph, state, now, places):
     """Log where the robots are, and set what the formation stores."""
     now.v_fs = stored_by(setup, graph, state)
     for j in range(state.trust.size):
-        for i in range(3):
+        for i in AXES:
             places[j, i] = state.q[j, i]
 
 
@@ -460,7 +460,7 @@ def lead_team(first, stop, setup, state, inputs, log):
             log_places(setup, graph, state, now, log.places[at])
         move(n, matrices, leader, lead, drift, state, now)
         sample.stored, sample.lost = now.v_e, now.error_loss
-        for i in range(3):
+        for i in AXES:
             sample.sent[i], sample.seen[i] = now.r_s[i], now.leader[i]
         if logged:
             now.v_e_delayed = past.stored
