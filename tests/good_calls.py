@@ -134,7 +134,6 @@ CALLS = {
 
 NOT_WALKED = {
     "Session.with_performance": "needs a log of a drive",
-    "teleoperation.plot_transparency": "for one chapter",
     "trust.recover_trust_models": "fit_trust and compare_trust_models check the same arguments",
     "VirtualStudy.joined": "for studies in parts",
     "RecordedStudy.order_effects": "needs people who have finished",

@@ -53,5 +53,4 @@ from .team.settings import (
 from .transparency import (
     dominance as dominance,
     plot_scales as plot_scales,
-    plot_transparency as plot_transparency,
 )

@@ -24,7 +24,6 @@ from trustlab.models.checks import (
     function,
     of_class,
     one_of,
-    positive,
     shown,
     spawned,
 )
@@ -73,35 +72,21 @@ from trustlab.trust.interface import TrustDynamics
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
 
 
-def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
+@cache
+def tracking_vehicle() -> tuple[TransferFunction, ...]:
     """
     Return the UAV of (A.1) under a low-level velocity controller, as Section 3.6 assumes one.
 
-    State feedback u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω, and at
-    −ω for order one. The printed PD controller of Appendix A does not stabilise (A.1) by itself on
-    x and y.
-
-    Parameters
-    ----------
-    bandwidth : float
-        ω [1/s], positive.
-
-    Raises
-    ------
-    ValueError
-        If `bandwidth` is not positive, or above 1000.
+    State feedback u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω = −4/s,
+    and at −ω for order one. The printed PD controller of Appendix A does not stabilise (A.1) by
+    itself on x and y.
     """
-    omega = between("bandwidth", positive("bandwidth", bandwidth), 0.0, 1e3)
-    return tuple(
-        TransferFunction(omega, (omega,))
-        if model.order == 1
-        else TransferFunction(omega**2, (2.0 * omega, omega**2))
-        for model in PRINTED_UAV.values()
+    omega = 4.0
+    first, second = (
+        TransferFunction(omega, (omega,)),
+        TransferFunction(omega**2, (2.0 * omega, omega**2)),
     )
-
-
-# What is flown unless a task has a vehicle of its own.
-usual_vehicle = cache(tracking_vehicle)
+    return tuple(first if model.order == 1 else second for model in PRINTED_UAV.values())
 
 
 @dataclass(frozen=True)
@@ -358,7 +343,7 @@ class TeleoperationLoop(Loop):
         late = max(round(task.camera_delay / T), 1)
         flies: dict[str, Any] = {}
         if "vehicle" not in hooks:
-            axes = usual_vehicle() if task.vehicle is None else three_axes(task.vehicle)
+            axes = tracking_vehicle() if task.vehicle is None else three_axes(task.vehicle)
             flies["phi"], flies["gamma"] = vehicle_matrices(axes, T)
         if shares == "optimal":
             if not flies:
