@@ -114,7 +114,6 @@ CALLS = {
         "p_h": np.array([0.4, 0.4, 0.4]),
     },
     "RobotModel.steady_state": lambda: {"mode": 1.0, "p_h": 0.4},
-    "Scattering.check_scale": lambda: {"name": "alpha", "values": np.array([0.5])},
     "Session.between": lambda: {"start": 0.0, "stop": 0.1},
     "StudyReport.write": lambda: {"path": "report.html"},
     "TeamRun.animate": lambda: {"path": "team.gif"},

@@ -94,10 +94,6 @@ KNOWN = {
     "PublishedStudy.pair": {
         "name": "foreign errors",
     },
-    "Scattering.check_scale": {
-        "name": "foreign errors",
-        "values": "foreign errors",
-    },
     "Scheme": {
         "title": "anything is taken",
     },

@@ -65,7 +65,7 @@ from trustlab.teleoperation.loop.settings import (
 )
 from trustlab.teleoperation.ports import device as haptic
 from trustlab.teleoperation.ports.device import METHODS
-from trustlab.teleoperation.ports.waves import Scattering, accounts
+from trustlab.teleoperation.ports.waves import Scattering, accounts, check_scale
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
@@ -531,7 +531,7 @@ def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.
         decided = ~np.isnan(array.reshape(count, -1)).all(axis=1) | (name not in DECIDED.names)
         finite_numbers(name, array[decided])
         if name in ("alpha", "beta"):
-            ends.check_scale(name, array[decided])
+            check_scale(name, array[decided], ends)
     return checked
 
 

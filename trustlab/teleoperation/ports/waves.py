@@ -15,6 +15,7 @@ from trustlab.models.checks import (
     Positive,
     Share,
     finite_array,
+    finite_numbers,
     positive,
     whole_number,
 )
@@ -140,31 +141,18 @@ class Scattering(Checked):
         b, low, high = self.b, self.alpha_min, self.alpha_max
         return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * low / b), math.sqrt(low / high))
 
-    def check_scale(self, name: str, values: ArrayLike) -> None:
-        """
-        Refuse a scale outside its bounds.
 
-        Parameters
-        ----------
-        name : {"alpha", "beta"}
-            Which.
-        values : array_like
-            α or β, any shape.
-
-        Raises
-        ------
-        ValueError
-            If a value is not finite or outside its bounds; the sample is named.
-        """
-        values = np.ravel(np.asarray(values, dtype=float))
-        low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
-        bad = ~((values >= low * (1 - 1e-12)) & (values <= high * (1 + 1e-12)))
-        if bad.any():
-            k = int(np.argmax(bad))
-            raise ValueError(
-                f"{name} must lie in [{low}, {high}] ({name}_min, {name}_max), but sample {k} is "
-                f"{values[k]}"
-            )
+def check_scale(name: str, values: ArrayLike, ends: Scattering) -> None:
+    """Refuse a scale, "alpha" or "beta", outside its bounds; the sample is named."""
+    values = np.ravel(finite_numbers(name, values))
+    low, high = getattr(ends, f"{name}_min"), getattr(ends, f"{name}_max")
+    bad = (values < low * (1 - 1e-12)) | (values > high * (1 + 1e-12))
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise ValueError(
+            f"{name} must lie in [{low}, {high}] ({name}_min, {name}_max), but sample {k} is "
+            f"{values[k]}"
+        )
 
 
 # --- waves that arrive late ---------------------------------------------------------------------
