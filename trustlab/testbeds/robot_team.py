@@ -32,7 +32,7 @@ from trustlab.teleoperation.team.decisions import (
     policy_named,
 )
 from trustlab.teleoperation.team.graphs import formation_on, graphs_in_time
-from trustlab.teleoperation.team.settings import FILTERS, TeamOperator, TeamSettings, TeamTrial
+from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, TeamTrial
 from trustlab.testbeds.team_run import TeamRun
 from trustlab.trust.driving import TrustCourse, TrustInLoop
 from trustlab.trust.interface import TrustDynamics
@@ -205,8 +205,6 @@ class TeamLoop(Loop):
         self._decisions = int(np.ceil(duration / self._step)) + 1
         self.simulation = self._begin(operator, per_decision, begins, faults)
         self.state = View(self.simulation.state.now)
-        robots = self.simulation.setup.robots
-        self._range = robots["low"], robots["span"]
         model = settings.human_to_robot
         self._rates = model.decay(self._step), model.b / model.a
         # Human-to-robot trust, as a share of its range.
@@ -266,9 +264,9 @@ class TeamLoop(Loop):
             trial,
             operator,
             device=haptic.held_device.py_func(settings, haptic.NO_ARM, T),
-            filters=low_pass if FILTERS[channel.filters] == kernel.TWO_PORT else kernel.UNFILTERED,
+            filters=kernel.UNFILTERED if channel.filters in ("none", "waves") else low_pass,
             low_pass=low_pass,
-            filtering=FILTERS[channel.filters],
+            filtering=channel.filters == "waves",
             cutoff=CUTOFF,
             gain=np.sqrt(1.0 - rate),
             push=operator.stiffness(self._delay),
@@ -307,7 +305,7 @@ class TeamLoop(Loop):
     def _constants(self, members: list) -> np.ndarray:
         """Return what is constant of every robot, records of ROBOT."""
         T, settings = self._trial.sample_time, self._settings
-        hr, rh = settings.human_to_robot, settings.robot_to_human
+        rh = settings.robot_to_human
         robots = [
             filled(
                 kernel.ROBOT,
@@ -319,8 +317,6 @@ class TeamLoop(Loop):
                 far=end.at_robot,
                 decay=rh.decay(T),
                 gain=rh.b / rh.a,
-                low=hr.t_min,
-                span=hr.t_max - hr.t_min,
             )
             for robot, end in members
         ]
@@ -335,8 +331,8 @@ class TeamLoop(Loop):
     @property
     def trust(self) -> np.ndarray:
         """Human-to-robot trust (4.1) in every robot at the last decision, shape (N,)."""
-        low, span = self._range
-        return low + span * self._share
+        model = self._settings.human_to_robot
+        return model.t_min + (model.t_max - model.t_min) * self._share
 
     @property
     def positions(self) -> np.ndarray:

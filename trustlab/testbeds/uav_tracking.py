@@ -341,12 +341,13 @@ class TeleoperationLoop(Loop):
         if shares == "by hand":
             hand["compensation"] *= 1.0 - person.allocation_cost
         late = max(round(task.camera_delay / T), 1)
-        flies: dict[str, Any] = {}
+        # what a function sets stays until it is asked again
+        flies: dict[str, Any] = {"phi": np.eye(3)}
         if "vehicle" not in hooks:
             axes = tracking_vehicle() if task.vehicle is None else three_axes(task.vehicle)
             flies["phi"], flies["gamma"] = vehicle_matrices(axes, T)
         if shares == "optimal":
-            if not flies:
+            if "vehicle" in hooks:
                 raise ValueError(
                     "scheme OMI predicts with three TransferFunction: give the vehicle as these"
                 )
@@ -356,7 +357,8 @@ class TeleoperationLoop(Loop):
             ("trust_hr", settings.human_to_robot),
             ("trust_rh", settings.robot_to_human),
         ):
-            flies[name] = filled(TRUST, model, decay=model.decay(T), gain=model.b / model.a)
+            rates = (1.0, 0.0) if "trust" in hooks else (model.decay(T), model.b / model.a)
+            flies[name] = filled(TRUST, model, decay=rates[0], gain=rates[1])
         arm = haptic.Arm(person.mass, person.stiffness, person.damping)
         device = haptic.held_device.py_func(settings, arm, T)
         where, budget = GUIDANCE.index(guidance.where), guidance.budget
@@ -378,8 +380,6 @@ class TeleoperationLoop(Loop):
             auto=filled(AUTONOMY, task, picture=task.view, delay=late),
             device=device,
             admittance=settings.force_scaling * device.lever / device.inertia,
-            asks_trust="trust" in hooks,
-            asks_vehicle="vehicle" in hooks,
             **flies,
         )
         return np.atleast_1d(numbers)

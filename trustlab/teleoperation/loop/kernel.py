@@ -426,15 +426,13 @@ def move(c, s):
     for i in AXES:
         now.device[i] += c.sample_time * s.middle[i]
         now.device_velocity[i] = 2.0 * s.middle[i] - now.device_velocity[i]
-        if not c.asks_vehicle:
-            phi, gamma, u = c.phi[i], c.gamma[i], s.command[i]
-            x, v, a = now.robot[i], now.velocity[i], s.acceleration[i]
-            now.robot[i] = advanced(phi[0], x, v, a, gamma[0], u)
-            now.velocity[i] = advanced(phi[1], x, v, a, gamma[1], u)
-            s.acceleration[i] = advanced(phi[2], x, v, a, gamma[2], u)
-    if not c.asks_trust:
-        now.trust_hr = next_trust(now.trust_hr, c.trust_hr, now.p_r)  # (3.2)
-        now.trust_rh = next_trust(now.trust_rh, c.trust_rh, now.p_h)  # (3.3)
+        phi, gamma, u = c.phi[i], c.gamma[i], s.command[i]
+        x, v, a = now.robot[i], now.velocity[i], s.acceleration[i]
+        now.robot[i] = advanced(phi[0], x, v, a, gamma[0], u)
+        now.velocity[i] = advanced(phi[1], x, v, a, gamma[1], u)
+        s.acceleration[i] = advanced(phi[2], x, v, a, gamma[2], u)
+    now.trust_hr = next_trust(now.trust_hr, c.trust_hr, now.p_r)  # (3.2)
+    now.trust_rh = next_trust(now.trust_rh, c.trust_rh, now.p_h)  # (3.3)
 
 
 @njit(error_model="numpy", _nrt=False)

@@ -17,9 +17,6 @@ from trustlab.teleoperation.ports.device import DEVICE
 from trustlab.teleoperation.ports.waves import END, LEDGER, dot, read_waves
 from trustlab.teleoperation.records import AXES, block, columns_of, record, step
 
-NO_FILTER = 0
-TWO_PORT = 1
-WAVES = 2
 BLOCKS = ("the haptic device", "the channel", "the team")
 
 # Below this, motion [m/s] is rounding, and there is nothing to judge by.
@@ -60,10 +57,9 @@ WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=POWERS, counts
 STATE = np.dtype([*LOG.descr, *WITHIN.descr])
 
 # One robot of speed s: √s, the velocity by which it drifts [m/s], the probability that it loses a
-# packet, its trust in the operator, the operator's trust in it, from one decision to the next, and
-# the ends of the channel while it leads.
+# packet, its trust in the operator, and the ends of the channel while it leads.
 ROBOT = record(
-    numbers="root drift loss beta_min beta_max decay gain t_min t_max low span", near=END, far=END
+    numbers="root drift loss beta_min beta_max decay gain t_min t_max", near=END, far=END
 )
 
 # Low-pass filters under the midpoint rule, and the gains of a two-port, (4.16). In the middle of a
@@ -81,8 +77,8 @@ NUMBERS = record(
         "sample_time gain cutoff push grip reach drag budget reserve error_range steepness "
         "lead_gain force_gain"
     ),
-    counts="filtering vision per_decision per_row",
-    flags="guarded drifting switching",
+    counts="vision per_decision per_row",
+    flags="guarded drifting switching filtering",
     device=DEVICE,
     filters=LOW_PASS,
     low_pass=LOW_PASS,
@@ -205,7 +201,7 @@ def receive(n, setup, lead, k, state, now):
     waves_there = state.u_l, state.u_r, state.arrives
     how = n.gain, LEDGER, n.sample_time
     read_waves(*waves_there, k, setup.delays, *how, state.accounts, now.v_l, now.v_r)
-    if n.filtering == WAVES:
+    if n.filtering:
         filter_wave(n.low_pass, now.v_r, now.filtered_r)
         filter_wave(n.low_pass, now.v_l, now.filtered_l)
 

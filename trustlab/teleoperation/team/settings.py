@@ -22,10 +22,9 @@ from trustlab.models.trust import TrustModel
 from trustlab.teleoperation.ports.device import HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.teleoperation.team.graphs import GraphError, laplacian, team_graph
-from trustlab.teleoperation.team.kernel import NO_FILTER, TWO_PORT, WAVES
 
 # What the filters F1 and F2 of Fig. 4.1 are, by name.
-FILTERS = {"none": NO_FILTER, "corrected": TWO_PORT, "waves": WAVES, "printed": TWO_PORT}
+FILTERS = ("none", "corrected", "waves", "printed")
 
 
 @dataclass(frozen=True, eq=False)
