@@ -247,38 +247,9 @@ class TeamLoop(Loop):
             if start.shape != shape:
                 raise ValueError(f"start must have shape {shape}, got {start.shape}")
         distance = start - self._goal
-        budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2)))
         draws = faults.random((2, count))  # by these numbers packets are lost
         drift = 0.5 * T * _drifts(robots, self._decisions, self._step, faults) / root
-        corrected = corrected_filter(CUTOFF, float(np.mean([end.b for end in ends])))
-        pole = 0.5 * T * CUTOFF
-        low_pass = filled(
-            kernel.LOW_PASS,
-            corrected if channel.filters == "corrected" else None,
-            decay=1.0 / (1.0 + pole),
-            gate=pole / (1.0 + pole),
-        )
-        numbers = filled(
-            kernel.NUMBERS,
-            settings,
-            trial,
-            operator,
-            device=haptic.held_device.py_func(settings, haptic.NO_ARM, T),
-            filters=kernel.UNFILTERED if channel.filters in ("none", "waves") else low_pass,
-            low_pass=low_pass,
-            filtering=channel.filters == "waves",
-            cutoff=CUTOFF,
-            gain=np.sqrt(1.0 - rate),
-            push=operator.stiffness(self._delay),
-            budget=budget,
-            reserve=operator.reserve * budget,
-            vision=round(self._delay / T),
-            error_range=max(np.linalg.norm(distance, axis=1).max(), trial.tolerance),
-            per_decision=per_decision,
-            per_row=trial.samples_per_row,
-            drifting=drift.any(),
-            switching=channel.switch_scattering,
-        )
+        numbers = self._numbers(operator, ends, distance, drift.any(), per_decision)
         formations = [
             formation_on(graph, settings.coupling, 0.5 * T, root[:, 0]) for graph in self._graphs
         ]
@@ -301,6 +272,43 @@ class TeamLoop(Loop):
         state = kernel.TeamState(now, distance / root, zeta, middle, rated, level, *waves)
         records = setup, state, inputs, log
         return Simulation(kernel.lead_team, *records, self._decide, per_decision, kernel.BLOCKS, T)
+
+    def _numbers(
+        self, operator, ends: list, distance, drifting: bool, per_decision: int
+    ) -> np.void:
+        """Return the constants of operator and channel, a record of NUMBERS."""
+        settings, trial = self._settings, self._trial
+        T, filters = trial.sample_time, settings.channel.filters
+        budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2)))
+        corrected = corrected_filter(CUTOFF, float(np.mean([end.b for end in ends])))
+        pole = 0.5 * T * CUTOFF
+        low_pass = filled(
+            kernel.LOW_PASS,
+            corrected if filters == "corrected" else None,
+            decay=1.0 / (1.0 + pole),
+            gate=pole / (1.0 + pole),
+        )
+        return filled(
+            kernel.NUMBERS,
+            settings,
+            trial,
+            operator,
+            device=haptic.held_device.py_func(settings, haptic.NO_ARM, T),
+            filters=kernel.UNFILTERED if filters in ("none", "waves") else low_pass,
+            low_pass=low_pass,
+            filtering=filters == "waves",
+            cutoff=CUTOFF,
+            gain=min(end.gain for end in ends),
+            push=operator.stiffness(self._delay),
+            budget=budget,
+            reserve=operator.reserve * budget,
+            vision=round(self._delay / T),
+            error_range=max(np.linalg.norm(distance, axis=1).max(), trial.tolerance),
+            per_decision=per_decision,
+            per_row=trial.samples_per_row,
+            drifting=drifting,
+            switching=settings.channel.switch_scattering,
+        )
 
     def _constants(self, members: list) -> np.ndarray:
         """Return what is constant of every robot, records of ROBOT."""

@@ -366,7 +366,7 @@ def account(k, c, s, external, sent):
         now.u_h[i] = r_s / now.alpha
         s.command[i] = r_s + (1.0 - now.alpha) * now.u_a[i]
         magnitude += r_m**2 + f_m**2
-    # see ports/budget.py; without a budget the account is the port's energy
+    # see `GuidanceBudget`; without a budget the account is the port's energy
     s.account = min(s.account, c.budget_energy) + T * c.budget_power
     return magnitude
 
