@@ -105,7 +105,6 @@ CALLS = {
         "p_h": np.array([0.4, 0.4, 0.4]),
     },
     "RobotModel.steady_state": lambda: {"mode": 1.0, "p_h": 0.4},
-    "Scattering.check_scales": lambda: {"alpha": np.array([0.5]), "beta": np.array([0.5])},
     "Session.between": lambda: {"start": 0.0, "stop": 0.1},
     "StudyReport.write": lambda: {"path": "report.html"},
     "TeamRun.animate": lambda: {"path": "team.gif"},
@@ -125,7 +124,6 @@ CALLS = {
 
 NOT_WALKED = {
     "Session.with_performance": "needs a log of a drive",
-    "teleoperation.plot_transparency": "for one chapter",
     "trust.recover_trust_models": "fit_trust and compare_trust_models check the same arguments",
     "VirtualStudy.joined": "for studies in parts",
     "RecordedStudy.order_effects": "needs people who have finished",

@@ -87,10 +87,6 @@ KNOWN = {
     "PublishedStudy.pair": {
         "name": "foreign errors",
     },
-    "Scattering.check_scales": {
-        "alpha": "foreign errors",
-        "beta": "foreign errors",
-    },
     "Scheme": {
         "title": "anything is taken",
     },

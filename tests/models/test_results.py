@@ -1,9 +1,11 @@
 """Checks of arguments, and how results show themselves."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from fractions import Fraction
 from types import SimpleNamespace
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
@@ -11,6 +13,10 @@ import pytest
 
 import trustlab as tl
 from trustlab.models.checks import (
+    Checked,
+    NotNegative,
+    Positive,
+    Share,
     between,
     finite_array,
     finite_number,
@@ -24,9 +30,9 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.display import Result, as_html
+from trustlab.models.trust import TrustModel
 
 # --- checks ---------------------------------------------------------------------------------------
-
 
 THREE = [3, 3.0, np.int8(3), np.float32(3), np.array(3), Fraction(3), Decimal(3)]
 # What Python or NumPy would convert, and a user did not mean as a number.
@@ -112,6 +118,40 @@ def test_warnings_point_at_the_users_line():
     with pytest.warns(UserWarning, match="moving window") as caught:
         tl.fit_human(tl.Session(data, tl.Metadata(participant=1)))
     assert caught[0].filename == __file__
+
+
+@dataclass(frozen=True)
+class Settings(Checked):
+    size: Positive
+    shift: float = 0.0
+    share: Share = 0.5
+    span: Annotated[float, (1.0, 2.0)] = 1.5
+    exact: bool = True
+    law: Callable | None = None
+    least: NotNegative | None = None
+    model: TrustModel | None = None
+    title: str = "anything"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"size": 0.0}, "size must be positive"),
+        ({"shift": np.inf}, "shift must be finite"),
+        ({"share": 1.1}, r"share must lie in \[0, 1\]"),
+        ({"span": 0.9}, r"span must lie in \[1, 2\]"),
+        ({"exact": 1}, "exact must be True or False"),
+        ({"law": "none"}, "law must be a function"),
+        ({"least": -1.0}, "least must not be negative"),
+        ({"model": 0.2}, "model must be of class TrustModel"),
+    ],
+)
+def test_settings_are_checked_by_their_annotations(change, words):
+    good = Settings(2, law=abs, least=0, model=TrustModel(0.1, 0.1))
+    assert (type(good.size), good.least, good.title) == (float, 0.0, "anything")
+    assert replace(good, law=None, least=None, model=None).law is None
+    with pytest.raises(ValueError, match=words):
+        replace(good, **change)
 
 
 # --- display --------------------------------------------------------------------------------------

@@ -45,7 +45,6 @@ def trace(*packets):
             lambda: trace(SENT, [0.1, 0.5, np.nan, 0.4]),
             "until 0.5 s, and the run lasts until 0.6 s",
         ),
-        (lambda: trace([100.0, 101.0], [100.5, 101.5]), "seconds from the start of the run"),
         (lambda: TwoPortFilter(1.0, 0.2, 1.0), r"k_12 k_21 = 0\.2"),
         (lambda: passivity_margin([1.0], [1.0, -1.0]), "stable"),
         (lambda: passivity_margin([1.0, 0.0, 0.0], [1.0, 1.0]), "proper"),

@@ -38,14 +38,14 @@ COURSES = [
 
 @pytest.mark.parametrize("course", COURSES)
 def test_the_nearest_point_is_looked_for_around_the_last_one(course):
-    path, rng = course.path, np.random.default_rng(0)
+    numbers, rng = course.numbers, np.random.default_rng(0)
     for s, aside in zip(rng.uniform(-50.0, 150.0, 500), rng.uniform(-0.3, 0.3, 500), strict=True):
-        x, y, tx, ty = path_point(s, path)
-        x, y = x - aside * ty, y + aside * tx
-        px, py, arc, away = nearest_point(x, y, s + rng.uniform(-1.0, 1.0), path)
-        assert away == pytest.approx(distance(course, x, y)[0], abs=1e-12)
-        assert np.hypot(px - x, py - y) == pytest.approx(away, abs=1e-12)
-        assert path_point(arc, path)[:2] == pytest.approx((px, py), abs=1e-9)
+        point, tangent = path_point(s, numbers)
+        place = point + 1j * aside * tangent
+        point, arc, away = nearest_point(place, s + rng.uniform(-1.0, 1.0), numbers)
+        assert away == pytest.approx(distance(course, place.real, place.imag)[0], abs=1e-12)
+        assert abs(point - place) == pytest.approx(away, abs=1e-12)
+        assert path_point(arc, numbers)[0] == pytest.approx(point, abs=1e-9)
 
 
 def test_a_robot_follows_any_closed_polyline():

@@ -104,8 +104,8 @@ def test_the_models_fit_its_sessions(operators):
 def test_rounding_does_not_decide_when_a_lap_ends(short, ends):
     """Where the path closes its corner can stay the nearest point, a lap but for rounding away."""
     course = Course()
-    x, y = course.path[0, :2]
-    state = SimpleNamespace(x=x, y=y, yaw=0.0, arc=0.0, progress=course.length - short, laps=0)
+    place = course.numbers.points[0]
+    state = SimpleNamespace(place=place, yaw=0.0, arc=0.0, progress=course.length - short, laps=0)
     assert locate.py_func(course.numbers, 1, SimpleNamespace(), state) == ends
     assert state.laps == ends
 

@@ -148,8 +148,8 @@ def result_of(estimate: Estimate) -> FitResult:
     if not estimate.optimum.converged:
         search = f"Stopped after {steps} evaluations without a minimum; do not use the numbers."
     sentences = [search, *marks, *remarks(estimate), *reasons]
-    if (weak or reasons) and {"p_h", "p_r"} <= set(model.outputs):
-        sentences.append("trustlab.sample_posterior says what these data do determine.")
+    if (weak or reasons) and "p_h" in model.outputs:
+        sentences.append("trustlab.sample_posterior says what mode, p_h and p_r do determine.")
     states = {}
     for j, name in enumerate(model.states):
         column = slice(shared + j, None, len(model.states))

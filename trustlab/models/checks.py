@@ -300,7 +300,7 @@ class Checked:
 @cache
 def field_checks(kind: type) -> dict[str, Callable[[str, Any], Any]]:
     """Return what checks the fields of a dataclass, by name."""
-    known = {field.name: _check_of(field.type) for field in fields(kind)}
+    known = {field.name: _check_of(field.type) for field in fields(kind) if field.init}
     return {name: check for name, check in known.items() if check}
 
 

@@ -211,27 +211,16 @@ class Operator(Checked):
     def numbers(self) -> Any:
         """The operator as plain numbers, `OperatorNumbers`."""
         human = self.human
-        rest = (getattr(self, name) for name in (*READ, "skill"))
+        rest = (getattr(self, name) for name in (*NUMBERS, "skill"))
         return OperatorNumbers._make((human.a, human.beta, human.p_min, human.p_max, *rest))
 
 
-# Settled before or after a run; the loop reads all else.
-ASIDE = (
-    "participant",
-    "human",
-    "r0",
-    "learning",
-    "fatigue",
-    "sessions",
-    "load_utilization",
-    "load_switching",
-)
-FIELDS = tuple(item.name for item in fields(Operator))
-READ = [name for name in FIELDS if name not in ASIDE]
+# All but the participant and the human model.
+NUMBERS = [item.name for item in fields(Operator)][2:]
 
 # An `Operator` as plain numbers for compiled loops, by its names and those of its human model.
 OperatorNumbers = namedtuple(  # type: ignore[misc]
-    "OperatorNumbers", ["a", "beta", "p_min", "p_max", *READ, "skill"]
+    "OperatorNumbers", ["a", "beta", "p_min", "p_max", *NUMBERS, "skill"]
 )
 
 
@@ -297,7 +286,7 @@ def person_of(values: Mapping[str, Any]) -> tuple[Operator, TscModel, tuple[floa
         If the numbers make no model or operator.
     """
     model = model_of(values)
-    habits = {name: values[name] for name in FIELDS[2:] if name in values}
+    habits = {name: values[name] for name in NUMBERS if name in values}
     name = values["participant"]
     name = name if isinstance(name, str) else int(name)
     person = operator(name, model, **habits)

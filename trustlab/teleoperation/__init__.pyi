@@ -21,10 +21,10 @@ from .loop.settings import (
     SCHEMES as SCHEMES,
     STUDIES as STUDIES,
     Guidance as Guidance,
+    GuidanceBudget as GuidanceBudget,
     LoopSettings as LoopSettings,
     Scheme as Scheme,
 )
-from .ports.budget import GuidanceBudget as GuidanceBudget
 from .ports.device import (
     HapticDevice as HapticDevice,
     PassivityController as PassivityController,
@@ -53,5 +53,4 @@ from .team.settings import (
 from .transparency import (
     dominance as dominance,
     plot_scales as plot_scales,
-    plot_transparency as plot_transparency,
 )

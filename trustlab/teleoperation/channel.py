@@ -12,7 +12,14 @@ from trustlab.models.checks import finite_numbers, of_class, one_of, positive, s
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.ports import waves
-from trustlab.teleoperation.ports.waves import END, READ_OUTS, Scattering, accounts, read_waves
+from trustlab.teleoperation.ports.waves import (
+    END,
+    READ_OUTS,
+    Scattering,
+    accounts,
+    check_scale,
+    read_waves,
+)
 from trustlab.teleoperation.records import signals
 
 
@@ -165,7 +172,8 @@ def channel_run(
     alphas = _scale("alpha", alpha, np.array([end.alpha_max for end in ends])[far])
     betas = _scale("beta", beta, np.array([end.beta_max for end in ends])[near])
     if leaders is None:
-        ends[0].check_scales(alphas, betas)
+        check_scale("alpha", alphas, ends[0])
+        check_scale("beta", betas, ends[0])
     rate = max(end.max_delay_rate for end in ends)
     delays = {"delay_1": delay_1, "delay_2": delay_2}
     f_m, r_s, u_l, v_l, u_r, v_r = np.zeros((6, *r_m.shape))

@@ -1,10 +1,20 @@
 """Records of compiled loops: named columns that a kernel fills and a table shows."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from trustlab.models.checks import finite_numbers
+from trustlab.models.compiled import inner, njit
+
+# What loops are made of: blocks, which others call as well, and steps, which a kernel alone calls.
+# Steps allocate nothing and do without reference counts (_nrt=False): counts are atomic and would
+# take half of the time.
+block = partial(njit, error_model="numpy", forceinline=True)
+step = partial(inner, error_model="numpy", forceinline=True, _nrt=False)
+
+AXES = (0, 1, 2)
 
 
 def record(

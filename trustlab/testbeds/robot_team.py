@@ -32,7 +32,7 @@ from trustlab.teleoperation.team.decisions import (
     policy_named,
 )
 from trustlab.teleoperation.team.graphs import formation_on, graphs_in_time
-from trustlab.teleoperation.team.settings import FILTERS, TeamOperator, TeamSettings, TeamTrial
+from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, TeamTrial
 from trustlab.testbeds.team_run import TeamRun
 from trustlab.trust.driving import TrustCourse, TrustInLoop
 from trustlab.trust.interface import TrustDynamics
@@ -205,8 +205,6 @@ class TeamLoop(Loop):
         self._decisions = int(np.ceil(duration / self._step)) + 1
         self.simulation = self._begin(operator, per_decision, begins, faults)
         self.state = View(self.simulation.state.now)
-        robots = self.simulation.setup.robots
-        self._range = robots["low"], robots["span"]
         model = settings.human_to_robot
         self._rates = model.decay(self._step), model.b / model.a
         # Human-to-robot trust, as a share of its range.
@@ -249,38 +247,9 @@ class TeamLoop(Loop):
             if start.shape != shape:
                 raise ValueError(f"start must have shape {shape}, got {start.shape}")
         distance = start - self._goal
-        budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2)))
         draws = faults.random((2, count))  # by these numbers packets are lost
         drift = 0.5 * T * _drifts(robots, self._decisions, self._step, faults) / root
-        corrected = corrected_filter(CUTOFF, float(np.mean([end.b for end in ends])))
-        pole = 0.5 * T * CUTOFF
-        low_pass = filled(
-            kernel.LOW_PASS,
-            corrected if channel.filters == "corrected" else None,
-            decay=1.0 / (1.0 + pole),
-            gate=pole / (1.0 + pole),
-        )
-        numbers = filled(
-            kernel.NUMBERS,
-            settings,
-            trial,
-            operator,
-            device=haptic.held_device.py_func(settings, haptic.NO_ARM, T),
-            filters=low_pass if FILTERS[channel.filters] == kernel.TWO_PORT else kernel.UNFILTERED,
-            low_pass=low_pass,
-            filtering=FILTERS[channel.filters],
-            cutoff=CUTOFF,
-            gain=np.sqrt(1.0 - rate),
-            push=operator.stiffness(self._delay),
-            budget=budget,
-            reserve=operator.reserve * budget,
-            vision=round(self._delay / T),
-            error_range=max(np.linalg.norm(distance, axis=1).max(), trial.tolerance),
-            per_decision=per_decision,
-            per_row=trial.samples_per_row,
-            drifting=drift.any(),
-            switching=channel.switch_scattering,
-        )
+        numbers = self._numbers(operator, ends, distance, drift.any(), per_decision)
         formations = [
             formation_on(graph, settings.coupling, 0.5 * T, root[:, 0]) for graph in self._graphs
         ]
@@ -304,10 +273,47 @@ class TeamLoop(Loop):
         records = setup, state, inputs, log
         return Simulation(kernel.lead_team, *records, self._decide, per_decision, kernel.BLOCKS, T)
 
+    def _numbers(
+        self, operator, ends: list, distance, drifting: bool, per_decision: int
+    ) -> np.void:
+        """Return the constants of operator and channel, a record of NUMBERS."""
+        settings, trial = self._settings, self._trial
+        T, filters = trial.sample_time, settings.channel.filters
+        budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2)))
+        corrected = corrected_filter(CUTOFF, float(np.mean([end.b for end in ends])))
+        pole = 0.5 * T * CUTOFF
+        low_pass = filled(
+            kernel.LOW_PASS,
+            corrected if filters == "corrected" else None,
+            decay=1.0 / (1.0 + pole),
+            gate=pole / (1.0 + pole),
+        )
+        return filled(
+            kernel.NUMBERS,
+            settings,
+            trial,
+            operator,
+            device=haptic.held_device.py_func(settings, haptic.NO_ARM, T),
+            filters=kernel.UNFILTERED if filters in ("none", "waves") else low_pass,
+            low_pass=low_pass,
+            filtering=filters == "waves",
+            cutoff=CUTOFF,
+            gain=min(end.gain for end in ends),
+            push=operator.stiffness(self._delay),
+            budget=budget,
+            reserve=operator.reserve * budget,
+            vision=round(self._delay / T),
+            error_range=max(np.linalg.norm(distance, axis=1).max(), trial.tolerance),
+            per_decision=per_decision,
+            per_row=trial.samples_per_row,
+            drifting=drifting,
+            switching=settings.channel.switch_scattering,
+        )
+
     def _constants(self, members: list) -> np.ndarray:
         """Return what is constant of every robot, records of ROBOT."""
         T, settings = self._trial.sample_time, self._settings
-        hr, rh = settings.human_to_robot, settings.robot_to_human
+        rh = settings.robot_to_human
         robots = [
             filled(
                 kernel.ROBOT,
@@ -319,8 +325,6 @@ class TeamLoop(Loop):
                 far=end.at_robot,
                 decay=rh.decay(T),
                 gain=rh.b / rh.a,
-                low=hr.t_min,
-                span=hr.t_max - hr.t_min,
             )
             for robot, end in members
         ]
@@ -335,8 +339,8 @@ class TeamLoop(Loop):
     @property
     def trust(self) -> np.ndarray:
         """Human-to-robot trust (4.1) in every robot at the last decision, shape (N,)."""
-        low, span = self._range
-        return low + span * self._share
+        model = self._settings.human_to_robot
+        return model.t_min + (model.t_max - model.t_min) * self._share
 
     @property
     def positions(self) -> np.ndarray:

@@ -11,9 +11,9 @@ from trustlab.models.checks import (
     Checked,
     Positive,
     of_class,
-    one_of,
     spawned,
 )
+from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.teleoperation.team.decisions import POLICIES, policy_named
 from trustlab.teleoperation.team.settings import TeamOperator, TeamRobot, TeamSettings, TeamTrial
 from trustlab.testbeds.deciding import check_rules
@@ -121,10 +121,7 @@ class RobotTeam(Checked):
         seed : int
             Seed of the draws.
         """
-        assumed: dict[str, Any] = dict(assumptions or {})
-        for name in assumed:
-            one_of("an assumption", name, HAND)
-        TeamOperator(**assumed)  # checks the values
+        assumed = checked_assumptions(assumptions, dict.fromkeys(HAND, (0.0, 1e3)))
 
         def draw(number: int, rng: np.random.Generator) -> dict[str, float]:
             shares = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(HAND))

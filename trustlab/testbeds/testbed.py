@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import pandas as pd
@@ -43,7 +43,7 @@ Seed = int | np.random.SeedSequence
 Person = Mapping[str, Any]
 
 
-class Testbed:
+class Testbed(Protocol):
     """
     What studies know of a testbed.
 
@@ -151,6 +151,8 @@ class ConditionTestbed(Checked, Testbed):
         If a setting is out of range or the population is of another testbed.
     """
 
+    name: ClassVar[str]
+    title: ClassVar[str]
     module: ClassVar[Any]  # with E_MAX, NOTE and MEASURED
     laps: ClassVar[int] = 0
     participant: ClassVar[Callable]

@@ -18,6 +18,7 @@ from trustlab.operators.ground_robot import Operator
 from trustlab.teleoperation.records import record
 from trustlab.testbeds import deciding
 from trustlab.testbeds.deciding import COUNTS, FLAGS, NUMBERS, SAMPLE_TIME, Task
+from trustlab.testbeds.ground_robot.course import size
 from trustlab.testbeds.populations import P_R_MIN
 from trustlab.testbeds.uav_tracking import TrackingTask, tracking_vehicle
 
@@ -169,7 +170,7 @@ def sense(k, setup, state, log):
     row.robot, row.reference = now.position, setup.position[k]
     off = row.reference - row.robot
     row.u_i = setup.velocity[k] + GAIN * off
-    row.path_error = np.sqrt(off.real**2 + off.imag**2)
+    row.path_error = size(off)
     seen = log[max(k - round(setup.person.delay / SAMPLE_TIME), 0)]
     operate(setup, seen, row, now, state.hand)
     deviation = row.u_i - row.u_h

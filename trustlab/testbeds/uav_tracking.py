@@ -24,7 +24,6 @@ from trustlab.models.checks import (
     function,
     of_class,
     one_of,
-    positive,
     shown,
     spawned,
 )
@@ -66,42 +65,28 @@ from trustlab.teleoperation.loop.settings import (
 )
 from trustlab.teleoperation.ports import device as haptic
 from trustlab.teleoperation.ports.device import METHODS
-from trustlab.teleoperation.ports.waves import Scattering, accounts
+from trustlab.teleoperation.ports.waves import Scattering, accounts, check_scale
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
 
 
-def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
+@cache
+def tracking_vehicle() -> tuple[TransferFunction, ...]:
     """
     Return the UAV of (A.1) under a low-level velocity controller, as Section 3.6 assumes one.
 
-    State feedback u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω, and at
-    −ω for order one. The printed PD controller of Appendix A does not stabilise (A.1) by itself on
-    x and y.
-
-    Parameters
-    ----------
-    bandwidth : float
-        ω [1/s], positive.
-
-    Raises
-    ------
-    ValueError
-        If `bandwidth` is not positive, or above 1000.
+    State feedback u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω = −4/s,
+    and at −ω for order one. The printed PD controller of Appendix A does not stabilise (A.1) by
+    itself on x and y.
     """
-    omega = between("bandwidth", positive("bandwidth", bandwidth), 0.0, 1e3)
-    return tuple(
-        TransferFunction(omega, (omega,))
-        if model.order == 1
-        else TransferFunction(omega**2, (2.0 * omega, omega**2))
-        for model in PRINTED_UAV.values()
+    omega = 4.0
+    first, second = (
+        TransferFunction(omega, (omega,)),
+        TransferFunction(omega**2, (2.0 * omega, omega**2)),
     )
-
-
-# What is flown unless a task has a vehicle of its own.
-usual_vehicle = cache(tracking_vehicle)
+    return tuple(first if model.order == 1 else second for model in PRINTED_UAV.values())
 
 
 @dataclass(frozen=True)
@@ -356,12 +341,13 @@ class TeleoperationLoop(Loop):
         if shares == "by hand":
             hand["compensation"] *= 1.0 - person.allocation_cost
         late = max(round(task.camera_delay / T), 1)
-        flies: dict[str, Any] = {}
+        # what a function sets stays until it is asked again
+        flies: dict[str, Any] = {"phi": np.eye(3)}
         if "vehicle" not in hooks:
-            axes = usual_vehicle() if task.vehicle is None else three_axes(task.vehicle)
+            axes = tracking_vehicle() if task.vehicle is None else three_axes(task.vehicle)
             flies["phi"], flies["gamma"] = vehicle_matrices(axes, T)
         if shares == "optimal":
-            if not flies:
+            if "vehicle" in hooks:
                 raise ValueError(
                     "scheme OMI predicts with three TransferFunction: give the vehicle as these"
                 )
@@ -371,7 +357,8 @@ class TeleoperationLoop(Loop):
             ("trust_hr", settings.human_to_robot),
             ("trust_rh", settings.robot_to_human),
         ):
-            flies[name] = filled(TRUST, model, decay=model.decay(T), gain=model.b / model.a)
+            rates = (1.0, 0.0) if "trust" in hooks else (model.decay(T), model.b / model.a)
+            flies[name] = filled(TRUST, model, decay=rates[0], gain=rates[1])
         arm = haptic.Arm(person.mass, person.stiffness, person.damping)
         device = haptic.held_device.py_func(settings, arm, T)
         where, budget = GUIDANCE.index(guidance.where), guidance.budget
@@ -393,8 +380,6 @@ class TeleoperationLoop(Loop):
             auto=filled(AUTONOMY, task, picture=task.view, delay=late),
             device=device,
             admittance=settings.force_scaling * device.lever / device.inertia,
-            asks_trust="trust" in hooks,
-            asks_vehicle="vehicle" in hooks,
             **flies,
         )
         return np.atleast_1d(numbers)
@@ -541,13 +526,12 @@ def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.
         array = np.asarray(values)
         if array.dtype.kind not in "biuf" or array.shape != shape:
             raise ValueError(f"{name} must be numbers of shape {shape}, got {shown(values)}")
-        checked[name] = array.astype(float)
-        rows = checked[name].reshape(count, -1)
-        if name in DECIDED.names:  # where nothing is decided all of a row is NaN
-            rows = np.where(np.isnan(rows).all(axis=1, keepdims=True), 0.0, rows)
-        finite_numbers(name, rows)
-    alpha, beta = (checked.get(name, np.full(1, np.nan)) for name in ("alpha", "beta"))
-    ends.check_scales(alpha[~np.isnan(alpha)], beta[~np.isnan(beta)])
+        array = checked[name] = array.astype(float)
+        # where nothing is decided all of a row is NaN
+        decided = ~np.isnan(array.reshape(count, -1)).all(axis=1) | (name not in DECIDED.names)
+        finite_numbers(name, np.where(decided.reshape(-1, *[1] * (array.ndim - 1)), array, 0.0))
+        if name in ("alpha", "beta"):
+            check_scale(name, array[decided], ends)
     return checked
 
 

@@ -17,7 +17,7 @@ from trustlab.sessions.session import Session
 from trustlab.testbeds.condition_run import condition_measures
 from trustlab.testbeds.deciding import CONDITIONS, OWN, SAMPLE_TIME, SCHEDULE, SETTLING, TSC, Task
 from trustlab.testbeds.ground_robot.conditions import E_MAX, SLOWEST
-from trustlab.testbeds.ground_robot.course import Course, CourseNumbers, default_course
+from trustlab.testbeds.ground_robot.course import Course, course_numbers, default_course
 from trustlab.testbeds.ground_robot.kernel import COLUMNS, LOG
 from trustlab.testbeds.ground_robot.pioneer import Pioneer, PioneerNumbers
 
@@ -169,7 +169,7 @@ class Drive:
             Switching(**config["switching"]),
             PioneerNumbers(**config["robot"]),
             1.0 - math.exp(-SAMPLE_TIME / config["robot"]["anchoring_time"]),
-            CourseNumbers(*(np.array(config[name], float) for name in ("path", "posts"))),
+            course_numbers(config["path"], config["posts"]),
             np.empty(self.samples),
             np.empty(self.samples),
         )
@@ -194,7 +194,9 @@ class Drive:
     def picture(self) -> dict:
         """Return the pose, the way along the course [m], the laps and the last row."""
         state = self.state
-        pose = {name: round(float(state[name]), 5) for name in ("x", "y", "yaw", "arc")}
+        place = {"x": state["place"].real, "y": state["place"].imag}
+        pose = place | {name: state[name] for name in ("yaw", "arc")}
+        pose = {name: round(float(value), 5) for name, value in pose.items()}
         row = [round(value, 4) for value in self.row] or None
         return {**pose, "laps": int(state["laps"]), "row": row}
 

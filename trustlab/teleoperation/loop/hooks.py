@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from trustlab.models.checks import finite_numbers
 from trustlab.models.simulation import DivergenceError as DivergenceError, PartError, View
 from trustlab.teleoperation.ports.waves import Scattering
 
@@ -95,9 +96,10 @@ def checked(name: str, value: Any, bounds: Mapping[str, tuple[float, float]]) ->
         valid = value.shape == (3,) and np.isfinite(value).all()
     else:
         low, high = bounds.get(name, FINITE)
-        remedy = f"it must lie in [{low:g}, {high:g}]"
+        remedy = "it must lie in [{:g}, {:g}]"
         valid = low * (1.0 - SLACK) <= value <= high * (1.0 + SLACK)
     if not valid:
+        remedy = remedy.format(*bounds.get(name, FINITE))
         raise ReturnedError(f"returned {name} = {value}; {remedy}")
     return value
 
@@ -107,25 +109,23 @@ def is_state_space(vehicle: Any) -> bool:
     return isinstance(vehicle, tuple | list) and [np.ndim(m) for m in vehicle] == [2, 2, 2]
 
 
-def state_space(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Callable:
+def state_space(*matrices: np.ndarray) -> Callable:
     """
     Return a vehicle that steps x' = A x + B u, x = 0 at the start, and moves from there by C x'.
     """
-    a, b, c = (np.asarray(matrix, float) for matrix in (a, b, c))
+    a, b, c = (finite_numbers("vehicle", matrix) for matrix in matrices)
     n = len(a)
-    fits = [a.shape, b.shape, c.shape] == [(n, n), (n, 3), (6, n)]
-    if not fits or not all(np.isfinite(matrix).all() for matrix in (a, b, c)):
+    if (a.shape, b.shape, c.shape) != ((n, n), (n, 3), (6, n)):
         raise ValueError(
-            "vehicle must be finite matrices A (n, n), B (n, 3) for commands on x, y and z, and C "
-            f"(6, n) for position and velocity, got shapes {a.shape}, {b.shape} and {c.shape}"
+            "vehicle must be matrices A (n, n), B (n, 3) for commands on x, y and z, and C (6, n) "
+            f"for position and velocity, got shapes {a.shape}, {b.shape} and {c.shape}"
         )
 
     def step(state: View) -> tuple[np.ndarray, np.ndarray]:
         memory = state.memory
-        if "x" not in memory:
-            memory["x"], memory["start"] = np.zeros(n), state.robot.copy()
-        memory["x"] = a @ memory["x"] + b @ state.command
+        start = memory.setdefault("start", state.robot.copy())
+        memory["x"] = a @ memory.get("x", np.zeros(n)) + b @ state.command
         moved = c @ memory["x"]
-        return memory["start"] + moved[:3], moved[3:]
+        return start + moved[:3], moved[3:]
 
     return step

@@ -6,20 +6,16 @@ arrived: pictures, waves, trust in what was done before, and what the built-in c
 operator propose. `obey` puts what was decided in their place; then hand, ports, books,
 performance and motion follow, and `arrive` leads to the pause of the next sample. c: constants, s:
 state, now: the row of the log.
-
-Steps do without reference counts (_nrt=False): counts are atomic and would take half of the time.
-They allocate nothing, and their caller keeps the arrays.
 """
-
-import functools
 
 import numpy as np
 
-from trustlab.models.compiled import inner, njit
+from trustlab.models.compiled import njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.device import activation, demanded
 from trustlab.teleoperation.ports.waves import LEDGER, dot, read_waves
+from trustlab.teleoperation.records import AXES, step
 
 BLOCKS = ("the haptic device", "the channel", "the robot")
 DEVICE, CHANNEL, ROBOT = range(3)
@@ -36,8 +32,6 @@ AT_OPERATOR, THROUGH_CHANNEL, NOWHERE = range(3)
 
 # Speed of the hand [m/s] above which an operator notices what the channel makes of it.
 FLOOR = 0.05
-
-step = functools.partial(inner, error_model="numpy", forceinline=True, _nrt=False)
 
 
 # What has arrived at the pause.
@@ -56,7 +50,7 @@ def look(k, c, s, inputs, log):
     s.t = k * c.sample_time
     eye, camera = k - c.hand.delay, k - c.auto.delay
     widest = c.auto.picture
-    for i in range(3):
+    for i in AXES:
         now.reference[i] = external.reference[i]
         s.reference_velocity[i] = external.reference_velocity[i]
         now.error[i] = external.reference[i] - now.robot[i]
@@ -66,7 +60,7 @@ def look(k, c, s, inputs, log):
     s.finds = shown and inputs[camera].detected
     before = camera - 1
     s.found_before = s.finds and inputs[before].detected and visible(log[before].error, widest)
-    for i in range(3):
+    for i in AXES:
         if s.sees:  # else the operator remembers where the target was last seen
             s.seen[i], s.seen_before[i] = log[eye].error[i], log[eye - 1].error[i]
         s.picture[i] = s.picture_before[i] = 0.0  # no force towards what nobody sees
@@ -87,7 +81,7 @@ def receive(k, setup, c, s, state, log):
         where = k - setup.delays[0, k]
         first = int(np.floor(where))
         if first >= 0:
-            for i in range(3):
+            for i in AXES:
                 value, later = log[first].r_m[i], log[min(first + 1, k - 1)].r_m[i]
                 s.arrived[i] = value + (where - first) * (later - value)
 
@@ -107,7 +101,7 @@ def steer(c, s):
     Set u_a by a PID controller on the camera's picture; a vehicle that has lost its target hovers.
     """
     auto, now = c.auto, s.now
-    for i in range(3):
+    for i in AXES:
         now.u_a[i] = 0.0
         if s.finds:
             rate = 0.0
@@ -132,7 +126,7 @@ def want(c, s):
         s.square_m += hand.learned * (dot(now.r_m, now.r_m) - s.square_m)
         s.square_s += hand.learned * (dot(now.r_s, now.r_s) - s.square_s)
         scale = np.sqrt((s.square_s + FLOOR**2) / (s.square_m + FLOOR**2))
-    for i in range(3):
+    for i in AXES:
         if c.law == CROSSOVER:
             command = hand.crossover * s.seen[i]
         else:
@@ -196,7 +190,7 @@ def set_scales(c, s):
 def obey(c, s, external):
     """Put what was decided in the place of what is proposed, and set the scales."""
     now = s.now
-    for i in range(3):
+    for i in AXES:
         now.robot[i] = chosen(external.robot[i], now.robot[i])
         now.velocity[i] = chosen(external.velocity[i], now.velocity[i])
         now.error[i] = external.reference[i] - now.robot[i]
@@ -224,7 +218,7 @@ def push(c, s, external):
     now = s.now
     if hand.fatigue > 0.0:  # weakened by what the hand has pushed so far [N s]
         s.effort += c.sample_time * np.sqrt(dot(now.f_h, now.f_h))
-    for i in range(3):
+    for i in AXES:
         if np.isnan(external.hand[i]):
             wanted = s.wanted[i] / (1.0 + hand.fatigue * s.effort)
             s.wish[i] = hand.decay * s.wish[i] + (1.0 - hand.decay) * wanted
@@ -268,7 +262,7 @@ def solve_operator_end(c, s):
     near, now = c.near, s.now
     loaded = 1.0 + c.admittance * now.beta * near.b
     through = c.admittance * now.beta * near.arriving / loaded
-    for i in range(3):
+    for i in AXES:
         guiding = s.pull[i] if c.guided_at == AT_OPERATOR else 0.0
         free = s.free_output[i] - c.admittance * guiding
         now.r_m[i] = free / loaded - through * s.v_l[i]
@@ -282,13 +276,13 @@ def guide_through_channel(c, s):
     The guiding force at the robot's port, under the controller of Theorem 4: Chapter 3 as printed.
     """
     now, far = s.now, c.far
-    for i in range(3):
+    for i in AXES:
         s.pull[i] = now.f_s[i] = s.guiding[i]
         now.r_s[i] = now.alpha * waves.robot_velocity(far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
     gain = dot(now.r_s, now.r_s) * far.b / now.alpha
     share = passivity_share(c.guard, now.energy_robot, now.r_s, now.f_s, gain, c.sample_time)
     if share < 1.0:
-        for i in range(3):
+        for i in AXES:
             now.r_s[i] = share * now.r_s[i]
             now.f_s[i] = far.arriving * s.v_r[i] - far.b * now.r_s[i] / now.alpha
     solve_operator_end(c, s)
@@ -305,12 +299,12 @@ def guide_at_operator(c, s):
     the operator's port has earned, or its budget.
     """
     now = s.now
-    for i in range(3):
+    for i in AXES:
         s.pull[i], now.f_s[i] = now.beta * s.guiding[i], 0.0
     solve_operator_end(c, s)
     gain = dot(now.r_m, now.r_m) / c.admittance
     share = passivity_share(c.guard, s.account, now.r_m, now.f_m, gain, c.sample_time)
-    for i in range(3):
+    for i in AXES:
         if share < 1.0:
             now.r_m[i] = share * now.r_m[i]
             now.f_m[i] = (s.free_output[i] - now.r_m[i]) / c.admittance
@@ -322,7 +316,7 @@ def guide_at_operator(c, s):
 def send_output(c, s):
     """Send the device's output to the robot, from which no force comes back."""
     now = s.now
-    for i in range(3):
+    for i in AXES:
         now.r_m[i] = s.free_output[i]
         now.r_s[i] = now.alpha * s.arrived[i]
         now.f_m[i] = now.f_s[i] = s.pull[i] = 0.0
@@ -344,7 +338,7 @@ def account(k, c, s, external, sent):
     now = s.now
     bilateral = c.guided_at != NOWHERE
     magnitude = now.energy_device = 0.0
-    for i in range(3):
+    for i in AXES:
         x, v = now.device[i], now.device_velocity[i]
         r_m, f_m = now.r_m[i], now.f_m[i]
         r_s, f_s = now.r_s[i], now.f_s[i]
@@ -372,7 +366,7 @@ def account(k, c, s, external, sent):
         now.u_h[i] = r_s / now.alpha
         s.command[i] = r_s + (1.0 - now.alpha) * now.u_a[i]
         magnitude += r_m**2 + f_m**2
-    # see ports/budget.py; without a budget the account is the port's energy
+    # see `GuidanceBudget`; without a budget the account is the port's energy
     s.account = min(s.account, c.budget_energy) + T * c.budget_power
     return magnitude
 
@@ -392,7 +386,7 @@ def judge(k, c, s, log):
     """Set performance (3.26)-(3.27) over the window."""
     now = s.now
     tracking = command_h = command_r = 0.0
-    for i in range(3):
+    for i in AXES:
         tracking += abs(now.error[i])
         command_h += abs(now.u_h[i] - now.u_i[i])
         command_r += abs(now.u_a[i] - now.u_i[i])
@@ -429,18 +423,16 @@ def advanced(row, x, v, a, gain, u):
 def move(c, s):
     """Move device and vehicle, and step trust."""
     now = s.now
-    for i in range(3):
+    for i in AXES:
         now.device[i] += c.sample_time * s.middle[i]
         now.device_velocity[i] = 2.0 * s.middle[i] - now.device_velocity[i]
-        if not c.asks_vehicle:
-            phi, gamma, u = c.phi[i], c.gamma[i], s.command[i]
-            x, v, a = now.robot[i], now.velocity[i], s.acceleration[i]
-            now.robot[i] = advanced(phi[0], x, v, a, gamma[0], u)
-            now.velocity[i] = advanced(phi[1], x, v, a, gamma[1], u)
-            s.acceleration[i] = advanced(phi[2], x, v, a, gamma[2], u)
-    if not c.asks_trust:
-        now.trust_hr = next_trust(now.trust_hr, c.trust_hr, now.p_r)  # (3.2)
-        now.trust_rh = next_trust(now.trust_rh, c.trust_rh, now.p_h)  # (3.3)
+        phi, gamma, u = c.phi[i], c.gamma[i], s.command[i]
+        x, v, a = now.robot[i], now.velocity[i], s.acceleration[i]
+        now.robot[i] = advanced(phi[0], x, v, a, gamma[0], u)
+        now.velocity[i] = advanced(phi[1], x, v, a, gamma[1], u)
+        s.acceleration[i] = advanced(phi[2], x, v, a, gamma[2], u)
+    now.trust_hr = next_trust(now.trust_hr, c.trust_hr, now.p_r)  # (3.2)
+    now.trust_rh = next_trust(now.trust_rh, c.trust_rh, now.p_h)  # (3.3)
 
 
 @njit(error_model="numpy", _nrt=False)
@@ -454,7 +446,7 @@ def teleoperate(first, stop, setup, state, inputs, log):
     c, s = setup.numbers[0], state.whole[0]
     now = s.now
     if stop == 0:
-        for i in range(3):
+        for i in AXES:
             now.robot[i] = inputs[0].reference[i]
         arrive(0, setup, c, state, inputs, log)
     for k in range(first, stop):

@@ -67,7 +67,6 @@ NUMBERS = record(
     numbers="sample_time force_scaling gain guidance steepness command_range error_range "
     "budget_energy budget_power admittance",
     counts="window rule law guard guided_at",
-    flags="asks_vehicle asks_trust",
     trust_hr=TRUST,
     trust_rh=TRUST,
     hand=HAND,

@@ -11,14 +11,13 @@ from typing import Annotated
 import numpy as np
 
 from trustlab.allocation.blending import OptimalBlending, best_share
-from trustlab.models.checks import Checked, NotNegative, Positive, one_of, shown
+from trustlab.models.checks import Checked, NotNegative, Positive, not_negative, one_of, shown
 from trustlab.models.compiled import njit
 from trustlab.models.simulation import filled
-from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
+from trustlab.models.trust import TrustModel
 from trustlab.models.uav import held_over
 from trustlab.teleoperation.loop.kernel import BY_HAND, GUIDANCE, LOGISTIC, MANUAL, STEPS
 from trustlab.teleoperation.loop.records import SAMPLE, STATE
-from trustlab.teleoperation.ports.budget import GuidanceBudget
 from trustlab.teleoperation.ports.device import METHODS, HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
 
@@ -41,7 +40,7 @@ class LoopSettings(Checked):
     human_to_robot, robot_to_human : TrustModel
         (3.2) and (3.3).
     steepness : float
-        s_α = s_β of (3.5).
+        s_α = s_β of (3.5), at least 10.
     force_scaling : float
         γ of (3.25).
     window : float
@@ -76,7 +75,7 @@ class LoopSettings(Checked):
     height: float
     human_to_robot: TrustModel = field(default_factory=lambda: TrustModel(a=0.2, b=0.2))
     robot_to_human: TrustModel = field(default_factory=lambda: TrustModel(a=0.2, b=0.2))
-    steepness: float = 10.0
+    steepness: Annotated[float, (10.0, 1e6)] = 10.0
     force_scaling: float = 1.0
     window: Positive = 10.0
     command_range: Positive = 3.0
@@ -90,7 +89,6 @@ class LoopSettings(Checked):
     def __post_init__(self):
         super().__post_init__()
         one_of("study", self.study, ("preliminary", "main"))
-        self.scalings("logistic")
         HapticDevice(  # refused if it is not r-passive with the damping that its port always has
             self.mass,
             self.damping,
@@ -99,24 +97,6 @@ class LoopSettings(Checked):
             force_scaling=self.force_scaling,
             port_damping=self.scattering.beta_min * self.scattering.b,
             require_passive=self.require_passive,
-        )
-
-    def scalings(self, kind: str = "logistic") -> tuple:
-        """
-        Return α as a function of human-to-robot trust, and β of robot-to-human trust.
-
-        Parameters
-        ----------
-        kind : {"logistic", "step"}
-            (3.5) or (3.6).
-        """
-        ends, (hr, rh) = self.scattering, (self.human_to_robot, self.robot_to_human)
-        alpha = ends.alpha_min, ends.alpha_max, None, hr.t_min, hr.t_max
-        beta = ends.beta_min, ends.beta_max, None, rh.t_min, rh.t_max
-        if kind == "step":
-            return StepScaling(*alpha), StepScaling(*beta)
-        return tuple(
-            LogisticScaling(low, high, self.steepness, *rest) for low, high, *rest in (alpha, beta)
         )
 
 
@@ -269,6 +249,67 @@ def scheme_named(name: str | Scheme) -> Scheme:
 
 
 # --- guidance -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class GuidanceBudget(Checked):
+    """
+    Energy that guidance at the operator may give out beyond what its port took.
+
+    In any stretch of s seconds the port gives out at most energy + power · s, under the guard
+    "repay"; what it takes beyond `energy` is not saved up.
+
+    Guidance that a passive port renders is hardly felt: it can help the hand by no more than the
+    channel's drag takes. A port with a budget may give out more, by a stated amount.
+
+    **Bound.** The port has an account. It starts at `energy`, every sample books what the port
+    takes or gives out, cuts the account at `energy`, and adds `power` times the sample time; the
+    controller ("repay") lets no sample end below zero. So in any stretch of s seconds, whenever it
+    begins, the port gives out no more than the account then held and what was added since: energy +
+    power s.
+
+    **What follows.** By (3.9)-(3.11) the device stores and dissipates what the operator supplies
+    less what the port takes. Over a time t it dissipates on average at most the operator's mean
+    power + `power` + (energy stored at the start + `energy`)/t. An r-passive device dissipates a
+    positive definite form of its position and velocity, so both stay bounded in the mean square,
+    whatever channel, delays, losses and vehicle do. With power = 0 the port is passive in the sense
+    of Theorem 4, with `energy` as the constant.
+
+    Parameters
+    ----------
+    energy : float
+        In the account at the start, and the most that it holds [J].
+    power : float
+        Added all the time [W].
+
+    Raises
+    ------
+    ValueError
+        If a number is negative or not finite.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> from trustlab.teleoperation import Guidance, GuidanceBudget
+    >>> budget = GuidanceBudget(energy=0.2, power=0.5)
+    >>> run = tl.simulate_teleoperation("M", duration=10.0, guidance=Guidance(budget=budget))
+    >>> bool(run["energy_port"].min() >= -budget.bound(10.0))
+    True
+    """
+
+    energy: NotNegative = 0.0
+    power: NotNegative = 0.0
+
+    def bound(self, seconds: float) -> float:
+        """
+        Return the most that the port gives out in so many seconds, whenever they begin [J].
+
+        Parameters
+        ----------
+        seconds : float
+            s.
+        """
+        return self.energy + self.power * not_negative("seconds", seconds)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from trustlab.models.checks import (
     rounded_down,
     rounded_up,
 )
-from trustlab.models.compiled import njit
-from trustlab.teleoperation.records import record
+from trustlab.teleoperation.records import block, record
 
 ROUNDING = 1e-12
 
@@ -52,7 +51,7 @@ class Arm(NamedTuple):
 NO_ARM = Arm(0.0, 0.0, 0.0)
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def held_device(gains, arm, sample_time):
     """
     Return one axis of a device in a hand; `gains` is what has its mass, damping, stiffness and
@@ -73,14 +72,14 @@ def held_device(gains, arm, sample_time):
     )
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def free_force(device, x, v, force):
     """Return inertia times the velocity at the middle of the sample without feedback [N]."""
     momentum = 2.0 * device.held_mass * v / device.sample_time
     return momentum - device.held_stiffness * x + force
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def midpoint_velocity(device, x, v, force, feedback):
     """
     Return the velocity at the middle of the sample under the hand's force and the scaled feedback.
@@ -88,7 +87,7 @@ def midpoint_velocity(device, x, v, force, feedback):
     return (free_force(device, x, v, force) - feedback) / device.inertia
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def free_output(device, x, v, force):
     """
     Return the output r_m that the device would have without feedback; the channel's end is solved
@@ -97,7 +96,7 @@ def free_output(device, x, v, force):
     return device.lever * free_force(device, x, v, force) / device.inertia + device.weight * x
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def device_storage(device, x, v):
     """Return the storage of one axis, (3.9), before static scaling [J]."""
     r = v + device.weight * x
@@ -105,7 +104,7 @@ def device_storage(device, x, v):
     return 0.5 * (device.mass * r * r + spare * x * x)
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def device_loss(device, x_middle, v_middle):
     """
     Return the power dissipated on one axis at the midpoint, (3.10), before static scaling [W].
@@ -280,7 +279,7 @@ REPAY = 2
 METHODS = {"off": OFF, "cancel": CANCEL, "repay": REPAY}
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def demanded(method, energy, power, sample_time):
     """
     Return the power [W] that the port must take in this sample, or NaN where the controller rests.
@@ -292,7 +291,7 @@ def demanded(method, energy, power, sample_time):
     return np.nan
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def activation(power, gain, demand):
     """
     Return w ≥ 0 of the damping that makes a port take the power `demand`, and whether it can.

@@ -15,11 +15,11 @@ from trustlab.models.checks import (
     Positive,
     Share,
     finite_array,
+    finite_numbers,
     positive,
     whole_number,
 )
-from trustlab.models.compiled import njit
-from trustlab.teleoperation.records import record
+from trustlab.teleoperation.records import block, record
 
 
 class End(NamedTuple):
@@ -37,7 +37,7 @@ class End(NamedTuple):
 END = record(numbers=" ".join(End._fields))
 
 
-@njit(error_model="numpy", forceinline=True, _nrt=False)
+@block(_nrt=False)
 def dot(a, b):
     """Return aᵀb of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -46,25 +46,25 @@ def dot(a, b):
 # With `Scattering.at_operator` and `.at_robot` these four are the only place of the wave equations.
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def operator_force(end, r_m, v_l):
     """Return the force f'_m at the operator's end, before its scaling by β."""
     return end.b * r_m + end.arriving * v_l
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def operator_wave(end, r_m, v_l):
     """Return the wave u_l that leaves the operator's end."""
     return end.sent * r_m + end.reflected * v_l
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def robot_velocity(end, f_s, v_r):
     """Return the velocity r'_s at the robot's end, before its scaling by α."""
     return end.arriving * v_r / end.b - f_s / end.b
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def robot_wave(end, f_s, v_r):
     """Return the wave u_r that leaves the robot's end."""
     return end.sent * f_s - end.reflected * v_r
@@ -141,30 +141,18 @@ class Scattering(Checked):
         b, low, high = self.b, self.alpha_min, self.alpha_max
         return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * low / b), math.sqrt(low / high))
 
-    def check_scales(self, alpha: ArrayLike, beta: ArrayLike) -> None:
-        """
-        Refuse scales outside their bounds.
 
-        Parameters
-        ----------
-        alpha, beta : array_like
-            α and β, any shape.
-
-        Raises
-        ------
-        ValueError
-            If a scale is not finite or outside its bounds; the sample is named.
-        """
-        for name, values in (("alpha", alpha), ("beta", beta)):
-            values = np.atleast_1d(np.asarray(values, dtype=float))
-            low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
-            bad = ~((values >= low * (1 - 1e-12)) & (values <= high * (1 + 1e-12)))
-            if bad.any():
-                k = int(np.argmax(bad))
-                raise ValueError(
-                    f"{name} must lie in [{low}, {high}] ({name}_min, {name}_max), but sample {k} "
-                    f"is {values.flat[k]}"
-                )
+def check_scale(name: str, values: ArrayLike, ends: Scattering) -> None:
+    """Refuse a scale, "alpha" or "beta", outside its bounds; the sample is named."""
+    values = np.ravel(finite_numbers(name, values))
+    low, high = getattr(ends, f"{name}_min"), getattr(ends, f"{name}_max")
+    bad = (values < low * (1 - 1e-12)) | (values > high * (1 + 1e-12))
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise ValueError(
+            f"{name} must lie in [{low}, {high}] ({name}_min, {name}_max), but sample {k} is "
+            f"{values[k]}"
+        )
 
 
 # --- waves that arrive late ---------------------------------------------------------------------
@@ -189,7 +177,7 @@ def accounts() -> np.ndarray:
     return pair
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def amplitude(energy, balance, pace):
     """
     Return the amplitude in [0, 1] at which the newest wave, of this energy per sample, is read.
@@ -208,7 +196,7 @@ def amplitude(energy, balance, pace):
 
 # no reference counts (_nrt): they are atomic, and would take a third of the teleoperation loop's
 # time
-@njit(error_model="numpy", forceinline=True, _nrt=False)
+@block(_nrt=False)
 def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out):
     """
     Read the wave that arrives in sample k, sent `delay` samples before, into `out`.
@@ -252,7 +240,7 @@ def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out
     account.balance = max(account.balance - spent, 0.0)  # rounding may leave −1e-17 J
 
 
-@njit(error_model="numpy", forceinline=True, _nrt=False)
+@block(_nrt=False)
 def read_waves(u_l, u_r, arrives, k, delays, gain, read_out, sample_time, accounts, v_l, v_r):
     """Read the waves that arrive at both ends in sample k, (3.16), into `v_l` and `v_r`."""
     read_wave(u_l, arrives[0], k, delays[0, k], gain, read_out, sample_time, accounts[0], v_r)

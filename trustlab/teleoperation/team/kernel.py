@@ -4,29 +4,19 @@ The teleoperated team (Fig. 4.1), compiled, with dense matrices: O(N²) a sample
 `lead_team` is a kernel of `Simulation`: a sample is a row of named steps, each on the record of
 STATE of operator and channel and on arrays of the robots. Who leads and on which graph comes from
 outside and may change at any sample.
-
-Steps do without reference counts (_nrt=False), as in `loop/kernel.py`: counts are atomic and would
-take half of the time. They allocate nothing, and their caller keeps the arrays.
 """
 
 from collections import namedtuple
-from functools import partial
 
 import numpy as np
 
-from trustlab.models.compiled import inner, njit
+from trustlab.models.compiled import njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.device import DEVICE
 from trustlab.teleoperation.ports.waves import END, LEDGER, dot, read_waves
-from trustlab.teleoperation.records import columns_of, record
+from trustlab.teleoperation.records import AXES, block, columns_of, record, step
 
-# What only the kernel calls, compiled into it.
-part = partial(inner, error_model="numpy", forceinline=True, _nrt=False)
-
-NO_FILTER = 0
-TWO_PORT = 1
-WAVES = 2
 BLOCKS = ("the haptic device", "the channel", "the team")
 
 # Below this, motion [m/s] is rounding, and there is nothing to judge by.
@@ -67,10 +57,9 @@ WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=POWERS, counts
 STATE = np.dtype([*LOG.descr, *WITHIN.descr])
 
 # One robot of speed s: √s, the velocity by which it drifts [m/s], the probability that it loses a
-# packet, its trust in the operator, the operator's trust in it, from one decision to the next, and
-# the ends of the channel while it leads.
+# packet, its trust in the operator, and the ends of the channel while it leads.
 ROBOT = record(
-    numbers="root drift loss beta_min beta_max decay gain t_min t_max low span", near=END, far=END
+    numbers="root drift loss beta_min beta_max decay gain t_min t_max", near=END, far=END
 )
 
 # Low-pass filters under the midpoint rule, and the gains of a two-port, (4.16). In the middle of a
@@ -88,8 +77,8 @@ NUMBERS = record(
         "sample_time gain cutoff push grip reach drag budget reserve error_range steepness "
         "lead_gain force_gain"
     ),
-    counts="filtering vision per_decision per_row",
-    flags="guarded drifting switching",
+    counts="vision per_decision per_row",
+    flags="guarded drifting switching filtering",
     device=DEVICE,
     filters=LOW_PASS,
     low_pass=LOW_PASS,
@@ -130,7 +119,7 @@ TeamState = namedtuple("TeamState", "now q zeta middle rated trust arrives u_l u
 TeamLog = namedtuple("TeamLog", "samples table places")
 
 
-@njit(error_model="numpy", forceinline=True)
+@block
 def push_share(budget, power, pull, square, still, drag):
     """
     Return the greatest share σ ≤ 1 of a push whose power does not exceed `power`.
@@ -148,11 +137,11 @@ def push_share(budget, power, pull, square, still, drag):
     return min(2.0 * free / (pull + np.sqrt(pull * pull + 4.0 * square * free)), 1.0)
 
 
-@part
+@step
 def store_energy(n, state, now):
     """Set the storages of device, filters and error system at the start of the sample."""
     now.v_hd = squares = 0.0
-    for i in range(3):
+    for i in AXES:
         # (3.9)
         now.v_hd += haptic.device_storage(n.device, now.device[i], now.device_velocity[i])
     for j in range(state.trust.size):
@@ -163,7 +152,7 @@ def store_energy(n, state, now):
     now.v_filter = (n.filters.k21 * velocities + n.filters.k12 * forces) / n.cutoff
 
 
-@part
+@step
 def stored_by(setup, graph, state):
     """Return V_fs (4.23) on a graph; NaN on a directed one."""
     matrices, v_fs = setup.formations[graph], 0.0
@@ -174,7 +163,7 @@ def stored_by(setup, graph, state):
     return v_fs * setup.storing[graph]
 
 
-@part
+@step
 def look_up_past(n, k, given, past, state):
     """
     Set what the operator sees, the leader of `vision` samples ago and what it was told to do;
@@ -182,7 +171,7 @@ def look_up_past(n, k, given, past, state):
     """
     in_sight, live = k >= n.vision, not np.isnan(given.hand[0])
     state.spring = n.grip if live else n.push
-    for i in range(3):
+    for i in AXES:
         state.error[i] = -past.seen[i] if in_sight else 0.0  # r_q − y_h(t − T), (4.26)
         state.way[i] = given.hand[i] - state.device[i] if live else state.error[i]
     state.seen_power = dot(past.sent, state.error) if in_sight else 0.0
@@ -191,7 +180,7 @@ def look_up_past(n, k, given, past, state):
     return 0.0
 
 
-@part
+@step
 def share_force(n, robots, lead, trust, performance, state):
     """Set β by the leader's trust in the operator, and step the trust of all."""
     leader = robots[lead]
@@ -204,7 +193,7 @@ def share_force(n, robots, lead, trust, performance, state):
         trust[i] = trust_step(trust[i], performance, robots[i].decay, robots[i].gain)  # (4.2)
 
 
-@part
+@step
 def receive(n, setup, lead, k, state, now):
     """Set the waves that arrive at both ends, (3.16), filtered where waves are."""
     for way in range(2):
@@ -212,26 +201,26 @@ def receive(n, setup, lead, k, state, now):
     waves_there = state.u_l, state.u_r, state.arrives
     how = n.gain, LEDGER, n.sample_time
     read_waves(*waves_there, k, setup.delays, *how, state.accounts, now.v_l, now.v_r)
-    if n.filtering == WAVES:
+    if n.filtering:
         filter_wave(n.low_pass, now.v_r, now.filtered_r)
         filter_wave(n.low_pass, now.v_l, now.filtered_l)
 
 
-@part
+@step
 def middle_of(low_pass, u, level):
     """Return what a low-pass filter gives out in the middle of a sample."""
     return low_pass.decay * level + low_pass.gate * u
 
 
-@part
+@step
 def filter_wave(low_pass, wave, level):
     """Filter a wave in place; `level` is the filter's state."""
-    for i in range(3):
+    for i in AXES:
         wave[i] = middle_of(low_pass, wave[i], level[i])
         level[i] = 2.0 * wave[i] - level[i]
 
 
-@part
+@step
 def operator_side(n, end, spendable, state, u_l):
     """
     Solve the operator's end of the channel with filter, device and hand, and the device's velocity.
@@ -249,7 +238,7 @@ def operator_side(n, end, spendable, state, u_l):
     mobility = admittance / under
     pushing = state.spring * np.sqrt(dot(state.way, state.way))
     spring = state.spring * min(1.0, n.reach / pushing) if pushing > 0.0 else 0.0
-    for i in range(3):  # f_m and r_m as if the hand did not push
+    for i in AXES:  # f_m and r_m as if the hand did not push
         held = waves.operator_force(end, filters.decay * state.near_velocity[i], state.v_l[i])
         state.channel_force[i] = state.beta * held / loaded  # (3.22), (3.12)
         state.f_m[i] = middle_of(filters, state.channel_force[i], state.near_force[i])
@@ -264,7 +253,7 @@ def operator_side(n, end, spendable, state, u_l):
         still = dot(state.r_m, state.r_m)
         state.push = push_share(spendable, power, pull, square, still, n.drag)  # (4.30)
     state.device_power = state.device_loss = state.near_power = 0.0
-    for i in range(3):
+    for i in AXES:
         state.r_m[i] += mobility * state.push * state.aim[i]
         state.f_m[i] += resistance * state.r_m[i]
         state.f_h[i] = state.push * state.aim[i] - n.drag * state.r_m[i]
@@ -287,7 +276,7 @@ def operator_side(n, end, spendable, state, u_l):
     state.hand_power = dot(state.r_m, state.f_h)
 
 
-@part
+@step
 def robot_side(filters, end, stiffness, state, u_r):
     """
     Solve the robots' end of the channel with filter and leader: f_s = open_force + stiffness · r_s.
@@ -300,7 +289,7 @@ def robot_side(filters, end, stiffness, state, u_r):
     under = 1.0 + filters.k12 * stiffness
     share = filters.gate / under
     resistance = filters.k21 + filters.gate * stiffness * share
-    for i in range(3):
+    for i in AXES:
         loose = filters.decay * state.far_velocity[i]
         offset = (loose - filters.k12 * state.open_force[i]) / under
         held = middle_of(filters, state.open_force[i] + stiffness * offset, state.far_force[i])
@@ -317,58 +306,58 @@ def robot_side(filters, end, stiffness, state, u_r):
         state.far_force[i] = 2.0 * passed_force - state.far_force[i]
 
 
-@part
+@step
 def add_row(matrix, j, vectors, out):
     """Add row j of a matrix times the robots' vectors to `out`."""
     for m in range(matrix.shape[0]):
-        for i in range(3):
+        for i in AXES:
             out[i] += matrix[j, m] * vectors[m, i]
 
 
-@part
+@step
 def rest(n, matrices, leader, lead, state, now):
     """
     Set where robots would be in the middle of the sample if the leader were not driven, and the
     force (4.24) that it would report then.
     """
     for j in range(state.trust.size):
-        for i in range(3):
+        for i in AXES:
             state.middle[j, i] = 0.0
         add_row(matrices[SOLVED], j, state.q, state.middle[j])
         add_row(matrices[INNER], j, state.zeta, state.middle[j])
-    for i in range(3):
+    for i in AXES:
         now.open_force[i] = 0.0
     add_row(matrices[LAPLACIAN], lead, state.middle, now.open_force)
-    for i in range(3):
+    for i in AXES:
         now.open_force[i] *= n.force_gain * leader.root
 
 
-@part
+@step
 def move(n, matrices, leader, lead, drift, state, now):
     """Step (4.22); set the leader's place in the middle of the sample, and what is lost."""
     h = 0.5 * n.sample_time
     now.team_loss = now.error_loss = 0.0
     for j in range(state.trust.size):
-        for i in range(3):
+        for i in AXES:
             drive = h * n.lead_gain * leader.root * now.r_s[i]
             state.middle[j, i] += drive * matrices[SOLVED, j, lead]
         if n.drifting:
             add_row(matrices[SOLVED], j, drift, state.middle[j])
     for j in range(state.trust.size):
-        for i in range(3):
+        for i in AXES:
             now.pulled[i] = 0.0
         add_row(matrices[LAPLACIAN], j, state.middle, now.pulled)
-        for i in range(3):
+        for i in AXES:
             # (4.22): q̇ = Lᵀζ − L q + D r_s, ζ̇ = −L q
             state.q[j, i] = 2.0 * state.middle[j, i] - state.q[j, i]
             state.zeta[j, i] -= 2.0 * h * now.pulled[i]
         now.team_loss += dot(now.pulled, now.pulled) * n.force_gain / n.lead_gain  # (4.25)
         now.error_loss += dot(now.pulled, state.middle[j]) / n.lead_gain  # (4.33)
-    for i in range(3):
+    for i in AXES:
         now.leader[i] = leader.root * state.middle[lead, i]
 
 
-@part
+@step
 def rate_motion(n, robots, drift, state):
     """
     Rate how each robot moved, v, against how (4.22) asks a faultless one in its place to, v̂:
@@ -378,7 +367,7 @@ def rate_motion(n, robots, drift, state):
     h = 0.5 * n.sample_time
     for j in range(robots.size):
         off = moved = asked = 0.0
-        for i in range(3):
+        for i in AXES:
             way = state.q[j, i] - state.middle[j, i]  # in half a sample, over √s
             velocity = robots[j].root * way / h
             faultless = (way - drift[j, i]) / (robots[j].root * h)
@@ -390,12 +379,12 @@ def rate_motion(n, robots, drift, state):
             state.rated[j] = np.rint(1000.0 * (1.0 - np.sqrt(off) / moving)) / 1000.0
 
 
-@part
+@step
 def account_energy(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
     T = n.sample_time
     filter_power = 0.0
-    for i in range(3):
+    for i in AXES:
         state.device[i] += T * state.middle[i]
         state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
         filter_power += state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i]
@@ -412,7 +401,7 @@ def account_energy(n, seen_loss, state):
     state.lost_error_delayed += T * seen_loss
 
 
-@part
+@step
 def diverged(state):
     """Return the block whose storage grew without bound, −1: none; "not <" counts NaN as such."""
     if not state.v_hd < 1e12:
@@ -422,12 +411,12 @@ def diverged(state):
     return -1 if state.v_e < 1e12 else 2
 
 
-@part
+@step
 def log_places(setup, graph, state, now, places):
     """Log where the robots are, and set what the formation stores."""
     now.v_fs = stored_by(setup, graph, state)
     for j in range(state.trust.size):
-        for i in range(3):
+        for i in AXES:
             places[j, i] = state.q[j, i]
 
 
@@ -467,7 +456,7 @@ def lead_team(first, stop, setup, state, inputs, log):
             log_places(setup, graph, state, now, log.places[at])
         move(n, matrices, leader, lead, drift, state, now)
         sample.stored, sample.lost = now.v_e, now.error_loss
-        for i in range(3):
+        for i in AXES:
             sample.sent[i], sample.seen[i] = now.r_s[i], now.leader[i]
         if logged:
             now.v_e_delayed = past.stored

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,21 +34,40 @@ SEARCH = 2.0
 
 class CourseNumbers(NamedTuple):
     """
-    A `Course` for compiled loops: the path, shape (N, 3), with arc length in its last column, and
-    the posts.
+    A `Course` for compiled loops: points of the path, shape (N,), the last the first again, with
+    their arc lengths, and the posts. Points of the plane are complex numbers.
     """
 
-    path: np.ndarray
+    points: np.ndarray
+    arcs: np.ndarray
     posts: np.ndarray
 
 
+@inner
+def size(vector):
+    """Return the length of a vector of the plane."""
+    return np.sqrt(vector.real**2 + vector.imag**2)
+
+
+@inner
+def direction(angle):
+    """Return the unit vector at an angle."""
+    return complex(np.cos(angle), np.sin(angle))
+
+
+@inner
+def angle_of(vector):
+    """Return the angle of a vector of the plane."""
+    return np.arctan2(vector.imag, vector.real)
+
+
 @inner(_nrt=False)
-def piece_at(s, path):
+def piece_at(s, arcs):
     """Return the piece of a polyline that arc length `s` lies on."""
-    low, high = 0, path.shape[0] - 1
+    low, high = 0, arcs.size - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if path[middle, 2] <= s:
+        if arcs[middle] <= s:
             low = middle
         else:
             high = middle
@@ -56,55 +75,66 @@ def piece_at(s, path):
 
 
 @njit(_nrt=False)
-def nearest_point(x, y, near, path):
+def nearest_point(place, near, course):
     """
-    Return the point of a closed polyline nearest to (x, y), its arc length and distance: x, y, s,
-    e.
+    Return the point of the path nearest to a place, its arc length and its distance.
 
     Pieces are tried that begin or end within SEARCH of arc length `near`.
     """
-    last = path.shape[0] - 1
-    length = path[last, 2]
+    points, arcs = course.points, course.arcs
+    last = arcs.size - 1
+    length = arcs[last]
     reach = min(SEARCH, 0.5 * length)
     start = near - reach - np.floor((near - reach) / length) * length
-    i = piece_at(start, path)
+    i = piece_at(start, arcs)
     ahead = 2.0 * reach + start
     best = np.inf
-    best_x, best_y = 0.0, 0.0
-    best_s = 0.0
-    while path[i, 2] <= ahead:
-        ax, ay = path[i, 0], path[i, 1]
-        ux, uy = path[i + 1, 0] - ax, path[i + 1, 1] - ay
-        length_i = path[i + 1, 2] - path[i, 2]
-        along, whole = (x - ax) * ux + (y - ay) * uy, length_i * length_i
+    point, arc = points[i], start
+    while arcs[i] <= ahead:
+        way, off = points[i + 1] - points[i], place - points[i]
+        piece = arcs[i + 1] - arcs[i]
+        along, whole = off.real * way.real + off.imag * way.imag, piece * piece
         share = 0.0 if along <= 0.0 else 1.0
         if 0.0 < along < whole:  # few pieces need the division
             share = along / whole
-        px, py = ax + share * ux, ay + share * uy
-        square = (x - px) ** 2 + (y - py) ** 2
+        foot = points[i] + share * way
+        off = place - foot
+        square = off.real**2 + off.imag**2
         if square < best:
-            best = square
-            best_x, best_y = px, py
-            best_s = path[i, 2] + share * length_i
+            best, point, arc = square, foot, arcs[i] + share * piece
         i += 1
         if i == last:
             i = 0
             ahead -= length
-    return best_x, best_y, best_s, np.sqrt(best)
+    return point, arc, np.sqrt(best)
 
 
 @njit(_nrt=False)
-def path_point(s, path):
-    """
-    Return the point of a closed polyline at arc length `s` and the unit tangent there: x, y, tx,
-    ty.
-    """
-    length = path[path.shape[0] - 1, 2]
+def path_point(s, course):
+    """Return the point of the path at arc length `s` and the unit tangent there."""
+    points, arcs = course.points, course.arcs
+    length = arcs[arcs.size - 1]
     s = s - np.floor(s / length) * length
-    i = piece_at(s, path)
-    step = path[i + 1, 2] - path[i, 2]
-    tx, ty = (path[i + 1, 0] - path[i, 0]) / step, (path[i + 1, 1] - path[i, 1]) / step
-    return path[i, 0] + (s - path[i, 2]) * tx, path[i, 1] + (s - path[i, 2]) * ty, tx, ty
+    i = piece_at(s, arcs)
+    tangent = (points[i + 1] - points[i]) / (arcs[i + 1] - arcs[i])
+    return points[i] + (s - arcs[i]) * tangent, tangent
+
+
+def course_numbers(path: Any, posts: Any) -> CourseNumbers:
+    """Return a course for compiled loops from its `path` and `posts`."""
+    path, posts = np.asarray(path, float), np.asarray(posts, float)
+    return CourseNumbers(path[:, :2] @ (1.0, 1j), path[:, 2].copy(), posts @ (1.0, 1j))
+
+
+def post_rows(path: CourseNumbers) -> np.ndarray:
+    """Return where posts stand beside a path, left and right in turn."""
+    length = path.arcs[-1]
+    count = max(2, round(length / POST_SPACING))
+    rows = []
+    for i in range(count):
+        point, tangent = path_point((i + 0.5) * length / count, path)
+        rows += [point + side * tangent for side in (1j * HALF_WIDTH, -1j * HALF_WIDTH)]
+    return np.array(rows)
 
 
 @dataclass(frozen=True)
@@ -140,8 +170,7 @@ class Course(Checked):
 
     corners: tuple[tuple[float, float], ...] = CORNERS
     radius: NotNegative = 1.75
-    _path: np.ndarray = field(init=False, repr=False, compare=False)
-    _posts: np.ndarray = field(init=False, repr=False, compare=False)
+    _numbers: CourseNumbers = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
         corners = finite_numbers("corners", self.corners)
@@ -155,11 +184,11 @@ class Course(Checked):
         if around > LONGEST:
             raise ValueError(f"a lap may be {LONGEST:g} m long, got corners {around:.4g} m around")
         self.__dict__["corners"] = tuple(map(tuple, corners.tolist()))
-        self.__dict__["_path"] = self._rounded(corners)
-        self.__dict__["_posts"] = self._post_rows()
+        path = CourseNumbers(*self._rounded(corners), posts=np.empty(0))
+        self.__dict__["_numbers"] = path._replace(posts=post_rows(path))
 
-    def _rounded(self, corners: np.ndarray) -> np.ndarray:
-        """Return the path with its arc length, closed; points of the plane are complex numbers."""
+    def _rounded(self, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points of the path, closed, and their arc lengths."""
         places = corners @ (1.0, 1j)
         ahead = np.roll(places, -1) - places
         side = np.abs(ahead)
@@ -187,21 +216,12 @@ class Course(Checked):
         path = np.concatenate([*bends, bends[0][:1]])
         path = path[np.r_[True, np.abs(np.diff(path)) > 1e-9]]
         path[-1] = path[0]
-        s = np.r_[0.0, np.cumsum(np.abs(np.diff(path)))]
-        return np.column_stack([path.real, path.imag, s])
-
-    def _post_rows(self) -> np.ndarray:
-        count = max(2, round(self.length / POST_SPACING))
-        rows = []
-        for i in range(count):
-            x, y, tx, ty = path_point((i + 0.5) * self.length / count, self._path)
-            rows += [(x - side * ty, y + side * tx) for side in (HALF_WIDTH, -HALF_WIDTH)]
-        return np.array(rows)
+        return path, np.r_[0.0, np.cumsum(np.abs(np.diff(path)))]
 
     @property
     def numbers(self) -> CourseNumbers:
         """The course for compiled loops."""
-        return CourseNumbers(self._path, self._posts)
+        return self._numbers
 
     @property
     def path(self) -> np.ndarray:
@@ -209,17 +229,18 @@ class Course(Checked):
         The path as a closed polyline, shape (N, 3): x, y and arc length s [m]; the last row is the
         first point.
         """
-        return self._path.copy()
+        points, arcs, _ = self._numbers
+        return np.column_stack([points.real, points.imag, arcs])
 
     @property
     def posts(self) -> np.ndarray:
         """Positions of the guide posts [m], shape (posts, 2), left and right in turn."""
-        return self._posts.copy()
+        return self._numbers.posts.view(float).reshape(-1, 2).copy()
 
     @property
     def length(self) -> float:
         """Length of a lap [m]."""
-        return float(self._path[-1, 2])
+        return float(self._numbers.arcs[-1])
 
 
 @cache

@@ -34,7 +34,14 @@ from trustlab.testbeds.deciding import (
     skill_now,
     tire,
 )
-from trustlab.testbeds.ground_robot.course import CourseNumbers, nearest_point, path_point
+from trustlab.testbeds.ground_robot.course import (
+    CourseNumbers,
+    angle_of,
+    direction,
+    nearest_point,
+    path_point,
+    size,
+)
 from trustlab.testbeds.ground_robot.pioneer import scan, wrapped
 
 # Correlation time of the hand's shaking [s].
@@ -51,11 +58,11 @@ LOG = record(
 COLUMNS = LOG.names
 
 # The robot and its estimate of where it is, the hand, and progress along the course.
-MOVING = (
-    "x y yaw v w moved est_x est_y heading_error wander shaking v_hand w_hand arc est_arc progress"
-)
+MOVING = "yaw v w moved heading_error wander shaking v_hand w_hand arc est_arc progress"
 # What a step reads and leaves.
-STATE = record(numbers=f"{MOVING} {NUMBERS}", counts=f"{COUNTS} laps", flags=FLAGS)
+STATE = record(
+    planar="place est", numbers=f"{MOVING} {NUMBERS}", counts=f"{COUNTS} laps", flags=FLAGS
+)
 
 
 class Rates(NamedTuple):
@@ -126,10 +133,10 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
     state.wander = rates.stays * state.wander + rates.new_wander * hand.standard_normal()
     state.shaking = rates.shakes * state.shaking + rates.new_shaking * hand.standard_normal()
     if arc >= 0.0:
-        px, py, tx, ty = path_point(arc + person.look_ahead, course.path)
+        point, tangent = path_point(arc + person.look_ahead, course)
         aside = person.noise * spread * state.wander
-        dx, dy = px - aside * ty - before.robot_x, py + aside * tx - before.robot_y
-        bearing = wrapped(np.arctan2(dy, dx) - before.yaw)
+        aim = point + 1j * aside * tangent - complex(before.robot_x, before.robot_y)
+        bearing = wrapped(angle_of(aim) - before.yaw)
         v_want, w_want = joystick(bearing, speed, person.steering_gain, person.easing)
         state.v_hand += rates.grip * (v_want - state.v_hand)
         w_want += person.noise * activity * state.shaking
@@ -143,12 +150,11 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
 @inner
 def place(course, robot, dt, state):
     """Put the robot on the path, rolling."""
-    state.x, state.y, tx, ty = path_point(0.0, course.path)
-    state.yaw = np.arctan2(ty, tx)
+    state.place, tangent = path_point(0.0, course)
+    state.yaw = angle_of(tangent)
     state.v = robot.cruise_speed
     state.v_hand = robot.cruise_speed
-    state.est_x = state.x
-    state.est_y = state.y
+    state.est = state.place
     state.moved = state.v * dt
 
 
@@ -158,13 +164,10 @@ def locate(course, k, row, state):
     Log where the robot is beside the path, and move progress along the course on; return whether
     this ends a lap.
     """
-    row.robot_x = state.x
-    row.robot_y = state.y
-    row.yaw = state.yaw
-    row.reference_x, row.reference_y, arc, row.path_error = nearest_point(
-        state.x, state.y, state.arc, course.path
-    )
-    lap, ahead = course.path[-1, 2], arc - state.arc if k > 0 else 0.0
+    row.robot_x, row.robot_y, row.yaw = state.place.real, state.place.imag, state.yaw
+    point, arc, row.path_error = nearest_point(state.place, state.arc, course)
+    row.reference_x, row.reference_y = point.real, point.imag
+    lap, ahead = course.arcs[-1], arc - state.arc if k > 0 else 0.0
     state.arc, state.progress = arc, state.progress + (ahead - lap * np.floor(ahead / lap + 0.5))
     # a corner where the path closes may be nearest for some samples: there rounding must not decide
     ended = state.progress >= (state.laps + 1) * lap - 1e-9
@@ -197,41 +200,31 @@ def roll(robot, anchor, dt, course, state, sensing):
     Let the robot scan, follow the hand or its own controller, and move; its odometry drifts with
     distance.
     """
-    off_x, off_y, turn, seen = scan(course.posts, robot, state, sensing)
+    off, turn, seen = scan(course.posts, robot, state, sensing)
     if state.mode == 1:
         v_want, w_want = state.v_hand, state.w_hand
         # while the operator drives between the posts, the estimate is anchored anew
-        state.est_x += anchor * (state.x - state.est_x)
-        state.est_y += anchor * (state.y - state.est_y)
+        state.est += anchor * (state.place - state.est)
         state.heading_error -= anchor * state.heading_error
         state.est_arc = state.arc
     else:
-        path = course.path
-        state.est_arc = nearest_point(state.est_x, state.est_y, state.est_arc, path)[2]
-        px, py, _, _ = path_point(state.est_arc + robot.look_ahead, path)
-        bearing = np.arctan2(py - state.est_y, px - state.est_x) - (state.yaw + state.heading_error)
+        state.est_arc = nearest_point(state.est, state.est_arc, course)[1]
+        aim = path_point(state.est_arc + robot.look_ahead, course)[0] - state.est
+        bearing = angle_of(aim) - (state.yaw + state.heading_error)
         v_want, w_want = robot.search_speed, robot.steering_gain * wrapped(bearing)
         if seen > 0:
-            v_want = max(
-                robot.cruise_speed - robot.speed_gain * np.sqrt(off_x * off_x + off_y * off_y), 0.0
-            )
-            share = min(robot.position_gain * seen, 1.0)
-            state.est_x -= share * off_x
-            state.est_y -= share * off_y
+            v_want = max(robot.cruise_speed - robot.speed_gain * size(off), 0.0)
+            state.est -= min(robot.position_gain * seen, 1.0) * off
             state.heading_error -= min(robot.heading_gain * (seen - 1), 1.0) * turn
     state.v = max(limited(v_want, state.v, robot.max_speed, robot.max_acceleration * dt), 0.0)
     state.w = limited(w_want, state.w, robot.max_turn_rate, robot.max_turn_acceleration * dt)
     # a unicycle over one sample, by the heading at its middle
-    old_x = state.x
-    old_y = state.y
+    before, step = state.place, state.v * dt
     middle = state.yaw + 0.5 * state.w * dt
-    step = state.v * dt
-    state.x = old_x + step * np.cos(middle)
-    state.y = old_y + step * np.sin(middle)
+    state.place += step * direction(middle)
     state.yaw = wrapped(state.yaw + state.w * dt)
-    state.moved = np.sqrt((state.x - old_x) ** 2 + (state.y - old_y) ** 2)
-    state.est_x += step * np.cos(middle + state.heading_error)
-    state.est_y += step * np.sin(middle + state.heading_error)
+    state.moved = size(state.place - before)
+    state.est += step * direction(middle + state.heading_error)
     state.heading_error += robot.heading_drift * state.v * dt
     state.heading_error += robot.heading_noise * np.sqrt(step) * sensing.standard_normal()
 

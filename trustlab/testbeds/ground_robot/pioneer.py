@@ -8,6 +8,7 @@ import numpy as np
 
 from trustlab.models.checks import Checked, NotNegative, Positive, Share
 from trustlab.models.compiled import inner
+from trustlab.testbeds.ground_robot.course import angle_of, direction, size
 
 
 @inner
@@ -19,57 +20,50 @@ def wrapped(angle):
 @inner(_nrt=False)
 def scan(posts, robot, state, sensing):
     """
-    Compare posts seen with where the estimate has them: mean offset dx, dy, turn of the pattern,
-    number seen.
+    Compare posts seen with where the estimate has them: mean offset, turn of the pattern, number
+    seen.
 
     While the operator drives, nothing is compared, but the noise is drawn all the same.
     """
-    # Sums over posts seen: their places from the robot, where the estimate has them from its own
-    # place, and the cross and dot products of both.
-    sum_x = sum_y = sum_off_x = sum_off_y = cross = dot = 0.0
+    # Sums over posts seen: their ways from the robot, how far the estimate has them from there, and
+    # products of both, dot and cross product in one.
+    ways = offs = products = 0j
     seen = 0
-    cos, sin = np.cos(state.yaw), np.sin(state.yaw)
-    half = 0.5 * robot.field_of_view
+    heading, half = direction(state.yaw), 0.5 * robot.field_of_view
     edge = np.cos(half) if half < np.pi else -2.0
-    for i in range(posts.shape[0]):
-        dx, dy = posts[i, 0] - state.x, posts[i, 1] - state.y
-        if abs(dx) > 1.001 * robot.scan_range or abs(dy) > 1.001 * robot.scan_range:
+    for post in posts:
+        way = post - state.place
+        if max(abs(way.real), abs(way.imag)) > 1.001 * robot.scan_range:
             continue
-        distance = np.sqrt(dx * dx + dy * dy)
+        distance = size(way)
         # How far ahead a post stands tells whether it is in view without an angle, but for the very
         # edge of the view.
-        inside = cos * dx + sin * dy - edge * distance
+        inside = heading.real * way.real + heading.imag * way.imag - edge * distance
         if distance > robot.scan_range or inside < -1e-9 * distance:
             continue
-        if inside < 1e-9 * distance and abs(wrapped(np.arctan2(dy, dx) - state.yaw)) > half:
+        if inside < 1e-9 * distance and abs(wrapped(angle_of(way) - state.yaw)) > half:
             continue
         if sensing.random() > robot.detection:
             continue
-        far, aside = (
-            robot.range_noise * sensing.standard_normal(),
-            robot.bearing_noise * sensing.standard_normal(),
-        )
+        far = robot.range_noise * sensing.standard_normal()
+        aside = robot.bearing_noise * sensing.standard_normal()
         if state.mode == 1:
             continue
         # Where the estimate has the post: what was seen, turned by the errors of bearing and of the
         # estimated heading.
-        turned = state.heading_error + aside
         longer = 1.0 + far / max(distance, 1e-9)
-        seen_x = longer * (np.cos(turned) * dx - np.sin(turned) * dy)
-        seen_y = longer * (np.sin(turned) * dx + np.cos(turned) * dy)
-        sum_x, sum_y = sum_x + dx, sum_y + dy
-        sum_off_x, sum_off_y = sum_off_x + seen_x - dx, sum_off_y + seen_y - dy
-        cross, dot = cross + dx * seen_y - dy * seen_x, dot + dx * seen_x + dy * seen_y
+        shown = longer * (direction(state.heading_error + aside) * way)
+        ways += way
+        offs += shown - way
+        products += shown * way.conjugate()
         seen += 1
     if seen == 0:
-        return 0.0, 0.0, 0.0, 0
+        return 0j, 0.0, 0
+    off = offs / seen
     # products of what lies beside the mean
-    off_x, off_y = sum_off_x / seen, sum_off_y / seen
-    mean_x, mean_y = sum_x / seen, sum_y / seen
-    cross -= sum_x * (mean_y + off_y) - sum_y * (mean_x + off_x)
-    dot -= sum_x * (mean_x + off_x) + sum_y * (mean_y + off_y)
-    turn = np.arctan2(cross, dot) if seen > 1 else 0.0
-    return state.est_x - state.x + off_x, state.est_y - state.y + off_y, turn, seen
+    products -= (ways / seen + off) * ways.conjugate()
+    turn = angle_of(products) if seen > 1 else 0.0
+    return state.est - state.place + off, turn, seen
 
 
 @dataclass(frozen=True)
