@@ -23,8 +23,8 @@ from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS
 from trustlab.reproduction.printed_number import printed_decimal, printed_interval
 from trustlab.reproduction.published import published_facts, published_models, published_table
 from trustlab.reproduction.published_study import published_studies
-from trustlab.studies.virtual_study import virtual_study
 from trustlab.studies.questionnaires import NASA_TLX
+from trustlab.studies.virtual_study import virtual_study
 from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.populations import TeleoperatorPopulation
 from trustlab.testbeds.uav_tracking import simulate_teleoperation

@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.studies.mixed import estimates_of
-from trustlab.studies.pairs import holm
+from trustlab.studies.pairs import estimates_of, holm
 from trustlab.studies.table import (
     ScoreTable,
     Tested,
