@@ -144,7 +144,7 @@ def report(
             f"{type(frame).__name__}"
         )
     table, title = result, "Results"
-    if result is not table or not isinstance(result, pd.DataFrame):
+    if not isinstance(result, pd.DataFrame):
         table = result.table()
         title = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(result).__name__).capitalize()
     named = table.reset_index() if table.index.names != [None] else table
