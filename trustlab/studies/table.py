@@ -1,6 +1,6 @@
 """The one reader of tables: columns by name, labels, numbers, scores as subjects × conditions."""
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from itertools import compress, product
@@ -64,13 +64,11 @@ def labels_of(name: str, values: object, least: int) -> tuple[Hashable, ...]:
     ):
         raise ValueError(f"{name} must be a list of labels, got {values!r}")
     labels = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
-    for k, label in enumerate(labels):
+    for label in labels:
         usable = isinstance(label, Hashable) and not isinstance(label, bool)
         if not usable or pd.isna([label]).any() or not str(label).strip():
-            raise ValueError(
-                f"{name}[{k}] is {label!r}; a label must be a number or a text that is not empty"
-            )
-        if label in labels[:k]:
+            raise ValueError(f"{name}: {label!r} is no label, a number or a text that is not empty")
+        if labels.count(label) > 1:
             raise ValueError(f"{name} must differ from one another, but {label!r} occurs twice")
     if len(labels) < least:
         raise ValueError(f"{name} must have at least {least} labels, got {len(labels)}")
@@ -117,20 +115,18 @@ def levels_of(series: pd.Series, argument: str, order: Any = None) -> tuple:
     refuse_missing_labels(series, argument)
     labels = tuple(dict.fromkeys(series.tolist()))
     if order is not None:
-        listed = list(order) if isinstance(order, Iterable) and not isinstance(order, str) else []
+        listed = list(order) if isinstance(order, list | tuple) else []
         if len(listed) != len(labels) or any(label not in listed for label in labels):
             raise ValueError(
                 f"order must list every condition in column {series.name!r} once, {[*labels]}, got "
                 f"{order!r}; leave conditions out by selecting rows"
             )
-        return tuple(sorted(labels, key=listed.index))
+        return tuple(listed)
     if isinstance(series.dtype, pd.CategoricalDtype):
         return tuple(series.cat.remove_unused_categories().cat.categories.tolist())
     try:
         return tuple(sorted(labels))
     except TypeError:
-        if argument == "subject":
-            return labels
         raise ValueError(
             f"{argument}: column {series.name!r} mixes types of labels, without a common order; "
             "make them one type, or give order=[…]"
@@ -342,10 +338,9 @@ def read_groups(
     group_of = dict(zip(frame[scores.subject].tolist(), frame[name].tolist(), strict=True))
     members = [group_of[subject] for subject in scores.subjects]
     levels = tuple(level for level in listed if level in members)
-    counts = {level: members.count(level) for level in levels}
-    if len(levels) < 2 or min(counts.values()) < 2:
+    if len(levels) < 2 or min(map(members.count, levels)) < 2:
         raise ValueError(
-            f"between: column {name!r} needs two groups or more, with two complete participants "
-            f"in each; it has {counts}"
+            f"between: column {name!r} needs two groups or more, with two complete participants in "
+            f"each, got {members}"
         )
     return levels, np.array([levels.index(group) for group in members])
