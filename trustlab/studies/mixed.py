@@ -242,7 +242,7 @@ def mixed_model(
     levels, groups = read_factors(frame, dv, within, subject, between, order)
     factors = groups | levels
     table = read_cells(frame, dv, factors, subject)
-    groups_count = int(np.prod([len(levels) for levels in groups.values()]))
+    combinations = int(np.prod([len(levels) for levels in groups.values()]))
     there = ~np.isnan(table.values)
     if not there.any(axis=0).all():
         cell = table.conditions[np.argmin(there.any(axis=0))]
@@ -252,7 +252,7 @@ def mixed_model(
     model = RandomIntercepts("subject", pd.Series(person, name=table.subject))
     fit = model.fit(y, x, restricted=True)
     n = model.counts.size
-    between_df, within_df = n - groups_count, y.size - n - x.shape[1] + groups_count
+    between_df, within_df = n - combinations, y.size - n - x.shape[1] + combinations
     rows = []
     for names in subsets(factors)[1:]:
         contrasts = Design(n, factors).contrasts(names)
@@ -272,7 +272,7 @@ def mixed_model(
         singular=fit.ratio == 0.0,
         n=n,
         cells=y.size,
-        missing_cells=n * x.shape[1] // groups_count - y.size,
+        missing_cells=n * x.shape[1] // combinations - y.size,
     )
     covariance = fit.residual * fit.inverse
     means = estimates_of(fit.beta, np.sqrt(np.diag(covariance)), tests["df2"].min())
@@ -435,8 +435,7 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
         variables = Formula(formula).required_variables
         matrices = model_matrix(formula, frame, na_action="ignore")
     except (FormulaicError, NameError, KeyError, SyntaxError, ValueError) as error:
-        there = ", ".join(map(str, frame))
-        raise ValueError(f"formula {formula!r}: {error} (columns are {there})") from None
+        raise ValueError(f"formula {formula!r}: {error} (columns are {[*frame]})") from None
     score, x = (pd.DataFrame(part, dtype=float) for part in (matrices.lhs, matrices.rhs))
     if score.shape[1] != 1:
         raise ValueError(f"formula {formula!r}: the score must be one column of numbers")
@@ -449,9 +448,7 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
             "leave them out"
         )
     if np.linalg.matrix_rank(x) < x.shape[1]:
-        raise ValueError(
-            f"formula {formula!r}: its columns are linearly dependent; an effect is not estimable"
-        )
+        raise ValueError(f"formula {formula!r}: linearly dependent, an effect is not estimable")
     terms = matrices.rhs.model_spec.term_indices
     terms = {str(term): columns for term, columns in terms.items() if str(term) != "1"}
     return score.to_numpy()[:, 0], x, terms

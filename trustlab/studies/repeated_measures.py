@@ -285,9 +285,10 @@ def describe(values: np.ndarray) -> pd.DataFrame:
     removes.
     """
     n, k = values.shape
-    names = {"count": "n", "mean": "mean", "std": "sd", "sem": "se", "median": "median"}
+    names = {"mean": "mean", "std": "sd", "sem": "se", "median": "median"}
     names |= {"min": "minimum", "max": "maximum"}
-    stats = pd.DataFrame(values).agg([*names]).T.rename(columns=names).astype({"n": int})
+    stats = pd.DataFrame(values).agg([*names]).T.rename(columns=names)
+    stats.insert(0, "n", n)
     centred = values - values.mean()  # a common offset would cost digits in the subjects' means
     inside = centred - centred.mean(axis=1, keepdims=True)
     within_sd = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))

@@ -4,7 +4,7 @@ import html
 import io
 import os
 import re
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from trustlab.models.checks import of_class, one_of, shown, whole_number
 from trustlab.models.display import Result
 from trustlab.models.extras import extra
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
-from trustlab.studies.words import apa_number, apa_table, df_text, in_words, share
+from trustlab.studies.words import apa_number, apa_table, in_words
 
 # What LaTeX has no letter for.
 _LATEX = {"−": "$-$", "×": r"$\times$", "ηp²": r"$\eta_p^2$", "ηG²": r"$\eta_G^2$", "²": "$^2$"}
@@ -156,38 +156,22 @@ def report(
 def _section(result: RepeatedMeasures) -> dict[str, pd.DataFrame]:
     """Return the tables of an analysis of variance; levels that are numbers stay as they are."""
     factors = [*result.within, *result.between]
-    labels = {"condition"} if result.one_way else set(factors)
-    stats = result.descriptives()
-    moments = [name for name in stats if name in labels or name in ("n", "mean", "sd")]
-    stats = stats[[*moments, "ci_low", "ci_high"]]
-    tests = result.table()
-    df = [
-        f"{df_text(df1)}, {df_text(df2)}"
-        for df1, df2 in zip(tests["df1_corrected"], tests["df2_corrected"], strict=True)
-    ]
-    limits = _brackets(tests["eta2_partial_low"], tests["eta2_partial_high"], share)
-    heads = ["effect", "F", "p_corrected", "eta2_partial", "eta2_generalized", "correction"]
-    tests = tests[heads].copy()
-    for name in ("eta2_partial", "eta2_generalized"):
-        tests[name] = tests[name].map(share)
-    tests.insert(2, "df", df)
-    tests.insert(5, "90% CI", limits)
-    tables = {"Descriptive statistics": stats, "Analysis of variance": tests}
+    labels = ["condition"] if result.one_way else factors
+    stats, tests = result.descriptives(), result.table()
+    wanted = {*labels, "n", "mean", "sd", "ci_low", "ci_high"}
+    heads = ["effect", "F", "df1_corrected", "df2_corrected", "p_corrected", "eta2_partial"]
+    heads += ["eta2_partial_low", "eta2_partial_high", "eta2_generalized", "correction"]
+    tables = {
+        "Descriptive statistics": stats[[name for name in stats if name in wanted]],
+        "Analysis of variance": tests[heads],
+    }
     for factor in factors:
-        pairs = result.pairs(factor).drop(columns=["level", "d_av"], errors="ignore")
-        limits = _brackets(pairs.pop("d_z_low"), pairs.pop("d_z_high"), apa_number)
-        pairs["95% CI of d_z"] = limits
         of_factor = "" if result.one_way else f" of {factor}"
+        pairs = result.pairs(factor).drop(columns=["level", "d_av"], errors="ignore")
         tables[f"Pairwise comparisons{of_factor}"] = pairs
     for table in tables.values():
         table.attrs["labels"] = [*map(str, labels)]
     return tables
-
-
-def _brackets(lows: pd.Series, highs: pd.Series, text: Callable[[float], str]) -> list[str]:
-    """Return intervals as "[0.12, 0.34]", empty where they are not defined."""
-    pairs = zip(lows, highs, strict=True)
-    return ["" if np.isnan(low) else f"[{text(low)}, {text(high)}]" for low, high in pairs]
 
 
 def _side_by_side(

@@ -34,7 +34,13 @@ _HEADS = {
     "p_hf": "p (Huynh–Feldt)",
     "p_holm": "p (Holm)",
     "p_bonferroni": "p (Bonferroni)",
+    "df1_corrected": "df1",
+    "df2_corrected": "df2",
+    "d_z_low": "d_z, 95% CI low",
+    "d_z_high": "d_z, 95% CI high",
     "eta2_partial": "ηp²",
+    "eta2_partial_low": "ηp², 90% CI low",
+    "eta2_partial_high": "ηp², 90% CI high",
     "eta2_generalized": "ηG²",
     "epsilon_gg": "ε (Greenhouse–Geisser)",
     "epsilon_hf": "ε (Huynh–Feldt)",
@@ -42,7 +48,7 @@ _HEADS = {
     "huynh-feldt": "Huynh–Feldt",
     "human_beta": "human β",
     "robot_beta": "robot β",
-} | {name: name for name in ("d_z", "95% CI of d_z", "TSC_l", "TSC_u")}
+} | {name: name for name in ("d_z", "TSC_l", "TSC_u")}
 # Columns in the unit of what was measured: as many decimals as show their error.
 _ESTIMATES = {"value", "estimate", "mean", "mean_difference", "stderr", "se", "sd"}
 _ESTIMATES |= {"ci_low", "ci_high"}
@@ -112,6 +118,8 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
         values = frame[name].to_numpy()
         if str(name).startswith(("p_", "mauchly_p")) or name == "p":
             texts = [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
+        elif str(name).startswith(("eta2_", "epsilon_")):
+            texts = [*map(share, values)]
         elif str(name).startswith("df") and not (values % 1.0).any():
             texts = [df_text(value) for value in values]
         else:
