@@ -164,12 +164,12 @@ class RepeatedMeasures(Tested):
         Returns
         -------
         pandas.DataFrame
-            Columns level (of `at`, with several factors) a b mean_difference (a − b) ci_low ci_high
-            (unadjusted) t df p p_bonferroni p_holm d_z (mean over the residual standard
-            deviation of the differences; NaN between groups) d_z_low d_z_high; of one factor
-            also d_av (mean over the mean of both standard deviations). For "wilcoxon", a b V p
-            method rank_biserial median_difference p_bonferroni p_holm; p is NaN where no subject's
-            scores differ.
+            Columns level (of `at`, with several factors) a b mean_difference (a − b) t p ci_low
+            ci_high (unadjusted) df p_bonferroni p_holm d_z (mean over the residual standard
+            deviation of the differences; NaN between groups) d_z_low d_z_high; of one factor also
+            d_av (mean over the mean of both standard deviations). For "wilcoxon", a b V p method
+            rank_biserial median_difference p_bonferroni p_holm; p is NaN where no subject's scores
+            differ.
 
         Raises
         ------
