@@ -145,7 +145,8 @@ def winsorize(
     >>> rule = {"outside": "mad", "k": 3.0, "to": "limit"}
     >>> tl.winsorize(frame, "error", "mode", "subject", **rule).table()
        subject condition  old       new
-    0        4         B  9.0  1.544781
+    0        4         A  9.0  1.544781
+    1        4         B  9.0  1.544781
     """
     one_of("outside", outside, OUTLIER_RULES)
     one_of("to", to, _TARGETS)
