@@ -87,7 +87,8 @@ def test_what_a_reader_sees():
     frame.attrs["synthetic"] = True
     result = run(frame, between="group")
     words = (
-        "2 × 2 × 3 mixed ANOVA of score (N = 10, degrees of freedom Greenhouse–Geisser corrected)"
+        "2 × 2 × 3 mixed ANOVA of score (N = 10, correction of degrees of freedom: "
+        "Greenhouse–Geisser)"
     )
     assert words in result.apa()
     assert result.apa().startswith("[synthetic data]")

@@ -17,8 +17,6 @@ from trustlab.studies.table import (
     labelled,
     levels_of,
     read_scores,
-    refuse_missing_labels,
-    refuse_two_labels,
 )
 
 
@@ -81,7 +79,6 @@ def order_effects(
     dv: Hashable,
     condition: Hashable,
     position: Hashable,
-    sequence: Hashable | None = None,
     subject: Hashable = "subject",
     *,
     order: Sequence | None = None,
@@ -98,8 +95,6 @@ def order_effects(
         A row per subject and position.
     dv, condition, position, subject : hashable
         Columns with the score, the condition, the position (1, 2 …) and the subject.
-    sequence : hashable, optional
-        Column with the name of the subject's order; by default it is read from the order itself.
     order : sequence, optional
         The order of the conditions.
 
@@ -141,10 +136,6 @@ def order_effects(
     rows = frame.set_index([subject, position]).loc[[*product(scores.subjects, scores.conditions)]]
     codes = rows[condition].map(labels.index).to_numpy(int).reshape(n, k)
     sequences = pd.Series([*codes.astype(str)]).map(" ".join)
-    if sequence is not None:
-        refuse_missing_labels(column_of(frame, "sequence", sequence), "sequence")
-        refuse_two_labels("sequence", frame[sequence], frame[subject])
-        sequences = rows[sequence].iloc[::k]
     y = (scores.values - scores.values.mean()).ravel()
     full = _within_subjects(codes, len(labels))
     error, df = _residual(y, full)

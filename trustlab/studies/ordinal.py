@@ -133,26 +133,27 @@ class Cumulative:
         return point
 
     def fit(self, x: np.ndarray, point: np.ndarray) -> CumulativeFit:
-        """Return a maximum in units of the regressors, with the inverse observed information."""
-        count, centre, scale = x.shape[1], x.mean(axis=0), x.std(axis=0)
-        steps = STEP * np.eye(point.size)
+        """
+        Return a maximum in units of the regressors, with the inverse of the observed information.
+        """
+        count, scale = x.shape[1], x.std(axis=0)
+        beta, thresholds = np.split(point[:-1], [count])
+        beta = beta / scale
+        point = np.concatenate([beta, thresholds + x.mean(axis=0) @ beta, np.abs(point[-1:])])
+        sizes = STEP / np.concatenate([scale, np.ones(point.size - count)])
         # People who do not vary are at the boundary, which carries no information on the rest.
-        steps = steps[: point.size - (abs(point[-1]) < SINGULAR)]
+        steps = np.diag(sizes)[: point.size - (point[-1] < SINGULAR)]
 
         def bend(a: np.ndarray, b: np.ndarray) -> float:
-            corners = product((-1.0, 1.0), repeat=2)
-            losses = [
-                s * t * self.loss(point + s * a + t * b, (x - centre) / scale) for s, t in corners
-            ]
-            return sum(losses) / (4.0 * STEP**2)
+            signs = product((-1.0, 1.0), repeat=2)
+            return sum(s * t * self.loss(point + s * a + t * b, x) for s, t in signs)
 
-        information = np.array([[bend(a, b) for b in steps] for a in steps])
-        inverse = np.linalg.inv(information)[: point.size - 1, : point.size - 1]
-        turn = np.eye(point.size - 1)
-        turn[:count, :count] /= scale
-        turn[count:, :count] = centre / scale
-        beta, thresholds = np.split(turn @ point[:-1], [count])
-        return CumulativeFit(beta, thresholds, float(abs(point[-1])), turn @ inverse @ turn.T)
+        information = np.array(
+            [[bend(a, b) / (4.0 * a.sum() * b.sum()) for b in steps] for a in steps]
+        )
+        size = point.size - 1
+        covariance = np.linalg.inv(information)[:size, :size]
+        return CumulativeFit(beta, point[count:-1], float(point[-1]), covariance)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -257,17 +257,10 @@ def read_factors(
                 f"within: column {name!r} has one label for every person; give between={name!r}"
             )
     for name in between:
-        refuse_two_labels("between", frame[name], people)
+        count = frame[name].groupby(people).nunique()
+        for person in count.index[count > 1]:
+            raise ValueError(f"between: subject {person!r} has several labels in column {name!r}")
     return {name: levels[name] for name in within}, {name: levels[name] for name in between}
-
-
-def refuse_two_labels(argument: str, column: pd.Series, people: pd.Series) -> None:
-    """Refuse a person with two labels in a column."""
-    count = column.groupby(people).nunique()
-    for person in count.index[count > 1]:
-        raise ValueError(
-            f"{argument}: subject {person!r} has several labels in column {column.name!r}"
-        )
 
 
 def read_cells(

@@ -16,11 +16,6 @@ _ADJUSTMENTS = {
     "bonferroni": ("p_bonferroni", "Bonferroni-adjusted p"),
     "none": ("p", "unadjusted p"),
 }
-_CORRECTIONS = {
-    "none": "not corrected",
-    "greenhouse-geisser": "Greenhouse–Geisser corrected",
-    "huynh-feldt": "Huynh–Feldt corrected",
-}
 # Heads of columns and names of parameters; others are written with blanks for underlines.
 _HEADS = {
     "mean": "M",
@@ -194,11 +189,12 @@ def apa_report(result: Any, adjust: str = "holm") -> str:
     rows = result.table().to_dict("records")
     sizes = [len(levels) for levels in (*result.between.values(), *result.within.values())]
     size = "one-way" if result.one_way else " × ".join(map(str, sizes))
+    rule = in_words(result.correction_rule)
     kind = "mixed" if result.between else "repeated-measures"
     effects = "; ".join(effect_text(row, "_corrected", result.alpha) for row in rows)
     text = (
-        f"{mark(result.origin)}A {size} {kind} ANOVA of {result.dv} (N = {result.n}, degrees of "
-        f"freedom {_CORRECTIONS[result.correction_rule]}): {effects}."
+        f"{mark(result.origin)}A {size} {kind} ANOVA of {result.dv} (N = {result.n}, correction of "
+        f"degrees of freedom: {rule}): {effects}."
     )
     if result.one_way:
         means = listed(condition_means(result.descriptives()))
