@@ -186,3 +186,9 @@ def test_a_missing_label_is_not_the_reference_level(kind):
     tl.formula_model("score ~ mode", frame.dropna(), groups="person")
     with pytest.raises(ValueError, match="within: column 'mode' has no label in row 3"):
         tl.ordinal_model(frame, "rating", "mode", "person")
+
+
+def test_a_factor_of_one_level_is_not_tested():
+    frame = drawn(12).assign(mode="a")
+    with pytest.raises(ValueError, match="an effect is not estimable"):
+        tl.formula_model("score ~ mode", frame, groups="person")

@@ -10,7 +10,7 @@ effect within subjects has its own error term, as in `Anova` of car and `aov_car
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
-from itertools import chain, combinations
+from itertools import chain, combinations, count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,11 +104,11 @@ class Design:
         numbers = dict(zip(self.between, codes, strict=True))
         return Design(codes.shape[1], {}, self.between, numbers).matrix
 
-    def rows(self, block: tuple) -> np.ndarray:
-        """Return the rows that select the coefficients of an effect between subjects."""
-        ends = np.cumsum([part.shape[1] for part in self.blocks.values()])
-        parts = np.split(np.eye(ends[-1]), ends[:-1])
-        return dict(zip(self.blocks, parts, strict=True))[block]
+    @cached_property
+    def columns(self) -> dict[tuple, list[int]]:
+        """The columns of every effect between subjects."""
+        number = count()
+        return {block: [next(number) for _ in x.T] for block, x in self.blocks.items()}
 
     def contrasts(self, names: tuple) -> np.ndarray:
         """Return orthonormal contrasts of the cells for an effect; other factors are averaged."""
@@ -138,11 +138,11 @@ class Regression(NamedTuple):
     residual: np.ndarray
     rounding: np.ndarray
 
-    def sum_of_squares(self, contrasts: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return that of the hypothesis `rows` · coefficients · `contrasts` = 0 of each study."""
-        # SS = n |L⁻¹ R B C|² with L L' = R (X'X/n)⁻¹ R'
-        root = np.linalg.cholesky(rows @ self.design.inverse @ rows.T)
-        whitened = np.linalg.solve(root, rows) @ self.coefficients @ contrasts
+    def sum_of_squares(self, contrasts: np.ndarray, columns: list[int]) -> np.ndarray:
+        """Return that of the hypothesis that coefficients · `contrasts` are 0 of each study."""
+        # SS = n |L⁻¹ B C|² with L L' the part of (X'X/n)⁻¹ that belongs to the columns
+        root = np.linalg.cholesky(self.design.inverse[np.ix_(columns, columns)])
+        whitened = np.linalg.solve(root, self.coefficients[:, columns] @ contrasts)
         return self.design.n * (whitened**2).sum(axis=(1, 2))
 
     def covariance(self, contrasts: np.ndarray) -> np.ndarray:
@@ -230,9 +230,9 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
     subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / residual.shape[2]
     labels, tests = [], []
     for block, names in design.effects:
-        contrasts, rows = design.contrasts(names), design.rows(block)
+        contrasts, columns = design.contrasts(names), design.columns[block]
         label = effect_name(block, names)
-        d, ss = contrasts.shape[1], regression.sum_of_squares(contrasts, rows)
+        d, ss = contrasts.shape[1], regression.sum_of_squares(contrasts, columns)
         covariance = regression.covariance(contrasts)
         error = np.trace(covariance, axis1=1, axis2=2)
         for study in np.flatnonzero((error <= d * floor) | ~np.isfinite(error)):
@@ -240,7 +240,7 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
                 f"study {study}: the error variance is zero for {label} (all subjects differ by "
                 "the same amounts, or not at all), or no number holds it: F is not defined"
             )
-        df1, df2, f = d * len(rows), d * design.df_error, ss / len(rows) / error
+        df1, df2, f = d * len(columns), d * design.df_error, ss / len(columns) / error
         shape = sphericity(covariance, design.df_error, floor, residual.shape[2])
         gg, hf = shape["epsilon_gg"], shape["epsilon_hf"]
         test = {
@@ -260,11 +260,11 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
         labels.append(label)
         tests.append(test | shape)
     index = pd.MultiIndex.from_product([range(len(scores)), labels], names=["study", "effect"])
-    columns = {
+    table = {
         name: np.column_stack([np.broadcast_to(test[name], len(scores)) for test in tests]).ravel()
         for name in tests[0]
     }
-    return pd.DataFrame(columns, index)
+    return pd.DataFrame(table, index)
 
 
 def effect_name(block: tuple, names: tuple) -> str:

@@ -51,14 +51,14 @@ def _rows(n: int) -> int:
     return n if n % 2 == 0 else 2 * n
 
 
-def participants_needed(conditions: int | Sequence[Hashable], at_least: int = 1) -> int:
+def participants_needed(conditions: int, at_least: int = 1) -> int:
     """
     Return the smallest number of participants that fills whole squares.
 
     Parameters
     ----------
-    conditions : int or sequence of str
-        How many conditions, or their names.
+    conditions : int
+        How many conditions.
     at_least : int
         The fewest participants wanted, for example from a power analysis.
 
@@ -67,11 +67,8 @@ def participants_needed(conditions: int | Sequence[Hashable], at_least: int = 1)
     ValueError
         If there are fewer than two conditions, or `at_least` is not a whole number of at least 1.
     """
-    if isinstance(conditions, numbers.Number):
-        n = whole_number("conditions", conditions, least=2)
-    else:
-        n = len(labels_of("conditions", conditions, 2))
-    return -(-whole_number("at_least", at_least) // _rows(n)) * _rows(n)
+    size = _rows(whole_number("conditions", conditions, least=2))
+    return -(-whole_number("at_least", at_least) // size) * size
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -447,10 +447,13 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
             f"data: {bad.sum()} rows have a missing or infinite value, row {bad.idxmax()} first; "
             "leave them out"
         )
-    if np.linalg.matrix_rank(x) < x.shape[1]:
-        raise ValueError(f"formula {formula!r}: linearly dependent, an effect is not estimable")
     terms = matrices.rhs.model_spec.term_indices
     terms = {str(term): columns for term, columns in terms.items() if str(term) != "1"}
+    if np.linalg.matrix_rank(x) < x.shape[1] or not all(terms.values()):
+        raise ValueError(
+            f"formula {formula!r}: an effect is not estimable, as it depends on others or has one "
+            "level"
+        )
     return score.to_numpy()[:, 0], x, terms
 
 

@@ -710,12 +710,12 @@ def _tests_of(
     regression = regress(np.atleast_2d(population.mean)[groups][None], design)
     table = []
     for block, names in design.effects:
-        contrasts, rows = design.contrasts(names), design.rows(block)
+        contrasts, columns = design.contrasts(names), design.columns[block]
         d, variances = contrasts.shape[1], contrasts.T @ population.covariance @ contrasts
-        squares = float(regression.sum_of_squares(contrasts, rows)[0])
+        squares = float(regression.sum_of_squares(contrasts, columns)[0])
         strength = squares * d / np.trace(variances)
         epsilon = float(sphericity(variances, design.df_error)["epsilon_gg"])
-        closed = exceeds_critical(d * len(rows), d * design.df_error, strength, simulation.alpha)
+        closed = exceeds_critical(d * len(columns), d * design.df_error, strength, simulation.alpha)
         effect = effect_name(block, names)
         where = {
             "n": n,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, shown, whole_number
+from trustlab.models.checks import of_class, one_of, shown
 from trustlab.models.display import Result
 from trustlab.models.extras import extra
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
@@ -61,17 +61,16 @@ class StudyReport(Result):
         """Return what `result.table()` does, or the table itself."""
         return self.result if isinstance(self.result, pd.DataFrame) else self.result.table()
 
-    def write(self, path: str | os.PathLike, digits: int = 2) -> Path:
+    def write(self, path: str | os.PathLike) -> Path:
         """
         Write text, tables and (in HTML, of an analysis of variance) the figure to a file.
+
+        Estimates have as many decimals as their errors ask for, at least two; p-values have three.
 
         Parameters
         ----------
         path : path-like
             Ends in .html, or .tex (a fragment that needs booktabs).
-        digits : int
-            Least number of decimals: estimates have as many as their errors ask for; p-values have
-            three.
 
         Returns
         -------
@@ -82,10 +81,10 @@ class StudyReport(Result):
         ValueError
             If the ending is another one.
         """
-        path, digits = Path(path), whole_number("digits", digits, least=0, most=12)
+        path = Path(path)
         kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
         mark = f" [{self.origin}]" if self.origin else ""
-        tables = {title + mark: _printed(table, digits) for title, table in self.tables.items()}
+        tables = {title + mark: _printed(table) for title, table in self.tables.items()}
         text = _html(self, tables) if kind == ".html" else _latex(self.message, tables)
         path.write_text(text, encoding="utf-8")
         return path
@@ -149,7 +148,7 @@ def report(
         title = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(result).__name__).capitalize()
     named = table.reset_index() if table.index.names != [None] else table
     if len(named) == 1 and named.shape[1] > _WIDE:
-        named = _printed(named, 2).T.reset_index().set_axis(["statistic", "value"], axis=1)
+        named = _printed(named).T.reset_index().set_axis(["statistic", "value"], axis=1)
     return StudyReport(result, _sentences(result), {title: named}, _origin(result, table))
 
 
@@ -192,7 +191,7 @@ def _side_by_side(
         title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
         rows = []
         for name, result in results.items():
-            texts = _printed(_estimates(result), 2).replace({"standard error": {"": "–"}})
+            texts = _printed(_estimates(result)).replace({"standard error": {"": "–"}})
             cells = texts["value"] + " ± " + texts["standard error"]
             failed = "" if getattr(result, "success", True) else " (the fit failed)"
             row = {"of": f"{name}{failed}"} | dict(zip(texts["parameter"], cells, strict=True))
@@ -236,10 +235,10 @@ def _origin(result: Any, table: pd.DataFrame) -> str:
     return getattr(result, "origin", "") or table.attrs.get("origin", "") or synthetic
 
 
-def _printed(table: pd.DataFrame, digits: int) -> pd.DataFrame:
+def _printed(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table of texts with the roundings and heads of a paper."""
     named = table.reset_index() if table.index.names != [None] else table
-    texts = apa_table(named.rename(columns=str).rename_axis(columns=None), digits)
+    texts = apa_table(named.rename(columns=str).rename_axis(columns=None))
     texts = texts.astype(object).where(texts.notna(), "").map(str).rename(columns=in_words)
     for name in ("parameter", "correction"):
         if name in texts:
